@@ -1,0 +1,20 @@
+# Environment of every MPI run of this repository; to be sourced: `. scripts/mpi_env.sh`.
+# A value that is already set is kept.
+
+# One thread per rank: the ranks are the parallelism, BLAS threads on top of them only compete.
+export OPENBLAS_NUM_THREADS="${OPENBLAS_NUM_THREADS:-1}"
+export OMP_NUM_THREADS="${OMP_NUM_THREADS:-1}"
+export MKL_NUM_THREADS="${MKL_NUM_THREADS:-1}"
+
+# Open MPI refuses to run as root (containers, continuous integration) without both of these.
+export OMPI_ALLOW_RUN_AS_ROOT="${OMPI_ALLOW_RUN_AS_ROOT:-1}"
+export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM="${OMPI_ALLOW_RUN_AS_ROOT_CONFIRM:-1}"
+
+# More ranks than cores are allowed, and two jobs at once must not be bound to the same cores.
+# OMPI_*: Open MPI 4. PRTE_*: the same two settings in Open MPI 5.
+export OMPI_MCA_rmaps_base_oversubscribe="${OMPI_MCA_rmaps_base_oversubscribe:-1}"
+export OMPI_MCA_hwloc_base_binding_policy="${OMPI_MCA_hwloc_base_binding_policy:-none}"
+export PRTE_MCA_rmaps_default_mapping_policy="${PRTE_MCA_rmaps_default_mapping_policy:-:oversubscribe}"
+export PRTE_MCA_hwloc_default_binding_policy="${PRTE_MCA_hwloc_default_binding_policy:-none}"
+
+export MPIEXEC="${MPIEXEC:-mpiexec}"

@@ -1,0 +1,210 @@
+"""``ddic synth``: image pairs whose displacement is known exactly."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, Unpack
+
+import click
+
+from ddic.errors import DdicError, InputError
+
+if TYPE_CHECKING:
+    from ddic.synth.fields import DisplacementField
+    from ddic.synth.hole import Hole
+
+Pair = tuple[float, float]
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+class ImageOptions(TypedDict):
+    """The options that every kind of field shares."""
+
+    size: tuple[int, int]
+    bit_depth: str
+    noise: float
+    seed: int
+    speckle_size: float
+    output: Path
+
+
+class InputFailure(click.ClickException):
+    """Bad input, shown as one line."""
+
+    exit_code = 2
+
+
+class OneLineErrors(click.Group):
+    """A group of commands whose errors are one line each, without the usage text."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the chosen command."""
+        try:
+            return super().invoke(ctx)
+        except click.UsageError as error:
+            raise InputFailure(error.format_message()) from error
+        except InputError as error:
+            raise InputFailure(str(error)) from error
+        except DdicError as error:
+            raise click.ClickException(str(error)) from error
+
+
+def parse_size(_context: click.Context, _option: click.Parameter, text: str) -> tuple[int, int]:
+    """Turn "640x480" into (640, 480), pixels."""
+    match = re.fullmatch(r"([1-9]\d*)[xX]([1-9]\d*)", text)
+    if match is None:
+        raise click.BadParameter(f"{text!r} is not WIDTHxHEIGHT in pixels, for instance 640x480")
+    return int(match[1]), int(match[2])
+
+
+def image_options(command: Command) -> Command:
+    """Add the options of ImageOptions to a command."""
+    options = (
+        click.option("--size", callback=parse_size, default="512x512", show_default=True,
+                     metavar="WIDTHxHEIGHT", help="Size, pixels."),
+        click.option("--bit-depth", type=click.Choice(["8", "16", "32"]), default="8", show_default=True,
+                     help="8 or 16 bit, or 32 for float values on the scale 0..255."),
+        click.option("--noise", type=float, default=0.0, show_default=True,
+                     help="Standard deviation of the noise of both images, 8-bit grey levels."),
+        click.option("--seed", type=int, default=0, show_default=True, help="Seed of speckle and noise."),
+        click.option("--speckle-size", type=float, default=1.0, show_default=True,
+                     help="Magnification of the speckle; 1 has spots of about 5 px."),
+        click.option("--output", type=click.Path(file_okay=False, path_type=Path), required=True,
+                     help="Folder for reference.tif, deformed.tif and truth.json."),
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+@click.group(cls=OneLineErrors)
+def synth() -> None:
+    """Generate a speckled image pair with an exactly known displacement.
+
+    Pixels: x is the column, y the row (downwards), pixel centres are at integers.
+    """
+
+
+@synth.command()
+@click.option("--vector", type=float, nargs=2, default=(0.25, -0.4), show_default=True, help="u_x u_y, px.")
+@image_options
+def translation(vector: Pair, **image: Unpack[ImageOptions]) -> None:
+    """Move the whole image by one vector."""
+    from ddic.synth.fields import Translation
+
+    _generate(Translation(vector), None, image)
+
+
+@synth.command()
+@click.option("--gradient", type=float, nargs=4, default=(0.01, 0.0, 0.0, -0.003), show_default=True,
+              help="du_x/dx du_x/dy du_y/dx du_y/dy.")
+@click.option("--vector", type=float, nargs=2, default=(0.0, 0.0), show_default=True,
+              help="Displacement of the centre, px.")
+@click.option("--center", type=float, nargs=2, default=None, help="x y, px.  [default: the image's centre]")
+@image_options
+def affine(gradient: tuple[float, float, float, float], vector: Pair, center: Pair | None,
+           **image: Unpack[ImageOptions]) -> None:
+    """Deform with a uniform gradient."""
+    from ddic.synth.fields import Affine
+
+    matrix = (gradient[:2], gradient[2:])
+    _generate(Affine(matrix, vector, center or _middle(image)), None, image)
+
+
+@synth.command()
+@click.option("--offset", type=float, nargs=2, default=(0.35, -0.25), show_default=True,
+              help="Mean of u_x and of u_y, px.")
+@click.option("--amplitude", type=float, nargs=2, default=(0.60, 0.50), show_default=True,
+              help="Of u_x and of u_y, px.")
+@click.option("--wavelength-x", type=float, nargs=2, default=(1024.0, 1280.0), show_default=True,
+              help="Of u_x along x and along y, px.")
+@click.option("--wavelength-y", type=float, nargs=2, default=(1280.0, 1024.0), show_default=True,
+              help="Of u_y along x and along y, px.")
+@click.option("--phase-x", type=float, nargs=2, default=(0.3, -0.2), show_default=True,
+              help="Of u_x along x and along y, rad.")
+@click.option("--phase-y", type=float, nargs=2, default=(-0.7, 0.5), show_default=True,
+              help="Of u_y along x and along y, rad.")
+@image_options
+def sinusoidal(offset: Pair, amplitude: Pair, wavelength_x: Pair, wavelength_y: Pair, phase_x: Pair,
+               phase_y: Pair, **image: Unpack[ImageOptions]) -> None:
+    """Deform with waves; the default values are the reference field of all accuracy figures."""
+    from ddic.synth.fields import Sinusoidal
+
+    _generate(Sinusoidal(offset, amplitude, wavelength_x, wavelength_y, phase_x, phase_y), None, image)
+
+
+@synth.command()
+@click.option("--center", type=float, nargs=2, default=None,
+              help="Of the hole, x y, px.  [default: the image's centre]")
+@click.option("--radius", type=float, default=None,
+              help="Of the hole, px.  [default: a tenth of the shorter side]")
+@click.option("--strain", type=float, default=0.005, show_default=True,
+              help="Far-field stress over Young's modulus.")
+@click.option("--poisson-ratio", type=float, default=0.3, show_default=True)
+@click.option("--translation", type=float, nargs=2, default=(0.0, 0.0), show_default=True,
+              help="Rigid displacement added, px.")
+@click.option("--paint-hole/--no-paint-hole", default=True, show_default=True,
+              help="Show the hole as a dark disc, or leave speckles in it.")
+@image_options
+def kirsch(center: Pair | None, radius: float | None, strain: float, poisson_ratio: float,
+           translation: Pair, paint_hole: bool, **image: Unpack[ImageOptions]) -> None:
+    """Pull a plate with a circular hole along y (Kirsch's solution)."""
+    from ddic.synth.hole import Hole
+    from ddic.synth.kirsch import Kirsch
+
+    center = center or _middle(image)
+    radius = min(image["size"]) / 10 if radius is None else radius
+    field = Kirsch(center, radius, strain, poisson_ratio, translation)
+    _generate(field, Hole(center, radius) if paint_hole else None, image)
+
+
+@synth.command()
+@click.option("--curvature", type=float, default=1e-5, show_default=True, help="Of the neutral axis, 1/px.")
+@click.option("--center", type=float, nargs=2, default=None, help="x y, px.  [default: the image's centre]")
+@click.option("--poisson-ratio", type=float, default=0.3, show_default=True)
+@click.option("--translation", type=float, nargs=2, default=(0.0, 0.0), show_default=True,
+              help="Rigid displacement added, px.")
+@image_options
+def bending(curvature: float, center: Pair | None, poisson_ratio: float, translation: Pair,
+            **image: Unpack[ImageOptions]) -> None:
+    """Bend a beam along x as between the inner rollers of a four-point test."""
+    from ddic.synth.fields import Bending, Sum, Translation
+
+    beam = Bending(curvature, center or _middle(image), poisson_ratio)
+    _generate(Sum((beam, Translation(translation))), None, image)
+
+
+def _middle(image: ImageOptions) -> Pair:
+    width, height = image["size"]
+    return (width - 1) / 2, (height - 1) / 2
+
+
+def _generate(field: DisplacementField, hole: Hole | None, image: ImageOptions) -> None:
+    """Write the two images, then the truth: where truth.json is, the pair is whole."""
+    from ddic.synth.digitise import Digitiser
+    from ddic.synth.render import Scene, write_pair
+    from ddic.synth.texture import SpeckleTexture
+    from ddic.synth.truth import save_truth
+
+    width, height = image["size"]
+    camera = Digitiser(int(image["bit_depth"]), image["noise"], image["seed"])
+    scene = Scene(SpeckleTexture(image["seed"], image["speckle_size"]), field, hole)
+    folder = image["output"]
+    reference, deformed, truth = folder / "reference.tif", folder / "deformed.tif", folder / "truth.json"
+    _prepare(folder, truth)
+    write_pair(reference, deformed, scene.texture, field, width, height, bit_depth=camera.bit_depth,
+               noise=camera.noise, seed=camera.seed, hole=hole)
+    save_truth(truth, scene, camera, width, height)
+    for path in (reference, deformed, truth):
+        click.echo(path)
+
+
+def _prepare(folder: Path, truth: Path) -> None:
+    """Make the folder and drop the truth of an earlier pair, which no longer holds."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        truth.unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(f"--output {folder}: {error.strerror}; choose a writable folder") from error

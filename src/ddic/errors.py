@@ -1,0 +1,44 @@
+"""Errors that ddic raises on purpose; each carries the exit code of the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeVar
+
+
+class DdicError(Exception):
+    """A failure with a message written for the user; the command line exits with ``exit_code``."""
+
+    exit_code = 1
+
+
+class InputError(DdicError):
+    """One or more problems in what the user gave (file, key, value and remedy, one line each)."""
+
+    exit_code = 2
+
+    def __init__(self, problems: str | Sequence[str]) -> None:
+        self.problems = (problems,) if isinstance(problems, str) else tuple(problems)
+        super().__init__("\n".join(self.problems))
+
+
+class ConvergenceError(DdicError):
+    """An iteration (Krylov or Gauss-Newton) did not reach its tolerance."""
+
+
+class SingularSubdomainError(DdicError):
+    """A local operator cannot be factorised, for instance for want of texture."""
+
+
+E = TypeVar("E", bound=BaseException)
+
+
+def on_all_ranks(error: E) -> E:
+    """Mark an error as raised by every rank at the same place: the job may end without an abort."""
+    error.collective = True  # type: ignore[attr-defined]  # exceptions carry attributes through pickling
+    return error
+
+
+def is_on_all_ranks(error: BaseException) -> bool:
+    """Whether every rank raised this error."""
+    return bool(getattr(error, "collective", False))

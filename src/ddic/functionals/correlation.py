@@ -1,0 +1,157 @@
+"""Grey-level conservation f(x) = g(x + u(x)) on one subdomain: M, b and the residual, Eq. 5 of [BP17]."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from ddic.functionals.pixel_kernels import N_SUMS, hessian_cells, residual_pixels, residual_sums
+from ddic.images.spline import GradientImage
+from ddic.images.sub_image import DeformedSubImage, MaskedSource, read_reference
+from ddic.images.window import Window
+from ddic.kinematics.finite_element import FiniteElementKinematics, finite_element_kinematics
+from ddic.mesh.mesh import Mesh
+from ddic.mesh.raster import Raster, rasterize
+
+GreyCorrection = Literal["none", "global", "element"]
+
+_NOTHING_EXCLUDED = np.zeros((0, 0), dtype=np.uint8)
+
+
+@dataclass(frozen=True)
+class GreySums:
+    """Sums over pixels of (1, r, g, r^2, g^2, r g), r = f - g(x + u), from which all grey statistics follow.
+
+    values: (..., 6) float64; the leading axes are cells, or nothing for a whole region.
+    """
+
+    values: NDArray[np.float64]
+
+    @property
+    def n_pixels(self) -> NDArray[np.float64]:
+        """Number of pixels that count."""
+        return np.asarray(self.values[..., 0])
+
+    def gain_and_offset(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Least-squares a, b of f = a g + b; (1, 0) where the deformed image is flat or there are no pixels."""
+        n, r, g, _, gg, rg = np.moveaxis(self.values, -1, 0)
+        n = np.maximum(n, 1.0)
+        variance = gg / n - (g / n) ** 2
+        textured = variance > 1e-12 * np.maximum(gg / n, 1e-300)
+        excess = np.where(textured, (rg / n - r * g / n**2) / np.where(textured, variance, 1.0), 0.0)
+        return 1.0 + excess, np.where(self.n_pixels > 0, r / n - excess * g / n, 0.0)
+
+    def residual(self, gain: NDArray[np.float64] | float = 1.0, offset: NDArray[np.float64] | float = 0.0,
+                 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Sum of the residual f - gain g - offset and sum of its square."""
+        n, r, g, rr, gg, rg = np.moveaxis(self.values, -1, 0)
+        e = np.asarray(gain) - 1.0
+        b = np.asarray(offset)
+        first = r - e * g - b * n
+        second = rr + e**2 * gg + b**2 * n - 2 * e * rg - 2 * b * r + 2 * e * b * g
+        return first, np.maximum(second, 0.0)
+
+
+@dataclass(frozen=True)
+class Residual:
+    """What one pass over a subdomain's pixels yields.
+
+    moments: (n_cells, 3, 2, 4), sums of (r, g, 1) x grad f x monomials; cell_sums: (n_cells, 6).
+    """
+
+    moments: NDArray[np.float64]
+    cell_sums: GreySums
+
+    @property
+    def sums(self) -> GreySums:
+        """The sums over the whole subdomain."""
+        return GreySums(self.cell_sums.values.sum(axis=0))
+
+
+@dataclass(frozen=True)
+class Correlation:
+    """One subdomain's pixels, reference image and kinematics."""
+
+    mesh: Mesh
+    kinematics: FiniteElementKinematics
+    raster: Raster
+    reference: GradientImage
+    extent: Window
+
+    def hessian_cells(self) -> NDArray[np.float64]:
+        """M_e = sum_px N_i . grad f grad f^T . N_j of every cell, (n_cells, 8, 8), Eq. 5 of [BP17]."""
+        k, r, f = self.kinematics, self.raster, self.reference
+        out = np.zeros((len(k.geometry), 4, 2, 4, 2))
+        hessian_cells(k.geometry, k.shapes, r.first_row, r.row_ptr, r.starts, r.stops, f.by_x, f.by_y,
+                      _or_nothing(f.usable), f.window.x0, f.window.y0, out)
+        return out.reshape(len(out), 8, 8)
+
+    def hessian(self) -> sparse.csr_matrix:
+        """M of the subdomain, (n_dofs, n_dofs)."""
+        return self.kinematics.assemble_matrix(self.hessian_cells())
+
+    def residual(self, deformed: DeformedSubImage, q: NDArray[np.float64], *, all_kinds: bool = False) -> Residual:
+        """One pass over all pixels with nodal displacement q (n_dofs,), pixels.
+
+        all_kinds: also accumulate what a grey correction needs.
+        """
+        k, r, f = self.kinematics, self.raster, self.reference
+        u = k.monomial_coefficients(q)
+        spline = deformed.covering(self._reach(q))
+        moments = np.zeros((len(k.geometry), 3, 2, 4))
+        sums = np.zeros((len(k.geometry), N_SUMS))
+        residual_sums(k.geometry, u, r.first_row, r.row_ptr, r.starts, r.stops,
+                      f.values, f.by_x, f.by_y, _or_nothing(f.usable), f.window.x0, f.window.y0,
+                      spline.coefficients, spline.degree, spline.window.x0, spline.window.y0,
+                      self.extent.width, self.extent.height, _or_nothing(spline.usable), all_kinds,
+                      moments, sums)
+        return Residual(moments, GreySums(sums))
+
+    def right_hand_side(self, residual: Residual, gain: NDArray[np.float64] | float = 1.0,
+                        offset: NDArray[np.float64] | float = 0.0) -> NDArray[np.float64]:
+        """b_j = sum_px N_j . grad f (f - gain g(x + u) - offset), (n_dofs,), Eq. 5 of [BP17].
+
+        gain, offset: one number, or one per cell (n_cells,).
+        """
+        m = residual.moments
+        excess = np.broadcast_to(np.asarray(gain) - 1.0, len(m))[:, None, None]
+        shift = np.broadcast_to(np.asarray(offset), len(m))[:, None, None]
+        return self.kinematics.assemble_vector(m[:, 0] - excess * m[:, 1] - shift * m[:, 2])
+
+    def residual_image(self, deformed: DeformedSubImage, q: NDArray[np.float64],
+                       gain: NDArray[np.float64] | float = 1.0,
+                       offset: NDArray[np.float64] | float = 0.0) -> NDArray[np.float32]:
+        """Residual f - gain g(x + u) - offset on the reference window, NaN on pixels that do not count."""
+        k, r, f = self.kinematics, self.raster, self.reference
+        spline = deformed.covering(self._reach(q))
+        out = np.full(f.values.shape, np.nan, dtype=np.float32)
+        n_cells = len(k.geometry)
+        residual_pixels(k.geometry, k.monomial_coefficients(q), r.first_row, r.row_ptr, r.starts, r.stops,
+                        f.values, _or_nothing(f.usable), f.window.x0, f.window.y0,
+                        spline.coefficients, spline.degree, spline.window.x0, spline.window.y0,
+                        self.extent.width, self.extent.height, _or_nothing(spline.usable),
+                        np.array(np.broadcast_to(np.asarray(gain, dtype=float), n_cells)),
+                        np.array(np.broadcast_to(np.asarray(offset, dtype=float), n_cells)), out)
+        return out
+
+    def _reach(self, q: NDArray[np.float64]) -> Window:
+        # u is a convex combination of nodal values, so the displaced nodes' box holds all displaced pixels.
+        displaced = self.mesh.nodes + q.reshape(self.mesh.nodes.shape)
+        low = np.floor(displaced.min(axis=0)).astype(int)
+        high = np.ceil(displaced.max(axis=0)).astype(int)
+        return Window(int(low[0]) - 1, int(low[1]) - 1, int(high[0]) + 2, int(high[1]) + 2)
+
+
+def correlation(mesh: Mesh, reference: MaskedSource, degree: int) -> Correlation:
+    """Rasterise a subdomain's mesh and read its window of the reference image."""
+    raster = rasterize(mesh)
+    image = read_reference(reference, raster.window, degree)
+    return Correlation(mesh, finite_element_kinematics(mesh), raster, image, reference.extent)
+
+
+def _or_nothing(usable: NDArray[np.uint8] | None) -> NDArray[np.uint8]:
+    return _NOTHING_EXCLUDED if usable is None else usable

@@ -1,0 +1,59 @@
+"""Equilibrium gap: Kbar = P K and its weight eta from a cut-off wavelength [LPHR11]."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from ddic.functionals.elasticity import Material, stiffness_cells
+from ddic.kinematics.finite_element import FiniteElementKinematics, finite_element_kinematics
+from ddic.mesh.mesh import Mesh
+
+_CHUNK_CELLS = 20_000
+
+
+def controlled_stiffness(mesh: Mesh, kinematics: FiniteElementKinematics, material: Material,
+                         row_weights: NDArray[np.float64]) -> sparse.csr_matrix:
+    """Kbar = diag(row_weights) K, (n_dofs, n_dofs); weight 0 drops a row (P of Eq. 11 of [BP17])."""
+    stiffness = kinematics.assemble_matrix(stiffness_cells(mesh, material))
+    return (sparse.diags(row_weights) @ stiffness).tocsr()
+
+
+def plane_waves(nodes: NDArray[np.float64], wavelength: float) -> NDArray[np.float64]:
+    """Waves v = e_a cos(2 pi x_b / l_c + phi), phi in {0, pi/2}, on nodes (n, dim); returns (n dim, 2 dim^2)."""
+    n, dim = nodes.shape
+    waves = []
+    for a in range(dim):
+        for b in range(dim):
+            for phi in (0.0, np.pi / 2):
+                v = np.zeros((n, dim))
+                v[:, a] = np.cos(2 * np.pi * nodes[:, b] / wavelength + phi)
+                waves.append(v.ravel())
+    return np.stack(waves, axis=1)
+
+
+def gap_energy(mesh: Mesh, material: Material, interior_nodes: NDArray[np.bool_], wavelength: float) -> float:
+    """Mean over the plane waves of |K v|^2 on the interior nodes' rows, cell by cell, K never assembled."""
+    waves = plane_waves(mesh.nodes, wavelength)
+    forces = np.zeros_like(waves)
+    for begin in range(0, mesh.n_cells, _CHUNK_CELLS):
+        part, nodes = mesh.submesh(np.arange(begin, min(begin + _CHUNK_CELLS, mesh.n_cells)))
+        dofs = (nodes[:, None] * mesh.dim + np.arange(mesh.dim)).ravel()
+        kinematics = finite_element_kinematics(part)
+        forces[dofs] += kinematics.assemble_matrix(stiffness_cells(part, material)) @ waves[dofs]
+    rows = np.repeat(interior_nodes, mesh.dim)
+    return float((forces[rows] ** 2).sum(axis=0).mean())
+
+
+def texture_energies(nodes: NDArray[np.float64], hessian: sparse.csr_matrix,
+                     interior_nodes: NDArray[np.bool_], wavelength: float) -> NDArray[np.float64]:
+    """v^T M v of every plane wave on the interior nodes' rows; adds up over subdomains."""
+    waves = plane_waves(nodes, wavelength)
+    rows = np.repeat(interior_nodes, nodes.shape[1])
+    return np.asarray((waves * (hessian @ waves))[rows].sum(axis=0))
+
+
+def cut_off_weight(texture: NDArray[np.float64], gap: float) -> float:
+    """Weight eta = mean |v^T M v| / mean |K v|^2 at which texture and mechanics count alike at l_c [LPHR11]."""
+    return float(np.abs(texture).mean() / gap)

@@ -1,0 +1,80 @@
+"""The window of a deformed image that one subdomain needs, read again when displacements outgrow it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.images.source import ImageSource
+from ddic.images.spline import GradientImage, SplineImage, read_gradient, read_spline
+from ddic.images.window import Window
+
+GROWTH = 8
+"""Pixels read beyond what is asked for, so that the next iterations need no new read."""
+
+SMALLEST = 16
+"""Least width and height of a window: reflection at the image's edge needs a few pixels."""
+
+
+@dataclass(frozen=True)
+class MaskedSource:
+    """An image with what is excluded from it.
+
+    image: the image; mask: an image of the same size, zero where pixels are left out;
+    exclude_saturated: leave out pixels at the largest value of the image's integer type.
+    """
+
+    image: ImageSource
+    mask: ImageSource | None = None
+    exclude_saturated: bool = False
+
+    @property
+    def extent(self) -> Window:
+        """The whole image."""
+        return Window(0, 0, self.image.width, self.image.height)
+
+    def usable(self, window: Window) -> NDArray[np.uint8] | None:
+        """1 where a pixel counts, 0 where it is left out; None where nothing can be left out."""
+        saturated = self.exclude_saturated and self.image.saturation is not None
+        if self.mask is None and not saturated:
+            return None
+        usable = np.ones((window.height, window.width), dtype=np.uint8)
+        if self.mask is not None:
+            usable &= np.asarray(self.mask.read(window) != 0, dtype=np.uint8)
+        if saturated:
+            usable &= np.asarray(self.image.read(window) < self.image.saturation, dtype=np.uint8)
+        return usable
+
+
+def read_reference(source: MaskedSource, window: Window, degree: int) -> GradientImage:
+    """Read grey levels and gradient of a window (clipped to the image) of the reference image."""
+    window = _sizeable(window, source.extent)
+    return read_gradient(source.image, window, degree, source.usable(window))
+
+
+@dataclass
+class DeformedSubImage:
+    """The deformed image as one subdomain sees it; the only mutable part is the window held."""
+
+    source: MaskedSource
+    degree: int
+    _spline: SplineImage | None = field(default=None, repr=False)
+
+    def covering(self, window: Window) -> SplineImage:
+        """Spline of a window that holds ``window`` (clipped to the image), read again only if outgrown."""
+        needed = window.clipped(self.source.image.width, self.source.image.height)
+        if self._spline is None or not self._spline.window.contains(needed):
+            grown = window if self._spline is None else window.union(self._spline.window)
+            wanted = _sizeable(grown.grown(GROWTH), self.source.extent)
+            self._spline = read_spline(self.source.image, wanted, self.degree, self.source.usable(wanted))
+        return self._spline
+
+
+def _sizeable(window: Window, extent: Window) -> Window:
+    clipped = window.clipped(extent.x1, extent.y1)
+    x0 = max(min(clipped.x0, extent.x1 - SMALLEST), 0)
+    y0 = max(min(clipped.y0, extent.y1 - SMALLEST), 0)
+    return Window(x0, y0, min(max(clipped.x1, x0 + SMALLEST), extent.x1),
+                  min(max(clipped.y1, y0 + SMALLEST), extent.y1))

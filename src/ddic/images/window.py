@@ -1,0 +1,53 @@
+"""Rectangular windows of an image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Window:
+    """Half-open rectangle of pixels: columns x0 <= x < x1, rows y0 <= y < y1."""
+
+    x0: int
+    y0: int
+    x1: int
+    y1: int
+
+    @property
+    def width(self) -> int:
+        """Number of columns."""
+        return self.x1 - self.x0
+
+    @property
+    def height(self) -> int:
+        """Number of rows."""
+        return self.y1 - self.y0
+
+    @property
+    def n_pixels(self) -> int:
+        """Number of pixels."""
+        return max(self.width, 0) * max(self.height, 0)
+
+    def grown(self, halo: int) -> Window:
+        """Extend by ``halo`` pixels on every side."""
+        return Window(self.x0 - halo, self.y0 - halo, self.x1 + halo, self.y1 + halo)
+
+    def clipped(self, width: int, height: int) -> Window:
+        """Intersect with an image of the given size, pixels."""
+        return self.intersection(Window(0, 0, width, height))
+
+    def intersection(self, other: Window) -> Window:
+        """Common part of two windows (may be empty, with x1 <= x0 or y1 <= y0)."""
+        return Window(max(self.x0, other.x0), max(self.y0, other.y0),
+                      min(self.x1, other.x1), min(self.y1, other.y1))
+
+    def union(self, other: Window) -> Window:
+        """Smallest window that holds both."""
+        return Window(min(self.x0, other.x0), min(self.y0, other.y0),
+                      max(self.x1, other.x1), max(self.y1, other.y1))
+
+    def contains(self, other: Window) -> bool:
+        """Whether ``other`` lies inside."""
+        return (self.x0 <= other.x0 and self.y0 <= other.y0
+                and self.x1 >= other.x1 and self.y1 >= other.y1)

@@ -1,0 +1,49 @@
+"""PNG, BMP, JPEG and rarely compressed TIFF files: decoded whole by OpenCV, then cropped."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.errors import InputError
+from ddic.images.window import Window
+from ddic.io.grey import to_grey
+from ddic.io.pixel_format import PixelFormat
+
+
+def decoded_format(path: Path) -> PixelFormat:
+    """Size and type of an image file that OpenCV reads; raises InputError if it does not."""
+    pixels = _decode(path)
+    n_channels = pixels.shape[2]
+    return PixelFormat(width=pixels.shape[1], height=pixels.shape[0], dtype=pixels.dtype,
+                       bits=8 * pixels.dtype.itemsize, n_colours=1 if n_channels < 3 else 3,
+                       n_channels=n_channels)
+
+
+def read_decoded(path: Path, layout: PixelFormat, window: Window) -> NDArray[Any]:
+    """Grey levels of a window, shape (window.height, window.width); raises InputError if unreadable."""
+    pixels = _decode(path)
+    if pixels.shape != (layout.height, layout.width, layout.n_channels):
+        raise InputError(f"{path}: the file changed while it was in use; keep images fixed during a run")
+    part = pixels[window.y0:window.y1, window.x0:window.x1]
+    if layout.n_colours == 3:
+        part = part[..., 2::-1]  # OpenCV orders colours blue, green, red
+    # A copy, so that the whole image is released.
+    return to_grey(part, layout.n_colours).copy()
+
+
+def _decode(path: Path) -> NDArray[Any]:
+    try:
+        # Without this flag OpenCV silently cuts 16 bits to 8 and turns colour about.
+        pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
+        raise InputError(f"{path}: cannot be decoded ({error}); save it as grey TIFF or PNG") from error
+    if pixels is None:
+        raise InputError(f"{path}: not an image that can be read, or cut short; "
+                         "give a TIFF, PNG, BMP or JPEG file")
+    array = np.asarray(pixels)
+    return array[..., None] if array.ndim == 2 else array

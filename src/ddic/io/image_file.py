@@ -1,0 +1,133 @@
+"""Image files as sources of windows, and what is checked of them."""
+
+from __future__ import annotations
+
+import hashlib
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.errors import InputError
+from ddic.images.source import ImageSource
+from ddic.images.window import Window
+from ddic.io.decoded_file import decoded_format, read_decoded
+from ddic.io.pixel_format import PixelFormat
+from ddic.io.tiff_file import can_decode, is_tiff, read_tiff, tiff_format
+
+BAND_PIXELS = 1 << 20
+
+
+@dataclass(frozen=True)
+class ImageFile:
+    """An image on disk, read window by window; nothing stays open or in memory between reads.
+
+    path: the file; layout: size and type of its pixels; windowed: only what a window needs is decoded.
+    """
+
+    path: Path
+    layout: PixelFormat
+    windowed: bool
+
+    @property
+    def width(self) -> int:
+        """Number of columns."""
+        return self.layout.width
+
+    @property
+    def height(self) -> int:
+        """Number of rows."""
+        return self.layout.height
+
+    @property
+    def saturation(self) -> float | None:
+        """Largest grey level of an integer image, None for a float image."""
+        return self.layout.saturation
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type of the grey levels that ``read`` returns."""
+        return np.dtype(np.float32) if self.layout.n_colours == 3 else self.layout.dtype
+
+    def read(self, window: Window) -> NDArray[Any]:
+        """Grey levels of a window that lies in the image, shape (window.height, window.width).
+
+        Raises ValueError if the window leaves the image or is empty, InputError if the file cannot be
+        decoded.
+        """
+        if window.n_pixels == 0 or not Window(0, 0, self.width, self.height).contains(window):
+            raise ValueError(f"{window} is empty or leaves the image of {self.width} x {self.height} pixels")
+        reader = read_tiff if self.windowed else read_decoded
+        return reader(self.path, self.layout, window)
+
+
+def open_image(path: Path | str) -> ImageFile:
+    """Open a TIFF, PNG, BMP or JPEG file as a grey image in its own type (colour: float32).
+
+    Warns of colour, of a transparency channel and of further pages; none of these is used.
+    Raises InputError if the file is missing or is no image that can be read.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such image file; check the path")
+    try:
+        tiff = is_tiff(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
+    # Some compressions need codecs that tifffile lacks: OpenCV decodes those, whole but with all their bits.
+    windowed = tiff and can_decode(path)
+    layout = tiff_format(path) if windowed else _decoded_format(path, tiff)
+    _warn_of_what_is_dropped(path, layout)
+    return ImageFile(path, layout, windowed)
+
+
+def sha256_of_file(path: Path | str) -> str:
+    """SHA-256 checksum of a file, as hexadecimal digits."""
+    with Path(path).open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def find_not_finite(source: ImageSource, mask: NDArray[np.bool_] | None = None) -> None:
+    """Check that a float image holds no NaN or infinity but where its mask leaves it out; reads it by bands.
+
+    mask: (height, width), True where pixels are used; None uses all.
+    Raises InputError with the number of such pixels and the first one.
+    """
+    if source.saturation is not None:
+        return
+    count, first = 0, None
+    rows_at_once = max(1, BAND_PIXELS // source.width)
+    for y in range(0, source.height, rows_at_once):
+        window = Window(0, y, source.width, min(y + rows_at_once, source.height))
+        bad = ~np.isfinite(source.read(window))
+        if mask is not None:
+            bad &= mask[window.y0:window.y1]
+        if first is None and bad.any():
+            row, column = np.unravel_index(int(bad.argmax()), bad.shape)
+            first = (int(column), y + int(row))
+        count += int(np.count_nonzero(bad))
+    if count:
+        raise InputError(f"{source.path}: {count} pixel(s) are NaN or infinite, the first at "
+                         f"(x, y) = {first}; leave them out with a mask image (0 there)")
+
+
+def _decoded_format(path: Path, tiff: bool) -> PixelFormat:
+    try:
+        return decoded_format(path)
+    except InputError as error:
+        if not tiff:
+            raise
+        raise InputError(f"{path}: TIFF with a compression that cannot be decoded here; "
+                         "save it again as uncompressed TIFF, or install imagecodecs") from error
+
+
+def _warn_of_what_is_dropped(path: Path, layout: PixelFormat) -> None:
+    if layout.n_pages > 1:
+        warnings.warn(f"{path}: {layout.n_pages} pages, only the first is used", stacklevel=3)
+    if layout.n_colours == 3:
+        warnings.warn(f"{path}: colour image, turned to grey (0.299 R + 0.587 G + 0.114 B)", stacklevel=3)
+    if layout.n_channels > layout.n_colours:
+        warnings.warn(f"{path}: the alpha (transparency) channel is not used", stacklevel=3)

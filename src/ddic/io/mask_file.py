@@ -1,0 +1,24 @@
+"""Mask images: not zero = use the pixel."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.errors import InputError
+from ddic.images.window import Window
+from ddic.io.image_file import open_image
+
+
+def read_mask(path: Path, width: int, height: int) -> NDArray[np.bool_]:
+    """Read a mask, shape (height, width), True = use; width, height: size of the image it belongs to, pixels.
+
+    Raises InputError where it cannot be read or has another size.
+    """
+    source = open_image(path)
+    if (source.width, source.height) != (width, height):
+        raise InputError(f"{path}: the mask is {source.width}x{source.height} px, but its image is "
+                         f"{width}x{height} px; give a mask of the image's size")
+    return np.asarray(source.read(Window(0, 0, width, height)) != 0)

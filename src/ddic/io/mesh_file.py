@@ -1,0 +1,119 @@
+"""Meshes read from files in any format that meshio knows."""
+
+from __future__ import annotations
+
+import io
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import redirect_stderr, redirect_stdout
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.errors import InputError
+from ddic.mesh.mesh import NODES_PER_CELL, VTK_QUAD, VTK_TRIANGLE, Mesh, Similarity
+
+PLANE_CELLS = {"triangle": VTK_TRIANGLE, "quad": VTK_QUAD}
+NAMING_CELLS = {"vertex": 0, "line": 1}
+"""meshio's names of the cells that only carry the names of node sets, and their dimension."""
+
+
+def read_mesh(path: Path, mapping: Similarity) -> Mesh:
+    """Read a mesh of T3 and Q4 (mixed or not) and map it to pixels; cells keep the file's order.
+
+    path: a file that meshio reads; mapping: from the file's units to pixels. Node sets come from the
+    named groups of lines and vertices (Gmsh physical groups, meshio cell sets) and from point sets.
+    Raises InputError where the file cannot be read, holds other cells, or is not plane.
+    """
+    raw = _read_raw(path)
+    blocks = [(PLANE_CELLS[b.type], np.asarray(b.data, dtype=np.int64))
+              for b in raw.cells if b.type in PLANE_CELLS and len(b.data)]
+    _refuse_other_cells(path, raw)
+    points = _plane_points(path, np.asarray(raw.points, dtype=np.float64), blocks)
+    counts = np.concatenate([np.full(len(cells), NODES_PER_CELL[kind]) for kind, cells in blocks])
+    return Mesh(
+        np.ascontiguousarray(mapping.to_pixels(points)),
+        np.concatenate([cells.ravel() for _, cells in blocks]),
+        np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        np.concatenate([np.full(len(cells), kind) for kind, cells in blocks]).astype(np.uint8),
+        _node_sets(raw),
+        mapping,
+    )
+
+
+def _read_raw(path: Path) -> Any:
+    import meshio
+
+    if not path.is_file():
+        raise InputError(f"{path}: no such mesh file")
+    said = io.StringIO()
+    try:
+        with redirect_stdout(said), redirect_stderr(said):
+            return meshio.read(path)
+    # meshio's readers raise anything on a damaged file, and leave by sys.exit on one they do not know.
+    except (Exception, SystemExit) as error:
+        reason = str(error) if isinstance(error, Exception) and str(error) else said.getvalue()
+        text = " ".join(reason.split()) or type(error).__name__
+        raise InputError(f"{path}: meshio cannot read this mesh ({text}); convert it, for instance to Gmsh "
+                         "4.1 or VTU, or give it the suffix of its format") from error
+
+
+def _refuse_other_cells(path: Path, raw: Any) -> None:
+    found: Counter[str] = Counter()
+    for block in raw.cells:
+        found[block.type] += len(block.data)
+    listed = ", ".join(f"{count} {kind}" for kind, count in found.items()) or "no cells"
+    if set(+found) - set(PLANE_CELLS) - set(NAMING_CELLS):
+        raise InputError(f"{path}: only linear triangles and quadrilaterals can be used, but the file holds "
+                         f"{listed}; export a first-order plane mesh")
+    if not set(+found) & set(PLANE_CELLS):
+        raise InputError(f"{path}: holds no triangle and no quadrilateral ({listed}); export the surface too")
+
+
+def _plane_points(path: Path, points: NDArray[np.float64],
+                  blocks: list[tuple[int, NDArray[np.int64]]]) -> NDArray[np.float64]:
+    """Coordinates x and y; a third one must be the same at all nodes of the cells."""
+    used = np.unique(np.concatenate([cells.ravel() for _, cells in blocks]))
+    used = used[(used >= 0) & (used < len(points))]
+    if points.shape[1] > 2 and len(used):
+        spread = np.ptp(points[used], axis=0)
+        if spread[2] > 1e-9 * spread[:2].max():
+            raise InputError(f"{path}: the mesh is not plane: z varies by {spread[2]:.6g} in mesh units; "
+                             "export a mesh of constant z")
+    return points[:, :2]
+
+
+def _node_sets(raw: Any) -> dict[str, NDArray[np.int64]]:
+    gathered: dict[str, list[NDArray[np.int64]]] = {}
+    for source in (_physical_groups(raw), _cell_sets(raw), _point_sets(raw)):
+        for name, nodes in source:
+            gathered.setdefault(name, []).append(nodes)
+    sets = {name: np.unique(np.concatenate(parts)) for name, parts in gathered.items()}
+    return {name: nodes.astype(np.int64) for name, nodes in sets.items() if len(nodes)}
+
+
+def _physical_groups(raw: Any) -> Iterator[tuple[str, NDArray[np.int64]]]:
+    """Nodes of the lines and vertices of Gmsh's named physical groups."""
+    tags = raw.cell_data.get("gmsh:physical", [])
+    for block, of_cells in zip(raw.cells, tags, strict=len(tags) > 0):
+        for name, (tag, dimension) in raw.field_data.items():
+            if NAMING_CELLS.get(block.type) == dimension:
+                yield name, np.asarray(block.data)[np.asarray(of_cells) == tag].ravel()
+
+
+def _cell_sets(raw: Any) -> Iterator[tuple[str, NDArray[np.int64]]]:
+    """Nodes of the lines and vertices of meshio's cell sets."""
+    for name, members in raw.cell_sets.items():
+        # Gmsh's own bookkeeping, which no user has named.
+        if name.startswith("gmsh:"):
+            continue
+        for block, of_block in zip(raw.cells, members, strict=True):
+            if block.type in NAMING_CELLS and of_block is not None:
+                yield name, np.asarray(block.data)[np.asarray(of_block, dtype=np.int64)].ravel()
+
+
+def _point_sets(raw: Any) -> Iterator[tuple[str, NDArray[np.int64]]]:
+    for name, members in raw.point_sets.items():
+        yield name, np.asarray(members, dtype=np.int64).ravel()

@@ -1,0 +1,33 @@
+"""What a file's header says of its pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class PixelFormat:
+    """Size and type of an image's pixels.
+
+    width, height: pixels; dtype: type of one channel; bits: used bits of a channel;
+    n_colours: 1 (grey) or 3; n_channels: colours and what comes with them (alpha);
+    n_pages: images in the file.
+    """
+
+    width: int
+    height: int
+    dtype: np.dtype[Any]
+    bits: int
+    n_colours: int
+    n_channels: int
+    n_pages: int = 1
+
+    @property
+    def saturation(self) -> float | None:
+        """Largest value that the integer type holds, None for floats."""
+        if self.dtype.kind == "f":
+            return None
+        return float(2 ** (self.bits - (self.dtype.kind == "i")) - 1)

@@ -1,0 +1,161 @@
+"""Windows of TIFF files: only the strips or tiles under the window are read and decoded."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+
+from ddic.errors import InputError
+from ddic.images.window import Window
+from ddic.io.grey import to_grey
+from ddic.io.pixel_format import PixelFormat
+
+MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+BAND_BYTES = 4 << 20
+GREY, INVERTED_GREY, COLOUR = 1, 0, 2
+DECODING_ERRORS = (tifffile.TiffFileError, ValueError, KeyError, NotImplementedError, ImportError,
+                   RuntimeError, OSError)
+
+
+def is_tiff(path: Path) -> bool:
+    """Whether the file starts as TIFF or BigTIFF do."""
+    with path.open("rb") as stream:
+        return stream.read(4) in MAGIC
+
+
+def tiff_format(path: Path) -> PixelFormat:
+    """Size and type of the first page from the header alone; raises InputError if it is no image."""
+    with _opened(path) as tiff:
+        page = tiff.pages[0]
+        n_pages = len(tiff.pages)
+        _check_page(path, page)
+        colours = 3 if int(page.photometric) == COLOUR else 1
+        bits = page.bitspersample
+        return PixelFormat(width=int(page.imagewidth), height=int(page.imagelength),
+                           dtype=_pixel_type(page), bits=int(bits), n_colours=colours,
+                           n_channels=int(page.samplesperpixel), n_pages=n_pages)
+
+
+def can_decode(path: Path) -> bool:
+    """Whether the first page's segments can be decoded by tifffile with the codecs that are installed.
+
+    Tried on the first segment, since what tifffile can decode depends on the codecs beside it.
+    """
+    with _opened(path) as tiff:
+        page = tiff.pages[0]
+        if page.is_contiguous or page.compression == 1:
+            return True
+        tiff.filehandle.seek(page.dataoffsets[0])
+        data = tiff.filehandle.read(page.databytecounts[0])
+        try:
+            page.decode(data, 0)
+        except DECODING_ERRORS:
+            return False
+        return True
+
+
+def read_tiff(path: Path, layout: PixelFormat, window: Window) -> NDArray[Any]:
+    """Grey levels of a window of the first page, shape (window.height, window.width).
+
+    Raises InputError if a segment is cut short or cannot be decoded.
+    """
+    with _opened(path) as tiff:
+        page = tiff.pages[0]
+        out = np.empty((window.height, window.width), np.float32 if layout.n_colours == 3 else layout.dtype)
+        try:
+            for block, x, y in _blocks(tiff, page, layout, window):
+                part = window.intersection(Window(x, y, x + block.shape[1], y + block.shape[0]))
+                pixels = block[part.y0 - y:part.y1 - y, part.x0 - x:part.x1 - x]
+                out[part.y0 - window.y0:part.y1 - window.y0,
+                    part.x0 - window.x0:part.x1 - window.x0] = to_grey(pixels, layout.n_colours)
+        except DECODING_ERRORS as error:
+            raise InputError(f"{path}: cannot be decoded ({error}); "
+                             "save it again as uncompressed TIFF, or install imagecodecs") from error
+        return np.invert(out) if int(page.photometric) == INVERTED_GREY else out
+
+
+def _opened(path: Path) -> Any:
+    try:
+        return tifffile.TiffFile(path)
+    except (tifffile.TiffFileError, ValueError, IndexError) as error:
+        raise InputError(f"{path}: not a readable TIFF file ({error}); save it again") from error
+
+
+def _check_page(path: Path, page: Any) -> None:
+    if int(page.photometric) not in (INVERTED_GREY, GREY, COLOUR, 6):
+        raise InputError(f"{path}: TIFF of kind {page.photometric!s} (a palette or a colour space); "
+                         "save it as a grey image")
+    if page.dtype is None or page.dtype.kind not in "buif":
+        raise InputError(f"{path}: pixels of type {page.dtype} cannot be used; save 8 or 16 bit, or float32")
+    if page.imagedepth != 1:
+        raise InputError(f"{path}: a volume of {page.imagedepth} slices; give one two-dimensional image")
+    if page.imagewidth < 1 or page.imagelength < 1 or not page.dataoffsets:
+        raise InputError(f"{path}: the TIFF file holds no pixels; save it again")
+    if int(page.photometric) == INVERTED_GREY and page.dtype.kind not in "bu":
+        raise InputError(f"{path}: white-is-zero TIFF with {page.dtype} pixels; save it as black-is-zero")
+
+
+def _pixel_type(page: Any) -> np.dtype[Any]:
+    return np.dtype(np.uint8) if page.dtype.kind == "b" else np.dtype(page.dtype).newbyteorder("=")
+
+
+def _blocks(tiff: Any, page: Any, layout: PixelFormat,
+            window: Window) -> Iterator[tuple[NDArray[Any], int, int]]:
+    """Blocks of pixels (rows, columns, channels) over the window, each with its first column and row."""
+    bits_are_whole = layout.bits == 8 * np.dtype(layout.dtype).itemsize
+    if page.is_contiguous and bits_are_whole and page.planarconfig == 1:
+        yield from _bands(tiff, page, layout, window)
+    elif page.planarconfig == 1 or layout.n_channels == 1:
+        yield from _segments(tiff, page, window, range(len(page.dataoffsets)))
+    else:
+        yield from _planes(tiff, page, layout, window)
+
+
+def _bands(tiff: Any, page: Any, layout: PixelFormat,
+           window: Window) -> Iterator[tuple[NDArray[Any], int, int]]:
+    stored = np.dtype(layout.dtype).newbyteorder(tiff.byteorder)
+    row_bytes = layout.width * layout.n_channels * stored.itemsize
+    rows_at_once = max(1, BAND_BYTES // row_bytes)
+    for y in range(window.y0, window.y1, rows_at_once):
+        n_rows = min(rows_at_once, window.y1 - y)
+        tiff.filehandle.seek(page.dataoffsets[0] + y * row_bytes)
+        data = tiff.filehandle.read(n_rows * row_bytes)
+        if len(data) < n_rows * row_bytes:
+            raise ValueError("the file is cut short")
+        yield np.frombuffer(data, stored).reshape(n_rows, layout.width, layout.n_channels), 0, y
+
+
+def _segments(tiff: Any, page: Any, window: Window,
+              numbers: range) -> Iterator[tuple[NDArray[Any], int, int]]:
+    height, width = page.rowsperstrip, page.imagewidth
+    if page.is_tiled:
+        height, width = page.tilelength, page.tilewidth
+    columns = -(-page.imagewidth // width)
+    for number in numbers:
+        row, column = divmod(number - numbers.start, columns)
+        x, y = column * width, row * height
+        if window.intersection(Window(x, y, x + width, y + height)).n_pixels == 0:
+            continue
+        data = None
+        if page.databytecounts[number]:
+            tiff.filehandle.seek(page.dataoffsets[number])
+            data = tiff.filehandle.read(page.databytecounts[number])
+            if len(data) < page.databytecounts[number]:
+                raise ValueError("the file is cut short")
+        pixels, _, shape = page.decode(data, number)
+        block = np.full(shape, page.nodata, page.dtype) if pixels is None else pixels
+        yield block[0], x, y
+
+
+def _planes(tiff: Any, page: Any, layout: PixelFormat,
+            window: Window) -> Iterator[tuple[NDArray[Any], int, int]]:
+    per_plane = len(page.dataoffsets) // layout.n_channels
+    planes = [_segments(tiff, page, window, range(c * per_plane, (c + 1) * per_plane))
+              for c in range(layout.n_colours)]
+    for parts in zip(*planes, strict=True):
+        yield np.concatenate([block for block, _, _ in parts], axis=-1), parts[0][1], parts[0][2]

@@ -1,0 +1,39 @@
+"""Nodes that regularization leaves free: loaded and clamped edges, where forces are unknown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.errors import InputError
+from ddic.mesh.mesh import Mesh
+from ddic.mesh.node_selection import named_nodes, nodes_in_box
+from ddic.mesh.topology import boundary_nodes
+
+BOUNDARY = "boundary"
+"""Stands for all nodes of the mesh's boundary, whatever the mesh's own node sets are."""
+
+
+def not_controlled_nodes(mesh: Mesh, names: Sequence[str], boxes: Sequence[Sequence[float]],
+                         ) -> NDArray[np.int64]:
+    """Sorted numbers of the nodes that are not mechanically controlled.
+
+    names: node sets, or "boundary"; boxes: (x0, y0, x1, y1), pixels. Raises InputError, a line for each,
+    on unknown names, empty sets and boxes without nodes.
+    """
+    chosen, problems = [np.zeros(0, np.int64)], []
+    for name in names:
+        try:
+            chosen.append(boundary_nodes(mesh) if name == BOUNDARY else named_nodes(mesh, name))
+        except InputError as error:
+            problems += [f"regularization.not_controlled: {line}" for line in error.problems]
+    for box in boxes:
+        try:
+            chosen.append(nodes_in_box(mesh, box))
+        except InputError as error:
+            problems += [f"regularization.boxes: {line}" for line in error.problems]
+    if problems:
+        raise InputError(problems)
+    return np.unique(np.concatenate(chosen))

@@ -1,0 +1,39 @@
+"""Nodes chosen by name or by box."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from difflib import get_close_matches
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.errors import InputError
+from ddic.mesh.mesh import Mesh
+
+
+def named_nodes(mesh: Mesh, name: str) -> NDArray[np.int64]:
+    """Sorted numbers of the nodes of a node set.
+
+    Raises InputError where the mesh has no such set, with the nearest name, or where the set is empty.
+    """
+    if name not in mesh.node_sets:
+        near = get_close_matches(name, list(mesh.node_sets), n=1)
+        known = ", ".join(f'"{key}"' for key in sorted(mesh.node_sets)) or "none"
+        hint = f'did you mean "{near[0]}"?' if near else f"the mesh has: {known}"
+        raise InputError(f'no node set is named "{name}"; {hint}')
+    if len(mesh.node_sets[name]) == 0:
+        raise InputError(f'the node set "{name}" holds no node of the mesh; leave it out')
+    return mesh.node_sets[name]
+
+
+def nodes_in_box(mesh: Mesh, box: Sequence[float]) -> NDArray[np.int64]:
+    """Sorted numbers of the nodes in a closed box, given as its lowest then its highest corner, pixels.
+
+    Raises InputError where the box holds no node.
+    """
+    low, high = np.array(box[:mesh.dim]), np.array(box[mesh.dim:])
+    inside = np.flatnonzero(((mesh.nodes >= low) & (mesh.nodes <= high)).all(axis=1))
+    if len(inside) == 0:
+        raise InputError(f"the box {list(box)} (x0, y0, x1, y1 in pixels) holds no node of the mesh")
+    return inside.astype(np.int64)

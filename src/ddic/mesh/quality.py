@@ -1,0 +1,49 @@
+"""Area and shape of plane cells."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.mesh.mesh import Mesh
+
+
+def areas(mesh: Mesh) -> NDArray[np.float64]:
+    """Signed area of each cell by the shoelace formula in (x, y), shape (n_cells,), square pixels."""
+    points = _corners(mesh)
+    # Relative to the first corner, so that far from the origin no digits are lost.
+    local = points - points[:, :1]
+    return np.asarray(0.5 * _cross(local, _next_corner(local)).sum(axis=1))
+
+
+def shape_quality(mesh: Mesh) -> NDArray[np.float64]:
+    """Smallest sine of a cell's corner angles, shape (n_cells,): 1 for a rectangle, <= 0 if not convex."""
+    points = _corners(mesh)
+    ahead = _next_corner(points) - points
+    behind = _previous_corner(mesh, points) - points
+    lengths = np.linalg.norm(ahead, axis=2) * np.linalg.norm(behind, axis=2)
+    sines = np.divide(_cross(ahead, behind), lengths, out=np.zeros_like(lengths), where=lengths > 0)
+    sines[mesh.cells < 0] = np.inf
+    return np.asarray(sines.min(axis=1, initial=np.inf))
+
+
+def _corners(mesh: Mesh) -> NDArray[np.float64]:
+    """Coordinates of the cells' nodes, (n_cells, widest cell, 2); padding repeats the first corner."""
+    cells = np.where(mesh.cells < 0, mesh.cells[:, :1], mesh.cells)
+    return np.asarray(mesh.nodes[cells])
+
+
+def _next_corner(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    # The last corner is followed by padding, which repeats the first, or by the first itself.
+    return np.roll(points, -1, axis=1)
+
+
+def _previous_corner(mesh: Mesh, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    counts = np.diff(mesh.offsets)
+    previous = np.roll(points, 1, axis=1)
+    previous[:, 0] = points[np.arange(len(points)), counts - 1]
+    return previous
+
+
+def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])

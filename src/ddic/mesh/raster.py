@@ -1,0 +1,123 @@
+"""Rasterisation: every pixel centre belongs to exactly one cell.
+
+A pixel centre (x, y) belongs to the cell whose row y holds x_left <= x < x_right, where the ends are
+the crossings of the row with the cell's edges. An edge from a to b crosses the rows y_a <= y < y_b.
+Both neighbours of an edge compute its crossings from the same two nodes in the same order, hence get
+the same floating-point number, hence share no pixel and leave none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.images.window import Window
+from ddic.mesh.mesh import Mesh
+from ddic.mesh.shapes import padded_cells
+
+SNAP = float(2**20)
+"""Crossings are rounded to multiples of 1/SNAP px, so that rounding errors where two edges meet
+cannot fall on different sides of a pixel centre."""
+
+
+@dataclass(frozen=True)
+class Raster:
+    """Runs of pixels of every cell, row by row.
+
+    first_row: (n_cells,) int64, row of the first run.
+    row_ptr: (n_cells + 1,) int64, cell e owns runs row_ptr[e]:row_ptr[e + 1], one per row.
+    starts, stops: (n_runs,) int32, half-open columns of each run (may be empty).
+    """
+
+    first_row: NDArray[np.int64]
+    row_ptr: NDArray[np.int64]
+    starts: NDArray[np.int32]
+    stops: NDArray[np.int32]
+
+    @property
+    def pixel_counts(self) -> NDArray[np.int64]:
+        """Number of pixels of each cell, (n_cells,)."""
+        lengths = np.concatenate([[0], np.cumsum(self.stops - self.starts, dtype=np.int64)])
+        return np.asarray(lengths[self.row_ptr[1:]] - lengths[self.row_ptr[:-1]])
+
+    @property
+    def rows(self) -> NDArray[np.int64]:
+        """Image row of each run, (n_runs,)."""
+        n_rows = np.diff(self.row_ptr)
+        return np.asarray(np.repeat(self.first_row - self.row_ptr[:-1], n_rows) + np.arange(len(self.starts)))
+
+    def coverage(self, width: int, height: int) -> NDArray[np.uint8]:
+        """1 on the pixels of an image (height, width) that belong to a cell, 0 elsewhere."""
+        steps = np.zeros((height, width + 1), dtype=np.int32)
+        rows = self.rows
+        inside = (rows >= 0) & (rows < height)
+        np.add.at(steps, (rows[inside], np.clip(self.starts, 0, width)[inside]), 1)
+        np.add.at(steps, (rows[inside], np.clip(self.stops, 0, width)[inside]), -1)
+        return np.asarray(np.cumsum(steps, axis=1)[:, :width] > 0, dtype=np.uint8)
+
+    def counts_in(self, image: NDArray[np.uint8]) -> NDArray[np.int64]:
+        """Sum of an image (height, width) over the pixels of each cell, (n_cells,)."""
+        height, width = image.shape
+        up_to = np.zeros((height, width + 1), dtype=np.int64)
+        np.cumsum(image, axis=1, out=up_to[:, 1:])
+        rows = self.rows
+        safe = np.clip(rows, 0, height - 1)
+        run = up_to[safe, np.clip(self.stops, 0, width)] - up_to[safe, np.clip(self.starts, 0, width)]
+        run[(rows < 0) | (rows >= height)] = 0
+        ends = np.concatenate([[0], np.cumsum(run)])
+        return np.asarray(ends[self.row_ptr[1:]] - ends[self.row_ptr[:-1]])
+
+    @property
+    def window(self) -> Window:
+        """Bounding box of all pixels; raises ValueError where there is none."""
+        filled = self.stops > self.starts
+        if not filled.any():
+            raise ValueError("no pixel centre lies inside the mesh")
+        rows = self.rows[filled]
+        return Window(int(self.starts[filled].min()), int(rows.min()),
+                      int(self.stops[filled].max()), int(rows.max()) + 1)
+
+
+def rasterize(mesh: Mesh) -> Raster:
+    """Find the pixels of every cell of a mesh of convex T3 and Q4."""
+    cells = padded_cells(mesh)
+    y = mesh.nodes[cells, 1]
+    first_row = np.ceil(y.min(axis=1)).astype(np.int64)
+    n_rows = np.maximum(np.ceil(y.max(axis=1)).astype(np.int64) - first_row, 0)
+    row_ptr = np.concatenate([[0], np.cumsum(n_rows)])
+    starts = np.empty(row_ptr[-1], dtype=np.int32)
+    stops = np.empty(row_ptr[-1], dtype=np.int32)
+    _fill_runs(mesh.nodes, mesh.connectivity, mesh.offsets, first_row, row_ptr, starts, stops)
+    return Raster(first_row, row_ptr, starts, stops)
+
+
+@numba.njit(cache=True)
+def _fill_runs(nodes, connectivity, offsets, first_row, row_ptr, starts, stops):  # type: ignore[no-untyped-def]
+    for e in range(len(offsets) - 1):
+        begin, end = offsets[e], offsets[e + 1]
+        n_rows = row_ptr[e + 1] - row_ptr[e]
+        for k in range(n_rows):
+            y = first_row[e] + k
+            left, right = np.inf, -np.inf
+            for i in range(begin, end):
+                a = connectivity[i]
+                b = connectivity[i + 1] if i + 1 < end else connectivity[begin]
+                if nodes[a, 1] > nodes[b, 1]:
+                    a, b = b, a
+                ya, yb = nodes[a, 1], nodes[b, 1]
+                if not (ya <= y < yb):
+                    continue
+                x = nodes[a, 0] + (y - ya) / (yb - ya) * (nodes[b, 0] - nodes[a, 0])
+                x = np.round(x * SNAP) / SNAP
+                left = min(left, x)
+                right = max(right, x)
+            r = row_ptr[e] + k
+            if right > left:
+                starts[r] = np.int32(np.ceil(left))
+                stops[r] = np.int32(np.ceil(right))
+            else:
+                starts[r] = 0
+                stops[r] = 0

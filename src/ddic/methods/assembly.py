@@ -1,0 +1,101 @@
+"""Local systems of all owned subdomains: M_s, Kbar_s and eta."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.case.schema import RegularizationSection, SolverSection
+from ddic.errors import InputError
+from ddic.functionals.correlation import correlation
+from ddic.functionals.equilibrium_gap import controlled_stiffness, cut_off_weight, texture_energies
+from ddic.images.sub_image import DeformedSubImage
+from ddic.methods.inputs import ImagePair, Region, material
+from ddic.parallel.team import Team
+from ddic.partition.subdomain import Subdomain, interface_weights
+from ddic.solvers.gauss_newton import OwnedPart
+from ddic.solvers.local_operator import LocalOperator
+from ddic.solvers.local_system import LocalSystem
+
+SINGULAR = 1e-9
+"""An operator whose lowest eigenvalue is below this share of the mean diagonal of M is singular: a
+smooth displacement of the subdomain changes no grey level that a camera could see."""
+
+
+@dataclass(frozen=True)
+class Assembly:
+    """Owned local systems and what they have in common.
+
+    eta: weight of the equilibrium gap (0 without); mean_diagonal: mean of diag M over the region, grey^2/px^2.
+    """
+
+    systems: list[LocalSystem]
+    eta: float
+    mean_diagonal: float
+
+    @property
+    def reaction_scale(self) -> float:
+        """c = 1 / sqrt(eta mean diag M), which gives Lambda and LambdaBar one unit."""
+        return 1.0 if self.eta == 0 else float(1.0 / np.sqrt(self.eta * self.mean_diagonal))
+
+
+def own_part(subdomain: Subdomain, pair: ImagePair, degree: int) -> OwnedPart:
+    """Read a subdomain's window of the reference image; that of the deformed one is read when needed."""
+    return OwnedPart(subdomain, correlation(subdomain.mesh, pair.reference, degree),
+                     DeformedSubImage(pair.deformed, degree))
+
+
+def assemble(team: Team, parts: Sequence[OwnedPart], region: Region, solver: SolverSection,
+             section: RegularizationSection | None) -> Assembly:
+    """Assemble M_s, find eta for the whole region, and Kbar_s."""
+    hessians = team.together(lambda: [part.correlation.hessian() for part in parts])
+    trace = team.ordered_sum([np.array(h.diagonal().sum()) for h in hessians])
+    mean_diagonal = float(trace) / region.n_dofs
+    if section is None:
+        nothing = np.zeros(0)
+        systems = [LocalSystem(p.subdomain, h, None, nothing, 0.0) for p, h in zip(parts, hessians, strict=True)]
+        return Assembly(systems, 0.0, mean_diagonal)
+    if section.eta is not None:
+        eta = section.eta
+    else:
+        assert section.cut_off_wavelength is not None
+        wavelength = section.cut_off_wavelength
+        texture = team.ordered_sum([
+            texture_energies(p.subdomain.mesh.nodes, h, p.subdomain.interior, wavelength)
+            for p, h in zip(parts, hessians, strict=True)
+        ])
+        eta = _weight(texture, region)
+    regularization = material(section)
+
+    def system(part: OwnedPart, hessian: object) -> LocalSystem:
+        subdomain = part.subdomain
+        weights = interface_weights(subdomain.dof_multiplicity, solver.weighting) * subdomain.controlled
+        kbar = controlled_stiffness(subdomain.mesh, part.correlation.kinematics, regularization, weights)
+        return LocalSystem(subdomain, hessian, kbar, weights, eta)
+
+    systems = team.together(lambda: [system(p, h) for p, h in zip(parts, hessians, strict=True)])
+    return Assembly(systems, eta, mean_diagonal)
+
+
+def _weight(texture: NDArray[np.float64], region: Region) -> float:
+    if not region.gap_energy:
+        raise InputError("regularization.cut_off_wavelength: the mesh has no interior node, so no wavelength can be "
+                         "given a weight; use a finer mesh or give regularization.eta")
+    return cut_off_weight(texture, region.gap_energy)
+
+
+def factorize(team: Team, systems: Sequence[LocalSystem], mean_diagonal: float) -> list[LocalOperator]:
+    """Factorise A_s of all owned subdomains; raises SingularSubdomainError on all ranks."""
+    return team.together(lambda: [
+        LocalOperator(s.operator, smallest_eigenvalue=SINGULAR * mean_diagonal, where=_where(s.subdomain))
+        for s in systems
+    ])
+
+
+def _where(subdomain: Subdomain) -> str:
+    low, high = subdomain.mesh.nodes.min(axis=0), subdomain.mesh.nodes.max(axis=0)
+    return (f"subdomain {subdomain.index} (columns {low[0]:.0f} to {high[0]:.0f}, "
+            f"rows {low[1]:.0f} to {high[1]:.0f})")

@@ -1,0 +1,112 @@
+"""The images and the region that a case asks for, spread over ranks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.case.schema import Case, RegularizationSection, SolverSection
+from ddic.functionals.elasticity import Material
+from ddic.functionals.equilibrium_gap import gap_energy
+from ddic.images.sub_image import MaskedSource
+from ddic.io.image_file import open_image
+from ddic.io.mesh_source import build_mesh
+from ddic.io.partition_file import read_partition
+from ddic.mesh.mesh import Mesh, Similarity
+from ddic.mesh.node_selection import named_nodes, nodes_in_box
+from ddic.mesh.raster import rasterize
+from ddic.mesh.topology import boundary_nodes
+from ddic.parallel.distribution import owners
+from ddic.parallel.team import Team
+from ddic.partition.connectivity import build_subdomains
+from ddic.partition.split import split_by_blocks, split_by_metis
+from ddic.partition.subdomain import Subdomain
+
+
+@dataclass(frozen=True)
+class ImagePair:
+    """Reference and deformed image with what is excluded from each."""
+
+    reference: MaskedSource
+    deformed: MaskedSource
+
+
+@dataclass(frozen=True)
+class Region:
+    """What every rank knows of the whole mesh.
+
+    n_nodes, n_cells, n_dofs, n_subdomains: sizes; gap_energy: mean |K v|^2 of the plane waves of the
+    cut-off wavelength (None where eta is given or nothing is regularized); mapping: mesh units to pixels.
+    """
+
+    n_nodes: int
+    n_cells: int
+    n_dofs: int
+    n_subdomains: int
+    gap_energy: float | None
+    mapping: Similarity
+
+
+def open_pair(case: Case) -> ImagePair:
+    """Open the images of a case (headers only)."""
+    section = case.images
+    masks = [None if path is None else open_image(path) for path in (section.reference_mask, section.deformed_mask)]
+    return ImagePair(MaskedSource(open_image(section.reference), masks[0], section.exclude_saturated),
+                     MaskedSource(open_image(section.deformed), masks[1], section.exclude_saturated))
+
+
+def material(section: RegularizationSection) -> Material:
+    """Elastic constants of the regularization."""
+    return Material(section.poisson_ratio, section.plane)
+
+
+def read_region(case: Case, width: int, height: int) -> Mesh:
+    """The whole mesh of a case, for rank 0; width, height: size of the images, pixels."""
+    return build_mesh(case, width, height)
+
+
+def share_out(team: Team, case: Case, mesh: Mesh | None) -> tuple[list[Subdomain], Region]:
+    """Split the mesh that rank 0 holds and give each rank its subdomains."""
+    def split() -> list[tuple[list[Subdomain], Region]]:
+        assert mesh is not None
+        parts = _parts(case.solver, mesh, team.size)
+        subdomains = build_subdomains(mesh, parts, _controlled(case.regularization, mesh))
+        region = Region(mesh.n_nodes, mesh.n_cells, mesh.n_dofs, len(subdomains),
+                        _gap_energy(case.regularization, mesh), mesh.mapping)
+        return [([subdomains[s] for s in part], region) for part in owners(len(subdomains), team.size)]
+
+    return team.scatter_from_root(split)
+
+
+def _parts(solver: SolverSection, mesh: Mesh, n_ranks: int) -> NDArray[np.int64]:
+    if solver.method == "monolithic":
+        return np.zeros(mesh.n_cells, dtype=np.int64)
+    if solver.partition == "blocks":
+        assert solver.blocks is not None
+        return split_by_blocks(mesh, solver.blocks)
+    if solver.partition == "file":
+        assert solver.partition_file is not None
+        return read_partition(solver.partition_file, mesh.n_cells)
+    return split_by_metis(mesh, solver.subdomains or n_ranks, rasterize(mesh).pixel_counts)
+
+
+def _controlled(section: RegularizationSection | None, mesh: Mesh) -> NDArray[np.bool_]:
+    """Dofs whose equilibrium row is controlled: P of Eq. 11 of [BP17]."""
+    if section is None:
+        return np.zeros(mesh.n_dofs, dtype=bool)
+    free = np.ones(mesh.n_nodes, dtype=bool)
+    for name in section.not_controlled:
+        free[boundary_nodes(mesh) if name == "boundary" else named_nodes(mesh, name)] = False
+    for box in section.boxes:
+        free[nodes_in_box(mesh, box)] = False
+    return np.repeat(free, mesh.dim)
+
+
+def _gap_energy(section: RegularizationSection | None, mesh: Mesh) -> float | None:
+    if section is None or section.cut_off_wavelength is None:
+        return None
+    interior = np.ones(mesh.n_nodes, dtype=bool)
+    interior[boundary_nodes(mesh)] = False
+    return gap_energy(mesh, material(section), interior, section.cut_off_wavelength)

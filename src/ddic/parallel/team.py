@@ -1,0 +1,96 @@
+"""What all ranks do together: sums in a fixed order, shared decisions, shared errors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from ddic.errors import on_all_ranks
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Team:
+    """A communicator and the collective operations that ddic allows itself outside PETSc."""
+
+    comm: MPI.Comm
+
+    @property
+    def rank(self) -> int:
+        """This rank's number."""
+        return int(self.comm.Get_rank())
+
+    @property
+    def size(self) -> int:
+        """Number of ranks."""
+        return int(self.comm.Get_size())
+
+    @property
+    def is_root(self) -> bool:
+        """Whether this is rank 0, which decides and reports."""
+        return self.rank == 0
+
+    def on_root(self, work: Callable[[], T]) -> T:
+        """Run ``work`` on rank 0 and give every rank its result; an error there is raised on all ranks."""
+        outcome: Any = None
+        error: BaseException | None = None
+        if self.is_root:
+            try:
+                outcome = work()
+            except Exception as caught:
+                error = caught
+        error = self.comm.bcast(error, root=0)
+        if error is not None:
+            raise on_all_ranks(error)
+        result: T = self.comm.bcast(outcome, root=0)
+        return result
+
+    def scatter_from_root(self, work: Callable[[], Sequence[T]]) -> T:
+        """Run ``work`` on rank 0, which returns one item per rank, and give each rank its own."""
+        items: Sequence[T] | None = None
+        error: BaseException | None = None
+        if self.is_root:
+            try:
+                items = work()
+            except Exception as caught:
+                error = caught
+        error = self.comm.bcast(error, root=0)
+        if error is not None:
+            raise on_all_ranks(error)
+        item: T = self.comm.scatter(items, root=0)
+        return item
+
+    def together(self, work: Callable[[], T]) -> T:
+        """Run ``work`` (free of communication) on every rank; an error on one rank is raised on all."""
+        result: Any = None
+        error: Exception | None = None
+        try:
+            result = work()
+        except Exception as caught:
+            error = caught
+        failed = self.comm.allreduce(self.rank if error is not None else self.size, op=MPI.MIN)
+        if failed < self.size:
+            error = self.comm.bcast(error, root=failed)
+            assert error is not None
+            raise on_all_ranks(error)
+        final: T = result
+        return final
+
+    def ordered_sum(self, values: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+        """Sum one array per owned subdomain over all subdomains, in their order.
+
+        The result does not depend on how subdomains are spread over ranks, to the last bit.
+        """
+        parts = self.comm.allgather([np.asarray(v, dtype=np.float64) for v in values])
+        everything = [v for part in parts for v in part]
+        return np.asarray(np.sum(np.stack(everything), axis=0))
+
+    def gather_lists(self, values: Sequence[T]) -> list[T]:
+        """All ranks' items, in the order of ranks, on every rank."""
+        return [v for part in self.comm.allgather(list(values)) for v in part]

@@ -1,0 +1,72 @@
+"""One subdomain's part of the dual problem."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from ddic.partition.incidence import signed_incidence
+from ddic.solvers.local_operator import LocalOperator
+from ddic.solvers.local_system import LocalSystem
+
+
+@dataclass(frozen=True)
+class LocalDual:
+    """A subdomain's operators on the interface, Eq. 30-31 of [BP17] with the two blocks stacked.
+
+    With v = (Lambda, LambdaBar / c), S_tot v = sum_s G_s A_s^-1 G_s^T v - H_s v, where
+    G_s = [C_s ; c eta Cbar_s Kbar_s] = B_s T_s,  H_s = c^2 eta Cbar_s Cbar_s^T = B_s D_s B_s^T,
+    T_s and D_s act on the subdomain's own interface dofs, B_s is the signed incidence.
+
+    operator: A_s factorised.
+    incidence: B_s, (n ghost rows, n interface dofs), displacement dofs first, then reaction dofs.
+    trace: T_s, (n interface dofs, n_dofs).
+    compliance: diagonal of D_s, (n interface dofs,), zero on displacement dofs.
+    jump: G_s, (n ghost rows, n_dofs).
+    n_displacement: number of displacement interface dofs.
+    """
+
+    operator: LocalOperator
+    incidence: sparse.csr_matrix
+    trace: sparse.csr_matrix
+    compliance: NDArray[np.float64]
+    jump: sparse.csr_matrix
+    jump_transposed: sparse.csr_matrix
+    n_displacement: int
+
+    def apply(self, v: NDArray[np.float64]) -> NDArray[np.float64]:
+        """G_s A_s^-1 G_s^T v - H_s v on ghost rows, with one local solve."""
+        y = self.operator.solve(self.jump_transposed @ v)
+        return np.asarray(self.jump @ y - self.incidence @ (self.compliance * (self.incidence.T @ v)))
+
+
+def local_dual(system: LocalSystem, operator: LocalOperator, ghosts: NDArray[np.int64],
+               scale: float) -> LocalDual:
+    """Set up a subdomain's interface operators.
+
+    ghosts: sorted numbers of the rows this rank takes part in; scale: c, which gives both blocks of
+    unknowns and of residuals one unit (DESIGN: LambdaBar scaled symmetrically by 1 / sqrt(eta mean diag M)).
+    """
+    part = system.subdomain
+    n_dofs = part.mesh.n_dofs
+    jumps = part.displacement
+    trace = _selection(jumps.dofs, n_dofs)
+    incidence = signed_incidence(jumps, ghosts, len(ghosts))
+    compliance = np.zeros(len(jumps.dofs))
+    if system.controlled_stiffness is not None:
+        reactions = part.reaction
+        weights = system.row_weights[reactions.dofs]
+        rows = sparse.diags(scale * system.eta * weights) @ system.controlled_stiffness[reactions.dofs]
+        trace = sparse.vstack([trace, rows]).tocsr()
+        incidence = sparse.hstack([incidence, signed_incidence(reactions, ghosts, len(ghosts))]).tocsr()
+        compliance = np.concatenate([compliance, scale**2 * system.eta * weights**2])
+    jump = (incidence @ trace).tocsr()
+    return LocalDual(operator, incidence, trace, compliance, jump, jump.T.tocsr(), len(jumps.dofs))
+
+
+def _selection(dofs: NDArray[np.int64], n_dofs: int) -> sparse.csr_matrix:
+    n = len(dofs)
+    return sparse.csr_matrix((np.ones(n), (np.arange(n), dofs)), shape=(n, n_dofs))

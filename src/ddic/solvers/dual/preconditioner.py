@@ -1,0 +1,84 @@
+"""The block explicit-inverse preconditioner of the interface problem, Eq. 37-40 of [BP17]."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from petsc4py import PETSc
+from scipy import linalg, sparse
+
+from ddic.solvers.dual.exchange import Exchange
+from ddic.solvers.dual.local_dual import LocalDual
+
+
+def local_schur(local: LocalDual) -> NDArray[np.float64]:
+    """S_s = T_s A_s^-1 T_s^T - D_s of one subdomain, dense and symmetric."""
+    columns = local.operator.solve_many(local.trace.T.toarray())
+    schur = local.trace @ columns
+    schur = 0.5 * (schur + schur.T)
+    schur[np.diag_indices_from(schur)] -= local.compliance
+    return np.asarray(schur)
+
+
+def block_inverse(schur: NDArray[np.float64], n_displacement: int) -> NDArray[np.float64]:
+    """Invert S_s by blocks, Eq. 37-40 of [BP17] with the misprints of Eq. 38 put right.
+
+    With a = S^ll, b = S^l(lbar), d = S^(lbar)(lbar) - b^T a^-1 b the inverse is
+    [[a^-1 + a^-1 b d^-1 b^T a^-1, -a^-1 b d^-1], [-d^-1 b^T a^-1, d^-1]]; a and -d are positive definite.
+    """
+    n = n_displacement
+    a_inverse = _inverse(schur[:n, :n])
+    if n == len(schur):
+        return a_inverse
+    b = schur[:n, n:]
+    ab = a_inverse @ b
+    d_inverse = -_inverse(b.T @ ab - schur[n:, n:])
+    out = np.empty_like(schur)
+    out[:n, n:] = -ab @ d_inverse
+    out[n:, :n] = out[:n, n:].T
+    out[:n, :n] = a_inverse - out[:n, n:] @ ab.T
+    out[n:, n:] = d_inverse
+    return out
+
+
+def _inverse(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    factor = linalg.cho_factor(matrix, lower=True)
+    inverse = linalg.cho_solve(factor, np.eye(len(matrix)))
+    return np.asarray(0.5 * (inverse + inverse.T))
+
+
+@dataclass(frozen=True)
+class LocalPreconditioner:
+    """One subdomain's term B S_s^-1 B^T.
+
+    assembly: B, (n ghost rows, n interface dofs): signed incidence, or its scaled version;
+    inverse: S_s^-1, dense.
+    """
+
+    assembly: sparse.csr_matrix
+    inverse: NDArray[np.float64]
+
+    def apply(self, r: NDArray[np.float64]) -> NDArray[np.float64]:
+        """B S_s^-1 B^T r on ghost rows."""
+        return np.asarray(self.assembly @ (self.inverse @ (self.assembly.T @ r)))
+
+
+class DualPreconditioner:
+    """Context of PETSc's shell preconditioner: P r = sum_s B_s S_s^-1 B_s^T r, Eq. 37 of [BP17]."""
+
+    def __init__(self, exchange: Exchange, locals_: Sequence[LocalPreconditioner]) -> None:
+        self._exchange = exchange
+        self._locals = locals_
+
+    def apply(self, _: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """PETSc's callback for y = P x."""
+        r = self._exchange.to_ghosts(x)
+        total = np.zeros_like(r)
+        for local in self._locals:
+            total += local.apply(r)
+        self._exchange.add_to_owners(total, y)
+
+    applyTranspose = apply

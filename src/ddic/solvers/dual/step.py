@@ -1,0 +1,154 @@
+"""The linear step of Gauss-Newton by dual domain decomposition, Eq. 24-31 of [BP17]."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+from petsc4py import PETSc
+from scipy import sparse
+
+from ddic.errors import ConvergenceError, on_all_ranks
+from ddic.partition.incidence import copies_of, rows_of, scaled_incidence
+from ddic.solvers.dual.exchange import Exchange
+from ddic.solvers.dual.local_dual import local_dual
+from ddic.solvers.dual.preconditioner import (
+    DualPreconditioner,
+    LocalPreconditioner,
+    block_inverse,
+    local_schur,
+)
+from ddic.solvers.dual.schur_operator import DualSchurOperator
+from ddic.solvers.local_operator import LocalOperator
+from ddic.solvers.local_system import LocalSystem
+from ddic.solvers.petsc_defaults import DUAL, configured_ksp
+from ddic.solvers.step import StepResult
+
+Preconditioner = Literal["none", "paper", "scaled"]
+
+
+@dataclass(frozen=True)
+class DualSettings:
+    """How the interface problem is solved.
+
+    preconditioner: none, the paper's, or the paper's with scaled assembly;
+    tolerance: on the interface residual relative to |t_tot|; max_iterations: also GMRES's restart.
+    """
+
+    preconditioner: Preconditioner = "scaled"
+    tolerance: float = 1e-6
+    max_iterations: int = 1000
+
+
+class DualStep:
+    """Solves Eq. 24-25 for dq with factors kept, warm-started with the previous multipliers.
+
+    PETSc options (prefix ``dual_``): ``-dual_ksp_monitor``, ``-dual_ksp_type``, ``-dual_ksp_rtol``...
+    """
+
+    def __init__(self, comm: MPI.Comm, systems: Sequence[LocalSystem], operators: Sequence[LocalOperator],
+                 scale: float, settings: DualSettings) -> None:
+        """Set up the interface operators and the preconditioner.
+
+        systems, operators: this rank's subdomains and their factors; scale: c of ``local_dual``.
+        """
+        self._systems = systems
+        parts = [system.subdomain for system in systems]
+        needed = [rows_of(interface) for p in parts for interface in (p.displacement, p.reaction)]
+        self._exchange = Exchange(comm, sum(p.n_owned_rows for p in parts), needed)
+        self._locals = [local_dual(s, a, self._exchange.ghosts, scale)
+                        for s, a in zip(systems, operators, strict=True)]
+        self._multipliers = self._exchange.new_vector()
+        self._right = self._exchange.new_vector()
+        self._ksp = self._configure(comm, settings)
+
+    @property
+    def n_interface(self) -> int:
+        """Number of interface unknowns."""
+        return self._exchange.n_global
+
+    def solve(self, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]]) -> StepResult:
+        """Solve for dq_s given q_s and b_s of this rank's subdomains; raises ConvergenceError."""
+        right = [system.right_hand_side(b_s, q_s) for system, b_s, q_s in zip(self._systems, b, q, strict=True)]
+        free = [local.operator.solve(r) for local, r in zip(self._locals, right, strict=True)]
+        history = self._solve_interface([q_s + y for q_s, y in zip(q, free, strict=True)])
+        v = self._exchange.to_ghosts(self._multipliers)
+        dq = [y - local.operator.solve(local.jump_transposed @ v)
+              for y, local in zip(free, self._locals, strict=True)]
+        return StepResult(dq, len(history) - 1 if len(history) else 0, history)
+
+    def destroy(self) -> None:
+        """Free PETSc's objects; must be called before the interpreter ends."""
+        for thing in (self._ksp, self._multipliers, self._right):
+            thing.destroy()
+
+    def _solve_interface(self, freed: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+        """S_tot v = t_tot = sum_s G_s (q_s + A_s^-1 (b_s - eta Kbar_s^T Kbar_s q_s)), Eq. 25-27 of [BP17]."""
+        if self.n_interface == 0:
+            return np.zeros(0)
+        total = np.zeros(len(self._exchange.ghosts))
+        for local, displacement in zip(self._locals, freed, strict=True):
+            total += local.jump @ displacement
+        self._exchange.add_to_owners(total, self._right)
+        self._ksp.setConvergenceHistory(reset=True)
+        self._ksp.solve(self._right, self._multipliers)
+        size = self._right.norm()
+        history = np.array(self._ksp.getConvergenceHistory()) / (size if size > 0 else 1.0)
+        if self._ksp.getConvergedReason() < 0:
+            raise on_all_ranks(ConvergenceError(
+                f"the interface problem did not converge in {self._ksp.getIterationNumber()} Krylov iterations "
+                f"(relative residual {self._ksp.getResidualNorm() / (size or 1.0):.1e}); raise solver.max_iterations, "
+                'or choose solver.preconditioner = "scaled" or fewer, larger subdomains'))
+        return history
+
+    def _configure(self, comm: MPI.Comm, settings: DualSettings) -> PETSc.KSP:
+        ksp = configured_ksp(comm, DUAL)
+        ksp.setOperators(DualSchurOperator(self._exchange, self._locals).as_matrix())
+        ksp.setTolerances(rtol=settings.tolerance, atol=1e-300, divtol=1e12, max_it=settings.max_iterations)
+        ksp.setType(PETSc.KSP.Type.GMRES)
+        ksp.setGMRESRestart(min(settings.max_iterations, max(self.n_interface, 1)) + 1)
+        ksp.setInitialGuessNonzero(True)
+        ksp.setConvergenceHistory(length=settings.max_iterations + 2, reset=True)
+        pc = ksp.getPC()
+        if settings.preconditioner == "none":
+            pc.setType(PETSc.PC.Type.NONE)
+        else:
+            pc.setType(PETSc.PC.Type.PYTHON)
+            pc.setPythonContext(self._preconditioner(comm, settings.preconditioner))
+        ksp.setFromOptions()
+        return ksp
+
+    def _preconditioner(self, comm: MPI.Comm, kind: Preconditioner) -> DualPreconditioner:
+        if kind == "paper":
+            assemblies = [local.incidence for local in self._locals]
+        else:
+            assemblies = self._scaled_assemblies(comm)
+        terms = [LocalPreconditioner(assembly, block_inverse(local_schur(local), local.n_displacement))
+                 for assembly, local in zip(assemblies, self._locals, strict=True)]
+        return DualPreconditioner(self._exchange, terms)
+
+    def _scaled_assemblies(self, comm: MPI.Comm) -> list[sparse.csr_matrix]:
+        """(B D^-1 B^T)^-1 B D^-1 per subdomain, D the copies' stiffness diag A_s (1 for reactions)."""
+        mine = []
+        for system in self._systems:
+            part = system.subdomain
+            stiffness = system.operator.diagonal()[part.displacement.dofs]
+            mine.append([(part.displacement, stiffness), (part.reaction, np.ones(len(part.reaction.dofs)))])
+        copies = Exchange(comm, sum(s.subdomain.n_owned_copies for s in self._systems),
+                          [copies_of(interface) for pair in mine for interface, _ in pair])
+        weights = np.zeros(len(copies.ghosts))
+        for interface, values in (item for pair in mine for item in pair):
+            weights[np.searchsorted(copies.ghosts, interface.first_copy + interface.position)] = values
+        owned = copies.new_vector()
+        copies.add_to_owners(weights, owned)
+        weights = copies.to_ghosts(owned)
+        rows = self._exchange.ghosts
+        return [
+            sparse.hstack([scaled_incidence(interface, weights, copies.ghosts, rows, len(rows))
+                           for interface, _ in pair]).tocsr()
+            for pair in mine
+        ]

@@ -1,0 +1,175 @@
+"""Gauss-Newton: rank 0 decides and reports, every rank obeys the same decision."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.errors import ConvergenceError, on_all_ranks
+from ddic.functionals.correlation import Correlation, GreyCorrection, GreySums, Residual
+from ddic.images.sub_image import DeformedSubImage
+from ddic.parallel.team import Team
+from ddic.partition.subdomain import Subdomain
+from ddic.solvers.phases import PhaseClock
+from ddic.solvers.step import Step
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """Stops at |dq|/|q| <= relative or RMS dq <= rms pixels, whichever comes first."""
+
+    relative: float = 1e-3
+    rms: float = 1e-4
+    max_iterations: int = 50
+
+
+@dataclass(frozen=True)
+class OwnedPart:
+    """An owned subdomain with its pixels and its window of the deformed image."""
+
+    subdomain: Subdomain
+    correlation: Correlation
+    deformed: DeformedSubImage
+
+
+@dataclass(frozen=True)
+class GreyState:
+    """Grey-level statistics of the whole region at one displacement.
+
+    residual_std, residual_rms: grey levels; n_pixels: pixels that count; gain, offset: of f = a g + b
+    (the global correction; 1 and 0 without it, and with the correction per element).
+    """
+
+    residual_std: float
+    residual_rms: float
+    n_pixels: int
+    gain: float
+    offset: float
+
+
+@dataclass(frozen=True)
+class IterationRecord:
+    """One line of the Gauss-Newton table.
+
+    number: from 1; relative: |dq|/|q|; rms: RMS dq, pixels; grey: statistics before the correction;
+    krylov_iterations and krylov_history: of its linear step; seconds: wall seconds so far by phase.
+    """
+
+    number: int
+    relative: float
+    rms: float
+    grey: GreyState
+    krylov_iterations: int
+    krylov_history: NDArray[np.float64]
+    seconds: dict[str, float]
+
+
+class Report(Protocol):
+    """Told of every iteration on every rank; only rank 0's may speak."""
+
+    def __call__(self, record: IterationRecord) -> None:
+        """Take note of one iteration."""
+        ...
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Displacement q_s of each owned subdomain (n_dofs,), pixels, and how it came about."""
+
+    q: list[NDArray[np.float64]]
+    records: list[IterationRecord]
+
+
+def evaluate(team: Team, parts: Sequence[OwnedPart], q: Sequence[NDArray[np.float64]],
+             correction: GreyCorrection) -> tuple[list[Residual], GreyState]:
+    """Residuals of all owned subdomains and the whole region's grey-level statistics."""
+    residuals = team.together(lambda: [
+        part.correlation.residual(part.deformed, q_s, all_kinds=correction != "none")
+        for part, q_s in zip(parts, q, strict=True)
+    ])
+    total = GreySums(team.ordered_sum([r.sums.values for r in residuals]))
+    gain, offset = total.gain_and_offset() if correction == "global" else (np.ones(()), np.zeros(()))
+    if correction == "element":
+        moments = team.ordered_sum([
+            np.stack([part.sum() for part in r.cell_sums.residual(*r.cell_sums.gain_and_offset())])
+            for r in residuals
+        ])
+        first, second = moments[0], moments[1]
+    else:
+        first, second = total.residual(gain, offset)
+    n = float(total.n_pixels)
+    if n == 0:
+        raise on_all_ranks(ConvergenceError(
+            "no pixel is left: every pixel of the mesh is masked or mapped outside the deformed image; "
+            "check the start of the displacement and the masks"))
+    mean = float(first) / n
+    state = GreyState(float(np.sqrt(max(second / n - mean**2, 0.0))), float(np.sqrt(second / n)), int(n),
+                      float(gain), float(offset))
+    return residuals, state
+
+
+def right_hand_sides(parts: Sequence[OwnedPart], residuals: Sequence[Residual], state: GreyState,
+                     correction: GreyCorrection) -> list[NDArray[np.float64]]:
+    """b_s of all owned subdomains, Eq. 5 of [BP17], with the grey-level correction of choice."""
+    out = []
+    for part, residual in zip(parts, residuals, strict=True):
+        gain, offset = (residual.cell_sums.gain_and_offset() if correction == "element"
+                        else (np.array(state.gain), np.array(state.offset)))
+        out.append(part.correlation.right_hand_side(residual, gain, offset))
+    return out
+
+
+def gauss_newton(team: Team, parts: Sequence[OwnedPart], q: Sequence[NDArray[np.float64]], step: Step,
+                 correction: GreyCorrection, tolerances: Tolerances, report: Report, clock: PhaseClock) -> Solution:
+    """Iterate q <- q + dq until the correction is small; raises ConvergenceError.
+
+    q: start of each owned subdomain (n_dofs,), pixels.
+    """
+    current = [np.array(q_s) for q_s in q]
+    records: list[IterationRecord] = []
+    for number in range(1, tolerances.max_iterations + 1):
+        with clock.phase("residual"):
+            residuals, grey = evaluate(team, parts, current, correction)
+            b = right_hand_sides(parts, residuals, grey, correction)
+        with clock.phase("linear step"):
+            result = step.solve(current, b)
+        current = [q_s + dq for q_s, dq in zip(current, result.dq, strict=True)]
+        relative, rms = _sizes(team, parts, result.dq, current)
+        records.append(IterationRecord(number, relative, rms, grey, result.krylov_iterations,
+                                       result.krylov_history, dict(clock.wall)))
+        report(records[-1])
+        if team.on_root(lambda: _decide(relative, rms, tolerances)):
+            return Solution(current, records)
+    last = records[-1]
+    raise on_all_ranks(ConvergenceError(
+        f"Gauss-Newton did not converge in {tolerances.max_iterations} iterations (last |dq|/|q| = {last.relative:.1e}, "
+        f"RMS dq = {last.rms:.1e} px, residual {last.grey.residual_std:.2f} grey levels); look at the images and the "
+        "start, raise gauss_newton.max_iterations or loosen gauss_newton.tolerance, or give a longer "
+        "regularization.cut_off_wavelength"))
+
+
+def _sizes(team: Team, parts: Sequence[OwnedPart], dq: Sequence[NDArray[np.float64]],
+           q: Sequence[NDArray[np.float64]]) -> tuple[float, float]:
+    """|dq|/|q| and RMS dq in pixels, every node counted once."""
+    sums = team.ordered_sum([
+        np.array([(dq_s**2 / m).sum(), (q_s**2 / m).sum(), (1.0 / m).sum()])
+        for dq_s, q_s, m in zip(dq, q, (p.subdomain.dof_multiplicity for p in parts), strict=True)
+    ])
+    dim = parts[0].subdomain.mesh.dim
+    relative = float(np.sqrt(sums[0] / sums[1])) if sums[1] > 0 else (0.0 if sums[0] == 0 else np.inf)
+    return relative, float(np.sqrt(sums[0] / (sums[2] / dim)))
+
+
+def _decide(relative: float, rms: float, tolerances: Tolerances) -> bool:
+    if not np.isfinite(rms):
+        raise ConvergenceError("Gauss-Newton diverged: the correction is not finite; check the start of the "
+                               "displacement and the texture, or give regularization.cut_off_wavelength")
+    return relative <= tolerances.relative or rms <= tolerances.rms
+
+
+def silent(record: IterationRecord) -> None:
+    """Report nothing."""

@@ -1,0 +1,93 @@
+"""The local operator A_s = M_s + eta Kbar_s^T Kbar_s, factorised once and solved many times."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from petsc4py import PETSc
+from scipy import sparse
+
+from ddic.errors import SingularSubdomainError
+from ddic.solvers.petsc_defaults import LOCAL, configured_ksp
+
+_PROBES = 3
+_BLOCK = 256
+
+
+class LocalOperator:
+    """Sparse Cholesky of one symmetric positive definite matrix through PETSc.
+
+    PETSc options (prefix ``local_``): ``-local_pc_factor_mat_solver_type`` cholmod (default), mumps, petsc.
+    """
+
+    def __init__(self, matrix: sparse.csr_matrix, *, smallest_eigenvalue: float, where: str) -> None:
+        """Factorise.
+
+        matrix: (n, n) symmetric; smallest_eigenvalue: below it the matrix counts as singular;
+        where: what to call it in the error. Raises SingularSubdomainError.
+        """
+        self.n = matrix.shape[0]
+        index = PETSc.IntType
+        self._matrix = PETSc.Mat().createAIJ(
+            matrix.shape, csr=(matrix.indptr.astype(index), matrix.indices.astype(index), matrix.data),
+            comm=PETSc.COMM_SELF,
+        )
+        self._matrix.setOption(PETSc.Mat.Option.SPD, True)
+        self._ksp = configured_ksp(PETSc.COMM_SELF, LOCAL)
+        self._ksp.setOperators(self._matrix)
+        self._ksp.setFromOptions()
+        try:
+            self._ksp.setUp()
+        except PETSc.Error as error:
+            raise SingularSubdomainError(_singular(where)) from error
+        self._factor = self._ksp.getPC().getFactorMatrix()
+        self._left, self._right = self._matrix.createVecs()
+        if not self._lowest_eigenvalue_estimate() > smallest_eigenvalue:
+            raise SingularSubdomainError(_singular(where))
+
+    def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Solve A x = right for one vector (n,)."""
+        self._right.setArray(right)
+        self._factor.solve(self._right, self._left)
+        return np.array(self._left.getArray(readonly=1))
+
+    def solve_many(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Solve A X = right for the columns of an array (n, k), a block at a time."""
+        solution = np.empty((self.n, right.shape[1]), order="F")
+        for begin in range(0, right.shape[1], _BLOCK):
+            columns = np.asfortranarray(right[:, begin: begin + _BLOCK])
+            shape = (self.n, columns.shape[1])
+            b = PETSc.Mat().createDense(shape, array=columns, comm=PETSc.COMM_SELF)
+            x = PETSc.Mat().createDense(shape, comm=PETSc.COMM_SELF)
+            x.setUp()
+            b.assemble()
+            x.assemble()
+            self._factor.matSolve(b, x)
+            solution[:, begin: begin + _BLOCK] = x.getDenseArray()
+            b.destroy()
+            x.destroy()
+        return solution
+
+    def destroy(self) -> None:
+        """Free the factor."""
+        for thing in (self._ksp, self._matrix, self._left, self._right):
+            thing.destroy()
+
+    def _lowest_eigenvalue_estimate(self) -> float:
+        """Upper bound of the lowest eigenvalue by a few inverse iterations."""
+        x = np.random.default_rng(0).standard_normal(self.n)
+        estimate = np.inf
+        for _ in range(_PROBES):
+            x /= np.linalg.norm(x)
+            y = self.solve(x)
+            if not np.isfinite(y).all():
+                return 0.0
+            estimate = 1.0 / np.linalg.norm(y)
+            x = y
+        return float(estimate)
+
+
+def _singular(where: str) -> str:
+    return (f"{where}: the local operator is singular, which means that the reference image has too little texture "
+            "there; use larger elements, mask the blank part out of the mesh, or give "
+            "regularization.cut_off_wavelength")

@@ -1,0 +1,1 @@
+"""Image pairs made from formulas, whose displacement is known exactly."""

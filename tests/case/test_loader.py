@@ -1,0 +1,179 @@
+"""Case files: values, paths, and messages for everything that can be wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, get_args
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import BaseModel
+
+from ddic.case.loader import load_case
+from ddic.case.schema import Case
+from ddic.errors import InputError
+
+SMALLEST = """
+[images]
+reference = "f.tif"
+deformed = "pairs/g.tif"
+[mesh.structured]
+region = [0, 0, 64, 48.5]
+element_size = 16
+"""
+DOCUMENT = Path(__file__).parents[2] / "docs" / "case-file.md"
+
+
+def _problems(tmp_path: Path, text: str) -> tuple[str, ...]:
+    path = tmp_path / "case.toml"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        load_case(path)
+    assert all(line.startswith(f"{path}: ") and "\n" not in line for line in caught.value.problems)
+    return tuple(line.removeprefix(f"{path}: ") for line in caught.value.problems)
+
+
+def test_values_and_absolute_paths(tmp_path: Path) -> None:
+    path = tmp_path / "case.toml"
+    path.write_text(SMALLEST + '[mesh]\n[start]\nfrom_result = "/data/old.vtkhdf"\n[solver]\nblocks = [2, 3]\n'
+                               'partition = "blocks"\n')
+    loaded = load_case(path)
+    assert loaded.text == path.read_text()
+    assert loaded.path == path
+    case = loaded.case
+    assert case.images.deformed == tmp_path / "pairs" / "g.tif"
+    assert case.output.file == tmp_path / "result.vtkhdf"
+    assert case.start.from_result == Path("/data/old.vtkhdf")
+    assert case.images.reference_mask is None
+    assert case.mesh.structured is not None
+    assert case.mesh.structured.region == (0.0, 0.0, 64.0, 48.5)
+    assert case.solver.blocks == (2, 3)
+
+
+def test_relative_case_file_gives_absolute_paths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "case.toml").write_text(SMALLEST + 'mask = "m.png"\n')
+    monkeypatch.chdir(tmp_path)
+    case = load_case(Path("case.toml")).case
+    assert case.images.reference == tmp_path / "f.tif"
+    assert case.mesh.structured is not None
+    assert case.mesh.structured.mask == tmp_path / "m.png"
+
+
+@pytest.mark.parametrize(("addition", "line"), [
+    ("[solver]\nsubdomain = 4", 'solver.subdomain: unknown key; did you mean "subdomains"?'),
+    ("[solver]\nspline_degree = 5", "solver.spline_degree: unknown key; it belongs to [correlation]"),
+    ("[start]\nqqq = 5", "start.qqq: unknown key; valid here: rigid, pyramid, independent, from_result"),
+    ("[solvers]\n", 'solvers: unknown key; did you mean "solver"?'),
+    ('[solver]\nsubdomains = "4"', 'solver.subdomains = "4": expected a whole number'),
+    ("[solver]\nsubdomains = 4.5", "solver.subdomains = 4.5: expected a whole number"),
+    ("[solver]\nsubdomains = true", "solver.subdomains = true: expected a whole number"),
+    ("[solver]\nsubdomains = 0", "solver.subdomains = 0: expected at least 1"),
+    ("[solver]\ntolerance = 1.0", "solver.tolerance = 1.0: expected less than 1"),
+    ('[solver]\nmethod = "Dual"', 'solver.method = "Dual": expected "dual" or "monolithic"'),
+    ("[correlation]\nspline_degree = 4", "correlation.spline_degree = 4: expected 3 or 5"),
+    ('[gauss_newton]\ntolerance = "a"', 'gauss_newton.tolerance = "a": expected a number'),
+    ("[gauss_newton]\nrms_tolerance = nan", "gauss_newton.rms_tolerance = nan: expected at least 0"),
+    ("[gauss_newton]\ntolerance = 2024-01-01", "gauss_newton.tolerance = 2024-01-01: expected a number"),
+    ("[output]\nfile = 3", "output.file = 3: expected a file path in quotes"),
+    ("[output]\nflip_y = 1", "output.flip_y = 1: expected true or false"),
+    ("[regularization]\nboxes = [[1, 2, 3]]\neta = 1",
+     "regularization.boxes[0][3]: the list is too short: [1, 2, 3]"),
+    ("[regularization]\nboxes = [[1, 2, 3, inf]]\neta = 1",
+     "regularization.boxes[0][3] = inf: expected a finite number"),
+    ("[regularization]\nnot_controlled = [[]]\neta = 1",
+     "regularization.not_controlled[0] = []: expected a text in quotes"),
+    ("[solver]\nblocks = [1, 2, 3]\npartition = 'blocks'",
+     "solver.blocks = [1, 2, 3]: expected at most 2 items"),
+    ("[regularization]\nplane = 'stress'",
+     "regularization: give either regularization.cut_off_wavelength or regularization.eta"),
+    ('[solver]\npartition = "blocks"',
+     'solver: solver.blocks = [columns, rows] goes with solver.partition = "blocks"'),
+])
+def test_one_clear_line(tmp_path: Path, addition: str, line: str) -> None:
+    assert _problems(tmp_path, SMALLEST + addition) == (line,)
+
+
+def test_all_problems_at_once(tmp_path: Path) -> None:
+    text = '[images]\nreference = 1\n[solver]\ntolerance = 3\n[mesh.structured]\nregion = 4\nelement_size = 2\n'
+    assert _problems(tmp_path, text) == (
+        "images.reference = 1: expected a file path in quotes",
+        "images.deformed: this key is missing; it has no default",
+        "mesh.structured.region = 4: expected a list in square brackets",
+        "solver.tolerance = 3: expected less than 1",
+    )
+
+
+def test_missing_sections(tmp_path: Path) -> None:
+    assert _problems(tmp_path, "") == ("images: this section is missing; it has no default",
+                                       "mesh: this section is missing; it has no default")
+
+
+def test_section_that_is_a_value(tmp_path: Path) -> None:
+    assert _problems(tmp_path, "solver = 3\n" + SMALLEST) == (
+        "solver = 3: expected a section, [name] with keys below it",)
+
+
+def test_syntax_error_names_the_line(tmp_path: Path) -> None:
+    (line,) = _problems(tmp_path, SMALLEST + "a = = 2\n")
+    assert line.startswith("not valid TOML: ")
+    assert "line 8" in line
+
+
+def test_long_values_are_shortened(tmp_path: Path) -> None:
+    (line,) = _problems(tmp_path, SMALLEST + "[output]\nflip_y = '" + 500 * "x" + "'\n")
+    assert len(line) < 120
+
+
+def test_files_that_cannot_be_read(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot read this case file \\(No such file"):
+        load_case(tmp_path / "none.toml")
+    (tmp_path / "latin.toml").write_bytes(b'title = "\xe9"')
+    with pytest.raises(InputError, match="is not UTF-8 text"):
+        load_case(tmp_path / "latin.toml")
+
+
+JUNK = st.one_of(st.booleans(), st.integers(-5, 5), st.floats(-2, 2), st.text("abc", max_size=3),
+                 st.lists(st.integers(0, 3), max_size=4), st.just({"a": 1}))
+
+
+def _keys(section: type[BaseModel], prefix: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
+    found = []
+    for name, field in section.model_fields.items():
+        found.append((*prefix, name))
+        for inner in _sections_in(field.annotation):
+            found += _keys(inner, (*prefix, name))
+    return found
+
+
+def _sections_in(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [found for part in get_args(annotation) for found in _sections_in(part)]
+
+
+ALL_KEYS = _keys(Case)
+
+
+@given(key=st.sampled_from([k for k in ALL_KEYS if "circles" not in k and "polygons" not in k]), value=JUNK)
+def test_any_value_at_any_key_loads_or_is_explained(tmp_path_factory: pytest.TempPathFactory,
+                                                    key: tuple[str, ...], value: Any) -> None:
+    shown = {bool: lambda v: str(v).lower(), str: lambda v: f'"{v}"', dict: lambda _: "{a = 1}"}
+    path = tmp_path_factory.getbasetemp() / "any.toml"
+    given_keys = f"{'.'.join(key)} = {shown.get(type(value), repr)(value)}\n"
+    path.write_text(given_keys)
+    # Images or mesh are always missing; what is asserted is that nothing but InputError comes out.
+    with pytest.raises(InputError) as caught:
+        load_case(path)
+    assert all(line.startswith(f"{path}: ") for line in caught.value.problems)
+    assert not any("pydantic" in line or "Input should" in line for line in caught.value.problems)
+
+
+def test_every_key_is_documented() -> None:
+    text = DOCUMENT.read_text(encoding="utf-8")
+    for key in ALL_KEYS:
+        if len(key) > 1 and key != ("mesh", "structured"):
+            heading = f"\n## [{'.'.join(key[:-1])}]" if key[-2] not in ("circles", "polygons") else f"[[{'.'.join(key[:-1])}]]"
+            section = text.partition(heading)[2].partition("\n## ")[0]
+            assert f"| `{key[-1]}` |" in section, key
+    assert "| `title` |" in text

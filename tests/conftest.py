@@ -1,0 +1,70 @@
+from __future__ import annotations
+
+import gc
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+# Before numpy is imported: BLAS reads these once.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("MKL_NUM_THREADS", "1")
+
+import cv2
+import hypothesis
+import pytest
+from mpi4py import MPI
+
+RANKS = (1, 2, 3, 4)
+
+cv2.setNumThreads(1)
+
+hypothesis.settings.register_profile("local", deadline=None)
+hypothesis.settings.register_profile("fixed", deadline=None, derandomize=True)
+# Ranks that draw different examples would call different collectives.
+_fixed = bool(os.environ.get("CI")) or MPI.COMM_WORLD.size > 1
+hypothesis.settings.load_profile("fixed" if _fixed else "local")
+
+
+@pytest.fixture(autouse=True)
+def _collect_on_all_ranks_together() -> Iterator[None]:
+    """Destroy distributed objects at one point: the collector may run at different times on the ranks."""
+    yield
+    if MPI.COMM_WORLD.size > 1:
+        gc.collect()
+        if "petsc4py.PETSc" in sys.modules:
+            sys.modules["petsc4py.PETSc"].garbage_cleanup()
+        MPI.COMM_WORLD.barrier()
+
+
+@pytest.fixture
+def real_data() -> Path:
+    """Folder of the real images; without DDIC_REAL_DATA the test is skipped."""
+    folder = os.environ.get("DDIC_REAL_DATA")
+    if not folder:
+        pytest.skip("DDIC_REAL_DATA is not set")
+    path = Path(folder).resolve()
+    if not path.is_dir():
+        pytest.fail(f"DDIC_REAL_DATA={folder} is not a folder")
+    return path
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Register what mpi-pytest registers only once a test uses it: -m with an unknown marker is an error."""
+    for size in RANKS:
+        config.addinivalue_line("markers", f"parallel[{size}]: runs on {size} rank(s)")
+
+
+def pytest_exception_interact(report: pytest.CollectReport | pytest.TestReport) -> None:
+    """Under mpiexec show a failure at once: the other ranks may now wait for ever in a collective."""
+    if MPI.COMM_WORLD.size > 1:
+        rank = MPI.COMM_WORLD.rank
+        sys.stderr.write(f"\nrank {rank}: {report.nodeid}\n{report.longreprtext}\n")
+        sys.stderr.flush()
+
+
+def pytest_unconfigure() -> None:
+    """Let every rank print its summary: the first non-zero exit makes mpiexec end the others."""
+    if MPI.COMM_WORLD.size > 1:
+        MPI.COMM_WORLD.barrier()

@@ -1,0 +1,125 @@
+"""Meshes from files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+
+from ddic.errors import InputError
+from ddic.io.mesh_file import read_mesh
+from ddic.mesh.mesh import VTK_QUAD, VTK_TRIANGLE, Similarity
+from ddic.mesh.repair import repair
+
+POINTS = np.array([[0, 0, 2], [1, 0, 2], [2, 0, 2], [2, 1, 2], [1, 1, 2], [0, 1, 2], [9, 9, 7]], dtype=float)
+CELLS = [
+    ("triangle", np.array([[1, 2, 3]])),
+    ("quad", np.array([[0, 1, 4, 5]])),
+    ("triangle", np.array([[1, 3, 4]])),
+    ("line", np.array([[5, 0], [2, 3]])),
+    ("vertex", np.array([[4]])),
+]
+
+
+def _write(path: Path, **more: object) -> Path:
+    meshio.Mesh(POINTS, CELLS, **more).write(path)  # type: ignore[arg-type]
+    return path
+
+
+def test_mixed_cells_keep_the_order_of_the_file(tmp_path: Path) -> None:
+    mesh = read_mesh(_write(tmp_path / "a.vtu"), Similarity())
+    assert mesh.types.tolist() == [VTK_TRIANGLE, VTK_QUAD, VTK_TRIANGLE]
+    assert mesh.cells.tolist() == [[1, 2, 3, -1], [0, 1, 4, 5], [1, 3, 4, -1]]
+    assert mesh.nodes.shape == (7, 2)
+    assert repair(mesh).n_nodes == 6
+
+
+@pytest.mark.parametrize("file_format", ["gmsh", "gmsh22"])
+def test_physical_groups_become_node_sets(tmp_path: Path, file_format: str) -> None:
+    cells = [*CELLS[:3], ("line", np.array([[5, 0]])), ("line", np.array([[2, 3]])), CELLS[4]]
+    physical = [np.array([tag]) for tag in (9, 9, 9, 1, 2, 1)]
+    # Format 4.1 wants a geometrical entity for each block, named by its nodes too.
+    entities = [np.array([tag]) for tag in (21, 22, 23, 11, 12, 1)]
+    mesh = meshio.Mesh(
+        POINTS, cells, cell_data={"gmsh:physical": physical, "gmsh:geometrical": entities},
+        field_data={"left": np.array([1, 1]), "right": np.array([2, 1]), "pin": np.array([1, 0]),
+                    "body": np.array([9, 2])},
+        point_data={"gmsh:dim_tags": np.array([[1, 11], [2, 21], [1, 12], [2, 23], [0, 1], [1, 11], [2, 22]])})
+    meshio.write(tmp_path / "a.msh", mesh, file_format=file_format, binary=False)
+    read = read_mesh(tmp_path / "a.msh", Similarity())
+    found = {name: nodes.tolist() for name, nodes in read.node_sets.items()}
+    # The tags 1 of dimensions 0 and 1 are different groups.
+    assert found == {"left": [0, 5], "right": [2, 3], "pin": [4]}
+
+
+def test_abaqus_sets_become_node_sets(tmp_path: Path) -> None:
+    path = tmp_path / "a.inp"
+    path.write_text("*NODE\n1, 0., 0.\n2, 1., 0.\n3, 1., 1.\n4, 0., 1.\n*ELEMENT, TYPE=CPS4\n1, 1, 2, 3, 4\n"
+                    "*NSET, NSET=grip\n1, 4\n")
+    mesh = read_mesh(path, Similarity())
+    assert {name.lower(): nodes.tolist() for name, nodes in mesh.node_sets.items()} == {"grip": [0, 3]}
+
+
+def test_cell_sets_of_lines_become_node_sets(tmp_path: Path) -> None:
+    path = tmp_path / "a.inp"
+    path.write_text("*NODE\n1, 0., 0.\n2, 1., 0.\n3, 1., 1.\n4, 0., 1.\n*ELEMENT, TYPE=CPS4, ELSET=body\n"
+                    "1, 1, 2, 3, 4\n*ELEMENT, TYPE=T3D2, ELSET=edge\n2, 2, 3\n")
+    assert len(meshio.read(path).cell_sets) == 2
+    mesh = read_mesh(path, Similarity())
+    assert {name.lower(): nodes.tolist() for name, nodes in mesh.node_sets.items()} == {"edge": [1, 2]}
+
+
+def test_mapping_to_pixels(tmp_path: Path) -> None:
+    mapping = Similarity(10.0, np.pi / 2, (100.0, 50.0))
+    mesh = read_mesh(_write(tmp_path / "a.vtu"), mapping)
+    # A quarter turn takes (2, 1) to (-1, 2); ten pixels per unit.
+    np.testing.assert_allclose(mesh.nodes[3], [90.0, 70.0], atol=1e-12)
+    assert mesh.mapping == mapping
+
+
+@pytest.mark.parametrize(("cells", "words"), [
+    ([("triangle6", np.array([[0, 1, 2, 3, 4, 5]]))], "holds 1 triangle6"),
+    ([("tetra", np.array([[0, 1, 4, 6]])), ("triangle", np.array([[0, 1, 4]]))], "holds 1 tetra, 1 triangle"),
+    ([("line", np.array([[0, 1]]))], "holds no triangle and no quadrilateral"),
+])
+def test_other_cells_are_refused(tmp_path: Path, cells: list[tuple[str, np.ndarray]], words: str) -> None:
+    meshio.Mesh(POINTS, cells).write(tmp_path / "a.vtu")
+    with pytest.raises(InputError, match=words):
+        read_mesh(tmp_path / "a.vtu", Similarity())
+
+
+def test_mesh_that_is_not_plane_is_refused(tmp_path: Path) -> None:
+    meshio.Mesh(POINTS, [("triangle", np.array([[0, 1, 6]]))]).write(tmp_path / "a.vtu")
+    with pytest.raises(InputError, match="not plane: z varies by 5"):
+        read_mesh(tmp_path / "a.vtu", Similarity())
+
+
+@pytest.mark.parametrize(("name", "content", "words"), [
+    ("a.msh", "no mesh at all", "meshio cannot read this mesh"),
+    ("a.vtu", "<VTKFile", "meshio cannot read this mesh"),
+    ("a.nonsense", "x", "meshio cannot read this mesh"),
+    ("a.inp", "*NODE\n1, a, b\n", "meshio cannot read this mesh"),
+])
+def test_unreadable_files_are_refused_quietly(tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str,
+                                              content: str, words: str) -> None:
+    (tmp_path / name).write_text(content)
+    with pytest.raises(InputError, match=words) as caught:
+        read_mesh(tmp_path / name, Similarity())
+    assert "\n" not in str(caught.value)
+    assert capsys.readouterr() == ("", "")
+
+
+def test_missing_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such mesh file"):
+        read_mesh(tmp_path / "a.msh", Similarity())
+
+
+@pytest.mark.real_data
+def test_open_hole_mesh(real_data: Path) -> None:
+    mesh = repair(read_mesh(real_data / "openhole" / "mesh_q4_pixels.msh", Similarity()))
+    assert (mesh.n_nodes, mesh.n_cells) == (1500, 1404)
+    assert set(mesh.types) == {VTK_QUAD}
+    # 32 lines on two clamped edges have 34 nodes.
+    assert {name: len(nodes) for name, nodes in mesh.node_sets.items()} == {"loaded_ends": 34}

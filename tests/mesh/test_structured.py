@@ -1,0 +1,159 @@
+"""Structured meshes: exact cover, round holes, masks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ddic.errors import InputError
+from ddic.mesh.mesh import VTK_QUAD, VTK_TRIANGLE
+from ddic.mesh.quality import areas, shape_quality
+from ddic.mesh.repair import repair
+from ddic.mesh.structured import structured_mesh
+from ddic.mesh.topology import boundary_nodes, cell_adjacency, facets
+
+SIZE = st.floats(4.0, 30.0)
+
+
+def test_cells_have_the_size_asked_for() -> None:
+    mesh = structured_mesh((10, 20, 90, 68), 16)
+    assert (mesh.n_cells, mesh.n_nodes) == (5 * 3, 6 * 4)
+    np.testing.assert_allclose(areas(mesh), 256.0, rtol=1e-14)
+    assert mesh.nodes[0].tolist() == [10, 20]
+    assert mesh.nodes[-1].tolist() == [90, 68]
+
+
+def test_named_sides() -> None:
+    mesh = structured_mesh((10, 20, 90, 68), 16)
+    for name, axis, value in (("left", 0, 10), ("right", 0, 90), ("top", 1, 20), ("bottom", 1, 68)):
+        assert mesh.node_sets[name].tolist() == np.flatnonzero(mesh.nodes[:, axis] == value).tolist()
+
+
+@settings(max_examples=50)
+@given(x0=st.floats(-50, 50), y0=st.floats(-50, 50), width=st.floats(30, 300), height=st.floats(30, 300),
+       size=SIZE, cell=st.sampled_from(["Q4", "T3"]))
+def test_cells_cover_the_region_exactly(x0: float, y0: float, width: float, height: float, size: float,
+                                        cell: str) -> None:
+    mesh = structured_mesh((x0, y0, x0 + width, y0 + height), size, cell)  # type: ignore[arg-type]
+    # A sum of at most a few thousand terms of rounding 1e-16 each, coordinates up to 350.
+    np.testing.assert_allclose(areas(mesh).sum(), width * height, rtol=1e-10)
+    assert areas(mesh).min() > 0
+    columns, rows = round(width / size), round(height / size)
+    assert mesh.n_cells == columns * rows * (2 if cell == "T3" else 1)
+    assert len(boundary_nodes(mesh)) == 2 * (columns + rows)
+
+
+def test_diagonals_of_triangles_alternate() -> None:
+    mesh = structured_mesh((0, 0, 20, 10), 10, "T3")
+    found = facets(mesh)
+    edges = {tuple(sorted(nodes)) for nodes in found.nodes[found.n_cells == 2].tolist()}
+    # Nodes 0 1 2 above 3 4 5: a diagonal from 0 to 4, the other way in the next cell.
+    assert edges == {(0, 4), (1, 4), (2, 4)}
+
+
+@settings(max_examples=60)
+@given(cx=st.floats(60, 140), cy=st.floats(60, 140), radius=st.floats(9, 50), size=st.floats(5, 12),
+       cell=st.sampled_from(["Q4", "T3"]))
+def test_holes_are_round(cx: float, cy: float, radius: float, size: float, cell: str) -> None:
+    mesh = structured_mesh((0, 0, 200, 200), size, cell, circles=[((cx, cy), radius)])  # type: ignore[arg-type]
+    found = facets(mesh)
+    outer = found.nodes[found.n_cells == 1]
+    rim = outer[((mesh.nodes[outer] > 0.0) & (mesh.nodes[outer] < 200.0)).all(axis=(1, 2))]
+    assert np.isin(rim, mesh.node_sets["hole_0"]).all()
+    away = np.abs(np.hypot(*(mesh.nodes[mesh.node_sets["hole_0"]] - [cx, cy]).T) - radius)
+    # Nodes are on the circle to rounding, but for a few that would spoil a cell (2 of 7534 measured).
+    assert (away < 1e-9).mean() >= 0.75
+    assert away.max() < size
+    assert areas(mesh).min() > 0
+    assert shape_quality(mesh).min() > 0.1
+    assert mesh.n_nodes == len(np.unique(mesh.connectivity))
+
+
+@pytest.mark.parametrize("size", [4.0, 8.0, 16.0])
+def test_area_of_a_hole_converges(size: float) -> None:
+    mesh = structured_mesh((0, 0, 400, 400), size, circles=[((203.0, 191.0), 80.0)])
+    hole = 400.0**2 - areas(mesh).sum()
+    # Chords of length up to sqrt(2) size each leave out chord^3 / (12 radius): relative (chord/radius)^2 / 6.
+    assert 0 <= 1 - hole / (np.pi * 80.0**2) < (np.sqrt(2.0) * size / 80.0) ** 2 / 6
+
+
+def test_corners_in_a_hole_are_cut_off() -> None:
+    mesh = structured_mesh((0, 0, 400, 400), 16, circles=[((200.0, 200.0), 80.0)])
+    kinds, counts = np.unique(mesh.types, return_counts=True)
+    assert kinds.tolist() == [VTK_TRIANGLE, VTK_QUAD]
+    assert counts[0] < 0.05 * mesh.n_cells
+
+
+def test_notch_nodes_slide_along_the_side() -> None:
+    mesh = structured_mesh((0, 0, 200, 200), 10, circles=[((0.0, 103.0), 37.0)])
+    on_left = mesh.node_sets["left"]
+    assert (mesh.nodes[on_left, 0] == 0.0).all()
+    rim = np.intersect1d(on_left, mesh.node_sets["hole_0"])
+    # Bisection over at most 20 px, 50 halvings: rounding is what is left.
+    np.testing.assert_allclose(np.sort(mesh.nodes[rim, 1]), [66.0, 140.0], atol=1e-9)
+
+
+def test_polygonal_hole() -> None:
+    triangle = np.array([[60.0, 60.0], [150.0, 80.0], [80.0, 150.0]])
+    mesh = structured_mesh((0, 0, 200, 200), 8, polygons=[triangle])
+    rim = mesh.nodes[mesh.node_sets["hole_0"]]
+    edge = np.roll(triangle, -1, axis=0) - triangle
+    offset = rim[:, None, :] - triangle
+    away = np.abs(edge[:, 0] * offset[..., 1] - edge[:, 1] * offset[..., 0]) / np.linalg.norm(edge, axis=1)
+    assert (away.min(axis=1) < 1e-9).mean() > 0.9
+    assert areas(mesh).min() > 0
+    inside = 0.5 * abs(np.linalg.det(np.stack([triangle[1] - triangle[0], triangle[2] - triangle[0]])))
+    # The corners of the polygon are cut by up to about half a cell each.
+    assert 200.0**2 - areas(mesh).sum() == pytest.approx(inside, abs=3 * 64.0)
+
+
+@settings(max_examples=30)
+@given(first=st.tuples(st.floats(40, 160), st.floats(40, 160)), second=st.tuples(st.floats(0, 200), st.floats(0, 200)),
+       radius=st.floats(15, 40))
+def test_overlapping_holes_leave_sound_cells(first: tuple[float, float], second: tuple[float, float],
+                                             radius: float) -> None:
+    mesh = structured_mesh((0, 0, 200, 200), 10, circles=[(first, radius), (second, 25.0)])
+    assert repair(mesh).n_nodes == mesh.n_nodes
+    assert not np.intersect1d(mesh.node_sets["hole_0"], mesh.node_sets["hole_1"]).size
+    assert areas(mesh).sum() < 200.0**2
+
+
+def test_mask_keeps_cells_with_half_of_their_pixels() -> None:
+    mask = np.zeros((40, 60), dtype=bool)
+    mask[:, 25:] = True  # the column of cells 20 <= x < 30 has exactly half of its pixels
+    mesh = structured_mesh((0, 0, 60, 40), 10, mask=mask)
+    assert mesh.nodes[:, 0].min() == 20
+    assert mesh.n_cells == 4 * 4
+    mask[:, 25] = False
+    assert structured_mesh((0, 0, 60, 40), 10, mask=mask).n_cells == 4 * 3
+
+
+def test_pixels_outside_the_mask_image_count_as_false() -> None:
+    mask = np.ones((40, 40), dtype=bool)
+    mesh = structured_mesh((-20, -20, 60, 60), 10, mask=mask)
+    assert mesh.nodes.min(axis=0).tolist() == [0, 0]
+    assert mesh.nodes.max(axis=0).tolist() == [40, 40]
+
+
+def test_hole_that_removes_nothing_is_refused() -> None:
+    with pytest.raises(InputError, match="hole_1 holds the centre of no cell"):
+        structured_mesh((0, 0, 100, 100), 10, circles=[((50.0, 50.0), 20.0), ((500.0, 50.0), 20.0)])
+
+
+def test_nothing_left_is_refused() -> None:
+    with pytest.raises(InputError, match="no cell is left"):
+        structured_mesh((0, 0, 100, 100), 10, mask=np.zeros((100, 100), dtype=bool))
+
+
+def test_a_large_mesh_is_connected() -> None:
+    mesh = structured_mesh((0, 0, 300, 300), 10, circles=[((150.0, 150.0), 60.0)])
+    indptr, indices = cell_adjacency(mesh)
+    seen, front = {0}, [0]
+    while front:
+        cell = front.pop()
+        new = set(indices[indptr[cell]:indptr[cell + 1]].tolist()) - seen
+        seen |= new
+        front += new
+    assert len(seen) == mesh.n_cells
