@@ -132,7 +132,7 @@ install_ddic() {
     [[ "$ROUTE" == debian ]] && options+=(--constraint constraints/debian.txt)
     say "installing ddic and its dependencies"
     # With its own setuptools in .venv the build needs no second, unpinned download.
-    "$VENV/bin/python" -m pip install "${options[@]}" 'setuptools>=70.1'
+    "$VENV/bin/python" -m pip install "${options[@]}" 'setuptools>=77'
     "$VENV/bin/python" -m pip install "${options[@]}" --no-build-isolation --editable '.[dev]'
 }
 

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from ddic.errors import InputError
 from ddic.mesh.mesh import VTK_QUAD, VTK_TRIANGLE
 from ddic.mesh.quality import areas, shape_quality
 from ddic.mesh.repair import repair
+from ddic.mesh.snapping import SMALLEST_SINE
 from ddic.mesh.structured import structured_mesh
 from ddic.mesh.topology import boundary_nodes, cell_adjacency, facets
 
+Cell = Literal["Q4", "T3"]
 SIZE = st.floats(4.0, 30.0)
 
 
@@ -35,8 +39,8 @@ def test_named_sides() -> None:
 @given(x0=st.floats(-50, 50), y0=st.floats(-50, 50), width=st.floats(30, 300), height=st.floats(30, 300),
        size=SIZE, cell=st.sampled_from(["Q4", "T3"]))
 def test_cells_cover_the_region_exactly(x0: float, y0: float, width: float, height: float, size: float,
-                                        cell: str) -> None:
-    mesh = structured_mesh((x0, y0, x0 + width, y0 + height), size, cell)  # type: ignore[arg-type]
+                                        cell: Cell) -> None:
+    mesh = structured_mesh((x0, y0, x0 + width, y0 + height), size, cell)
     # A sum of at most a few thousand terms of rounding 1e-16 each, coordinates up to 350.
     np.testing.assert_allclose(areas(mesh).sum(), width * height, rtol=1e-10)
     assert areas(mesh).min() > 0
@@ -54,20 +58,20 @@ def test_diagonals_of_triangles_alternate() -> None:
 
 
 @settings(max_examples=60)
+@example(cx=60.0, cy=112.0, radius=9.0, size=10.5, cell="T3")
 @given(cx=st.floats(60, 140), cy=st.floats(60, 140), radius=st.floats(9, 50), size=st.floats(5, 12),
        cell=st.sampled_from(["Q4", "T3"]))
-def test_holes_are_round(cx: float, cy: float, radius: float, size: float, cell: str) -> None:
-    mesh = structured_mesh((0, 0, 200, 200), size, cell, circles=[((cx, cy), radius)])  # type: ignore[arg-type]
+def test_holes_are_round(cx: float, cy: float, radius: float, size: float, cell: Cell) -> None:
+    mesh = structured_mesh((0, 0, 200, 200), size, cell, circles=[((cx, cy), radius)])
     found = facets(mesh)
     outer = found.nodes[found.n_cells == 1]
     rim = outer[((mesh.nodes[outer] > 0.0) & (mesh.nodes[outer] < 200.0)).all(axis=(1, 2))]
     assert np.isin(rim, mesh.node_sets["hole_0"]).all()
     away = np.abs(np.hypot(*(mesh.nodes[mesh.node_sets["hole_0"]] - [cx, cy]).T) - radius)
-    # Nodes are on the circle to rounding, but for a few that would spoil a cell (2 of 7534 measured).
-    assert (away < 1e-9).mean() >= 0.75
-    assert away.max() < size
+    # Nodes that are held back stay near: 0.33 sizes at most over 4000 random circles.
+    assert away.max() < 0.5 * size
     assert areas(mesh).min() > 0
-    assert shape_quality(mesh).min() > 0.1
+    assert shape_quality(mesh).min() >= SMALLEST_SINE
     assert mesh.n_nodes == len(np.unique(mesh.connectivity))
 
 
@@ -87,12 +91,36 @@ def test_corners_in_a_hole_are_cut_off() -> None:
 
 
 def test_notch_nodes_slide_along_the_side() -> None:
-    mesh = structured_mesh((0, 0, 200, 200), 10, circles=[((0.0, 103.0), 37.0)])
+    mesh = structured_mesh((0, 0, 200, 200), 10, circles=[((9.0, 103.0), 37.0)])
     on_left = mesh.node_sets["left"]
     assert (mesh.nodes[on_left, 0] == 0.0).all()
     rim = np.intersect1d(on_left, mesh.node_sets["hole_0"])
+    # The centre is inside the region: the nearest point of the circle is not on the side.
+    half = np.sqrt(37.0**2 - 9.0**2)
     # Bisection over at most 20 px, 50 halvings: rounding is what is left.
-    np.testing.assert_allclose(np.sort(mesh.nodes[rim, 1]), [66.0, 140.0], atol=1e-9)
+    np.testing.assert_allclose(np.sort(mesh.nodes[rim, 1]), [103.0 - half, 103.0 + half], atol=1e-9)
+
+
+@pytest.mark.parametrize("cell", ["Q4", "T3"])
+def test_nearly_all_nodes_reach_the_circle(cell: Cell) -> None:
+    rng = np.random.default_rng(3)
+    reached = []
+    for _ in range(60):
+        center, radius = rng.uniform(60, 140, 2), float(rng.uniform(12, 50))
+        mesh = structured_mesh((0, 0, 200, 200), 10, cell, circles=[((center[0], center[1]), radius)])
+        away = np.hypot(*(mesh.nodes[mesh.node_sets["hole_0"]] - center).T) - radius
+        reached += (np.abs(away) < 1e-9).tolist()
+    # Measured over 65 398 nodes, small holes included: all but 0.01 % (Q4) and 0.25 % (T3).
+    assert np.mean(reached) > 0.99
+
+
+def test_a_node_that_would_spoil_a_cell_is_held_back() -> None:
+    # Found by a search over 300 circles: projecting all nodes of this one leaves a corner with a sine of 0.1.
+    center, radius = (258.44400123, 238.08681717), 11.85357679593875
+    mesh = structured_mesh((0, 0, 400, 400), 16, circles=[(center, radius)])
+    away = np.abs(np.hypot(*(mesh.nodes[mesh.node_sets["hole_0"]] - center).T) - radius)
+    assert (away > 1e-9).any()
+    assert shape_quality(mesh).min() >= SMALLEST_SINE
 
 
 def test_polygonal_hole() -> None:

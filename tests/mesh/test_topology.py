@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,6 +14,8 @@ from ddic.mesh.control import not_controlled_nodes
 from ddic.mesh.mesh import VTK_QUAD, VTK_TRIANGLE, mesh_from_cells
 from ddic.mesh.structured import structured_mesh
 from ddic.mesh.topology import boundary_facets, boundary_nodes, cell_adjacency, facets, named_facets
+
+Cell = Literal["Q4", "T3"]
 
 # Two quads and a triangle in a row: 0-1-2 below, 5-4-3 above, 6 at the tip.
 MIXED = mesh_from_cells(
@@ -70,8 +74,8 @@ def test_three_cells_on_one_facet_are_all_neighbours() -> None:
 
 @settings(max_examples=25)
 @given(nx=st.integers(1, 9), ny=st.integers(1, 9), cell=st.sampled_from(["Q4", "T3"]))
-def test_adjacency_is_symmetric_and_complete(nx: int, ny: int, cell: str) -> None:
-    mesh = structured_mesh((0, 0, 8.0 * nx, 8.0 * ny), 8.0, cell)  # type: ignore[arg-type]
+def test_adjacency_is_symmetric_and_complete(nx: int, ny: int, cell: Cell) -> None:
+    mesh = structured_mesh((0, 0, 8.0 * nx, 8.0 * ny), 8.0, cell)
     indptr, indices = cell_adjacency(mesh)
     rows = np.repeat(np.arange(mesh.n_cells), np.diff(indptr))
     pairs = set(zip(rows.tolist(), indices.tolist(), strict=True))

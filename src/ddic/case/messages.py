@@ -15,7 +15,6 @@ Location = tuple[int | str, ...]
 
 EXPECTED = {
     "string_type": "a text in quotes",
-    "path_type": "a file path in quotes",
     "bool_type": "true or false",
     "int_type": "a whole number",
     "int_from_float": "a whole number",

@@ -1,0 +1,1 @@
+"""Correlation, elasticity and the equilibrium gap."""

@@ -82,6 +82,14 @@ class Correlation:
     reference: GradientImage
     extent: Window
 
+    @property
+    def n_usable_pixels(self) -> int:
+        """Number of pixels that the reference image does not exclude."""
+        f = self.reference
+        if f.usable is None:
+            return int(self.raster.pixel_counts.sum())
+        return int(self.raster.counts_in(f.usable, f.window.x0, f.window.y0).sum())
+
     def hessian_cells(self) -> NDArray[np.float64]:
         """M_e = sum_px N_i . grad f grad f^T . N_j of every cell, (n_cells, 8, 8), Eq. 5 of [BP17]."""
         k, r, f = self.kinematics, self.raster, self.reference

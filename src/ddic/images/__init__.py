@@ -1,0 +1,1 @@
+"""Images, their windows, splines and coarse-grained versions."""

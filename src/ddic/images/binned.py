@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ddic.images.sub_image import MaskedSource
 from ddic.images.window import Window
 
-_BAND_BLOCKS = 64
+_BAND_PIXELS = 1 << 24
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,9 @@ def bin_image(source: MaskedSource, factor: int) -> MaskedSource:
     values = np.empty((height, width), dtype=np.float32)
     usable = np.ones((height, width), dtype=np.float32)
     anything_excluded = False
-    for y0 in range(0, height, _BAND_BLOCKS):
-        y1 = min(y0 + _BAND_BLOCKS, height)
+    rows = max(_BAND_PIXELS // (factor**2 * max(width, 1)), 1)
+    for y0 in range(0, height, rows):
+        y1 = min(y0 + rows, height)
         window = Window(0, y0 * factor, width * factor, y1 * factor)
         blocks = (y1 - y0, factor, width, factor)
         grey = np.nan_to_num(source.image.read(window).astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)

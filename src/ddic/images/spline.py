@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,7 +67,8 @@ def read_spline(source: ImageSource, window: Window, degree: int,
     pad = PADDING[degree]
     out = np.empty((window.height + 2 * pad, window.width + 2 * pad), dtype=np.float32)
     inner = window.grown(pad).clipped(source.width, source.height)
-    for band, coefficients in _coefficient_bands(source, inner, degree):
+    held = _hold(source, inner, degree)
+    for band, coefficients in _coefficient_bands(held, inner, degree):
         y = band.y0 - (window.y0 - pad)
         x = inner.x0 - (window.x0 - pad)
         out[y: y + band.height, x: x + inner.width] = coefficients
@@ -80,15 +82,16 @@ def read_gradient(source: ImageSource, window: Window, degree: int,
     shape = (window.height, window.width)
     values, by_x, by_y = (np.empty(shape, dtype=np.float32) for _ in range(3))
     pad = PADDING[degree]
+    held = _hold(source, window.grown(pad), degree)
     for band in _bands(window):
         wide = band.grown(pad).clipped(source.width, source.height)
-        coefficients = np.concatenate([c for _, c in _coefficient_bands(source, wide, degree)])
+        coefficients = np.concatenate([c for _, c in _coefficient_bands(held, wide, degree)])
         gx = _filter(coefficients, _VALUE_TAPS[degree], _SLOPE_TAPS[degree])
         gy = _filter(coefficients, _SLOPE_TAPS[degree], _VALUE_TAPS[degree])
         rows = slice(band.y0 - window.y0, band.y1 - window.y0)
         inner = np.s_[band.y0 - wide.y0: band.y1 - wide.y0, band.x0 - wide.x0: band.x1 - wide.x0]
         by_x[rows], by_y[rows] = gx[inner], gy[inner]
-        values[rows] = _read_finite(source, band)
+        values[rows] = held.read(band)
     return GradientImage(window, values, by_x, by_y, usable)
 
 
@@ -98,9 +101,24 @@ def _filter(coefficients: NDArray[np.float64], taps_y: NDArray[np.float64],
     return np.asarray(ndimage.correlate1d(along_y, taps_x, axis=1, mode="mirror"))
 
 
-def _read_finite(source: ImageSource, window: Window) -> NDArray[np.float64]:
-    # Only masked pixels can be NaN here (the check of the inputs refuses others); any finite value will do.
-    return np.nan_to_num(source.read(window).astype(np.float64), nan=0.0, posinf=0.0, neginf=0.0)
+@dataclass(frozen=True)
+class _Held:
+    """A part of an image in memory, in its own type: a file is read, or decoded, once per window."""
+
+    window: Window
+    extent: Window
+    pixels: NDArray[Any]
+
+    def read(self, window: Window) -> NDArray[np.float64]:
+        inside = self.pixels[window.y0 - self.window.y0: window.y1 - self.window.y0,
+                             window.x0 - self.window.x0: window.x1 - self.window.x0]
+        # Only masked pixels can be NaN here (the check of the inputs refuses others); any finite value will do.
+        return np.nan_to_num(inside.astype(np.float64), nan=0.0, posinf=0.0, neginf=0.0)
+
+
+def _hold(source: ImageSource, window: Window, degree: int) -> _Held:
+    wide = window.grown(HALO[degree]).clipped(source.width, source.height)
+    return _Held(wide, Window(0, 0, source.width, source.height), source.read(wide))
 
 
 def _bands(window: Window) -> Iterator[Window]:
@@ -108,11 +126,11 @@ def _bands(window: Window) -> Iterator[Window]:
         yield Window(window.x0, y0, window.x1, min(y0 + _BAND_ROWS, window.y1))
 
 
-def _coefficient_bands(source: ImageSource, window: Window,
+def _coefficient_bands(held: _Held, window: Window,
                        degree: int) -> Iterator[tuple[Window, NDArray[np.float64]]]:
     for band in _bands(window):
-        wide = band.grown(HALO[degree]).clipped(source.width, source.height)
-        coefficients = spline_coefficients(_read_finite(source, wide), degree)
+        wide = band.grown(HALO[degree]).intersection(held.extent)
+        coefficients = spline_coefficients(held.read(wide), degree)
         yield band, coefficients[band.y0 - wide.y0: band.y1 - wide.y0, band.x0 - wide.x0: band.x1 - wide.x0]
 
 

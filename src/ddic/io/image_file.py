@@ -127,6 +127,8 @@ def _decoded_format(path: Path, tiff: bool) -> PixelFormat:
 def _warn_of_what_is_dropped(path: Path, layout: PixelFormat) -> None:
     if layout.n_pages > 1:
         warnings.warn(f"{path}: {layout.n_pages} pages, only the first is used", stacklevel=3)
+    if layout.inverted:
+        warnings.warn(f"{path}: white is stored as zero, grey levels are inverted", stacklevel=3)
     if layout.n_colours == 3:
         warnings.warn(f"{path}: colour image, turned to grey (0.299 R + 0.587 G + 0.114 B)", stacklevel=3)
     if layout.n_channels > layout.n_colours:

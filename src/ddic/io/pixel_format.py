@@ -14,7 +14,7 @@ class PixelFormat:
 
     width, height: pixels; dtype: type of one channel; bits: used bits of a channel;
     n_colours: 1 (grey) or 3; n_channels: colours and what comes with them (alpha);
-    n_pages: images in the file.
+    n_pages: images in the file; inverted: zero is stored for white.
     """
 
     width: int
@@ -24,6 +24,7 @@ class PixelFormat:
     n_colours: int
     n_channels: int
     n_pages: int = 1
+    inverted: bool = False
 
     @property
     def saturation(self) -> float | None:

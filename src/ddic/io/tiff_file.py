@@ -38,7 +38,8 @@ def tiff_format(path: Path) -> PixelFormat:
         bits = page.bitspersample
         return PixelFormat(width=int(page.imagewidth), height=int(page.imagelength),
                            dtype=_pixel_type(page), bits=int(bits), n_colours=colours,
-                           n_channels=int(page.samplesperpixel), n_pages=n_pages)
+                           n_channels=int(page.samplesperpixel), n_pages=n_pages,
+                           inverted=int(page.photometric) == INVERTED_GREY)
 
 
 def can_decode(path: Path) -> bool:
@@ -76,7 +77,7 @@ def read_tiff(path: Path, layout: PixelFormat, window: Window) -> NDArray[Any]:
         except DECODING_ERRORS as error:
             raise InputError(f"{path}: cannot be decoded ({error}); "
                              "save it again as uncompressed TIFF, or install imagecodecs") from error
-        return np.invert(out) if int(page.photometric) == INVERTED_GREY else out
+        return np.subtract(2 ** layout.bits - 1, out, dtype=out.dtype) if layout.inverted else out
 
 
 def _opened(path: Path) -> Any:

@@ -1,0 +1,1 @@
+"""From unknowns to displacements at points."""

@@ -35,7 +35,8 @@ class FiniteElementKinematics:
     def assemble_vector(self, moments: NDArray[np.float64]) -> NDArray[np.float64]:
         """Assemble cell moments (n_cells, 2, 4) on the monomials into a nodal vector (n_dofs,)."""
         nodal = np.einsum("eam,ecm->eac", self.shapes, moments).reshape(len(moments), -1)
-        return np.bincount(self.cell_dofs.ravel(), weights=nodal.ravel(), minlength=self.n_dofs)
+        summed = np.bincount(self.cell_dofs.ravel(), weights=nodal.ravel(), minlength=self.n_dofs)
+        return summed.astype(np.float64, copy=False)
 
     def assemble_matrix(self, cells: NDArray[np.float64]) -> sparse.csr_matrix:
         """Assemble cell matrices (n_cells, 8, 8) into a sparse matrix (n_dofs, n_dofs)."""

@@ -1,0 +1,1 @@
+"""Meshes, shape functions and rasterization."""

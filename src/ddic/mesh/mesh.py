@@ -34,7 +34,7 @@ class Similarity:
 
     def to_pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Map points of shape (n, 2) from mesh units to pixels."""
-        return self.scale * points @ self.rotation.T + np.asarray(self.translation)
+        return np.asarray(self.scale * points @ self.rotation.T + np.asarray(self.translation))
 
     def vector_to_mesh_units(self, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
         """Map displacement vectors of shape (n, 2) from pixels to mesh units."""

@@ -58,14 +58,14 @@ class Raster:
         np.add.at(steps, (rows[inside], np.clip(self.stops, 0, width)[inside]), -1)
         return np.asarray(np.cumsum(steps, axis=1)[:, :width] > 0, dtype=np.uint8)
 
-    def counts_in(self, image: NDArray[np.uint8]) -> NDArray[np.int64]:
-        """Sum of an image (height, width) over the pixels of each cell, (n_cells,)."""
+    def counts_in(self, image: NDArray[np.uint8], x0: int = 0, y0: int = 0) -> NDArray[np.int64]:
+        """Sum of an image (height, width), whose first pixel is (x0, y0), over each cell's pixels, (n_cells,)."""
         height, width = image.shape
         up_to = np.zeros((height, width + 1), dtype=np.int64)
         np.cumsum(image, axis=1, out=up_to[:, 1:])
-        rows = self.rows
+        rows = self.rows - y0
         safe = np.clip(rows, 0, height - 1)
-        run = up_to[safe, np.clip(self.stops, 0, width)] - up_to[safe, np.clip(self.starts, 0, width)]
+        run = up_to[safe, np.clip(self.stops - x0, 0, width)] - up_to[safe, np.clip(self.starts - x0, 0, width)]
         run[(rows < 0) | (rows >= height)] = 0
         ends = np.concatenate([[0], np.cumsum(run)])
         return np.asarray(ends[self.row_ptr[1:]] - ends[self.row_ptr[:-1]])

@@ -71,9 +71,10 @@ def structured_mesh(region: Sequence[float], element_size: float, cell: Literal[
     nodes, quads = grid.nodes, grid.quads
     members = [np.unique(quads[~drilled][np.isin(quads[~drilled], quads[cells])]) for cells in inside]
     quads, triangles = chop_corners(quads[~drilled], members, nodes, holes)
-    nodes, on_holes = snap_to_holes(nodes, quads, triangles, members, holes, region)
     if cell == "T3":
         quads, triangles = quads[:0], np.concatenate([_split_quads(quads, len(grid.x)), triangles])
+    # After the split, so that the cells whose shape is watched are those of the mesh.
+    nodes, on_holes = snap_to_holes(nodes, quads, triangles, members, holes, region)
     blocks = {VTK_QUAD: quads, VTK_TRIANGLE: triangles}
     mesh = mesh_from_cells(nodes, {kind: block for kind, block in blocks.items() if len(block)},
                            _sides(grid) | {f"hole_{k}": found for k, found in enumerate(on_holes)})

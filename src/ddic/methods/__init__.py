@@ -1,0 +1,1 @@
+"""Measurement methods, one recipe each."""

@@ -38,7 +38,7 @@ class Assembly:
 
     @property
     def reaction_scale(self) -> float:
-        """c = 1 / sqrt(eta mean diag M), which gives Lambda and LambdaBar one unit."""
+        """Scale c = 1 / sqrt(eta mean diag M), which gives Lambda and LambdaBar one unit."""
         return 1.0 if self.eta == 0 else float(1.0 / np.sqrt(self.eta * self.mean_diagonal))
 
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ddic.case.schema import Case, SolverSection
-from ddic.errors import InputError
+from ddic.functionals.correlation import Residual
+from ddic.io.mesh_source import build_mesh
+from ddic.mesh.mesh import Mesh
 from ddic.methods.assembly import SINGULAR, Assembly, assemble, factorize, own_part
-from ddic.methods.inputs import ImagePair, Region, open_pair, read_region, share_out
+from ddic.methods.inputs import ImagePair, Region, open_pair, share_out
+from ddic.methods.listener import Listener, Setting
 from ddic.methods.start import coarse_field, refine_independently
 from ddic.parallel.team import Team
 from ddic.solvers.dual.continuity import ContinuousField, average_copies
@@ -20,8 +20,6 @@ from ddic.solvers.gauss_newton import (
     GreyState,
     IterationRecord,
     OwnedPart,
-    Report,
-    Residual,
     Tolerances,
     evaluate,
     gauss_newton,
@@ -37,9 +35,7 @@ class Measurement:
     """A measured field, spread over ranks, and how it was measured.
 
     parts: owned subdomains; field: their displacement, one value per interface node (Eq. 41 of [BP17]).
-    residuals, grey: grey levels at the solution; dynamic_range: max f - min f over the region.
-    eta: weight of the equilibrium gap; records: Gauss-Newton iterations; n_interface: interface unknowns.
-    n_pixels: pixels of the mesh; grey.n_pixels of them counted.
+    residuals, grey: grey levels at the solution; setting: sizes and weights; records: iterations.
     """
 
     region: Region
@@ -48,43 +44,37 @@ class Measurement:
     field: ContinuousField
     residuals: list[Residual]
     grey: GreyState
-    dynamic_range: float
-    n_pixels: int
-    eta: float
-    n_interface: int
+    setting: Setting
     records: list[IterationRecord]
     notes: tuple[str, ...]
 
 
-def dd_dic(team: Team, case: Case, report: Report, note: Callable[[str], None], clock: PhaseClock) -> Measurement:
+def dd_dic(team: Team, case: Case, listener: Listener, clock: PhaseClock) -> Measurement:
     """Measure the displacement between the images of a case on all ranks of ``team``.
 
-    report, note: told of iterations and of other news; only rank 0's may speak.
     Raises InputError, SingularSubdomainError, ConvergenceError on all ranks.
     """
     correction = case.correlation.grey_correction
     with clock.phase("read"):
         pair = team.together(lambda: open_pair(case))
-        width, height = pair.reference.image.width, pair.reference.image.height
-        mesh = read_region(case, width, height) if team.is_root else None
+        mesh = _whole_mesh(team, case, pair)
         subdomains, region = share_out(team, case, mesh)
         parts = team.together(lambda: [own_part(s, pair, case.correlation.spline_degree) for s in subdomains])
     with clock.phase("assemble"):
         assembly = assemble(team, parts, region, case.solver, case.regularization)
     with clock.phase("start"):
-        nodes = [s.mesh.nodes for s in subdomains]
-        start = coarse_field(team, case, pair, mesh, nodes)
+        start = coarse_field(team, case, pair, mesh, [s.mesh.nodes for s in subdomains])
         start = refine_independently(team, case, parts, assembly.systems, start, SINGULAR * assembly.mean_diagonal)
-        for line in start.notes:
-            note(line)
+    for line in start.notes:
+        listener.note(line)
     with clock.phase("factorize"):
         operators = factorize(team, assembly.systems, assembly.mean_diagonal)
     with clock.phase("interface set-up"):
         step, n_interface = linear_step(team, case.solver, assembly, operators)
+    setting = _setting(team, region, parts, n_interface, assembly.eta)
+    listener.setting(setting)
     try:
-        tolerances = Tolerances(case.gauss_newton.tolerance, case.gauss_newton.rms_tolerance,
-                                case.gauss_newton.max_iterations)
-        solution = gauss_newton(team, parts, start.q, step, correction, tolerances, report, clock)
+        solution = gauss_newton(team, parts, start.q, step, correction, _tolerances(case), listener.iteration, clock)
     finally:
         step.destroy()
         for operator in operators:
@@ -92,27 +82,37 @@ def dd_dic(team: Team, case: Case, report: Report, note: Callable[[str], None], 
     with clock.phase("finish"):
         field = average_copies(team.comm, subdomains, solution.q)
         residuals, grey = evaluate(team, parts, field.q, correction)
-        counts = team.ordered_sum([np.array(p.correlation.raster.pixel_counts.sum()) for p in parts])
-    return Measurement(region, pair, list(parts), field, residuals, grey, _dynamic_range(team, parts), int(counts),
-                       assembly.eta, n_interface, solution.records, start.notes)
+    return Measurement(region, pair, list(parts), field, residuals, grey, setting, solution.records, start.notes)
 
 
 def linear_step(team: Team, solver: SolverSection, assembly: Assembly,
                 operators: Sequence[LocalOperator]) -> tuple[Step, int]:
     """The step of Gauss-Newton that a case asks for, and its number of interface unknowns."""
     if solver.method == "monolithic":
-        if team.size > 1:
-            raise InputError(f'solver.method: "monolithic" runs on one rank, not on {team.size}; use "dual"')
         return MonolithicStep(assembly.systems[0], operators[0]), 0
     settings = DualSettings(solver.preconditioner, solver.tolerance, solver.max_iterations)
     step = DualStep(team.comm, assembly.systems, operators, assembly.reaction_scale, settings)
     return step, step.n_interface
 
 
-def _dynamic_range(team: Team, parts: Sequence[OwnedPart]) -> float:
-    def extremes(part: OwnedPart) -> tuple[float, float]:
-        values: NDArray[np.float32] = part.correlation.reference.values
-        return float(values.min()), float(values.max())
+def _whole_mesh(team: Team, case: Case, pair: ImagePair) -> Mesh | None:
+    """The whole mesh on rank 0, nothing elsewhere; an error there is raised on all ranks."""
+    held: list[Mesh] = []
+    image = pair.reference.image
+    team.on_root(lambda: held.append(build_mesh(case, image.width, image.height)))
+    return held[0] if held else None
 
-    found = team.gather_lists([extremes(part) for part in parts])
-    return max(high for _, high in found) - min(low for low, _ in found)
+
+def _tolerances(case: Case) -> Tolerances:
+    section = case.gauss_newton
+    return Tolerances(section.tolerance, section.rms_tolerance, section.max_iterations)
+
+
+def _setting(team: Team, region: Region, parts: Sequence[OwnedPart], n_interface: int, eta: float) -> Setting:
+    def sizes(part: OwnedPart) -> tuple[float, float, int]:
+        values = part.correlation.reference.values
+        return float(values.min()), float(values.max()), part.correlation.n_usable_pixels
+
+    lows, highs, counts = zip(*team.gather_lists([sizes(part) for part in parts]), strict=True)
+    return Setting(region.n_dofs, region.n_cells, sum(counts), region.n_subdomains, team.size, n_interface,
+                   max(highs) - min(lows), eta)

@@ -12,10 +12,9 @@ from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import gap_energy
 from ddic.images.sub_image import MaskedSource
 from ddic.io.image_file import open_image
-from ddic.io.mesh_source import build_mesh
 from ddic.io.partition_file import read_partition
+from ddic.mesh.control import not_controlled_nodes
 from ddic.mesh.mesh import Mesh, Similarity
-from ddic.mesh.node_selection import named_nodes, nodes_in_box
 from ddic.mesh.raster import rasterize
 from ddic.mesh.topology import boundary_nodes
 from ddic.parallel.distribution import owners
@@ -62,11 +61,6 @@ def material(section: RegularizationSection) -> Material:
     return Material(section.poisson_ratio, section.plane)
 
 
-def read_region(case: Case, width: int, height: int) -> Mesh:
-    """The whole mesh of a case, for rank 0; width, height: size of the images, pixels."""
-    return build_mesh(case, width, height)
-
-
 def share_out(team: Team, case: Case, mesh: Mesh | None) -> tuple[list[Subdomain], Region]:
     """Split the mesh that rank 0 holds and give each rank its subdomains."""
     def split() -> list[tuple[list[Subdomain], Region]]:
@@ -96,12 +90,9 @@ def _controlled(section: RegularizationSection | None, mesh: Mesh) -> NDArray[np
     """Dofs whose equilibrium row is controlled: P of Eq. 11 of [BP17]."""
     if section is None:
         return np.zeros(mesh.n_dofs, dtype=bool)
-    free = np.ones(mesh.n_nodes, dtype=bool)
-    for name in section.not_controlled:
-        free[boundary_nodes(mesh) if name == "boundary" else named_nodes(mesh, name)] = False
-    for box in section.boxes:
-        free[nodes_in_box(mesh, box)] = False
-    return np.repeat(free, mesh.dim)
+    controlled = np.ones(mesh.n_nodes, dtype=bool)
+    controlled[not_controlled_nodes(mesh, section.not_controlled, section.boxes)] = False
+    return np.repeat(controlled, mesh.dim)
 
 
 def _gap_energy(section: RegularizationSection | None, mesh: Mesh) -> float | None:

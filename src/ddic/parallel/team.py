@@ -23,7 +23,7 @@ class Team:
 
     @property
     def rank(self) -> int:
-        """This rank's number."""
+        """Number of this rank."""
         return int(self.comm.Get_rank())
 
     @property

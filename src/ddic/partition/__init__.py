@@ -1,0 +1,1 @@
+"""Subdomains and what they share."""

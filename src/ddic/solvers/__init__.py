@@ -1,0 +1,1 @@
+"""Linear steps, Gauss-Newton and the start of the displacement."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -142,14 +143,14 @@ def gauss_newton(team: Team, parts: Sequence[OwnedPart], q: Sequence[NDArray[np.
         records.append(IterationRecord(number, relative, rms, grey, result.krylov_iterations,
                                        result.krylov_history, dict(clock.wall)))
         report(records[-1])
-        if team.on_root(lambda: _decide(relative, rms, tolerances)):
+        if team.on_root(partial(_decide, relative, rms, tolerances)):
             return Solution(current, records)
     last = records[-1]
     raise on_all_ranks(ConvergenceError(
-        f"Gauss-Newton did not converge in {tolerances.max_iterations} iterations (last |dq|/|q| = {last.relative:.1e}, "
-        f"RMS dq = {last.rms:.1e} px, residual {last.grey.residual_std:.2f} grey levels); look at the images and the "
-        "start, raise gauss_newton.max_iterations or loosen gauss_newton.tolerance, or give a longer "
-        "regularization.cut_off_wavelength"))
+        f"Gauss-Newton did not converge in {tolerances.max_iterations} iterations "
+        f"(last |dq|/|q| = {last.relative:.1e}, RMS dq = {last.rms:.1e} px, "
+        f"residual {last.grey.residual_std:.2f} grey levels); look at the images and the start, raise "
+        "gauss_newton.max_iterations or loosen gauss_newton.tolerance, or give a longer regularization.cut_off_wavelength"))
 
 
 def _sizes(team: Team, parts: Sequence[OwnedPart], dq: Sequence[NDArray[np.float64]],

@@ -82,9 +82,9 @@ class LocalOperator:
             y = self.solve(x)
             if not np.isfinite(y).all():
                 return 0.0
-            estimate = 1.0 / np.linalg.norm(y)
+            estimate = 1.0 / float(np.linalg.norm(y))
             x = y
-        return float(estimate)
+        return estimate
 
 
 def _singular(where: str) -> str:

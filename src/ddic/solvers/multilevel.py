@@ -6,6 +6,7 @@ receives the coarse field.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,17 +49,20 @@ class MultilevelStart:
 def multilevel_start(reference: MaskedSource, deformed: MaskedSource, mesh: Mesh, *, rigid: bool, pyramid: bool,
                      correction: GreyCorrection) -> MultilevelStart:
     """Find a coarse field on the region of ``mesh`` (the whole mesh, pixels)."""
-    shift = _rigid(reference, deformed, mesh) if rigid else None
+    n_pixels = reference.image.width * reference.image.height
+    sizes = block_sizes(n_pixels, mesh) if pyramid else []
+    rigid_size = _rigid_block_size(n_pixels)
+    pairs = _binned_pairs(reference, deformed, [*sizes, *([rigid_size] if rigid else [])])
+    shift = _rigid(pairs[rigid_size], mesh) if rigid else None
     field = uniform_field((0.0, 0.0) if shift is None else shift.shift)
     warnings: list[str] = []
     done: list[int] = []
-    for factor in block_sizes(reference.image.width * reference.image.height, mesh) if pyramid else ():
-        pair = BinnedPair(bin_image(reference, factor), bin_image(deformed, factor), factor)
+    for size in sizes:
         try:
-            field = correlate_level(pair, mesh, field, correction)
-            done.append(factor)
+            field = correlate_level(pairs[size], mesh, field, correction)
+            done.append(size)
         except (ConvergenceError, SingularSubdomainError) as error:
-            warnings.append(f"start: the pyramid's level with blocks of {factor} px was left out ({error})")
+            warnings.append(f"start: the pyramid's level with blocks of {size} px was left out ({error})")
     return MultilevelStart(field, shift, tuple(done), tuple(warnings))
 
 
@@ -74,16 +78,30 @@ def block_sizes(n_pixels: int, mesh: Mesh) -> list[int]:
     return [size for size in reversed(sizes) if side / size >= CELL]
 
 
-def _rigid(reference: MaskedSource, deformed: MaskedSource, mesh: Mesh) -> RigidShift:
-    factor = 1
-    while reference.image.width * reference.image.height / factor**2 > LARGEST_FFT_IMAGE:
-        factor *= 2
-    pair = BinnedPair(bin_image(reference, factor), bin_image(deformed, factor), factor)
-    region = active_blocks(pair.reference, rasterize(scaled_mesh(mesh, factor))).astype(bool)
+def _rigid_block_size(n_pixels: int) -> int:
+    size = 1
+    while n_pixels / size**2 > LARGEST_FFT_IMAGE:
+        size *= 2
+    return size
+
+
+def _binned_pairs(reference: MaskedSource, deformed: MaskedSource, sizes: Iterable[int]) -> dict[int, BinnedPair]:
+    """Both images at all block sizes (powers of 2), each binned from the one before: files are read once."""
+    pairs: dict[int, BinnedPair] = {}
+    finer = BinnedPair(reference, deformed, 1)
+    for size in sorted(set(sizes)):
+        ratio = size // finer.factor
+        finer = BinnedPair(bin_image(finer.reference, ratio), bin_image(finer.deformed, ratio), size)
+        pairs[size] = finer
+    return pairs
+
+
+def _rigid(pair: BinnedPair, mesh: Mesh) -> RigidShift:
+    region = active_blocks(pair.reference, rasterize(scaled_mesh(mesh, pair.factor))).astype(bool)
     if region.sum() < SMALLEST_SIDE:
         return RigidShift((0.0, 0.0), 0.0)
     found = rigid_shift(_values(pair.reference), _values(pair.deformed), region)
-    return RigidShift((factor * found.shift[0], factor * found.shift[1]), found.coefficient)
+    return RigidShift((pair.factor * found.shift[0], pair.factor * found.shift[1]), found.coefficient)
 
 
 def _values(source: MaskedSource) -> NDArray[np.float64]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
@@ -12,15 +12,18 @@ from dataclasses import dataclass, field
 class PhaseClock:
     """Adds up wall and CPU seconds by phase; each layer is handed the clock it writes to.
 
-    wall, cpu: seconds by phase name.
+    wall, cpu: seconds by phase name; entered: told the name of each phase that begins.
     """
 
     wall: dict[str, float] = field(default_factory=dict)
     cpu: dict[str, float] = field(default_factory=dict)
+    entered: Callable[[str], None] | None = None
 
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:
         """Charge the time spent inside to ``name``."""
+        if self.entered is not None:
+            self.entered(name)
         wall, cpu = time.perf_counter(), time.process_time()
         try:
             yield

@@ -1,0 +1,1 @@
+"""The dual Schur complement: exchange, operator, preconditioner, step."""

@@ -123,10 +123,8 @@ class DualStep:
         return ksp
 
     def _preconditioner(self, comm: MPI.Comm, kind: Preconditioner) -> DualPreconditioner:
-        if kind == "paper":
-            assemblies = [local.incidence for local in self._locals]
-        else:
-            assemblies = self._scaled_assemblies(comm)
+        plain = kind == "paper"
+        assemblies = [local.incidence for local in self._locals] if plain else self._scaled_assemblies(comm)
         terms = [LocalPreconditioner(assembly, block_inverse(local_schur(local), local.n_displacement))
                  for assembly, local in zip(assemblies, self._locals, strict=True)]
         return DualPreconditioner(self._exchange, terms)

@@ -1,0 +1,43 @@
+"""The command line: ``ddic`` and its commands, each imported when it is called."""
+
+from __future__ import annotations
+
+import importlib
+
+import click
+
+from ddic import __version__
+
+COMMANDS = {
+    "run": "Measure the displacement between two images.",
+    "check": "Validate all inputs of a case file without solving.",
+    "synth": "Make image pairs with a known displacement.",
+    "info": "Describe a result file or an image.",
+    "plot": "Draw the pictures of a result file.",
+}
+
+
+class LazyGroup(click.Group):
+    """Commands live in ``ddic.cli.NAME``; listing them imports none."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names of the commands in the order of a first session."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import a command."""
+        if cmd_name not in COMMANDS:
+            return None
+        command: click.Command = getattr(importlib.import_module(f"ddic.cli.{cmd_name}"), cmd_name)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the commands without importing them."""
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+
+@click.command(cls=LazyGroup)
+@click.version_option(__version__, prog_name="ddic")
+def main() -> None:
+    """Finite element digital image correlation by dual domain decomposition over MPI."""

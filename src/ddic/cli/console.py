@@ -1,0 +1,141 @@
+"""What a run prints: a progress bar on a terminal, plain lines in a batch log."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from types import TracebackType
+from typing import Protocol, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
+
+from ddic.io.summary import Summary
+from ddic.methods.listener import Setting
+from ddic.solvers.gauss_newton import IterationRecord
+
+PHASES = ("read", "assemble", "start", "factorize", "interface set-up", "residual", "linear step", "finish", "write")
+"""Phases of a run in order; residual and linear step repeat."""
+
+_COLUMNS = ("iter", "|dq|/|q|", "RMS dq [px]", "residual [grey]", "[% range]", "Krylov", "residual [s]", "step [s]")
+
+
+class _Bar(Protocol):
+    def phase(self, name: str) -> None: ...
+    def stop(self) -> None: ...
+
+
+class RunConsole:
+    """Rank 0's listener; use it in a ``with`` statement."""
+
+    def __init__(self) -> None:
+        self._console = Console(highlight=False, soft_wrap=True)
+        terminal = on_terminal()
+        self._bar: _Bar = _ProgressBar(self._console) if terminal else _PhaseLines(self._console)
+        self._range = 1.0
+        self._seconds: dict[str, float] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self._bar.stop()
+
+    def phase(self, name: str) -> None:
+        """Show the phase that begins."""
+        self._bar.phase(name)
+
+    def note(self, line: str) -> None:
+        """Print a line."""
+        self._print(line)
+
+    def setting(self, setting: Setting) -> None:
+        """Print the sizes and the head of the iteration table."""
+        self._range = setting.dynamic_range or 1.0
+        weight = f", eta = {setting.eta:.4g}" if setting.eta else ""
+        self._print(f"{setting.n_dofs} unknowns, {setting.n_cells} elements, {setting.n_pixels} pixels; "
+                    f"{setting.n_subdomains} subdomains on {setting.n_ranks} ranks, "
+                    f"{setting.n_interface} interface unknowns{weight}")
+        self._print("  ".join(f"{name:>{max(len(name), 9)}}" for name in _COLUMNS))
+
+    def iteration(self, record: IterationRecord) -> None:
+        """Print a line of the iteration table; the residual is that before the correction."""
+        spent = {name: record.seconds[name] - self._seconds.get(name, 0.0) for name in ("residual", "linear step")}
+        self._seconds = record.seconds
+        cells = (f"{record.number}", f"{record.relative:.2e}", f"{record.rms:.2e}", f"{record.grey.residual_std:.3f}",
+                 f"{100 * record.grey.residual_std / self._range:.2f}", f"{record.krylov_iterations}",
+                 f"{spent['residual']:.2f}", f"{spent['linear step']:.2f}")
+        self._print("  ".join(f"{cell:>{max(len(name), 9)}}" for cell, name in zip(cells, _COLUMNS, strict=True)))
+
+    def finish(self, summary: Summary) -> None:
+        """Print what was found."""
+        self._bar.stop()
+        seconds = ", ".join(f"{name} {value:.2f}" for name, value in summary.seconds.items())
+        memory = ", ".join(f"{value / 2**20:.0f}" for value in summary.peak_memory_bytes)
+        self._print(f"converged in {summary.iterations} iterations; residual {summary.residual_std_grey:.3f} grey "
+                    f"levels ({summary.residual_percent_of_range:.2f} % of the dynamic range), "
+                    f"grey-level correction: {summary.grey_correction}")
+        self._print(f"largest jump left at an interface node: {summary.largest_jump_px:.1e} px")
+        if summary.n_pixels_outside:
+            self._print(f"{summary.n_pixels_outside} pixels were left out: mapped outside the deformed image or onto "
+                        "excluded pixels of it")
+        self._print(f"seconds by phase: {seconds}")
+        self._print(f"peak memory by rank [MiB]: {memory}")
+        self._print(f"result: {summary.result_file}")
+
+    def _print(self, line: str) -> None:
+        self._console.print(line, markup=False)
+        sys.stdout.flush()
+
+
+class _ProgressBar:
+    def __init__(self, console: Console) -> None:
+        self._progress = Progress(SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(),
+                                  console=console, transient=True)
+        self._task: TaskID = self._progress.add_task("start", total=len(PHASES))
+        self._progress.start()
+
+    def phase(self, name: str) -> None:
+        self._progress.update(self._task, description=name, completed=PHASES.index(name))
+
+    def stop(self) -> None:
+        self._progress.stop()
+
+
+class _PhaseLines:
+    """A plain line for each phase that takes long enough to be waited for."""
+
+    SILENT = ("residual", "linear step")
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._name: str | None = None
+        self._began = time.perf_counter()
+
+    def phase(self, name: str) -> None:
+        self._close()
+        self._name, self._began = name, time.perf_counter()
+
+    def stop(self) -> None:
+        self._close()
+
+    def _close(self) -> None:
+        if self._name is not None and self._name not in self.SILENT:
+            self._console.print(f"{self._name}: {time.perf_counter() - self._began:.2f} s", markup=False)
+        self._name = None
+
+
+def on_terminal() -> bool:
+    """Whether a person watches; under mpirun, which gives ranks a terminal of its own, mpirun's output counts."""
+    if not sys.stdout.isatty():
+        return False
+    launched = any(name in os.environ for name in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_RANK"))
+    if not launched:
+        return True
+    try:
+        target = os.readlink(f"/proc/{os.getppid()}/fd/1")
+    except OSError:
+        return False
+    return target.startswith(("/dev/pts/", "/dev/tty"))

@@ -1,0 +1,97 @@
+"""``ddic info``: what a result file or an image holds."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from ddic.errors import InputError
+
+if TYPE_CHECKING:
+    from ddic.io.result_reader import Result
+
+Lines = list[tuple[str, str]]
+
+
+@click.command()
+@click.argument("file", metavar="FILE", type=click.Path(path_type=Path))
+def info(file: Path) -> None:
+    """Describe a result file, or an image: size, type, range, saturation, gradient energy."""
+    try:
+        with warnings.catch_warnings(record=True) as warned:
+            warnings.simplefilter("always", UserWarning)
+            lines = _describe(file)
+    except InputError as error:
+        for problem in error.problems:
+            click.echo(problem, err=True)
+        sys.exit(error.exit_code)
+    for warning in warned:
+        click.echo(f"warning: {warning.message}", err=True)
+    for name, value in lines:
+        click.echo(f"{name:<24}{value}")
+
+
+def _describe(file: Path) -> Lines:
+    # Imported here because HDF5 and OpenCV are not needed by --help.
+    import h5py
+
+    from ddic.io.result_reader import read_result
+
+    if file.is_file() and h5py.is_hdf5(file):
+        return _result_lines(read_result(file))
+    return _image_lines(file)
+
+
+def _image_lines(file: Path) -> Lines:
+    from ddic.io.image_file import open_image
+    from ddic.io.image_report import image_report
+
+    image = open_image(file)
+    report = image_report(image)
+    n_pixels = image.width * image.height
+    saturated = "none possible (floating point)"
+    if image.saturation is not None:
+        saturated = f"{100 * report.n_saturated / n_pixels:.3f} % (at {image.saturation:.0f})"
+    return [
+        ("image", str(file)),
+        ("size", f"{image.width} x {image.height} px"),
+        ("type", f"{image.dtype}, {image.layout.bits} bit"),
+        ("range", f"{report.lowest:g} to {report.highest:g} grey levels, mean {report.mean:.4g}"),
+        ("saturated", saturated),
+        ("not finite", f"{report.n_not_finite} px"),
+        ("gradient energy", f"{report.gradient_energy:.4g} (grey level / px)^2, mean of |grad f|^2"),
+    ]
+
+
+def _result_lines(result: Result) -> Lines:
+    import numpy as np
+
+    low, high = result.displacement.min(axis=0), result.displacement.max(axis=0)
+    image = result.residual_image
+    lines = [
+        ("result", str(result.path)),
+        ("mesh", f"{result.mesh.n_nodes} nodes, {result.mesh.n_cells} cells, {result.mesh.n_dofs} unknowns"),
+        ("subdomains", str(result.n_subdomains)),
+        ("y axis in the file", "up" if result.flipped else "down"),
+        ("displacement x", f"{low[0]:.4f} to {high[0]:.4f} px"),
+        ("displacement y", f"{low[1]:.4f} to {high[1]:.4f} px"),
+    ]
+    if image is not None and np.isfinite(image).any():
+        lines.append(("residual", f"standard deviation {np.nanstd(image):.4g} grey levels"))
+    lines += [(f"{place} field", name) for place, fields in (("node", result.point_data),
+                                                             ("cell", result.cell_data)) for name in fields]
+    lines.append(("Gauss-Newton", f"{max(map(len, result.gauss_newton.values()), default=0)} iterations"))
+    lines.append(("Krylov", ", ".join(str(max(len(h) - 1, 0)) for h in result.krylov) or "none"))
+    for group, values in result.attributes.items():
+        lines += [(f"{group}.{name}", _short(value)) for name, value in sorted(values.items())]
+    return lines
+
+
+def _short(value: Any) -> str:
+    """One line for an attribute: long texts (the case file) are told by their length."""
+    text = str(value.tolist() if hasattr(value, "tolist") else value)
+    return text if "\n" not in text and len(text) <= 100 else f"text of {len(text)} characters"

@@ -1,0 +1,115 @@
+"""``ddic plot``: figures of a result file."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import click
+
+from ddic.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from ddic.io.plots.preview import Preview
+    from ddic.io.result_reader import Result
+
+KINDS = ("partition", "deformed", "residual", "difference", "krylov")
+
+
+@click.command()
+@click.argument("file", metavar="FILE", type=click.Path(path_type=Path))
+@click.option("--kind", type=click.Choice([*KINDS, "all"]), default="all", show_default=True,
+              help="Figure to draw; all draws what the file allows.")
+@click.option("--component", type=click.Choice(["x", "y", "magnitude"]), default="magnitude",
+              show_default=True, help="Displacement component in colour.")
+@click.option("--amplification", type=float, default=None,
+              help="Factor on the displacement of the deformed mesh; chosen if not given.")
+@click.option("--other", type=click.Path(path_type=Path), default=None,
+              help="Second result: its difference is drawn, and its Krylov curves beside the first one's.")
+@click.option("--image", type=click.Path(path_type=Path), default=None,
+              help="Reference image; by default the one named in the result, if it is still there.")
+@click.option("--output", type=click.Path(path_type=Path, file_okay=False), default=None,
+              help="Folder of the pictures; by default that of FILE.")
+def plot(file: Path, kind: str, component: Literal["x", "y", "magnitude"], amplification: float | None,
+         other: Path | None, image: Path | None, output: Path | None) -> None:
+    """Draw a result file as PNG pictures named FILE.KIND.png."""
+    # Imported here because matplotlib is not needed by --help.
+    from ddic.io.plots.canvas import save_figure
+    from ddic.io.result_reader import read_result
+
+    folder = file.parent if output is None else output
+    try:
+        result = read_result(file)
+        second = None if other is None else read_result(other)
+        kinds = _possible(result, second) if kind == "all" else [kind]
+        if "difference" in kinds and second is None:
+            raise InputError(f"{file}: --kind difference compares two results; give the second by --other")
+        if "krylov" in kinds and not result.krylov:
+            raise InputError(f"{file}: holds no Krylov history; choose another --kind")
+        preview = _reference(result, image) if "partition" in kinds else None
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in kinds:
+            figure = _figure(name, result, second, preview, component, amplification)
+            target = folder / f"{file.stem}.{name}.png"
+            save_figure(figure, target)
+            click.echo(target)
+    except InputError as error:
+        for line in error.problems:
+            click.echo(line, err=True)
+        sys.exit(error.exit_code)
+    except OSError as error:
+        click.echo(f"{folder}: cannot be written to ({error.strerror}); choose another --output", err=True)
+        sys.exit(InputError.exit_code)
+
+
+def _possible(result: Result, other: Result | None) -> list[str]:
+    left_out = {"difference"} if other is None else set()
+    if not result.krylov:
+        left_out.add("krylov")
+    return [kind for kind in KINDS if kind not in left_out]
+
+
+def _reference(result: Result, image: Path | None) -> Preview | None:
+    from ddic.io.image_file import open_image
+    from ddic.io.plots.preview import read_preview
+
+    if image is None:
+        image = Path(str(result.attributes.get("provenance", {}).get("reference_image", "")))
+        if not image.is_file():
+            return None
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always", UserWarning)
+        preview = read_preview(open_image(image))
+    for warning in warned:
+        click.echo(f"warning: {warning.message}", err=True)
+    return preview
+
+
+def _figure(kind: str, result: Result, other: Result | None, preview: Preview | None,
+            component: Literal["x", "y", "magnitude"], amplification: float | None) -> Figure:
+    from ddic.io.plots.deformed import deformed_figure
+    from ddic.io.plots.difference import difference_figure
+    from ddic.io.plots.krylov import krylov_figure
+    from ddic.io.plots.partition import partition_figure
+    from ddic.io.plots.residual import residual_figure
+
+    if kind == "partition":
+        return partition_figure(result, preview)
+    if kind == "deformed":
+        return deformed_figure(result, component, amplification)
+    if kind == "residual":
+        return residual_figure(result)
+    if kind == "difference" and other is not None:
+        return difference_figure(result, other, component)
+    results = [result] if other is None else [result, other]
+    return krylov_figure({_label(one, results): one.krylov for one in results})
+
+
+def _label(result: Result, among: list[Result]) -> str:
+    """File name, with its folder where two results have the same one."""
+    names = [one.path.name for one in among]
+    return str(result.path) if names.count(result.path.name) > 1 else result.path.name

@@ -1,0 +1,83 @@
+"""``ddic run``: measure a case."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import traceback
+from pathlib import Path
+from types import FrameType
+from typing import NoReturn
+
+import click
+
+
+@click.command(context_settings={"ignore_unknown_options": True})
+@click.argument("case_file", metavar="CASE.toml", type=click.Path(path_type=Path))
+@click.argument("petsc_options", nargs=-1, type=click.UNPROCESSED)
+def run(case_file: Path, petsc_options: tuple[str, ...]) -> None:
+    """Measure the displacement between the two images of a case; alone or under mpirun.
+
+    Options that PETSC_OPTIONS give pass to PETSc, for instance -dual_ksp_monitor.
+    """
+    unknown = [option for option in petsc_options if option.startswith("--")]
+    if unknown:
+        raise click.UsageError(f"no such option: {unknown[0]}; PETSc's options begin with one dash")
+    signal.signal(signal.SIGTERM, _stop)
+    # Imported here because MPI and PETSc start with them, which --help does not need.
+    import petsc4py
+
+    petsc4py.init(["ddic", *petsc_options])
+    sys.exit(_run_everywhere(case_file))
+
+
+def _run_everywhere(case_file: Path) -> int:
+    """Run on all ranks; an error that only this rank has ends the job."""
+    import cv2
+    from mpi4py import MPI
+
+    from ddic.cli.console import RunConsole
+    from ddic.methods.listener import Silence
+    from ddic.methods.run import run_case
+    from ddic.parallel.team import Team
+
+    cv2.setNumThreads(1)
+    team = Team(MPI.COMM_WORLD)
+    try:
+        if not team.is_root:
+            run_case(team, case_file, Silence())
+            return 0
+        with RunConsole() as console:
+            console.finish(run_case(team, case_file, console))
+    except BaseException as error:
+        return _failed(team, error)
+    return 0
+
+
+def _failed(team: object, error: BaseException) -> int:
+    """Say what went wrong, once, and return the exit code or end the job."""
+    from ddic.errors import DdicError, is_on_all_ranks
+    from ddic.parallel.team import Team
+
+    assert isinstance(team, Team)
+    everywhere = is_on_all_ranks(error)
+    code = error.exit_code if isinstance(error, DdicError) else 1
+    if team.is_root or not everywhere:
+        where = "" if team.size == 1 or everywhere else f"rank {team.rank}: "
+        if isinstance(error, DdicError):
+            lines = [f"{where}{line}" for line in str(error).splitlines()]
+        elif isinstance(error, KeyboardInterrupt | SystemExit):
+            lines, code = [f"{where}interrupted; no result was written"], 130
+        else:
+            lines = [f"{where}{line}" for line in "".join(traceback.format_exception(error)).splitlines()]
+        sys.stdout.flush()
+        click.echo("\n".join(lines), err=True)
+        sys.stderr.flush()
+    if team.size > 1 and not everywhere:
+        team.comm.Abort(code)
+    return code
+
+
+def _stop(number: int, frame: FrameType | None) -> NoReturn:
+    # mpirun turns Ctrl-C into SIGTERM; raising lets temporary files be removed.
+    raise KeyboardInterrupt

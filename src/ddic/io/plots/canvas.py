@@ -1,0 +1,84 @@
+"""What the figures share: axes in image coordinates, colour bars, saving."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.tri import Triangulation
+from numpy.typing import NDArray
+
+from ddic.mesh.mesh import VTK_QUAD, Mesh
+
+Component = Literal["x", "y", "magnitude"]
+COMPONENTS: tuple[Component, ...] = ("x", "y", "magnitude")
+COLOURS = "viridis"
+DPI = 150
+WIDTH_INCHES = 7.0
+
+
+def image_figure(bounds: tuple[float, float, float, float], title: str) -> tuple[Figure, Axes]:
+    """A figure whose axes are those of the image: pixels, equal scales, y down.
+
+    bounds: (x0, y0, x1, y1) pixels.
+    """
+    x0, y0, x1, y1 = bounds
+    ratio = (y1 - y0) / max(x1 - x0, 1e-12)
+    figure = Figure(figsize=(WIDTH_INCHES, float(np.clip(WIDTH_INCHES * ratio, 2.0, 10.0)) + 0.6),
+                    layout="tight")
+    axes = figure.add_subplot()
+    axes.set_xlim(x0, x1)
+    axes.set_ylim(y1, y0)
+    axes.set_aspect("equal")
+    axes.set_xlabel("x [px]")
+    axes.set_ylabel("y [px]")
+    axes.set_title(title)
+    return figure, axes
+
+
+def mesh_bounds(nodes: NDArray[np.float64], margin: float = 0.03) -> tuple[float, float, float, float]:
+    """Box (x0, y0, x1, y1) around nodes (n, 2), with a margin relative to its longer side."""
+    low, high = nodes.min(axis=0), nodes.max(axis=0)
+    gap = margin * float((high - low).max())
+    return float(low[0] - gap), float(low[1] - gap), float(high[0] + gap), float(high[1] + gap)
+
+
+def add_colour_bar(figure: Figure, axes: Axes, mappable: Any, label: str) -> None:
+    """A labelled colour bar as high as the axes."""
+    figure.colorbar(mappable, cax=axes.inset_axes((1.02, 0.0, 0.03, 1.0)), label=label)
+
+
+def cell_polygons(mesh: Mesh, nodes: NDArray[np.float64], **style: Any) -> PolyCollection:
+    """The cells as polygons; nodes: (n_nodes, 2) where they are drawn, pixels."""
+    corners = [nodes[ids] for ids in np.split(mesh.connectivity, mesh.offsets[1:-1])]
+    return PolyCollection(corners, **style)
+
+
+def triangulation(mesh: Mesh, nodes: NDArray[np.float64]) -> Triangulation:
+    """The cells as triangles, quadrilaterals cut along a diagonal; nodes: (n_nodes, 2) pixels."""
+    quads = mesh.cells[mesh.types == VTK_QUAD]
+    triangles = mesh.cells[mesh.types != VTK_QUAD][:, :3]
+    return Triangulation(nodes[:, 0], nodes[:, 1],
+                         np.concatenate([triangles, quads[:, [0, 1, 2]], quads[:, [2, 3, 0]]])
+                         if len(quads) else triangles)
+
+
+def pick_component(vectors: NDArray[np.float64], component: Component) -> NDArray[np.float64]:
+    """One component of vectors (n, 2), or their length; shape (n,)."""
+    if component == "magnitude":
+        return np.asarray(np.hypot(vectors[:, 0], vectors[:, 1]))
+    return vectors[:, 0 if component == "x" else 1]
+
+
+def component_symbol(symbol: str, component: Component) -> str:
+    """How a component of a vector is written in a label."""
+    return f"$|{symbol}|$" if component == "magnitude" else f"${symbol}_{component}$"
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Save a figure; the name's ending tells the format."""
+    figure.savefig(path, dpi=DPI)

@@ -1,0 +1,53 @@
+"""The deformed mesh with a displacement component in colour (Fig. 9 of [BP17])."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ddic.io.plots.canvas import (
+    COLOURS,
+    Component,
+    add_colour_bar,
+    cell_polygons,
+    component_symbol,
+    image_figure,
+    mesh_bounds,
+    pick_component,
+    triangulation,
+)
+from ddic.io.result_reader import Result
+
+VISIBLE_SHARE = 0.05
+MOST_CELLS_WITH_EDGES = 20_000
+
+
+def visible_amplification(result: Result) -> float:
+    """Amplification, one digit, that makes the departure from the mean displacement about 5 % of the mesh."""
+    departure = result.displacement - result.displacement.mean(axis=0)
+    largest = float(np.abs(departure).max())
+    if largest == 0.0:
+        return 1.0
+    wanted = VISIBLE_SHARE * float(np.ptp(result.mesh.nodes, axis=0).max()) / largest
+    return max(1.0, float(f"{wanted:.0e}"))
+
+
+def deformed_figure(result: Result, component: Component = "magnitude",
+                    amplification: float | None = None) -> Figure:
+    """Mesh moved by ``amplification`` times the displacement, over its outline at rest in grey.
+
+    component: what is in colour, pixels; amplification: None chooses one that shows.
+    """
+    mesh = result.mesh
+    factor = visible_amplification(result) if amplification is None else amplification
+    moved = mesh.nodes + factor * result.displacement
+    bounds = mesh_bounds(np.concatenate([mesh.nodes, moved]))
+    figure, axes = image_figure(bounds, f"Deformed mesh, displacement amplified {factor:g} times")
+    axes.add_collection(cell_polygons(mesh, mesh.nodes, facecolors="0.9", edgecolors="0.9", linewidths=0.3))
+    values = pick_component(result.displacement, component)
+    colours = axes.tripcolor(triangulation(mesh, moved), values, shading="gouraud", cmap=COLOURS)
+    if mesh.n_cells <= MOST_CELLS_WITH_EDGES:
+        axes.add_collection(cell_polygons(mesh, moved, facecolors="none", edgecolors="black",
+                                          linewidths=0.15))
+    add_colour_bar(figure, axes, colours, f"{component_symbol('u', component)} [px]")
+    return figure

@@ -1,0 +1,31 @@
+"""The difference between two measured fields (Fig. 10 of [BP17])."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ddic.io.plots.canvas import (
+    COLOURS,
+    Component,
+    add_colour_bar,
+    component_symbol,
+    image_figure,
+    mesh_bounds,
+    pick_component,
+    triangulation,
+)
+from ddic.io.result_reader import Result, displacement_at
+
+
+def difference_figure(result: Result, other: Result, component: Component = "magnitude") -> Figure:
+    """Displacement of a result minus another's, on the first one's nodes (the other's is interpolated there)."""
+    mesh = result.mesh
+    difference = result.displacement - displacement_at(other, mesh.nodes)
+    rms = float(np.sqrt(np.mean(np.sum(difference**2, axis=1))))
+    figure, axes = image_figure(
+        mesh_bounds(mesh.nodes), f"{result.path.name} minus {other.path.name}, RMS {rms:.2e} px")
+    colours = axes.tripcolor(triangulation(mesh, mesh.nodes), pick_component(difference, component),
+                             shading="gouraud", cmap=COLOURS)
+    add_colour_bar(figure, axes, colours, f"{component_symbol(chr(92) + 'Delta u', component)} [px]")
+    return figure

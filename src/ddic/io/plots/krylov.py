@@ -1,0 +1,39 @@
+"""Convergence curves of the Krylov iterations (Fig. 11 of [BP17])."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+STYLES = ("-", "--", "-.", ":")
+
+
+def krylov_figure(curves: Mapping[str, Sequence[NDArray[np.float64]]]) -> Figure:
+    """Relative residual against the iteration; label -> histories, one for each Gauss-Newton iteration.
+
+    Each label has a line style; its Gauss-Newton iterations run through the colours.
+    """
+    figure = Figure(figsize=(7.0, 4.5), layout="tight")
+    axes = figure.add_subplot()
+    for style, (label, histories) in zip(_repeated(len(curves)), curves.items(), strict=True):
+        shades = colormaps["viridis"](np.linspace(0.0, 0.85, max(len(histories), 1)))
+        for number, (history, shade) in enumerate(zip(histories, shades, strict=False), start=1):
+            # A history that ends at an exact zero has no logarithm: its last point is not drawn.
+            shown = np.where(np.asarray(history) > 0, history, np.nan)
+            axes.semilogy(np.arange(len(shown)), shown, style, color=shade, linewidth=1.4,
+                          label=f"{label}, Gauss-Newton {number}")
+    axes.set_xlabel("Krylov iteration [-]")
+    axes.set_ylabel("relative residual [-]")
+    axes.set_title("Convergence of the interface problem")
+    axes.grid(which="both", alpha=0.25)
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(fontsize="small", ncols=2)
+    return figure
+
+
+def _repeated(n: int) -> list[str]:
+    return [STYLES[i % len(STYLES)] for i in range(n)]

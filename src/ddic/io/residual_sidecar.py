@@ -1,0 +1,33 @@
+"""A small VTKHDF ImageData file that shows the residual image kept in a result file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from ddic.io import result_schema as schema
+from ddic.io.replace_on_exit import replaced_on_exit
+
+
+def write_sidecar(result: Path, *, width: int, height: int, flip_y: bool) -> Path:
+    """Write NAME.residual.vtkhdf beside a result; returns its path.
+
+    It holds no pixels: an HDF5 external link leads to the image in the result file, so both move together.
+    width, height: pixels; flip_y: show rows upwards (through VTKHDF's Direction, spacings being positive).
+    """
+    path = schema.sidecar_path(result)
+    with replaced_on_exit(path) as temporary, h5py.File(temporary, "w") as file:
+        file.attrs["ddic_schema"] = schema.SCHEMA_VERSION
+        file.attrs["y_axis"] = "up" if flip_y else "down"
+        group = file.create_group(schema.VTKHDF)
+        group.attrs["Version"] = np.array(schema.VTKHDF_VERSION, np.int64)
+        group.attrs.create("Type", np.bytes_("ImageData"))
+        group.attrs["WholeExtent"] = np.array([0, width - 1, 0, height - 1, 0, 0], np.int64)
+        group.attrs["Origin"] = np.zeros(3)
+        group.attrs["Spacing"] = np.ones(3)
+        group.attrs["Direction"] = np.diag([1.0, -1.0 if flip_y else 1.0, 1.0]).ravel()
+        data = group.create_group("PointData")
+        data[schema.RESIDUAL] = h5py.ExternalLink(result.name, f"/{schema.RESIDUAL_IMAGE}/{schema.RESIDUAL}")
+    return path

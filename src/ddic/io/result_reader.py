@@ -1,0 +1,154 @@
+"""Reads a result file back: one mesh and its fields, y down, whatever the pieces were."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.errors import InputError
+from ddic.io import result_schema as schema
+from ddic.mesh.mesh import Mesh
+
+SAME_NODE_PX = 1e-9
+
+
+@dataclass(frozen=True)
+class Result:
+    """A measured field; pixels, y down.
+
+    mesh: nodes by global node number, cells by global cell number.
+    displacement: (n_nodes, 2) pixels. point_data, cell_data: all fields, vectors (n, 3), tensors (n, 6).
+    subdomain_ids: (n_cells,). gauss_newton: the table's columns. krylov: residual history of each iteration.
+    attributes: of the groups case, provenance, time and units. flipped: the file itself has y up.
+    """
+
+    path: Path
+    mesh: Mesh
+    displacement: NDArray[np.float64]
+    point_data: Mapping[str, NDArray[Any]]
+    cell_data: Mapping[str, NDArray[Any]]
+    subdomain_ids: NDArray[np.int64]
+    gauss_newton: Mapping[str, NDArray[Any]]
+    krylov: tuple[NDArray[np.float64], ...]
+    attributes: Mapping[str, Mapping[str, Any]]
+    flipped: bool
+
+    @property
+    def n_subdomains(self) -> int:
+        """Number of subdomains."""
+        return len(np.unique(self.subdomain_ids))
+
+    @cached_property
+    def residual_image(self) -> NDArray[np.float32] | None:
+        """The residual image (height, width), grey levels, read at first use; None if it was not written."""
+        with h5py.File(self.path, "r") as file:
+            if schema.RESIDUAL_IMAGE not in file:
+                return None
+            return np.asarray(file[schema.RESIDUAL_IMAGE][schema.RESIDUAL], np.float32)
+
+
+def read_result(path: Path | str) -> Result:
+    """Read a result file; raises InputError if it is missing, foreign, damaged or of a newer major schema."""
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such result file; check the path")
+    try:
+        with h5py.File(path, "r") as file:
+            _check_schema(path, file)
+            return _read(path, file)
+    except (OSError, KeyError, ValueError, IndexError) as error:
+        raise InputError(f"{path}: not a readable ddic result file ({error}); run ddic again") from error
+
+
+def displacement_at(result: Result, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Displacement of a result at points of the reference image, to start another run from it.
+
+    points: (n, 2) pixels. Returns (n, 2) pixels: the nodal value where a node lies within 1e-9 px,
+    else linear interpolation between the nodes (Delaunay), and the nearest node outside their hull.
+    """
+    from scipy.interpolate import LinearNDInterpolator
+    from scipy.spatial import cKDTree
+
+    nodes = result.mesh.nodes
+    distance, nearest = cKDTree(nodes).query(points)
+    values: NDArray[np.float64] = result.displacement[nearest]
+    apart = distance > SAME_NODE_PX
+    if apart.any():
+        between = np.asarray(LinearNDInterpolator(nodes, result.displacement)(points[apart]))
+        values[apart] = np.where(np.isnan(between), values[apart], between)
+    return values
+
+
+def _check_schema(path: Path, file: Any) -> None:
+    version = str(file.attrs.get("ddic_schema", ""))
+    if not version or schema.VTKHDF not in file:
+        raise InputError(f"{path}: an HDF5 file, but not a ddic result; give a file written by ddic run")
+    if schema.DISPLACEMENT not in file.get(schema.POINT_DATA, {}):
+        raise InputError(f"{path}: holds no displacement (a residual image beside a result?); "
+                         "give the result file itself")
+    if version.split(".", maxsplit=1)[0] != schema.SCHEMA_VERSION.split(".")[0]:
+        raise InputError(f"{path}: schema {version}, this program reads {schema.SCHEMA_VERSION}; "
+                         "use the ddic version that wrote it")
+
+
+def _read(path: Path, file: Any) -> Result:
+    flipped = str(file.attrs["y_axis"]) == "up"
+    points = _unflipped(file[schema.VTKHDF]["Points"][...], flipped)
+    point_data = _fields(file[schema.POINT_DATA], flipped)
+    cell_data = _fields(file[schema.CELL_DATA], flipped)
+    first_copy = np.unique(point_data[schema.GLOBAL_NODE_ID], return_index=True)[1]
+    order = np.argsort(cell_data[schema.GLOBAL_CELL_ID], kind="stable")
+    node_ids = np.searchsorted(point_data[schema.GLOBAL_NODE_ID][first_copy],
+                               point_data[schema.GLOBAL_NODE_ID])
+    mesh = _merged_mesh(file[schema.VTKHDF], points[first_copy, :2], node_ids, order)
+    at_nodes = {name: values[first_copy] for name, values in point_data.items()}
+    on_cells = {name: values[order] for name, values in cell_data.items()}
+    return Result(
+        path=path,
+        mesh=mesh,
+        displacement=np.ascontiguousarray(at_nodes[schema.DISPLACEMENT][:, :2]),
+        point_data=at_nodes,
+        cell_data=on_cells,
+        subdomain_ids=on_cells[schema.SUBDOMAIN_ID].astype(np.int64),
+        gauss_newton=_arrays(file, schema.GAUSS_NEWTON),
+        krylov=tuple(_arrays(file, schema.KRYLOV).values()),
+        attributes={name: dict(file[name].attrs) for name in schema.ATTRIBUTE_GROUPS if name in file},
+        flipped=flipped,
+    )
+
+
+def _merged_mesh(group: Any, nodes: NDArray[np.float64], node_ids: NDArray[np.int64],
+                 order: NDArray[np.intp]) -> Mesh:
+    """The whole mesh; node_ids: number in ``nodes`` of each stored point; order: of the stored cells."""
+    n_points, n_cells = group["NumberOfPoints"][...], group["NumberOfCells"][...]
+    n_ids = group["NumberOfConnectivityIds"][...]
+    offsets, connectivity = group["Offsets"][...], group["Connectivity"][...]
+    connectivity = node_ids[connectivity + np.repeat(np.cumsum(n_points) - n_points, n_ids)]
+    # Each piece has n_cells + 1 offsets: all but its last are the starts of its cells.
+    last = np.cumsum(n_cells + 1) - 1
+    starts = np.delete(offsets, last) + np.repeat(np.cumsum(n_ids) - n_ids, n_cells)
+    counts = np.delete(np.diff(offsets, append=0), last)
+    starts, counts = starts[order], counts[order]
+    new_offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    picked = np.arange(new_offsets[-1]) + np.repeat(starts - new_offsets[:-1], counts)
+    return Mesh(np.ascontiguousarray(nodes), connectivity[picked].astype(np.int64), new_offsets,
+                group["Types"][...][order].astype(np.uint8))
+
+
+def _fields(group: Any, flipped: bool) -> dict[str, NDArray[Any]]:
+    return {name: _unflipped(data[...], flipped) for name, data in group.items()}
+
+
+def _unflipped(values: NDArray[Any], flipped: bool) -> NDArray[Any]:
+    return schema.flip_components(values) if flipped else values
+
+
+def _arrays(file: Any, group: str) -> dict[str, NDArray[Any]]:
+    return {name: data[...] for name, data in file[group].items()} if group in file else {}

@@ -1,0 +1,98 @@
+"""Names, version and standard fields of the result file (docs/result-file.md)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+SCHEMA_VERSION = "1.0"
+VTKHDF_VERSION = (2, 0)
+
+VTKHDF = "VTKHDF"
+POINT_DATA = "VTKHDF/PointData"
+CELL_DATA = "VTKHDF/CellData"
+RESIDUAL_IMAGE = "residual_image"
+RESIDUAL = "residual"
+GAUSS_NEWTON = "history/gauss_newton"
+KRYLOV = "history/krylov"
+CASE = "case"
+PROVENANCE = "provenance"
+TIME = "time"
+UNITS = "units"
+ATTRIBUTE_GROUPS = (CASE, PROVENANCE, TIME, UNITS)
+
+DISPLACEMENT = "displacement"
+DISPLACEMENT_MESH_UNITS = "displacement_mesh_units"
+DISPLACEMENT_PHYSICAL = "displacement_physical"
+GLOBAL_NODE_ID = "GlobalNodeId"
+GLOBAL_CELL_ID = "GlobalCellId"
+SUBDOMAIN_ID = "SubdomainId"
+STRAIN_INFINITESIMAL = "strain_infinitesimal"
+STRAIN_GREEN_LAGRANGE = "strain_green_lagrange"
+RESIDUAL_RMS = "residual_rms"
+RESIDUAL_N_PIXELS = "residual_n_pixels"
+
+VECTOR, SYMMETRIC_TENSOR = 3, 6
+TENSOR_COMPONENTS = ("XX", "YY", "ZZ", "XY", "YZ", "XZ")
+
+
+@dataclass(frozen=True)
+class FieldSpec:
+    """A field at nodes or on cells.
+
+    n_components: 1, 3 (vector) or 6 (symmetric tensor XX YY ZZ XY YZ XZ); unit and description are stored.
+    """
+
+    name: str
+    n_components: int
+    dtype: DTypeLike
+    unit: str
+    description: str
+
+
+def point_fields(length_unit: str | None) -> tuple[FieldSpec, ...]:
+    """Fields at the nodes; length_unit: unit of the pixel size, None if it is not known."""
+    fields = (
+        FieldSpec(DISPLACEMENT, VECTOR, np.float64, "px", "displacement in pixels, mean of interface copies"),
+        FieldSpec(DISPLACEMENT_MESH_UNITS, VECTOR, np.float64, "mesh unit",
+                  "displacement in the axes and units of the mesh file"),
+        FieldSpec(GLOBAL_NODE_ID, 1, np.int64, "1", "number of the node in the whole mesh"),
+    )
+    if length_unit is None:
+        return fields
+    return (*fields, FieldSpec(DISPLACEMENT_PHYSICAL, VECTOR, np.float64, length_unit,
+                               "displacement times the pixel size"))
+
+
+def cell_fields() -> tuple[FieldSpec, ...]:
+    """Fields on the cells."""
+    return (
+        FieldSpec(STRAIN_INFINITESIMAL, SYMMETRIC_TENSOR, np.float64, "1", "infinitesimal strain, cell mean"),
+        FieldSpec(STRAIN_GREEN_LAGRANGE, SYMMETRIC_TENSOR, np.float64, "1",
+                  "Green-Lagrange strain, cell mean"),
+        FieldSpec(RESIDUAL_RMS, 1, np.float64, "grey level", "root mean square of f(x) - g(x + u)"),
+        FieldSpec(RESIDUAL_N_PIXELS, 1, np.int64, "px", "number of pixels correlated"),
+        FieldSpec(SUBDOMAIN_ID, 1, np.int32, "1", "subdomain that owns the cell"),
+        FieldSpec(GLOBAL_CELL_ID, 1, np.int64, "1", "number of the cell in the whole mesh"),
+    )
+
+
+def sidecar_path(path: Path) -> Path:
+    """The ImageData file that shows the residual image of a result: NAME.residual.vtkhdf."""
+    return path.with_name(f"{path.stem}.residual.vtkhdf")
+
+
+def flip_components(values: NDArray[Any]) -> NDArray[Any]:
+    """Mirror vectors (n, 3) or symmetric tensors (n, 6) in y; scalars stay as they are.
+
+    The components with one y change sign: Y of a vector, XY and YZ of a tensor. Its own inverse.
+    """
+    columns = {VECTOR: [1], SYMMETRIC_TENSOR: [3, 4]}.get(values.shape[1] if values.ndim == 2 else 1, [])
+    flipped = values.copy()
+    for column in columns:
+        flipped[:, column] = -flipped[:, column]
+    return flipped

@@ -1,0 +1,55 @@
+"""Where a result comes from: images, versions, commit, command."""
+
+from __future__ import annotations
+
+import platform
+import subprocess
+import sys
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+
+import mpi4py.MPI
+import petsc4py.PETSc
+
+import ddic
+from ddic.case.schema import ImagesSection
+from ddic.io.image_file import open_image, sha256_of_file
+
+_LIBRARIES = ("numpy", "scipy", "numba", "h5py", "mpi4py", "petsc4py")
+
+
+def provenance(images: ImagesSection, *, n_ranks: int, n_subdomains: int) -> dict[str, str | int]:
+    """Facts that let a reader repeat the measurement; called on rank 0."""
+    facts: dict[str, str | int] = {
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "command": " ".join(sys.argv),
+        "ddic": ddic.__version__,
+        "commit": source_commit(),
+        "python": platform.python_version(),
+        "petsc": ".".join(str(n) for n in petsc4py.PETSc.Sys.getVersion()),
+        "mpi": mpi4py.MPI.Get_library_version().splitlines()[0].strip("\0 "),
+        "n_ranks": n_ranks,
+        "n_subdomains": n_subdomains,
+    }
+    for library in _LIBRARIES:
+        facts[library] = metadata.version(library)
+    for name, path in (("reference", images.reference), ("deformed", images.deformed)):
+        image = open_image(path)
+        facts[f"{name}_path"] = str(path)
+        facts[f"{name}_size"] = f"{image.width}x{image.height}"
+        facts[f"{name}_sha256"] = sha256_of_file(path)
+    return facts
+
+
+def source_commit() -> str:
+    """Commit of the source tree that ddic runs from; "unknown" for an installed package."""
+    root = Path(ddic.__file__).resolve().parents[2]
+    if not (root / ".git").exists():
+        return "unknown"
+    try:
+        done = subprocess.run(["git", "-C", str(root), "rev-parse", "HEAD"], capture_output=True, text=True,
+                              timeout=10, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"
+    return done.stdout.strip()

@@ -1,0 +1,84 @@
+"""A whole run: inputs checked, field measured, result and summary written."""
+
+from __future__ import annotations
+
+import resource
+from pathlib import Path
+
+from ddic.case.loader import LoadedCase, load_case
+from ddic.case.schema import Case
+from ddic.errors import InputError
+from ddic.io.case_check import check_case
+from ddic.io.summary import Summary, summary_path, write_summary
+from ddic.methods.dd_dic import Measurement, dd_dic
+from ddic.methods.listener import Listener
+from ddic.methods.publish import publish
+from ddic.parallel.team import Team
+from ddic.solvers.phases import PhaseClock
+
+
+def run_case(team: Team, path: Path, listener: Listener) -> Summary:
+    """Run a case file on all ranks of ``team``; returns the summary that is also written beside the result.
+
+    Raises DdicError on all ranks; nothing is written unless the measurement converged.
+    """
+    loaded = team.on_root(lambda: _checked(path, team.size))
+    clock = PhaseClock(entered=listener.phase)
+    measurement = dd_dic(team, loaded.case, listener, clock)
+    with clock.phase("write"):
+        publish(team, loaded, measurement)
+    summary = summarize(team, loaded.case, measurement, clock)
+    team.on_root(lambda: write_summary(summary_path(loaded.case.output.file), summary))
+    return summary
+
+
+def _checked(path: Path, n_ranks: int) -> LoadedCase:
+    loaded = load_case(path)
+    check_case(loaded)
+    problem = rank_problem(loaded.case, n_ranks)
+    if problem:
+        raise InputError(f"{path}: {problem}")
+    return loaded
+
+
+def rank_problem(case: Case, n_ranks: int) -> str | None:
+    """What is wrong with the number of ranks for this case, if anything."""
+    solver = case.solver
+    if solver.method == "monolithic":
+        return None if n_ranks == 1 else (
+            f'solver.method = "monolithic" runs on one rank, {n_ranks} were started; start one rank or use "dual"')
+    largest = solver.subdomains if solver.blocks is None else solver.blocks[0] * solver.blocks[1]
+    if largest is None or n_ranks <= largest:
+        return None
+    key = "solver.subdomains" if solver.blocks is None else "solver.blocks"
+    return (f"{key}: {largest} subdomains for {n_ranks} MPI ranks, but every rank needs at least one; "
+            f"start at most {largest} ranks or ask for more subdomains")
+
+
+def summarize(team: Team, case: Case, measurement: Measurement, clock: PhaseClock) -> Summary:
+    """Numbers for scripts; collective."""
+    setting, grey = measurement.setting, measurement.grey
+    memory = team.gather_lists([resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024])
+    walls = team.gather_lists([clock.wall])
+    cpus = team.gather_lists([clock.cpu])
+    return Summary(
+        converged=True,
+        iterations=len(measurement.records),
+        residual_std_grey=grey.residual_std,
+        residual_percent_of_range=100 * grey.residual_std / setting.dynamic_range,
+        n_dofs=setting.n_dofs,
+        n_subdomains=setting.n_subdomains,
+        n_ranks=setting.n_ranks,
+        n_pixels=grey.n_pixels,
+        n_pixels_outside=setting.n_pixels - grey.n_pixels,
+        krylov_iterations=[r.krylov_iterations for r in measurement.records],
+        seconds={name: max(w.get(name, 0.0) for w in walls) for name in clock.wall},
+        cpu_seconds={name: sum(c.get(name, 0.0) for c in cpus) for name in clock.wall},
+        peak_memory_bytes=memory,
+        eta=setting.eta or None,
+        cut_off_wavelength=None if case.regularization is None else case.regularization.cut_off_wavelength,
+        largest_jump_px=measurement.field.largest_jump,
+        grey_correction=case.correlation.grey_correction,
+        notes=measurement.notes,
+        result_file=str(case.output.file),
+    )
