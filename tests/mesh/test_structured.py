@@ -44,7 +44,8 @@ def test_cells_cover_the_region_exactly(x0: float, y0: float, width: float, heig
     # A sum of at most a few thousand terms of rounding 1e-16 each, coordinates up to 350.
     np.testing.assert_allclose(areas(mesh).sum(), width * height, rtol=1e-10)
     assert areas(mesh).min() > 0
-    columns, rows = round(width / size), round(height / size)
+    # From the region's own sides: x0 + width - x0 may differ from width by a rounding, which decides ties.
+    columns, rows = round((x0 + width - x0) / size), round((y0 + height - y0) / size)
     assert mesh.n_cells == columns * rows * (2 if cell == "T3" else 1)
     assert len(boundary_nodes(mesh)) == 2 * (columns + rows)
 

@@ -45,11 +45,7 @@ def plot(file: Path, kind: str, component: Literal["x", "y", "magnitude"], ampli
     try:
         result = read_result(file)
         second = None if other is None else read_result(other)
-        kinds = _possible(result, second) if kind == "all" else [kind]
-        if "difference" in kinds and second is None:
-            raise InputError(f"{file}: --kind difference compares two results; give the second by --other")
-        if "krylov" in kinds and not result.krylov:
-            raise InputError(f"{file}: holds no Krylov history; choose another --kind")
+        kinds = _kinds(kind, result, second)
         preview = _reference(result, image) if "partition" in kinds else None
         folder.mkdir(parents=True, exist_ok=True)
         for name in kinds:
@@ -66,11 +62,20 @@ def plot(file: Path, kind: str, component: Literal["x", "y", "magnitude"], ampli
         sys.exit(InputError.exit_code)
 
 
-def _possible(result: Result, other: Result | None) -> list[str]:
-    left_out = {"difference"} if other is None else set()
-    if not result.krylov:
-        left_out.add("krylov")
-    return [kind for kind in KINDS if kind not in left_out]
+def _kinds(asked: str, result: Result, other: Result | None) -> list[str]:
+    """Figures to draw; raises InputError if the one asked for needs what is not there."""
+    lacking = {}
+    if other is None:
+        lacking["difference"] = "--kind difference compares two results; give the second by --other"
+    if not _has_curves(result):
+        lacking["krylov"] = "holds no Krylov history (a direct method); choose another --kind"
+    if asked in lacking:
+        raise InputError(f"{result.path}: {lacking[asked]}")
+    return [kind for kind in KINDS if kind not in lacking] if asked == "all" else [asked]
+
+
+def _has_curves(result: Result) -> bool:
+    return any(len(history) for history in result.krylov)
 
 
 def _reference(result: Result, image: Path | None) -> Preview | None:
@@ -78,7 +83,7 @@ def _reference(result: Result, image: Path | None) -> Preview | None:
     from ddic.io.plots.preview import read_preview
 
     if image is None:
-        image = Path(str(result.attributes.get("provenance", {}).get("reference_image", "")))
+        image = Path(str(result.attributes.get("provenance", {}).get("reference_path", "")))
         if not image.is_file():
             return None
     with warnings.catch_warnings(record=True) as warned:
@@ -105,7 +110,7 @@ def _figure(kind: str, result: Result, other: Result | None, preview: Preview | 
         return residual_figure(result)
     if kind == "difference" and other is not None:
         return difference_figure(result, other, component)
-    results = [result] if other is None else [result, other]
+    results = [one for one in (result, other) if one is not None and _has_curves(one)]
     return krylov_figure({_label(one, results): one.krylov for one in results})
 
 

@@ -33,8 +33,9 @@ def plane_waves(nodes: NDArray[np.float64], wavelength: float) -> NDArray[np.flo
     return np.stack(waves, axis=1)
 
 
-def gap_energy(mesh: Mesh, material: Material, interior_nodes: NDArray[np.bool_], wavelength: float) -> float:
-    """Mean over the plane waves of |K v|^2 on the interior nodes' rows, cell by cell, K never assembled."""
+def gap_energies(mesh: Mesh, material: Material, interior_nodes: NDArray[np.bool_],
+                 wavelength: float) -> NDArray[np.float64]:
+    """|K v|^2 of every plane wave on the interior nodes' rows, a batch of cells at a time, K never assembled."""
     waves = plane_waves(mesh.nodes, wavelength)
     forces = np.zeros_like(waves)
     for begin in range(0, mesh.n_cells, _CHUNK_CELLS):
@@ -43,7 +44,7 @@ def gap_energy(mesh: Mesh, material: Material, interior_nodes: NDArray[np.bool_]
         kinematics = finite_element_kinematics(part)
         forces[dofs] += kinematics.assemble_matrix(stiffness_cells(part, material)) @ waves[dofs]
     rows = np.repeat(interior_nodes, mesh.dim)
-    return float((forces[rows] ** 2).sum(axis=0).mean())
+    return np.asarray((forces[rows] ** 2).sum(axis=0))
 
 
 def texture_energies(nodes: NDArray[np.float64], hessian: sparse.csr_matrix,
@@ -54,6 +55,9 @@ def texture_energies(nodes: NDArray[np.float64], hessian: sparse.csr_matrix,
     return np.asarray((waves * (hessian @ waves))[rows].sum(axis=0))
 
 
-def cut_off_weight(texture: NDArray[np.float64], gap: float) -> float:
-    """Weight eta = mean |v^T M v| / mean |K v|^2 at which texture and mechanics count alike at l_c [LPHR11]."""
-    return float(np.abs(texture).mean() / gap)
+def cut_off_weight(texture: NDArray[np.float64], gap: NDArray[np.float64]) -> float:
+    """Weight eta at which texture and mechanics count alike at l_c, |v^T M v| / |K v|^2, mean over the waves [LPHR11].
+
+    texture, gap: of every plane wave, on the same nodes.
+    """
+    return float((np.abs(texture) / gap).mean())

@@ -57,4 +57,4 @@ def _squared_gradient(band: NDArray[np.float64]) -> NDArray[np.float64]:
     across = 0.5 * (band[1:-1, 2:] - band[1:-1, :-2])
     down = 0.5 * (band[2:, 1:-1] - band[:-2, 1:-1])
     squares = across**2 + down**2
-    return squares[np.isfinite(squares)]
+    return np.asarray(squares[np.isfinite(squares)])

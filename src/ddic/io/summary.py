@@ -18,7 +18,8 @@ class Summary:
 
     iterations: of Gauss-Newton at full resolution; krylov_iterations: of each of them.
     residual_std_grey: grey levels; residual_percent_of_range: the same in % of the dynamic range.
-    seconds: wall seconds by phase, the slowest rank's; cpu_seconds: by phase, all ranks'; peak_memory_bytes: by rank. eta, cut_off_wavelength (px): None without regularization.
+    seconds: wall seconds by phase, the slowest rank's; cpu_seconds: by phase, all ranks';
+    peak_memory_bytes: by rank. eta, cut_off_wavelength (px): None without regularization.
     largest_jump_px: largest displacement jump left at an interface node.
     n_pixels: correlated; n_pixels_outside: left out because they are mapped outside the deformed image or
     onto its excluded pixels. notes: how the start was found, and warnings.

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +32,7 @@ def is_tiff(path: Path) -> bool:
 
 def tiff_format(path: Path) -> PixelFormat:
     """Size and type of the first page from the header alone; raises InputError if it is no image."""
-    with _opened(path) as tiff:
-        page = tiff.pages[0]
+    with _opened(path) as (tiff, page):
         n_pages = len(tiff.pages)
         _check_page(path, page)
         colours = 3 if int(page.photometric) == COLOUR else 1
@@ -47,8 +48,7 @@ def can_decode(path: Path) -> bool:
 
     Tried on the first segment, since what tifffile can decode depends on the codecs beside it.
     """
-    with _opened(path) as tiff:
-        page = tiff.pages[0]
+    with _opened(path) as (tiff, page):
         if page.is_contiguous or page.compression == 1:
             return True
         tiff.filehandle.seek(page.dataoffsets[0])
@@ -65,8 +65,7 @@ def read_tiff(path: Path, layout: PixelFormat, window: Window) -> NDArray[Any]:
 
     Raises InputError if a segment is cut short or cannot be decoded.
     """
-    with _opened(path) as tiff:
-        page = tiff.pages[0]
+    with _opened(path) as (tiff, page):
         out = np.empty((window.height, window.width), np.float32 if layout.n_colours == 3 else layout.dtype)
         try:
             for block, x, y in _blocks(tiff, page, layout, window):
@@ -80,11 +79,16 @@ def read_tiff(path: Path, layout: PixelFormat, window: Window) -> NDArray[Any]:
         return np.subtract(2 ** layout.bits - 1, out, dtype=out.dtype) if layout.inverted else out
 
 
-def _opened(path: Path) -> Any:
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
+    """The open file and its first page."""
     try:
-        return tifffile.TiffFile(path)
-    except (tifffile.TiffFileError, ValueError, IndexError) as error:
+        tiff = tifffile.TiffFile(path)
+        page = tiff.pages[0]
+    except (*DECODING_ERRORS, struct.error, IndexError, TypeError) as error:
         raise InputError(f"{path}: not a readable TIFF file ({error}); save it again") from error
+    with tiff:
+        yield tiff, page
 
 
 def _check_page(path: Path, page: Any) -> None:

@@ -81,10 +81,10 @@ def assemble(team: Team, parts: Sequence[OwnedPart], region: Region, solver: Sol
 
 
 def _weight(texture: NDArray[np.float64], region: Region) -> float:
-    if not region.gap_energy:
+    if region.gap_energies is None or not region.gap_energies.all():
         raise InputError("regularization.cut_off_wavelength: the mesh has no interior node, so no wavelength can be "
                          "given a weight; use a finer mesh or give regularization.eta")
-    return cut_off_weight(texture, region.gap_energy)
+    return cut_off_weight(texture, region.gap_energies)
 
 
 def factorize(team: Team, systems: Sequence[LocalSystem], mean_diagonal: float) -> list[LocalOperator]:

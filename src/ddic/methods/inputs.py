@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ddic.case.schema import Case, RegularizationSection, SolverSection
 from ddic.functionals.elasticity import Material
-from ddic.functionals.equilibrium_gap import gap_energy
+from ddic.functionals.equilibrium_gap import gap_energies
 from ddic.images.sub_image import MaskedSource
 from ddic.io.image_file import open_image
 from ddic.io.partition_file import read_partition
@@ -36,7 +36,7 @@ class ImagePair:
 class Region:
     """What every rank knows of the whole mesh.
 
-    n_nodes, n_cells, n_dofs, n_subdomains: sizes; gap_energy: mean |K v|^2 of the plane waves of the
+    n_nodes, n_cells, n_dofs, n_subdomains: sizes; gap_energies: |K v|^2 of the plane waves of the
     cut-off wavelength (None where eta is given or nothing is regularized); mapping: mesh units to pixels.
     """
 
@@ -44,7 +44,7 @@ class Region:
     n_cells: int
     n_dofs: int
     n_subdomains: int
-    gap_energy: float | None
+    gap_energies: NDArray[np.float64] | None
     mapping: Similarity
 
 
@@ -68,7 +68,7 @@ def share_out(team: Team, case: Case, mesh: Mesh | None) -> tuple[list[Subdomain
         parts = _parts(case.solver, mesh, team.size)
         subdomains = build_subdomains(mesh, parts, _controlled(case.regularization, mesh))
         region = Region(mesh.n_nodes, mesh.n_cells, mesh.n_dofs, len(subdomains),
-                        _gap_energy(case.regularization, mesh), mesh.mapping)
+                        _gap_energies(case.regularization, mesh), mesh.mapping)
         return [([subdomains[s] for s in part], region) for part in owners(len(subdomains), team.size)]
 
     return team.scatter_from_root(split)
@@ -95,9 +95,9 @@ def _controlled(section: RegularizationSection | None, mesh: Mesh) -> NDArray[np
     return np.repeat(controlled, mesh.dim)
 
 
-def _gap_energy(section: RegularizationSection | None, mesh: Mesh) -> float | None:
+def _gap_energies(section: RegularizationSection | None, mesh: Mesh) -> NDArray[np.float64] | None:
     if section is None or section.cut_off_wavelength is None:
         return None
     interior = np.ones(mesh.n_nodes, dtype=bool)
     interior[boundary_nodes(mesh)] = False
-    return gap_energy(mesh, material(section), interior, section.cut_off_wavelength)
+    return gap_energies(mesh, material(section), interior, section.cut_off_wavelength)

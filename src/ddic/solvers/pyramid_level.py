@@ -13,7 +13,7 @@ from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import (
     controlled_stiffness,
     cut_off_weight,
-    gap_energy,
+    gap_energies,
     texture_energies,
 )
 from ddic.images.binned import ArraySource
@@ -108,7 +108,7 @@ def _solve(pair: BinnedPair, grid: Mesh, active: NDArray[np.uint8], q: NDArray[n
     eta = 0.0
     if rows.any():
         texture = texture_energies(grid.nodes, hessian, subdomain.interior, CUT_OFF)
-        eta = cut_off_weight(texture, gap_energy(grid, Material(), subdomain.interior, CUT_OFF))
+        eta = cut_off_weight(texture, gap_energies(grid, Material(), subdomain.interior, CUT_OFF))
     system = LocalSystem(subdomain, hessian, kbar, rows, eta)
     operator = LocalOperator(system.operator, smallest_eigenvalue=SINGULAR * float(hessian.diagonal().mean()),
                              where=f"pyramid level with blocks of {pair.factor} px")

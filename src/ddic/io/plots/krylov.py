@@ -20,8 +20,10 @@ def krylov_figure(curves: Mapping[str, Sequence[NDArray[np.float64]]]) -> Figure
     figure = Figure(figsize=(7.0, 4.5), layout="tight")
     axes = figure.add_subplot()
     for style, (label, histories) in zip(_repeated(len(curves)), curves.items(), strict=True):
-        shades = colormaps["viridis"](np.linspace(0.0, 0.85, max(len(histories), 1)))
-        for number, (history, shade) in enumerate(zip(histories, shades, strict=False), start=1):
+        shades = colormaps["viridis"](np.linspace(0.0, 0.85, len(histories)))
+        for number, (history, shade) in enumerate(zip(histories, shades, strict=True), start=1):
+            if len(history) == 0:
+                continue
             # A history that ends at an exact zero has no logarithm: its last point is not drawn.
             shown = np.where(np.asarray(history) > 0, history, np.nan)
             axes.semilogy(np.arange(len(shown)), shown, style, color=shade, linewidth=1.4,

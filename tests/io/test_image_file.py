@@ -1,0 +1,242 @@
+from __future__ import annotations
+
+import hashlib
+import os
+import warnings
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from ddic.errors import InputError
+from ddic.images.window import Window
+from ddic.io.image_file import find_not_finite, open_image, sha256_of_file
+
+WIDTH, HEIGHT = 83, 61
+WHOLE = Window(0, 0, WIDTH, HEIGHT)
+LAYOUTS: dict[str, dict[str, Any]] = {
+    "contiguous": {}, "strips": {"rowsperstrip": 7}, "tiles": {"tile": (16, 32)},
+    "deflated": {"compression": "zlib"}, "deflated_strips": {"compression": "zlib", "rowsperstrip": 7},
+    "predicted": {"compression": "zlib", "predictor": 2, "rowsperstrip": 11},
+    "deflated_tiles": {"compression": "zlib", "tile": (32, 16)}, "big_endian": {"byteorder": ">"},
+    "bigtiff": {"bigtiff": True},
+}
+FLOAT_LAYOUTS = {name: kw for name, kw in LAYOUTS.items() if "predictor" not in kw}
+
+
+def pattern(dtype: str) -> NDArray[Any]:
+    rng = np.random.default_rng(1)
+    if np.dtype(dtype).kind == "f":
+        return rng.normal(0, 1e3, (HEIGHT, WIDTH)).astype(dtype)
+    top = np.iinfo(dtype).max
+    values = rng.integers(0, top, (HEIGHT, WIDTH), dtype=dtype, endpoint=True)
+    values[5, 6] = top
+    return values
+
+
+@pytest.fixture(scope="module")
+def tiffs(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Path, NDArray[Any]]]:
+    folder = tmp_path_factory.mktemp("tiffs")
+    written = []
+    for dtype in ("uint8", "uint16", "float32", "float64"):
+        for name, keywords in (FLOAT_LAYOUTS if dtype.startswith("f") else LAYOUTS).items():
+            path = folder / f"{name}_{dtype}.tif"
+            tifffile.imwrite(path, pattern(dtype), **keywords)
+            written.append((path, pattern(dtype)))
+    return written
+
+
+@st.composite
+def windows(draw: st.DrawFn) -> Window:
+    x0, y0 = draw(st.integers(0, WIDTH - 1)), draw(st.integers(0, HEIGHT - 1))
+    return Window(x0, y0, draw(st.integers(x0 + 1, WIDTH)), draw(st.integers(y0 + 1, HEIGHT)))
+
+
+@given(window=windows())
+def test_every_window_of_every_tiff_layout_is_the_crop_of_the_whole(
+        tiffs: list[tuple[Path, NDArray[Any]]], window: Window) -> None:
+    for path, expected in tiffs:
+        read = open_image(path).read(window)
+        np.testing.assert_array_equal(read, expected[window.y0:window.y1, window.x0:window.x1], str(path))
+        assert read.dtype == expected.dtype
+
+
+def test_only_the_segments_under_the_window_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "tiles.tif"
+    tifffile.imwrite(path, pattern("uint16"), tile=(16, 16), compression="zlib")
+    decoded = []
+    image = open_image(path)
+    original = tifffile.TiffPage.decode.func
+
+    def counting(page: tifffile.TiffPage) -> Any:
+        decode = original(page)
+
+        def count(data: bytes, number: int, **kw: Any) -> Any:
+            decoded.append(number)
+            return decode(data, number, **kw)
+
+        return count
+
+    monkeypatch.setattr(tifffile.TiffPage, "decode", property(counting))
+    image.read(Window(17, 17, 40, 30))
+    # 83 px make 6 tiles a row: the window lies in row 1, columns 1 and 2.
+    assert decoded == [7, 8]
+
+
+@pytest.mark.parametrize(("suffix", "dtype"), [(".png", "uint16"), (".tif", "uint16"), (".png", "uint8"),
+                                               (".bmp", "uint8")])
+def test_files_written_by_opencv_keep_all_their_bits(tmp_path: Path, suffix: str, dtype: str) -> None:
+    path = tmp_path / f"image{suffix}"
+    # OpenCV compresses TIFF by LZW, which tifffile cannot decode without further codecs.
+    cv2.imwrite(str(path), pattern(dtype))
+    image = open_image(path)
+    np.testing.assert_array_equal(image.read(WHOLE), pattern(dtype))
+    assert image.saturation == np.iinfo(dtype).max
+    assert (image.width, image.height) == (WIDTH, HEIGHT)
+
+
+def test_float_images_have_no_saturation(tmp_path: Path) -> None:
+    tifffile.imwrite(tmp_path / "f.tif", pattern("float32"))
+    assert open_image(tmp_path / "f.tif").saturation is None
+
+
+@pytest.mark.parametrize("planar", ["contig", "separate"])
+def test_colour_tiff_turns_grey_with_a_warning_and_keeps_precision(tmp_path: Path, planar: str) -> None:
+    path = tmp_path / "colour.tif"
+    colours = np.random.default_rng(2).integers(0, 65535, (HEIGHT, WIDTH, 4), dtype=np.uint16)
+    stored = colours if planar == "contig" else np.moveaxis(colours, 2, 0).copy()
+    tifffile.imwrite(path, stored, photometric="rgb", planarconfig=planar, extrasamples=["unassalpha"],
+                     rowsperstrip=9)
+    with pytest.warns(UserWarning, match="colour|alpha") as caught:
+        image = open_image(path)
+    assert [word in " ".join(str(w.message) for w in caught) for word in ("colour", "alpha")] == [True, True]
+    read = image.read(Window(3, 4, 50, 60))
+    # float32 holds 65535 to 0.004.
+    np.testing.assert_allclose(read, colours[4:60, 3:50, :3] @ [0.299, 0.587, 0.114], atol=4e-3)
+    assert read.dtype == np.float32
+
+
+def test_colour_png_weighs_red_green_and_blue_in_this_order(tmp_path: Path) -> None:
+    path = tmp_path / "red.png"
+    cv2.imwrite(str(path), np.full((4, 5, 3), (10, 20, 200), np.uint8))  # blue, green, red
+    with pytest.warns(UserWarning, match="colour"):
+        image = open_image(path)
+    # 0.299 * 200 + 0.587 * 20 + 0.114 * 10, to float32's rounding.
+    np.testing.assert_allclose(image.read(Window(0, 0, 5, 4)), 72.68, rtol=1e-6)
+    assert image.saturation == 255
+
+
+def test_further_pages_are_named_in_a_warning(tmp_path: Path) -> None:
+    path = tmp_path / "pages.tif"
+    with tifffile.TiffWriter(path) as writer:
+        writer.write(pattern("uint8"), metadata=None)
+        writer.write(pattern("uint8")[::-1], metadata=None)
+    with pytest.warns(UserWarning, match="2 pages"):
+        image = open_image(path)
+    np.testing.assert_array_equal(image.read(WHOLE), pattern("uint8"))
+
+
+def test_white_stored_as_zero_is_inverted(tmp_path: Path) -> None:
+    tifffile.imwrite(tmp_path / "w.tif", pattern("uint8"), photometric="miniswhite")
+    with pytest.warns(UserWarning, match="inverted"):
+        image = open_image(tmp_path / "w.tif")
+    np.testing.assert_array_equal(image.read(WHOLE), 255 - pattern("uint8"))
+
+
+def test_bilevel_tiff_masks_read_as_zero_and_one(tmp_path: Path) -> None:
+    mask = pattern("uint8") > 100
+    tifffile.imwrite(tmp_path / "m.tif", mask, photometric="minisblack")
+    np.testing.assert_array_equal(open_image(tmp_path / "m.tif").read(Window(3, 4, 50, 60)), mask[4:60, 3:50])
+
+
+def test_grey_files_raise_no_warning(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "a.png"), pattern("uint16"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        open_image(tmp_path / "a.png")
+
+
+def test_missing_foreign_and_cut_files_are_input_errors(tmp_path: Path) -> None:
+    (tmp_path / "text.png").write_text("no image")
+    cv2.imwrite(str(tmp_path / "whole.png"), pattern("uint8"))
+    content = (tmp_path / "whole.png").read_bytes()
+    (tmp_path / "cut.png").write_bytes(content[:len(content) // 2])
+    (tmp_path / "header.tif").write_bytes(b"II*\0")
+    for name in ("missing.tif", "text.png", "cut.png", "header.tif"):
+        with pytest.raises(InputError, match=name):
+            open_image(tmp_path / name)
+
+
+@pytest.mark.parametrize("keywords", [{}, {"compression": "zlib", "rowsperstrip": 7}])
+def test_a_tiff_cut_short_is_an_input_error_where_it_is_read(tmp_path: Path, keywords: dict[str, Any]) -> None:
+    path = tmp_path / "cut.tif"
+    tifffile.imwrite(path, pattern("uint16"), **keywords)
+    os.truncate(path, path.stat().st_size - 500)
+    with pytest.raises(InputError, match=r"cut\.tif"):
+        open_image(path).read(WHOLE)
+
+
+def test_complex_and_palette_tiffs_are_refused(tmp_path: Path) -> None:
+    tifffile.imwrite(tmp_path / "c.tif", np.ones((4, 4), np.complex64))
+    tifffile.imwrite(tmp_path / "p.tif", pattern("uint8"), photometric="palette",
+                     colormap=np.zeros((3, 256), np.uint16))
+    for name in ("c.tif", "p.tif"):
+        with pytest.raises(InputError, match=name):
+            open_image(tmp_path / name)
+
+
+@pytest.mark.parametrize("window", [Window(-1, 0, 5, 5), Window(0, 0, WIDTH + 1, 5), Window(5, 5, 5, 9)])
+def test_windows_must_lie_in_the_image(tmp_path: Path, window: Window) -> None:
+    tifffile.imwrite(tmp_path / "a.tif", pattern("uint8"))
+    with pytest.raises(ValueError, match="leaves the image"):
+        open_image(tmp_path / "a.tif").read(window)
+
+
+def test_not_finite_pixels_are_counted_and_located_unless_masked(tmp_path: Path) -> None:
+    pixels = pattern("float32")
+    pixels[10, 20], pixels[30, 40], pixels[30, 41] = np.nan, np.inf, -np.inf
+    tifffile.imwrite(tmp_path / "f.tif", pixels)
+    image = open_image(tmp_path / "f.tif")
+    with pytest.raises(InputError, match=r"f\.tif: 3 pixel.*\(20, 10\)"):
+        find_not_finite(image)
+    mask = np.ones((HEIGHT, WIDTH), bool)
+    mask[10, 20] = False
+    with pytest.raises(InputError, match=r"2 pixel.*\(40, 30\)"):
+        find_not_finite(image, mask)
+    mask[30, 40:42] = False
+    find_not_finite(image, mask)
+
+
+def test_not_finite_pixels_are_found_in_later_bands(monkeypatch: pytest.MonkeyPatch) -> None:
+    pixels = np.zeros((9, 4))
+    pixels[7, 2] = np.nan
+    source = SimpleNamespace(path=Path("memory"), width=4, height=9, saturation=None,
+                             read=lambda w: pixels[w.y0:w.y1, w.x0:w.x1])
+    monkeypatch.setattr("ddic.io.image_file.BAND_PIXELS", 8)
+    with pytest.raises(InputError, match=r"1 pixel.*\(2, 7\)"):
+        find_not_finite(source)
+
+
+def test_checksum_is_that_of_the_bytes(tmp_path: Path) -> None:
+    (tmp_path / "a").write_bytes(b"speckle" * 1000)
+    assert sha256_of_file(tmp_path / "a") == hashlib.sha256(b"speckle" * 1000).hexdigest()
+
+
+@pytest.mark.real_data
+def test_packed_16_bit_frame_keeps_its_bits() -> None:
+    folder = os.environ.get("DDIC_REAL_DATA")
+    if not folder:
+        pytest.skip("DDIC_REAL_DATA is not set")
+    path = Path(folder) / "fracture" / "img_0000.tif"
+    window = Window(100, 33, 700, 1001)
+    read = open_image(path).read(window)
+    np.testing.assert_array_equal(read, cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[33:1001, 100:700])
+    # An 8-bit reading would end at 255.
+    assert read.max() > 255
