@@ -32,7 +32,7 @@ def info(file: Path) -> None:
     for warning in warned:
         click.echo(f"warning: {warning.message}", err=True)
     for name, value in lines:
-        click.echo(f"{name:<24}{value}")
+        click.echo(f"{name:<28}{value}")
 
 
 def _describe(file: Path) -> Lines:
@@ -41,7 +41,9 @@ def _describe(file: Path) -> Lines:
 
     from ddic.io.result_reader import read_result
 
-    if file.is_file() and h5py.is_hdf5(file):
+    if not file.is_file():
+        raise InputError(f"{file}: no such file; check the path")
+    if h5py.is_hdf5(file):
         return _result_lines(read_result(file))
     return _image_lines(file)
 

@@ -29,7 +29,7 @@ def _local_coordinates(X, x0, y, n, xi, eta):
         h0 = x0 + k - X[0, 0]
         b = ef + h0 * g1 - h1 * g0
         c = h0 * e1 - h1 * e0
-        t = 2.0 * c / (-b - np.sqrt(max(b * b + 4.0 * a * c, 0.0)))
+        t = 2.0 * c / (-b - np.sqrt(max(b * b - 4.0 * a * c, 0.0)))
         p0, p1 = e0 + g0 * t, e1 + g1 * t
         xi[k] = ((h0 - f0 * t) * p0 + (h1 - f1 * t) * p1) / (p0 * p0 + p1 * p1)
         eta[k] = t

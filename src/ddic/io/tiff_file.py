@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import lzma
 import struct
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,8 +22,9 @@ from ddic.io.pixel_format import PixelFormat
 MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 BAND_BYTES = 4 << 20
 GREY, INVERTED_GREY, COLOUR = 1, 0, 2
-DECODING_ERRORS = (tifffile.TiffFileError, ValueError, KeyError, NotImplementedError, ImportError,
-                   RuntimeError, OSError)
+# What tifffile and its codecs let through on damaged files: they have no common base class.
+DECODING_ERRORS = (tifffile.TiffFileError, zlib.error, lzma.LZMAError, struct.error, ValueError, LookupError,
+                   TypeError, ArithmeticError, ImportError, RuntimeError, OSError)
 
 
 def is_tiff(path: Path) -> bool:
@@ -44,18 +47,14 @@ def tiff_format(path: Path) -> PixelFormat:
 
 
 def can_decode(path: Path) -> bool:
-    """Whether the first page's segments can be decoded by tifffile with the codecs that are installed.
-
-    Tried on the first segment, since what tifffile can decode depends on the codecs beside it.
-    """
-    with _opened(path) as (tiff, page):
-        if page.is_contiguous or page.compression == 1:
-            return True
-        tiff.filehandle.seek(page.dataoffsets[0])
-        data = tiff.filehandle.read(page.databytecounts[0])
+    """Whether tifffile has the codecs, here, that the first page's compression needs."""
+    with _opened(path) as (_, page):
         try:
-            page.decode(data, 0)
-        except DECODING_ERRORS:
+            if page.compression != 1:
+                tifffile.TIFF.DECOMPRESSORS[page.compression]
+            if page.predictor != 1:
+                tifffile.TIFF.UNPREDICTORS[page.predictor]
+        except (KeyError, ImportError):
             return False
         return True
 
@@ -67,28 +66,23 @@ def read_tiff(path: Path, layout: PixelFormat, window: Window) -> NDArray[Any]:
     """
     with _opened(path) as (tiff, page):
         out = np.empty((window.height, window.width), np.float32 if layout.n_colours == 3 else layout.dtype)
-        try:
-            for block, x, y in _blocks(tiff, page, layout, window):
-                part = window.intersection(Window(x, y, x + block.shape[1], y + block.shape[0]))
-                pixels = block[part.y0 - y:part.y1 - y, part.x0 - x:part.x1 - x]
-                out[part.y0 - window.y0:part.y1 - window.y0,
-                    part.x0 - window.x0:part.x1 - window.x0] = to_grey(pixels, layout.n_colours)
-        except DECODING_ERRORS as error:
-            raise InputError(f"{path}: cannot be decoded ({error}); "
-                             "save it again as uncompressed TIFF, or install imagecodecs") from error
+        for block, x, y in _blocks(tiff, page, layout, window):
+            part = window.intersection(Window(x, y, x + block.shape[1], y + block.shape[0]))
+            pixels = block[part.y0 - y:part.y1 - y, part.x0 - x:part.x1 - x]
+            out[part.y0 - window.y0:part.y1 - window.y0,
+                part.x0 - window.x0:part.x1 - window.x0] = to_grey(pixels, layout.n_colours)
         return np.subtract(2 ** layout.bits - 1, out, dtype=out.dtype) if layout.inverted else out
 
 
 @contextmanager
 def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
-    """The open file and its first page."""
+    """The open file and its first page; what damage makes tifffile raise inside becomes an InputError."""
     try:
-        tiff = tifffile.TiffFile(path)
-        page = tiff.pages[0]
-    except (*DECODING_ERRORS, struct.error, IndexError, TypeError) as error:
-        raise InputError(f"{path}: not a readable TIFF file ({error}); save it again") from error
-    with tiff:
-        yield tiff, page
+        with tifffile.TiffFile(path) as tiff:
+            yield tiff, tiff.pages[0]
+    except DECODING_ERRORS as error:
+        raise InputError(f"{path}: damaged, or no TIFF that can be decoded ({error}); "
+                         "save it again as uncompressed TIFF") from error
 
 
 def _check_page(path: Path, page: Any) -> None:

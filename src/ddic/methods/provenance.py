@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import platform
-import subprocess
 import sys
 from datetime import UTC, datetime
 from importlib import metadata
-from pathlib import Path
 
 import mpi4py.MPI
 import petsc4py.PETSc
@@ -15,6 +13,7 @@ import petsc4py.PETSc
 import ddic
 from ddic.case.schema import ImagesSection
 from ddic.io.image_file import open_image, sha256_of_file
+from ddic.io.source_tree import source_commit
 
 _LIBRARIES = ("numpy", "scipy", "numba", "h5py", "mpi4py", "petsc4py")
 
@@ -40,16 +39,3 @@ def provenance(images: ImagesSection, *, n_ranks: int, n_subdomains: int) -> dic
         facts[f"{name}_size"] = f"{image.width}x{image.height}"
         facts[f"{name}_sha256"] = sha256_of_file(path)
     return facts
-
-
-def source_commit() -> str:
-    """Commit of the source tree that ddic runs from; "unknown" for an installed package."""
-    root = Path(ddic.__file__).resolve().parents[2]
-    if not (root / ".git").exists():
-        return "unknown"
-    try:
-        done = subprocess.run(["git", "-C", str(root), "rev-parse", "HEAD"], capture_output=True, text=True,
-                              timeout=10, check=True)
-    except (OSError, subprocess.SubprocessError):
-        return "unknown"
-    return done.stdout.strip()

@@ -19,6 +19,7 @@ COMPONENTS: tuple[Component, ...] = ("x", "y", "magnitude")
 COLOURS = "viridis"
 DPI = 150
 WIDTH_INCHES = 7.0
+TALLEST_INCHES = 9.0
 
 
 def image_figure(bounds: tuple[float, float, float, float], title: str) -> tuple[Figure, Axes]:
@@ -28,8 +29,10 @@ def image_figure(bounds: tuple[float, float, float, float], title: str) -> tuple
     """
     x0, y0, x1, y1 = bounds
     ratio = (y1 - y0) / max(x1 - x0, 1e-12)
-    figure = Figure(figsize=(WIDTH_INCHES, float(np.clip(WIDTH_INCHES * ratio, 2.0, 10.0)) + 0.6),
-                    layout="tight")
+    height = float(np.clip(WIDTH_INCHES * ratio, 2.0, TALLEST_INCHES))
+    # A tall mesh gets a narrow page, with room for labels and the colour bar.
+    width = float(np.clip(height / ratio + 2.0, 4.5, WIDTH_INCHES)) if ratio > 0 else WIDTH_INCHES
+    figure = Figure(figsize=(width, height + 0.6), layout="tight")
     axes = figure.add_subplot()
     axes.set_xlim(x0, x1)
     axes.set_ylim(y1, y0)

@@ -11,20 +11,26 @@ from ddic.io.plots.canvas import cell_polygons, image_figure, mesh_bounds
 from ddic.io.plots.preview import Preview
 from ddic.io.result_reader import Result
 
-PALETTE, N_COLOURS = "tab20", 20
+# Without its grey, which is lost on the image.
+PALETTE = np.delete(colormaps["tab10"](np.arange(10)), 7, axis=0)
+MARGIN = 0.1
 
 
 def partition_figure(result: Result, image: Preview | None = None) -> Figure:
-    """Subdomains in colour with the bounding box of each (its sub-image without halo), over the image."""
+    """Subdomains in colour with the bounding box of each (its sub-image without halo), over the image around."""
     mesh = result.mesh
-    bounds = mesh_bounds(mesh.nodes) if image is None else (-0.5, -0.5, image.width - 0.5, image.height - 0.5)
-    cells = f"{mesh.n_cells} cells, {result.n_subdomains} subdomains"
-    figure, axes = image_figure(bounds, f"Partition and sub-images: {cells}")
+    bounds = mesh_bounds(mesh.nodes, MARGIN)
+    if image is not None:
+        bounds = (max(bounds[0], -0.5), max(bounds[1], -0.5),
+                  min(bounds[2], image.width - 0.5), min(bounds[3], image.height - 0.5))
+    sizes = f"{mesh.n_cells} cells, {result.n_subdomains} subdomains"
+    figure, axes = image_figure(bounds, f"Partition: {sizes}")
     if image is not None:
         image.draw(axes)
-    palette = np.asarray(colormaps[PALETTE](np.arange(N_COLOURS)))
-    # Neighbours in number are often neighbours on the mesh: a stride sets their colours apart.
-    colours = palette[(7 * result.subdomain_ids) % N_COLOURS]
+        # Drawing an image moves the limits to its own.
+        axes.set_xlim(bounds[0], bounds[2])
+        axes.set_ylim(bounds[3], bounds[1])
+    colours = PALETTE[result.subdomain_ids % len(PALETTE)]
     axes.add_collection(cell_polygons(mesh, mesh.nodes, facecolors=colours, edgecolors="black",
                                       linewidths=0.15, alpha=0.45))
     for subdomain in np.unique(result.subdomain_ids):
@@ -32,7 +38,7 @@ def partition_figure(result: Result, image: Preview | None = None) -> Figure:
         nodes = mesh.cells[members]
         corners = mesh.nodes[nodes[nodes >= 0]]
         low, high = corners.min(axis=0), corners.max(axis=0)
-        colour = palette[(7 * subdomain) % N_COLOURS]
+        colour = PALETTE[subdomain % len(PALETTE)]
         axes.add_patch(Rectangle((low[0], low[1]), *(high - low), fill=False, edgecolor=colour, linewidth=1.6,
                                  linestyle="--"))
     return figure

@@ -67,6 +67,11 @@ class DualStep:
         self._ksp = self._configure(comm, settings)
 
     @property
+    def ksp(self) -> PETSc.KSP:
+        """PETSc's Krylov solver, for monitors."""
+        return self._ksp
+
+    @property
     def n_interface(self) -> int:
         """Number of interface unknowns."""
         return self._exchange.n_global
@@ -76,10 +81,14 @@ class DualStep:
         right = [system.right_hand_side(b_s, q_s) for system, b_s, q_s in zip(self._systems, b, q, strict=True)]
         free = [local.operator.solve(r) for local, r in zip(self._locals, right, strict=True)]
         history = self._solve_interface([q_s + y for q_s, y in zip(q, free, strict=True)])
-        v = self._exchange.to_ghosts(self._multipliers)
-        dq = [y - local.operator.solve(local.jump_transposed @ v)
-              for y, local in zip(free, self._locals, strict=True)]
-        return StepResult(dq, len(history) - 1 if len(history) else 0, history)
+        dq = self.correction(free, self._multipliers)
+        return StepResult(dq, max(len(history) - 1, 0), history)
+
+    def correction(self, free: Sequence[NDArray[np.float64]], multipliers: PETSc.Vec) -> list[NDArray[np.float64]]:
+        """Correction dq_s = free_s - A_s^-1 G_s^T v for multipliers v, free_s the part without them, Eq. 24a of [BP17]."""
+        v = self._exchange.to_ghosts(multipliers)
+        return [y - local.operator.solve(local.jump_transposed @ v)
+                for y, local in zip(free, self._locals, strict=True)]
 
     def destroy(self) -> None:
         """Free PETSc's objects; must be called before the interpreter ends."""

@@ -1,0 +1,21 @@
+"""The source tree that ddic runs from."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+import ddic
+
+
+def source_commit() -> str:
+    """Commit of the source tree that ddic runs from; "unknown" for an installed package."""
+    root = Path(ddic.__file__).resolve().parents[2]
+    if not (root / ".git").exists():
+        return "unknown"
+    try:
+        done = subprocess.run(["git", "-C", str(root), "rev-parse", "HEAD"], capture_output=True, text=True,
+                              timeout=10, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"
+    return done.stdout.strip()

@@ -1,0 +1,101 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+from click.testing import CliRunner
+
+from ddic.cli.info import info
+from ddic.cli.plot import plot
+from ddic.io.image_report import image_report
+
+Write = Callable[..., Path]
+
+
+def test_info_of_an_image(tmp_path: Path) -> None:
+    # A ramp of 3 along x and 4 along y: |grad f|^2 = 25 everywhere; one saturated pixel at its end.
+    ramp = (3 * np.arange(100) + 4 * np.arange(50)[:, None]).astype(np.uint16)
+    tifffile.imwrite(tmp_path / "ramp.tif", ramp)
+    outcome = CliRunner().invoke(info, [str(tmp_path / "ramp.tif")])
+    assert outcome.exit_code == 0
+    assert "100 x 50 px" in outcome.output
+    assert "uint16, 16 bit" in outcome.output
+    assert "0 to 493 grey levels" in outcome.output
+    assert "25 (grey level / px)^2" in outcome.output
+
+
+def test_image_report_does_not_depend_on_the_bands(monkeypatch: pytest.MonkeyPatch) -> None:
+    pixels = np.random.default_rng(5).integers(0, 256, (37, 20), dtype=np.uint8)
+    pixels[4, :5] = 255
+    source = SimpleNamespace(path=Path("memory"), width=20, height=37, saturation=255.0,
+                             read=lambda w: pixels[w.y0:w.y1, w.x0:w.x1])
+    whole = image_report(source)
+    monkeypatch.setattr("ddic.io.image_report.BAND_PIXELS", 80)
+    banded = image_report(source)
+    assert whole.n_saturated == banded.n_saturated == np.count_nonzero(pixels == 255)
+    # Sums in another order: a few roundings of float64.
+    assert banded.gradient_energy == pytest.approx(whole.gradient_energy, rel=1e-13)
+    assert banded.mean == pytest.approx(pixels.mean(), rel=1e-13)
+    assert (banded.lowest, banded.highest) == (pixels.min(), 255)
+
+
+def test_info_warns_of_colour_on_standard_error(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "c.png"), np.full((8, 9, 3), 255, np.uint8))
+    outcome = CliRunner().invoke(info, [str(tmp_path / "c.png")])
+    assert "warning" in outcome.stderr
+    # Grey of full white is the integer type's largest value: counted as saturated.
+    assert "100.000 %" in outcome.stdout
+
+
+def test_info_of_a_result(tmp_path: Path, write_result: Write) -> None:
+    outcome = CliRunner().invoke(info, [str(write_result(tmp_path / "r.vtkhdf", flip_y=True))])
+    assert outcome.exit_code == 0
+    for text in ("20 nodes, 15 cells, 40 unknowns", "strain_green_lagrange", "2 iterations", "2, 1",
+                 "provenance.n_ranks", "text of"):
+        assert text in outcome.output
+    assert outcome.output.splitlines()[3].split() == ["y", "axis", "in", "the", "file", "up"]
+
+
+@pytest.mark.parametrize("command", [info, plot])
+def test_unreadable_files_end_with_one_line_and_exit_code_2(tmp_path: Path, command: object) -> None:
+    (tmp_path / "bad.vtkhdf").write_text("nothing")
+    outcome = CliRunner().invoke(command, [str(tmp_path / "bad.vtkhdf")])
+    assert outcome.exit_code == 2
+    assert "bad.vtkhdf" in outcome.stderr
+    assert len(outcome.stderr.splitlines()) == 1
+
+
+def test_plot_draws_all_that_the_file_allows(tmp_path: Path, write_result: Write) -> None:
+    reference = tmp_path / "f.tif"
+    tifffile.imwrite(reference, np.zeros((50, 60), np.uint8))
+    path = write_result(tmp_path / "r.vtkhdf", reference=str(reference))
+    outcome = CliRunner().invoke(plot, [str(path), "--output", str(tmp_path / "pictures")])
+    assert outcome.exit_code == 0, outcome.output
+    drawn = sorted(p.name for p in (tmp_path / "pictures").iterdir())
+    assert drawn == [f"r.{kind}.png" for kind in ("deformed", "krylov", "partition", "residual")]
+    for name in drawn:
+        picture = cv2.imread(str(tmp_path / "pictures" / name))
+        # 7 inches at 150 dpi, and more than an empty page.
+        assert picture.shape[1] == 1050
+        assert picture.std() > 5
+
+
+def test_plot_of_two_results_adds_the_difference(tmp_path: Path, write_result: Write) -> None:
+    one, two = write_result(tmp_path / "a.vtkhdf"), write_result(tmp_path / "b.vtkhdf", curves=False)
+    outcome = CliRunner().invoke(plot, [str(one), "--other", str(two), "--component", "x"])
+    assert outcome.exit_code == 0, outcome.output
+    assert (tmp_path / "a.difference.png").exists()
+
+
+@pytest.mark.parametrize(("kind", "remedy"), [("difference", "--other"), ("krylov", "another --kind")])
+def test_plot_says_what_a_figure_lacks(tmp_path: Path, write_result: Write, kind: str, remedy: str) -> None:
+    path = write_result(tmp_path / "r.vtkhdf", curves=False)
+    outcome = CliRunner().invoke(plot, [str(path), "--kind", kind])
+    assert outcome.exit_code == 2
+    assert remedy in outcome.stderr
+    assert not list(tmp_path.glob("*.png"))

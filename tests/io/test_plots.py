@@ -1,0 +1,109 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+from matplotlib.collections import PolyCollection
+from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
+
+from ddic.io.image_file import open_image
+from ddic.io.plots.canvas import triangulation
+from ddic.io.plots.deformed import deformed_figure, visible_amplification
+from ddic.io.plots.difference import difference_figure
+from ddic.io.plots.krylov import krylov_figure
+from ddic.io.plots.partition import partition_figure
+from ddic.io.plots.preview import read_preview
+from ddic.io.plots.residual import residual_figure
+from ddic.io.result_reader import Result, read_result
+from ddic.mesh.mesh import Mesh
+
+Write = Callable[..., Path]
+
+
+@pytest.fixture
+def result(tmp_path: Path, write_result: Write) -> Result:
+    return read_result(write_result(tmp_path / "r.vtkhdf"))
+
+
+def cells_drawn(axes: object) -> list[PolyCollection]:
+    return [c for c in axes.collections if isinstance(c, PolyCollection)]
+
+
+def test_partition_boxes_bound_the_subdomains_over_the_image(tmp_path: Path, result: Result) -> None:
+    tifffile.imwrite(tmp_path / "f.tif", np.zeros((50, 60), np.uint8))
+    axes = partition_figure(result, read_preview(open_image(tmp_path / "f.tif"))).axes[0]
+    boxes = sorted(p.get_bbox().extents.tolist() for p in axes.patches if isinstance(p, Rectangle))
+    # Two columns of 10 px squares on each side, from (5, 7).
+    assert boxes == [[5, 7, 25, 37], [25, 7, 45, 37]]
+    # The mesh and a tenth of its longer side (40 px) around it.
+    assert axes.get_xlim() == (1, 49)
+    assert axes.get_ylim() == (41, 3)
+    assert axes.images[0].get_extent() == [-0.5, 59.5, 49.5, -0.5]
+    colours = cells_drawn(axes)[0].get_facecolor()
+    assert len(colours) == result.mesh.n_cells
+    assert len(np.unique(colours, axis=0)) == 2
+
+
+def test_deformed_cells_are_drawn_where_amplified_displacement_puts_them(result: Result) -> None:
+    axes = deformed_figure(result, "x", 3.0).axes[0]
+    moved = result.mesh.nodes + 3 * result.displacement
+    first = cells_drawn(axes)[-1].get_paths()[0].vertices[:4]
+    np.testing.assert_allclose(first, moved[result.mesh.cells[0]])
+    assert axes.yaxis_inverted()
+
+
+def test_chosen_amplification_has_one_digit_and_shows(result: Result) -> None:
+    factor = visible_amplification(result)
+    departure = np.abs(result.displacement - result.displacement.mean(axis=0)).max()
+    # One digit is at most a third off the wanted 5 % of the longer side (40 px).
+    assert 1.3 < factor * departure < 2.7
+
+
+def test_residual_map_shows_the_absolute_residual_at_its_pixels(result: Result,
+                                                                residual: NDArray[np.float32]) -> None:
+    figure = residual_figure(result)
+    picture = figure.axes[0].images[0]
+    np.testing.assert_array_equal(picture.get_array().filled(np.nan), np.abs(residual))
+    assert picture.get_extent() == [-0.5, 59.5, 49.5, -0.5]
+
+
+def test_residual_by_cell_where_there_is_no_residual_image(tmp_path: Path, write_result: Write) -> None:
+    result = read_result(write_result(tmp_path / "r.vtkhdf", residual=False))
+    cells = cells_drawn(residual_figure(result).axes[0])[0]
+    np.testing.assert_array_equal(cells.get_array(), result.cell_data["residual_rms"])
+
+
+def test_difference_with_itself_is_zero_and_with_a_flipped_file_too(tmp_path: Path, write_result: Write,
+                                                                    result: Result) -> None:
+    other = read_result(write_result(tmp_path / "up.vtkhdf", flip_y=True))
+    axes = difference_figure(result, other).axes[0]
+    assert "RMS 0.00e+00 px" in axes.get_title()
+    assert not axes.collections[0].get_array().any()
+
+
+def test_krylov_curves_one_line_per_history(result: Result) -> None:
+    axes = krylov_figure({"a": result.krylov, "b": [np.array([1.0, 0.0]), np.zeros(0)]}).axes[0]
+    assert [line.get_label() for line in axes.lines] == [
+        "a, Gauss-Newton 1", "a, Gauss-Newton 2", "b, Gauss-Newton 1"]
+    np.testing.assert_array_equal(axes.lines[0].get_ydata(), [1.0, 0.1, 0.001])
+    assert np.isnan(axes.lines[2].get_ydata()[1])
+    assert axes.get_yscale() == "log"
+
+
+def test_triangles_cover_the_mesh(mesh: Mesh) -> None:
+    corners = mesh.nodes[triangulation(mesh, mesh.nodes).triangles]
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    # 12 squares of 100 px^2; float64 products of small integers are exact.
+    assert 0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum() == 1200
+
+
+def test_previews_keep_every_step_th_pixel_across_bands(tmp_path: Path) -> None:
+    pixels = np.arange(4100 * 5, dtype=np.uint16).reshape(4100, 5)
+    tifffile.imwrite(tmp_path / "tall.tif", pixels)
+    preview = read_preview(open_image(tmp_path / "tall.tif"))
+    assert preview.step == 3
+    np.testing.assert_array_equal(preview.pixels, pixels[::3, ::3])
