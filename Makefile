@@ -31,8 +31,8 @@ lint: setup ## ruff, mypy, the import contracts, and the import under numpy 2
 bench: setup ## run every benchmark; results go to bench/results
 	@bash scripts/run_bench.sh
 
-accept-core: setup ## measure the acceptance table; non-zero exit where a bound is missed
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/accept_core.py
+accept-core: setup ## measure the acceptance table (CHECK=NAME: one check); non-zero exit where a bound is missed
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/accept_core.py $(CHECK)
 
 clean: ## remove the environments and caches
 	rm -rf .venv .venv-numpy2 .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from fractions import Fraction
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from random_meshes import (
+from support.random_meshes import (
     PARTITIONS,
     SEEDS,
     delaunay_meshes,
@@ -62,28 +60,40 @@ def distance_to_segments(points: NDArray[np.float64], a: NDArray[np.float64],
     return np.asarray(np.linalg.norm(points[:, None] - a - t[..., None] * along, axis=2).min(axis=1))
 
 
-def owns(polygon: list[tuple[Fraction, Fraction]], x: int, y: int) -> bool:
-    """Whether a convex polygon holds (x, y) moved by an infinitesimal step right and a much smaller one down."""
-    for (ax, ay), (bx, by) in zip(polygon, polygon[1:] + polygon[:1], strict=True):
-        ex, ey = bx - ax, by - ay
-        signs = (ex * (y - ay) - ey * (x - ax), -ey, ex)
-        if next((s for s in signs if s != 0), Fraction(0)) <= 0:
-            return False
-    return True
+def owned_by_rule(polygon: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether a convex polygon holds points moved by an infinitesimal step right and a much smaller one down.
+
+    Coordinates are multiples of 1/2, so that integers decide exactly.
+    """
+    ends, places = (2 * polygon).astype(np.int64), (2 * points).astype(np.int64)
+    edges = np.roll(ends, -1, axis=0) - ends
+    relative = places[:, None] - ends
+    cross = edges[:, 0] * relative[..., 1] - edges[:, 1] * relative[..., 0]
+    by_step = np.where(edges[:, 1] != 0, -edges[:, 1], edges[:, 0])
+    return np.asarray((np.where(cross != 0, cross, by_step) > 0).all(axis=1))
 
 
 @settings(max_examples=60)
 @given(mesh=lattice_meshes())
 def test_pixels_on_edges_and_nodes_follow_the_exact_rule(mesh: Mesh) -> None:
-    # With nodes on halves of pixels a crossing is a pixel centre exactly or more than NEAR away from it,
-    # so that exact fractions decide every tie.
-    found = pixels_of(rasterize(mesh))
-    for e in range(mesh.n_cells):
-        polygon = [(Fraction(x), Fraction(y)) for x, y in corners(mesh, e)]
-        low, high = np.floor(corners(mesh, e).min(axis=0)), np.ceil(corners(mesh, e).max(axis=0))
-        expected = {(x, y) for x in range(int(low[0]), int(high[0]) + 1)
-                    for y in range(int(low[1]), int(high[1]) + 1) if owns(polygon, x, y)}
-        assert found[e] == expected
+    # With nodes on halves of pixels a crossing is a pixel centre exactly or more than NEAR away from it.
+    points = pixels_around(mesh)
+    for e, pixels in enumerate(pixels_of(rasterize(mesh))):
+        expected = points[owned_by_rule(corners(mesh, e), points)]
+        assert pixels == {(int(x), int(y)) for x, y in expected}
+
+
+@pytest.mark.parametrize("slope", [(1, 1), (-1, 1), (3, 1), (-2, 3)])
+def test_pixels_on_a_long_edge_follow_the_exact_rule(slope: tuple[int, int]) -> None:
+    # Crossings like 1/49 x 49 are a rounding error away from the pixel centre that they hit.
+    for d in range(2, 120):
+        nodes = np.array([[0, 0], [d * slope[0], d * slope[1]], [-200, 120], [200, -80]], dtype=float)
+        mesh = mesh_from_cells(nodes, {VTK_TRIANGLE: np.array([[0, 1, 2], [1, 0, 3]])})
+        on_edge = np.arange(d)[:, None] * np.array(slope)
+        found = pixels_of(rasterize(mesh))
+        for e in range(2):
+            expected = owned_by_rule(corners(mesh, e), on_edge)
+            assert [(int(x), int(y)) in found[e] for x, y in on_edge] == expected.tolist()
 
 
 @settings(max_examples=100)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -10,7 +12,7 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from ddic.errors import on_all_ranks
+from ddic.errors import DdicError, on_all_ranks
 
 T = TypeVar("T")
 
@@ -38,32 +40,12 @@ class Team:
 
     def on_root(self, work: Callable[[], T]) -> T:
         """Run ``work`` on rank 0 and give every rank its result; an error there is raised on all ranks."""
-        outcome: Any = None
-        error: BaseException | None = None
-        if self.is_root:
-            try:
-                outcome = work()
-            except Exception as caught:
-                error = caught
-        error = self.comm.bcast(error, root=0)
-        if error is not None:
-            raise on_all_ranks(error)
-        result: T = self.comm.bcast(outcome, root=0)
+        result: T = self.comm.bcast(self._attempt_on_root(work), root=0)
         return result
 
     def scatter_from_root(self, work: Callable[[], Sequence[T]]) -> T:
         """Run ``work`` on rank 0, which returns one item per rank, and give each rank its own."""
-        items: Sequence[T] | None = None
-        error: BaseException | None = None
-        if self.is_root:
-            try:
-                items = work()
-            except Exception as caught:
-                error = caught
-        error = self.comm.bcast(error, root=0)
-        if error is not None:
-            raise on_all_ranks(error)
-        item: T = self.comm.scatter(items, root=0)
+        item: T = self.comm.scatter(self._attempt_on_root(work), root=0)
         return item
 
     def together(self, work: Callable[[], T]) -> T:
@@ -73,7 +55,7 @@ class Team:
         try:
             result = work()
         except Exception as caught:
-            error = caught
+            error = _portable(caught, self.rank)
         failed = self.comm.allreduce(self.rank if error is not None else self.size, op=MPI.MIN)
         if failed < self.size:
             error = self.comm.bcast(error, root=failed)
@@ -81,6 +63,20 @@ class Team:
             raise on_all_ranks(error)
         final: T = result
         return final
+
+    def _attempt_on_root(self, work: Callable[[], T]) -> T | None:
+        """Run ``work`` on rank 0 alone; its result there, None elsewhere, its error on all ranks."""
+        outcome: T | None = None
+        error: Exception | None = None
+        if self.is_root:
+            try:
+                outcome = work()
+            except Exception as caught:
+                error = _portable(caught, self.rank)
+        error = self.comm.bcast(error, root=0)
+        if error is not None:
+            raise on_all_ranks(error)
+        return outcome
 
     def ordered_sum(self, values: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
         """Sum one array per owned subdomain over all subdomains, in their order.
@@ -94,3 +90,18 @@ class Team:
     def gather_lists(self, values: Sequence[T]) -> list[T]:
         """All ranks' items, in the order of ranks, on every rank."""
         return [v for part in self.comm.allgather(list(values)) for v in part]
+
+
+def _portable(error: Exception, rank: int) -> Exception:
+    """The error as other ranks can receive it; an unexpected one brings its traceback along as a note."""
+    if isinstance(error, DdicError):
+        return error
+    error.add_note(f"on rank {rank}:\n{''.join(traceback.format_exception(error))}")
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        # Some exceptions cannot be rebuilt from their arguments, which would end the other ranks without a reason.
+        stand_in = RuntimeError(f"{type(error).__name__}: {error}")
+        stand_in.__notes__ = error.__notes__
+        return stand_in
+    return error

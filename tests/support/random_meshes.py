@@ -74,7 +74,7 @@ def lattice_meshes(draw: st.DrawFn) -> Mesh:
     """Meshes whose nodes have integer or half-integer coordinates: many pixel centres lie on edges."""
     step = draw(st.sampled_from([0.5, 1.0]))
     if draw(st.booleans()):
-        return delaunay_mesh(draw(SEEDS), draw(st.integers(4, 30)), draw(st.sampled_from([6.0, 20.0])), step)
+        return delaunay_mesh(draw(SEEDS), draw(st.integers(4, 30)), draw(st.sampled_from([6.0, 20.0, 120.0])), step)
     mesh = grid_mesh(draw(st.integers(1, 4)), draw(st.integers(1, 4)), (6.0, 6.0), seed=draw(SEEDS),
                      cells=draw(st.sampled_from(["Q4", "T3", "mixed"])), jitter=draw(st.sampled_from([0.0, 0.16])))
     nodes = np.round(mesh.nodes / step) * step

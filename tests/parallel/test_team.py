@@ -1,0 +1,125 @@
+"""Shared decisions, shared errors and sums in a fixed order."""
+
+from __future__ import annotations
+
+from typing import NoReturn
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from ddic.errors import InputError, SingularSubdomainError, is_on_all_ranks
+from ddic.parallel.distribution import owners
+from ddic.parallel.team import Team
+
+RANKS = [1, 2, 3, 4]
+
+
+@pytest.fixture
+def team() -> Team:
+    return Team(MPI.COMM_WORLD)
+
+
+def _fail(error: Exception) -> NoReturn:
+    raise error
+
+
+class NotPicklable(Exception):
+    """Its copy cannot be made: __init__ asks for more than it passes on."""
+
+    def __init__(self, first: str, second: str) -> None:
+        super().__init__(first)
+        self.second = second
+
+
+@pytest.mark.parallel(RANKS)
+def test_only_the_root_works_and_all_ranks_get_its_result(team: Team) -> None:
+    ran: list[int] = []
+    value = team.on_root(lambda: ran.append(team.rank) or {"rank": team.rank})
+    assert value == {"rank": 0}
+    assert ran == ([0] if team.rank == 0 else [])
+    assert team.is_root == (team.rank == 0)
+
+
+@pytest.mark.parallel(RANKS)
+def test_an_error_on_the_root_is_raised_on_all_ranks(team: Team) -> None:
+    with pytest.raises(InputError, match="first") as caught:
+        team.on_root(lambda: _fail(InputError(["first", "second"])))
+    assert is_on_all_ranks(caught.value)
+    assert caught.value.problems == ("first", "second")
+
+
+@pytest.mark.parallel(RANKS)
+def test_scatter_gives_each_rank_its_item(team: Team) -> None:
+    assert team.scatter_from_root(lambda: [10 * rank for rank in range(team.size)]) == 10 * team.rank
+    with pytest.raises(InputError) as caught:
+        team.scatter_from_root(lambda: _fail(InputError("nothing to give")))
+    assert is_on_all_ranks(caught.value)
+
+
+@pytest.mark.parallel(RANKS)
+def test_together_returns_each_ranks_own(team: Team) -> None:
+    assert team.together(lambda: team.rank) == team.rank
+
+
+@pytest.mark.parallel(RANKS)
+@pytest.mark.parametrize("failing", range(4))
+def test_an_error_on_one_rank_is_raised_on_all(team: Team, failing: int) -> None:
+    failing %= team.size
+
+    def work() -> None:
+        if team.rank == failing:
+            raise SingularSubdomainError(f"rank {failing} has no texture")
+
+    with pytest.raises(SingularSubdomainError, match=f"rank {failing} has no texture") as caught:
+        team.together(work)
+    assert is_on_all_ranks(caught.value)
+    # The ranks are still in step.
+    assert team.comm.allreduce(1) == team.size
+
+
+@pytest.mark.parallel(RANKS)
+def test_of_several_errors_the_lowest_ranks_is_told(team: Team) -> None:
+    with pytest.raises(InputError, match="from rank 0"):
+        team.together(lambda: _fail(InputError(f"from rank {team.rank}")))
+
+
+@pytest.mark.parallel(RANKS)
+def test_an_unexpected_error_brings_the_traceback_of_its_rank(team: Team) -> None:
+    last = team.size - 1
+
+    def deep_inside() -> None:
+        if team.rank == last:
+            raise ZeroDivisionError("on one rank")
+
+    with pytest.raises(ZeroDivisionError, match="on one rank") as caught:
+        team.together(deep_inside)
+    assert f"rank {last}" in "".join(caught.value.__notes__)
+    assert "in deep_inside" in "".join(caught.value.__notes__)
+
+
+@pytest.mark.parallel(RANKS)
+@pytest.mark.parametrize("operation", ["on_root", "together", "scatter_from_root"])
+def test_an_error_that_cannot_travel_is_still_raised_on_all_ranks(team: Team, operation: str) -> None:
+    with pytest.raises(RuntimeError, match="NotPicklable: the reason") as caught:
+        getattr(team, operation)(lambda: _fail(NotPicklable("the reason", "lost")))
+    assert is_on_all_ranks(caught.value)
+
+
+@pytest.mark.parallel(RANKS)
+def test_ordered_sum_is_the_same_to_the_last_bit_however_subdomains_are_spread(team: Team) -> None:
+    # Terms of very different sizes: any other order of the sum would round differently.
+    rng = np.random.default_rng(0)
+    terms = [rng.normal(size=3) * 10.0 ** rng.integers(-8, 8) for _ in range(11)]
+    mine = [terms[s] for s in owners(11, team.size)[team.rank]]
+    total = team.ordered_sum(mine)
+    alone = Team(MPI.COMM_SELF).ordered_sum(terms)
+    np.testing.assert_array_equal(total, alone)
+    # At most 11 roundings of the largest partial sum.
+    np.testing.assert_allclose(total, np.sum(terms, axis=0), rtol=0, atol=1e-14 * np.abs(terms).sum())
+
+
+@pytest.mark.parallel(RANKS)
+def test_lists_are_gathered_in_the_order_of_ranks(team: Team) -> None:
+    mine = [(team.rank, k) for k in range(team.rank + 1)]
+    assert team.gather_lists(mine) == [(rank, k) for rank in range(team.size) for k in range(rank + 1)]
