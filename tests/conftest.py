@@ -39,6 +39,14 @@ def _collect_on_all_ranks_together() -> Iterator[None]:
 
 
 @pytest.fixture
+def shared_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A fresh folder that all ranks see: rank 0's."""
+    root = MPI.COMM_WORLD.rank == 0
+    path: Path = MPI.COMM_WORLD.bcast(tmp_path_factory.mktemp("shared") if root else None)
+    return path
+
+
+@pytest.fixture
 def real_data() -> Path:
     """Folder of the real images; without DDIC_REAL_DATA the test is skipped."""
     folder = os.environ.get("DDIC_REAL_DATA")

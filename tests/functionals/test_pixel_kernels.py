@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from support.pictures import source
-from support.random_meshes import SEEDS, Cells, grid_mesh
-from support.slow_correlation import SlowSums, cell_pixels, slow_sums
 
 from ddic.functionals.correlation import Correlation, correlation
 from ddic.functionals.pixel_kernels import CHUNK
 from ddic.images.sub_image import DeformedSubImage
 from ddic.mesh.mesh import Mesh
+from support.pictures import source
+from support.random_meshes import SEEDS, Cells, grid_mesh
+from support.slow_correlation import SlowSums, cell_pixels, slow_sums
 
 # Coefficients are stored in float32 (6e-8 of up to 10 times the grey levels on white noise).
 GREY_ROUNDING = 1e-6

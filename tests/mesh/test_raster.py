@@ -7,6 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+
+from ddic.images.window import Window
+from ddic.mesh.mesh import VTK_TRIANGLE, Mesh, mesh_from_cells
+from ddic.mesh.raster import SNAP, Raster, rasterize
+from ddic.mesh.topology import boundary_facets
 from support.random_meshes import (
     PARTITIONS,
     SEEDS,
@@ -16,11 +21,6 @@ from support.random_meshes import (
     lattice_meshes,
     random_partition,
 )
-
-from ddic.images.window import Window
-from ddic.mesh.mesh import VTK_TRIANGLE, Mesh, mesh_from_cells
-from ddic.mesh.raster import SNAP, Raster, rasterize
-from ddic.mesh.topology import boundary_facets
 
 # Crossings are rounded by up to half a step; so much nearer to an edge a pixel may go to either side.
 NEAR = 1.0 / SNAP

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from mpi4py import MPI
-from support.linear import linear_step, split
 
 from ddic.errors import InputError, is_on_all_ranks
 from ddic.parallel.distribution import distribute, owners
 from ddic.parallel.team import Team
 from ddic.partition.connectivity import build_subdomains
+from support.linear import linear_step, split
 
 RANKS = [1, 2, 3, 4]
 

@@ -10,7 +10,6 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 from scipy import ndimage, sparse
-from support.pictures import source
 
 from ddic.functionals.correlation import correlation
 from ddic.functionals.elasticity import Material
@@ -30,6 +29,7 @@ from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.monolithic import MonolithicStep
 from ddic.solvers.step import StepResult
+from support.pictures import source
 
 CELL = 8.0
 

@@ -23,6 +23,7 @@ _COLUMNS = ("iter", "|dq|/|q|", "RMS dq [px]", "residual [grey]", "[% range]", "
 
 class _Bar(Protocol):
     def phase(self, name: str) -> None: ...
+    def settle(self) -> None: ...
     def stop(self) -> None: ...
 
 
@@ -53,6 +54,7 @@ class RunConsole:
 
     def setting(self, setting: Setting) -> None:
         """Print the sizes and the head of the iteration table."""
+        self._bar.settle()
         self._range = setting.dynamic_range or 1.0
         weight = f", eta = {setting.eta:.4g}" if setting.eta else ""
         self._print(f"{setting.n_dofs} unknowns, {setting.n_cells} elements, {setting.n_pixels} pixels; "
@@ -100,6 +102,9 @@ class _ProgressBar:
     def phase(self, name: str) -> None:
         self._progress.update(self._task, description=name, completed=PHASES.index(name))
 
+    def settle(self) -> None:
+        pass
+
     def stop(self) -> None:
         self._progress.stop()
 
@@ -117,6 +122,10 @@ class _PhaseLines:
     def phase(self, name: str) -> None:
         self._close()
         self._name, self._began = name, time.perf_counter()
+
+    def settle(self) -> None:
+        # So that the line of the phase before does not land in the iteration table.
+        self._close()
 
     def stop(self) -> None:
         self._close()

@@ -5,9 +5,12 @@ from __future__ import annotations
 import signal
 import sys
 import traceback
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import NoReturn
+from typing import NoReturn, TextIO
 
 import click
 
@@ -44,14 +47,34 @@ def _run_everywhere(case_file: Path) -> int:
     cv2.setNumThreads(1)
     team = Team(MPI.COMM_WORLD)
     try:
-        if not team.is_root:
-            run_case(team, case_file, Silence())
-            return 0
-        with RunConsole() as console:
-            console.finish(run_case(team, case_file, console))
+        with _warnings_told_once(team.is_root):
+            if not team.is_root:
+                run_case(team, case_file, Silence())
+                return 0
+            with RunConsole() as console:
+                console.finish(run_case(team, case_file, console))
     except BaseException as error:
         return _failed(team, error)
     return 0
+
+
+@contextmanager
+def _warnings_told_once(speaks: bool) -> Iterator[None]:
+    """Show warnings about the inputs as one line each, where ``speaks``; all ranks open the same images."""
+    told: set[str] = set()
+
+    def show(message: Warning | str, category: type[Warning], filename: str, lineno: int,
+             file: TextIO | None = None, line: str | None = None) -> None:
+        text = str(message)
+        if not issubclass(category, UserWarning):
+            click.echo(warnings.formatwarning(message, category, filename, lineno, line), err=True, nl=False)
+        elif speaks and text not in told:
+            told.add(text)
+            click.echo(f"warning: {text}", err=True)
+
+    with warnings.catch_warnings():
+        warnings.showwarning = show
+        yield
 
 
 def _failed(team: object, error: BaseException) -> int:
@@ -69,13 +92,19 @@ def _failed(team: object, error: BaseException) -> int:
         elif isinstance(error, KeyboardInterrupt | SystemExit):
             lines, code = [f"{where}interrupted; no result was written"], 130
         else:
-            lines = [f"{where}{line}" for line in "".join(traceback.format_exception(error)).splitlines()]
+            lines = [f"{where}{line}" for line in _trace(error).splitlines()]
         sys.stdout.flush()
         click.echo("\n".join(lines), err=True)
         sys.stderr.flush()
     if team.size > 1 and not everywhere:
         team.comm.Abort(code)
     return code
+
+
+def _trace(error: BaseException) -> str:
+    """Where an unexpected error happened: on its own rank, if that rank left a note, else here."""
+    notes: list[str] = getattr(error, "__notes__", [])
+    return "\n".join(notes) or "".join(traceback.format_exception(error))
 
 
 def _stop(number: int, frame: FrameType | None) -> NoReturn:

@@ -37,7 +37,7 @@ class GreySums:
         return np.asarray(self.values[..., 0])
 
     def gain_and_offset(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Least-squares a, b of f = a g + b; (1, 0) where the deformed image is flat or there are no pixels."""
+        """Least-squares a, b of f = a g + b; a = 1 where the deformed image is flat, (1, 0) without pixels."""
         n, r, g, _, gg, rg = np.moveaxis(self.values, -1, 0)
         n = np.maximum(n, 1.0)
         variance = gg / n - (g / n) ** 2

@@ -252,7 +252,7 @@ def _add_hessian(S, n, xi, eta, gx, gy):
     for component in range(3):
         a00 = a10 = a20 = a01 = a11 = a21 = a02 = a12 = a22 = 0.0
         for k in range(n):
-            u, v = np.float64(gx[k]), np.float64(gy[k])  # numba keeps float() of a float32 in float32
+            u, v = 1.0 * gx[k], 1.0 * gy[k]  # in float64: the product of two float32 numbers would be rounded
             w = u * u if component == 0 else (u * v if component == 1 else v * v)
             t, s = xi[k], eta[k]
             wt, ws = w * t, w * s

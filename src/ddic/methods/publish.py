@@ -41,8 +41,9 @@ def publish(team: Team, loaded: LoadedCase, measurement: Measurement) -> None:
     if not team.is_root:
         for piece in pieces:
             team.comm.send(piece, dest=0, tag=_PIECE)
-        for _ in _strips(team, measurement, patches):
-            pass
+        if loaded.case.output.residual_image:
+            for _ in _strips(team, measurement, patches):
+                pass
         return
     length_unit = None if loaded.case.images.pixel_size is None else loaded.case.images.length_unit
     with ResultWriter(loaded.case.output.file, sizes, schema.point_fields(length_unit), schema.cell_fields(),
@@ -118,8 +119,6 @@ def _patches(loaded: LoadedCase, measurement: Measurement) -> list[Patch]:
 def _strips(team: Team, measurement: Measurement,
             patches: Sequence[Patch]) -> Iterator[tuple[int, NDArray[np.float32]]]:
     """Gather the residual image strip by strip on rank 0 (y0, rows); elsewhere the strips are empty."""
-    if not team.comm.bcast(bool(patches), root=0):
-        return
     image = measurement.pair.reference.image
     for y0 in range(0, image.height, STRIP_ROWS):
         y1 = min(y0 + STRIP_ROWS, image.height)

@@ -26,6 +26,9 @@ class LocalOperator:
         matrix: (n, n) symmetric; smallest_eigenvalue: below it the matrix counts as singular;
         where: what to call it in the error. Raises SingularSubdomainError.
         """
+        # Not left to the factorisation, which writes lines of its own about a matrix that holds nothing.
+        if not (matrix.diagonal() > 0).all():
+            raise SingularSubdomainError(_singular(where))
         self.n = matrix.shape[0]
         index = PETSc.IntType
         self._matrix = PETSc.Mat().createAIJ(

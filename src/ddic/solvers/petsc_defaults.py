@@ -12,6 +12,7 @@ DEFAULTS: dict[str, dict[str, str]] = {
         "ksp_type": "preonly",
         "pc_type": "cholesky",
         "pc_factor_mat_solver_type": "cholmod",
+        "mat_cholmod_print": "0",
     },
     DUAL: {
         "ksp_type": "gmres",

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from mpi4py import MPI
-from support.linear import LinearStep, linear_step, split
 
 from ddic.parallel.distribution import owners
 from ddic.partition.connectivity import build_subdomains
 from ddic.partition.subdomain import Subdomain
 from ddic.solvers.dual.continuity import average_copies
+from support.linear import LinearStep, linear_step, split
 
 RANKS = [1, 2, 3, 4]
 

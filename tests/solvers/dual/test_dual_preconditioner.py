@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mpi4py import MPI
 from numpy.typing import NDArray
-from support.linear import Decomposed, dense, linear_step, split
 
 from ddic.solvers.dual.preconditioner import (
     DualPreconditioner,
@@ -16,6 +15,7 @@ from ddic.solvers.dual.preconditioner import (
     block_inverse,
     local_schur,
 )
+from support.linear import Decomposed, dense, linear_step, split
 
 
 def _quasi_definite(seed: int, n: int, m: int) -> NDArray[np.float64]:

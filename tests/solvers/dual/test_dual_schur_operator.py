@@ -7,12 +7,12 @@ import pytest
 from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
-from support.linear import Decomposed, LinearStep, dense, linear_step, split
 
 from ddic.partition.connectivity import build_subdomains
 from ddic.partition.subdomain import Interface, Weighting, interface_weights
 from ddic.solvers.dual.exchange import Exchange
 from ddic.solvers.dual.schur_operator import DualSchurOperator
+from support.linear import Decomposed, LinearStep, dense, linear_step, split
 
 RANKS = [1, 2, 3, 4]
 WAVELENGTH = 32.0

@@ -7,12 +7,12 @@ import dataclasses
 import numpy as np
 import pytest
 from mpi4py import MPI
-from support.linear import Decomposed, linear_step, one_domain_solution, split
 
 from ddic.errors import ConvergenceError, is_on_all_ranks
 from ddic.partition.connectivity import node_sharing
 from ddic.partition.subdomain import Weighting
 from ddic.solvers.dual.step import DualSettings, Preconditioner
+from support.linear import Decomposed, linear_step, one_domain_solution, split
 
 RANKS = [1, 2, 3, 4]
 TIGHT = 1e-12
@@ -150,7 +150,7 @@ def test_too_few_iterations_raise_on_all_ranks() -> None:
     problem = linear_step(wavelength=WAVELENGTH)
     with Decomposed(MPI.COMM_WORLD, problem, split(problem.mesh, "blocks", 9), "consistent") as cut:
         step = cut.step(DualSettings("none", 1e-12, 2))
-        with pytest.raises(ConvergenceError, match=r"did not converge in 2 Krylov iterations.*max_iterations") as caught:
+        with pytest.raises(ConvergenceError, match=r"in 2 Krylov iterations.*max_iterations") as caught:
             cut.solve(step)
     assert is_on_all_ranks(caught.value)
 

@@ -1,0 +1,50 @@
+"""The command line as a whole: help, version, and how fast it answers."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+from click.testing import CliRunner
+
+from ddic import __version__
+from ddic.cli.app import COMMANDS, main
+from support.commands import ddic, finished
+
+HEAVY = ("numpy", "scipy", "cv2", "numba", "meshio", "matplotlib", "mpi4py.MPI", "petsc4py.PETSc", "h5py",
+         "rich", "pydantic")
+
+
+def test_help_lists_the_commands_and_imports_nothing_heavy() -> None:
+    code = ("import sys\nfrom click.testing import CliRunner\nfrom ddic.cli.app import main\n"
+            "result = CliRunner().invoke(main, ['--help'])\nassert result.exit_code == 0\nprint(result.output)\n"
+            f"print('heavy:', [name for name in {HEAVY!r} if name in sys.modules])\n")
+    job = finished([sys.executable, "-c", code])
+    assert job.code == 0, job.err
+    for name, text in COMMANDS.items():
+        assert name in job.out
+        assert text.split(".")[0] in " ".join(job.out.split())
+    assert "heavy: []" in job.out
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_explains_itself(name: str) -> None:
+    result = CliRunner().invoke(main, [name, "--help"])
+    assert result.exit_code == 0
+    assert "Usage:" in result.output
+
+
+def test_version() -> None:
+    result = CliRunner().invoke(main, ["--version"])
+    assert result.exit_code == 0
+    assert __version__ in result.output
+
+
+def test_an_unknown_command_is_refused() -> None:
+    result = CliRunner().invoke(main, ["measure"])
+    assert result.exit_code == 2
+    assert "measure" in result.output
+
+
+def test_module_and_script_are_the_same_program() -> None:
+    assert ddic("--version").out == CliRunner().invoke(main, ["--version"]).output

@@ -1,0 +1,106 @@
+"""What rank 0 prints: plain lines in a log, a bar on a terminal, one table row per iteration."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import pty
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from ddic.cli.console import PHASES, RunConsole, on_terminal
+from ddic.io.summary import Summary
+from ddic.methods.listener import Setting
+from ddic.solvers.gauss_newton import GreyState, IterationRecord
+
+SETTING = Setting(n_dofs=200, n_cells=81, n_pixels=20736, n_subdomains=4, n_ranks=2, n_interface=60,
+                  dynamic_range=200.0, eta=12.5)
+SUMMARY = Summary(converged=True, iterations=2, residual_std_grey=1.5, residual_percent_of_range=0.75, n_dofs=200,
+                  n_subdomains=4, n_ranks=2, krylov_iterations=[11, 7], seconds={"read": 0.5, "write": 0.25},
+                  cpu_seconds={"read": 1.0}, peak_memory_bytes=[2**27, 2**28], largest_jump_px=2e-9, n_pixels=20000,
+                  n_pixels_outside=0, grey_correction="global", result_file="/a/[b]/result.vtkhdf")
+
+
+def _record(number: int, seconds: float) -> IterationRecord:
+    return IterationRecord(number, 10.0**-number, 0.5 / number, GreyState(2.0, 2.1, 20736, 1.0, 0.0), 12 - number,
+                           np.zeros(2), {"residual": seconds, "linear step": 2 * seconds})
+
+
+def _speak(summary: Summary = SUMMARY) -> None:
+    with RunConsole() as console:
+        for phase in PHASES:
+            console.phase(phase)
+        console.note("start: a note with [brackets]")
+        console.setting(SETTING)
+        console.iteration(_record(1, 1.0))
+        console.iteration(_record(2, 1.5))
+        console.finish(summary)
+
+
+def test_a_log_has_plain_lines(capsys: pytest.CaptureFixture[str]) -> None:
+    _speak()
+    out = capsys.readouterr().out
+    assert "\x1b" not in out
+    assert "\r" not in out
+    lines = out.splitlines()
+    assert "start: a note with [brackets]" in lines
+    assert any(line.startswith("200 unknowns, 81 elements, 20736 pixels; 4 subdomains on 2 ranks, "
+                               "60 interface unknowns, eta = 12.5") for line in lines)
+    assert [p for p in PHASES if any(line.startswith(f"{p}: ") and line.endswith(" s") for line in lines)] == [
+        p for p in PHASES if p not in ("residual", "linear step")]
+    assert "result: /a/[b]/result.vtkhdf" in lines
+    assert "largest jump left at an interface node: 2.0e-09 px" in lines
+    assert any("converged in 2 iterations; residual 1.500 grey levels (0.75 %" in line for line in lines)
+    assert "peak memory by rank [MiB]: 128, 256" in lines
+
+
+def test_table_rows_hold_each_iterations_own_seconds(capsys: pytest.CaptureFixture[str]) -> None:
+    _speak()
+    lines = capsys.readouterr().out.splitlines()
+    head = next(n for n, line in enumerate(lines) if "|dq|/|q|" in line)
+    # number, |dq|/|q|, RMS, residual, % of the dynamic range, Krylov, seconds of this iteration alone.
+    assert lines[head + 1].split() == ["1", "1.00e-01", "5.00e-01", "2.000", "1.00", "11", "1.00", "2.00"]
+    assert lines[head + 2].split() == ["2", "1.00e-02", "2.50e-01", "2.000", "1.00", "10", "0.50", "1.00"]
+    assert len(lines[head]) == len(lines[head + 1]) == len(lines[head + 2])
+
+
+def test_pixels_left_out_are_told_only_if_there_are_any(capsys: pytest.CaptureFixture[str]) -> None:
+    _speak()
+    assert "left out" not in capsys.readouterr().out
+    _speak(dataclasses.replace(SUMMARY, n_pixels_outside=321))
+    assert "321 pixels were left out" in capsys.readouterr().out
+
+
+def test_long_lines_are_not_broken(capsys: pytest.CaptureFixture[str]) -> None:
+    with RunConsole() as console:
+        console.note("x" * 500)
+    assert "x" * 500 + "\n" in capsys.readouterr().out
+
+
+def test_a_file_is_no_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    with open(os.devnull, "w") as nowhere:
+        monkeypatch.setattr(sys, "stdout", nowhere)
+        assert not on_terminal()
+
+
+def test_a_terminal_gets_a_bar(monkeypatch: pytest.MonkeyPatch) -> None:
+    outer, inner = pty.openpty()
+    for name in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_RANK", "NO_COLOR"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("TERM", "xterm")
+    with os.fdopen(inner, "w") as screen:
+        monkeypatch.setattr(sys, "stdout", screen)
+        assert on_terminal()
+        with RunConsole() as console:
+            console.phase("assemble")
+            console.note("a note")
+            time.sleep(0.5)  # the bar is drawn ten times a second
+        screen.flush()
+        shown = os.read(outer, 100_000).decode()
+    os.close(outer)
+    assert "\x1b[" in shown
+    assert "assemble" in shown
+    assert "a note" in shown

@@ -1,0 +1,65 @@
+"""Coarse-grained images."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ddic.images import binned
+from ddic.images.binned import bin_image
+from ddic.images.sub_image import MaskedSource
+from ddic.images.window import Window
+from support.pictures import source
+
+
+def whole(image: MaskedSource) -> np.ndarray:
+    return np.asarray(image.image.read(image.extent))
+
+
+@pytest.mark.parametrize("factor", [1, 2, 3, 4])
+def test_pixels_are_means_of_blocks(factor: int) -> None:
+    values = np.random.default_rng(0).integers(0, 65536, (37, 50)).astype(float)
+    found = bin_image(source(values), factor)
+    height, width = 37 // factor, 50 // factor
+    assert (found.image.height, found.image.width) == (height, width)
+    expected = [[values[factor * y: factor * (y + 1), factor * x: factor * (x + 1)].mean() for x in range(width)]
+                for y in range(height)]
+    # float32 means of float32 values.
+    np.testing.assert_allclose(whole(found), expected, rtol=5e-7)
+    assert found.usable(found.extent) is None
+
+
+@pytest.mark.parametrize("factor", [2, 4])
+def test_blocks_lie_where_the_docstring_says(factor: int) -> None:
+    x, y = np.meshgrid(np.arange(40.0), np.arange(32.0))
+    found = bin_image(source(3 * x + 5 * y), factor)
+    big_x, big_y = np.meshgrid(np.arange(found.image.width), np.arange(found.image.height))
+    centre = (factor - 1) / 2
+    # A linear picture's mean over a block is its value at the block's centre; these are short binary fractions.
+    np.testing.assert_array_equal(whole(found), 3 * (factor * big_x + centre) + 5 * (factor * big_y + centre))
+
+
+def test_block_counts_where_all_its_pixels_do() -> None:
+    values = np.full((12, 12), 50.0)
+    values[7, 8] = 255.0
+    values[2, 2] = np.nan
+    mask = np.ones(values.shape, dtype=bool)
+    mask[2, 2] = mask[11, 0] = False
+    found = bin_image(source(values, mask, exclude_saturated=True), 3)
+    usable = found.usable(found.extent)
+    assert usable is not None
+    assert np.argwhere(usable == 0).tolist() == [[0, 0], [2, 2], [3, 0]]
+    assert np.isfinite(whole(found)).all()
+    part = found.usable(Window(1, 1, 4, 4))
+    assert part is not None
+    assert np.argwhere(part == 0).tolist() == [[1, 1]]
+
+
+def test_bands_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(1)
+    image = source(rng.uniform(0, 255, (41, 33)), rng.random((41, 33)) < 0.95)
+    at_once = bin_image(image, 2)
+    monkeypatch.setattr(binned, "_BAND_PIXELS", 200)
+    in_bands = bin_image(image, 2)
+    np.testing.assert_array_equal(whole(in_bands), whole(at_once))
+    np.testing.assert_array_equal(in_bands.usable(in_bands.extent), at_once.usable(at_once.extent))

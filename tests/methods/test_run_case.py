@@ -1,0 +1,120 @@
+"""A whole run: checks, result and summary."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import pytest
+from mpi4py import MPI
+
+from ddic.case.loader import load_case
+from ddic.errors import ConvergenceError, InputError, is_on_all_ranks
+from ddic.methods.run import rank_problem, run_case
+from ddic.parallel.team import Team
+from support.cases import Ears, write_case, write_images
+
+RANKS = [1, 2, 3, 4]
+KEYS = {"converged", "iterations", "residual_std_grey", "n_dofs", "n_subdomains", "n_ranks", "krylov_iterations",
+        "seconds", "peak_memory_bytes"}
+PHASES = ["read", "assemble", "start", "factorize", "interface set-up", "residual", "linear step", "finish", "write"]
+
+
+def _write(folder: Path, more: str = "", **sections: str) -> Path:
+    if MPI.COMM_WORLD.rank == 0:
+        write_images(folder)
+        write_case(folder, more, **sections)
+    MPI.COMM_WORLD.barrier()
+    return folder / "case.toml"
+
+
+@pytest.mark.parallel(RANKS)
+def test_result_and_summary_are_written(shared_path: Path) -> None:
+    team = Team(MPI.COMM_WORLD)
+    ears = Ears()
+    path = _write(shared_path, "[solver]\nsubdomains = 4\n[regularization]\ncut_off_wavelength = 48.0\n")
+    summary = run_case(team, path, ears)
+    assert set(ears.phases) == set(PHASES)
+    assert summary.converged
+    assert summary.iterations == len(summary.krylov_iterations) == len(ears.records)
+    assert all(n > 0 for n in summary.krylov_iterations)
+    assert (summary.n_dofs, summary.n_subdomains, summary.n_ranks) == (200, 4, team.size)
+    assert len(summary.peak_memory_bytes) == team.size
+    assert all(2**25 < n < 2**34 for n in summary.peak_memory_bytes)
+    assert set(summary.seconds) == set(PHASES)
+    assert all(0 <= s < 60 for s in summary.seconds.values())
+    assert 0 < summary.residual_std_grey < 2
+    assert summary.n_pixels_outside == 0
+    assert summary.cut_off_wavelength == 48.0
+    # Every rank returns the same summary.
+    texts = team.gather_lists([json.dumps(asdict(summary), sort_keys=True, default=list)])
+    assert len(set(texts)) == 1
+    team.comm.barrier()
+    stored = json.loads((shared_path / "result.json").read_text())
+    assert set(stored) >= KEYS
+    assert stored["krylov_iterations"] == list(summary.krylov_iterations)
+    assert stored["peak_memory_bytes"] == list(summary.peak_memory_bytes)
+    assert stored["result_file"] == str(shared_path.resolve() / "result.vtkhdf")
+    assert sorted(p.name for p in shared_path.iterdir()) == [
+        "case.toml", "f.tif", "g.tif", "result.json", "result.residual.vtkhdf", "result.vtkhdf"]
+
+
+@pytest.mark.parallel(RANKS)
+@pytest.mark.parametrize(("more", "sections", "line"), [
+    ("[solver]\nsubdomain = 4\n", {}, "subdomains"),
+    ("", {"deformed": "h.tif"}, "h.tif: no such image file"),
+    ("", {"region": "region = [24, 24, 300, 168]"}, "case.toml|mesh"),
+])
+def test_bad_input_is_refused_on_all_ranks_before_anything_is_read(
+        shared_path: Path, more: str, sections: dict[str, str], line: str) -> None:
+    ears = Ears()
+    with pytest.raises(InputError, match=line) as caught:
+        run_case(Team(MPI.COMM_WORLD), _write(shared_path, more, **sections), ears)
+    assert is_on_all_ranks(caught.value)
+    assert ears.phases == []
+
+
+@pytest.mark.parallel(RANKS)
+def test_nothing_is_written_without_convergence(shared_path: Path) -> None:
+    path = _write(shared_path, "[solver]\nsubdomains = 4\n[gauss_newton]\nmax_iterations = 1\n[start]\n"
+                               "rigid = false\npyramid = false\nindependent = false\n")
+    if MPI.COMM_WORLD.rank == 0:
+        (shared_path / "result.vtkhdf").write_text("an earlier result")
+    with pytest.raises(ConvergenceError) as caught:
+        run_case(Team(MPI.COMM_WORLD), path, Ears())
+    assert is_on_all_ranks(caught.value)
+    MPI.COMM_WORLD.barrier()
+    assert sorted(p.name for p in shared_path.iterdir()) == ["case.toml", "f.tif", "g.tif", "result.vtkhdf"]
+    assert (shared_path / "result.vtkhdf").read_text() == "an earlier result"
+
+
+@pytest.mark.parallel([2, 3, 4])
+@pytest.mark.parametrize(("solver", "line"), [
+    ("subdomains = 1", r"solver\.subdomains: 1 subdomains for \d MPI ranks.*at most 1 ranks"),
+    ('partition = "blocks"\nblocks = [1, 1]', r"solver\.blocks: 1 subdomains for \d MPI ranks"),
+    ('method = "monolithic"', r"runs on one rank, \d were started"),
+])
+def test_more_ranks_than_subdomains(shared_path: Path, solver: str, line: str) -> None:
+    with pytest.raises(InputError, match=line) as caught:
+        run_case(Team(MPI.COMM_WORLD), _write(shared_path, f"[solver]\n{solver}\n"), Ears())
+    assert is_on_all_ranks(caught.value)
+
+
+@pytest.mark.parametrize(("solver", "n_ranks", "fits"), [
+    ("subdomains = 4", 4, True), ("subdomains = 4", 5, False), ("", 99, True),
+    ('partition = "blocks"\nblocks = [2, 3]', 6, True), ('partition = "blocks"\nblocks = [2, 3]', 7, False),
+    ('method = "monolithic"', 1, True), ('method = "monolithic"', 2, False),
+])
+def test_rank_problem(tmp_path: Path, solver: str, n_ranks: int, fits: bool) -> None:
+    case = load_case(write_case(tmp_path, f"[solver]\n{solver}\n")).case
+    assert (rank_problem(case, n_ranks) is None) == fits
+
+
+@pytest.mark.parallel(1)
+@pytest.mark.parametrize("solver", ["", 'method = "monolithic"'])
+def test_one_rank_needs_no_partition(shared_path: Path, solver: str) -> None:
+    summary = run_case(Team(MPI.COMM_WORLD), _write(shared_path, f"[solver]\n{solver}\n"), Ears())
+    assert summary.n_subdomains == 1
+    assert list(summary.krylov_iterations) == [0] * summary.iterations
+    assert summary.largest_jump_px == 0.0

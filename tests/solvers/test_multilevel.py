@@ -1,0 +1,109 @@
+"""The start: rigid correlation and the coarse-graining pyramid."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from ddic.solvers.multilevel import MultilevelStart, block_sizes, multilevel_start
+from ddic.synth.fields import Affine, DisplacementField, Translation
+from support.pictures import pair_of, rms_error, source, square_mesh
+
+SIDE = 384
+MESH = square_mesh(80.0, 304.0)
+CENTRE = (191.5, 191.5)
+
+
+def _start(field: DisplacementField, *, rigid: bool = True, pyramid: bool = True) -> MultilevelStart:
+    pair = pair_of(field, SIDE, 8)
+    return multilevel_start(source(pair.reference), source(pair.deformed), MESH, rigid=rigid, pyramid=pyramid,
+                            correction="none")
+
+
+def _turned(degrees: float, centre: tuple[float, float]) -> Affine:
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return Affine(((c - 1, -s), (s, c - 1)), (10.0, 5.0), centre)
+
+
+def _error(start: MultilevelStart, field: DisplacementField) -> float:
+    return rms_error(start.field.at(MESH.nodes).ravel(), MESH.nodes, field)
+
+
+@pytest.mark.parametrize("shift", [(60.0, 0.0), (-60.0, 60.0), (-17.3, 41.8), (0.0, 0.0), (3.5, -59.5)])
+def test_rigid_shifts_are_found_by_correlation_alone(shift: tuple[float, float]) -> None:
+    start = _start(Translation(shift), pyramid=False)
+    assert start.rigid is not None
+    # A parabola through the peak of the correlation finds the fraction of a pixel to a tenth.
+    np.testing.assert_allclose(start.rigid.shift, shift, atol=0.1)
+    assert start.rigid.coefficient > 0.85
+    assert start.levels == ()
+    assert _error(start, Translation(shift)) <= 0.1
+
+
+@pytest.mark.parametrize("field", [
+    Affine(((0.05, 0.0), (0.0, -0.015)), (4.0, -3.0), CENTRE),
+    Affine(((-0.05, 0.01), (0.01, 0.05)), (0.0, 0.0), CENTRE),
+], ids=["strain of 5 %", "strains of 5 % with shear"])
+def test_the_pyramid_follows_strain(field: DisplacementField) -> None:
+    start = _start(field)
+    assert start.levels == tuple(sorted(start.levels, reverse=True))
+    assert start.warnings == ()
+    # Close enough for the last level of Gauss-Newton, whose speckles of 5 px are followed from 1 px away.
+    assert _error(start, field) <= 0.2
+    # The rigid stage alone leaves up to 5 px at the corners.
+    assert _error(_start(field, pyramid=False), field) > 1.0
+
+
+def test_the_pyramid_follows_a_rotation_of_3_degrees() -> None:
+    # 10 px at the ends of a region of 384 px, which is large enough for a level with blocks of 8 px.
+    side, mesh = 576, square_mesh(96.0, 480.0)
+    field = _turned(3.0, ((side - 1) / 2, (side - 1) / 2))
+    pair = pair_of(field, side, 8)
+    start = multilevel_start(source(pair.reference), source(pair.deformed), mesh, rigid=True, pyramid=True,
+                             correction="none")
+    assert start.levels == (8, 4, 2)
+    assert rms_error(start.field.at(mesh.nodes).ravel(), mesh.nodes, field) <= 0.2
+
+
+def test_each_stage_can_be_switched_off() -> None:
+    field = Translation((2.0, -1.5))
+    nothing = _start(field, rigid=False, pyramid=False)
+    assert nothing.rigid is None
+    assert nothing.levels == ()
+    assert (nothing.field.at(MESH.nodes) == 0).all()
+    only_pyramid = _start(field, rigid=False)
+    assert only_pyramid.rigid is None
+    assert only_pyramid.levels
+    # Gauss-Newton on blocks of 2 px, whose bias is a fraction of a tenth of a block.
+    assert _error(only_pyramid, field) <= 0.05
+
+
+def test_a_gain_between_the_images_does_not_disturb_the_rigid_stage() -> None:
+    field = Translation((12.0, -7.0))
+    pair = pair_of(field, SIDE, 8)
+    dimmed = source(0.5 * pair.deformed.astype(np.float32) + 60)
+    start = multilevel_start(source(pair.reference), dimmed, MESH, rigid=True, pyramid=True, correction="global")
+    assert _error(start, field) <= 0.1
+    assert start.warnings == ()
+
+
+def test_images_without_texture_give_a_still_start_and_say_so() -> None:
+    flat = source(np.full((SIDE, SIDE), 100.0, dtype=np.float32))
+    start = multilevel_start(flat, flat, MESH, rigid=True, pyramid=True, correction="none")
+    assert start.rigid is not None
+    assert start.rigid.shift == (0.0, 0.0)
+    assert start.levels == ()
+    assert len(start.warnings) == len(block_sizes(SIDE**2, MESH))
+    assert all("was left out" in line for line in start.warnings)
+    assert (start.field.at(MESH.nodes) == 0).all()
+
+
+@pytest.mark.parametrize("n_pixels", [1e4, 1e6, 2.9e7, 1e9])
+@pytest.mark.parametrize("side", [10.0, 100.0, 1000.0, 10000.0])
+def test_block_sizes_double_and_fit_the_region(n_pixels: float, side: float) -> None:
+    sizes = block_sizes(int(n_pixels), square_mesh(0.0, side, side / 4))
+    assert all(coarse == 2 * fine for coarse, fine in pairwise(sizes))
+    assert all(side / size >= 16 for size in sizes)
+    assert all(n_pixels / size**2 <= 2_000_000 for size in sizes)

@@ -1,0 +1,203 @@
+"""The documents speak of what exists."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from pydantic import BaseModel
+
+from ddic.case import schema
+from ddic.case.loader import parse_case
+
+ROOT = Path(__file__).parents[1]
+SOURCE = ROOT / "src" / "ddic"
+DOCUMENTS = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md")),
+             *sorted((ROOT / "examples").glob("*/README.md"))]
+MODULE_FOLDERS = [ROOT / name for name in ("src", "scripts", "bench", "examples", "tests")]
+SECTIONS: dict[str, type[BaseModel]] = {
+    "Top level": schema.Case,
+    "[images]": schema.ImagesSection,
+    "[mesh]": schema.MeshSection,
+    "[mesh.structured]": schema.StructuredSection,
+    "[mesh.mapping]": schema.MappingSection,
+    "[correlation]": schema.CorrelationSection,
+    "[regularization]": schema.RegularizationSection,
+    "[solver]": schema.SolverSection,
+    "[gauss_newton]": schema.GaussNewtonSection,
+    "[start]": schema.StartSection,
+    "[output]": schema.OutputSection,
+}
+
+named = pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
+
+
+def code_blocks(document: Path, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", document.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+
+
+def table_rows(text: str) -> Iterator[list[str]]:
+    """Cells of the rows of all tables, without their headings and rules."""
+    for line in text.splitlines():
+        if line.startswith("|") and not re.fullmatch(r"[|\- ]+", line):
+            yield [cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]]
+
+
+def quoted(cell: str) -> list[str]:
+    return re.findall(r"`([^`]+)`", cell)
+
+
+def symbol_rows() -> list[list[str]]:
+    rows = list(table_rows((ROOT / "docs" / "symbols.md").read_text(encoding="utf-8")))
+    return [row for row in rows if row[0] != "symbol"]
+
+
+def has_name(files: list[str], name: str) -> bool:
+    return any(re.search(rf"\b{re.escape(name)}\b", (ROOT / file).read_text(encoding="utf-8")) for file in files)
+
+
+def test_table_of_symbols_is_read() -> None:
+    assert len(symbol_rows()) > 40
+    assert not has_name(["src/ddic/errors.py"], "no_such_name")
+
+
+@pytest.mark.parametrize("row", symbol_rows(), ids=lambda row: row[0])
+def test_names_and_files_of_a_symbol_exist(row: list[str]) -> None:
+    names, files = quoted(row[3]), quoted(row[4])
+    assert names
+    assert files
+    assert [file for file in files if not (ROOT / file).is_file()] == []
+    assert [name for name in names if not has_name(files, name)] == []
+    # A file that holds none of the names does not belong in the row.
+    assert [file for file in files if not any(has_name([file], name) for name in names)] == []
+
+
+@pytest.mark.parametrize("symbol", [
+    "f", "g", "u", "N", "q, q_s", "M, M_s", "b, b_s", "K", "P", "Kbar, Kbar_s", "eta", "l_c", "m", "w", "A_s", "C_s",
+    "Cbar_s", "Lambda, LambdaBar", "c", "B_s", "T_s", "G_s", "D_s", "H_s", "S_tot", "S_s"])
+def test_symbol_is_listed(symbol: str) -> None:
+    assert symbol in [row[0] for row in symbol_rows()]
+
+
+@named
+def test_links_of_a_document_lead_somewhere(document: Path) -> None:
+    links = re.findall(r"\]\(([^)#\s]+)", document.read_text(encoding="utf-8"))
+    local = [link for link in links if "://" not in link]
+    assert [link for link in local if not (document.parent / link).exists()] == []
+
+
+def is_python_file(mention: str) -> bool:
+    """Whether a file NAME.py, or FOLDER/NAME.py with any leading folders left out, exists."""
+    return any(path.as_posix().endswith("/" + mention) for folder in MODULE_FOLDERS for path in folder.rglob("*.py"))
+
+
+def is_package_member(mention: str) -> bool:
+    """Whether ddic.a.b is a module, or names something that the text of module ddic.a holds."""
+    parts = mention.split(".")[1:]
+    for n in range(len(parts), -1, -1):
+        path = SOURCE.joinpath(*parts[:n])
+        module = path.with_suffix(".py") if n and path.with_suffix(".py").is_file() else path / "__init__.py"
+        if module.is_file():
+            return all(re.search(rf"\b{name}\b", module.read_text(encoding="utf-8")) for name in parts[n:])
+    return False
+
+
+def test_check_of_modules_can_fail() -> None:
+    assert is_python_file("solvers/gauss_newton.py")
+    assert not is_python_file("mesh/gauss_newton.py")
+    assert is_package_member("ddic.errors.InputError")
+    assert is_package_member("ddic.solvers.dual")
+    assert not is_package_member("ddic.errors.NoSuchError")
+
+
+@named
+def test_modules_that_a_document_mentions_exist(document: Path) -> None:
+    text = document.read_text(encoding="utf-8")
+    files = re.findall(r"(?<![\w./])((?:\w+/)*\w+\.py)\b", text)
+    # ddic.log is the output of a job, not a module.
+    modules = re.findall(r"(?<![\w/.-])(ddic(?!\.log\b)(?:\.[a-z]\w*)+(?:\.[A-Z]\w*)?)\b", text)
+    assert [file for file in files if not is_python_file(file)] == []
+    assert [module for module in modules if not is_package_member(module)] == []
+
+
+def is_folder(mention: str) -> bool:
+    """Whether a folder of the repository exists, or one of the package with any leading folders left out."""
+    inside = (path.as_posix() for path in SOURCE.rglob("*") if path.is_dir())
+    return (ROOT / mention).is_dir() or any(path.endswith("/" + mention) for path in inside)
+
+
+@named
+def test_folders_of_the_package_that_a_document_mentions_exist(document: Path) -> None:
+    text = document.read_text(encoding="utf-8")
+    trees = re.findall(r"^(?:    |```\w*\n)[ \n]*((?:\w+/)+)(?:\s|$)", text, re.MULTILINE)
+    folders = [name.rstrip("/") for name in [*quoted(text), *trees] if re.fullmatch(r"(?:\w+/)+", name)]
+    assert [name for name in folders if not is_folder(name)] == []
+
+
+def sections_of_case_file() -> dict[str, str]:
+    text = (ROOT / "docs" / "case-file.md").read_text(encoding="utf-8")
+    parts = re.split(r"^## (.+)\n", text, flags=re.MULTILINE)
+    return dict(zip(parts[1::2], parts[2::2], strict=True))
+
+
+def described_keys(text: str) -> dict[str, str]:
+    """Key and default of each row of the first table of a section."""
+    table = re.search(r"^\| key .*\n(?:\|.*\n)+", text, re.MULTILINE)
+    assert table
+    return {quoted(row[0])[0]: row[2] for row in table_rows(table[0]) if row[0] != "key"}
+
+
+def test_every_section_is_documented() -> None:
+    assert list(sections_of_case_file()) == list(SECTIONS)
+
+
+@pytest.mark.parametrize("section", SECTIONS)
+def test_keys_of_a_section_are_those_of_the_schema(section: str) -> None:
+    fields = SECTIONS[section].model_fields
+    # The keys of the top level that are sections have chapters of their own.
+    wanted = {"title"} if section == "Top level" else set(fields)
+    found = described_keys(sections_of_case_file()[section])
+    assert set(found) == wanted
+    for key, default in found.items():
+        assert (default == "required") == fields[key].is_required(), key
+        value = fields[key].default
+        if isinstance(value, bool):
+            assert default == f"`{str(value).lower()}`", key
+        elif isinstance(value, int | float):
+            assert float(default.strip("`")) == value, key
+        elif isinstance(value, str | Path):
+            assert default == f'`"{value}"`', key
+
+
+def test_shapes_of_holes_are_documented() -> None:
+    keys = set(quoted(sections_of_case_file()["[mesh.structured]"]))
+    assert {*schema.Circle.model_fields, *schema.Polygon.model_fields} <= keys
+
+
+@pytest.mark.parametrize("document", [ROOT / "README.md", ROOT / "docs" / "case-file.md"], ids=lambda path: path.name)
+def test_case_files_in_a_document_are_valid(document: Path) -> None:
+    whole = [block for block in code_blocks(document, "toml") if "[images]" in block]
+    assert whole
+    for block in whole:
+        parse_case(block, document)
+
+
+def test_tour_is_the_demo() -> None:
+    tour = (ROOT / "README.md").read_text(encoding="utf-8").split("## A five-minute tour")[1].split("\n## ")[0]
+    demo = (ROOT / "examples" / "demo" / "run.sh").read_text(encoding="utf-8")
+    demo = demo.replace('timeout 300 "${MPIEXEC:-mpirun}"', "mpirun")
+    demo = re.sub(r'"\$out/([^"]*)"', r"tour/\1", demo)
+    commands = re.findall(r"^.*\bddic (?:synth|run|plot) .*$", demo, re.MULTILINE)
+    assert len(commands) == 3
+    assert [command for command in commands if command not in tour] == []
+    case = (ROOT / "examples" / "demo" / "case.toml").read_text(encoding="utf-8")
+    assert case in code_blocks(ROOT / "README.md", "toml")
+
+
+def test_pictures_are_small() -> None:
+    pictures = sorted((ROOT / "docs" / "pictures").iterdir())
+    assert pictures
+    # They are part of every clone.
+    assert sum(path.stat().st_size for path in pictures) < 1_500_000
