@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import integrate
 from support.harness import DATA, Row, append_result, ddic_run, main, real_data
 
 from ddic.io.result_reader import read_result
@@ -46,8 +47,7 @@ def column_average(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]
     rows, row = np.unique(result.mesh.nodes[:, 1], return_inverse=True)
     u = np.empty((len(rows), len(columns)))
     u[row.reshape(-1), column.reshape(-1)] = result.displacement[:, 0]
-    return columns, np.asarray(np.trapezoid(u, rows, axis=0) if hasattr(np, "trapezoid")
-                               else np.trapz(u, rows, axis=0)) / (rows[-1] - rows[0])
+    return columns, np.asarray(integrate.trapezoid(u, rows, axis=0)) / (rows[-1] - rows[0])
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from ddic.parallel.team import Team
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from support.step_problem import (  # noqa: E402  (the folder above must be on the path first)
+from support.step_problem import (
     distributed_problem,
     dof_multiplicity,
     monolithic_correction,

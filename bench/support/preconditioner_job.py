@@ -15,7 +15,7 @@ from ddic.solvers.dual.step import DualStep
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from support.step_problem import (  # noqa: E402  (the folder above must be on the path first)
+from support.step_problem import (
     ALONE,
     distributed_problem,
     dof_multiplicity,
@@ -45,7 +45,7 @@ def main(case_json: str) -> None:
         free = [operator.solve(r) for operator, r in zip(problem.operators, right, strict=True)]
         curve: list[tuple[int, float, float]] = []
 
-        def watch(ksp: PETSc.KSP, iteration: int, norm: float, step=step, free=free, problem=problem,
+        def watch(ksp: PETSc.KSP, iteration: int, norm: float, step=step, free=free, problem=problem, shared=shared,
                   curve=curve, reference=reference) -> None:
             multipliers = ksp.buildSolution()
             dq = step.correction(free, multipliers)

@@ -66,7 +66,7 @@ def distributed_problem(team: Team, case: Case, pair: ImagePair, mesh: Mesh) -> 
 
 def monolithic_correction(whole: Whole, regularization: RegularizationSection | None, q: NDArray[np.float64],
                           b: NDArray[np.float64], multiplicity: NDArray[np.int64] | None = None) -> NDArray[np.float64]:
-    """dq of one domain; multiplicity: of each dof, where interface rows are to be weighted by 1/sqrt(m)."""
+    """Dq of one domain; multiplicity: of each dof, where interface rows are to be weighted by 1/sqrt(m)."""
     system = whole.assembly.systems[0]
     if multiplicity is not None and regularization is not None:
         weights = system.row_weights / np.sqrt(multiplicity)

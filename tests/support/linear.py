@@ -132,7 +132,7 @@ class Decomposed:
 
     def step(self, settings: DualSettings) -> DualStep:
         """The dual step on all ranks."""
-        step = DualStep(self.comm, self.systems, self.operators, self.problem.scale, settings)
+        step = DualStep(Team(self.comm), self.systems, self.operators, self.problem.scale, settings)
         self._steps.append(step)
         return step
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.errors import InputError
 from ddic.functionals.pixel_kernels import N_SUMS, hessian_cells, residual_pixels, residual_sums
 from ddic.images.spline import GradientImage
 from ddic.images.sub_image import DeformedSubImage, MaskedSource, read_reference
@@ -155,8 +156,14 @@ class Correlation:
 
 
 def correlation(mesh: Mesh, reference: MaskedSource, degree: int) -> Correlation:
-    """Rasterise a subdomain's mesh and read its window of the reference image."""
+    """Rasterise a subdomain's mesh and read its window of the reference image.
+
+    Raises InputError where a pixel of the mesh lies outside the image.
+    """
     raster = rasterize(mesh)
+    if not reference.extent.contains(raster.window):
+        raise InputError(f"{reference.image.path}: pixels of the mesh lie outside the image "
+                         f"({reference.extent.width} x {reference.extent.height} px); move or cut the mesh")
     image = read_reference(reference, raster.window, degree)
     return Correlation(mesh, finite_element_kinematics(mesh), raster, image, reference.extent)
 

@@ -56,8 +56,10 @@ def texture_energies(nodes: NDArray[np.float64], hessian: sparse.csr_matrix,
 
 
 def cut_off_weight(texture: NDArray[np.float64], gap: NDArray[np.float64]) -> float:
-    """Weight eta at which texture and mechanics count alike at l_c, |v^T M v| / |K v|^2, mean over the waves [LPHR11].
+    """Weight eta at which texture and mechanics count alike at l_c: mean of |v^T M v| / |K v|^2 [LPHR11].
 
-    texture, gap: of every plane wave, on the same nodes.
+    texture, gap: of every plane wave of ``plane_waves``, on the same nodes. The two phases of a wave are
+    added up before the ratio, for a wave may vanish on all nodes; the mean is over a and b.
     """
-    return float((np.abs(texture) / gap).mean())
+    by_wave = np.abs(texture).reshape(-1, 2).sum(axis=1) / gap.reshape(-1, 2).sum(axis=1)
+    return float(by_wave.mean())

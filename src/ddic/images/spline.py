@@ -112,13 +112,27 @@ class _Held:
     def read(self, window: Window) -> NDArray[np.float64]:
         inside = self.pixels[window.y0 - self.window.y0: window.y1 - self.window.y0,
                              window.x0 - self.window.x0: window.x1 - self.window.x0]
-        # Only masked pixels can be NaN here (the check of the inputs refuses others); any finite value will do.
-        return np.nan_to_num(inside.astype(np.float64), nan=0.0, posinf=0.0, neginf=0.0)
+        return inside.astype(np.float64)
 
 
 def _hold(source: ImageSource, window: Window, degree: int) -> _Held:
     wide = window.grown(HALO[degree]).clipped(source.width, source.height)
-    return _Held(wide, Window(0, 0, source.width, source.height), source.read(wide))
+    return _Held(wide, Window(0, 0, source.width, source.height), _finite(source.read(wide)))
+
+
+def _finite(pixels: NDArray[Any]) -> NDArray[Any]:
+    """Give pixels that are not finite the nearest finite value.
+
+    Only masked pixels can be so (the check of the inputs refuses others); a jump there would ring into
+    the gradient of their neighbours, which count.
+    """
+    if np.issubdtype(pixels.dtype, np.integer):
+        return pixels
+    absent = ~np.isfinite(pixels)
+    if not absent.any() or absent.all():
+        return np.nan_to_num(pixels, nan=0.0, posinf=0.0, neginf=0.0)
+    nearest = ndimage.distance_transform_edt(absent, return_distances=False, return_indices=True)
+    return np.asarray(pixels[tuple(nearest)])
 
 
 def _bands(window: Window) -> Iterator[Window]:

@@ -81,7 +81,7 @@ def assemble(team: Team, parts: Sequence[OwnedPart], region: Region, solver: Sol
 
 
 def _weight(texture: NDArray[np.float64], region: Region) -> float:
-    if region.gap_energies is None or not region.gap_energies.all():
+    if region.gap_energies is None or not region.gap_energies.reshape(-1, 2).any(axis=1).all():
         raise InputError("regularization.cut_off_wavelength: the mesh has no interior node, so no wavelength can be "
                          "given a weight; use a finer mesh or give regularization.eta")
     return cut_off_weight(texture, region.gap_energies)

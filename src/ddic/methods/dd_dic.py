@@ -91,7 +91,7 @@ def linear_step(team: Team, solver: SolverSection, assembly: Assembly,
     if solver.method == "monolithic":
         return MonolithicStep(assembly.systems[0], operators[0]), 0
     settings = DualSettings(solver.preconditioner, solver.tolerance, solver.max_iterations)
-    step = DualStep(team.comm, assembly.systems, operators, assembly.reaction_scale, settings)
+    step = DualStep(team, assembly.systems, operators, assembly.reaction_scale, settings)
     return step, step.n_interface
 
 

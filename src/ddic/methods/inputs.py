@@ -17,7 +17,7 @@ from ddic.mesh.control import not_controlled_nodes
 from ddic.mesh.mesh import Mesh, Similarity
 from ddic.mesh.raster import rasterize
 from ddic.mesh.topology import boundary_nodes
-from ddic.parallel.distribution import owners
+from ddic.parallel.distribution import distribute
 from ddic.parallel.team import Team
 from ddic.partition.connectivity import build_subdomains
 from ddic.partition.split import split_by_blocks, split_by_metis
@@ -63,15 +63,19 @@ def material(section: RegularizationSection) -> Material:
 
 def share_out(team: Team, case: Case, mesh: Mesh | None) -> tuple[list[Subdomain], Region]:
     """Split the mesh that rank 0 holds and give each rank its subdomains."""
-    def split() -> list[tuple[list[Subdomain], Region]]:
+    def split() -> list[Subdomain]:
         assert mesh is not None
         parts = _parts(case.solver, mesh, team.size)
-        subdomains = build_subdomains(mesh, parts, _controlled(case.regularization, mesh))
-        region = Region(mesh.n_nodes, mesh.n_cells, mesh.n_dofs, len(subdomains),
-                        _gap_energies(case.regularization, mesh), mesh.mapping)
-        return [([subdomains[s] for s in part], region) for part in owners(len(subdomains), team.size)]
+        return build_subdomains(mesh, parts, _controlled(case.regularization, mesh))
 
-    return team.scatter_from_root(split)
+    def describe() -> Region:
+        assert mesh is not None
+        return Region(mesh.n_nodes, mesh.n_cells, mesh.n_dofs, n_subdomains,
+                      _gap_energies(case.regularization, mesh), mesh.mapping)
+
+    subdomains = distribute(team, split)
+    n_subdomains = len(team.gather_lists([s.index for s in subdomains]))
+    return subdomains, team.on_root(describe)
 
 
 def _parts(solver: SolverSection, mesh: Mesh, n_ranks: int) -> NDArray[np.int64]:

@@ -22,9 +22,10 @@ def split_by_metis(mesh: Mesh, n_subdomains: int, weights: NDArray[np.int64] | N
         raise InputError(f"solver.subdomains: {n_subdomains} asked for, but the mesh has only "
                          f"{mesh.n_cells} cells; ask for fewer")
     indptr, indices = cell_adjacency(mesh)
-    options = pymetis.Options(seed=1, contig=0)
+    # Several tries and passes: ragged interfaces cost Krylov iterations in every step.
+    options = pymetis.Options(seed=1, ncuts=4, niter=20)
     _, parts = pymetis.part_graph(
-        n_subdomains, xadj=indptr, adjncy=indices, recursive=n_subdomains <= 8, options=options,
+        n_subdomains, adjacency=pymetis.CSRAdjacency(indptr, indices), recursive=n_subdomains <= 8, options=options,
         vweights=None if weights is None else np.maximum(weights, 1).tolist(),
     )
     return renumber(np.asarray(parts, dtype=np.int64), n_subdomains)

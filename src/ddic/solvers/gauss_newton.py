@@ -150,7 +150,8 @@ def gauss_newton(team: Team, parts: Sequence[OwnedPart], q: Sequence[NDArray[np.
         f"Gauss-Newton did not converge in {tolerances.max_iterations} iterations "
         f"(last |dq|/|q| = {last.relative:.1e}, RMS dq = {last.rms:.1e} px, "
         f"residual {last.grey.residual_std:.2f} grey levels); look at the images and the start, raise "
-        "gauss_newton.max_iterations or loosen gauss_newton.tolerance, or give a longer regularization.cut_off_wavelength"))
+        "gauss_newton.max_iterations or loosen gauss_newton.tolerance, or give a longer "
+        "regularization.cut_off_wavelength"))
 
 
 def _sizes(team: Team, parts: Sequence[OwnedPart], dq: Sequence[NDArray[np.float64]],
@@ -161,6 +162,8 @@ def _sizes(team: Team, parts: Sequence[OwnedPart], dq: Sequence[NDArray[np.float
         for dq_s, q_s, m in zip(dq, q, (p.subdomain.dof_multiplicity for p in parts), strict=True)
     ])
     dim = parts[0].subdomain.mesh.dim
+    if not np.isfinite(sums).all():
+        return np.inf, np.inf
     relative = float(np.sqrt(sums[0] / sums[1])) if sums[1] > 0 else (0.0 if sums[0] == 0 else np.inf)
     return relative, float(np.sqrt(sums[0] / (sums[2] / dim)))
 

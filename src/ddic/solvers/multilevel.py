@@ -26,11 +26,14 @@ LARGEST_COARSE_IMAGE = 2_000_000
 """Pixels of the finest image of the pyramid: what one rank is asked to hold and correlate."""
 
 LARGEST_FFT_IMAGE = 500_000
-SMALLEST_SIDE = 3 * CELL
-"""Least side of the region on the coarsest level, blocks."""
+SMALLEST_SIDE = 1.5 * CELL
+"""Least side of the region on the coarsest level, blocks: there the grid is hardly more than an affine map."""
 
-COARSEST = 8
-"""Largest block, pixels, unless the image is so large that the finest level needs larger ones."""
+COARSEST = 64
+"""Largest block, pixels. A level finds displacements of about a block beyond its start."""
+
+LEAST_COEFFICIENT = 0.3
+"""Correlation coefficient below which a rigid translation is noise."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +57,12 @@ def multilevel_start(reference: MaskedSource, deformed: MaskedSource, mesh: Mesh
     rigid_size = _rigid_block_size(n_pixels)
     pairs = _binned_pairs(reference, deformed, [*sizes, *([rigid_size] if rigid else [])])
     shift = _rigid(pairs[rigid_size], mesh) if rigid else None
-    field = uniform_field((0.0, 0.0) if shift is None else shift.shift)
     warnings: list[str] = []
+    if shift is not None and shift.coefficient < LEAST_COEFFICIENT:
+        warnings.append(f"start: no rigid translation stands out (best correlation coefficient {shift.coefficient:.2f}"
+                        "); starting from zero")
+        shift = None
+    field = uniform_field((0.0, 0.0) if shift is None else shift.shift)
     done: list[int] = []
     for size in sizes:
         try:

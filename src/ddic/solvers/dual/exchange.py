@@ -32,6 +32,11 @@ class Exchange:
         source.destroy()
         target.destroy()
 
+    def destroy(self) -> None:
+        """Free PETSc's objects."""
+        for thing in (self._scatter, self._owned, self._ghost):
+            thing.destroy()
+
     @property
     def n_global(self) -> int:
         """Total number of rows."""

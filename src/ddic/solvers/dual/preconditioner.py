@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 from scipy import linalg, sparse
 
+from ddic.errors import SingularSubdomainError
 from ddic.solvers.dual.exchange import Exchange
 from ddic.solvers.dual.local_dual import LocalDual
 
@@ -45,7 +46,12 @@ def block_inverse(schur: NDArray[np.float64], n_displacement: int) -> NDArray[np
 
 
 def _inverse(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    factor = linalg.cho_factor(matrix, lower=True)
+    try:
+        factor = linalg.cho_factor(matrix, lower=True)
+    except linalg.LinAlgError as error:
+        raise SingularSubdomainError(
+            "the interface problem of a subdomain is singular to rounding; use larger subdomains, or a shorter "
+            "regularization.cut_off_wavelength") from error
     inverse = linalg.cho_solve(factor, np.eye(len(matrix)))
     return np.asarray(0.5 * (inverse + inverse.T))
 

@@ -13,6 +13,7 @@ from petsc4py import PETSc
 from scipy import sparse
 
 from ddic.errors import ConvergenceError, on_all_ranks
+from ddic.parallel.team import Team
 from ddic.partition.incidence import copies_of, rows_of, scaled_incidence
 from ddic.solvers.dual.exchange import Exchange
 from ddic.solvers.dual.local_dual import local_dual
@@ -50,12 +51,15 @@ class DualStep:
     PETSc options (prefix ``dual_``): ``-dual_ksp_monitor``, ``-dual_ksp_type``, ``-dual_ksp_rtol``...
     """
 
-    def __init__(self, comm: MPI.Comm, systems: Sequence[LocalSystem], operators: Sequence[LocalOperator],
+    def __init__(self, team: Team, systems: Sequence[LocalSystem], operators: Sequence[LocalOperator],
                  scale: float, settings: DualSettings) -> None:
         """Set up the interface operators and the preconditioner.
 
         systems, operators: this rank's subdomains and their factors; scale: c of ``local_dual``.
+        Raises SingularSubdomainError on all ranks.
         """
+        comm = team.comm
+        self._team = team
         self._systems = systems
         parts = [system.subdomain for system in systems]
         needed = [rows_of(interface) for p in parts for interface in (p.displacement, p.reaction)]
@@ -82,17 +86,17 @@ class DualStep:
         free = [local.operator.solve(r) for local, r in zip(self._locals, right, strict=True)]
         history = self._solve_interface([q_s + y for q_s, y in zip(q, free, strict=True)])
         dq = self.correction(free, self._multipliers)
-        return StepResult(dq, max(len(history) - 1, 0), history)
+        return StepResult(dq, self._ksp.getIterationNumber() if self.n_interface else 0, history)
 
     def correction(self, free: Sequence[NDArray[np.float64]], multipliers: PETSc.Vec) -> list[NDArray[np.float64]]:
-        """Correction dq_s = free_s - A_s^-1 G_s^T v for multipliers v, free_s the part without them, Eq. 24a of [BP17]."""
+        """Correction dq_s = free_s - A_s^-1 G_s^T v, free_s the part without multipliers v, Eq. 24a of [BP17]."""
         v = self._exchange.to_ghosts(multipliers)
         return [y - local.operator.solve(local.jump_transposed @ v)
                 for y, local in zip(free, self._locals, strict=True)]
 
     def destroy(self) -> None:
         """Free PETSc's objects; must be called before the interpreter ends."""
-        for thing in (self._ksp, self._multipliers, self._right):
+        for thing in (self._ksp, self._matrix, self._multipliers, self._right, self._exchange):
             thing.destroy()
 
     def _solve_interface(self, freed: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
@@ -116,7 +120,8 @@ class DualStep:
 
     def _configure(self, comm: MPI.Comm, settings: DualSettings) -> PETSc.KSP:
         ksp = configured_ksp(comm, DUAL)
-        ksp.setOperators(DualSchurOperator(self._exchange, self._locals).as_matrix())
+        self._matrix = DualSchurOperator(self._exchange, self._locals).as_matrix()
+        ksp.setOperators(self._matrix)
         ksp.setTolerances(rtol=settings.tolerance, atol=1e-300, divtol=1e12, max_it=settings.max_iterations)
         ksp.setType(PETSc.KSP.Type.GMRES)
         ksp.setGMRESRestart(min(settings.max_iterations, max(self.n_interface, 1)) + 1)
@@ -134,8 +139,10 @@ class DualStep:
     def _preconditioner(self, comm: MPI.Comm, kind: Preconditioner) -> DualPreconditioner:
         plain = kind == "paper"
         assemblies = [local.incidence for local in self._locals] if plain else self._scaled_assemblies(comm)
-        terms = [LocalPreconditioner(assembly, block_inverse(local_schur(local), local.n_displacement))
-                 for assembly, local in zip(assemblies, self._locals, strict=True)]
+        terms = self._team.together(lambda: [
+            LocalPreconditioner(assembly, block_inverse(local_schur(local), local.n_displacement))
+            for assembly, local in zip(assemblies, self._locals, strict=True)
+        ])
         return DualPreconditioner(self._exchange, terms)
 
     def _scaled_assemblies(self, comm: MPI.Comm) -> list[sparse.csr_matrix]:
@@ -153,6 +160,7 @@ class DualStep:
         owned = copies.new_vector()
         copies.add_to_owners(weights, owned)
         weights = copies.to_ghosts(owned)
+        owned.destroy()
         rows = self._exchange.ghosts
         return [
             sparse.hstack([scaled_incidence(interface, weights, copies.ghosts, rows, len(rows))
