@@ -49,7 +49,7 @@ def test_rigid_shifts_are_found_by_correlation_alone(shift: tuple[float, float])
 def test_the_pyramid_follows_strain(field: DisplacementField) -> None:
     start = _start(field)
     assert start.levels == tuple(sorted(start.levels, reverse=True))
-    assert start.warnings == ()
+    assert not any("left out" in line for line in start.warnings)
     # Close enough for the last level of Gauss-Newton, whose speckles of 5 px are followed from 1 px away.
     assert _error(start, field) <= 0.2
     # The rigid stage alone leaves up to 5 px at the corners.
@@ -57,13 +57,13 @@ def test_the_pyramid_follows_strain(field: DisplacementField) -> None:
 
 
 def test_the_pyramid_follows_a_rotation_of_3_degrees() -> None:
-    # 10 px at the ends of a region of 384 px, which is large enough for a level with blocks of 8 px.
+    # 10 px at the ends of a region of 384 px, within reach of a level with blocks of 16 px.
     side, mesh = 576, square_mesh(96.0, 480.0)
     field = _turned(3.0, ((side - 1) / 2, (side - 1) / 2))
     pair = pair_of(field, side, 8)
     start = multilevel_start(source(pair.reference), source(pair.deformed), mesh, rigid=True, pyramid=True,
                              correction="none")
-    assert start.levels == (8, 4, 2)
+    assert start.levels == (16, 8, 4, 2)
     assert rms_error(start.field.at(mesh.nodes).ravel(), mesh.nodes, field) <= 0.2
 
 
@@ -92,11 +92,11 @@ def test_a_gain_between_the_images_does_not_disturb_the_rigid_stage() -> None:
 def test_images_without_texture_give_a_still_start_and_say_so() -> None:
     flat = source(np.full((SIDE, SIDE), 100.0, dtype=np.float32))
     start = multilevel_start(flat, flat, MESH, rigid=True, pyramid=True, correction="none")
-    assert start.rigid is not None
-    assert start.rigid.shift == (0.0, 0.0)
+    assert start.rigid is None
     assert start.levels == ()
-    assert len(start.warnings) == len(block_sizes(SIDE**2, MESH))
-    assert all("was left out" in line for line in start.warnings)
+    assert "no rigid translation stands out" in start.warnings[0]
+    assert len(start.warnings) == 1 + len(block_sizes(SIDE**2, MESH))
+    assert all("was left out" in line for line in start.warnings[1:])
     assert (start.field.at(MESH.nodes) == 0).all()
 
 

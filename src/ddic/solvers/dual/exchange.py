@@ -21,9 +21,11 @@ class Exchange:
 
         n_owned: how many numbers this rank owns; the ranges follow the order of the ranks.
         needed: numbers that each owned subdomain takes part in.
+        ``ghosts`` are all of them, sorted; ``n_global`` counts the numbers of all ranks.
         """
         self.ghosts: NDArray[np.int64] = np.unique(np.concatenate([np.zeros(0, np.int64), *needed]))
         self._owned = PETSc.Vec().createMPI((n_owned, PETSc.DETERMINE), comm=comm)
+        self.n_global = int(self._owned.getSize())
         self._ghost = PETSc.Vec().createSeq(len(self.ghosts), comm=PETSc.COMM_SELF)
         index = self.ghosts.astype(PETSc.IntType)
         source = PETSc.IS().createGeneral(index, comm=PETSc.COMM_SELF)
@@ -36,11 +38,6 @@ class Exchange:
         """Free PETSc's objects."""
         for thing in (self._scatter, self._owned, self._ghost):
             thing.destroy()
-
-    @property
-    def n_global(self) -> int:
-        """Total number of rows."""
-        return int(self._owned.getSize())
 
     def new_vector(self) -> PETSc.Vec:
         """A zero vector of owned rows over all ranks."""
