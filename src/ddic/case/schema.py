@@ -127,7 +127,7 @@ class SolverSection(Section):
     blocks: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]] | None = None
     partition_file: Path | None = None
     weighting: Literal["consistent", "paper"] = "consistent"
-    preconditioner: Literal["scaled", "paper", "none"] = "scaled"
+    preconditioner: Literal["two_level", "scaled", "paper", "none"] = "scaled"
     tolerance: Annotated[float, Field(gt=0, lt=1)] = 1e-6
     max_iterations: Annotated[int, Field(ge=1)] = 1000
 

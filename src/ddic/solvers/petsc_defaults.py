@@ -6,6 +6,7 @@ from petsc4py import PETSc
 
 LOCAL = "local_"
 DUAL = "dual_"
+COARSE = "coarse_"
 
 DEFAULTS: dict[str, dict[str, str]] = {
     LOCAL: {
@@ -13,6 +14,11 @@ DEFAULTS: dict[str, dict[str, str]] = {
         "pc_type": "cholesky",
         "pc_factor_mat_solver_type": "cholmod",
         "mat_cholmod_print": "0",
+    },
+    COARSE: {
+        "ksp_type": "preonly",
+        "pc_type": "cholesky",
+        "pc_factor_mat_solver_type": "mumps",
     },
     DUAL: {
         "ksp_type": "gmres",

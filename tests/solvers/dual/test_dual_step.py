@@ -22,7 +22,8 @@ SAME = 1e-9
 WAVELENGTH = 32.0
 
 PARTITIONS = [("blocks", 4), ("blocks", 9), ("blocks", 16), ("metis", 4), ("metis", 9), ("metis", 16)]
-PRECONDITIONERS: list[Preconditioner] = ["none", "paper", "scaled"]
+ONE_LEVEL: list[Preconditioner] = ["none", "paper", "scaled"]
+PRECONDITIONERS: list[Preconditioner] = [*ONE_LEVEL, "two_level"]
 
 
 @pytest.mark.parallel(RANKS)
@@ -94,7 +95,7 @@ def test_warm_start_with_the_same_data_takes_no_iteration(preconditioner: Precon
 
 
 @pytest.mark.parallel(RANKS)
-@pytest.mark.parametrize("preconditioner", PRECONDITIONERS)
+@pytest.mark.parametrize("preconditioner", ONE_LEVEL)
 def test_stop_is_relative_to_the_right_hand_side_when_warm_started(preconditioner: Preconditioner) -> None:
     problem = linear_step(wavelength=WAVELENGTH)
     tolerance = 1e-6
@@ -102,7 +103,7 @@ def test_stop_is_relative_to_the_right_hand_side_when_warm_started(preconditione
         step = cut.step(DualSettings(preconditioner, tolerance, 3000))
         first = cut.solve(step)
         changed = cut.solve(step, problem.b * 1.001)
-    # From zero the first residual is the right-hand side itself ...
+    # From zero the first residual is the right-hand side itself (a coarse space would lower it before) ...
     assert first.krylov_history[0] == pytest.approx(1.0, rel=1e-10)
     # ... while a warm start begins where the data have changed, a thousandth of it: relative to its own
     # first residual the solve would go on to 1e-9.
@@ -127,7 +128,7 @@ def test_history_holds_the_true_residual_not_the_preconditioned_one(precondition
 
 
 @pytest.mark.parallel(RANKS)
-@pytest.mark.parametrize("preconditioner", PRECONDITIONERS)
+@pytest.mark.parametrize("preconditioner", ONE_LEVEL)
 def test_unit_of_the_stiffness_changes_nothing(preconditioner: Preconditioner) -> None:
     problem = linear_step(wavelength=WAVELENGTH)
     unit = 1e5

@@ -15,8 +15,10 @@ from scipy import sparse
 from ddic.errors import ConvergenceError, on_all_ranks
 from ddic.parallel.team import Team
 from ddic.partition.incidence import copies_of, rows_of, scaled_incidence
+from ddic.solvers.dual.coarse_space import CoarseSpace, coarse_columns
 from ddic.solvers.dual.exchange import Exchange
 from ddic.solvers.dual.local_dual import local_dual
+from ddic.solvers.dual.local_modes import low_energy_modes
 from ddic.solvers.dual.preconditioner import (
     DualPreconditioner,
     LocalPreconditioner,
@@ -24,25 +26,28 @@ from ddic.solvers.dual.preconditioner import (
     local_schur,
 )
 from ddic.solvers.dual.schur_operator import DualSchurOperator
+from ddic.solvers.dual.two_level import TwoLevelPreconditioner
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.petsc_defaults import DUAL, configured_ksp
 from ddic.solvers.step import StepResult
 
-Preconditioner = Literal["none", "paper", "scaled"]
+Preconditioner = Literal["none", "paper", "scaled", "two_level"]
 
 
 @dataclass(frozen=True)
 class DualSettings:
     """How the interface problem is solved.
 
-    preconditioner: none, the paper's, or the paper's with scaled assembly;
-    tolerance: on the interface residual relative to |t_tot|; max_iterations: also GMRES's restart.
+    preconditioner: none, the paper's, the paper's with scaled assembly, or that with a coarse space;
+    tolerance: on the interface residual relative to |t_tot|; max_iterations: also GMRES's restart;
+    coarse_modes: low-energy modes of each subdomain in the coarse space.
     """
 
     preconditioner: Preconditioner = "scaled"
     tolerance: float = 1e-6
     max_iterations: int = 1000
+    coarse_modes: int = 16
 
 
 class DualStep:
@@ -68,6 +73,8 @@ class DualStep:
                         for s, a in zip(systems, operators, strict=True)]
         self._multipliers = self._exchange.new_vector()
         self._right = self._exchange.new_vector()
+        self._coarse: CoarseSpace | None = None
+        self._tolerance = settings.tolerance
         self._ksp = self._configure(comm, settings)
 
     @property
@@ -96,8 +103,9 @@ class DualStep:
 
     def destroy(self) -> None:
         """Free PETSc's objects; must be called before the interpreter ends."""
-        for thing in (self._ksp, self._matrix, self._multipliers, self._right, self._exchange):
-            thing.destroy()
+        for thing in (self._ksp, self._matrix, self._multipliers, self._right, self._exchange, self._coarse):
+            if thing is not None:
+                thing.destroy()
 
     def _solve_interface(self, freed: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
         """S_tot v = t_tot = sum_s G_s (q_s + A_s^-1 (b_s - eta Kbar_s^T Kbar_s q_s)), Eq. 25-27 of [BP17]."""
@@ -107,6 +115,8 @@ class DualStep:
         for local, displacement in zip(self._locals, freed, strict=True):
             total += local.jump @ displacement
         self._exchange.add_to_owners(total, self._right)
+        if self._coarse is not None:
+            self._correct_start(self._coarse)
         self._ksp.setConvergenceHistory(reset=True)
         self._ksp.solve(self._right, self._multipliers)
         size = self._right.norm()
@@ -117,6 +127,15 @@ class DualStep:
                 f"(relative residual {self._ksp.getResidualNorm() / (size or 1.0):.1e}); raise solver.max_iterations, "
                 'or choose solver.preconditioner = "scaled" or fewer, larger subdomains'))
         return history
+
+    def _correct_start(self, coarse: CoarseSpace) -> None:
+        """Add Q (t_tot - S_tot v) to the start v: A-DEF2 expects a residual free of coarse components."""
+        residual = self._right.duplicate()
+        self._matrix.mult(self._multipliers, residual)
+        residual.aypx(-1.0, self._right)
+        if residual.norm() > self._tolerance * self._right.norm():
+            coarse.correct(residual, None, self._multipliers)
+        residual.destroy()
 
     def _configure(self, comm: MPI.Comm, settings: DualSettings) -> PETSc.KSP:
         ksp = configured_ksp(comm, DUAL)
@@ -132,18 +151,29 @@ class DualStep:
             pc.setType(PETSc.PC.Type.NONE)
         else:
             pc.setType(PETSc.PC.Type.PYTHON)
-            pc.setPythonContext(self._preconditioner(comm, settings.preconditioner))
+            pc.setPythonContext(self._preconditioner(comm, settings))
         ksp.setFromOptions()
         return ksp
 
-    def _preconditioner(self, comm: MPI.Comm, kind: Preconditioner) -> DualPreconditioner:
-        plain = kind == "paper"
+    def _preconditioner(self, comm: MPI.Comm,
+                        settings: DualSettings) -> DualPreconditioner | TwoLevelPreconditioner:
+        plain = settings.preconditioner == "paper"
         assemblies = [local.incidence for local in self._locals] if plain else self._scaled_assemblies(comm)
+        schurs = self._team.together(lambda: [local_schur(local) for local in self._locals])
         terms = self._team.together(lambda: [
-            LocalPreconditioner(assembly, block_inverse(local_schur(local), local.n_displacement))
-            for assembly, local in zip(assemblies, self._locals, strict=True)
+            LocalPreconditioner(assembly, block_inverse(schur, local.n_displacement))
+            for assembly, schur, local in zip(assemblies, schurs, self._locals, strict=True)
         ])
-        return DualPreconditioner(self._exchange, terms)
+        one_level = DualPreconditioner(self._exchange, terms)
+        if settings.preconditioner != "two_level":
+            return one_level
+        columns = self._team.together(lambda: [
+            coarse_columns(low_energy_modes(system.operator, local.operator, system.subdomain.mesh,
+                                            settings.coarse_modes), local)
+            for system, local in zip(self._systems, self._locals, strict=True)
+        ])
+        self._coarse = CoarseSpace(self._team, self._exchange, self._locals, assemblies, schurs, columns)
+        return TwoLevelPreconditioner(one_level, self._coarse)
 
     def _scaled_assemblies(self, comm: MPI.Comm) -> list[sparse.csr_matrix]:
         """(B D^-1 B^T)^-1 B D^-1 per subdomain, D the copies' stiffness diag A_s (1 for reactions)."""
