@@ -6,7 +6,7 @@ SHELL := /bin/bash
 PYTHON := .venv/bin/python
 STAMP := .venv/.ddic-setup
 
-.PHONY: help setup demo test lint bench accept-core clean
+.PHONY: help setup demo test lint bench bench-iterations accept-core clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -30,6 +30,9 @@ lint: setup ## ruff, mypy, the import contracts, and the import under numpy 2
 
 bench: setup ## run every benchmark; results go to bench/results
 	@bash scripts/run_bench.sh
+
+bench-iterations: setup ## iterations of the interface problem over the grid l_c/H x subdomains
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/iterations.py
 
 accept-core: setup ## measure the acceptance table (CHECK=NAME: one check); non-zero exit where a bound is missed
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/accept_core.py $(CHECK)
