@@ -16,7 +16,7 @@ from ddic.solvers.local_operator import LocalOperator
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from support.step_problem import (  # noqa: E402  (the folder above must be on the path first)
+from support.step_problem import (
     ALONE,
     Whole,
     distributed_problem,

@@ -15,7 +15,7 @@ from ddic.io.summary import Summary
 from ddic.methods.listener import Setting
 from ddic.solvers.gauss_newton import IterationRecord
 
-PHASES = ("read", "assemble", "start", "factorize", "interface set-up", "residual", "linear step", "finish", "write")
+PHASES = ("read", "start", "assemble", "factorize", "interface set-up", "residual", "linear step", "finish", "write")
 """Phases of a run in order; residual and linear step repeat."""
 
 _COLUMNS = ("iter", "|dq|/|q|", "RMS dq [px]", "residual [grey]", "[% range]", "Krylov", "residual [s]", "step [s]")
@@ -58,7 +58,7 @@ class RunConsole:
         self._range = setting.dynamic_range or 1.0
         weight = f", eta = {setting.eta:.4g}" if setting.eta else ""
         self._print(f"{setting.n_dofs} unknowns, {setting.n_cells} elements, {setting.n_pixels} pixels; "
-                    f"{setting.n_subdomains} subdomains on {setting.n_ranks} ranks, "
+                    f"{_count(setting.n_subdomains, 'subdomain')} on {_count(setting.n_ranks, 'rank')}, "
                     f"{setting.n_interface} interface unknowns{weight}")
         self._print("  ".join(f"{name:>{max(len(name), 9)}}" for name in _COLUMNS))
 
@@ -90,6 +90,10 @@ class RunConsole:
     def _print(self, line: str) -> None:
         self._console.print(line, markup=False)
         sys.stdout.flush()
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 class _ProgressBar:

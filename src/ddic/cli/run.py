@@ -89,6 +89,8 @@ def _failed(team: object, error: BaseException) -> int:
         where = "" if team.size == 1 or everywhere else f"rank {team.rank}: "
         if isinstance(error, DdicError):
             lines = [f"{where}{line}" for line in str(error).splitlines()]
+        elif isinstance(error, OSError):
+            lines = [f"{where}{error.filename or 'a file'} could not be read or written: {error.strerror or error}"]
         elif isinstance(error, KeyboardInterrupt | SystemExit):
             lines, code = [f"{where}interrupted; no result was written"], 130
         else:

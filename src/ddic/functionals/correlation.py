@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -90,6 +90,20 @@ class Correlation:
         if f.usable is None:
             return int(self.raster.pixel_counts.sum())
         return int(self.raster.counts_in(f.usable, f.window.x0, f.window.y0).sum())
+
+    def seen_from(self, deformed: DeformedSubImage, q: NDArray[np.float64]) -> Correlation:
+        """The same without the pixels that q maps outside the deformed image or onto excluded pixels of it.
+
+        They must leave M as well as b: a displacement that no pixel sees is not held by any.
+        """
+        seen = np.isfinite(self.residual_image(deformed, q))
+        if int(self.raster.counts_in(seen.astype(np.uint8), self.reference.window.x0,
+                                     self.reference.window.y0).sum()) == self.n_usable_pixels:
+            return self
+        usable = seen.astype(np.uint8)
+        if self.reference.usable is not None:
+            usable &= self.reference.usable
+        return replace(self, reference=replace(self.reference, usable=usable))
 
     def hessian_cells(self) -> NDArray[np.float64]:
         """M_e = sum_px N_i . grad f grad f^T . N_j of every cell, (n_cells, 8, 8), Eq. 5 of [BP17]."""

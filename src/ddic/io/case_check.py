@@ -20,10 +20,20 @@ from ddic.io.mask_file import read_mask
 from ddic.io.mesh_source import build_mesh, mesh_name
 from ddic.io.partition_file import read_partition
 from ddic.io.result_reader import read_result
+from ddic.io.result_schema import sidecar_path
+from ddic.io.summary import summary_path
 from ddic.mesh.control import not_controlled_nodes
 from ddic.mesh.mesh import CELL_NAMES, Mesh
+from ddic.mesh.quality import areas
 from ddic.mesh.raster import rasterize
 from ddic.mesh.repair import check_pixels
+
+SHORTEST_WAVELENGTH = 3.0
+"""Elements per cut-off wavelength below which a plane wave is not one on the mesh (aliasing)."""
+
+LONGEST_WAVELENGTH = 1000.0
+"""Elements per cut-off wavelength beyond which M is lost in A = M + eta Kbar^T Kbar, whose ratio grows as its
+fourth power (1e12 here, of 1e16)."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +68,7 @@ def check_case(loaded: LoadedCase) -> CheckReport:
     reference = _check_images(case, problems)
     with problems.gathered(loaded.path):
         _check_output(case.output.file)
+        _check_nothing_is_overwritten(loaded)
     if case.start.from_result is not None:
         with problems.gathered():
             read_result(case.start.from_result)
@@ -125,6 +136,37 @@ def _check_output(file: Path) -> None:
         raise InputError(f"output.file: the folder {folder} cannot be written to; choose another")
 
 
+def _check_nothing_is_overwritten(loaded: LoadedCase) -> None:
+    case = loaded.case
+    result = case.output.file
+    if result.suffix == ".json":
+        raise InputError(f"output.file: {result} is the name of the summary that is written beside the result; "
+                         "choose another ending, such as .vtkhdf")
+    structured = case.mesh.structured
+    inputs = (loaded.path, case.images.reference, case.images.deformed, case.images.reference_mask,
+              case.images.deformed_mask, case.mesh.file, None if structured is None else structured.mask,
+              case.solver.partition_file)
+    written = {p.resolve() for p in (result, summary_path(result), sidecar_path(result))}
+    for path in inputs:
+        if path is not None and path.resolve() in written:
+            raise InputError(f"output.file: {result} would overwrite the input {path}; choose another name")
+
+
+def _check_wavelength(case: Case, mesh: Mesh) -> None:
+    wavelength = None if case.regularization is None else case.regularization.cut_off_wavelength
+    if wavelength is None:
+        return
+    size = float(np.sqrt(areas(mesh).mean()))
+    if wavelength < SHORTEST_WAVELENGTH * size:
+        raise InputError(f"regularization.cut_off_wavelength = {wavelength:g}: the mesh, of elements of {size:.3g} px, "
+                         f"carries no wave shorter than {SHORTEST_WAVELENGTH:g} elements; give at least "
+                         f"{SHORTEST_WAVELENGTH * size:.3g}, or leave the regularization out")
+    if wavelength > LONGEST_WAVELENGTH * size:
+        raise InputError(f"regularization.cut_off_wavelength = {wavelength:g}: more than {LONGEST_WAVELENGTH:g} "
+                         f"elements of {size:.3g} px, where rounding hides the images (eta grows as its fourth "
+                         f"power); give at most {LONGEST_WAVELENGTH * size:.3g}")
+
+
 def _check_mesh_uses(loaded: LoadedCase, mesh: Mesh, pixel_counts: NDArray[np.int64],
                      problems: _Problems) -> NDArray[np.int64]:
     """Check what refers to the mesh; returns the nodes that are not controlled."""
@@ -135,6 +177,8 @@ def _check_mesh_uses(loaded: LoadedCase, mesh: Mesh, pixel_counts: NDArray[np.in
     if case.regularization is not None:
         with problems.gathered(loaded.path):
             free = not_controlled_nodes(mesh, case.regularization.not_controlled, case.regularization.boxes)
+    with problems.gathered(loaded.path):
+        _check_wavelength(case, mesh)
     if case.solver.partition_file is not None:
         with problems.gathered():
             read_partition(case.solver.partition_file, mesh.n_cells)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ddic.case.schema import RegularizationSection, SolverSection
-from ddic.errors import InputError
+from ddic.errors import InputError, on_all_ranks
 from ddic.functionals.correlation import correlation
 from ddic.functionals.equilibrium_gap import controlled_stiffness, cut_off_weight, texture_energies
 from ddic.images.sub_image import DeformedSubImage
@@ -48,6 +48,11 @@ def own_part(subdomain: Subdomain, pair: ImagePair, degree: int) -> OwnedPart:
                      DeformedSubImage(pair.deformed, degree))
 
 
+def seen_part(part: OwnedPart, q: NDArray[np.float64]) -> OwnedPart:
+    """A part without the pixels that the displacement q hides in the deformed image."""
+    return replace(part, correlation=part.correlation.seen_from(part.deformed, q))
+
+
 def assemble(team: Team, parts: Sequence[OwnedPart], region: Region, solver: SolverSection,
              section: RegularizationSection | None) -> Assembly:
     """Assemble M_s, find eta for the whole region, and Kbar_s."""
@@ -82,8 +87,9 @@ def assemble(team: Team, parts: Sequence[OwnedPart], region: Region, solver: Sol
 
 def _weight(texture: NDArray[np.float64], region: Region) -> float:
     if region.gap_energies is None or not region.gap_energies.reshape(-1, 2).any(axis=1).all():
-        raise InputError("regularization.cut_off_wavelength: the mesh has no interior node, so no wavelength can be "
-                         "given a weight; use a finer mesh or give regularization.eta")
+        raise on_all_ranks(InputError(
+            "regularization.cut_off_wavelength: the mesh has no interior node, so no wavelength can be given a "
+            "weight; use a finer mesh or give regularization.eta"))
     return cut_off_weight(texture, region.gap_energies)
 
 

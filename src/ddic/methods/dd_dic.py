@@ -5,11 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from ddic.case.schema import Case, SolverSection
+from ddic.errors import ConvergenceError, on_all_ranks
 from ddic.functionals.correlation import Residual
+from ddic.functionals.strain import inverted_cells
 from ddic.io.mesh_source import build_mesh
 from ddic.mesh.mesh import Mesh
-from ddic.methods.assembly import SINGULAR, Assembly, assemble, factorize, own_part
+from ddic.methods.assembly import SINGULAR, Assembly, assemble, factorize, own_part, seen_part
 from ddic.methods.inputs import ImagePair, Region, open_pair, share_out
 from ddic.methods.listener import Listener, Setting
 from ddic.methods.start import coarse_field, refine_independently
@@ -60,10 +64,13 @@ def dd_dic(team: Team, case: Case, listener: Listener, clock: PhaseClock) -> Mea
         mesh = _whole_mesh(team, case, pair)
         subdomains, region = share_out(team, case, mesh)
         parts = team.together(lambda: [own_part(s, pair, case.correlation.spline_degree) for s in subdomains])
+    n_pixels = sum(team.gather_lists([part.correlation.n_usable_pixels for part in parts]))
+    with clock.phase("start"):
+        start = coarse_field(team, case, pair, mesh, [s.mesh.nodes for s in subdomains])
+        parts = team.together(lambda: [seen_part(part, q) for part, q in zip(parts, start.q, strict=True)])
     with clock.phase("assemble"):
         assembly = assemble(team, parts, region, case.solver, case.regularization)
     with clock.phase("start"):
-        start = coarse_field(team, case, pair, mesh, [s.mesh.nodes for s in subdomains])
         start = refine_independently(team, case, parts, assembly.systems, start, SINGULAR * assembly.mean_diagonal)
     for line in start.notes:
         listener.note(line)
@@ -71,7 +78,7 @@ def dd_dic(team: Team, case: Case, listener: Listener, clock: PhaseClock) -> Mea
         operators = factorize(team, assembly.systems, assembly.mean_diagonal)
     with clock.phase("interface set-up"):
         step, n_interface = linear_step(team, case.solver, assembly, operators)
-    setting = _setting(team, region, parts, n_interface, assembly.eta)
+    setting = _setting(team, region, parts, n_pixels, n_interface, assembly.eta)
     listener.setting(setting)
     try:
         solution = gauss_newton(team, parts, start.q, step, correction, _tolerances(case), listener.iteration, clock)
@@ -81,6 +88,7 @@ def dd_dic(team: Team, case: Case, listener: Listener, clock: PhaseClock) -> Mea
             operator.destroy()
     with clock.phase("finish"):
         field = average_copies(team.comm, subdomains, solution.q)
+        _refuse_inverted_cells(team, parts, field)
         residuals, grey = evaluate(team, parts, field.q, correction)
     return Measurement(region, pair, list(parts), field, residuals, grey, setting, solution.records, start.notes)
 
@@ -108,11 +116,24 @@ def _tolerances(case: Case) -> Tolerances:
     return Tolerances(section.tolerance, section.rms_tolerance, section.max_iterations)
 
 
-def _setting(team: Team, region: Region, parts: Sequence[OwnedPart], n_interface: int, eta: float) -> Setting:
-    def sizes(part: OwnedPart) -> tuple[float, float, int]:
-        values = part.correlation.reference.values
-        return float(values.min()), float(values.max()), part.correlation.n_usable_pixels
+def _refuse_inverted_cells(team: Team, parts: Sequence[OwnedPart], field: ContinuousField) -> None:
+    """A field that turns cells inside out is no displacement of matter, however small the last correction was."""
+    found = team.gather_lists([part.subdomain.cell_ids[inverted_cells(part.subdomain.mesh, q)]
+                               for part, q in zip(parts, field.q, strict=True)])
+    cells = np.sort(np.concatenate(found))
+    if len(cells):
+        listed = ", ".join(str(c) for c in cells[:10]) + (", ..." if len(cells) > 10 else "")
+        raise on_all_ranks(ConvergenceError(
+            f"the measured field turns {len(cells)} elements inside out (numbers {listed}): the images do not "
+            "determine it; use larger elements or a longer regularization.cut_off_wavelength"))
 
-    lows, highs, counts = zip(*team.gather_lists([sizes(part) for part in parts]), strict=True)
-    return Setting(region.n_dofs, region.n_cells, sum(counts), region.n_subdomains, team.size, n_interface,
+
+def _setting(team: Team, region: Region, parts: Sequence[OwnedPart], n_pixels: int, n_interface: int,
+             eta: float) -> Setting:
+    def range_of(part: OwnedPart) -> tuple[float, float]:
+        values = part.correlation.reference.values
+        return float(values.min()), float(values.max())
+
+    lows, highs = zip(*team.gather_lists([range_of(part) for part in parts]), strict=True)
+    return Setting(region.n_dofs, region.n_cells, n_pixels, region.n_subdomains, team.size, n_interface,
                    max(highs) - min(lows), eta)

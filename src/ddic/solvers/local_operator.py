@@ -92,5 +92,5 @@ class LocalOperator:
 
 def _singular(where: str) -> str:
     return (f"{where}: the local operator is singular, which means that the reference image has too little texture "
-            "there; use larger elements, leave the blank part out of the mesh, or give a longer "
-            "regularization.cut_off_wavelength")
+            "there, or too few pixels that are neither masked nor mapped outside the deformed image; use larger "
+            "elements, leave the blank part out of the mesh, or give a longer regularization.cut_off_wavelength")

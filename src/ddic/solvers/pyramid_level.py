@@ -8,6 +8,7 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
+from ddic.errors import SingularSubdomainError
 from ddic.functionals.correlation import GreyCorrection, correlation
 from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import (
@@ -73,6 +74,8 @@ def correlate_level(pair: BinnedPair, mesh: Mesh, start: GridField, correction: 
     """
     coarse = scaled_mesh(mesh, pair.factor)
     active = active_blocks(pair.reference, rasterize(coarse))
+    if not active.any():
+        raise SingularSubdomainError("no block of the region is usable: everything is masked")
     grid = _grid(coarse, active)
     q = start.at(grid.mesh.nodes * pair.factor + pair.centre).ravel() / pair.factor
     q = _solve(pair, grid.mesh, active, q, correction)
