@@ -192,3 +192,22 @@ def test_masked_and_saturated_pixels_of_f_are_left_out() -> None:
     part = correlation(mesh, source(f, mask, exclude_saturated=True), 3)
     residual = part.residual(DeformedSubImage(source(f), 3), np.zeros(mesh.n_dofs))
     assert part.n_usable_pixels == residual.sums.n_pixels == 24 * 24 - 3 * 10 - 1
+
+
+def test_pixels_hidden_in_the_deformed_image_leave_m_too() -> None:
+    rng = np.random.default_rng(3)
+    mesh, width, height = onto_image(grid_mesh(4, 3, (9.0, 9.0), cells="Q4", seed=2, jitter=0.2))
+    f, g = random_source(rng, width, height, masked=False), random_source(rng, width, height, masked=False)
+    one, deformed = correlation(mesh, f, 3), DeformedSubImage(g, 3)
+    still = np.zeros(mesh.n_dofs)
+    assert one.seen_from(deformed, still) is one
+    # Moved left by the margin and two cells' width, what lay within that distance of the edge is out of sight.
+    moved = np.tile([-(MARGIN + 18.0), 0.0], mesh.n_nodes)
+    seen = one.seen_from(deformed, moved)
+    counted = one.residual(deformed, moved).sums.n_pixels
+    assert 0 < seen.n_usable_pixels == counted < one.n_usable_pixels
+    assert seen.residual(deformed, moved).sums.n_pixels == counted
+    hidden = seen.raster.counts_in(seen.reference.usable, seen.reference.window.x0, seen.reference.window.y0) == 0
+    assert hidden.any()
+    assert (seen.hessian_cells()[hidden] == 0).all()
+    assert (one.hessian_cells()[hidden] != 0).any()

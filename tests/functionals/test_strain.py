@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from ddic.functionals.strain import cell_strain
+from ddic.functionals.strain import cell_strain, inverted_cells
 from ddic.mesh.mesh import Mesh
 from support.random_meshes import SEEDS, Cells, grid_mesh, grid_meshes
 
@@ -50,3 +50,14 @@ def test_strain_converges(cells: Cells, order: float) -> None:
     assert errors[0] < 0.3
     # Two grids are not yet the limit.
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.2)
+
+
+def test_a_cell_turned_inside_out_is_named() -> None:
+    mesh = grid_mesh(3, 3, (7.0, 6.0), cells="Q4", seed=1, jitter=0.0)
+    q = np.zeros(mesh.n_dofs)
+    assert len(inverted_cells(mesh, q)) == 0
+    # Mirrored in x about its centroid, cell 4 has det(I + grad u) = -1; its neighbours are stretched, not turned.
+    corners = mesh.cells[4]
+    q.reshape(-1, 2)[corners, 0] = -2 * (mesh.nodes[corners, 0] - mesh.centroids[4, 0])
+    assert 4 in inverted_cells(mesh, q)
+    assert 0 not in inverted_cells(mesh, q)

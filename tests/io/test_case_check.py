@@ -189,3 +189,35 @@ def test_colour_images_are_announced(folder: Path) -> None:
     assert done.exit_code == 0
     assert "warning: " in done.stderr
     assert "colour" in done.stderr
+
+
+@pytest.mark.parametrize(("name", "input_"), [
+    ("g.tif", "g.tif"), ("case.toml", "case.toml"), ("part.txt", "part.txt"), ("g.residual.tif", None),
+])
+def test_the_result_may_not_overwrite_an_input(folder: Path, name: str, input_: str | None) -> None:
+    (folder / "part.txt").write_text("0\n" * 48)
+    text = (IMAGES + GRID + '[solver]\npartition = "file"\npartition_file = "part.txt"\n'
+            + f'[output]\nfile = "{name}"\n')
+    if input_ is None:
+        assert _check(folder, text).output == folder / name
+        return
+    problems = _problems(folder, text)
+    assert len(problems) == 1
+    assert f"would overwrite the input {folder / input_}" in problems[0]
+
+
+def test_the_result_may_not_take_the_summary_s_name(folder: Path) -> None:
+    problems = _problems(folder, IMAGES + GRID + '[output]\nfile = "x.json"\n')
+    assert "is the name of the summary" in problems[0]
+
+
+@pytest.mark.parametrize(("wavelength", "words"), [(29.0, "no wave shorter than 3 elements; give at least 30"),
+                                                   (1.1e4, "rounding hides the images")])
+def test_wavelengths_that_the_mesh_cannot_carry_are_refused(folder: Path, wavelength: float, words: str) -> None:
+    text = IMAGES + GRID + "[regularization]\ncut_off_wavelength = {}\n"
+    problems = _problems(folder, text.format(wavelength))
+    assert len(problems) == 1
+    assert problems[0].startswith(f"{folder / 'case.toml'}: regularization.cut_off_wavelength = ")
+    assert words in problems[0]
+    _check(folder, text.format(30.0))
+    _check(folder, text.format(1e4))

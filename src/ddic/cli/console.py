@@ -15,7 +15,8 @@ from ddic.io.summary import Summary
 from ddic.methods.listener import Setting
 from ddic.solvers.gauss_newton import IterationRecord
 
-PHASES = ("read", "start", "assemble", "factorize", "interface set-up", "residual", "linear step", "finish", "write")
+PHASES = ("read", "start", "assemble", "independent start", "factorize", "interface set-up", "residual",
+          "linear step", "finish", "write")
 """Phases of a run in order; residual and linear step repeat."""
 
 _COLUMNS = ("iter", "|dq|/|q|", "RMS dq [px]", "residual [grey]", "[% range]", "Krylov", "residual [s]", "step [s]")

@@ -70,7 +70,7 @@ def dd_dic(team: Team, case: Case, listener: Listener, clock: PhaseClock) -> Mea
         parts = team.together(lambda: [seen_part(part, q) for part, q in zip(parts, start.q, strict=True)])
     with clock.phase("assemble"):
         assembly = assemble(team, parts, region, case.solver, case.regularization)
-    with clock.phase("start"):
+    with clock.phase("independent start"):
         start = refine_independently(team, case, parts, assembly.systems, start, SINGULAR * assembly.mean_diagonal)
     for line in start.notes:
         listener.note(line)
