@@ -11,7 +11,7 @@ from support.harness import DATA, Row, append_result, ddic_run, main, real_data
 
 from ddic.io.result_reader import read_result
 
-ELEMENT, WAVELENGTH = 16, 32
+ELEMENT, WAVELENGTH = 16, 48
 BOUNDS = {"L1": (1, 0.005), "L3": (3, 0.02), "L5": (5, 0.02)}
 
 
