@@ -33,6 +33,15 @@ class LocalSystem:
         kbar = self.controlled_stiffness
         return (self.hessian + self.eta * (kbar.T @ kbar)).tocsr()
 
+    @property
+    def diagonal(self) -> NDArray[np.float64]:
+        """Diagonal of A_s, (n_dofs,), without the product Kbar_s^T Kbar_s."""
+        diagonal = self.hessian.diagonal()
+        if self.controlled_stiffness is None:
+            return np.asarray(diagonal)
+        squares = self.controlled_stiffness.power(2).sum(axis=0)
+        return np.asarray(diagonal + self.eta * np.asarray(squares).ravel())
+
     def right_hand_side(self, b: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float64]:
         """b_s - eta Kbar_s^T Kbar_s q_s, Eq. 24a of [BP17]."""
         if self.controlled_stiffness is None:

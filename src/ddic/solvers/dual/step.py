@@ -180,7 +180,7 @@ class DualStep:
         mine = []
         for system in self._systems:
             part = system.subdomain
-            stiffness = system.operator.diagonal()[part.displacement.dofs]
+            stiffness = system.diagonal[part.displacement.dofs]
             mine.append([(part.displacement, stiffness), (part.reaction, np.ones(len(part.reaction.dofs)))])
         copies = Exchange(comm, sum(s.subdomain.n_owned_copies for s in self._systems),
                           [copies_of(interface) for pair in mine for interface, _ in pair])
