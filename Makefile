@@ -5,8 +5,10 @@ SHELL := /bin/bash
 
 PYTHON := .venv/bin/python
 STAMP := .venv/.ddic-setup
+# Processes at a time of the benchmarks that count and do not time.
+JOBS ?= 2
 
-.PHONY: help setup demo test lint bench bench-iterations accept-core clean
+.PHONY: help setup demo test lint bench bench-iterations bench-interface accept-core accept-solver clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -32,10 +34,16 @@ bench: setup ## run every benchmark; results go to bench/results
 	@bash scripts/run_bench.sh
 
 bench-iterations: setup ## iterations of the interface problem over the grid l_c/H x subdomains
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/iterations.py
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/iterations.py --jobs $(JOBS)
+
+bench-interface: setup ## time and memory of the interface solvers, direct solvers and multigrid; takes hours
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/interface_solvers.py
 
 accept-core: setup ## measure the acceptance table (CHECK=NAME: one check); non-zero exit where a bound is missed
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/accept_core.py $(CHECK)
+
+accept-solver: setup ## measure the interface solver's acceptance table (CHECK=NAME: one check)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/accept_solver.py --jobs $(JOBS) $(CHECK)
 
 clean: ## remove the environments and caches
 	rm -rf .venv .venv-numpy2 .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -20,13 +20,14 @@ SETTING = Setting(n_dofs=200, n_cells=81, n_pixels=20736, n_subdomains=4, n_rank
                   dynamic_range=200.0, eta=12.5)
 SUMMARY = Summary(converged=True, iterations=2, residual_std_grey=1.5, residual_percent_of_range=0.75, n_dofs=200,
                   n_subdomains=4, n_ranks=2, krylov_iterations=[11, 7], seconds={"read": 0.5, "write": 0.25},
-                  cpu_seconds={"read": 1.0}, peak_memory_bytes=[2**27, 2**28], largest_jump_px=2e-9, n_pixels=20000,
-                  n_pixels_outside=0, grey_correction="global", result_file="/a/[b]/result.vtkhdf")
+                  cpu_seconds={"read": 1.0}, peak_memory_bytes=[2**27, 2**28], largest_jump_px=2e-9,
+                  linear_error_px=3e-6, n_pixels=20000, n_pixels_outside=0, grey_correction="global",
+                  result_file="/a/[b]/result.vtkhdf")
 
 
 def _record(number: int, seconds: float) -> IterationRecord:
     return IterationRecord(number, 10.0**-number, 0.5 / number, GreyState(2.0, 2.1, 20736, 1.0, 0.0), 12 - number,
-                           np.zeros(2), {"residual": seconds, "linear step": 2 * seconds})
+                           np.zeros(2), 3e-6, {"residual": seconds, "linear step": 2 * seconds})
 
 
 def _speak(summary: Summary = SUMMARY) -> None:
@@ -53,6 +54,7 @@ def test_a_log_has_plain_lines(capsys: pytest.CaptureFixture[str]) -> None:
         p for p in PHASES if p not in ("residual", "linear step")]
     assert "result: /a/[b]/result.vtkhdf" in lines
     assert "largest jump left at an interface node: 2.0e-09 px" in lines
+    assert "estimated displacement error left by the linear solver: 3.0e-06 px RMS" in lines
     assert any("converged in 2 iterations; residual 1.500 grey levels (0.75 %" in line for line in lines)
     assert "peak memory by rank [MiB]: 128, 256" in lines
 
@@ -61,9 +63,9 @@ def test_table_rows_hold_each_iterations_own_seconds(capsys: pytest.CaptureFixtu
     _speak()
     lines = capsys.readouterr().out.splitlines()
     head = next(n for n, line in enumerate(lines) if "|dq|/|q|" in line)
-    # number, |dq|/|q|, RMS, residual, % of the dynamic range, Krylov, seconds of this iteration alone.
-    assert lines[head + 1].split() == ["1", "1.00e-01", "5.00e-01", "2.000", "1.00", "11", "1.00", "2.00"]
-    assert lines[head + 2].split() == ["2", "1.00e-02", "2.50e-01", "2.000", "1.00", "10", "0.50", "1.00"]
+    # number, |dq|/|q|, RMS, residual, % of the dynamic range, Krylov and its error, seconds of this iteration alone.
+    assert lines[head + 1].split() == ["1", "1.00e-01", "5.00e-01", "2.000", "1.00", "11", "3.0e-06", "1.00", "2.00"]
+    assert lines[head + 2].split() == ["2", "1.00e-02", "2.50e-01", "2.000", "1.00", "10", "3.0e-06", "0.50", "1.00"]
     assert len(lines[head]) == len(lines[head + 1]) == len(lines[head + 2])
 
 

@@ -28,7 +28,7 @@ from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.monolithic import MonolithicStep
 from ddic.solvers.phases import PhaseClock
-from ddic.solvers.step import StepResult
+from ddic.solvers.step import Leave, StepResult
 from ddic.synth.fields import Affine, DisplacementField, Sinusoidal, Translation
 from support.pictures import pair_of, rms_error, source, square_mesh
 
@@ -142,8 +142,9 @@ class _Broken:
     def __init__(self, value: float) -> None:
         self._value = value
 
-    def solve(self, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]]) -> StepResult:
-        return StepResult([np.full_like(q_s, self._value) for q_s in q], 0, np.zeros(0))
+    def solve(self, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]],
+              leave: Leave | None = None) -> StepResult:
+        return StepResult([np.full_like(q_s, self._value) for q_s in q], 0, np.zeros(0), 0.0)
 
     def destroy(self) -> None:
         pass

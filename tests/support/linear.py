@@ -28,7 +28,7 @@ from ddic.solvers.dual.step import DualSettings, DualStep
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.monolithic import MonolithicStep
-from ddic.solvers.step import StepResult
+from ddic.solvers.step import Leave, StepResult
 from support.pictures import source
 
 CELL = 8.0
@@ -143,16 +143,22 @@ class Decomposed:
         return exchange, [local_dual(s, a, exchange.ghosts, self.problem.scale)
                           for s, a in zip(self.systems, self.operators, strict=True)]
 
-    def solve(self, step: DualStep, b: NDArray[np.float64] | None = None) -> StepResult:
+    def solve(self, step: DualStep, b: NDArray[np.float64] | None = None, leave: Leave | None = None) -> StepResult:
         """Solve with the problem's q and b (or another b), a shared dof's b spread over its copies."""
         b = self.problem.b if b is None else b
         shares = [b[d] / s.dof_multiplicity for d, s in zip(self.dofs, self.subdomains, strict=True)]
-        return step.solve([self.problem.q[d] for d in self.dofs], shares)
+        return step.solve([self.problem.q[d] for d in self.dofs], shares, leave)
 
     def relative_error(self, dq: Sequence[NDArray[np.float64]], reference: NDArray[np.float64]) -> float:
         """Largest difference over all ranks relative to the largest displacement."""
         largest = max(float(np.abs(x - reference[d]).max()) for x, d in zip(dq, self.dofs, strict=True))
         return float(Team(self.comm).comm.allreduce(largest, op=MPI.MAX) / np.abs(reference).max())
+
+    def rms_error(self, dq: Sequence[NDArray[np.float64]], reference: NDArray[np.float64]) -> float:
+        """RMS difference over nodes, every node counted once, pixels."""
+        squares = sum(((x - reference[d])**2 / s.dof_multiplicity).sum()
+                      for x, d, s in zip(dq, self.dofs, self.subdomains, strict=True))
+        return float(np.sqrt(2 * self.comm.allreduce(squares, op=MPI.SUM) / len(reference)))
 
 
 def _rows(subdomain: Subdomain) -> NDArray[np.int64]:

@@ -127,9 +127,12 @@ class SolverSection(Section):
     blocks: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]] | None = None
     partition_file: Path | None = None
     weighting: Literal["consistent", "paper"] = "consistent"
-    preconditioner: Literal["two_level", "scaled", "paper", "none"] = "scaled"
+    preconditioner: Literal["auto", "two_level", "scaled", "paper", "none"] = "auto"
     tolerance: Annotated[float, Field(gt=0, lt=1)] = 1e-6
     max_iterations: Annotated[int, Field(ge=1)] = 1000
+    inexact: bool = True
+    recycle: bool = True
+    local_inverse: Literal["auto", "dense", "sparse"] = "auto"
 
     @model_validator(mode="after")
     def _partition_is_complete(self) -> SolverSection:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 import time
@@ -19,7 +20,8 @@ PHASES = ("read", "start", "assemble", "independent start", "factorize", "interf
           "linear step", "finish", "write")
 """Phases of a run in order; residual and linear step repeat."""
 
-_COLUMNS = ("iter", "|dq|/|q|", "RMS dq [px]", "residual [grey]", "[% range]", "Krylov", "residual [s]", "step [s]")
+_COLUMNS = ("iter", "|dq|/|q|", "RMS dq [px]", "residual [grey]", "[% range]", "Krylov", "its error [px]",
+            "residual [s]", "step [s]")
 
 
 class _Bar(Protocol):
@@ -69,7 +71,7 @@ class RunConsole:
         self._seconds = record.seconds
         cells = (f"{record.number}", f"{record.relative:.2e}", f"{record.rms:.2e}", f"{record.grey.residual_std:.3f}",
                  f"{100 * record.grey.residual_std / self._range:.2f}", f"{record.krylov_iterations}",
-                 f"{spent['residual']:.2f}", f"{spent['linear step']:.2f}")
+                 f"{record.linear_error:.1e}", f"{spent['residual']:.2f}", f"{spent['linear step']:.2f}")
         self._print("  ".join(f"{cell:>{max(len(name), 9)}}" for cell, name in zip(cells, _COLUMNS, strict=True)))
 
     def finish(self, summary: Summary) -> None:
@@ -81,6 +83,9 @@ class RunConsole:
                     f"levels ({summary.residual_percent_of_range:.2f} % of the dynamic range), "
                     f"grey-level correction: {summary.grey_correction}")
         self._print(f"largest jump left at an interface node: {summary.largest_jump_px:.1e} px")
+        if math.isfinite(summary.linear_error_px):
+            self._print("estimated displacement error left by the linear solver: "
+                        f"{summary.linear_error_px:.1e} px RMS")
         if summary.n_pixels_outside:
             self._print(f"{summary.n_pixels_outside} pixels were left out: mapped outside the deformed image or onto "
                         "excluded pixels of it")

@@ -20,7 +20,8 @@ class Summary:
     residual_std_grey: grey levels; residual_percent_of_range: the same in % of the dynamic range.
     seconds: wall seconds by phase, the slowest rank's; cpu_seconds: by phase, all ranks';
     peak_memory_bytes: by rank. eta, cut_off_wavelength (px): None without regularization.
-    largest_jump_px: largest displacement jump left at an interface node.
+    largest_jump_px: largest displacement jump left at an interface node; linear_error_px: estimated RMS error of
+    the displacement that the last linear step left (0 if direct, None if unknown).
     n_pixels: correlated; n_pixels_outside: left out because they are mapped outside the deformed image or
     onto its excluded pixels. notes: how the start was found, and warnings.
     grey_correction: what was corrected. result_file: name of the result file.
@@ -38,6 +39,7 @@ class Summary:
     cpu_seconds: Mapping[str, float]
     peak_memory_bytes: Sequence[int]
     largest_jump_px: float
+    linear_error_px: float
     n_pixels: int
     n_pixels_outside: int
     grey_correction: str

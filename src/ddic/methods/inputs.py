@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,19 +64,23 @@ def material(section: RegularizationSection) -> Material:
 
 def share_out(team: Team, case: Case, mesh: Mesh | None) -> tuple[list[Subdomain], Region]:
     """Split the mesh that rank 0 holds and give each rank its subdomains."""
-    def split() -> list[Subdomain]:
-        assert mesh is not None
-        parts = _parts(case.solver, mesh, team.size)
-        return build_subdomains(mesh, parts, _controlled(case.regularization, mesh))
-
     def describe() -> Region:
         assert mesh is not None
         return Region(mesh.n_nodes, mesh.n_cells, mesh.n_dofs, n_subdomains,
                       _gap_energies(case.regularization, mesh), mesh.mapping)
 
-    subdomains = distribute(team, split)
+    subdomains = deal_out(team, case, mesh, lambda whole: _parts(case.solver, whole, team.size))
     n_subdomains = len(team.gather_lists([s.index for s in subdomains]))
     return subdomains, team.on_root(describe)
+
+
+def deal_out(team: Team, case: Case, mesh: Mesh | None, split: Callable[[Mesh], NDArray[np.int64]]) -> list[Subdomain]:
+    """Cut the mesh that rank 0 holds as ``split`` says there, (n_cells,), and give each rank its subdomains."""
+    def cut() -> list[Subdomain]:
+        assert mesh is not None
+        return build_subdomains(mesh, split(mesh), _controlled(case.regularization, mesh))
+
+    return distribute(team, cut)
 
 
 def _parts(solver: SolverSection, mesh: Mesh, n_ranks: int) -> NDArray[np.int64]:

@@ -142,6 +142,7 @@ def _write_histories(writer: ResultWriter, records: Sequence[IterationRecord]) -
         "gain": [r.grey.gain for r in records],
         "offset": [r.grey.offset for r in records],
         "krylov_iterations": [r.krylov_iterations for r in records],
+        "linear_error_px": [r.linear_error for r in records],
     })
     writer.write_curves(schema.KRYLOV, [r.krylov_history for r in records])
 

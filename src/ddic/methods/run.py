@@ -78,6 +78,7 @@ def summarize(team: Team, case: Case, measurement: Measurement, clock: PhaseCloc
         eta=setting.eta or None,
         cut_off_wavelength=None if case.regularization is None else case.regularization.cut_off_wavelength,
         largest_jump_px=measurement.field.largest_jump,
+        linear_error_px=measurement.records[-1].linear_error,
         grey_correction=case.correlation.grey_correction,
         notes=measurement.notes,
         result_file=str(case.output.file),

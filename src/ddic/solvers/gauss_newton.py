@@ -16,16 +16,30 @@ from ddic.images.sub_image import DeformedSubImage
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.solvers.phases import PhaseClock
-from ddic.solvers.step import Step
+from ddic.solvers.step import Leave, Step, StepResult
+
+SHARE = 0.05
+"""Share of the RMS of dq that a linear step may leave as its error, and of the error before its first Krylov
+iteration that is tried first: Gauss-Newton with a constant gradient gains about one digit an iteration anyway."""
+
+GAIN = 0.2
+"""RMS dq that the next iteration is expected to have, relative to the last: a guess, made good where it was wrong."""
+
+LAST_SHARE = 0.05
+"""Share of the tolerance on RMS dq that the last linear step may leave."""
 
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Stops at |dq|/|q| <= relative or RMS dq <= rms pixels, whichever comes first."""
+    """Stops at |dq|/|q| <= relative or RMS dq <= rms pixels, whichever comes first.
+
+    inexact: linear steps are solved only as far as Gauss-Newton's progress asks, the last one to rms / 20.
+    """
 
     relative: float = 1e-3
     rms: float = 1e-4
     max_iterations: int = 50
+    inexact: bool = True
 
 
 @dataclass(frozen=True)
@@ -57,7 +71,8 @@ class IterationRecord:
     """One line of the Gauss-Newton table.
 
     number: from 1; relative: |dq|/|q|; rms: RMS dq, pixels; grey: statistics before the correction;
-    krylov_iterations and krylov_history: of its linear step; seconds: wall seconds so far by phase.
+    krylov_iterations, krylov_history, linear_error: of its linear step (``StepResult``); seconds: wall seconds so
+    far by phase.
     """
 
     number: int
@@ -66,6 +81,7 @@ class IterationRecord:
     grey: GreyState
     krylov_iterations: int
     krylov_history: NDArray[np.float64]
+    linear_error: float
     seconds: dict[str, float]
 
 
@@ -137,11 +153,10 @@ def gauss_newton(team: Team, parts: Sequence[OwnedPart], q: Sequence[NDArray[np.
             residuals, grey = evaluate(team, parts, current, correction)
             b = right_hand_sides(parts, residuals, grey, correction)
         with clock.phase("linear step"):
-            result = step.solve(current, b)
+            result, relative, rms = _linear_step(team, parts, step, current, b, tolerances, records)
         current = [q_s + dq for q_s, dq in zip(current, result.dq, strict=True)]
-        relative, rms = _sizes(team, parts, result.dq, current)
         records.append(IterationRecord(number, relative, rms, grey, result.krylov_iterations,
-                                       result.krylov_history, dict(clock.wall)))
+                                       result.krylov_history, result.error, dict(clock.wall)))
         report(records[-1])
         if team.on_root(partial(_decide, relative, rms, tolerances)):
             return Solution(current, records)
@@ -154,11 +169,37 @@ def gauss_newton(team: Team, parts: Sequence[OwnedPart], q: Sequence[NDArray[np.
         "regularization.cut_off_wavelength"))
 
 
+def _linear_step(team: Team, parts: Sequence[OwnedPart], step: Step, q: Sequence[NDArray[np.float64]],
+                 b: Sequence[NDArray[np.float64]], tolerances: Tolerances,
+                 records: Sequence[IterationRecord]) -> tuple[StepResult, float, float]:
+    """Solve for dq as far as it pays; returns the step, |dq|/|q + dq| and RMS dq in pixels."""
+    last = LAST_SHARE * tolerances.rms
+    guess = Leave(max(last, SHARE * GAIN * records[-1].rms)) if records else Leave(last, SHARE)
+    result = step.solve(q, b, guess if tolerances.inexact else None)
+    relative, rms = _sizes(team, parts, result.dq, q)
+    while tolerances.inexact:
+        allowed = last if _small(relative, rms, tolerances) else max(last, SHARE * rms)
+        if not result.error > allowed:
+            break
+        tighter = step.solve(q, b, Leave(allowed))
+        result = _joined(result, tighter)
+        relative, rms = _sizes(team, parts, result.dq, q)
+        if tighter.krylov_iterations == 0:
+            break
+    return result, relative, rms
+
+
+def _joined(loose: StepResult, tight: StepResult) -> StepResult:
+    """The tighter of two solutions of one linear step, with the iterations of both."""
+    return StepResult(tight.dq, loose.krylov_iterations + tight.krylov_iterations,
+                      np.concatenate([loose.krylov_history, tight.krylov_history[1:]]), tight.error)
+
+
 def _sizes(team: Team, parts: Sequence[OwnedPart], dq: Sequence[NDArray[np.float64]],
            q: Sequence[NDArray[np.float64]]) -> tuple[float, float]:
-    """|dq|/|q| and RMS dq in pixels, every node counted once."""
+    """|dq|/|q + dq| and RMS dq in pixels, every node counted once."""
     sums = team.ordered_sum([
-        np.array([(dq_s**2 / m).sum(), (q_s**2 / m).sum(), (1.0 / m).sum()])
+        np.array([(dq_s**2 / m).sum(), ((q_s + dq_s)**2 / m).sum(), (1.0 / m).sum()])
         for dq_s, q_s, m in zip(dq, q, (p.subdomain.dof_multiplicity for p in parts), strict=True)
     ])
     dim = parts[0].subdomain.mesh.dim
@@ -172,6 +213,10 @@ def _decide(relative: float, rms: float, tolerances: Tolerances) -> bool:
     if not np.isfinite(rms):
         raise ConvergenceError("Gauss-Newton diverged: the correction is not finite; check the start of the "
                                "displacement and the texture, or give regularization.cut_off_wavelength")
+    return _small(relative, rms, tolerances)
+
+
+def _small(relative: float, rms: float, tolerances: Tolerances) -> bool:
     return relative <= tolerances.relative or rms <= tolerances.rms
 
 

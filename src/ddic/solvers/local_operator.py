@@ -11,7 +11,8 @@ from ddic.errors import SingularSubdomainError
 from ddic.solvers.petsc_defaults import LOCAL, configured_ksp
 
 _PROBES = 3
-_BLOCK = 256
+_BLOCK_COLUMNS = 256
+_BLOCK_BYTES = 2**24
 
 
 class LocalOperator:
@@ -29,7 +30,7 @@ class LocalOperator:
         # Not left to the factorisation, which writes lines of its own about a matrix that holds nothing.
         if not (matrix.diagonal() > 0).all():
             raise SingularSubdomainError(_singular(where))
-        self.n = matrix.shape[0]
+        self.n = int(matrix.shape[0])
         index = PETSc.IntType
         self._matrix = PETSc.Mat().createAIJ(
             matrix.shape, csr=(matrix.indptr.astype(index), matrix.indices.astype(index), matrix.data),
@@ -54,26 +55,30 @@ class LocalOperator:
         self._factor.solve(self._right, self._left)
         return np.array(self._left.getArray(readonly=1))
 
+    @property
+    def block(self) -> int:
+        """Number of columns to solve for at a time: enough for speed, few enough that a block stays below 16 MiB."""
+        return max(1, min(_BLOCK_COLUMNS, _BLOCK_BYTES // (8 * self.n)))
+
     def solve_many(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
         """Solve A X = right for the columns of an array (n, k), a block at a time."""
         solution = np.empty((self.n, right.shape[1]), order="F")
-        for begin in range(0, right.shape[1], _BLOCK):
-            columns = np.asfortranarray(right[:, begin: begin + _BLOCK])
-            shape = (self.n, columns.shape[1])
-            b = PETSc.Mat().createDense(shape, array=columns, comm=PETSc.COMM_SELF)
-            x = PETSc.Mat().createDense(shape, comm=PETSc.COMM_SELF)
-            x.setUp()
+        for begin in range(0, right.shape[1], self.block):
+            columns = np.asfortranarray(right[:, begin: begin + self.block])
+            # Whole columns in Fortran's order are contiguous: PETSc writes into the result itself.
+            target = solution[:, begin: begin + self.block]
+            b = PETSc.Mat().createDense(columns.shape, array=columns, comm=PETSc.COMM_SELF)
+            x = PETSc.Mat().createDense(columns.shape, array=target, comm=PETSc.COMM_SELF)
             b.assemble()
             x.assemble()
             self._factor.matSolve(b, x)
-            solution[:, begin: begin + _BLOCK] = x.getDenseArray()
             b.destroy()
             x.destroy()
         return solution
 
     def destroy(self) -> None:
         """Free the factor."""
-        for thing in (self._ksp, self._matrix, self._left, self._right):
+        for thing in (self._factor, self._ksp, self._matrix, self._left, self._right):
             thing.destroy()
 
     def _lowest_eigenvalue_estimate(self) -> float:

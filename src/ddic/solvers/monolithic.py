@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
-from ddic.solvers.step import StepResult
+from ddic.solvers.step import Leave, StepResult
 
 
 class MonolithicStep:
@@ -19,10 +19,11 @@ class MonolithicStep:
         self._system = system
         self._operator = operator
 
-    def solve(self, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]]) -> StepResult:
+    def solve(self, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]],
+              leave: Leave | None = None) -> StepResult:
         """Solve for the only subdomain's dq."""
         dq = self._operator.solve(self._system.right_hand_side(b[0], q[0]))
-        return StepResult([dq], 0, np.zeros(0))
+        return StepResult([dq], 0, np.zeros(0), 0.0)
 
     def destroy(self) -> None:
         """Nothing to free: the factor belongs to whoever made it."""

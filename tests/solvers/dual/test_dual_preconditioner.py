@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import SingularSubdomainError
 from ddic.solvers.dual.preconditioner import (
+    DenseInverse,
     DualPreconditioner,
     LocalPreconditioner,
     block_inverse,
@@ -85,8 +86,9 @@ def test_application_sums_the_local_terms_and_is_symmetric() -> None:
     problem = linear_step(wavelength=32.0)
     with Decomposed(MPI.COMM_WORLD, problem, split(problem.mesh, "metis", 9), "consistent") as cut:
         exchange, locals_ = cut.interface()
-        terms = [LocalPreconditioner(local.incidence, block_inverse(local_schur(local), local.n_displacement))
-                 for local in locals_]
+        inverses = [DenseInverse(block_inverse(local_schur(local), local.n_displacement)) for local in locals_]
+        terms = [LocalPreconditioner(local.incidence, inverse)
+                 for local, inverse in zip(locals_, inverses, strict=True)]
         context = DualPreconditioner(exchange, terms)
         x, y = exchange.new_vector(), exchange.new_vector()
         begin, end = x.getOwnershipRange()

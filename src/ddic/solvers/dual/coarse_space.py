@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from mpi4py import MPI
@@ -44,17 +44,17 @@ def _independent(columns: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 class CoarseSpace:
-    """Z, S_tot Z and the factorised coarse matrix Z^T S_tot Z, all sparse and spread over ranks.
+    """Z and the factorised coarse matrix Z^T S_tot Z, sparse and spread over ranks.
 
     PETSc options (prefix ``coarse_``): the coarse matrix is factorised by MUMPS (LDL^T, symmetric indefinite).
     """
 
     def __init__(self, team: Team, exchange: Exchange, locals_: Sequence[LocalDual],
-                 assemblies: Sequence[sparse.csr_matrix], schurs: Sequence[NDArray[np.float64]],
+                 assemblies: Sequence[sparse.csr_matrix], schurs: Sequence[SchurProduct],
                  columns: Sequence[tuple[NDArray[np.float64], int]]) -> None:
         """Assemble and factorise.
 
-        assemblies: E_s, scaled; schurs: S_s dense; columns: of ``coarse_columns``, per owned subdomain.
+        assemblies: E_s, scaled; schurs: from X to S_s X; columns: of ``coarse_columns``, per owned subdomain.
         """
         comm = team.comm
         counts = [vectors.shape[1] for vectors, _ in columns]
@@ -64,23 +64,13 @@ class CoarseSpace:
         rows = exchange.new_vector()
         sizes = (rows.getSizes(), (n_owned, PETSc.DETERMINE))
         rows.destroy()
-        self._z = _assemble(comm, sizes, [
-            _triplets(sparse.csr_matrix(e @ vectors), exchange.ghosts, np.arange(start, start + vectors.shape[1]))
-            for e, (vectors, _), start in zip(assemblies, columns, starts, strict=True)
-        ])
-        touched, z_ghost = _rows_of(self._z, exchange.ghosts)
-        images, products = [], []
-        for local, schur in zip(locals_, schurs, strict=True):
-            z_local = (local.incidence.T @ z_ghost).tocsc()
-            present = np.flatnonzero(np.diff(z_local.indptr))
-            dense = z_local[:, present].toarray()
-            image = schur @ dense
-            images.append(_triplets(sparse.csr_matrix(local.incidence @ image), exchange.ghosts, touched[present]))
-            products.append(_triplets(sparse.csr_matrix(dense.T @ image), touched[present], touched[present]))
-        self._image = _assemble(comm, sizes, images)
-        signs = np.concatenate([np.zeros(0), *(np.repeat([1.0, -1.0], [n, vectors.shape[1] - n])
-                                               for vectors, n in columns)])
-        self._ksp = self._factorize(comm, (sizes[1], sizes[1]), products, first + np.arange(n_owned), signs)
+        entries = _Entries(comm, sizes)
+        for assembly, (vectors, _), start in zip(assemblies, columns, starts, strict=True):
+            touched = np.flatnonzero(np.diff(assembly.indptr))
+            entries.add(exchange.ghosts[touched], start + np.arange(vectors.shape[1]), assembly[touched] @ vectors)
+        self._z = entries.matrix()
+        self._ksp = self._factorize(comm, self._products(comm, exchange, locals_, schurs, n_owned),
+                                    first + np.arange(n_owned), columns)
         self._right, self._left = self._ksp.getOperators()[0].createVecs()
 
     @property
@@ -88,66 +78,103 @@ class CoarseSpace:
         """Number of coarse vectors."""
         return int(self._z.getSize()[1])
 
-    def correct(self, residual: PETSc.Vec, done: PETSc.Vec | None, result: PETSc.Vec) -> None:
-        """Add Z (Z^T S Z)^-1 (Z^T residual - (S Z)^T done) to ``result``; ``done`` is a correction already made."""
+    def correct(self, residual: PETSc.Vec, result: PETSc.Vec) -> None:
+        """Add Z (Z^T S_tot Z)^-1 Z^T residual to ``result``."""
         self._z.multTranspose(residual, self._right)
-        if done is not None:
-            self._image.multTranspose(done, self._left)
-            self._right.axpy(-1.0, self._left)
         self._ksp.solve(self._right, self._left)
         self._z.multAdd(self._left, result, result)
 
     def destroy(self) -> None:
         """Free PETSc's objects."""
         matrix = self._ksp.getOperators()[0]
-        for thing in (self._ksp, matrix, self._z, self._image, self._right, self._left):
+        for thing in (self._ksp, matrix, self._z, self._right, self._left):
             thing.destroy()
 
+    def _products(self, comm: MPI.Comm, exchange: Exchange, locals_: Sequence[LocalDual],
+                  schurs: Sequence[SchurProduct], n_owned: int) -> _Entries:
+        """Z^T S_tot Z as the sum over subdomains of products with the columns that touch their interface."""
+        size = (n_owned, PETSc.DETERMINE)
+        products = _Entries(comm, (size, size))
+        touched, z_ghost = _rows_of(self._z, exchange.ghosts)
+        for local, schur in zip(locals_, schurs, strict=True):
+            z_local = (local.incidence.T @ z_ghost).tocsc()
+            present = np.flatnonzero(np.diff(z_local.indptr))
+            dense = z_local[:, present].toarray()
+            products.add(touched[present], touched[present], dense.T @ schur(dense))
+        return products
+
     @staticmethod
-    def _factorize(comm: MPI.Comm, sizes: Sizes, products: Sequence[Triplets],
-                   owned: NDArray[np.int64], signs: NDArray[np.float64]) -> PETSc.KSP:
-        matrix = _assemble(comm, sizes, products)
+    def _factorize(comm: MPI.Comm, products: _Entries, owned: NDArray[np.int64],
+                   columns: Sequence[tuple[NDArray[np.float64], int]]) -> PETSc.KSP:
+        matrix = products.matrix()
         diagonal = matrix.getDiagonal()
-        diagonal.abs()
-        shift = SHIFT * diagonal.max()[1]
+        size = diagonal.duplicate()
+        diagonal.copy(size)
+        size.abs()
+        signs = np.concatenate([np.zeros(0), *(np.repeat([1.0, -1.0], [n, vectors.shape[1] - n])
+                                               for vectors, n in columns)])
+        diagonal.setArray(diagonal.getArray() + SHIFT * size.max()[1] * signs)
+        matrix.setDiagonal(diagonal)
         diagonal.destroy()
-        matrix.destroy()
-        shifted = _assemble(comm, sizes, [*products, (owned, owned, shift * signs)])
-        shifted.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        size.destroy()
+        matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         ksp = configured_ksp(comm, COARSE)
-        ksp.setOperators(shifted)
+        ksp.setOperators(matrix)
         ksp.setFromOptions()
         ksp.setUp()
         return ksp
 
 
-Triplets = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]
-"""Global rows, global columns and values of matrix entries."""
+SchurProduct = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+"""S_s X from X, both (n interface dofs, k)."""
 
 Sizes = tuple[tuple[int, int], tuple[int, int]]
 """Local and global numbers of rows and of columns (global ones may be PETSc's DETERMINE)."""
 
 
-def _triplets(matrix: sparse.csr_matrix, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> Triplets:
-    entries = matrix.tocoo()
-    return rows[entries.row], columns[entries.col], entries.data
+_CHUNK = 2**23
+"""Entries collected before duplicates are added up: what neighbours add to the same place would else fill memory."""
 
 
-def _assemble(comm: MPI.Comm, sizes: Sizes, parts: Sequence[Triplets]) -> PETSc.Mat:
-    """A parallel sparse matrix from entries anywhere: each goes to the rank that owns its row; duplicates add up."""
-    rows, columns = (np.concatenate([np.zeros(0, np.int64), *(part[k] for part in parts)]) for k in range(2))
-    values = np.concatenate([np.zeros(0), *(part[2] for part in parts)])
-    (n_rows, n_columns) = (local for local, _ in sizes)
-    ends = np.cumsum(comm.allgather(n_rows))
-    order = np.argsort(rows, kind="stable")
-    cuts = np.searchsorted(rows[order], ends[:-1])
-    received = comm.alltoall([(rows[p], columns[p], values[p]) for p in np.split(order, cuts)])
-    first = int(ends[comm.Get_rank()]) - n_rows
-    rows, columns, values = (np.concatenate([piece[k] for piece in received]) for k in range(3))
-    shape = (n_rows, int(comm.allreduce(n_columns)))
-    local = sparse.coo_matrix((values, (rows - first, columns)), shape=shape).tocsr()
-    csr = (local.indptr.astype(PETSc.IntType), local.indices.astype(PETSc.IntType), local.data)
-    return PETSc.Mat().createAIJ(((n_rows, PETSc.DETERMINE), (n_columns, PETSc.DETERMINE)), csr=csr, comm=comm)
+class _Entries:
+    """A parallel sparse matrix in the making, from dense blocks anywhere in it; overlapping blocks add up."""
+
+    def __init__(self, comm: MPI.Comm, sizes: Sizes) -> None:
+        self._comm = comm
+        self._local = [comm.allgather(local) for local, _ in sizes]
+        shape = tuple(sum(local) for local in self._local)
+        self._sum = sparse.csr_matrix(shape)
+        self._blocks: list[sparse.coo_matrix] = []
+        self._waiting = 0
+
+    def add(self, rows: NDArray[np.int64], columns: NDArray[np.int64], block: NDArray[np.float64]) -> None:
+        """Add a block (n, k) at global rows (n,) and columns (k,)."""
+        index = (np.repeat(rows.astype(np.int32), len(columns)), np.tile(columns.astype(np.int32), len(rows)))
+        self._blocks.append(sparse.coo_matrix((block.ravel(), index), shape=self._sum.shape))
+        self._waiting += block.size
+        if self._waiting > _CHUNK:
+            self._add_up()
+
+    def matrix(self) -> PETSc.Mat:
+        """The matrix over all ranks; each row's entries go to the rank that owns it."""
+        self._add_up()
+        ends = np.cumsum(self._local[0])
+        starts = ends - self._local[0]
+        received = self._comm.alltoall([self._sum[a:b] for a, b in zip(starts, ends, strict=True)])
+        local = sum(received[1:], start=received[0]).tocsr()
+        local.sort_indices()
+        csr = (local.indptr.astype(PETSc.IntType), local.indices.astype(PETSc.IntType), local.data)
+        rank = self._comm.Get_rank()
+        sizes = tuple((of[rank], sum(of)) for of in self._local)
+        return PETSc.Mat().createAIJ(sizes, csr=csr, comm=self._comm)
+
+    def _add_up(self) -> None:
+        if self._blocks:
+            values = np.concatenate([b.data for b in self._blocks])
+            rows, columns = (np.concatenate([getattr(b, name) for b in self._blocks]) for name in ("row", "col"))
+            self._blocks.clear()
+            self._sum = self._sum + sparse.coo_matrix((values, (rows, columns)), shape=self._sum.shape).tocsr()
+        self._waiting = 0
 
 
 def _rows_of(matrix: PETSc.Mat, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], sparse.csr_matrix]:

@@ -42,6 +42,19 @@ class LocalDual:
         y = self.operator.solve(self.jump_transposed @ v)
         return np.asarray(self.jump @ y - self.incidence @ (self.compliance * (self.incidence.T @ v)))
 
+    def schur_product(self, columns: NDArray[np.float64]) -> NDArray[np.float64]:
+        """S_s X = T_s A_s^-1 T_s^T X - D_s X, S_s not formed; columns: X, (n interface dofs, k).
+
+        A block of columns at a time, so that no array of (n_dofs, k) is held.
+        """
+        out = np.empty(columns.shape, order="F")
+        step = self.operator.block
+        for begin in range(0, columns.shape[1], step):
+            block = columns[:, begin: begin + step]
+            y = self.operator.solve_many(self.trace.T @ block)
+            out[:, begin: begin + step] = self.trace @ y - self.compliance[:, None] * block
+        return out
+
 
 def local_dual(system: LocalSystem, operator: LocalOperator, ghosts: NDArray[np.int64],
                scale: float) -> LocalDual:

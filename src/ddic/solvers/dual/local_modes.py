@@ -1,4 +1,4 @@
-"""Low-energy modes of a subdomain: the lowest eigenvectors of A_s."""
+"""Low-energy modes of a subdomain: the lowest eigenvectors of A_s with softened interface rows."""
 
 from __future__ import annotations
 
@@ -8,24 +8,53 @@ from scipy import linalg, sparse
 
 from ddic.mesh.mesh import Mesh
 from ddic.solvers.local_operator import LocalOperator
+from ddic.solvers.local_system import LocalSystem
+
+SOFTENING = 0.1
+"""Weight of the interface rows of Kbar_s in the energy whose modes are sought. A reaction at the interface is balanced
+by the neighbours' in the coupled problem, so that A_s with its full rows counts as stiff what the whole finds soft."""
+
+FEW, MANY = 16, 32
+"""Modes a subdomain: few where texture alone holds the lowest modes (l_c below the subdomain's size), else many."""
+
+FLAT = 10.0
+"""The spectrum counts as flat, hence held by texture, where the last of the few is below this many times the first."""
 
 _SWEEPS = 4
 _EXTRA = 8
 
 
-def low_energy_modes(matrix: sparse.csr_matrix, operator: LocalOperator, mesh: Mesh,
-                     n_modes: int) -> NDArray[np.float64]:
-    """Lowest eigenvectors of A_s by block inverse iteration from polynomials, (n_dofs, at most n_modes).
+def low_energy_modes(system: LocalSystem, operator: LocalOperator) -> NDArray[np.float64]:
+    """Lowest eigenvectors of A_s with softened interface rows, (n_dofs, FEW or MANY of them).
 
-    matrix, operator: A_s and its factor; every sweep is one solve with a block of vectors. A few sweeps are
-    enough: smooth fields are nearly the modes sought, and a coarse space needs their span, not each of them.
+    system, operator: the subdomain and the factor of A_s. Block inverse iteration from polynomials, every sweep one
+    solve with a block of vectors. A few sweeps are enough: smooth fields are nearly the modes sought, and a coarse
+    space needs their span, not each of them.
     """
-    wanted = min(n_modes, mesh.n_dofs)
+    mesh = system.subdomain.mesh
+    matrix = _softened(system)
+    factor = operator if system.controlled_stiffness is None else LocalOperator(
+        matrix, smallest_eigenvalue=0.0, where="softened subdomain")
+    # More modes than half the interface dofs would make the coarse problem the interface problem.
+    wanted = min(MANY, mesh.n_dofs, max(len(system.subdomain.displacement.dofs) // 2, 1))
     block = _orthonormal(_start(mesh, min(wanted + _EXTRA, mesh.n_dofs)))
     for _ in range(_SWEEPS):
-        block = _orthonormal(operator.solve_many(block))
-    _, rotation = linalg.eigh(block.T @ (matrix @ block), subset_by_index=[0, min(wanted, block.shape[1]) - 1])
-    return np.asarray(block @ rotation)
+        block = _orthonormal(factor.solve_many(block))
+    if factor is not operator:
+        factor.destroy()
+    energies, rotation = linalg.eigh(block.T @ (matrix @ block))
+    few = min(FEW, wanted)
+    kept = few if energies[few - 1] < FLAT * energies[0] else wanted
+    return np.asarray(block @ rotation[:, :kept])
+
+
+def _softened(system: LocalSystem) -> sparse.csr_matrix:
+    if system.controlled_stiffness is None:
+        return system.hessian
+    kbar = system.controlled_stiffness
+    weights = np.ones(kbar.shape[0])
+    weights[system.subdomain.reaction.dofs] = SOFTENING
+    return (system.hessian + system.eta * (kbar.T @ sparse.diags(weights) @ kbar)).tocsr()
 
 
 def _start(mesh: Mesh, size: int) -> NDArray[np.float64]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,15 +14,13 @@ from scipy import linalg, sparse
 from ddic.errors import SingularSubdomainError
 from ddic.solvers.dual.exchange import Exchange
 from ddic.solvers.dual.local_dual import LocalDual
+from ddic.solvers.dual.sparse_inverse import SINGULAR_INTERFACE
 
 
 def local_schur(local: LocalDual) -> NDArray[np.float64]:
     """S_s = T_s A_s^-1 T_s^T - D_s of one subdomain, dense and symmetric."""
-    columns = local.operator.solve_many(local.trace.T.toarray())
-    schur = local.trace @ columns
-    schur = 0.5 * (schur + schur.T)
-    schur[np.diag_indices_from(schur)] -= local.compliance
-    return np.asarray(schur)
+    schur = local.schur_product(np.eye(len(local.compliance)))
+    return np.asarray(0.5 * (schur + schur.T))
 
 
 def block_inverse(schur: NDArray[np.float64], n_displacement: int) -> NDArray[np.float64]:
@@ -49,11 +48,35 @@ def _inverse(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     try:
         factor = linalg.cho_factor(matrix, lower=True)
     except linalg.LinAlgError as error:
-        raise SingularSubdomainError(
-            "the interface problem of a subdomain is singular to rounding; use larger subdomains, or a shorter "
-            "regularization.cut_off_wavelength") from error
+        raise SingularSubdomainError(SINGULAR_INTERFACE) from error
     inverse = linalg.cho_solve(factor, np.eye(len(matrix)))
     return np.asarray(0.5 * (inverse + inverse.T))
+
+
+class LocalInverse(Protocol):
+    """S_s^-1 of one subdomain, dense or factorised."""
+
+    def apply(self, r: NDArray[np.float64]) -> NDArray[np.float64]:
+        """S_s^-1 r on the subdomain's own interface dofs, (n interface dofs,)."""
+        ...
+
+    def destroy(self) -> None:
+        """Free what PETSc holds."""
+        ...
+
+
+@dataclass(frozen=True)
+class DenseInverse:
+    """S_s^-1 as an array, (n interface dofs, n interface dofs), of ``block_inverse``."""
+
+    matrix: NDArray[np.float64]
+
+    def apply(self, r: NDArray[np.float64]) -> NDArray[np.float64]:
+        """S_s^-1 r on the subdomain's own interface dofs, (n interface dofs,)."""
+        return np.asarray(self.matrix @ r)
+
+    def destroy(self) -> None:
+        """Nothing: the array is Python's."""
 
 
 @dataclass(frozen=True)
@@ -61,15 +84,15 @@ class LocalPreconditioner:
     """One subdomain's term B S_s^-1 B^T.
 
     assembly: B, (n ghost rows, n interface dofs): signed incidence, or its scaled version;
-    inverse: S_s^-1, dense.
+    inverse: S_s^-1.
     """
 
     assembly: sparse.csr_matrix
-    inverse: NDArray[np.float64]
+    inverse: LocalInverse
 
     def apply(self, r: NDArray[np.float64]) -> NDArray[np.float64]:
         """B S_s^-1 B^T r on ghost rows."""
-        return np.asarray(self.assembly @ (self.inverse @ (self.assembly.T @ r)))
+        return np.asarray(self.assembly @ self.inverse.apply(self.assembly.T @ r))
 
 
 class DualPreconditioner:

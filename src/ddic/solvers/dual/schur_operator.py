@@ -9,6 +9,7 @@ from petsc4py import PETSc
 
 from ddic.solvers.dual.exchange import Exchange
 from ddic.solvers.dual.local_dual import LocalDual
+from ddic.solvers.dual.shell import Multiplying
 
 
 class DualSchurOperator:
@@ -20,8 +21,9 @@ class DualSchurOperator:
     def __init__(self, exchange: Exchange, locals_: Sequence[LocalDual]) -> None:
         self._exchange = exchange
         self._locals = locals_
+        self.comm = exchange.comm
 
-    def mult(self, _: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+    def mult(self, _: PETSc.Mat | None, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """PETSc's callback for y = S_tot x."""
         v = self._exchange.to_ghosts(x)
         total = np.zeros_like(v)
@@ -32,9 +34,13 @@ class DualSchurOperator:
     multTranspose = mult
 
     def as_matrix(self) -> PETSc.Mat:
-        """The shell matrix over all ranks."""
+        """S_tot as a shell matrix over all ranks."""
+        return self.shell(self)
+
+    def shell(self, context: Multiplying) -> PETSc.Mat:
+        """A shell matrix with the rows and columns of S_tot over all ranks."""
         vector = self._exchange.new_vector()
-        matrix = PETSc.Mat().createPython((vector.getSizes(), vector.getSizes()), self, comm=vector.getComm())
+        matrix = PETSc.Mat().createPython((vector.getSizes(), vector.getSizes()), context, comm=vector.getComm())
         matrix.setUp()
         vector.destroy()
         return matrix

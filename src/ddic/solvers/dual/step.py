@@ -12,25 +12,21 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 from scipy import sparse
 
-from ddic.errors import ConvergenceError, on_all_ranks
 from ddic.parallel.team import Team
 from ddic.partition.incidence import copies_of, rows_of, scaled_incidence
 from ddic.solvers.dual.coarse_space import CoarseSpace, coarse_columns
 from ddic.solvers.dual.exchange import Exchange
+from ddic.solvers.dual.interface_solver import InterfaceSettings, InterfaceSolver
 from ddic.solvers.dual.local_dual import local_dual
+from ddic.solvers.dual.local_inverse import LocalInverseKind, schur_pair
 from ddic.solvers.dual.local_modes import low_energy_modes
-from ddic.solvers.dual.preconditioner import (
-    DualPreconditioner,
-    LocalPreconditioner,
-    block_inverse,
-    local_schur,
-)
+from ddic.solvers.dual.preconditioner import DualPreconditioner, LocalInverse, LocalPreconditioner
 from ddic.solvers.dual.schur_operator import DualSchurOperator
+from ddic.solvers.dual.shell import Preconditioning
 from ddic.solvers.dual.two_level import TwoLevelPreconditioner
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
-from ddic.solvers.petsc_defaults import DUAL, configured_ksp
-from ddic.solvers.step import StepResult
+from ddic.solvers.step import Leave, StepResult
 
 Preconditioner = Literal["none", "paper", "scaled", "two_level"]
 
@@ -41,13 +37,15 @@ class DualSettings:
 
     preconditioner: none, the paper's, the paper's with scaled assembly, or that with a coarse space;
     tolerance: on the interface residual relative to |t_tot|; max_iterations: also GMRES's restart;
-    coarse_modes: low-energy modes of each subdomain in the coarse space.
+    recycle: keep Krylov directions for later steps;
+    local_inverse: S_s^-1 as an array, by a sparse factor, or as its size asks.
     """
 
     preconditioner: Preconditioner = "scaled"
     tolerance: float = 1e-6
     max_iterations: int = 1000
-    coarse_modes: int = 16
+    recycle: bool = True
+    local_inverse: LocalInverseKind = "auto"
 
 
 class DualStep:
@@ -71,29 +69,37 @@ class DualStep:
         self._exchange = Exchange(comm, sum(p.n_owned_rows for p in parts), needed)
         self._locals = [local_dual(s, a, self._exchange.ghosts, scale)
                         for s, a in zip(systems, operators, strict=True)]
-        self._multipliers = self._exchange.new_vector()
         self._right = self._exchange.new_vector()
+        self._operator = DualSchurOperator(self._exchange, self._locals)
         self._coarse: CoarseSpace | None = None
-        self._tolerance = settings.tolerance
-        self._ksp = self._configure(comm, settings)
+        self._inverses: list[LocalInverse] = []
+        self._preconditioner = None if settings.preconditioner == "none" else self._set_up(comm, settings)
+        self._interface = InterfaceSolver(
+            self._operator, self._preconditioner, self._coarse,
+            InterfaceSettings(settings.tolerance, settings.max_iterations,
+                              settings.recycle and self._preconditioner is not None))
 
     @property
     def ksp(self) -> PETSc.KSP:
         """PETSc's Krylov solver, for monitors."""
-        return self._ksp
+        return self._interface.ksp
 
     @property
     def n_interface(self) -> int:
         """Number of interface unknowns."""
         return self._exchange.n_global
 
-    def solve(self, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]]) -> StepResult:
+    def solve(self, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]],
+              leave: Leave | None = None) -> StepResult:
         """Solve for dq_s given q_s and b_s of this rank's subdomains; raises ConvergenceError."""
         right = [system.right_hand_side(b_s, q_s) for system, b_s, q_s in zip(self._systems, b, q, strict=True)]
         free = [local.operator.solve(r) for local, r in zip(self._locals, right, strict=True)]
-        history = self._solve_interface([q_s + y for q_s, y in zip(q, free, strict=True)])
-        dq = self.correction(free, self._multipliers)
-        return StepResult(dq, self._ksp.getIterationNumber() if self.n_interface else 0, history)
+        if self.n_interface == 0:
+            return StepResult(free, 0, np.zeros(0), 0.0)
+        size = self._set_right_hand_side([q_s + y for q_s, y in zip(q, free, strict=True)])
+        iterations, norms = self._interface.solve(self._right, self._stop(size, leave))
+        dq = self.correction(free, self._interface.multipliers)
+        return StepResult(dq, iterations, norms / (size or 1.0), self._estimated_error())
 
     def correction(self, free: Sequence[NDArray[np.float64]], multipliers: PETSc.Vec) -> list[NDArray[np.float64]]:
         """Correction dq_s = free_s - A_s^-1 G_s^T v, free_s the part without multipliers v, Eq. 24a of [BP17]."""
@@ -103,77 +109,62 @@ class DualStep:
 
     def destroy(self) -> None:
         """Free PETSc's objects; must be called before the interpreter ends."""
-        for thing in (self._ksp, self._matrix, self._multipliers, self._right, self._exchange, self._coarse):
+        for thing in (self._interface, self._right, self._exchange, self._coarse, *self._inverses):
             if thing is not None:
                 thing.destroy()
 
-    def _solve_interface(self, freed: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-        """S_tot v = t_tot = sum_s G_s (q_s + A_s^-1 (b_s - eta Kbar_s^T Kbar_s q_s)), Eq. 25-27 of [BP17]."""
-        if self.n_interface == 0:
-            return np.zeros(0)
+    def _set_right_hand_side(self, freed: Sequence[NDArray[np.float64]]) -> float:
+        """t_tot = sum_s G_s (q_s + A_s^-1 (b_s - eta Kbar_s^T Kbar_s q_s)), Eq. 27 of [BP17]; returns its norm."""
         total = np.zeros(len(self._exchange.ghosts))
         for local, displacement in zip(self._locals, freed, strict=True):
             total += local.jump @ displacement
         self._exchange.add_to_owners(total, self._right)
-        if self._coarse is not None:
-            self._correct_start(self._coarse)
-        self._ksp.setConvergenceHistory(reset=True)
-        self._ksp.solve(self._right, self._multipliers)
-        size = self._right.norm()
-        history = np.array(self._ksp.getConvergenceHistory()) / (size if size > 0 else 1.0)
-        if self._ksp.getConvergedReason() < 0:
-            raise on_all_ranks(ConvergenceError(
-                f"the interface problem did not converge in {self._ksp.getIterationNumber()} Krylov iterations "
-                f"(relative residual {self._ksp.getResidualNorm() / (size or 1.0):.1e}); raise solver.max_iterations, "
-                'or choose solver.preconditioner = "scaled" or fewer, larger subdomains'))
-        return history
+        return float(self._right.norm())
 
-    def _correct_start(self, coarse: CoarseSpace) -> None:
-        """Add Q (t_tot - S_tot v) to the start v: A-DEF2 expects a residual free of coarse components."""
-        residual = self._right.duplicate()
-        self._matrix.mult(self._multipliers, residual)
-        residual.aypx(-1.0, self._right)
-        if residual.norm() > self._tolerance * self._right.norm():
-            coarse.correct(residual, None, self._multipliers)
-        residual.destroy()
+    def _stop(self, size: float, leave: Leave | None) -> float:
+        """Norm of the residual at which GMRES may stop: of the tolerance, or of the displacement error allowed."""
+        norm = self._interface.start(self._right)
+        finest = self._interface.tolerance * size
+        if leave is None or norm <= finest:
+            return finest
+        error = self._estimated_error()
+        if not error > 0:
+            return finest
+        return max(finest, norm * max(leave.error / error, leave.share))
 
-    def _configure(self, comm: MPI.Comm, settings: DualSettings) -> PETSc.KSP:
-        ksp = configured_ksp(comm, DUAL)
-        self._matrix = DualSchurOperator(self._exchange, self._locals).as_matrix()
-        ksp.setOperators(self._matrix)
-        ksp.setTolerances(rtol=settings.tolerance, atol=1e-300, divtol=1e12, max_it=settings.max_iterations)
-        ksp.setType(PETSc.KSP.Type.GMRES)
-        ksp.setGMRESRestart(min(settings.max_iterations, max(self.n_interface, 1)) + 1)
-        ksp.setInitialGuessNonzero(True)
-        ksp.setConvergenceHistory(length=settings.max_iterations + 2, reset=True)
-        pc = ksp.getPC()
-        if settings.preconditioner == "none":
-            pc.setType(PETSc.PC.Type.NONE)
-        else:
-            pc.setType(PETSc.PC.Type.PYTHON)
-            pc.setPythonContext(self._preconditioner(comm, settings))
-        ksp.setFromOptions()
-        return ksp
+    def _estimated_error(self) -> float:
+        """RMS over nodes of A_s^-1 G_s^T P (t_tot - S_tot v), pixels: dq's error, as far as P is like S_tot^-1."""
+        if self._preconditioner is None:
+            return float("nan")
+        multipliers = self._interface.preconditioned()
+        errors = self.correction([np.zeros(s.hessian.shape[0]) for s in self._systems], multipliers)
+        multipliers.destroy()
+        shares = [s.subdomain.dof_multiplicity for s in self._systems]
+        sums = self._team.ordered_sum([np.array([(e**2 / m).sum(), (1.0 / m).sum()])
+                                       for e, m in zip(errors, shares, strict=True)])
+        dim = self._systems[0].subdomain.mesh.dim if self._systems else 1
+        return float(np.sqrt(sums[0] * dim / sums[1]))
 
-    def _preconditioner(self, comm: MPI.Comm,
-                        settings: DualSettings) -> DualPreconditioner | TwoLevelPreconditioner:
+    def _set_up(self, comm: MPI.Comm, settings: DualSettings) -> Preconditioning:
         plain = settings.preconditioner == "paper"
         assemblies = [local.incidence for local in self._locals] if plain else self._scaled_assemblies(comm)
-        schurs = self._team.together(lambda: [local_schur(local) for local in self._locals])
-        terms = self._team.together(lambda: [
-            LocalPreconditioner(assembly, block_inverse(schur, local.n_displacement))
-            for assembly, schur, local in zip(assemblies, schurs, self._locals, strict=True)
-        ])
-        one_level = DualPreconditioner(self._exchange, terms)
-        if settings.preconditioner != "two_level":
-            return one_level
+        # Before the inverses: what finds the modes is large, and gone when these are made.
         columns = self._team.together(lambda: [
-            coarse_columns(low_energy_modes(system.operator, local.operator, system.subdomain.mesh,
-                                            settings.coarse_modes), local)
+            coarse_columns(low_energy_modes(system, local.operator), local)
+            for system, local in zip(self._systems, self._locals, strict=True)
+        ]) if settings.preconditioner == "two_level" else []
+        pairs = self._team.together(lambda: [
+            schur_pair(system, local, settings.local_inverse)
             for system, local in zip(self._systems, self._locals, strict=True)
         ])
-        self._coarse = CoarseSpace(self._team, self._exchange, self._locals, assemblies, schurs, columns)
-        return TwoLevelPreconditioner(one_level, self._coarse)
+        self._inverses = [pair.inverse for pair in pairs]
+        one_level = DualPreconditioner(self._exchange, [
+            LocalPreconditioner(*term) for term in zip(assemblies, self._inverses, strict=True)])
+        if settings.preconditioner != "two_level":
+            return one_level
+        products = [pair.product for pair in pairs]
+        self._coarse = CoarseSpace(self._team, self._exchange, self._locals, assemblies, products, columns)
+        return TwoLevelPreconditioner(self._operator, one_level, self._coarse)
 
     def _scaled_assemblies(self, comm: MPI.Comm) -> list[sparse.csr_matrix]:
         """(B D^-1 B^T)^-1 B D^-1 per subdomain, D the copies' stiffness diag A_s (1 for reactions)."""

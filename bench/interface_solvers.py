@@ -1,0 +1,152 @@
+"""Set-up, solve and memory of one linear step: the interface solvers, direct solvers and multigrid.
+
+Usage: interface_solvers.py [--sizes N ...] [--wavelengths PX ...] [--ranks R ...] [--solvers NAME ...]
+[--per-subdomain E ...] [--repeats K] [--timeout S] [--append]; everything by default, which takes hours.
+
+Squares of n x n Q4 of 16 px with a tiled random texture. Every run is a fresh process or group of
+processes; repeats alternate between the solvers. Seconds are CPU seconds of the slowest rank, medians of
+the repeats: wall time means little where others compute. A JSON line per run goes to
+bench/results/interface_solvers.jsonl, started afresh without --append, and the table of all its lines to
+interface_solvers.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from support.harness import DATA, RESULTS, ROOT, append_result
+
+JOB = Path(__file__).parent / "support" / "interface_job.py"
+NAME = "interface_solvers"
+SIZES = (172, 353, 707, 1414)
+"""Elements along a side: about 60 000, 250 000, 1 and 4 million unknowns."""
+WAVELENGTHS = (64.0, 512.0)
+RANKS = (1, 2)
+SOLVERS = ("cholmod", "mumps", "two_level", "scaled", "paper", "gamg", "hpddm")
+DUAL = ("two_level", "scaled", "paper")
+PER_SUBDOMAIN = (20, 40)
+"""Elements along a subdomain's side, of the dual solvers."""
+REPEATED_UP_TO = 400
+"""Elements along a side up to which runs are repeated: larger ones take minutes each."""
+MEMORY = 20 * 2**30
+"""Address space of all ranks of a run together, bytes: a run that asks for more is out of memory."""
+TITLES = {"cholmod": "monolithic, CHOLMOD", "mumps": "monolithic, MUMPS", "two_level": "dual, two-level",
+          "scaled": "dual, one level, scaled", "paper": "dual, one level, paper's", "gamg": "CG + GAMG",
+          "hpddm": "CG + PCHPDDM"}
+
+
+def run(solver: str, per_subdomain: int | None, n: int, wavelength: float, ranks: int,
+        timeout: float) -> dict[str, Any]:
+    """One run in fresh processes; its record, with the outcome "solved" or why not."""
+    folder = DATA / NAME
+    folder.mkdir(parents=True, exist_ok=True)
+    task = {"solver": solver, "n": n, "wavelength": wavelength, "per_subdomain": per_subdomain,
+            "reference": str(folder / f"reference_{n}_{wavelength:g}.npy")}
+    launcher = [os.environ.get("MPIEXEC", "mpiexec"), "-n", str(ranks)]
+    # The limit is each process's: a rank that ran away would take the whole machine with it.
+    limited = ["bash", "-c", f'ulimit -v {MEMORY // ranks // 1024}; exec "$@"', "limited"]
+    done = subprocess.run(["timeout", f"{timeout:g}", *launcher, *limited, sys.executable, "-m", "mpi4py", str(JOB),
+                           json.dumps(task)], cwd=ROOT, text=True, capture_output=True, check=False)
+    record = {"solver": solver, "per_subdomain": per_subdomain, "n": n, "cut_off_wavelength": wavelength,
+              "n_ranks": ranks, "n_dofs": 2 * (n + 1) ** 2, "timeout": timeout}
+    if done.returncode == 0:
+        return {**record, "outcome": "solved", **json.loads(done.stdout.splitlines()[-1])}
+    return {**record, "outcome": _reason(done.returncode, done.stderr), "stderr": done.stderr[-1500:]}
+
+
+def _reason(code: int, stderr: str) -> str:
+    if code == 124:
+        return "timeout"
+    if any(sign in stderr for sign in ("MemoryError", "emory requested", "error code 55", "INFOG(1)=-13",
+                                       "Cannot allocate memory", "Killed", "signal 9", "std::bad_alloc")):
+        return "out of memory"
+    if "did not converge" in stderr:
+        return "not converged"
+    if "error code 86" in stderr:
+        return "not in this PETSc"
+    return "failed"
+
+
+def measure(chosen: argparse.Namespace) -> None:
+    """All runs, a line of text each; a combination that failed is not repeated."""
+    for n in chosen.sizes:
+        for wavelength in chosen.wavelengths:
+            combinations = [(s, size, ranks) for ranks in chosen.ranks for s in chosen.solvers
+                            for size in (chosen.per_subdomain if s in DUAL else [None])
+                            if not (s == "cholmod" and ranks > 1)
+                            and not (s == "hpddm" and (n > min(chosen.sizes) or ranks > 1))]
+            for _ in range(chosen.repeats if n <= REPEATED_UP_TO else 1):
+                for combination in list(combinations):
+                    solver, size, ranks = combination
+                    record = run(solver, size, n, wavelength, ranks, chosen.timeout)
+                    append_result(NAME, record)
+                    if record["outcome"] != "solved":
+                        combinations.remove(combination)
+                    print(row([record]), flush=True)
+
+
+def row(records: Sequence[dict[str, Any]]) -> str:
+    """A line of the table from the runs of one combination."""
+    last = records[-1]
+    size = f"{last['n_dofs']:,}".replace(",", " ")
+    start = (f"| {size} | {last['cut_off_wavelength']:g} | {last['n_ranks']} | {TITLES[last['solver']]} | "
+             f"{last['per_subdomain'] or ''} |")
+    solved = [r for r in records if r["outcome"] == "solved"]
+    if not solved:
+        outcome = last['outcome'] + (f" ({last['timeout']:g} s)" if last['outcome'] == "timeout" else "")
+        return f"{start} {outcome} | | | | |"
+    setup, solve = (median(r[f"{part}_cpu"] for r in solved) for part in ("setup", "solve"))
+    memory = median(max(r["peak_memory_bytes"]) for r in solved) / 2**30
+    error = last["difference"]
+    return (f"{start} {setup:.1f} | {solve:.2f} | {last['iterations'] or 'direct'} | {memory:.2f} | "
+            f"{'reference' if error is None else f'{error:.0e}'} |")
+
+
+def table() -> Iterator[str]:
+    """The table of all lines of the result file."""
+    lines = (RESULTS / f"{NAME}.jsonl").read_text(encoding="utf-8").splitlines()
+    records = [json.loads(line) for line in lines]
+
+    def place(r: dict[str, Any]) -> tuple[int, float, int, int, int]:
+        return (r["n"], r["cut_off_wavelength"], r["n_ranks"], SOLVERS.index(r["solver"]), r["per_subdomain"] or 0)
+
+    yield ("| unknowns | l_c, px | ranks | solver | elements a subdomain's side | set-up, CPU s | solve, CPU s | "
+           "iterations | GiB a rank | error |")
+    yield "|---|---|---|---|---|---|---|---|---|---|"
+    for key in sorted({place(r) for r in records}):
+        yield row([r for r in records if place(r) == key])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sizes", nargs="+", type=int, default=list(SIZES), help="elements along a side")
+    parser.add_argument("--wavelengths", nargs="+", type=float, default=list(WAVELENGTHS), help="px")
+    parser.add_argument("--ranks", nargs="+", type=int, default=list(RANKS))
+    parser.add_argument("--solvers", nargs="+", choices=SOLVERS, default=list(SOLVERS))
+    parser.add_argument("--per-subdomain", nargs="+", type=int, default=list(PER_SUBDOMAIN),
+                        help="elements along a subdomain's side")
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--timeout", type=float, default=600.0, help="seconds a run")
+    parser.add_argument("--append", action="store_true", help="keep the lines of earlier runs")
+    chosen = parser.parse_args()
+    RESULTS.mkdir(parents=True, exist_ok=True)
+    if not chosen.append:
+        (RESULTS / f"{NAME}.jsonl").unlink(missing_ok=True)
+    for stale in [] if chosen.append else (DATA / NAME).glob("reference_*.npy"):
+        stale.unlink()
+    measure(chosen)
+    text = "\n".join(table()) + "\n"
+    (RESULTS / f"{NAME}.md").write_text(text, encoding="utf-8")
+    print(text)
+
+
+if __name__ == "__main__":
+    main()

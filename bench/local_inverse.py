@@ -1,0 +1,66 @@
+"""Memory and time of the two-level set-up of one subdomain, with a dense and with a sparse inverse of S_s.
+
+Usage: local_inverse.py [ELEMENTS_PER_SIDE ...]; 20 50 100 200 300 by default. The subdomain has neighbours on all
+sides and a rank of its own, every measurement a process of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from support.harness import DATA, Row, append_result, images, main, mpirun
+
+JOB = Path(__file__).parent / "support" / "local_inverse_job.py"
+CELL = 8
+RING = 10
+WAVELENGTH = 64
+BOUND = 2 * 2**30
+JUDGED = 300
+
+
+def run(elements: int, kind: str) -> dict[str, Any]:
+    """One measurement in fresh processes."""
+    n = elements + 2 * RING
+    size = n * CELL + 64
+    folder = images("sinusoidal", "--size", f"{size}x{size}", "--noise", "2", folder=DATA / f"local_inverse_{elements}")
+    job = {
+        "case": {
+            "images": {"reference": f"{folder}/reference.tif", "deformed": f"{folder}/deformed.tif"},
+            "mesh": {"structured": {"region": [32, 32, 32 + n * CELL, 32 + n * CELL], "element_size": CELL}},
+            "regularization": {"cut_off_wavelength": WAVELENGTH},
+        },
+        "elements": elements, "ring": RING, "kind": kind,
+    }
+    lines = mpirun(2, sys.executable, "-m", "mpi4py", str(JOB), json.dumps(job)).splitlines()
+    record = {"elements_per_side": elements, "local_inverse": kind, **json.loads(lines[-1])}
+    append_result("local_inverse_runs", record)
+    return record
+
+
+def row(record: dict[str, Any]) -> Row:
+    """One line of the table; the bound holds for the sparse inverse of the largest subdomain."""
+    peak, before = record["peak_bytes"], record["before_factorization_bytes"]
+    judged = record["elements_per_side"] == JUDGED and record["local_inverse"] == "sparse"
+    return Row(
+        f"{record['elements_per_side']} x {record['elements_per_side']} elements, {record['local_inverse']}",
+        f"peak memory of the rank below {BOUND / 2**30:.0f} GiB" if judged else "recorded",
+        f"{record['n_interface']} interface unknowns; peak {peak / 2**20:.0f} MiB, of which factorisation and set-up "
+        f"{(peak - before) / 2**20:.0f} MiB; set-up {record['set_up_seconds']:.2f} s; {record['iterations']} "
+        f"iterations of {1e3 * record['seconds_per_iteration']:.1f} ms",
+        peak < BOUND if judged else True)
+
+
+def measure(sides: list[int]) -> list[Row]:
+    """Dense and sparse for all sizes."""
+    return [row(run(elements, kind)) for elements in sides for kind in ("dense", "sparse")]
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("elements", nargs="*", type=int, default=[20, 50, 100, 200, 300])
+    arguments = parser.parse_args()
+    main("local_inverse", lambda: measure(arguments.elements))

@@ -1,0 +1,202 @@
+"""One solver of bench/interface_solvers.py in processes of its own: prints a JSON line from rank 0.
+
+Argument: JSON with "solver", "n", "wavelength" (px), "per_subdomain" (elements a side), "reference" (file).
+Times are of set-up (everything after M and K, forming the operators included) and of one solve, CPU and
+wall seconds of the slowest rank; memory is the largest resident size of each rank, of the whole process.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+from ddic.case.schema import SolverSection
+from ddic.methods.assembly import Assembly, factorize
+from ddic.methods.dd_dic import linear_step
+from ddic.parallel.distribution import distribute
+from ddic.parallel.team import Team
+from ddic.partition.connectivity import build_subdomains
+from ddic.partition.split import split_by_metis
+from ddic.partition.subdomain import interface_weights
+from ddic.solvers.local_system import LocalSystem
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from support.tiled_texture import TiledProblem
+
+DUAL = ("paper", "scaled", "two_level")
+MOST_KRYLOV = 2000
+CG_TOLERANCE = 1e-8
+"""On |b - A x| / |b|; the displacement error that it leaves is reported beside that of the other solvers."""
+ASSEMBLED = {
+    "cholmod": {"ksp_type": "preonly", "pc_type": "cholesky", "pc_factor_mat_solver_type": "cholmod"},
+    "mumps": {"ksp_type": "preonly", "pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"},
+    "gamg": {"ksp_type": "cg", "ksp_norm_type": "unpreconditioned", "pc_type": "gamg", "ksp_rtol": str(CG_TOLERANCE),
+             "ksp_max_it": str(MOST_KRYLOV), "mg_levels_ksp_max_it": "4"},
+    "hpddm": {"ksp_type": "cg", "ksp_norm_type": "unpreconditioned", "pc_type": "hpddm", "ksp_rtol": str(CG_TOLERANCE),
+              "ksp_max_it": str(MOST_KRYLOV)},
+}
+"""Options (prefix assembled_) of the solvers on the assembled operator. Four smoothing steps instead of GAMG's two:
+A is of fourth order, and with two it took over a thousand iterations on 13 000 unknowns at l_c = 32 elements."""
+
+Field = tuple[list[NDArray[np.int64]], list[NDArray[np.float64]]]
+"""Numbers of unknowns and their values; what neighbours share may occur twice."""
+
+
+class Laps:
+    """CPU and wall seconds of named parts, of the slowest rank."""
+
+    def __init__(self, team: Team) -> None:
+        self._team = team
+        self.seconds: dict[str, float] = {}
+
+    def time(self, name: str, work: Callable[[], Any]) -> Any:
+        """Run ``work`` between barriers."""
+        self._team.comm.Barrier()
+        cpu, wall = time.process_time(), time.perf_counter()
+        result = work()
+        spent = {f"{name}_cpu": time.process_time() - cpu}
+        self._team.comm.Barrier()
+        spent[f"{name}_wall"] = time.perf_counter() - wall
+        for key, value in spent.items():
+            self.seconds[key] = self._team.comm.allreduce(value, op=MPI.MAX)
+        return result
+
+
+def dual(team: Team, problem: TiledProblem, kind: str, per_subdomain: int, laps: Laps) -> tuple[dict[str, Any], Field]:
+    """One linear step of the dual solver on METIS subdomains."""
+    count = max(round((problem.n / per_subdomain) ** 2), 2)
+
+    def split() -> list[Any]:
+        mesh = problem.rows_of_cells(0, problem.n)
+        return build_subdomains(mesh, split_by_metis(mesh, count), problem.controlled(mesh))
+
+    subdomains = distribute(team, split)
+    eta, diagonal = problem.eta_and_diagonal
+    systems, right = [], []
+    for s in subdomains:
+        weights = interface_weights(s.dof_multiplicity, "consistent") * s.controlled
+        systems.append(LocalSystem(s, problem.hessian(s.mesh), problem.stiffness(s.mesh, weights), weights, eta))
+        right.append(systems[-1].hessian @ problem.displacement(s.mesh))
+    solver = SolverSection(preconditioner=kind, max_iterations=MOST_KRYLOV, recycle=False)
+    before = largest_resident()
+    operators = laps.time("factorize", lambda: factorize(team, systems, diagonal))
+    step, n_interface = laps.time("interface", lambda: linear_step(team, solver, Assembly(systems, eta, diagonal),
+                                                                   operators))
+    result = laps.time("solve", lambda: step.solve([np.zeros(len(b)) for b in right], right))
+    laps.seconds |= {f"setup_{k}": laps.seconds[f"factorize_{k}"] + laps.seconds[f"interface_{k}"]
+                     for k in ("cpu", "wall")}
+    step.destroy()
+    for operator in operators:
+        operator.destroy()
+    found = {"n_subdomains": count, "n_interface": n_interface, "iterations": result.krylov_iterations,
+             "resident_before": before}
+    dofs = [(s.node_ids[:, None] * 2 + np.arange(2)).ravel() for s in subdomains]
+    return found, (dofs, result.dq)
+
+
+def assembled(team: Team, problem: TiledProblem, solver: str, laps: Laps) -> tuple[dict[str, Any], Field]:
+    """A on strips of rows over the ranks and a solver of PETSc."""
+    edges = np.linspace(0, problem.n + 1, team.size + 1).astype(int)
+    first, last = int(edges[team.rank]), int(edges[team.rank + 1])
+    options = PETSc.Options()
+    for key, value in ASSEMBLED[solver].items():
+        options.setValue(f"assembled_{key}", value)
+    before = largest_resident()
+
+    def set_up() -> tuple[PETSc.Mat, PETSc.KSP, NDArray[np.float64]]:
+        rows, b = problem.operator_rows(first, last)
+        csr = (rows.indptr.astype(PETSc.IntType), rows.indices.astype(PETSc.IntType), rows.data)
+        local = rows.shape[0]
+        matrix = PETSc.Mat().createAIJ(((local, problem.n_dofs), (local, problem.n_dofs)), bsize=2, csr=csr,
+                                       comm=team.comm)
+        matrix.setOption(PETSc.Mat.Option.SPD, True)
+        if solver in ("gamg", "hpddm"):
+            set_rigid_modes(problem, matrix, first, last)
+        ksp = PETSc.KSP().create(team.comm)
+        ksp.setOptionsPrefix("assembled_")
+        ksp.setOperators(matrix)
+        ksp.setFromOptions()
+        ksp.setUp()
+        return matrix, ksp, b
+
+    matrix, ksp, b = laps.time("setup", set_up)
+    x, right = matrix.createVecs()
+    right.setArray(b)
+    laps.time("solve", lambda: ksp.solve(right, x))
+    if ksp.getConvergedReason() < 0:
+        raise RuntimeError(f"{solver} did not converge in {ksp.getIterationNumber()} iterations")
+    begin, end = x.getOwnershipRange()
+    values = np.array(x.getArray(readonly=1))
+    found = {"iterations": ksp.getIterationNumber() if "rtol" in str(ASSEMBLED[solver]) else 0,
+             "resident_before": before}
+    for thing in (ksp, matrix, x, right):
+        thing.destroy()
+    return found, ([np.arange(begin, end)], [values])
+
+
+def set_rigid_modes(problem: TiledProblem, matrix: PETSc.Mat, first: int, last: int) -> None:
+    """Rigid modes as near-null space: K, hence all but M of A, does not feel them."""
+    line = np.arange(problem.n + 1.0)
+    x, y = np.meshgrid(line, np.arange(first, last, dtype=float))
+    coordinates = matrix.createVecRight()
+    coordinates.setArray(np.column_stack([x.ravel(), y.ravel()]).ravel() / problem.n)
+    modes = PETSc.NullSpace().createRigidBody(coordinates)
+    matrix.setNearNullSpace(modes)
+    modes.destroy()
+    coordinates.destroy()
+
+
+def largest_resident() -> int:
+    """Largest resident size of this process so far, bytes."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+def compared(team: Team, problem: TiledProblem, field: Field, reference: Path, *, keep: bool) -> float | None:
+    """Relative distance from the field kept in a file by a direct solver; ``keep``: write the file instead."""
+    if keep:
+        pieces = team.comm.gather(field, root=0)
+        if team.is_root:
+            whole = np.empty(problem.n_dofs)
+            for dofs, values in ((d, v) for piece in pieces for d, v in zip(*piece, strict=True)):
+                whole[dofs] = values
+            np.save(reference, whole)
+        return None
+    if not reference.is_file():
+        return None
+    whole = np.load(reference, mmap_mode="r")
+    largest = max((float(np.abs(v - whole[d]).max()) for d, v in zip(*field, strict=True)), default=0.0)
+    return float(team.comm.allreduce(largest, op=MPI.MAX) / np.abs(whole).max())
+
+
+def main(argument: str) -> None:
+    task = json.loads(argument)
+    team = Team(MPI.COMM_WORLD)
+    problem = TiledProblem(task["n"], task["wavelength"])
+    laps = Laps(team)
+    if task["solver"] in DUAL:
+        found, field = dual(team, problem, task["solver"], task["per_subdomain"], laps)
+    else:
+        found, field = assembled(team, problem, task["solver"], laps)
+    # Before the comparison, which gathers fields that no solver needs.
+    peaks = team.gather_lists([largest_resident()])
+    before = team.gather_lists([found.pop("resident_before")])
+    reference = Path(task["reference"])
+    keep = task["solver"] in ("cholmod", "mumps") and not reference.is_file()
+    difference = compared(team, problem, field, reference, keep=keep)
+    if team.is_root:
+        print(json.dumps({**found, "n_dofs": problem.n_dofs, "difference": difference, **laps.seconds,
+                          "peak_memory_bytes": peaks, "before_setup_bytes": before}), flush=True)
+
+
+main(sys.argv[1])

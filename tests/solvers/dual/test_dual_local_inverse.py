@@ -1,0 +1,148 @@
+"""S_s^-1 as an array and as a sparse factor: the same numbers, and which of them is chosen."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from scipy import sparse
+
+from ddic.errors import SingularSubdomainError, is_on_all_ranks
+from ddic.partition.subdomain import Weighting
+from ddic.solvers.dual.local_dual import LocalDual
+from ddic.solvers.dual.local_inverse import DENSE_ARRAYS, DENSE_LIMIT, LocalInverseKind, is_dense, schur_pair
+from ddic.solvers.dual.preconditioner import DenseInverse, block_inverse, local_schur
+from ddic.solvers.dual.sparse_inverse import SparseInverse
+from ddic.solvers.dual.step import DualSettings, Preconditioner
+from support.linear import Decomposed, dense, linear_step, split
+
+KINDS: list[LocalInverseKind] = ["dense", "sparse"]
+
+
+@pytest.mark.parametrize("weighting", ["consistent", "paper"])
+@pytest.mark.parametrize("wavelength", [None, 32.0, 128.0])
+@pytest.mark.parametrize("kind", ["blocks", "metis"])
+def test_both_ways_invert_the_same_operator(kind: str, wavelength: float | None, weighting: Weighting) -> None:
+    problem = linear_step(10, wavelength)
+    rng = np.random.default_rng(0)
+    with Decomposed(MPI.COMM_SELF, problem, split(problem.mesh, kind, 4), weighting) as cut:
+        _, locals_ = cut.interface()
+        for system, local in zip(cut.systems, locals_, strict=True):
+            block = rng.normal(size=(len(local.compliance), 3))
+            found = []
+            for way in KINDS:
+                pair = schur_pair(system, local, way)
+                x = np.stack([pair.inverse.apply(r) for r in block.T], axis=1)
+                # S_s S_s^-1 = I up to rounding times the condition number of S_s, 1e5 at most here.
+                np.testing.assert_allclose(pair.product(x), block, rtol=0, atol=1e-9)
+                found.append((x, pair.product(block)))
+                pair.inverse.destroy()
+            for by_array, by_factor in zip(*found, strict=True):
+                np.testing.assert_allclose(by_factor, by_array, rtol=0, atol=1e-9 * np.abs(by_array).max())
+
+
+def test_a_solution_is_not_changed_by_the_next_one() -> None:
+    problem = linear_step(8, 32.0)
+    with Decomposed(MPI.COMM_SELF, problem, split(problem.mesh, "blocks", 4), "consistent") as cut:
+        local = cut.interface()[1][0]
+        inverse = SparseInverse(cut.systems[0].operator, local)
+        r = np.random.default_rng(0).normal(size=len(local.compliance))
+        first = inverse.apply(r)
+        kept = first.copy()
+        inverse.apply(-r)
+        again = inverse.apply(r)
+        inverse.destroy()
+    np.testing.assert_array_equal(first, kept)
+    np.testing.assert_array_equal(first, again)
+
+
+@pytest.mark.parametrize("wavelength", [None, 32.0])
+@pytest.mark.parametrize("block", [1, 7, 256])
+def test_schur_product_in_blocks_of_any_size(block: int, wavelength: float | None,
+                                             monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = linear_step(8, wavelength)
+    with Decomposed(MPI.COMM_SELF, problem, split(problem.mesh, "blocks", 4), "consistent") as cut:
+        local, system = cut.interface()[1][0], cut.systems[0]
+        monkeypatch.setattr(type(local.operator), "block", block)
+        t = dense(local.trace)
+        expected = t @ np.linalg.solve(dense(system.operator), t.T) - np.diag(local.compliance)
+        # Rounding times the condition number of A_s, about 1e3.
+        np.testing.assert_allclose(local_schur(local), expected, rtol=0, atol=1e-11 * np.abs(expected).max())
+
+
+def _with_trace(local: LocalDual, row: np.ndarray | None) -> LocalDual:
+    trace = local.trace.tolil()
+    trace[1] = 0.0 if row is None else row
+    return dataclasses.replace(local, trace=sparse.csr_matrix(trace))
+
+
+@pytest.mark.parametrize("defect", ["the same row twice", "an empty row", "no compliance"])
+@pytest.mark.parametrize("way", KINDS)
+def test_a_singular_or_wrongly_signed_operator_is_refused(way: LocalInverseKind, defect: str) -> None:
+    # The first two leave S_s a null vector; without D_s the block of the reactions is positive definite, which no
+    # factorisation minds and only the inertia tells.
+    problem = linear_step(8, 32.0)
+    with Decomposed(MPI.COMM_SELF, problem, split(problem.mesh, "blocks", 4), "consistent") as cut:
+        local, system = cut.interface()[1][0], cut.systems[0]
+        broken = {
+            "the same row twice": _with_trace(local, local.trace[0].toarray()),
+            "an empty row": _with_trace(local, None),
+            "no compliance": dataclasses.replace(local, compliance=0.0 * local.compliance),
+        }[defect]
+        with pytest.raises(SingularSubdomainError, match="interface problem of a subdomain is singular"):
+            schur_pair(system, broken, way)
+
+
+def test_the_choice_follows_the_memory_of_the_arrays() -> None:
+    largest = int(np.sqrt(DENSE_LIMIT / (8 * DENSE_ARRAYS)))
+    assert is_dense(largest, "auto")
+    assert not is_dense(largest + 1, "auto")
+    assert is_dense(100 * largest, "dense")
+    assert not is_dense(1, "sparse")
+
+
+def test_the_step_holds_what_was_chosen() -> None:
+    problem = linear_step(8, 32.0)
+    with Decomposed(MPI.COMM_SELF, problem, split(problem.mesh, "blocks", 4), "consistent") as cut:
+        held = {kind: {type(i) for i in cut.step(DualSettings(local_inverse=kind))._inverses}
+                for kind in ("auto", "dense", "sparse")}
+    assert held == {"auto": {DenseInverse}, "dense": {DenseInverse}, "sparse": {SparseInverse}}
+
+
+def test_dense_inverse_multiplies() -> None:
+    problem = linear_step(8, 32.0)
+    with Decomposed(MPI.COMM_SELF, problem, split(problem.mesh, "blocks", 4), "consistent") as cut:
+        local = cut.interface()[1][0]
+        matrix = block_inverse(local_schur(local), local.n_displacement)
+    np.testing.assert_array_equal(DenseInverse(matrix).apply(matrix[0]), matrix @ matrix[0])
+
+
+@pytest.mark.parallel([1, 2, 3, 4])
+@pytest.mark.parametrize("wavelength", [None, 32.0])
+@pytest.mark.parametrize("preconditioner", ["paper", "scaled", "two_level"])
+def test_dense_and_sparse_give_the_same_field(preconditioner: Preconditioner, wavelength: float | None) -> None:
+    problem = linear_step(wavelength=wavelength)
+    with Decomposed(MPI.COMM_WORLD, problem, split(problem.mesh, "metis", 9), "consistent") as cut:
+        results = [cut.solve(cut.step(DualSettings(preconditioner, 1e-12, 3000, local_inverse=kind)))
+                   for kind in KINDS]
+        scale = max(float(np.abs(d).max()) for d in results[0].dq)
+        difference = max(float(np.abs(a - b).max()) for a, b in zip(results[0].dq, results[1].dq, strict=True))
+        difference, scale = (cut.comm.allreduce(x, op=MPI.MAX) for x in (difference, scale))
+    # Both residuals are 1e-12 of the right-hand side and S_tot's condition number stays below 1e3.
+    assert difference <= 1e-9 * scale
+    # The same preconditioner but for rounding; one iteration of slack at the threshold.
+    assert abs(results[0].krylov_iterations - results[1].krylov_iterations) <= 1
+
+
+@pytest.mark.parallel([1, 2, 3, 4])
+def test_a_singular_inverse_of_one_rank_raises_on_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = linear_step(wavelength=32.0)
+    with Decomposed(MPI.COMM_WORLD, problem, split(problem.mesh, "metis", 9), "consistent") as cut:
+        healthy = SparseInverse._factorize
+        if cut.comm.rank == cut.comm.size - 1:
+            monkeypatch.setattr(SparseInverse, "_factorize", lambda self, n: healthy(self, n + 1))
+        with pytest.raises(SingularSubdomainError) as caught:
+            cut.step(DualSettings(local_inverse="sparse"))
+    assert is_on_all_ranks(caught.value)
