@@ -56,7 +56,8 @@ def run(solver: str, per_subdomain: int | None, n: int, wavelength: float, ranks
     done = subprocess.run(["timeout", f"{timeout:g}", *launcher, *limited, sys.executable, "-m", "mpi4py", str(JOB),
                            json.dumps(task)], cwd=ROOT, text=True, capture_output=True, check=False)
     record = {"solver": solver, "per_subdomain": per_subdomain, "n": n, "cut_off_wavelength": wavelength,
-              "n_ranks": ranks, "n_dofs": 2 * (n + 1) ** 2, "timeout": timeout}
+              "n_ranks": ranks, "n_dofs": 2 * (n + 1) ** 2, "timeout": timeout,
+              "petsc_options": os.environ.get("PETSC_OPTIONS", "")}
     if done.returncode == 0:
         return {**record, "outcome": "solved", **json.loads(done.stdout.splitlines()[-1])}
     return {**record, "outcome": _reason(done.returncode, done.stderr), "stderr": done.stderr[-1500:]}
@@ -68,6 +69,9 @@ def _reason(code: int, stderr: str) -> str:
     if any(sign in stderr for sign in ("MemoryError", "emory requested", "error code 55", "INFOG(1)=-13",
                                        "Cannot allocate memory", "Killed", "signal 9", "std::bad_alloc")):
         return "out of memory"
+    # A factor that could not be made does not always say so at once: PETSc then fills the solution with nan.
+    if "residual nan" in stderr or "residual inf" in stderr:
+        return "failed: not a number"
     if "did not converge" in stderr:
         return "not converged"
     if "error code 86" in stderr:
@@ -97,7 +101,8 @@ def row(records: Sequence[dict[str, Any]]) -> str:
     """A line of the table from the runs of one combination."""
     last = records[-1]
     size = f"{last['n_dofs']:,}".replace(",", " ")
-    start = (f"| {size} | {last['cut_off_wavelength']:g} | {last['n_ranks']} | {TITLES[last['solver']]} | "
+    options = f" ({last['petsc_options']})" if last["petsc_options"] else ""
+    start = (f"| {size} | {last['cut_off_wavelength']:g} | {last['n_ranks']} | {TITLES[last['solver']]}{options} | "
              f"{last['per_subdomain'] or ''} |")
     solved = [r for r in records if r["outcome"] == "solved"]
     if not solved:
@@ -115,8 +120,9 @@ def table() -> Iterator[str]:
     lines = (RESULTS / f"{NAME}.jsonl").read_text(encoding="utf-8").splitlines()
     records = [json.loads(line) for line in lines]
 
-    def place(r: dict[str, Any]) -> tuple[int, float, int, int, int]:
-        return (r["n"], r["cut_off_wavelength"], r["n_ranks"], SOLVERS.index(r["solver"]), r["per_subdomain"] or 0)
+    def place(r: dict[str, Any]) -> tuple[int, float, int, int, int, str]:
+        return (r["n"], r["cut_off_wavelength"], r["n_ranks"], SOLVERS.index(r["solver"]), r["per_subdomain"] or 0,
+                r["petsc_options"])
 
     yield ("| unknowns | l_c, px | ranks | solver | elements a subdomain's side | set-up, CPU s | solve, CPU s | "
            "iterations | GiB a rank | error |")

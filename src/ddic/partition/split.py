@@ -23,7 +23,7 @@ def split_by_metis(mesh: Mesh, n_subdomains: int, weights: NDArray[np.int64] | N
                          f"{mesh.n_cells} cells; ask for fewer")
     indptr, indices = cell_adjacency(mesh)
     # Several tries and passes: ragged interfaces cost Krylov iterations in every step.
-    options = pymetis.Options(seed=1, ncuts=4, niter=20)
+    options = pymetis.Options(seed=1, ncuts=8, niter=50)
     _, parts = pymetis.part_graph(
         n_subdomains, adjacency=pymetis.CSRAdjacency(indptr, indices), recursive=n_subdomains <= 8, options=options,
         vweights=None if weights is None else np.maximum(weights, 1).tolist(),

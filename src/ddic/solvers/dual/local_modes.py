@@ -10,11 +10,11 @@ from ddic.mesh.mesh import Mesh
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
 
-SOFTENING = 0.1
+SOFTENING = 0.03
 """Weight of the interface rows of Kbar_s in the energy whose modes are sought. A reaction at the interface is balanced
 by the neighbours' in the coupled problem, so that A_s with its full rows counts as stiff what the whole finds soft."""
 
-FEW, MANY = 16, 32
+FEW, MANY = 16, 40
 """Modes a subdomain: few where texture alone holds the lowest modes (l_c below the subdomain's size), else many."""
 
 FLAT = 10.0
