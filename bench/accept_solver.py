@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
 from functools import cache
 from typing import Any
 
@@ -17,7 +16,7 @@ import iterations as grid
 import local_inverse
 import numpy as np
 from openhole import case
-from support.harness import DATA, RESULTS, Row, append_result, ddic_run
+from support.harness import DATA, Row, accept, append_result, ddic_run
 
 from ddic.io.result_reader import read_result
 
@@ -153,32 +152,12 @@ def _listed(values: Any) -> str:
     return ", ".join(f"{value:g}" for value in values)
 
 
-def measured(name: str, n_jobs: int) -> Row:
-    """One check; a check that cannot be measured is a row that does not hold."""
-    try:
-        return CHECKS[name](n_jobs)
-    except (RuntimeError, OSError) as error:
-        return Row(name, "measured", f"could not be measured: {error}", False)
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(CHECKS))
     parser.add_argument("--jobs", type=int, default=1, help="processes at a time on the grids")
     chosen = parser.parse_args()
-    unknown = sorted(set(chosen.names) - set(CHECKS))
-    if unknown:
-        parser.error(f"no such check: {', '.join(unknown)}; there are: {', '.join(CHECKS)}")
-    (RESULTS / f"{RUNS}.jsonl").unlink(missing_ok=True)
-    held = True
-    for name in chosen.names or CHECKS:
-        row = measured(name, chosen.jobs)
-        append_result("accept_solver", {"name": name, **asdict(row)})
-        held &= row.holds
-        print(f"{'holds' if row.holds else 'FAILS'}  {row.check}\n       bound     {row.bound}\n"
-              f"       measured  {row.measured}\n       command   make accept-solver CHECK={name}", flush=True)
-    print("every bound holds" if held else "some bounds do not hold")
-    return 0 if held else 1
+    return accept("solver", chosen.names, CHECKS, lambda name: [CHECKS[name](chosen.jobs)], RUNS)
 
 
 if __name__ == "__main__":

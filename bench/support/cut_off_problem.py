@@ -17,15 +17,13 @@ from ddic.case.schema import Case, RegularizationSection
 from ddic.functionals.equilibrium_gap import (
     controlled_stiffness,
     cut_off_weight,
-    gap_energies,
     texture_energies,
 )
 from ddic.io.mesh_source import build_mesh
 from ddic.kinematics.finite_element import finite_element_kinematics
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.topology import boundary_nodes
 from ddic.methods.assembly import Assembly, own_part
-from ddic.methods.inputs import material, open_pair, share_out
+from ddic.methods.inputs import material, open_pair, region_gap_energies, share_out
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain, interface_weights
 from ddic.solvers.local_system import LocalSystem
@@ -50,7 +48,7 @@ class TexturedMesh:
     @property
     def dofs(self) -> list[NDArray[np.int64]]:
         """Numbers of each subdomain's dofs in the whole mesh."""
-        return [(s.node_ids[:, None] * s.mesh.dim + np.arange(s.mesh.dim)).ravel() for s in self.subdomains]
+        return [s.dofs for s in self.subdomains]
 
 
 def from_images(case: Case) -> TexturedMesh:
@@ -91,7 +89,14 @@ def assembly_at(team: Team, problem: TexturedMesh, section: RegularizationSectio
     wavelength = section.cut_off_wavelength
     texture = team.ordered_sum([texture_energies(s.mesh.nodes, m, s.interior, wavelength)
                                 for s, m in zip(problem.subdomains, problem.hessians, strict=True)])
-    eta = team.on_root(lambda: cut_off_weight(texture, _gap(problem.whole, section)))
+
+    def weight() -> float:
+        assert problem.whole is not None
+        energies = region_gap_energies(section, problem.whole)
+        assert energies is not None
+        return cut_off_weight(texture, energies)
+
+    eta = team.on_root(weight)
     systems = [LocalSystem(s, m, k, _weights(s), eta) for s, m, k
                in zip(problem.subdomains, problem.hessians, problem.stiffnesses, strict=True)]
     trace = float(team.ordered_sum([np.array(m.diagonal().sum()) for m in problem.hessians]))
@@ -129,11 +134,3 @@ def difference(problem: TexturedMesh, dq: Sequence[NDArray[np.float64]], referen
 def _weights(subdomain: Subdomain) -> NDArray[np.float64]:
     weights: NDArray[np.float64] = interface_weights(subdomain.dof_multiplicity, "consistent") * subdomain.controlled
     return weights
-
-
-def _gap(mesh: Mesh | None, section: RegularizationSection) -> NDArray[np.float64]:
-    assert mesh is not None
-    assert section.cut_off_wavelength is not None
-    interior = np.ones(mesh.n_nodes, dtype=bool)
-    interior[boundary_nodes(mesh)] = False
-    return gap_energies(mesh, material(section), interior, section.cut_off_wavelength)

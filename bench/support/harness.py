@@ -6,7 +6,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -91,6 +91,35 @@ def real_data() -> Path:
     if not folder or not Path(folder).is_dir():
         raise RuntimeError("set DDIC_REAL_DATA to the folder of real images")
     return Path(folder).resolve()
+
+
+def accept(table: str, names: Sequence[str], checks: Iterable[str], measured: Callable[[str], Sequence[Row]],
+           runs: str | None = None) -> int:
+    """Measure the named checks (all where none is named) of ``make accept-TABLE``, print and keep their rows.
+
+    runs: result file that the checks write, begun afresh. A check that cannot be measured is a row that does not
+    hold. Returns the exit code: 1 where a bound is missed, 2 where there is no such check.
+    """
+    known = list(checks)
+    unknown = sorted(set(names) - set(known))
+    if unknown:
+        print(f"no such check: {', '.join(unknown)}; there are: {', '.join(known)}", file=sys.stderr)
+        return 2
+    if runs is not None:
+        (RESULTS / f"{runs}.jsonl").unlink(missing_ok=True)
+    held = True
+    for name in names or known:
+        try:
+            rows = measured(name)
+        except (RuntimeError, OSError, ImportError) as error:
+            rows = [Row(name, "measured", f"could not be measured: {error}", False)]
+        for row in rows:
+            append_result(f"accept_{table}", {"name": name, **asdict(row)})
+            held &= row.holds
+            print(f"{'holds' if row.holds else 'FAILS'}  {row.check}\n       bound     {row.bound}\n"
+                  f"       measured  {row.measured}\n       command   make accept-{table} CHECK={name}", flush=True)
+    print("every bound holds" if held else "some bounds do not hold")
+    return 0 if held else 1
 
 
 def main(name: str, measure: Callable[[], Sequence[Row]]) -> None:

@@ -101,8 +101,7 @@ def dual(team: Team, problem: TiledProblem, kind: str, per_subdomain: int, laps:
         operator.destroy()
     found = {"n_subdomains": count, "n_interface": n_interface, "iterations": result.krylov_iterations,
              "resident_before": before}
-    dofs = [(s.node_ids[:, None] * 2 + np.arange(2)).ravel() for s in subdomains]
-    return found, (dofs, result.dq)
+    return found, ([s.dofs for s in subdomains], result.dq)
 
 
 def assembled(team: Team, problem: TiledProblem, solver: str, laps: Laps) -> tuple[dict[str, Any], Field]:

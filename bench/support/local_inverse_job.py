@@ -17,13 +17,12 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ddic.case.schema import Case, SolverSection
-from ddic.functionals.equilibrium_gap import gap_energies
 from ddic.io.mesh_source import build_mesh
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import boundary_nodes
 from ddic.methods.assembly import Assembly, assemble, factorize, own_part
 from ddic.methods.dd_dic import linear_step
-from ddic.methods.inputs import Region, material, open_pair
+from ddic.methods.inputs import Region, open_pair, region_gap_energies
 from ddic.parallel.team import Team
 from ddic.partition.connectivity import build_subdomains
 
@@ -49,15 +48,13 @@ def nine_parts(mesh: Mesh, elements: int, ring: int) -> NDArray[np.int64]:
 
 def assembled(case: Case, elements: int, ring: int) -> Assembly:
     """The middle subdomain on rank 0, its neighbours on rank 1."""
-    assert case.regularization is not None
-    assert case.regularization.cut_off_wavelength is not None
     pair = open_pair(case)
     mesh = build_mesh(case, pair.reference.image.width, pair.reference.image.height)
     inside = np.ones(mesh.n_nodes, dtype=bool)
     inside[boundary_nodes(mesh)] = False
     subdomains = build_subdomains(mesh, nine_parts(mesh, elements, ring), np.repeat(inside, mesh.dim))
     subdomains = subdomains[:1] if TEAM.is_root else subdomains[1:]
-    gap = gap_energies(mesh, material(case.regularization), inside, case.regularization.cut_off_wavelength)
+    gap = region_gap_energies(case.regularization, mesh)
     region = Region(mesh.n_nodes, mesh.n_cells, mesh.n_dofs, 9, gap, mesh.mapping)
     parts = [own_part(s, pair, case.correlation.spline_degree) for s in subdomains]
     return assemble(TEAM, parts, region, case.solver, case.regularization)

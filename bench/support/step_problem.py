@@ -60,7 +60,7 @@ def distributed_problem(team: Team, case: Case, pair: ImagePair, mesh: Mesh) -> 
     parts = [own_part(s, pair, case.correlation.spline_degree) for s in subdomains]
     assembly = assemble(team, parts, region, case.solver, case.regularization)
     operators = factorize(team, assembly.systems, assembly.mean_diagonal)
-    dofs = [(s.node_ids[:, None] * mesh.dim + np.arange(mesh.dim)).ravel() for s in subdomains]
+    dofs = [s.dofs for s in subdomains]
     return Distributed(team, parts, assembly, operators, dofs)
 
 

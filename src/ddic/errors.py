@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from itertools import islice
 from typing import TypeVar
 
 
@@ -28,6 +29,15 @@ class ConvergenceError(DdicError):
 
 class SingularSubdomainError(DdicError):
     """A local operator cannot be factorised, for instance for want of texture."""
+
+
+_LISTED = 10
+
+
+def first_of(numbers: Iterable[int]) -> str:
+    """The first ten numbers, for a message."""
+    listed = [str(n) for n in islice(numbers, _LISTED + 1)]
+    return ", ".join([*listed[:_LISTED], *(["..."] if len(listed) > _LISTED else [])])
 
 
 E = TypeVar("E", bound=BaseException)

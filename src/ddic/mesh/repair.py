@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.errors import InputError
+from ddic.errors import InputError, first_of
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import areas, shape_quality
 
@@ -61,7 +61,7 @@ def _refuse_bad_numbers(mesh: Mesh) -> None:
     used = np.unique(mesh.connectivity)
     wild = used[~np.isfinite(mesh.nodes[used]).all(axis=1)]
     if len(wild):
-        raise InputError(f"nodes {_first(wild)} have coordinates that are not finite numbers")
+        raise InputError(f"nodes {first_of(wild)} have coordinates that are not finite numbers")
 
 
 def _oriented(mesh: Mesh) -> Mesh:
@@ -101,10 +101,4 @@ def _duplicates(ordered: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def _cells(numbers: NDArray[np.int64]) -> str:
-    return f"{len(numbers)} cells (numbered from 0: {_first(numbers)})"
-
-
-def _first(numbers: NDArray[np.int64]) -> str:
-    """Name the first ten."""
-    listed = ", ".join(str(n) for n in numbers[:10])
-    return listed + (", ..." if len(numbers) > 10 else "")
+    return f"{len(numbers)} cells (numbered from 0: {first_of(numbers)})"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ddic.case.schema import Case, SolverSection
-from ddic.errors import ConvergenceError, on_all_ranks
+from ddic.errors import ConvergenceError, first_of, on_all_ranks
 from ddic.functionals.correlation import Residual
 from ddic.functionals.strain import inverted_cells
 from ddic.io.mesh_source import build_mesh
@@ -151,9 +151,8 @@ def _refuse_inverted_cells(team: Team, parts: Sequence[OwnedPart], field: Contin
                                for part, q in zip(parts, field.q, strict=True)])
     cells = np.sort(np.concatenate(found))
     if len(cells):
-        listed = ", ".join(str(c) for c in cells[:10]) + (", ..." if len(cells) > 10 else "")
         raise on_all_ranks(ConvergenceError(
-            f"the measured field turns {len(cells)} elements inside out (numbers {listed}): the images do not "
+            f"the measured field turns {len(cells)} elements inside out (numbers {first_of(cells)}): the images do not "
             "determine it; use larger elements or a longer regularization.cut_off_wavelength"))
 
 

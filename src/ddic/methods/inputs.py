@@ -67,7 +67,7 @@ def share_out(team: Team, case: Case, mesh: Mesh | None) -> tuple[list[Subdomain
     def describe() -> Region:
         assert mesh is not None
         return Region(mesh.n_nodes, mesh.n_cells, mesh.n_dofs, n_subdomains,
-                      _gap_energies(case.regularization, mesh), mesh.mapping)
+                      region_gap_energies(case.regularization, mesh), mesh.mapping)
 
     subdomains = deal_out(team, case, mesh, lambda whole: _parts(case.solver, whole, team.size))
     n_subdomains = len(team.gather_lists([s.index for s in subdomains]))
@@ -104,7 +104,8 @@ def _controlled(section: RegularizationSection | None, mesh: Mesh) -> NDArray[np
     return np.repeat(controlled, mesh.dim)
 
 
-def _gap_energies(section: RegularizationSection | None, mesh: Mesh) -> NDArray[np.float64] | None:
+def region_gap_energies(section: RegularizationSection | None, mesh: Mesh) -> NDArray[np.float64] | None:
+    """|K v|^2 of the plane waves on the nodes inside the whole mesh (``gap_energies``); None where eta needs none."""
     if section is None or section.cut_off_wavelength is None:
         return None
     interior = np.ones(mesh.n_nodes, dtype=bool)

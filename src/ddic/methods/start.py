@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.case.schema import Case
+from ddic.errors import first_of
 from ddic.io.result_reader import displacement_at, read_result
 from ddic.mesh.mesh import Mesh
 from ddic.methods.inputs import ImagePair
@@ -64,8 +65,7 @@ def refine_independently(team: Team, case: Case, parts: Sequence[OwnedPart], sys
     kept = team.gather_lists(refined.kept)
     note = "start: independent FE-DIC on every subdomain"
     if kept:
-        listed = ", ".join(str(s) for s in kept[:10]) + (", ..." if len(kept) > 10 else "")
-        note += f"; {len(kept)} kept the coarse field for want of texture or convergence ({listed})"
+        note += f"; {len(kept)} kept the coarse field for want of texture or convergence ({first_of(kept)})"
     return StartField(refined.q, (*coarse.notes, note))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.case.schema import Case
-from ddic.errors import InputError
+from ddic.errors import InputError, first_of
 from ddic.functionals.texture import Texture, blank_subdomains, restricted, texture
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import cell_adjacency
@@ -116,9 +116,8 @@ def _note(owner: NDArray[np.int64], blank: NDArray[np.bool_], n_before: int, n_l
     whole, loose = np.unique(owner[~textured]), int((blank & textured).sum())
     lines = []
     if len(whole):
-        listed = ", ".join(str(s) for s in whole[:10]) + (", ..." if len(whole) > 10 else "")
-        lines.append(f"{len(whole)} of {n_before} subdomains without texture ({listed}); {n_before - n_left} joined a "
-                     f"neighbour, {n_left} are left")
+        lines.append(f"{len(whole)} of {n_before} subdomains without texture ({first_of(whole)}); "
+                     f"{n_before - n_left} joined a neighbour, {n_left} are left")
     if loose:
         lines.append(f"{loose} loose pieces of subdomains without texture, joined with a neighbour")
     return "partition: " + "; ".join(lines)

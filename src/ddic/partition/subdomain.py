@@ -62,6 +62,12 @@ class Subdomain:
     n_owned_copies: int
 
     @property
+    def dofs(self) -> NDArray[np.int64]:
+        """Numbers of its dofs in the whole mesh, (n_dofs,)."""
+        dim = self.mesh.dim
+        return (self.node_ids[:, None] * dim + np.arange(dim)).ravel()
+
+    @property
     def dof_multiplicity(self) -> NDArray[np.int64]:
         """Number of subdomains that share each dof, (n_dofs,)."""
         return np.repeat(self.multiplicity, self.mesh.dim)

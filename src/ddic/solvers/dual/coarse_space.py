@@ -61,10 +61,7 @@ class CoarseSpace:
         n_owned = sum(counts)
         first = sum(comm.allgather(n_owned)[: team.rank])
         starts = first + np.concatenate([[0], np.cumsum(counts)])[:-1].astype(np.int64)
-        rows = exchange.new_vector()
-        sizes = (rows.getSizes(), (n_owned, PETSc.DETERMINE))
-        rows.destroy()
-        entries = _Entries(comm, sizes)
+        entries = _Entries(comm, exchange.n_owned, n_owned)
         for assembly, (vectors, _), start in zip(assemblies, columns, starts, strict=True):
             touched = np.flatnonzero(np.diff(assembly.indptr))
             entries.add(exchange.ghosts[touched], start + np.arange(vectors.shape[1]), assembly[touched] @ vectors)
@@ -93,8 +90,7 @@ class CoarseSpace:
     def _products(self, comm: MPI.Comm, exchange: Exchange, locals_: Sequence[LocalDual],
                   schurs: Sequence[SchurProduct], n_owned: int) -> _Entries:
         """Z^T S_tot Z as the sum over subdomains of products with the columns that touch their interface."""
-        size = (n_owned, PETSc.DETERMINE)
-        products = _Entries(comm, (size, size))
+        products = _Entries(comm, n_owned, n_owned)
         touched, z_ghost = _rows_of(self._z, exchange.ghosts)
         for local, schur in zip(locals_, schurs, strict=True):
             z_local = (local.incidence.T @ z_ghost).tocsc()
@@ -128,10 +124,6 @@ class CoarseSpace:
 SchurProduct = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 """S_s X from X, both (n interface dofs, k)."""
 
-Sizes = tuple[tuple[int, int], tuple[int, int]]
-"""Local and global numbers of rows and of columns (global ones may be PETSc's DETERMINE)."""
-
-
 _CHUNK = 2**23
 """Entries collected before duplicates are added up: what neighbours add to the same place would else fill memory."""
 
@@ -139,9 +131,10 @@ _CHUNK = 2**23
 class _Entries:
     """A parallel sparse matrix in the making, from dense blocks anywhere in it; overlapping blocks add up."""
 
-    def __init__(self, comm: MPI.Comm, sizes: Sizes) -> None:
+    def __init__(self, comm: MPI.Comm, n_rows: int, n_columns: int) -> None:
+        """n_rows, n_columns: those that this rank owns."""
         self._comm = comm
-        self._local = [comm.allgather(local) for local, _ in sizes]
+        self._local = [comm.allgather(n) for n in (n_rows, n_columns)]
         shape = tuple(sum(local) for local in self._local)
         self._sum = sparse.csr_matrix(shape)
         self._blocks: list[sparse.coo_matrix] = []

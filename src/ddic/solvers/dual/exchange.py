@@ -23,7 +23,7 @@ class Exchange:
         needed: numbers that each owned subdomain takes part in.
         ``ghosts`` are all of them, sorted; ``n_global`` counts the numbers of all ranks.
         """
-        self.comm = comm
+        self.comm, self.n_owned = comm, n_owned
         self.ghosts: NDArray[np.int64] = np.unique(np.concatenate([np.zeros(0, np.int64), *needed]))
         self._owned = PETSc.Vec().createMPI((n_owned, PETSc.DETERMINE), comm=comm)
         self.n_global = int(self._owned.getSize())

@@ -40,9 +40,8 @@ class InterfaceSolver:
         self.multipliers = self._schur.createVecRight()
         self.residual = self.multipliers.duplicate()
         self._change = self.multipliers.duplicate()
-        self._space = RecycledSpace(operator.comm, self.multipliers.getLocalSize()) if settings.recycle else None
-        self._watched = _Watched(operator, self._space)
-        self._matrix = self._schur if self._space is None else operator.shell(self._watched)
+        self._deflated = _Deflated(operator, self.multipliers.getLocalSize()) if settings.recycle else None
+        self._matrix = self._schur if self._deflated is None else operator.shell(self._deflated)
         self.ksp = self._configure(preconditioner, settings)
         self.tolerance = float(self.ksp.getTolerances()[0])
 
@@ -69,7 +68,6 @@ class InterfaceSolver:
         self.ksp.setTolerances(rtol=1e-50, atol=max(stop, 1e-300))
         self.ksp.setConvergenceHistory(reset=True)
         self._change.set(0.0)
-        self._watched.forget()
         self.ksp.solve(self.residual, self._change)
         if self.ksp.getConvergedReason() < 0:
             raise on_all_ranks(ConvergenceError(
@@ -81,8 +79,8 @@ class InterfaceSolver:
         if iterations:
             self._renew_residual(right)
             self._use_kept()
-            if self._space is not None:
-                self._space.learn(*self._watched.pairs())
+        if self._deflated is not None:
+            self._deflated.learn()
         return iterations, np.array(self.ksp.getConvergenceHistory())
 
     def preconditioned(self) -> PETSc.Vec:
@@ -101,8 +99,8 @@ class InterfaceSolver:
         self.residual.aypx(-1.0, right)
 
     def _use_kept(self) -> float:
-        if self._space is not None:
-            self._space.reduce(self.residual.getArray(), self.multipliers.getArray())
+        if self._deflated is not None:
+            self._deflated.space.reduce(self.residual.getArray(), self.multipliers.getArray())
         return float(self.residual.norm())
 
     def _configure(self, preconditioner: Preconditioning | None, settings: InterfaceSettings) -> PETSc.KSP:
@@ -122,12 +120,12 @@ class InterfaceSolver:
         return ksp
 
 
-class _Watched:
-    """Context of the shell matrix (I - C C^T) S_tot that notes the products asked of it."""
+class _Deflated:
+    """Context of the shell matrix (I - C C^T) S_tot, which notes the products asked of it until it learns them."""
 
-    def __init__(self, operator: DualSchurOperator, space: RecycledSpace | None) -> None:
+    def __init__(self, operator: DualSchurOperator, n_owned: int) -> None:
+        self.space = RecycledSpace(operator.comm, n_owned)
         self._operator = operator
-        self._space = space
         self._directions: list[NDArray[np.float64]] = []
         self._images: list[NDArray[np.float64]] = []
 
@@ -136,14 +134,11 @@ class _Watched:
         self._operator.mult(matrix, x, y)
         self._directions.append(np.array(x.getArray(readonly=1)))
         self._images.append(np.array(y.getArray(readonly=1)))
-        if self._space is not None:
-            self._space.project(y.getArray())
+        self.space.project(y.getArray())
 
-    def forget(self) -> None:
-        """Drop the products noted so far."""
-        self._directions.clear()
-        self._images.clear()
-
-    def pairs(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Noted x and S_tot x, each (n_owned, k)."""
-        return np.stack(self._directions, axis=1), np.stack(self._images, axis=1)
+    def learn(self) -> None:
+        """Keep the products noted since the last time."""
+        if self._directions:
+            self.space.learn(np.stack(self._directions, axis=1), np.stack(self._images, axis=1))
+            self._directions.clear()
+            self._images.clear()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
@@ -50,11 +52,11 @@ def low_energy_modes(system: LocalSystem, operator: LocalOperator) -> NDArray[np
 
 def _softened(system: LocalSystem) -> sparse.csr_matrix:
     if system.controlled_stiffness is None:
-        return system.hessian
-    kbar = system.controlled_stiffness
-    weights = np.ones(kbar.shape[0])
-    weights[system.subdomain.reaction.dofs] = SOFTENING
-    return (system.hessian + system.eta * (kbar.T @ sparse.diags(weights) @ kbar)).tocsr()
+        return system.operator
+    weights = np.ones(system.controlled_stiffness.shape[0])
+    weights[system.subdomain.reaction.dofs] = np.sqrt(SOFTENING)
+    softened = (sparse.diags(weights) @ system.controlled_stiffness).tocsr()
+    return replace(system, controlled_stiffness=softened).operator
 
 
 def _start(mesh: Mesh, size: int) -> NDArray[np.float64]:
