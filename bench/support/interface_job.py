@@ -22,7 +22,7 @@ from petsc4py import PETSc
 
 from ddic.case.schema import SolverSection
 from ddic.methods.assembly import Assembly, factorize
-from ddic.methods.dd_dic import linear_step
+from ddic.methods.linear_step import linear_step
 from ddic.parallel.distribution import distribute
 from ddic.parallel.team import Team
 from ddic.partition.connectivity import build_subdomains
@@ -35,18 +35,18 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from support.tiled_texture import TiledProblem
 
 DUAL = ("paper", "scaled", "two_level")
+"""Preconditioners of the dual solver."""
 MOST_KRYLOV = 2000
 CG_TOLERANCE = 1e-8
 """On |b - A x| / |b|; the displacement error that it leaves is reported beside that of the other solvers."""
-ASSEMBLED = {
+PETSC = {
     "cholmod": {"ksp_type": "preonly", "pc_type": "cholesky", "pc_factor_mat_solver_type": "cholmod"},
-    "mumps": {"ksp_type": "preonly", "pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"},
     "gamg": {"ksp_type": "cg", "ksp_norm_type": "unpreconditioned", "pc_type": "gamg", "ksp_rtol": str(CG_TOLERANCE),
              "ksp_max_it": str(MOST_KRYLOV), "mg_levels_ksp_max_it": "4"},
     "hpddm": {"ksp_type": "cg", "ksp_norm_type": "unpreconditioned", "pc_type": "hpddm", "ksp_rtol": str(CG_TOLERANCE),
               "ksp_max_it": str(MOST_KRYLOV)},
 }
-"""Options (prefix assembled_) of the solvers on the assembled operator. Four smoothing steps instead of GAMG's two:
+"""Options (prefix bench_) of the solvers on the assembled operator. Four smoothing steps instead of GAMG's two:
 A is of fourth order, and with two it took over a thousand iterations on 13 000 unknowns at l_c = 32 elements."""
 
 Field = tuple[list[NDArray[np.int64]], list[NDArray[np.float64]]]
@@ -73,9 +73,10 @@ class Laps:
         return result
 
 
-def dual(team: Team, problem: TiledProblem, kind: str, per_subdomain: int, laps: Laps) -> tuple[dict[str, Any], Field]:
-    """One linear step of the dual solver on METIS subdomains."""
-    count = max(round((problem.n / per_subdomain) ** 2), 2)
+def method(team: Team, problem: TiledProblem, solver: str, per_subdomain: int | None, laps: Laps,
+           ) -> tuple[dict[str, Any], Field]:
+    """One linear step as ddic's own method solves it, dual on METIS subdomains or assembled."""
+    count = team.size if per_subdomain is None else max(round((problem.n / per_subdomain) ** 2), 2)
 
     def split() -> list[Any]:
         mesh = problem.rows_of_cells(0, problem.n)
@@ -88,10 +89,11 @@ def dual(team: Team, problem: TiledProblem, kind: str, per_subdomain: int, laps:
         weights = interface_weights(s.dof_multiplicity, "consistent") * s.controlled
         systems.append(LocalSystem(s, problem.hessian(s.mesh), problem.stiffness(s.mesh, weights), weights, eta))
         right.append(systems[-1].hessian @ problem.displacement(s.mesh))
-    solver = SolverSection(preconditioner=kind, max_iterations=MOST_KRYLOV, recycle=False)
+    section = SolverSection(method="assembled") if solver == "assembled" else SolverSection(
+        preconditioner=solver, max_iterations=MOST_KRYLOV, recycle=False)
     before = largest_resident()
-    operators = laps.time("factorize", lambda: factorize(team, systems, diagonal))
-    step, n_interface = laps.time("interface", lambda: linear_step(team, solver, Assembly(systems, eta, diagonal),
+    operators = laps.time("factorize", lambda: factorize(team, systems, diagonal) if solver in DUAL else [])
+    step, n_interface = laps.time("interface", lambda: linear_step(team, section, Assembly(systems, eta, diagonal),
                                                                    operators))
     result = laps.time("solve", lambda: step.solve([np.zeros(len(b)) for b in right], right))
     laps.seconds |= {f"setup_{k}": laps.seconds[f"factorize_{k}"] + laps.seconds[f"interface_{k}"]
@@ -104,13 +106,13 @@ def dual(team: Team, problem: TiledProblem, kind: str, per_subdomain: int, laps:
     return found, ([s.dofs for s in subdomains], result.dq)
 
 
-def assembled(team: Team, problem: TiledProblem, solver: str, laps: Laps) -> tuple[dict[str, Any], Field]:
+def of_petsc(team: Team, problem: TiledProblem, solver: str, laps: Laps) -> tuple[dict[str, Any], Field]:
     """A on strips of rows over the ranks and a solver of PETSc."""
     edges = np.linspace(0, problem.n + 1, team.size + 1).astype(int)
     first, last = int(edges[team.rank]), int(edges[team.rank + 1])
     options = PETSc.Options()
-    for key, value in ASSEMBLED[solver].items():
-        options.setValue(f"assembled_{key}", value)
+    for key, value in PETSC[solver].items():
+        options.setValue(f"bench_{key}", value)
     before = largest_resident()
 
     def set_up() -> tuple[PETSc.Mat, PETSc.KSP, NDArray[np.float64]]:
@@ -123,7 +125,7 @@ def assembled(team: Team, problem: TiledProblem, solver: str, laps: Laps) -> tup
         if solver in ("gamg", "hpddm"):
             set_rigid_modes(problem, matrix, first, last)
         ksp = PETSc.KSP().create(team.comm)
-        ksp.setOptionsPrefix("assembled_")
+        ksp.setOptionsPrefix("bench_")
         ksp.setOperators(matrix)
         ksp.setFromOptions()
         ksp.setUp()
@@ -137,7 +139,7 @@ def assembled(team: Team, problem: TiledProblem, solver: str, laps: Laps) -> tup
         raise RuntimeError(f"{solver} did not converge in {ksp.getIterationNumber()} iterations")
     begin, end = x.getOwnershipRange()
     values = np.array(x.getArray(readonly=1))
-    found = {"iterations": ksp.getIterationNumber() if "rtol" in str(ASSEMBLED[solver]) else 0,
+    found = {"iterations": ksp.getIterationNumber() if "rtol" in str(PETSC[solver]) else 0,
              "resident_before": before}
     for thing in (ksp, matrix, x, right):
         thing.destroy()
@@ -183,15 +185,15 @@ def main(argument: str) -> None:
     team = Team(MPI.COMM_WORLD)
     problem = TiledProblem(task["n"], task["wavelength"])
     laps = Laps(team)
-    if task["solver"] in DUAL:
-        found, field = dual(team, problem, task["solver"], task["per_subdomain"], laps)
+    if task["solver"] in PETSC:
+        found, field = of_petsc(team, problem, task["solver"], laps)
     else:
-        found, field = assembled(team, problem, task["solver"], laps)
+        found, field = method(team, problem, task["solver"], task["per_subdomain"], laps)
     # Before the comparison, which gathers fields that no solver needs.
     peaks = team.gather_lists([largest_resident()])
     before = team.gather_lists([found.pop("resident_before")])
     reference = Path(task["reference"])
-    keep = task["solver"] in ("cholmod", "mumps") and not reference.is_file()
+    keep = task["solver"] in ("cholmod", "assembled") and not reference.is_file()
     difference = compared(team, problem, field, reference, keep=keep)
     if team.is_root:
         print(json.dumps({**found, "n_dofs": problem.n_dofs, "difference": difference, **laps.seconds,

@@ -19,7 +19,7 @@ from scipy import sparse
 from ddic.case.schema import Case, RegularizationSection, SolverSection
 from ddic.errors import ConvergenceError
 from ddic.methods.assembly import Assembly, factorize
-from ddic.methods.dd_dic import linear_step
+from ddic.methods.linear_step import linear_step
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.step import StepResult
 

@@ -10,7 +10,7 @@ import numpy as np
 from mpi4py import MPI
 
 from ddic.case.schema import Case
-from ddic.methods.dd_dic import linear_step
+from ddic.methods.linear_step import linear_step
 from ddic.parallel.team import Team
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))

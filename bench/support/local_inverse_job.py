@@ -21,8 +21,8 @@ from ddic.io.mesh_source import build_mesh
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import boundary_nodes
 from ddic.methods.assembly import Assembly, assemble, factorize, own_part
-from ddic.methods.dd_dic import linear_step
 from ddic.methods.inputs import Region, open_pair, region_gap_energies
+from ddic.methods.linear_step import linear_step
 from ddic.parallel.team import Team
 from ddic.partition.connectivity import build_subdomains
 

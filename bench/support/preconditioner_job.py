@@ -10,7 +10,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from ddic.case.schema import Case, SolverSection
-from ddic.methods.dd_dic import linear_step
+from ddic.methods.linear_step import linear_step
 from ddic.solvers.dual.step import DualStep
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))

@@ -31,6 +31,10 @@ class SingularSubdomainError(DdicError):
     """A local operator cannot be factorised, for instance for want of texture."""
 
 
+class FactorizationError(DdicError):
+    """A matrix that is not singular could not be factorised, for instance for want of memory."""
+
+
 _LISTED = 10
 
 

@@ -154,6 +154,17 @@ def test_blank_quarter(shared_path: Path, plate: Plate, solver: str) -> None:
             for s in owned] == list(range(measured.setting.n_subdomains))
 
 
+@pytest.mark.parallel(4)
+def test_the_assembled_operator_needs_no_texture_in_every_subdomain(shared_path: Path) -> None:
+    # As many subdomains as ranks, of which the last is blank: none may join another.
+    team = Team(MPI.COMM_WORLD)
+    monolithic = _monolithic(shared_path, CORNER)
+    solver = '[solver]\nmethod = "assembled"\npartition = "blocks"\nblocks = [2, 2]\n'
+    measured = _measure(team, _write(shared_path, CORNER, solver + TIGHT + CORNER.regularization))
+    assert measured.setting.n_subdomains == 4
+    assert np.abs(_field(team, measured)[1] - monolithic).max() <= SAME_PX
+
+
 @pytest.mark.parallel(RANKS)
 def test_noise_is_no_texture(shared_path: Path) -> None:
     team = Team(MPI.COMM_WORLD)

@@ -88,6 +88,21 @@ def test_field_depends_neither_on_ranks_nor_on_the_decomposition(shared_path: Pa
 
 
 @pytest.mark.parallel(RANKS)
+@pytest.mark.parametrize("regularization", ["", REGULARIZED], ids=["FE-DIC", "R-DIC"])
+def test_the_assembled_operator_leads_to_the_same_field(shared_path: Path, regularization: str) -> None:
+    _images(shared_path)
+    team = Team(MPI.COMM_WORLD)
+    path = _case(shared_path, '[solver]\nmethod = "assembled"\nsubdomains = 8\n' + TIGHT + regularization)
+    measured = _measure(team, path)
+    field = _whole_field(team, measured)
+    path = _case(shared_path, '[solver]\nmethod = "monolithic"\n' + TIGHT + NO_START + regularization)
+    assert np.abs(field - _on_one_rank(path)).max() <= SAME_PX
+    # Copies of a node hold one number, to the rounding of q + (qbar + dqbar - q).
+    assert measured.field.largest_jump <= 1e-12
+    assert (measured.setting.n_subdomains, measured.setting.n_interface) == (8, 0)
+
+
+@pytest.mark.parallel(RANKS)
 def test_the_default_start_leads_to_the_same_field(shared_path: Path) -> None:
     _images(shared_path)
     team = Team(MPI.COMM_WORLD)

@@ -7,20 +7,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ddic.case.schema import Case, SolverSection
+from ddic.case.schema import Case
 from ddic.errors import ConvergenceError, first_of, on_all_ranks
 from ddic.functionals.correlation import Residual
 from ddic.functionals.strain import inverted_cells
 from ddic.io.mesh_source import build_mesh
 from ddic.mesh.mesh import Mesh
-from ddic.methods.assembly import SINGULAR, Assembly, assemble, factorize, own_part, seen_part
+from ddic.methods.assembly import SINGULAR, assemble, own_part, seen_part
 from ddic.methods.inputs import ImagePair, Region, open_pair, share_out
+from ddic.methods.linear_step import linear_solver
 from ddic.methods.listener import Listener, Setting
 from ddic.methods.start import coarse_field, refine_independently
 from ddic.methods.texture import with_texture
 from ddic.parallel.team import Team
 from ddic.solvers.dual.continuity import ContinuousField, average_copies
-from ddic.solvers.dual.step import DualSettings, DualStep, Preconditioner
 from ddic.solvers.gauss_newton import (
     GreyState,
     IterationRecord,
@@ -29,14 +29,7 @@ from ddic.solvers.gauss_newton import (
     evaluate,
     gauss_newton,
 )
-from ddic.solvers.local_operator import LocalOperator
-from ddic.solvers.monolithic import MonolithicStep
 from ddic.solvers.phases import PhaseClock
-from ddic.solvers.step import Step
-
-MANY_SUBDOMAINS = 8
-LONG_WAVELENGTH = 4.0
-"""Cut-off wavelength over the side of a subdomain from which the set-up of a coarse space is less than it saves."""
 
 
 @dataclass(frozen=True)
@@ -73,63 +66,23 @@ def dd_dic(team: Team, case: Case, listener: Listener, clock: PhaseClock) -> Mea
     with clock.phase("start"):
         start = coarse_field(team, case, pair, mesh, [s.mesh.nodes for s in subdomains])
         parts = team.together(lambda: [seen_part(part, q) for part, q in zip(parts, start.q, strict=True)])
-        parts, region, start = with_texture(team, case, pair, mesh, parts, region, start)
+        if case.solver.method == "dual":
+            parts, region, start = with_texture(team, case, pair, mesh, parts, region, start)
     with clock.phase("assemble"):
         assembly = assemble(team, parts, region, case.solver, case.regularization)
     with clock.phase("independent start"):
         start = refine_independently(team, case, parts, assembly.systems, start, SINGULAR * assembly.mean_diagonal)
     for line in start.notes:
         listener.note(line)
-    with clock.phase("factorize"):
-        operators = factorize(team, assembly.systems, assembly.mean_diagonal)
-    with clock.phase("interface set-up"):
-        step, n_interface = linear_step(team, case.solver, assembly, operators, _wavelength(case))
-    setting = _setting(team, region, parts, n_pixels, n_interface, assembly.eta)
-    listener.setting(setting)
-    try:
+    with linear_solver(team, case, assembly, clock) as (step, n_interface):
+        setting = _setting(team, region, parts, n_pixels, n_interface, assembly.eta)
+        listener.setting(setting)
         solution = gauss_newton(team, parts, start.q, step, correction, _tolerances(case), listener.iteration, clock)
-    finally:
-        step.destroy()
-        for operator in operators:
-            operator.destroy()
     with clock.phase("finish"):
         field = average_copies(team.comm, [part.subdomain for part in parts], solution.q)
         _refuse_inverted_cells(team, parts, field)
         residuals, grey = evaluate(team, parts, field.q, correction)
     return Measurement(region, pair, list(parts), field, residuals, grey, setting, solution.records, start.notes)
-
-
-def linear_step(team: Team, solver: SolverSection, assembly: Assembly, operators: Sequence[LocalOperator],
-                wavelength: float = 0.0) -> tuple[Step, int]:
-    """The step of Gauss-Newton that a case asks for, and its number of interface unknowns.
-
-    wavelength: cut-off wavelength, pixels (0 without regularization, infinite where eta is given), which
-    ``preconditioner = "auto"`` looks at.
-    """
-    if solver.method == "monolithic":
-        return MonolithicStep(assembly.systems[0], operators[0]), 0
-    preconditioner = solver.preconditioner
-    if preconditioner == "auto":
-        preconditioner = _preconditioner(team, assembly, wavelength)
-    settings = DualSettings(preconditioner, solver.tolerance, solver.max_iterations, solver.recycle,
-                            solver.local_inverse)
-    step = DualStep(team, assembly.systems, operators, assembly.reaction_scale, settings)
-    return step, step.n_interface
-
-
-def _preconditioner(team: Team, assembly: Assembly, wavelength: float) -> Preconditioner:
-    """A coarse space where one level would slow down: many subdomains, and smooth fields longer than they are."""
-    sides = team.gather_lists([float(np.prod(np.ptp(s.subdomain.mesh.nodes, axis=0)) ** (1 / s.subdomain.mesh.dim))
-                               for s in assembly.systems])
-    slow = len(sides) >= MANY_SUBDOMAINS and wavelength >= LONG_WAVELENGTH * float(np.mean(sides))
-    return "two_level" if slow else "scaled"
-
-
-def _wavelength(case: Case) -> float:
-    section = case.regularization
-    if section is None:
-        return 0.0
-    return np.inf if section.cut_off_wavelength is None else section.cut_off_wavelength
 
 
 def _whole_mesh(team: Team, case: Case, pair: ImagePair) -> Mesh | None:

@@ -9,8 +9,8 @@ from scipy import sparse
 
 from ddic.errors import SingularSubdomainError
 from ddic.solvers.petsc_defaults import LOCAL, configured_ksp
+from ddic.solvers.singularity import lowest_eigenvalue_estimate, singular
 
-_PROBES = 3
 _BLOCK_COLUMNS = 256
 _BLOCK_BYTES = 2**24
 
@@ -29,7 +29,7 @@ class LocalOperator:
         """
         # Not left to the factorisation, which writes lines of its own about a matrix that holds nothing.
         if not (matrix.diagonal() > 0).all():
-            raise SingularSubdomainError(_singular(where))
+            raise SingularSubdomainError(singular(where))
         self.n = int(matrix.shape[0])
         index = PETSc.IntType
         self._matrix = PETSc.Mat().createAIJ(
@@ -43,11 +43,12 @@ class LocalOperator:
         try:
             self._ksp.setUp()
         except PETSc.Error as error:
-            raise SingularSubdomainError(_singular(where)) from error
+            raise SingularSubdomainError(singular(where)) from error
         self._factor = self._ksp.getPC().getFactorMatrix()
         self._left, self._right = self._matrix.createVecs()
-        if not self._lowest_eigenvalue_estimate() > smallest_eigenvalue:
-            raise SingularSubdomainError(_singular(where))
+        self._right.setArray(np.random.default_rng(0).standard_normal(self.n))
+        if not lowest_eigenvalue_estimate(self._factor, self._right) > smallest_eigenvalue:
+            raise SingularSubdomainError(singular(where))
 
     def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
         """Solve A x = right for one vector (n,)."""
@@ -80,22 +81,3 @@ class LocalOperator:
         """Free the factor."""
         for thing in (self._factor, self._ksp, self._matrix, self._left, self._right):
             thing.destroy()
-
-    def _lowest_eigenvalue_estimate(self) -> float:
-        """Upper bound of the lowest eigenvalue by a few inverse iterations."""
-        x = np.random.default_rng(0).standard_normal(self.n)
-        estimate = np.inf
-        for _ in range(_PROBES):
-            x /= np.linalg.norm(x)
-            y = self.solve(x)
-            if not np.isfinite(y).all():
-                return 0.0
-            estimate = 1.0 / float(np.linalg.norm(y))
-            x = y
-        return estimate
-
-
-def _singular(where: str) -> str:
-    return (f"{where}: the local operator is singular, which means that the reference image has too little texture "
-            "there, or too few pixels that are neither masked nor mapped outside the deformed image; use larger "
-            "elements, leave the blank part out of the mesh, or give a longer regularization.cut_off_wavelength")

@@ -13,6 +13,7 @@ LOCAL = "local_"
 DUAL = "dual_"
 COARSE = "coarse_"
 INVERSE = "inverse_"
+ASSEMBLED = "assembled_"
 
 DEFAULTS: dict[str, dict[str, str]] = {
     LOCAL: {
@@ -38,6 +39,11 @@ DEFAULTS: dict[str, dict[str, str]] = {
         "mat_mumps_icntl_14": "200",
         # Null pivots are counted: the inertia tells a singular interface problem.
         "mat_mumps_icntl_24": "1",
+    },
+    ASSEMBLED: {
+        "ksp_type": "preonly",
+        "pc_type": "cholesky",
+        "pc_factor_mat_solver_type": "mumps",
     },
     DUAL: {
         "ksp_type": "gmres",

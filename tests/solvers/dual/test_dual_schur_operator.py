@@ -10,8 +10,8 @@ from petsc4py import PETSc
 
 from ddic.partition.connectivity import build_subdomains
 from ddic.partition.subdomain import Interface, Weighting, interface_weights
-from ddic.solvers.dual.exchange import Exchange
 from ddic.solvers.dual.schur_operator import DualSchurOperator
+from ddic.solvers.exchange import Exchange
 from support.linear import Decomposed, LinearStep, dense, linear_step, split
 
 RANKS = [1, 2, 3, 4]

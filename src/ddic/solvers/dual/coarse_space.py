@@ -11,8 +11,9 @@ from petsc4py import PETSc
 from scipy import linalg, sparse
 
 from ddic.parallel.team import Team
-from ddic.solvers.dual.exchange import Exchange
 from ddic.solvers.dual.local_dual import LocalDual
+from ddic.solvers.exchange import Exchange
+from ddic.solvers.parallel_entries import ParallelEntries
 from ddic.solvers.petsc_defaults import COARSE, configured_ksp
 
 INDEPENDENT = 1e-8
@@ -61,7 +62,7 @@ class CoarseSpace:
         n_owned = sum(counts)
         first = sum(comm.allgather(n_owned)[: team.rank])
         starts = first + np.concatenate([[0], np.cumsum(counts)])[:-1].astype(np.int64)
-        entries = _Entries(comm, exchange.n_owned, n_owned)
+        entries = ParallelEntries(comm, exchange.n_owned, n_owned)
         for assembly, (vectors, _), start in zip(assemblies, columns, starts, strict=True):
             touched = np.flatnonzero(np.diff(assembly.indptr))
             entries.add(exchange.ghosts[touched], start + np.arange(vectors.shape[1]), assembly[touched] @ vectors)
@@ -88,9 +89,9 @@ class CoarseSpace:
             thing.destroy()
 
     def _products(self, comm: MPI.Comm, exchange: Exchange, locals_: Sequence[LocalDual],
-                  schurs: Sequence[SchurProduct], n_owned: int) -> _Entries:
+                  schurs: Sequence[SchurProduct], n_owned: int) -> ParallelEntries:
         """Z^T S_tot Z as the sum over subdomains of products with the columns that touch their interface."""
-        products = _Entries(comm, n_owned, n_owned)
+        products = ParallelEntries(comm, n_owned, n_owned)
         touched, z_ghost = _rows_of(self._z, exchange.ghosts)
         for local, schur in zip(locals_, schurs, strict=True):
             z_local = (local.incidence.T @ z_ghost).tocsc()
@@ -100,7 +101,7 @@ class CoarseSpace:
         return products
 
     @staticmethod
-    def _factorize(comm: MPI.Comm, products: _Entries, owned: NDArray[np.int64],
+    def _factorize(comm: MPI.Comm, products: ParallelEntries, owned: NDArray[np.int64],
                    columns: Sequence[tuple[NDArray[np.float64], int]]) -> PETSc.KSP:
         matrix = products.matrix()
         diagonal = matrix.getDiagonal()
@@ -123,52 +124,6 @@ class CoarseSpace:
 
 SchurProduct = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 """S_s X from X, both (n interface dofs, k)."""
-
-_CHUNK = 2**23
-"""Entries collected before duplicates are added up: what neighbours add to the same place would else fill memory."""
-
-
-class _Entries:
-    """A parallel sparse matrix in the making, from dense blocks anywhere in it; overlapping blocks add up."""
-
-    def __init__(self, comm: MPI.Comm, n_rows: int, n_columns: int) -> None:
-        """n_rows, n_columns: those that this rank owns."""
-        self._comm = comm
-        self._local = [comm.allgather(n) for n in (n_rows, n_columns)]
-        shape = tuple(sum(local) for local in self._local)
-        self._sum = sparse.csr_matrix(shape)
-        self._blocks: list[sparse.coo_matrix] = []
-        self._waiting = 0
-
-    def add(self, rows: NDArray[np.int64], columns: NDArray[np.int64], block: NDArray[np.float64]) -> None:
-        """Add a block (n, k) at global rows (n,) and columns (k,)."""
-        index = (np.repeat(rows.astype(np.int32), len(columns)), np.tile(columns.astype(np.int32), len(rows)))
-        self._blocks.append(sparse.coo_matrix((block.ravel(), index), shape=self._sum.shape))
-        self._waiting += block.size
-        if self._waiting > _CHUNK:
-            self._add_up()
-
-    def matrix(self) -> PETSc.Mat:
-        """The matrix over all ranks; each row's entries go to the rank that owns it."""
-        self._add_up()
-        ends = np.cumsum(self._local[0])
-        starts = ends - self._local[0]
-        received = self._comm.alltoall([self._sum[a:b] for a, b in zip(starts, ends, strict=True)])
-        local = sum(received[1:], start=received[0]).tocsr()
-        local.sort_indices()
-        csr = (local.indptr.astype(PETSc.IntType), local.indices.astype(PETSc.IntType), local.data)
-        rank = self._comm.Get_rank()
-        sizes = tuple((of[rank], sum(of)) for of in self._local)
-        return PETSc.Mat().createAIJ(sizes, csr=csr, comm=self._comm)
-
-    def _add_up(self) -> None:
-        if self._blocks:
-            values = np.concatenate([b.data for b in self._blocks])
-            rows, columns = (np.concatenate([getattr(b, name) for b in self._blocks]) for name in ("row", "col"))
-            self._blocks.clear()
-            self._sum = self._sum + sparse.coo_matrix((values, (rows, columns)), shape=self._sum.shape).tocsr()
-        self._waiting = 0
-
 
 def _rows_of(matrix: PETSc.Mat, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], sparse.csr_matrix]:
     """Rows of a parallel matrix that this rank asks for: the columns that occur, and the rows on these columns."""

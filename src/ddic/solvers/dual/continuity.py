@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ddic.partition.incidence import copies_of
 from ddic.partition.subdomain import Interface, Subdomain
-from ddic.solvers.dual.exchange import Exchange
+from ddic.solvers.exchange import Exchange
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ from petsc4py import PETSc
 from scipy import linalg, sparse
 
 from ddic.errors import SingularSubdomainError
-from ddic.solvers.dual.exchange import Exchange
 from ddic.solvers.dual.local_dual import LocalDual
 from ddic.solvers.dual.sparse_inverse import SINGULAR_INTERFACE
+from ddic.solvers.exchange import Exchange
 
 
 def local_schur(local: LocalDual) -> NDArray[np.float64]:

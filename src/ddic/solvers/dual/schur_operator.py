@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from petsc4py import PETSc
 
-from ddic.solvers.dual.exchange import Exchange
 from ddic.solvers.dual.local_dual import LocalDual
 from ddic.solvers.dual.shell import Multiplying
+from ddic.solvers.exchange import Exchange
 
 
 class DualSchurOperator:

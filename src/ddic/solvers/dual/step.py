@@ -15,7 +15,6 @@ from scipy import sparse
 from ddic.parallel.team import Team
 from ddic.partition.incidence import copies_of, rows_of, scaled_incidence
 from ddic.solvers.dual.coarse_space import CoarseSpace, coarse_columns
-from ddic.solvers.dual.exchange import Exchange
 from ddic.solvers.dual.interface_solver import InterfaceSettings, InterfaceSolver
 from ddic.solvers.dual.local_dual import local_dual
 from ddic.solvers.dual.local_inverse import LocalInverseKind, schur_pair
@@ -24,6 +23,7 @@ from ddic.solvers.dual.preconditioner import DualPreconditioner, LocalInverse, L
 from ddic.solvers.dual.schur_operator import DualSchurOperator
 from ddic.solvers.dual.shell import Preconditioning
 from ddic.solvers.dual.two_level import TwoLevelPreconditioner
+from ddic.solvers.exchange import Exchange
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.step import Leave, StepResult

@@ -7,7 +7,7 @@ import pytest
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from ddic.solvers.dual.exchange import Exchange
+from ddic.solvers.exchange import Exchange
 
 RANKS = [1, 2, 3, 4]
 OWNED = (4, 0, 3, 2)
