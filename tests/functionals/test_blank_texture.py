@@ -20,7 +20,8 @@ Image = NDArray[np.float64]
 
 def _of(image: Image, degree: int = 3, mask: NDArray[np.bool_] | None = None) -> Texture:
     """Texture of 4 x 4 cells of 16 px."""
-    return texture(correlation(square_mesh(24, 88), source(image.astype(np.float32), mask), degree), degree)
+    part = correlation(square_mesh(24, 88), source(image.astype(np.float32), mask), degree)
+    return texture(part, part.hessian(), degree)
 
 
 def _speckle() -> Image:
@@ -47,7 +48,7 @@ def test_the_estimate_of_noise_is_that_of_the_gradient_of_noise(degree: int) -> 
     translations = np.linalg.qr(rigid_modes(part.mesh.nodes))[0][:, :2]
     energy = np.trace(translations.T @ part.hessian() @ translations) / 2
     # Both are averages of 20 000 correlated squares.
-    assert texture(part, degree).noise == pytest.approx(energy, rel=0.04)
+    assert texture(part, part.hessian(), degree).noise == pytest.approx(energy, rel=0.04)
 
 
 def test_speckle_stands_out_of_strong_noise() -> None:

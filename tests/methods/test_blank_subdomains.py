@@ -15,13 +15,13 @@ from ddic.case.loader import load_case
 from ddic.errors import InputError, SingularSubdomainError, is_on_all_ranks
 from ddic.io.mesh_source import build_mesh
 from ddic.io.result_reader import read_result
-from ddic.methods.assembly import own_part, seen_part
+from ddic.methods.assembly import correlate, own_part, seen_part
 from ddic.methods.dd_dic import Measurement, dd_dic
 from ddic.methods.inputs import open_pair, share_out
 from ddic.methods.listener import Silence
 from ddic.methods.run import run_case
-from ddic.methods.start import coarse_field
-from ddic.methods.texture import with_texture
+from ddic.methods.start import coarse_field, coarse_task
+from ddic.methods.texture import Correlated, with_texture
 from ddic.parallel.team import Team
 from ddic.solvers.phases import PhaseClock
 from ddic.synth.fields import Affine
@@ -204,10 +204,15 @@ def test_start_and_hidden_pixels_move_along(shared_path: Path) -> None:
     pair = open_pair(case)
     mesh = build_mesh(case, SIDE, SIDE) if team.is_root else None
     subdomains, region = share_out(team, case, mesh)
-    start = coarse_field(team, case, pair, mesh, [s.mesh.nodes for s in subdomains])
+    found = coarse_task(team, case, pair, mesh)()
+    start = coarse_field(team, case, found, [s.mesh.nodes for s in subdomains])
     parts = [seen_part(own_part(s, pair, 3), q) for s, q in zip(subdomains, start.q, strict=True)]
-    merged, region, moved = with_texture(team, case, pair, mesh, parts, region, start)
-    expected = coarse_field(team, case, pair, mesh, [p.subdomain.mesh.nodes for p in merged])
+    given = Correlated(parts, correlate(team, parts), region, start)
+    joined = with_texture(team, case, pair, mesh, given)
+    merged, region, moved = joined.parts, joined.region, joined.start
+    for part, hessian in zip(merged, joined.hessians, strict=True):
+        np.testing.assert_array_equal(hessian.diagonal(), part.correlation.hessian().diagonal())
+    expected = coarse_field(team, case, found, [p.subdomain.mesh.nodes for p in merged])
     assert region.n_subdomains == 15
     assert len(merged) == len(moved.q) > 0
     for found, wanted in zip(moved.q, expected.q, strict=True):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from ddic.solvers.multilevel import MultilevelStart, block_sizes, multilevel_start
+from ddic.solvers.pyramid_level import BinnedPair
 from ddic.synth.fields import Affine, DisplacementField, Translation
 from support.pictures import pair_of, rms_error, source, square_mesh
 
@@ -16,10 +17,13 @@ MESH = square_mesh(80.0, 304.0)
 CENTRE = (191.5, 191.5)
 
 
+def _pair(reference: np.ndarray, deformed: np.ndarray) -> BinnedPair:
+    return BinnedPair(source(reference), source(deformed), 1)
+
+
 def _start(field: DisplacementField, *, rigid: bool = True, pyramid: bool = True) -> MultilevelStart:
     pair = pair_of(field, SIDE, 8)
-    return multilevel_start(source(pair.reference), source(pair.deformed), MESH, rigid=rigid, pyramid=pyramid,
-                            correction="none")
+    return multilevel_start(_pair(pair.reference, pair.deformed), MESH, rigid=rigid, pyramid=pyramid, correction="none")
 
 
 def _turned(degrees: float, centre: tuple[float, float]) -> Affine:
@@ -61,8 +65,7 @@ def test_the_pyramid_follows_a_rotation_of_3_degrees() -> None:
     side, mesh = 576, square_mesh(96.0, 480.0)
     field = _turned(3.0, ((side - 1) / 2, (side - 1) / 2))
     pair = pair_of(field, side, 8)
-    start = multilevel_start(source(pair.reference), source(pair.deformed), mesh, rigid=True, pyramid=True,
-                             correction="none")
+    start = multilevel_start(_pair(pair.reference, pair.deformed), mesh, rigid=True, pyramid=True, correction="none")
     assert start.levels == (16, 8, 4, 2)
     assert rms_error(start.field.at(mesh.nodes).ravel(), mesh.nodes, field) <= 0.2
 
@@ -83,15 +86,15 @@ def test_each_stage_can_be_switched_off() -> None:
 def test_a_gain_between_the_images_does_not_disturb_the_rigid_stage() -> None:
     field = Translation((12.0, -7.0))
     pair = pair_of(field, SIDE, 8)
-    dimmed = source(0.5 * pair.deformed.astype(np.float32) + 60)
-    start = multilevel_start(source(pair.reference), dimmed, MESH, rigid=True, pyramid=True, correction="global")
+    dimmed = 0.5 * pair.deformed.astype(np.float32) + 60
+    start = multilevel_start(_pair(pair.reference, dimmed), MESH, rigid=True, pyramid=True, correction="global")
     assert _error(start, field) <= 0.1
     assert start.warnings == ()
 
 
 def test_images_without_texture_give_a_still_start_and_say_so() -> None:
-    flat = source(np.full((SIDE, SIDE), 100.0, dtype=np.float32))
-    start = multilevel_start(flat, flat, MESH, rigid=True, pyramid=True, correction="none")
+    flat = np.full((SIDE, SIDE), 100.0, dtype=np.float32)
+    start = multilevel_start(_pair(flat, flat), MESH, rigid=True, pyramid=True, correction="none")
     assert start.rigid is None
     assert start.levels == ()
     assert "no rigid translation stands out" in start.warnings[0]

@@ -23,38 +23,28 @@ class Material:
     plane: Literal["stress", "strain"] = "stress"
 
     @property
-    def stiffness(self) -> NDArray[np.float64]:
-        """Hooke's matrix D of (exx, eyy, 2 exy) to (sxx, syy, sxy), shape (3, 3)."""
+    def lame(self) -> tuple[float, float]:
+        """Lambda and mu of s = lambda tr(e) I + 2 mu e in the plane; lambda is that of plane stress or strain."""
         nu = self.poisson_ratio
-        shear = 1.0 / (2.0 * (1.0 + nu))
-        if self.plane == "stress":
-            axial, cross = 1.0 / (1.0 - nu**2), nu / (1.0 - nu**2)
-        else:
-            factor = (1.0 + nu) * (1.0 - 2.0 * nu)
-            axial, cross = (1.0 - nu) / factor, nu / factor
-        return np.array([[axial, cross, 0.0], [cross, axial, 0.0], [0.0, 0.0, shear]])
-
-
-def strain_operator(gradients: NDArray[np.float64]) -> NDArray[np.float64]:
-    """B of (exx, eyy, 2 exy) = B q from shape gradients (..., k, 2); returns (..., 3, 2 k)."""
-    k = gradients.shape[-2]
-    b = np.zeros((*gradients.shape[:-2], 3, 2 * k))
-    b[..., 0, 0::2] = gradients[..., 0]
-    b[..., 1, 1::2] = gradients[..., 1]
-    b[..., 2, 0::2] = gradients[..., 1]
-    b[..., 2, 1::2] = gradients[..., 0]
-    return b
+        lame = nu / (1.0 - nu**2) if self.plane == "stress" else nu / ((1.0 + nu) * (1.0 - 2.0 * nu))
+        return lame, 1.0 / (2.0 * (1.0 + nu))
 
 
 def stiffness_cells(mesh: Mesh, material: Material) -> NDArray[np.float64]:
-    """K_e = int B^T D B of every cell, (n_cells, 8, 8); a T3's last two rows and columns are zero."""
-    d = material.stiffness
+    """K_e = int lambda div u div v + 2 mu eps(u) : eps(v) of every cell, (n_cells, 8, 8); a T3's last rows are zero."""
+    lame, shear = material.lame
     cells = np.zeros((mesh.n_cells, 8, 8))
     for cell_type in np.unique(mesh.types):
         members = np.flatnonzero(mesh.types == cell_type)
         points, weights = QUADRATURE[int(cell_type)]
         gradients, det = shape_gradients(mesh, members, points)
-        b = strain_operator(gradients)
-        n = b.shape[-1]
-        cells[members, :n, :n] = np.einsum("epik,ij,epjl,ep->ekl", b, d, b, det * weights, optimize=True)
+        n_cells, n_points, k, dim = gradients.shape
+        rows = gradients.reshape(n_cells, n_points, k * dim)
+        # products[e, a, i, b, j] = int dN_a/dx_i dN_b/dx_j
+        products = (rows.transpose(0, 2, 1) @ (rows * (det * weights)[..., None])).reshape(n_cells, k, dim, k, dim)
+        stiffness = lame * products + shear * products.swapaxes(2, 4)
+        laplacian = shear * np.trace(products, axis1=2, axis2=4)
+        for i in range(dim):
+            stiffness[:, :, i, :, i] += laplacian
+        cells[members, : k * dim, : k * dim] = stiffness.reshape(n_cells, k * dim, k * dim)
     return cells

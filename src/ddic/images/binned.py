@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -37,25 +40,63 @@ class ArraySource:
         return self.values[window.y0: window.y1, window.x0: window.x1]
 
 
+@dataclass(frozen=True)
+class Blocks:
+    """Rows of blocks of an image.
+
+    values: (rows, columns), mean grey levels; usable: 1 where all pixels of a block count, None where nothing
+    can be left out.
+    """
+
+    values: NDArray[np.float32]
+    usable: NDArray[np.float32] | None
+
+
 def bin_image(source: MaskedSource, factor: int) -> MaskedSource:
     """Mean over blocks of factor x factor pixels; a block counts where all its pixels do.
 
     Block (X, Y) is centred on x = factor X + (factor - 1) / 2, likewise y. The image is read in bands.
     """
-    width, height = source.image.width // factor, source.image.height // factor
-    values = np.empty((height, width), dtype=np.float32)
-    usable = np.ones((height, width), dtype=np.float32)
+    return binned_source(source, [bin_rows(source, factor, range(source.image.height // factor))])
+
+
+def bin_rows(source: MaskedSource, factor: int, rows: range) -> Blocks:
+    """Some rows of the blocks of ``bin_image``."""
+    width = source.image.width // factor
+    values = np.zeros((len(rows), width), dtype=np.float32)
+    usable = np.ones((len(rows), width), dtype=np.float32)
     anything_excluded = False
-    rows = max(_BAND_PIXELS // (factor**2 * max(width, 1)), 1)
-    for y0 in range(0, height, rows):
-        y1 = min(y0 + rows, height)
+    at_once = max(_BAND_PIXELS // (factor**2 * max(width, 1)), 1)
+    for y0 in range(rows.start, rows.stop if width else rows.start, at_once):
+        y1 = min(y0 + at_once, rows.stop)
         window = Window(0, y0 * factor, width * factor, y1 * factor)
-        blocks = (y1 - y0, factor, width, factor)
-        grey = np.nan_to_num(source.image.read(window).astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
-        values[y0:y1] = grey.reshape(blocks).mean(axis=(1, 3))
+        band = slice(y0 - rows.start, y1 - rows.start)
+        values[band] = _means(_finite(source.image.read(window)), factor)
         mask = source.usable(window)
         if mask is not None:
             anything_excluded = True
-            usable[y0:y1] = mask.reshape(blocks).min(axis=(1, 3))
-    mask_source = ArraySource(source.image.path, usable) if anything_excluded else None
-    return MaskedSource(ArraySource(source.image.path, values), mask_source)
+            # A mean of ones and zeros: 1 only where all are.
+            usable[band] = _means(mask.astype(np.float32), factor) == 1.0
+    return Blocks(values, usable if anything_excluded else None)
+
+
+def binned_source(source: MaskedSource, bands: Sequence[Blocks]) -> MaskedSource:
+    """The binned image from all its rows of blocks, in order."""
+    path = source.image.path
+    mask = None
+    if any(band.usable is not None for band in bands):
+        mask = ArraySource(path, np.concatenate([np.ones_like(b.values) if b.usable is None else b.usable
+                                                 for b in bands]))
+    return MaskedSource(ArraySource(path, np.concatenate([b.values for b in bands])), mask)
+
+
+def _finite(pixels: NDArray[Any]) -> NDArray[np.float32]:
+    grey = pixels.astype(np.float32)
+    if not np.issubdtype(pixels.dtype, np.integer):
+        grey[~np.isfinite(grey)] = 0.0
+    return grey
+
+
+def _means(values: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
+    height, width = values.shape
+    return np.asarray(cv2.resize(values, (width // factor, height // factor), interpolation=cv2.INTER_AREA))

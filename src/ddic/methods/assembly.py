@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from ddic.case.schema import RegularizationSection, SolverSection
 from ddic.errors import InputError, on_all_ranks
@@ -53,10 +54,14 @@ def seen_part(part: OwnedPart, q: NDArray[np.float64]) -> OwnedPart:
     return replace(part, correlation=part.correlation.seen_from(part.deformed, q))
 
 
-def assemble(team: Team, parts: Sequence[OwnedPart], region: Region, solver: SolverSection,
-             section: RegularizationSection | None) -> Assembly:
-    """Assemble M_s, find eta for the whole region, and Kbar_s."""
-    hessians = team.together(lambda: [part.correlation.hessian() for part in parts])
+def correlate(team: Team, parts: Sequence[OwnedPart]) -> list[sparse.csr_matrix]:
+    """M_s of all owned subdomains."""
+    return team.together(lambda: [part.correlation.hessian() for part in parts])
+
+
+def assemble(team: Team, parts: Sequence[OwnedPart], hessians: Sequence[sparse.csr_matrix], region: Region,
+             solver: SolverSection, section: RegularizationSection | None) -> Assembly:
+    """Find eta for the whole region, and Kbar_s; hessians: M_s."""
     trace = team.ordered_sum([np.array(h.diagonal().sum()) for h in hessians])
     mean_diagonal = float(trace) / region.n_dofs
     if section is None:
@@ -75,7 +80,7 @@ def assemble(team: Team, parts: Sequence[OwnedPart], region: Region, solver: Sol
         eta = _weight(texture, region)
     regularization = material(section)
 
-    def system(part: OwnedPart, hessian: object) -> LocalSystem:
+    def system(part: OwnedPart, hessian: sparse.csr_matrix) -> LocalSystem:
         subdomain = part.subdomain
         weights = interface_weights(subdomain.dof_multiplicity, solver.weighting) * subdomain.controlled
         kbar = controlled_stiffness(subdomain.mesh, part.correlation.kinematics, regularization, weights)

@@ -13,12 +13,12 @@ from ddic.functionals.correlation import Residual
 from ddic.functionals.strain import inverted_cells
 from ddic.io.mesh_source import build_mesh
 from ddic.mesh.mesh import Mesh
-from ddic.methods.assembly import SINGULAR, assemble, own_part, seen_part
-from ddic.methods.inputs import ImagePair, Region, open_pair, share_out
+from ddic.methods.assembly import SINGULAR, assemble, correlate, own_part, seen_part
+from ddic.methods.inputs import ImagePair, Region, cut, hand_out, open_pair
 from ddic.methods.linear_step import linear_solver
 from ddic.methods.listener import Listener, Setting
-from ddic.methods.start import coarse_field, refine_independently
-from ddic.methods.texture import with_texture
+from ddic.methods.start import coarse_field, coarse_task, refine_independently
+from ddic.methods.texture import Correlated, with_texture
 from ddic.parallel.team import Team
 from ddic.solvers.dual.continuity import ContinuousField, average_copies
 from ddic.solvers.gauss_newton import (
@@ -57,19 +57,25 @@ def dd_dic(team: Team, case: Case, listener: Listener, clock: PhaseClock) -> Mea
     Raises InputError, SingularSubdomainError, ConvergenceError on all ranks.
     """
     correction = case.correlation.grey_correction
-    with clock.phase("read"):
+    with clock.phase("mesh"):
         pair = team.together(lambda: open_pair(case))
         mesh = _whole_mesh(team, case, pair)
-        subdomains, region = share_out(team, case, mesh)
-        parts = team.together(lambda: [own_part(s, pair, case.correlation.spline_degree) for s in subdomains])
-    n_pixels = sum(team.gather_lists([part.correlation.n_usable_pixels for part in parts]))
     with clock.phase("start"):
-        start = coarse_field(team, case, pair, mesh, [s.mesh.nodes for s in subdomains])
+        find_coarse = coarse_task(team, case, pair, mesh)
+        # Rank 0 splits the mesh while the last rank looks for the coarse field.
+        whole, found = team.together(lambda: (None if mesh is None else cut(case, mesh, team.size), find_coarse()))
+        subdomains, region = hand_out(team, whole)
+        start = coarse_field(team, case, found, [s.mesh.nodes for s in subdomains])
+    with clock.phase("read"):
+        parts = team.together(lambda: [own_part(s, pair, case.correlation.spline_degree) for s in subdomains])
+        n_pixels = sum(team.gather_lists([part.correlation.n_usable_pixels for part in parts]))
         parts = team.together(lambda: [seen_part(part, q) for part, q in zip(parts, start.q, strict=True)])
-        if case.solver.method == "dual":
-            parts, region, start = with_texture(team, case, pair, mesh, parts, region, start)
     with clock.phase("assemble"):
-        assembly = assemble(team, parts, region, case.solver, case.regularization)
+        correlated = Correlated(parts, correlate(team, parts), region, start)
+        if case.solver.method == "dual":
+            correlated = with_texture(team, case, pair, mesh, correlated)
+        parts, region, start = correlated.parts, correlated.region, correlated.start
+        assembly = assemble(team, parts, correlated.hessians, region, case.solver, case.regularization)
     with clock.phase("independent start"):
         start = refine_independently(team, case, parts, assembly.systems, start, SINGULAR * assembly.mean_diagonal)
     for line in start.notes:

@@ -62,16 +62,40 @@ def material(section: RegularizationSection) -> Material:
     return Material(section.poisson_ratio, section.plane)
 
 
+@dataclass(frozen=True)
+class CutMesh:
+    """All subdomains of the mesh, and what every rank is to know of it."""
+
+    subdomains: list[Subdomain]
+    region: Region
+
+
+def cut(case: Case, mesh: Mesh, n_ranks: int) -> CutMesh:
+    """Split the whole mesh as the case says; free of communication."""
+    subdomains = build_subdomains(mesh, _parts(case.solver, mesh, n_ranks), _controlled(case.regularization, mesh))
+    return CutMesh(subdomains, Region(mesh.n_nodes, mesh.n_cells, mesh.n_dofs, len(subdomains),
+                                      region_gap_energies(case.regularization, mesh), mesh.mapping))
+
+
+def hand_out(team: Team, whole: CutMesh | None) -> tuple[list[Subdomain], Region]:
+    """Give each rank its subdomains of the mesh that rank 0 has cut."""
+    def known() -> CutMesh:
+        assert whole is not None
+        return whole
+
+    return distribute(team, lambda: known().subdomains), team.on_root(lambda: known().region)
+
+
 def share_out(team: Team, case: Case, mesh: Mesh | None) -> tuple[list[Subdomain], Region]:
     """Split the mesh that rank 0 holds and give each rank its subdomains."""
-    def describe() -> Region:
-        assert mesh is not None
-        return Region(mesh.n_nodes, mesh.n_cells, mesh.n_dofs, n_subdomains,
-                      region_gap_energies(case.regularization, mesh), mesh.mapping)
+    held: list[CutMesh] = []
 
-    subdomains = deal_out(team, case, mesh, lambda whole: _parts(case.solver, whole, team.size))
-    n_subdomains = len(team.gather_lists([s.index for s in subdomains]))
-    return subdomains, team.on_root(describe)
+    def make() -> None:
+        assert mesh is not None
+        held.append(cut(case, mesh, team.size))
+
+    team.on_root(make)
+    return hand_out(team, held[0] if held else None)
 
 
 def deal_out(team: Team, case: Case, mesh: Mesh | None, split: Callable[[Mesh], NDArray[np.int64]]) -> list[Subdomain]:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ddic.case.schema import Case, SolverSection
 from ddic.io.mesh_source import build_mesh
-from ddic.methods.assembly import assemble, factorize, own_part
+from ddic.methods.assembly import assemble, correlate, factorize, own_part
 from ddic.methods.inputs import open_pair, share_out
 from ddic.parallel.team import Team
 from ddic.solvers.noise_floor import expected_noise_rms
@@ -26,7 +26,7 @@ def expected_noise(case: Case, sigma: float, nodes: NDArray[np.bool_]) -> float:
     mesh = build_mesh(case, pair.reference.image.width, pair.reference.image.height)
     subdomains, region = share_out(alone, case, mesh)
     parts = [own_part(s, pair, case.correlation.spline_degree) for s in subdomains]
-    assembly = assemble(alone, parts, region, case.solver, case.regularization)
+    assembly = assemble(alone, parts, correlate(alone, parts), region, case.solver, case.regularization)
     operator = factorize(alone, assembly.systems, assembly.mean_diagonal)[0]
     try:
         return expected_noise_rms(assembly.systems[0], operator, sigma, np.repeat(nodes, mesh.dim))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from ddic.case.schema import Case
 from ddic.errors import first_of
+from ddic.images.binned import bin_rows, binned_source
 from ddic.io.result_reader import displacement_at, read_result
 from ddic.mesh.mesh import Mesh
 from ddic.methods.inputs import ImagePair
@@ -18,7 +20,8 @@ from ddic.parallel.team import Team
 from ddic.solvers.gauss_newton import OwnedPart
 from ddic.solvers.independent import independent_start
 from ddic.solvers.local_system import LocalSystem
-from ddic.solvers.multilevel import MultilevelStart, multilevel_start
+from ddic.solvers.multilevel import MultilevelStart, finest_block, multilevel_start
+from ddic.solvers.pyramid_level import BinnedPair
 
 
 @dataclass(frozen=True)
@@ -29,21 +32,34 @@ class StartField:
     notes: tuple[str, ...]
 
 
-def coarse_field(team: Team, case: Case, pair: ImagePair, mesh: Mesh | None,
+def coarse_task(team: Team, case: Case, pair: ImagePair, mesh: Mesh | None,
+                ) -> Callable[[], MultilevelStart | None]:
+    """What this rank has to do for rigid correlation and the pyramid, free of communication; collective.
+
+    All ranks bin the images; the last one receives the blocks, and the mesh from rank 0, so that rank 0 may split the
+    mesh at the same time. Elsewhere there is nothing to do, nor anywhere if the start is an earlier result.
+    """
+    if case.start.from_result is not None:
+        return lambda: None
+    last = team.size - 1
+    blocks = _binned_together(team, pair)
+    whole = team.hand_over(mesh, last)
+    if blocks is None:
+        return lambda: None
+    assert whole is not None
+    return partial(multilevel_start, blocks, whole, rigid=case.start.rigid, pyramid=case.start.pyramid,
+                   correction=case.correlation.grey_correction)
+
+
+def coarse_field(team: Team, case: Case, found: MultilevelStart | None,
                  nodes: Sequence[NDArray[np.float64]]) -> StartField:
-    """Start from an earlier result, or from rigid correlation and the pyramid; rank 0 holds the mesh.
+    """Start from an earlier result, or from what the last rank found; collective.
 
     nodes: of each owned subdomain, (n_nodes, 2) pixels.
     """
     if case.start.from_result is not None:
         return _from_result(team, case.start.from_result, nodes)
-
-    def find() -> MultilevelStart:
-        assert mesh is not None
-        return multilevel_start(pair.reference, pair.deformed, mesh, rigid=case.start.rigid,
-                                pyramid=case.start.pyramid, correction=case.correlation.grey_correction)
-
-    start = team.on_root(find)
+    start: MultilevelStart = team.comm.bcast(found, root=team.size - 1)
     notes = list(start.warnings)
     if start.rigid is not None:
         x, y = start.rigid.shift
@@ -53,6 +69,19 @@ def coarse_field(team: Team, case: Case, pair: ImagePair, mesh: Mesh | None,
         blocks = ", ".join(str(level) for level in start.levels)
         notes.append(f"start: pyramid on blocks of {blocks} px")
     return StartField([start.field.at(n).ravel() for n in nodes], tuple(notes))
+
+
+def _binned_together(team: Team, pair: ImagePair) -> BinnedPair | None:
+    """Both images in the smallest blocks that the start looks at, on the last rank; each rank bins a band of rows."""
+    image = pair.reference.image
+    factor = finest_block(image.width * image.height)
+    edges = np.linspace(0, image.height // factor, team.size + 1).astype(int)
+    mine = range(int(edges[team.rank]), int(edges[team.rank + 1]))
+    sources = (pair.reference, pair.deformed)
+    bands = team.comm.gather(team.together(lambda: [bin_rows(s, factor, mine) for s in sources]), root=team.size - 1)
+    if bands is None:
+        return None
+    return BinnedPair(*(binned_source(s, [rank[k] for rank in bands]) for k, s in enumerate(sources)), factor)
 
 
 def refine_independently(team: Team, case: Case, parts: Sequence[OwnedPart], systems: Sequence[LocalSystem],

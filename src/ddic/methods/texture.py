@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from ddic.case.schema import Case
 from ddic.errors import InputError, first_of
 from ddic.functionals.texture import Texture, blank_subdomains, restricted, texture
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import cell_adjacency
-from ddic.methods.assembly import own_part, seen_part
+from ddic.methods.assembly import correlate, own_part, seen_part
 from ddic.methods.inputs import ImagePair, Region, deal_out
 from ddic.methods.start import StartField
 from ddic.parallel.team import Team
@@ -22,23 +23,35 @@ from ddic.partition.subdomain import Subdomain
 from ddic.solvers.gauss_newton import OwnedPart
 
 
-def with_texture(team: Team, case: Case, pair: ImagePair, mesh: Mesh | None, parts: list[OwnedPart], region: Region,
-                 start: StartField) -> tuple[list[OwnedPart], Region, StartField]:
+@dataclass(frozen=True)
+class Correlated:
+    """Owned subdomains and their M_s, what all ranks know of the region, and the displacement that they start from.
+
+    parts: without the pixels that the start hides, for these hold nothing either.
+    """
+
+    parts: list[OwnedPart]
+    hessians: list[sparse.csr_matrix]
+    region: Region
+    start: StartField
+
+
+def with_texture(team: Team, case: Case, pair: ImagePair, mesh: Mesh | None, given: Correlated) -> Correlated:
     """Merge subdomains, or loose pieces of them, without texture with neighbours and share out again; collective.
 
-    mesh: on rank 0; parts: without the pixels that the start hides, for these hold nothing either; start: moves
-    along and gains a note. All is returned unchanged where no subdomain is blank, and without regularization: there
-    the blank part is singular whatever the partition, and the factorization says where. Raises InputError where fewer
-    subdomains than ranks are left.
+    mesh: on rank 0. The start moves along and gains a note. All is returned unchanged where no subdomain is blank, and
+    without regularization: there the blank part is singular whatever the partition, and the factorization says where.
+    Raises InputError where fewer subdomains than ranks are left.
     """
+    parts, region, start = given.parts, given.region, given.start
     if case.regularization is None or region.n_subdomains == 1:
-        return parts, region, start
-    pieces = team.together(lambda: [_pieces(part) for part in parts])
+        return given
+    pieces = team.together(lambda: [_pieces(part, m) for part, m in zip(parts, given.hessians, strict=True)])
     # Everybody holds the same list of the same numbers, hence comes to the same decision.
     owner = np.array(team.gather_lists([p.subdomain for piece in pieces for p in piece]))
     blank = blank_subdomains(team.gather_lists([p.texture for piece in pieces for p in piece]))
     if not blank.any() or blank.all():
-        return parts, region, start
+        return given
     held: list[NDArray[np.int64]] = []
     cells = team.comm.gather([p.cells for piece in pieces for p in piece], root=0)
 
@@ -54,7 +67,8 @@ def with_texture(team: Team, case: Case, pair: ImagePair, mesh: Mesh | None, par
     parts = team.together(lambda: [seen_part(own_part(s, pair, case.correlation.spline_degree), q_s)
                                    for s, q_s in zip(subdomains, q, strict=True)])
     note = _note(owner, blank, region.n_subdomains, n_left)
-    return parts, replace(region, n_subdomains=n_left), StartField(q, (note, *start.notes))
+    return Correlated(parts, correlate(team, parts), replace(region, n_subdomains=n_left),
+                      StartField(q, (note, *start.notes)))
 
 
 @dataclass(frozen=True)
@@ -66,13 +80,15 @@ class _Piece:
     texture: Texture
 
 
-def _pieces(part: OwnedPart) -> list[_Piece]:
+def _pieces(part: OwnedPart, hessian: sparse.csr_matrix) -> list[_Piece]:
     label = connected_pieces(cell_adjacency(part.subdomain.mesh))
     index, degree = part.subdomain.index, part.deformed.degree
     if label.max() == 0:
-        return [_Piece(index, part.subdomain.cell_ids, texture(part.correlation, degree))]
-    return [_Piece(index, part.subdomain.cell_ids[cells], texture(restricted(part.correlation, cells), degree))
-            for cells in (np.flatnonzero(label == k) for k in range(int(label.max()) + 1))]
+        return [_Piece(index, part.subdomain.cell_ids, texture(part.correlation, hessian, degree))]
+    loose = [np.flatnonzero(label == k) for k in range(int(label.max()) + 1)]
+    correlations = [restricted(part.correlation, cells) for cells in loose]
+    return [_Piece(index, part.subdomain.cell_ids[cells], texture(alone, alone.hessian(), degree))
+            for cells, alone in zip(loose, correlations, strict=True)]
 
 
 def _merged(mesh: Mesh, cells: Sequence[NDArray[np.int64]], owner: NDArray[np.int64],

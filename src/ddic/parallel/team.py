@@ -64,6 +64,15 @@ class Team:
         final: T = result
         return final
 
+    def hand_over(self, item: T | None, to: int) -> T | None:
+        """Give what rank 0 holds to another rank; None elsewhere."""
+        if to == 0:
+            return item
+        if self.is_root:
+            self.comm.send(item, dest=to)
+        result: T | None = self.comm.recv(source=0) if self.rank == to else None
+        return result
+
     def _attempt_on_root(self, work: Callable[[], T]) -> T | None:
         """Run ``work`` on rank 0 alone; its result there, None elsewhere, its error on all ranks."""
         outcome: T | None = None

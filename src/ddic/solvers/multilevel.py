@@ -26,6 +26,11 @@ LARGEST_COARSE_IMAGE = 2_000_000
 """Pixels of the finest image of the pyramid: what one rank is asked to hold and correlate."""
 
 LARGEST_FFT_IMAGE = 500_000
+ENOUGH_FFT_IMAGE = 200_000
+ENOUGH_BLOCKS = 2000
+"""Blocks of the image enough for a rigid translation, if that many of them show the region: coefficients of unrelated
+images then stay below 0.11 (2000 samples, 200 000 translations), far from LEAST_COEFFICIENT."""
+
 SMALLEST_SIDE = 1.5 * CELL
 """Least side of the region on the coarsest level, blocks: there the grid is hardly more than an affine map."""
 
@@ -49,13 +54,16 @@ class MultilevelStart:
     warnings: tuple[str, ...]
 
 
-def multilevel_start(reference: MaskedSource, deformed: MaskedSource, mesh: Mesh, *, rigid: bool, pyramid: bool,
+def multilevel_start(pair: BinnedPair, mesh: Mesh, *, rigid: bool, pyramid: bool,
                      correction: GreyCorrection) -> MultilevelStart:
-    """Find a coarse field on the region of ``mesh`` (the whole mesh, pixels)."""
-    n_pixels = reference.image.width * reference.image.height
+    """Find a coarse field on the region of ``mesh`` (the whole mesh, pixels).
+
+    pair: the images, binned at most as far as ``finest_block`` says.
+    """
+    n_pixels = pair.n_blocks * pair.factor**2
     sizes = block_sizes(n_pixels, mesh) if pyramid else []
-    rigid_size = _rigid_block_size(n_pixels)
-    pairs = _binned_pairs(reference, deformed, [*sizes, *([rigid_size] if rigid else [])])
+    rigid_size = _rigid_block_size(n_pixels, mesh)
+    pairs = _binned_pairs(pair, [*sizes, *([rigid_size] if rigid else [])])
     shift = _rigid(pairs[rigid_size], mesh) if rigid else None
     warnings: list[str] = []
     if shift is not None and shift.coefficient < LEAST_COEFFICIENT:
@@ -73,29 +81,40 @@ def multilevel_start(reference: MaskedSource, deformed: MaskedSource, mesh: Mesh
     return MultilevelStart(field, shift, tuple(done), tuple(warnings))
 
 
-def block_sizes(n_pixels: int, mesh: Mesh) -> list[int]:
-    """Block sizes of the pyramid's levels, pixels, coarsest first."""
-    side = float((mesh.nodes.max(axis=0) - mesh.nodes.min(axis=0)).min())
+def finest_block(n_pixels: int) -> int:
+    """Side of the smallest blocks that the start looks at, pixels."""
+    return 1 if n_pixels <= LARGEST_FFT_IMAGE else _finest_level(n_pixels)
+
+
+def _finest_level(n_pixels: int) -> int:
     finest = 2
     while n_pixels / finest**2 > LARGEST_COARSE_IMAGE:
         finest *= 2
-    sizes = [finest]
+    return finest
+
+
+def block_sizes(n_pixels: int, mesh: Mesh) -> list[int]:
+    """Block sizes of the pyramid's levels, pixels, coarsest first."""
+    side = float((mesh.nodes.max(axis=0) - mesh.nodes.min(axis=0)).min())
+    sizes = [_finest_level(n_pixels)]
     while sizes[-1] < COARSEST and side / (2 * sizes[-1]) >= SMALLEST_SIDE:
         sizes.append(2 * sizes[-1])
     return [size for size in reversed(sizes) if side / size >= CELL]
 
 
-def _rigid_block_size(n_pixels: int) -> int:
+def _rigid_block_size(n_pixels: int, mesh: Mesh) -> int:
+    region = float(np.prod(mesh.nodes.max(axis=0) - mesh.nodes.min(axis=0)))
     size = 1
-    while n_pixels / size**2 > LARGEST_FFT_IMAGE:
+    while n_pixels / size**2 > LARGEST_FFT_IMAGE or (
+            n_pixels / size**2 > ENOUGH_FFT_IMAGE and region / (2 * size) ** 2 >= ENOUGH_BLOCKS):
         size *= 2
     return size
 
 
-def _binned_pairs(reference: MaskedSource, deformed: MaskedSource, sizes: Iterable[int]) -> dict[int, BinnedPair]:
-    """Both images at all block sizes (powers of 2), each binned from the one before: files are read once."""
+def _binned_pairs(pair: BinnedPair, sizes: Iterable[int]) -> dict[int, BinnedPair]:
+    """Both images at all block sizes (powers of 2), each binned from the one before."""
     pairs: dict[int, BinnedPair] = {}
-    finer = BinnedPair(reference, deformed, 1)
+    finer = pair
     for size in sorted(set(sizes)):
         ratio = size // finer.factor
         finer = BinnedPair(bin_image(finer.reference, ratio), bin_image(finer.deformed, ratio), size)

@@ -48,6 +48,11 @@ class BinnedPair:
     factor: int
 
     @property
+    def n_blocks(self) -> int:
+        """Blocks of an image."""
+        return self.reference.image.width * self.reference.image.height
+
+    @property
     def centre(self) -> float:
         """Position of block 0's centre, pixels."""
         return (self.factor - 1) / 2
