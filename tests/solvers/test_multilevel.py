@@ -109,4 +109,4 @@ def test_block_sizes_double_and_fit_the_region(n_pixels: float, side: float) -> 
     sizes = block_sizes(int(n_pixels), square_mesh(0.0, side, side / 4))
     assert all(coarse == 2 * fine for coarse, fine in pairwise(sizes))
     assert all(side / size >= 16 for size in sizes)
-    assert all(n_pixels / size**2 <= 2_000_000 for size in sizes)
+    assert all(n_pixels / size**2 <= 1_000_000 for size in sizes)

@@ -22,7 +22,7 @@ from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
 from ddic.solvers.pyramid_level import CELL, BinnedPair, active_blocks, correlate_level, scaled_mesh
 
-LARGEST_COARSE_IMAGE = 2_000_000
+LARGEST_COARSE_IMAGE = 1_000_000
 """Pixels of the finest image of the pyramid: what one rank is asked to hold and correlate."""
 
 LARGEST_FFT_IMAGE = 500_000
