@@ -30,7 +30,7 @@ SIZES = (172, 353, 707, 1414)
 """Elements along a side: about 60 000, 250 000, 1 and 4 million unknowns."""
 WAVELENGTHS = (64.0, 512.0)
 RANKS = (1, 2)
-SOLVERS = ("cholmod", "assembled", "two_level", "scaled", "paper", "gamg", "hpddm")
+SOLVERS = ("cholmod", "assembled", "conjugate_gradient", "two_level", "scaled", "paper", "gamg", "hpddm")
 DUAL = ("two_level", "scaled", "paper")
 PER_SUBDOMAIN = (20, 40)
 """Elements along a subdomain's side, of the dual solvers."""
@@ -38,7 +38,7 @@ REPEATED_UP_TO = 400
 """Elements along a side up to which runs are repeated: larger ones take minutes each."""
 MEMORY = 20 * 2**30
 """Address space of all ranks of a run together, bytes: a run that asks for more is out of memory."""
-TITLES = {"cholmod": "monolithic, CHOLMOD", "assembled": "assembled, MUMPS", "two_level": "dual, two-level",
+TITLES = {"cholmod": "monolithic, CHOLMOD", "assembled": "assembled, MUMPS", "conjugate_gradient": "conjugate gradients, diagonal", "two_level": "dual, two-level",
           "scaled": "dual, one level, scaled", "paper": "dual, one level, paper's", "gamg": "CG + GAMG",
           "hpddm": "CG + PCHPDDM"}
 

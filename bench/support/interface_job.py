@@ -78,9 +78,10 @@ def method(team: Team, problem: TiledProblem, solver: str, per_subdomain: int | 
     """One linear step as ddic's own method solves it, dual on METIS subdomains or assembled."""
     count = team.size if per_subdomain is None else max(round((problem.n / per_subdomain) ** 2), 2)
 
-    def split() -> list[Any]:
+    def split() -> tuple[list[Any], np.ndarray]:
         mesh = problem.rows_of_cells(0, problem.n)
-        return build_subdomains(mesh, split_by_metis(mesh, count), problem.controlled(mesh))
+        # Equal cells, split evenly: equal costs.
+        return build_subdomains(mesh, split_by_metis(mesh, count), problem.controlled(mesh)), np.ones(count)
 
     subdomains = distribute(team, split)
     eta, diagonal = problem.eta_and_diagonal
@@ -89,8 +90,8 @@ def method(team: Team, problem: TiledProblem, solver: str, per_subdomain: int | 
         weights = interface_weights(s.dof_multiplicity, "consistent") * s.controlled
         systems.append(LocalSystem(s, problem.hessian(s.mesh), problem.stiffness(s.mesh, weights), weights, eta))
         right.append(systems[-1].hessian @ problem.displacement(s.mesh))
-    section = SolverSection(method="assembled") if solver == "assembled" else SolverSection(
-        preconditioner=solver, max_iterations=MOST_KRYLOV, recycle=False)
+    section = (SolverSection(preconditioner=solver, max_iterations=MOST_KRYLOV, recycle=False) if solver in DUAL
+               else SolverSection(method=solver, max_iterations=MOST_KRYLOV))
     before = largest_resident()
     operators = laps.time("factorize", lambda: factorize(team, systems, diagonal) if solver in DUAL else [])
     step, n_interface = laps.time("interface", lambda: linear_step(team, section, Assembly(systems, eta, diagonal),

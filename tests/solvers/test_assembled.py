@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from mpi4py import MPI
 from petsc4py import PETSc
-from scipy import sparse
 
 from ddic.errors import FactorizationError, SingularSubdomainError, is_on_all_ranks
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Weighting
 from ddic.solvers.assembled import AssembledStep
 from ddic.solvers.dual.step import DualSettings
-from ddic.solvers.local_system import LocalSystem
 from support.linear import Decomposed, linear_step, one_domain_solution, split
+from support.textureless import corner, without_texture
 
 RANKS = [1, 2, 3, 4]
 # Two factorisations of one matrix, whose condition number is about 1e4 at this cut-off wavelength.
@@ -60,27 +56,12 @@ def test_copies_that_differ_become_the_field_of_the_dual_step() -> None:
     assert largest <= SAME_AS_DUAL * max(float(np.abs(y).max()) for y in dual.dq)
 
 
-def _without_texture(cut: Decomposed, empty: Callable[[LocalSystem], np.ndarray]) -> list[LocalSystem]:
-    """Systems without the rows and columns of M_s at some dofs."""
-    systems = []
-    for system in cut.systems:
-        keep = sparse.diags((~empty(system)).astype(float))
-        systems.append(dataclasses.replace(system, hessian=(keep @ system.hessian @ keep).tocsr()))
-    return systems
-
-
-def _corner(system: LocalSystem) -> np.ndarray:
-    """Dofs of the nodes within 40 px of the mesh's last corner, on its uncontrolled edge too."""
-    nodes = system.subdomain.mesh.nodes
-    return np.repeat((nodes > 20 + 8 * 16 - 40).all(axis=1), 2)
-
-
 @pytest.mark.parallel([1, 2, 4])
 @pytest.mark.parametrize("wavelength", [None, WAVELENGTH])
 def test_a_region_that_nothing_holds_is_named(wavelength: float | None) -> None:
     problem = linear_step(wavelength=wavelength)
     with Decomposed(MPI.COMM_WORLD, problem, split(problem.mesh, "blocks", 9), "consistent") as cut:
-        systems = _without_texture(cut, _corner)
+        systems = without_texture(cut, corner)
         with pytest.raises(SingularSubdomainError, match=r"column 1\d\d, row 1\d\d.*too little") as e:
             AssembledStep(Team(cut.comm), systems, 1e-9 * problem.mean_diagonal)
     assert is_on_all_ranks(e.value)

@@ -121,7 +121,7 @@ class RegularizationSection(Section):
 class SolverSection(Section):
     """The linear step of Gauss-Newton."""
 
-    method: Literal["dual", "assembled", "monolithic"] = "dual"
+    method: Literal["dual", "assembled", "conjugate_gradient", "monolithic"] = "dual"
     subdomains: Annotated[int, Field(ge=1)] | None = None
     partition: Literal["metis", "blocks", "file"] = "metis"
     blocks: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]] | None = None

@@ -11,11 +11,15 @@ from ddic.case.schema import Case, SolverSection
 from ddic.methods.assembly import SINGULAR, Assembly, factorize
 from ddic.parallel.team import Team
 from ddic.solvers.assembled import AssembledStep
+from ddic.solvers.conjugate_gradient import ConjugateGradientStep
 from ddic.solvers.dual.step import DualSettings, DualStep, Preconditioner
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.monolithic import MonolithicStep
 from ddic.solvers.phases import PhaseClock
 from ddic.solvers.step import Step
+
+LOCAL_FACTORS = ("dual", "monolithic")
+"""Methods that factorise each subdomain's own operator."""
 
 MANY_SUBDOMAINS = 8
 LONG_WAVELENGTH = 4.0
@@ -28,10 +32,10 @@ def linear_solver(team: Team, case: Case, assembly: Assembly, clock: PhaseClock)
     operators: list[LocalOperator] = []
     steps: list[Step] = []
     try:
-        if case.solver.method != "assembled":
+        if case.solver.method in LOCAL_FACTORS:
             with clock.phase("factorize"):
                 operators += factorize(team, assembly.systems, assembly.mean_diagonal)
-        with clock.phase("factorize" if case.solver.method == "assembled" else "interface set-up"):
+        with clock.phase("interface set-up" if case.solver.method == "dual" else "factorize"):
             step, n_interface = linear_step(team, case.solver, assembly, operators, _wavelength(case))
             steps.append(step)
         yield step, n_interface
@@ -46,13 +50,15 @@ def linear_step(team: Team, solver: SolverSection, assembly: Assembly, operators
                 wavelength: float = 0.0) -> tuple[Step, int]:
     """The step of Gauss-Newton that a case asks for, and its number of interface unknowns.
 
-    operators: local factors, none for ``method = "assembled"``; wavelength: cut-off wavelength, pixels (0 without
+    operators: local factors, none for methods outside LOCAL_FACTORS; wavelength: cut-off wavelength, pixels (0 without
     regularization, infinite where eta is given), which ``preconditioner = "auto"`` looks at.
     """
     if solver.method == "monolithic":
         return MonolithicStep(assembly.systems[0], operators[0]), 0
     if solver.method == "assembled":
         return AssembledStep(team, assembly.systems, SINGULAR * assembly.mean_diagonal), 0
+    if solver.method == "conjugate_gradient":
+        return ConjugateGradientStep(team, assembly.systems, solver.tolerance, solver.max_iterations), 0
     preconditioner = solver.preconditioner
     if preconditioner == "auto":
         preconditioner = _preconditioner(team, assembly, wavelength)

@@ -81,7 +81,8 @@ def _binned_together(team: Team, pair: ImagePair) -> BinnedPair | None:
     bands = team.comm.gather(team.together(lambda: [bin_rows(s, factor, mine) for s in sources]), root=team.size - 1)
     if bands is None:
         return None
-    return BinnedPair(*(binned_source(s, [rank[k] for rank in bands]) for k, s in enumerate(sources)), factor)
+    reference, deformed = (binned_source(s, [rank[k] for rank in bands]) for k, s in enumerate(sources))
+    return BinnedPair(reference, deformed, factor)
 
 
 def refine_independently(team: Team, case: Case, parts: Sequence[OwnedPart], systems: Sequence[LocalSystem],

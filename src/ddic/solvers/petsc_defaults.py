@@ -14,6 +14,7 @@ DUAL = "dual_"
 COARSE = "coarse_"
 INVERSE = "inverse_"
 ASSEMBLED = "assembled_"
+CONJUGATE_GRADIENT = "cg_"
 
 DEFAULTS: dict[str, dict[str, str]] = {
     LOCAL: {
@@ -44,6 +45,11 @@ DEFAULTS: dict[str, dict[str, str]] = {
         "ksp_type": "preonly",
         "pc_type": "cholesky",
         "pc_factor_mat_solver_type": "mumps",
+    },
+    CONJUGATE_GRADIENT: {
+        "ksp_type": "cg",
+        "ksp_norm_type": "preconditioned",
+        "pc_type": "jacobi",
     },
     DUAL: {
         "ksp_type": "gmres",
