@@ -38,7 +38,8 @@ REPEATED_UP_TO = 400
 """Elements along a side up to which runs are repeated: larger ones take minutes each."""
 MEMORY = 20 * 2**30
 """Address space of all ranks of a run together, bytes: a run that asks for more is out of memory."""
-TITLES = {"cholmod": "monolithic, CHOLMOD", "assembled": "assembled, MUMPS", "conjugate_gradient": "conjugate gradients, diagonal", "two_level": "dual, two-level",
+TITLES = {"cholmod": "monolithic, CHOLMOD", "assembled": "assembled, MUMPS",
+          "conjugate_gradient": "conjugate gradients, diagonal", "two_level": "dual, two-level",
           "scaled": "dual, one level, scaled", "paper": "dual, one level, paper's", "gamg": "CG + GAMG",
           "hpddm": "CG + PCHPDDM"}
 
