@@ -10,7 +10,7 @@ from ddic.functionals.elasticity import Material, stiffness_cells
 from ddic.kinematics.finite_element import FiniteElementKinematics, finite_element_kinematics
 from ddic.mesh.mesh import Mesh
 
-_CHUNK_CELLS = 20_000
+_CHUNK_CELLS = 2_000
 
 
 def controlled_stiffness(mesh: Mesh, kinematics: FiniteElementKinematics, material: Material,
@@ -41,8 +41,10 @@ def gap_energies(mesh: Mesh, material: Material, interior_nodes: NDArray[np.bool
     for begin in range(0, mesh.n_cells, _CHUNK_CELLS):
         part, nodes = mesh.submesh(np.arange(begin, min(begin + _CHUNK_CELLS, mesh.n_cells)))
         dofs = (nodes[:, None] * mesh.dim + np.arange(mesh.dim)).ravel()
-        kinematics = finite_element_kinematics(part)
-        forces[dofs] += kinematics.assemble_matrix(stiffness_cells(part, material)) @ waves[dofs]
+        cell_dofs = finite_element_kinematics(part).cell_dofs
+        by_cell = stiffness_cells(part, material) @ waves[dofs][cell_dofs]
+        for wave in range(waves.shape[1]):
+            forces[dofs, wave] += np.bincount(cell_dofs.ravel(), by_cell[..., wave].ravel(), minlength=len(dofs))
     rows = np.repeat(interior_nodes, mesh.dim)
     return np.asarray((forces[rows] ** 2).sum(axis=0))
 
