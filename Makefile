@@ -5,10 +5,14 @@ SHELL := /bin/bash
 
 PYTHON := .venv/bin/python
 STAMP := .venv/.ddic-setup
+BENCH_STAMP := .venv/.ddic-bench
 # Processes at a time of the benchmarks that count and do not time.
 JOBS ?= 2
+# Side of the images of bench-big, pixels.
+SIZE ?= 22000
 
-.PHONY: help setup demo test lint bench bench-iterations bench-interface accept-core accept-solver clean
+.PHONY: help setup demo test lint bench bench-iterations bench-interface bench-paper bench-peers bench-big bench-scaling \
+	accept-core accept-solver accept-performance clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -17,6 +21,10 @@ setup: $(STAMP) ## install everything into .venv (done by the other targets when
 
 $(STAMP): pyproject.toml constraints/debian.txt scripts/setup.sh
 	@bash scripts/setup.sh
+
+$(BENCH_STAMP): $(STAMP)
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --only-binary=petsc,petsc4py --no-build-isolation --editable '.[bench]'
+	@touch $@
 
 demo: setup ## render a plate with a hole in tension, measure it on two ranks, print the error
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; bash examples/demo/run.sh
@@ -39,11 +47,26 @@ bench-iterations: setup ## iterations of the interface problem over the grid l_c
 bench-interface: setup ## time and memory of the interface solvers, direct solvers and multigrid; takes hours
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/interface_solvers.py
 
+bench-paper: $(BENCH_STAMP) ## the 29-megapixel case on 2 ranks: time by phase, memory, error, rates (ARGS="beam_8 --repeats 1")
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/paper.py $(ARGS)
+
+bench-peers: setup ## CPU time and error beside other programs, which are installed into bench/data
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/peers.py $(ARGS)
+
+bench-big: setup ## a SIZE x SIZE px pair on 2 ranks, 22,000 by default: time by phase, memory
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/big.py --size $(SIZE)
+
+bench-scaling: setup ## work by rank, messages and bytes on 4 to 64 oversubscribed ranks
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/scaling.py $(ARGS)
+
 accept-core: setup ## measure the acceptance table (CHECK=NAME: one check); non-zero exit where a bound is missed
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/accept_core.py $(CHECK)
 
 accept-solver: setup ## measure the interface solver's acceptance table (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/accept_solver.py --jobs $(JOBS) $(CHECK)
+
+accept-performance: $(BENCH_STAMP) ## measure the performance acceptance table (CHECK=NAME: one check)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/accept_performance.py $(CHECK)
 
 clean: ## remove the environments and caches
 	rm -rf .venv .venv-numpy2 .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

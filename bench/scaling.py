@@ -1,0 +1,127 @@
+"""What grows with the number of ranks: oversubscribed runs with 4 to 64 ranks, and what they say about 1,000.
+
+Usage: scaling.py [--ranks N ...]. One METIS subdomain of about 320 x 320 px a rank, at a short and at a long cut-off
+wavelength, with CPU seconds of work that communicates with nobody, and counted messages and bytes; then the coarse
+problem of 64 to 256 subdomains on one rank. Records go to bench/results/scaling.jsonl; the tables of docs/scaling.md
+are what this prints of the last record of each case. The model takes its rates a pixel from the largest run of
+``make bench-big``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from support.harness import DATA, RESULTS, append_result, images, mpirun
+from support.paper_scaling_model import coarse_table, measured_table, model_table
+
+JOB = Path(__file__).parent / "support" / "paper_scaling_job.py"
+RANKS = (4, 16, 36, 64)
+RANK_MIB = 150
+"""Memory that a rank of these runs takes, its share of the libraries included."""
+MARGIN = 32
+SIDE, ELEMENT = 320, 16
+SHORT, LONG = 64, 4 * SIDE
+COARSE_SIDES, COARSE_ELEMENT, COARSE_ELEMENTS = (8, 12, 16), 8, 10
+SIZE = 2 * MARGIN + 8 * SIDE
+
+
+def case(folder: Path, side: int, element: int, wavelength: float, solver: str, name: str) -> Path:
+    """A case file of a square of side x side pixels; solver: keys of its section."""
+    end = MARGIN + side
+    file = folder / f"{name}.toml"
+    file.write_text(f"""
+[images]
+reference = "{folder}/reference.tif"
+deformed = "{folder}/deformed.tif"
+[mesh.structured]
+region = [{MARGIN}, {MARGIN}, {end}, {end}]
+element_size = {element}
+[regularization]
+cut_off_wavelength = {wavelength}
+[solver]
+{solver}
+[output]
+file = "{name}.vtkhdf"
+""", encoding="utf-8")
+    return file
+
+
+def counted(n_ranks: int, files: list[Path]) -> None:
+    """Run case files on some ranks and keep their records."""
+    for line in mpirun(n_ranks, sys.executable, "-m", "mpi4py", str(JOB), *map(str, files)).splitlines():
+        append_result("scaling", json.loads(line))
+
+
+def weak(folder: Path, n_ranks: int) -> None:
+    """One subdomain a rank, one level at the short wavelength and two at the long one."""
+    blocks = round(n_ranks**0.5)
+    if blocks**2 != n_ranks or not 2 <= blocks <= 8:
+        raise RuntimeError(f"--ranks {n_ranks}: must be a square from 4 to 64")
+    # Without swap the system would end programs, and not necessarily this one.
+    if n_ranks * RANK_MIB * 2**20 > available_bytes() / 2:
+        raise RuntimeError(f"--ranks {n_ranks}: takes {n_ranks * RANK_MIB / 1024:.0f} GiB, more than half of the "
+                           f"{available_bytes() / 2**30:.0f} that are free; leave out the largest numbers of ranks")
+    counted(n_ranks, [
+        case(folder, blocks * SIDE, ELEMENT, wavelength, f'subdomains = {n_ranks}\npreconditioner = "{kind}"',
+             f"weak_{n_ranks}_{name}")
+        for name, wavelength, kind in (("short", SHORT, "scaled"), ("long", LONG, "two_level"))])
+
+
+def available_bytes() -> int:
+    """Memory that programs can have now (Linux)."""
+    lines = Path("/proc/meminfo").read_text(encoding="utf-8").splitlines()
+    return 1024 * int(next(line.split()[1] for line in lines if line.startswith("MemAvailable")))
+
+
+def coarse(folder: Path) -> None:
+    """The coarse problem of many small subdomains."""
+    side = COARSE_ELEMENT * COARSE_ELEMENTS
+    keys = 'partition = "blocks"\npreconditioner = "two_level"\nblocks = '
+    counted(1, [case(folder, blocks * side, COARSE_ELEMENT, 4 * side, f"{keys}[{blocks}, {blocks}]",
+                     f"coarse_{blocks**2}") for blocks in COARSE_SIDES])
+
+
+def pixel_rates() -> dict[str, Any]:
+    """The largest record of bench/big.py, whose CPU seconds a pixel the model takes over."""
+    file = RESULTS / "big.jsonl"
+    lines = file.read_text(encoding="utf-8").splitlines() if file.is_file() else []
+    records = [record for record in map(json.loads, lines) if "cpu_seconds" in record]
+    if not records:
+        raise RuntimeError("bench/results/big.jsonl has no run: start bench/big.py first")
+    largest = max(record["n_pixels"] for record in records)
+    return [record for record in records if record["n_pixels"] == largest][-1]
+
+
+def kept() -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """The last record of each case: runs with a subdomain a rank, and coarse problems, by size."""
+    file = RESULTS / "scaling.jsonl"
+    lines = file.read_text(encoding="utf-8").splitlines() if file.is_file() else []
+    last = {record["case"]: record for record in map(json.loads, lines)}
+    ordered = sorted(last.values(), key=lambda record: (record["n_ranks"], record["n_dofs"]))
+    runs, many = ([r for r in ordered if r["case"].startswith(start)] for start in ("weak", "coarse"))
+    if len({r["n_ranks"] for r in runs}) < 2 or len(many) < 2:
+        raise RuntimeError(f"{file} holds too few runs: start without --report, with at least two --ranks")
+    return runs, many
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--ranks", type=int, nargs="+", default=RANKS, help="square numbers from 4 to 64")
+    parser.add_argument("--report", action="store_true", help="only print the tables of the records kept")
+    chosen = parser.parse_args()
+    rates = pixel_rates()
+    if not chosen.report:
+        folder = images("sinusoidal", "--size", f"{SIZE}x{SIZE}", folder=DATA / "scaling")
+        coarse(folder)
+        for n_ranks in chosen.ranks:
+            weak(folder, n_ranks)
+    runs, many = kept()
+    print(measured_table(runs), coarse_table(many), model_table(runs, many, rates), sep="\n")
+
+
+if __name__ == "__main__":
+    main()

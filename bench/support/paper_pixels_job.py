@@ -1,0 +1,91 @@
+"""The pixel work of a case on some ranks, timed by kind: arguments are the case file, a result file and repeats.
+
+The result gives the displacement at which residuals are taken, since pixels that stay on the grid would be easier than
+any measurement. Rank 0 prints one JSON line: wall seconds between barriers, CPU seconds of all ranks and of the busiest
+rank, medians over the repeats; the first repeat loads the compiled kernels and is left out.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from ddic.case.loader import load_case
+from ddic.case.schema import Case
+from ddic.images.sub_image import read_reference
+from ddic.io.mesh_source import build_mesh
+from ddic.io.result_reader import read_result
+from ddic.methods.assembly import own_part
+from ddic.methods.inputs import ImagePair, open_pair, share_out
+from ddic.parallel.team import Team
+from ddic.partition.subdomain import Subdomain
+from ddic.solvers.gauss_newton import evaluate, right_hand_sides
+
+Times = dict[str, tuple[float, float]]
+
+
+class Stopwatch:
+    """Wall (between barriers) and CPU seconds of each kind of work on this rank."""
+
+    def __init__(self, comm: MPI.Comm) -> None:
+        self._comm = comm
+        self.times: Times = {}
+
+    def __call__(self, kind: str, work: Callable[[], Any]) -> Any:
+        """Do the work of all ranks and note what it took."""
+        self._comm.Barrier()
+        wall, cpu = time.perf_counter(), time.process_time()
+        result = work()
+        spent = time.process_time() - cpu
+        self._comm.Barrier()
+        self.times[kind] = (time.perf_counter() - wall, spent)
+        return result
+
+
+def once(team: Team, case: Case, pair: ImagePair, subdomains: list[Subdomain], q: list[NDArray[np.float64]]) -> Times:
+    """Each kind of work once, from files to right-hand sides, on all subdomains of this rank."""
+    degree, correction = case.correlation.spline_degree, case.correlation.grey_correction
+    watch = Stopwatch(team.comm)
+
+    def residual_pass() -> None:
+        residuals, grey = evaluate(team, parts, q, correction)
+        right_hand_sides(parts, residuals, grey, correction)
+
+    parts = watch("reference", lambda: [own_part(s, pair, degree) for s in subdomains])
+    watch("first residual", residual_pass)
+    watch("gradient", lambda: [read_reference(pair.reference, p.correlation.raster.window, degree) for p in parts])
+    watch("M", lambda: [p.correlation.hessian_cells() for p in parts])
+    watch("residual", residual_pass)
+    return watch.times
+
+
+def main(case_file: str, result_file: str, repeats: str) -> None:
+    team = Team(MPI.COMM_WORLD)
+    case = load_case(Path(case_file)).case
+    pair = open_pair(case)
+    image = pair.reference.image
+    mesh = build_mesh(case, image.width, image.height) if team.is_root else None
+    subdomains, _ = share_out(team, case, mesh)
+    displacement = read_result(Path(result_file)).displacement
+    q = [displacement[s.node_ids].ravel() for s in subdomains]
+    runs = [once(team, case, pair, subdomains, q) for _ in range(int(repeats) + 1)][1:]
+    pixels = [own_part(s, pair, case.correlation.spline_degree).correlation.n_usable_pixels for s in subdomains]
+    n_pixels = sum(team.gather_lists(pixels))
+    record: dict[str, Any] = {"n_ranks": team.size, "n_pixels": n_pixels}
+    for kind in runs[0]:
+        wall = float(np.median([run[kind][0] for run in runs]))
+        cpus = team.gather_lists([float(np.median([run[kind][1] for run in runs]))])
+        record[kind] = {"wall": wall, "cpu": sum(cpus), "busiest": max(cpus)}
+    if team.is_root:
+        print(json.dumps(record))
+
+
+main(*sys.argv[1:])

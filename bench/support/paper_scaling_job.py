@@ -1,0 +1,243 @@
+"""Runs case files on all ranks and counts, by phase, what each rank computes and sends.
+
+Arguments: case files. Rank 0 prints a JSON line per case: sizes, and for each phase and kind of work calls, messages,
+bytes and CPU seconds of rank 0, and the mean, smallest and largest over the ranks. CPU seconds are those of code that
+communicates with nobody: on oversubscribed cores a rank that waits spins, which is no work.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import pickle
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from ddic.methods.listener import Setting
+from ddic.methods.run import run_case
+from ddic.parallel.team import Team
+from ddic.solvers.dual.coarse_space import CoarseSpace
+from ddic.solvers.dual.local_dual import LocalDual
+from ddic.solvers.dual.preconditioner import LocalPreconditioner
+from ddic.solvers.exchange import Exchange
+from ddic.solvers.gauss_newton import IterationRecord
+
+CALLS, MESSAGES, BYTES, CPU = range(4)
+
+
+class Ledger:
+    """Calls, messages, bytes and CPU seconds by phase and kind, of this rank."""
+
+    def __init__(self) -> None:
+        self.clear()
+
+    def clear(self) -> None:
+        """Begin afresh."""
+        self.phase = "checks"
+        self.entries: dict[tuple[str, str], list[float]] = defaultdict(lambda: [0.0, 0.0, 0.0, 0.0])
+        self.sizes: dict[str, float] = {}
+
+    def add(self, kind: str, *, messages: float = 0.0, n_bytes: float = 0.0, cpu: float = 0.0) -> None:
+        """Book one call in the current phase."""
+        entry = self.entries[self.phase, kind]
+        for column, value in zip((CALLS, MESSAGES, BYTES, CPU), (1.0, messages, n_bytes, cpu), strict=True):
+            entry[column] += value
+
+
+LEDGER = Ledger()
+
+
+class CountingListener:
+    """Books into the phase that a run is in."""
+
+    def phase(self, name: str) -> None:
+        """The phase that begins."""
+        LEDGER.phase = name
+
+    def note(self, line: str) -> None:
+        """Nothing."""
+
+    def setting(self, setting: Setting) -> None:
+        """Sizes of the problem."""
+        LEDGER.sizes |= {"n_dofs": setting.n_dofs, "n_cells": setting.n_cells, "n_interface": setting.n_interface,
+                         "n_pixels": setting.n_pixels}
+
+    def iteration(self, record: IterationRecord) -> None:
+        """Nothing."""
+
+
+class CountingComm(MPI.Intracomm):
+    """Python's collective calls and messages, with what they carry; PETSc's own are counted elsewhere."""
+
+    # petsc4py knows a communicator by the module of its class.
+    __module__ = "mpi4py.MPI"
+
+    def allgather(self, sendobj: Any) -> list[Any]:
+        """Everybody's object; booked: bytes of all."""
+        found = super().allgather(sendobj)
+        LEDGER.add("allgather", n_bytes=_size(found))
+        return found
+
+    def allreduce(self, sendobj: Any, op: MPI.Op = MPI.SUM) -> Any:
+        """A reduction of one small object."""
+        LEDGER.add("allreduce", n_bytes=_size(sendobj))
+        return super().allreduce(sendobj, op)
+
+    def Allreduce(self, sendbuf: Any, recvbuf: Any, op: MPI.Op = MPI.SUM) -> None:
+        """A reduction of an array."""
+        LEDGER.add("allreduce", n_bytes=sendbuf.nbytes)
+        super().Allreduce(sendbuf, recvbuf, op)
+
+    def bcast(self, obj: Any, root: int = 0) -> Any:
+        """An object from the root; booked: its bytes."""
+        found = super().bcast(obj, root)
+        LEDGER.add("bcast", n_bytes=_size(found))
+        return found
+
+    def scatter(self, sendobj: Any, root: int = 0) -> Any:
+        """An object for each rank; booked: bytes of all on the root, of the own elsewhere."""
+        found = super().scatter(sendobj, root)
+        LEDGER.add("scatter", n_bytes=_size(found if sendobj is None else sendobj))
+        return found
+
+    def gather(self, sendobj: Any, root: int = 0) -> Any:
+        """Objects to the root; booked: bytes of all on the root, of the own elsewhere."""
+        found = super().gather(sendobj, root)
+        LEDGER.add("gather", n_bytes=_size(sendobj if found is None else found))
+        return found
+
+    def send(self, obj: Any, dest: int, tag: int = 0) -> None:
+        """A message."""
+        LEDGER.add("message", messages=1, n_bytes=_size(obj))
+        super().send(obj, dest, tag)
+
+    def recv(self, buf: Any = None, source: int = MPI.ANY_SOURCE, tag: int = MPI.ANY_TAG,
+             status: MPI.Status | None = None) -> Any:
+        """A message."""
+        found = super().recv(buf, source, tag, status)
+        LEDGER.add("message", messages=1, n_bytes=_size(found))
+        return found
+
+
+def _size(thing: Any) -> int:
+    return len(pickle.dumps(thing, protocol=pickle.HIGHEST_PROTOCOL))
+
+
+def book_cpu(owner: type, name: str, kind: str) -> None:
+    """Book the CPU seconds of a method that communicates with nobody."""
+    method = getattr(owner, name)
+
+    @functools.wraps(method)
+    def timed(*arguments: Any, **keys: Any) -> Any:
+        begin = time.process_time()
+        try:
+            return method(*arguments, **keys)
+        finally:
+            LEDGER.add(kind, cpu=time.process_time() - begin)
+
+    setattr(owner, name, timed)
+
+
+def book_argument(name: str, kind: str) -> None:
+    """Book the CPU seconds of the work that one of Team's methods is given."""
+    method = getattr(Team, name)
+
+    @functools.wraps(method)
+    def timed(self: Team, work: Callable[[], Any]) -> Any:
+        def booked() -> Any:
+            begin = time.process_time()
+            try:
+                return work()
+            finally:
+                LEDGER.add(kind, cpu=time.process_time() - begin)
+
+        return method(self, booked)
+
+    setattr(Team, name, timed)
+
+
+def book_exchange(name: str) -> None:
+    """Book messages and bytes that a neighbour exchange brings to this rank, or takes from it on the way back."""
+    method = getattr(Exchange, name)
+
+    @functools.wraps(method)
+    def counted(self: Exchange, *arguments: Any) -> Any:
+        neighbours, rows = _foreign(self)
+        LEDGER.add("exchange", messages=neighbours, n_bytes=8 * rows)
+        return method(self, *arguments)
+
+    setattr(Exchange, name, counted)
+
+
+def _foreign(exchange: Exchange) -> tuple[int, int]:
+    """How many ranks own ghosts of this one, and how many ghosts they own."""
+    vector = exchange.new_vector()
+    ranges = np.asarray(vector.getOwnershipRanges())
+    mine = int(vector.getComm().getRank())
+    vector.destroy()
+    owner = np.searchsorted(ranges, exchange.ghosts, side="right") - 1
+    return len(np.unique(owner[owner != mine])), int((owner != mine).sum())
+
+
+def book_coarse() -> None:
+    """Book the coarse problem's sizes and CPU seconds; only on one rank are these all of its work and no waiting."""
+    set_up, correct = CoarseSpace._factorize, CoarseSpace.correct
+
+    def factorize(*arguments: Any) -> Any:
+        begin = time.process_time()
+        ksp = set_up(*arguments)
+        matrix = ksp.getOperators()[0]
+        LEDGER.sizes |= {"coarse_vectors": matrix.getSize()[0], "coarse_factor_cpu_s": time.process_time() - begin,
+                         "coarse_nonzeros": matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]}
+        return ksp
+
+    def timed(self: CoarseSpace, residual: Any, result: Any) -> None:
+        begin = time.process_time()
+        correct(self, residual, result)
+        LEDGER.add("coarse correction", cpu=time.process_time() - begin)
+
+    CoarseSpace._factorize = staticmethod(factorize)
+    CoarseSpace.correct = timed
+
+
+def main(case_files: list[str]) -> None:
+    book_argument("together", "together")
+    book_argument("_attempt_on_root", "on rank 0")
+    book_cpu(LocalDual, "apply", "S_s")
+    book_cpu(LocalPreconditioner, "apply", "P_s")
+    book_exchange("to_ghosts")
+    book_exchange("add_to_owners")
+    book_coarse()
+    team = Team(CountingComm(MPI.COMM_WORLD))
+    for case_file in case_files:
+        LEDGER.clear()
+        summary = run_case(team, Path(case_file), CountingListener())
+        everything = MPI.COMM_WORLD.gather((dict(LEDGER.entries), LEDGER.sizes), root=0)
+        if everything is not None:
+            print(json.dumps({"case": Path(case_file).stem, "n_ranks": team.size, **everything[0][1],
+                              "n_subdomains": summary.n_subdomains, "iterations": summary.iterations,
+                              "krylov_iterations": list(summary.krylov_iterations),
+                              "memory_bytes": list(summary.peak_memory_bytes), "entries": joined(everything)}),
+                  flush=True)
+
+
+def joined(everything: list[tuple[dict[tuple[str, str], list[float]], dict[str, float]]]) -> list[dict[str, Any]]:
+    """Entries of all ranks: rank 0's, mean, smallest and largest, each of calls, messages, bytes, CPU."""
+    keys = sorted({key for entries, _ in everything for key in entries})
+    out = []
+    for phase, kind in keys:
+        table = np.array([entries.get((phase, kind), [0.0] * 4) for entries, _ in everything])
+        out.append({"phase": phase, "kind": kind, "rank_0": table[0].tolist(), "mean": table.mean(axis=0).tolist(),
+                    "smallest": table.min(axis=0).tolist(), "largest": table.max(axis=0).tolist()})
+    return out
+
+
+main(sys.argv[1:])
