@@ -154,11 +154,20 @@ if MPI.COMM_WORLD.rank == 0:
         fail "$MPIEXEC -n 2, mpi4py and petsc4py disagree about MPI ($sizes): all three must use one MPI library."
 }
 
+# numba would do it at the first run; a failure here is one of every run to come.
+compile_kernels() {
+    [[ "${DDIC_SKIP_MPI_CHECK:-0}" == 1 ]] && return 0
+    say "compiling the pixel kernels"
+    . scripts/mpi_env.sh
+    "$VENV/bin/python" -m ddic.compile_kernels >/dev/null || fail "the pixel kernels could not be compiled."
+}
+
 choose_interpreter
 rm -f "$STAMP"
 create_venv
 link_petsc4py
 install_ddic
 check_mpi
+compile_kernels
 touch "$STAMP"
 say "done: .venv/bin/ddic"

@@ -22,7 +22,7 @@ from ddic.functionals.equilibrium_gap import (
 from ddic.io.mesh_source import build_mesh
 from ddic.kinematics.finite_element import finite_element_kinematics
 from ddic.mesh.mesh import Mesh
-from ddic.methods.assembly import Assembly, own_part
+from ddic.methods.assembly import Assembly, own_parts
 from ddic.methods.inputs import material, open_pair, region_gap_energies, share_out
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain, interface_weights
@@ -59,7 +59,7 @@ def from_images(case: Case) -> TexturedMesh:
     subdomains, _ = share_out(ALONE, case, mesh)
     hessians, right = [], []
     for subdomain in subdomains:
-        part = own_part(subdomain, pair, case.correlation.spline_degree)
+        part = own_parts([subdomain], pair, case.correlation.spline_degree)[0]
         residual = part.correlation.residual(part.deformed, np.zeros(subdomain.mesh.n_dofs))
         hessians.append(part.correlation.hessian())
         right.append(part.correlation.right_hand_side(residual))

@@ -20,7 +20,7 @@ from ddic.case.schema import Case, SolverSection
 from ddic.io.mesh_source import build_mesh
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import boundary_nodes
-from ddic.methods.assembly import Assembly, assemble, correlate, factorize, own_part
+from ddic.methods.assembly import Assembly, assemble, correlate, factorize, own_parts
 from ddic.methods.inputs import Region, open_pair, region_gap_energies
 from ddic.methods.linear_step import linear_step
 from ddic.parallel.team import Team
@@ -56,7 +56,7 @@ def assembled(case: Case, elements: int, ring: int) -> Assembly:
     subdomains = subdomains[:1] if TEAM.is_root else subdomains[1:]
     gap = region_gap_energies(case.regularization, mesh)
     region = Region(mesh.n_nodes, mesh.n_cells, mesh.n_dofs, 9, gap, mesh.mapping)
-    parts = [own_part(s, pair, case.correlation.spline_degree) for s in subdomains]
+    parts = own_parts(subdomains, pair, case.correlation.spline_degree)
     return assemble(TEAM, parts, correlate(TEAM, parts), region, case.solver, case.regularization)
 
 

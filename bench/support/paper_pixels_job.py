@@ -11,6 +11,7 @@ import json
 import sys
 import time
 from collections.abc import Callable
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +21,12 @@ from numpy.typing import NDArray
 
 from ddic.case.loader import load_case
 from ddic.case.schema import Case
+from ddic.images.spline import HALO, PADDING
 from ddic.images.sub_image import read_reference
+from ddic.images.window import Window, shared_windows
 from ddic.io.mesh_source import build_mesh
 from ddic.io.result_reader import read_result
-from ddic.methods.assembly import own_part
+from ddic.methods.assembly import own_parts, seen_parts
 from ddic.methods.inputs import ImagePair, open_pair, share_out
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
@@ -59,9 +62,12 @@ def once(team: Team, case: Case, pair: ImagePair, subdomains: list[Subdomain], q
         residuals, grey = evaluate(team, parts, q, correction)
         right_hand_sides(parts, residuals, grey, correction)
 
-    parts = watch("reference", lambda: [own_part(s, pair, degree) for s in subdomains])
-    watch("first residual", residual_pass)
-    watch("gradient", lambda: [read_reference(pair.reference, p.correlation.raster.window, degree) for p in parts])
+    parts = watch("reference", lambda: own_parts(subdomains, pair, degree))
+    watch("deformed", lambda: seen_parts(parts, q))
+    rasters = [p.correlation.raster.window for p in parts]
+    shared = [reduce(Window.union, (rasters[k] for k in members))
+              for members in shared_windows(rasters, HALO[degree] + PADDING[degree])]
+    watch("gradient", lambda: [read_reference(pair.reference, window, degree) for window in shared])
     watch("M", lambda: [p.correlation.hessian_cells() for p in parts])
     watch("residual", residual_pass)
     return watch.times
@@ -77,7 +83,7 @@ def main(case_file: str, result_file: str, repeats: str) -> None:
     displacement = read_result(Path(result_file)).displacement
     q = [displacement[s.node_ids].ravel() for s in subdomains]
     runs = [once(team, case, pair, subdomains, q) for _ in range(int(repeats) + 1)][1:]
-    pixels = [own_part(s, pair, case.correlation.spline_degree).correlation.n_usable_pixels for s in subdomains]
+    pixels = [p.correlation.n_usable_pixels for p in own_parts(subdomains, pair, case.correlation.spline_degree)]
     n_pixels = sum(team.gather_lists(pixels))
     record: dict[str, Any] = {"n_ranks": team.size, "n_pixels": n_pixels}
     for kind in runs[0]:

@@ -21,7 +21,7 @@ from support.paper_case import BenchCase
 
 JOB = Path(__file__).parent / "paper_pixels_job.py"
 RANKS = 2
-PIXEL_KINDS = ("reference", "first residual", "M", "residual")
+PIXEL_KINDS = ("reference", "deformed", "M", "residual")
 """What a run does with pixels; "gradient" is a part of "reference"."""
 
 

@@ -13,7 +13,7 @@ from ddic.case.schema import Case, RegularizationSection, SolverSection
 from ddic.functionals.equilibrium_gap import controlled_stiffness
 from ddic.io.mesh_source import build_mesh
 from ddic.mesh.mesh import Mesh
-from ddic.methods.assembly import Assembly, assemble, correlate, factorize, own_part
+from ddic.methods.assembly import Assembly, assemble, correlate, factorize, own_parts
 from ddic.methods.inputs import ImagePair, material, open_pair, share_out
 from ddic.parallel.team import Team
 from ddic.solvers.gauss_newton import OwnedPart
@@ -50,7 +50,7 @@ def whole_problem(case: Case) -> tuple[ImagePair, Whole]:
     pair = open_pair(case)
     mesh = build_mesh(case, pair.reference.image.width, pair.reference.image.height)
     subdomains, region = share_out(ALONE, case, mesh)
-    part = own_part(subdomains[0], pair, case.correlation.spline_degree)
+    part = own_parts(subdomains, pair, case.correlation.spline_degree)[0]
     assembly = assemble(ALONE, [part], correlate(ALONE, [part]), region, case.solver, case.regularization)
     return pair, Whole(mesh, part, assembly)
 
@@ -58,7 +58,7 @@ def whole_problem(case: Case) -> tuple[ImagePair, Whole]:
 def distributed_problem(team: Team, case: Case, pair: ImagePair, mesh: Mesh) -> Distributed:
     """The case's subdomains spread over a team, assembled and factorised."""
     subdomains, region = share_out(team, case, mesh if team.is_root else None)
-    parts = [own_part(s, pair, case.correlation.spline_degree) for s in subdomains]
+    parts = own_parts(subdomains, pair, case.correlation.spline_degree)
     assembly = assemble(team, parts, correlate(team, parts), region, case.solver, case.regularization)
     operators = factorize(team, assembly.systems, assembly.mean_diagonal)
     dofs = [s.dofs for s in subdomains]

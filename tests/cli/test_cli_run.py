@@ -153,7 +153,7 @@ PRODUCT = "schur_operator.DualSchurOperator.mult"
 
 
 @pytest.mark.parametrize(("where", "error", "message", "rank"), [
-    ("dd_dic.own_part", "InputError('f.tif: cut short')", "f.tif: cut short", 1),
+    ("dd_dic.own_parts", "InputError('f.tif: cut short')", "f.tif: cut short", 1),
     ("assembly.LocalOperator", "MemoryError('no room')", "MemoryError: no room", 1),
     (PRODUCT, "KeyError(7)", "KeyError: 7", 0),
     (PRODUCT, "KeyError(7)", "KeyError: 7", 1),
@@ -193,12 +193,12 @@ from mpi4py import MPI
 from pathlib import Path
 folder = Path({folder!r})
 (folder / f"pid{{MPI.COMM_WORLD.rank}}").write_text(str(os.getpid()))
-ordinary = writer.ResultWriter.write_piece
+ordinary = writer.ResultWriter.write_pieces
 def slow(*arguments):
     ordinary(*arguments)
     (folder / "writing").touch()
     time.sleep(100)
-writer.ResultWriter.write_piece = slow
+writer.ResultWriter.write_pieces = slow
 """
 
 

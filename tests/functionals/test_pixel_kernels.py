@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from ddic.functionals.correlation import Correlation, correlation
-from ddic.functionals.pixel_kernels import CHUNK
+from ddic.functionals.pixel_kernels import BATCH
 from ddic.images.sub_image import DeformedSubImage
 from ddic.mesh.mesh import Mesh
 from support.pictures import source
@@ -80,9 +80,9 @@ def test_residual_image_equals_the_residual_written_out(degree: int) -> None:
 
 
 @pytest.mark.parametrize("cells", ["Q4", "T3"])
-def test_rows_longer_than_a_chunk(cells: Cells) -> None:
+def test_rows_longer_than_a_batch(cells: Cells) -> None:
     rng = np.random.default_rng(0)
-    mesh = grid_mesh(1, 1, (2.5 * CHUNK, 6.0), origin=(70.2, 3.4), cells=cells, seed=2, jitter=0.1)
+    mesh = grid_mesh(1, 1, (2.5 * BATCH, 6.0), origin=(70.2, 3.4), cells=cells, seed=2, jitter=0.1)
     width = int(mesh.nodes[:, 0].max()) + 2
     f, g = noise(5, 14, width), noise(6, 14, width)
     part = correlation(mesh, source(f), 3)

@@ -8,6 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from ddic.io import result_schema as schema
+from ddic.io.image_chunks import ChunkGrid, packed
 from ddic.io.result_writer import Piece, PieceSize, ResultWriter
 from ddic.mesh.mesh import VTK_QUAD, VTK_TRIANGLE, Mesh, mesh_from_cells
 
@@ -83,12 +84,11 @@ def write_result() -> Callable[..., Path]:
         with ResultWriter(path, sizes_of(pieces), schema.point_fields(length_unit), schema.cell_fields(),
                           flip_y=flip_y) as writer:
             for index in (1, 0):
-                writer.write_piece(index, pieces[index])
+                writer.write_pieces(range(index, index + 1), pieces[index])
             if residual:
                 image = residual_of(60, 50)
-                writer.create_residual_image(60, 50)
-                for y0 in range(0, 50, 16):
-                    writer.write_residual_strip(y0, image[y0:y0 + 16])
+                writer.create_residual_image(ChunkGrid(60, 50))
+                writer.write_residual_chunk(0, packed(image))
             writer.write_table(schema.GAUSS_NEWTON, {"iteration": [1, 2], "residual_std_grey": [3.0, 2.5]})
             writer.write_curves(schema.KRYLOV, [[1.0, 0.1, 0.001], [1.0, 1e-4]] if curves else [[], []])
             writer.write_attributes(schema.CASE, {"toml": "title = 'é'\n" * 20_000, "eta": 0.5})

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
-from ddic.io.result_writer import Piece, PieceSize, ResultWriter
+from ddic.io.image_chunks import IMAGE_CHUNK, ChunkGrid, packed
+from ddic.io.result_writer import Piece, PieceSize, ResultWriter, joined
+from support.cases import contents
 
 vtk = pytest.importorskip("vtk")
 numpy_support = pytest.importorskip("vtk.util.numpy_support")
@@ -97,7 +99,7 @@ def test_layout_of_the_file(tmp_path: Path, write_result: Write, pieces: list[Pi
         assert not kind.is_variable_str()
         assert kind.get_cset() == h5py.h5t.CSET_ASCII
         assert list(file["VTKHDF"].attrs["Version"]) == [2, 0]
-        assert file.attrs["ddic_schema"] == "1.0"
+        assert file.attrs["ddic_schema"] == "1.1"
         assert file["VTKHDF/Offsets"].shape == (sum(len(p.types) + 1 for p in pieces),)
         assert file["VTKHDF/PointData/displacement"].attrs["unit"] == "px"
         image = file["residual_image/residual"]
@@ -107,16 +109,34 @@ def test_layout_of_the_file(tmp_path: Path, write_result: Write, pieces: list[Pi
         assert len(file["case"].attrs["toml"]) > 1 << 16
 
 
-def test_residual_is_nan_where_no_strip_was_written(tmp_path: Path, pieces: list[Piece],
+def test_residual_is_nan_where_no_chunk_was_written(tmp_path: Path, pieces: list[Piece],
                                                     sizes: list[PieceSize]) -> None:
-    path = tmp_path / "r.vtkhdf"
+    path, grid = tmp_path / "r.vtkhdf", ChunkGrid(2 * IMAGE_CHUNK + 6, IMAGE_CHUNK + 5)
     with opened(path, sizes) as writer:
-        for index, piece in enumerate(pieces):
-            writer.write_piece(index, piece)
-        writer.create_residual_image(6, 5)
-        writer.write_residual_strip(2, np.ones((1, 6), np.float32))
+        writer.write_pieces(range(2), joined(pieces))
+        with pytest.raises(ValueError, match="create_residual_image comes before"):
+            writer.write_residual_chunk(0, b"")
+        writer.create_residual_image(grid)
+        for number in (1, 5):
+            writer.write_residual_chunk(number, packed(np.full(grid.shape, number, np.float32)))
     with h5py.File(path) as file:
-        np.testing.assert_array_equal(np.isfinite(file["residual_image/residual"]).sum(axis=1), [0, 0, 6, 0, 0])
+        image = file["residual_image/residual"][...]
+    expected = np.full((grid.height, grid.width), np.nan, np.float32)
+    expected[:IMAGE_CHUNK, IMAGE_CHUNK:2 * IMAGE_CHUNK] = 1
+    expected[IMAGE_CHUNK:, 2 * IMAGE_CHUNK:] = 5
+    np.testing.assert_array_equal(image, expected)
+
+
+def test_joined_pieces_make_the_same_file(tmp_path: Path, pieces: list[Piece], sizes: list[PieceSize]) -> None:
+    with opened(tmp_path / "one.vtkhdf", sizes) as writer:
+        for index, piece in enumerate(pieces):
+            writer.write_pieces(range(index, index + 1), piece)
+    with opened(tmp_path / "all.vtkhdf", sizes) as writer:
+        writer.write_pieces(range(2), joined(pieces))
+    one, everything = contents(tmp_path / "one.vtkhdf"), contents(tmp_path / "all.vtkhdf")
+    assert set(one) == set(everything)
+    for name, values in one.items():
+        np.testing.assert_array_equal(values, everything[name], err_msg=name)
 
 
 def opened(path: Path, sizes: list[PieceSize]) -> ResultWriter:
@@ -131,7 +151,7 @@ def test_an_exception_leaves_no_file_and_the_earlier_result_untouched(
 
     def interrupted() -> None:
         with opened(path, sizes) as writer:
-            writer.write_piece(0, pieces[0])
+            writer.write_pieces(range(0, 1), pieces[0])
             assert len(list(tmp_path.iterdir())) == 2
             raise error
 
@@ -145,7 +165,7 @@ def test_missing_pieces_are_an_error_and_leave_no_file(tmp_path: Path, pieces: l
                                                        sizes: list[PieceSize]) -> None:
     def incomplete() -> None:
         with opened(tmp_path / "r.vtkhdf", sizes) as writer:
-            writer.write_piece(1, pieces[1])
+            writer.write_pieces(range(1, 2), pieces[1])
 
     with pytest.raises(ValueError, match=r"pieces \[0\] were not written"):
         incomplete()
@@ -157,14 +177,14 @@ def test_wrong_pieces_are_refused(tmp_path: Path, pieces: list[Piece], sizes: li
     with opened(tmp_path / "r.vtkhdf", sizes) as writer:
         for index, piece in enumerate(pieces):
             with pytest.raises(ValueError, match="announced"):
-                writer.write_piece(index, pieces[1 - index])
-            writer.write_piece(index, piece)
+                writer.write_pieces(range(index, index + 1), pieces[1 - index])
+            writer.write_pieces(range(index, index + 1), piece)
         with pytest.raises(ValueError, match="before"):
-            writer.write_piece(0, pieces[0])
+            writer.write_pieces(range(0, 1), pieces[0])
     first = pieces[0]
     bad = Piece(first.points, first.connectivity, first.offsets, first.types, first.point_data, short)
     with pytest.raises(ValueError, match="announced"), opened(tmp_path / "s.vtkhdf", sizes) as writer:
-        writer.write_piece(0, bad)
+        writer.write_pieces(range(0, 1), bad)
 
 
 def test_a_stale_residual_image_file_goes_with_the_run_that_has_none(tmp_path: Path, write_result: Write) -> None:

@@ -15,7 +15,7 @@ from ddic.case.loader import load_case
 from ddic.errors import InputError, SingularSubdomainError, is_on_all_ranks
 from ddic.io.mesh_source import build_mesh
 from ddic.io.result_reader import read_result
-from ddic.methods.assembly import correlate, own_part, seen_part
+from ddic.methods.assembly import correlate, own_parts, seen_parts
 from ddic.methods.dd_dic import Measurement, dd_dic
 from ddic.methods.inputs import open_pair, share_out
 from ddic.methods.listener import Silence
@@ -206,7 +206,7 @@ def test_start_and_hidden_pixels_move_along(shared_path: Path) -> None:
     subdomains, region = share_out(team, case, mesh)
     found = coarse_task(team, case, pair, mesh)()
     start = coarse_field(team, case, found, [s.mesh.nodes for s in subdomains])
-    parts = [seen_part(own_part(s, pair, 3), q) for s, q in zip(subdomains, start.q, strict=True)]
+    parts = seen_parts(own_parts(subdomains, pair, 3), start.q)
     given = Correlated(parts, correlate(team, parts), region, start)
     joined = with_texture(team, case, pair, mesh, given)
     merged, region, moved = joined.parts, joined.region, joined.start

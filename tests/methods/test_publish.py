@@ -16,6 +16,7 @@ from ddic.io import result_schema as schema
 from ddic.io.result_reader import displacement_at, read_result
 from ddic.methods.dd_dic import dd_dic
 from ddic.methods.listener import Silence
+from ddic.methods.phase_times import phase_times
 from ddic.methods.publish import publish
 from ddic.parallel.team import Team
 from ddic.solvers.phases import PhaseClock
@@ -40,13 +41,14 @@ OF_THE_RUN = ("provenance@date", "provenance@n_ranks", "case@toml", "case@json")
 
 def _publish(team: Team, path: Path) -> Path:
     loaded = load_case(path)
-    publish(team, loaded, dd_dic(team, loaded.case, Silence(), PhaseClock()))
+    clock = PhaseClock(waiting=team.waiting)
+    publish(team, loaded, dd_dic(team, loaded.case, Silence(), clock), phase_times(team, clock))
     return loaded.case.output.file
 
 
 def _same(name: str, found: Any, expected: Any) -> bool:
     """Whether a dataset or attribute is the same, to what the solver's tolerances leave."""
-    if name.startswith(schema.KRYLOV) or name.endswith("path") or name in OF_THE_RUN:
+    if name.startswith((schema.KRYLOV, schema.PHASES)) or name.endswith("path") or name in OF_THE_RUN:
         return True
     if name.endswith("krylov_iterations"):
         return bool(np.abs(found - expected).max() <= 3)  # DESIGN.md, section 2, point 7
@@ -108,6 +110,13 @@ def test_all_parts_are_there(shared_path: Path, residual_image: bool) -> None:
         assert result.attributes["provenance"]["n_ranks"] == team.size
         with h5py.File(path) as file:
             assert (schema.RESIDUAL_IMAGE in file) == residual_image
+            phases = {name: data[...] for name, data in file[schema.PHASES].items()}
+            assert {"read", "assemble", "residual", "linear step"} <= {name.decode() for name in phases["phase"]}
+            assert all(len(column) == len(phases["phase"]) for column in phases.values())
+            assert (phases["seconds"] > 0).all()
+            # The largest of some numbers is at least their mean and at most their sum.
+            assert (phases["imbalance"] >= 1).all()
+            assert (phases["imbalance"] <= team.size * (1 + 1e-12)).all()
             if residual_image:
                 image = file[schema.RESIDUAL_IMAGE][schema.RESIDUAL][...]
                 counted = int(file[f"{schema.CELL_DATA}/{schema.RESIDUAL_N_PIXELS}"][...].sum())
@@ -156,4 +165,4 @@ def test_a_folder_that_has_gone_is_an_input_error(shared_path: Path) -> None:
     loaded = load_case(_write(shared_path, '[output]\nfile = "gone/field.vtkhdf"\n'))
     measured = dd_dic(team, loaded.case, Silence(), PhaseClock())
     with pytest.raises(InputError, match="does not exist or cannot be written to"):
-        publish(team, loaded, measured)
+        publish(team, loaded, measured, phase_times(team, PhaseClock()))

@@ -18,7 +18,7 @@ from support.cases import Ears, write_case, write_images
 RANKS = [1, 2, 3, 4]
 KEYS = {"converged", "iterations", "residual_std_grey", "n_dofs", "n_subdomains", "n_ranks", "krylov_iterations",
         "seconds", "peak_memory_bytes"}
-PHASES = ["read", "start", "assemble", "independent start", "factorize", "interface set-up", "residual", "linear step",
+PHASES = ["mesh", "start", "read", "assemble", "independent start", "factorize", "interface set-up", "residual", "linear step",
           "finish", "write"]
 
 
@@ -46,6 +46,8 @@ def test_result_and_summary_are_written(shared_path: Path) -> None:
     assert all(2**25 < n < 2**34 for n in summary.peak_memory_bytes)
     assert set(summary.seconds) == set(PHASES)
     assert all(0 <= s < 60 for s in summary.seconds.values())
+    assert set(summary.imbalance) == set(summary.seconds)
+    assert all(1 <= ratio <= team.size * (1 + 1e-12) for ratio in summary.imbalance.values())
     assert 0 < summary.residual_std_grey < 2
     assert summary.n_pixels_outside == 0
     assert summary.cut_off_wavelength == 48.0

@@ -117,7 +117,7 @@ class Decomposed:
     def __init__(self, comm: MPI.Comm, problem: LinearStep, parts: NDArray[np.int64], weighting: Weighting) -> None:
         self.comm, self.problem = comm, problem
         everything = build_subdomains(problem.mesh, parts, problem.controlled)
-        self.subdomains = [everything[s] for s in owners(len(everything), comm.size)[comm.rank]]
+        self.subdomains = [everything[s] for s in owners(np.ones(len(everything)), comm.size)[comm.rank]]
         self.systems = [problem.system(s, interface_weights(s.dof_multiplicity, weighting)) for s in self.subdomains]
         self.operators = [LocalOperator(s.operator, smallest_eigenvalue=0, where="part") for s in self.systems]
         self.dofs = [(s.node_ids[:, None] * 2 + np.arange(2)).ravel() for s in self.subdomains]

@@ -16,7 +16,7 @@ from ddic.io.summary import Summary
 from ddic.methods.listener import Setting
 from ddic.solvers.gauss_newton import IterationRecord
 
-PHASES = ("read", "start", "assemble", "independent start", "factorize", "interface set-up", "residual",
+PHASES = ("mesh", "start", "read", "assemble", "independent start", "factorize", "interface set-up", "residual",
           "linear step", "finish", "write")
 """Phases of a run in order; residual and linear step repeat."""
 

@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from functools import reduce
+from typing import Any, Literal
 
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.errors import InputError
 from ddic.functionals.pixel_kernels import N_SUMS, hessian_cells, residual_pixels, residual_sums
-from ddic.images.spline import GradientImage
+from ddic.images.spline import HALO, PADDING, GradientImage
 from ddic.images.sub_image import DeformedSubImage, MaskedSource, read_reference
-from ddic.images.window import Window
+from ddic.images.window import Window, shared_windows
 from ddic.kinematics.finite_element import FiniteElementKinematics, finite_element_kinematics
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import Raster, rasterize
 
 GreyCorrection = Literal["none", "global", "element"]
+
+BAND = 32
+"""Height, pixels, of the bands in which cells are visited."""
 
 _NOTHING_EXCLUDED = np.zeros((0, 0), dtype=np.uint8)
 
@@ -75,13 +81,18 @@ class Residual:
 
 @dataclass(frozen=True)
 class Correlation:
-    """One subdomain's pixels, reference image and kinematics."""
+    """One subdomain's pixels, reference image and kinematics.
+
+    order: (n_cells,) int64, cells from left to right in bands of BAND rows, whatever the mesh's order: neighbours
+    share the cache's lines.
+    """
 
     mesh: Mesh
     kinematics: FiniteElementKinematics
     raster: Raster
     reference: GradientImage
     extent: Window
+    order: NDArray[np.int64]
 
     @property
     def n_usable_pixels(self) -> int:
@@ -96,6 +107,8 @@ class Correlation:
 
         They must leave M as well as b: a displacement that no pixel sees is not held by any.
         """
+        if not deformed.source.may_exclude and self._stays_inside(q):
+            return self
         seen = np.isfinite(self.residual_image(deformed, q))
         if int(self.raster.counts_in(seen.astype(np.uint8), self.reference.window.x0,
                                      self.reference.window.y0).sum()) == self.n_usable_pixels:
@@ -109,8 +122,9 @@ class Correlation:
         """M_e = sum_px N_i . grad f grad f^T . N_j of every cell, (n_cells, 8, 8), Eq. 5 of [BP17]."""
         k, r, f = self.kinematics, self.raster, self.reference
         out = np.zeros((len(k.geometry), 4, 2, 4, 2))
-        hessian_cells(k.geometry, k.shapes, r.first_row, r.row_ptr, r.starts, r.stops, f.by_x, f.by_y,
-                      _or_nothing(f.usable), f.window.x0, f.window.y0, out)
+        hessian_cells(self.order, k.geometry, k.shapes, r.first_row, r.row_ptr, r.starts, r.stops,
+                      _flat(f.by_x), _flat(f.by_y), _row_length(f.by_x), _or_nothing(f.usable),
+                      f.window.x0, f.window.y0, out)
         return out.reshape(len(out), 8, 8)
 
     def hessian(self) -> sparse.csr_matrix:
@@ -124,13 +138,15 @@ class Correlation:
         """
         k, r, f = self.kinematics, self.raster, self.reference
         u = k.monomial_coefficients(q)
-        spline = deformed.covering(self._reach(q))
+        spline = deformed.covering(self.displaced_window(q))
         moments = np.zeros((len(k.geometry), 3, 2, 4))
         sums = np.zeros((len(k.geometry), N_SUMS))
-        residual_sums(k.geometry, u, r.first_row, r.row_ptr, r.starts, r.stops,
-                      f.values, f.by_x, f.by_y, _or_nothing(f.usable), f.window.x0, f.window.y0,
-                      spline.coefficients, spline.degree, spline.window.x0, spline.window.y0,
-                      self.extent.width, self.extent.height, _or_nothing(spline.usable), all_kinds,
+        residual_sums(self.order, k.geometry, u, r.first_row, r.row_ptr, r.starts, r.stops,
+                      _flat(f.values), _flat(f.by_x), _flat(f.by_y), _row_length(f.values),
+                      _or_nothing(f.usable), f.window.x0, f.window.y0,
+                      _flat(spline.coefficients), _row_length(spline.coefficients), spline.degree,
+                      spline.window.x0, spline.window.y0, self.extent.width, self.extent.height,
+                      _or_nothing(spline.usable), all_kinds,
                       moments, sums)
         return Residual(moments, GreySums(sums))
 
@@ -150,18 +166,25 @@ class Correlation:
                        offset: NDArray[np.float64] | float = 0.0) -> NDArray[np.float32]:
         """Residual f - gain g(x + u) - offset on the reference window, NaN on pixels that do not count."""
         k, r, f = self.kinematics, self.raster, self.reference
-        spline = deformed.covering(self._reach(q))
+        spline = deformed.covering(self.displaced_window(q))
         out = np.full(f.values.shape, np.nan, dtype=np.float32)
         n_cells = len(k.geometry)
         residual_pixels(k.geometry, k.monomial_coefficients(q), r.first_row, r.row_ptr, r.starts, r.stops,
-                        f.values, _or_nothing(f.usable), f.window.x0, f.window.y0,
-                        spline.coefficients, spline.degree, spline.window.x0, spline.window.y0,
-                        self.extent.width, self.extent.height, _or_nothing(spline.usable),
+                        _flat(f.values), _row_length(f.values), _or_nothing(f.usable), f.window.x0, f.window.y0,
+                        _flat(spline.coefficients), _row_length(spline.coefficients), spline.degree,
+                        spline.window.x0, spline.window.y0, self.extent.width, self.extent.height,
+                        _or_nothing(spline.usable),
                         np.array(np.broadcast_to(np.asarray(gain, dtype=float), n_cells)),
                         np.array(np.broadcast_to(np.asarray(offset, dtype=float), n_cells)), out)
         return out
 
-    def _reach(self, q: NDArray[np.float64]) -> Window:
+    def _stays_inside(self, q: NDArray[np.float64]) -> bool:
+        """Whether all nodes, hence all pixels, stay within the outermost pixel centres."""
+        displaced = self.mesh.nodes + q.reshape(self.mesh.nodes.shape)
+        return bool((displaced >= 0).all() and (displaced <= (self.extent.width - 1, self.extent.height - 1)).all())
+
+    def displaced_window(self, q: NDArray[np.float64]) -> Window:
+        """Window of the deformed image that holds all displaced pixels and their neighbours."""
         # u is a convex combination of nodal values, so the displaced nodes' box holds all displaced pixels.
         displaced = self.mesh.nodes + q.reshape(self.mesh.nodes.shape)
         low = np.floor(displaced.min(axis=0)).astype(int)
@@ -174,12 +197,47 @@ def correlation(mesh: Mesh, reference: MaskedSource, degree: int) -> Correlation
 
     Raises InputError where a pixel of the mesh lies outside the image.
     """
-    raster = rasterize(mesh)
-    if not reference.extent.contains(raster.window):
+    return correlations([mesh], reference, degree)[0][0]
+
+
+def correlations(meshes: Sequence[Mesh], reference: MaskedSource, degree: int) -> list[list[Correlation]]:
+    """The same for several subdomains: groups, in order, that share a window of the image.
+
+    Neighbours do where their common window holds fewer pixels than their own ones, whose edges and halos overlap.
+    Raises InputError where a pixel of a mesh lies outside the image.
+    """
+    rasters = [rasterize(mesh) for mesh in meshes]
+    windows = [raster.window for raster in rasters]
+    if not all(reference.extent.contains(window) for window in windows):
         raise InputError(f"{reference.image.path}: pixels of the mesh lie outside the image "
                          f"({reference.extent.width} x {reference.extent.height} px); move or cut the mesh")
-    image = read_reference(reference, raster.window, degree)
-    return Correlation(mesh, finite_element_kinematics(mesh), raster, image, reference.extent)
+    found = []
+    for members in shared_windows(windows, HALO[degree] + PADDING[degree]):
+        image = read_reference(reference, reduce(Window.union, (windows[k] for k in members)), degree)
+        found.append([_correlation(meshes[k], rasters[k], image.part(windows[k]), reference.extent) for k in members])
+    return found
+
+
+def restricted(whole: Correlation, cells: NDArray[np.int64]) -> Correlation:
+    """The same on some of a subdomain's cells, with the same window of the image."""
+    mesh, _ = whole.mesh.submesh(cells)
+    return _correlation(mesh, rasterize(mesh), whole.reference, whole.extent)
+
+
+def _correlation(mesh: Mesh, raster: Raster, image: GradientImage, extent: Window) -> Correlation:
+    x, y = mesh.centroids.T
+    order = np.lexsort((x, y // BAND)).astype(np.int64)
+    return Correlation(mesh, finite_element_kinematics(mesh), raster, image, extent, order)
+
+
+def _flat(image: NDArray[Any]) -> NDArray[Any]:
+    """An image (height, width), or a part of one, as one sequence of rows of ``_row_length``."""
+    height, width = image.shape
+    return as_strided(image, ((height - 1) * _row_length(image) + width,), (image.itemsize,))
+
+
+def _row_length(image: NDArray[Any]) -> int:
+    return int(image.strides[0] // image.itemsize)
 
 
 def _or_nothing(usable: NDArray[np.uint8] | None) -> NDArray[np.uint8]:

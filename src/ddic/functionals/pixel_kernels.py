@@ -1,285 +1,517 @@
 """Compiled loops over the pixels of cells, fused with the assembly of cell sums.
 
-All loops go cell by cell and row by row. Within a row, pixels whose deformed position has the same
-integer offset form a run, over which spline coefficients are read contiguously. Positions are
-float64 and local to the cell; images are float32; sums are float64.
+Cells are visited in batches of segments: neighbouring pixels of one row each, padded to a multiple of LANES. Every
+stage of a batch is a loop over lanes, which the compiler turns into vector instructions without a remainder; lanes
+beyond a segment's end repeat its last pixel's position and weigh nothing. Segments whose pixels have one integer
+offset read spline coefficients contiguously. Displacements are split into an integer offset and a fraction, so that
+no digit is lost to the position in the image. Images are float32 and everything computed from them is float64: in
+float32, Gauss-Newton would not get below 5e-8 px.
+
+The stages share this file because numba's cache of a kernel does not notice changes in other files.
 """
-# mypy: disable-error-code="no-untyped-def"
+# mypy: disable-error-code="no-untyped-def, assignment"
 
 from __future__ import annotations
 
 import numba
 import numpy as np
 
-CHUNK = 256
-FAST = {"contract", "reassoc", "nsz", "arcp"}
+from ddic.functionals.prefetch import prefetch
+
+LANES = 8
+"""Numbers in the widest vector."""
+
+LONGEST = 64
+"""Most pixels of a segment."""
+
+UNROLLED = 4 * LANES
+"""A batch's lanes are a multiple of it, so that no remainder is left where the compiler unrolls as well."""
+
+BATCH = 10 * UNROLLED
+"""Most lanes of a batch; its scratch arrays stay in the first-level cache."""
+
+PLANE = BATCH + 8
+"""Distance of a batch's quantities in memory: not a power of 2, which would bring all to one set of the cache."""
+
+FLAGS = {"fastmath": {"contract", "reassoc", "nsz", "arcp"}, "error_model": "numpy", "nogil": True, "cache": True}
 
 N_SUMS = 6
 """Sums over usable pixels of (1, r, g, r^2, g^2, r g) with r = f - g(x + u)."""
 
+LINE = 16
+"""Pixels in a line of the cache."""
 
-@numba.njit(cache=True, fastmath=FAST, inline="always")
-def _local_coordinates(X, x0, y, n, xi, eta):
-    """Invert x = X phi(xi, eta) along the row y for the n pixels x0, x0 + 1, ... (stable quadratic)."""
-    e0, e1, f0, f1, g0, g1 = X[0, 1], X[1, 1], X[0, 2], X[1, 2], X[0, 3], X[1, 3]
-    a = g0 * f1 - g1 * f0
+FROM_START = np.int64(-(2**31))
+"""Column before any run's first one."""
+
+AFFINE = 1e-11
+"""A cell whose xi eta term is below this, relative to its linear terms, is a parallelogram but for rounding."""
+
+# Unsigned, so that numba need not allow for negative indices, which would keep loops from being vectorised.
+_U = np.uint64
+_BY_X, _BY_Y, _WEIGHT, _G, _VALUE = (_U(k * PLANE) for k in range(5))
+"""Where a batch's quantities begin in one scratch array. One array, because the compiler then knows them apart."""
+
+_TX, _TY = _BY_X, _BY_Y
+"""Fractions of the displacement, until the interpolation has been made."""
+
+
+@numba.njit(**FLAGS)
+def _take_segments(row, last_row, x, y, starts, stops, seg_x, seg_y, seg_n, seg_at):
+    """Fill the segments of a batch from column x of a cell's run ``row``.
+
+    seg_at: first lane of each segment, and of the one after the last. Returns the number of segments and where to go
+    on: row, x, y.
+    """
+    n, at = 0, 0
+    while row < last_row and at < BATCH:
+        x = max(x, starts[row])
+        length = min(stops[row] - x, LONGEST, BATCH - at)
+        if length > 0:
+            seg_x[n], seg_y[n], seg_n[n], seg_at[n] = x, y, length, at
+            x += length
+            at += (length + LANES - 1) // LANES * LANES
+            n += 1
+        if x >= stops[row]:
+            row += 1
+            y += 1
+            x = FROM_START
+    seg_at[n] = (at + UNROLLED - 1) // UNROLLED * UNROLLED
+    return n, row, x, y
+
+
+@numba.njit(**FLAGS)
+def _local_coordinates(X, e, n_segments, seg_x, seg_y, seg_n, seg_at, xi, eta):
+    """Invert x = X[e] phi(xi, eta) at the lanes of a batch: linear in a parallelogram, else a stable quadratic."""
+    e0, e1, f0, f1, g0, g1 = X[e, 0, 1], X[e, 1, 1], X[e, 0, 2], X[e, 1, 2], X[e, 0, 3], X[e, 1, 3]
+    x0, x1 = X[e, 0, 0], X[e, 1, 0]
     ef = e0 * f1 - e1 * f0
-    h1 = y - X[1, 0]
+    affine = abs(g0) + abs(g1) <= AFFINE * (abs(e0) + abs(e1) + abs(f0) + abs(f1))
+    a = g0 * f1 - g1 * f0
+    for s in range(n_segments):
+        h0, h1 = seg_x[s] - x0, seg_y[s] - x1
+        last = np.int32(seg_n[s] - 1)
+        j = _U(seg_at[s])
+        n = _U(seg_at[s + 1]) - j
+        if affine:
+            p, dp = (f1 * h0 - f0 * h1) / ef, f1 / ef
+            q, dq = (e0 * h1 - e1 * h0) / ef, -e1 / ef
+            for k in range(n):
+                i = np.float64(min(np.int32(k), last))
+                xi[j + k] = p + dp * i
+                eta[j + k] = q + dq * i
+        else:
+            for k in range(n):
+                h = h0 + np.float64(min(np.int32(k), last))
+                b = ef + h * g1 - h1 * g0
+                c = h * e1 - h1 * e0
+                t = 2.0 * c / (-b - np.sqrt(max(b * b - 4.0 * a * c, 0.0)))
+                p0, p1 = e0 + g0 * t, e1 + g1 * t
+                xi[j + k] = ((h - f0 * t) * p0 + (h1 - f1 * t) * p1) / (p0 * p0 + p1 * p1)
+                eta[j + k] = t
+
+
+@numba.njit(**FLAGS)
+def _displace(D, e, n, xi, eta, lanes, ox, oy):
+    """Split u = D[e] phi of n lanes into integer offsets and fractions; returns the least and largest offsets."""
+    u0, u1, u2, u3 = D[e, 0, 0], D[e, 0, 1], D[e, 0, 2], D[e, 0, 3]
+    v0, v1, v2, v3 = D[e, 1, 0], D[e, 1, 1], D[e, 1, 2], D[e, 1, 3]
+    least_x, least_y, most_x, most_y = np.int32(2**31 - 1), np.int32(2**31 - 1), np.int32(-(2**31)), np.int32(-(2**31))
+    for k in range(_U(n)):
+        t, s = xi[k], eta[k]
+        p = t * s
+        u = u0 + u1 * t + u2 * s + u3 * p
+        v = v0 + v1 * t + v2 * s + v3 * p
+        fu, fv = np.floor(u), np.floor(v)
+        lanes[k + _TX], lanes[k + _TY] = u - fu, v - fv
+        i, j = np.int32(fu), np.int32(fv)
+        ox[k], oy[k] = i, j
+        least_x, least_y = min(least_x, i), min(least_y, j)
+        most_x, most_y = max(most_x, i), max(most_y, j)
+    return least_x, least_y, most_x, most_y
+
+
+@numba.njit(**FLAGS)
+def _keep_inside(D, e, at, x0, y, n, xi, eta, width, height, lanes, ox, oy):
+    """Give the n lanes from ``at`` whose x + u leaves the image the nearest position in it and no weight."""
     for k in range(n):
-        h0 = x0 + k - X[0, 0]
-        b = ef + h0 * g1 - h1 * g0
-        c = h0 * e1 - h1 * e0
-        t = 2.0 * c / (-b - np.sqrt(max(b * b - 4.0 * a * c, 0.0)))
-        p0, p1 = e0 + g0 * t, e1 + g1 * t
-        xi[k] = ((h0 - f0 * t) * p0 + (h1 - f1 * t) * p1) / (p0 * p0 + p1 * p1)
-        eta[k] = t
+        j = at + k
+        p = xi[j] * eta[j]
+        x = x0 + k
+        px = x + (D[e, 0, 0] + D[e, 0, 1] * xi[j] + D[e, 0, 2] * eta[j] + D[e, 0, 3] * p)
+        py = y + (D[e, 1, 0] + D[e, 1, 1] * xi[j] + D[e, 1, 2] * eta[j] + D[e, 1, 3] * p)
+        if not (0.0 <= px <= width - 1.0 and 0.0 <= py <= height - 1.0):
+            lanes[_U(j) + _WEIGHT] = 0.0
+            # Written so that a position that is not a number becomes 0.
+            px = px if px > 0.0 else 0.0
+            py = py if py > 0.0 else 0.0
+            px, py = min(px, width - 1.0), min(py, height - 1.0)
+            fx, fy = np.floor(px), np.floor(py)
+            ox[j], oy[j] = np.int32(fx) - x, np.int32(fy) - y
+            lanes[_U(j) + _TX], lanes[_U(j) + _TY] = px - fx, py - fy
 
 
-@numba.njit(cache=True, fastmath=FAST, inline="always")
-def _cubic_run(c, row, col, n, tx, ty, out):
-    """Evaluate the cubic spline at n points; taps of point k start at c[row, col + k]."""
-    r0, r1, r2, r3 = c[row], c[row + 1], c[row + 2], c[row + 3]
-    for k in range(n):
-        t, s = tx[k], ty[k]
-        u, v = 1.0 - t, 1.0 - s
-        wx0, wx3 = u * u * u, t * t * t
-        wx1, wx2 = 4.0 - 3.0 * t * t * (1.0 + u), 4.0 - 3.0 * u * u * (1.0 + t)
-        wy0, wy3 = v * v * v, s * s * s
-        wy1, wy2 = 4.0 - 3.0 * s * s * (1.0 + v), 4.0 - 3.0 * v * v * (1.0 + s)
-        j = col + k
-        a0 = wx0 * r0[j] + wx1 * r0[j + 1] + wx2 * r0[j + 2] + wx3 * r0[j + 3]
-        a1 = wx0 * r1[j] + wx1 * r1[j + 1] + wx2 * r1[j + 2] + wx3 * r1[j + 3]
-        a2 = wx0 * r2[j] + wx1 * r2[j + 1] + wx2 * r2[j + 2] + wx3 * r2[j + 3]
-        a3 = wx0 * r3[j] + wx1 * r3[j + 1] + wx2 * r3[j + 2] + wx3 * r3[j + 3]
-        out[k] = (wy0 * a0 + wy1 * a1 + wy2 * a2 + wy3 * a3) * (1.0 / 36.0)
+@numba.njit(**FLAGS)
+def _cubic(c, stride, n_runs, run_at, run_begin, run_end, lanes):
+    """Evaluate the cubic spline at the lanes of runs; taps of a run's first lane start at c[run_at]."""
+    d1, d2, d3 = _U(stride), _U(2 * stride), _U(3 * stride)
+    for run in range(n_runs):
+        first, begin, end = _U(run_at[run]), _U(run_begin[run]), _U(run_end[run])
+        for k in range(end - begin):
+            t, s = lanes[k + begin + _TX], lanes[k + begin + _TY]
+            u, v = 1.0 - t, 1.0 - s
+            # The last weight is what the others leave to 1, so that constants are kept to rounding.
+            x0, x3, x1 = u * u * u * (1 / 6), t * t * t * (1 / 6), (2 / 3) - 0.5 * t * t * (1.0 + u)
+            y0, y3, y1 = v * v * v * (1 / 6), s * s * s * (1 / 6), (2 / 3) - 0.5 * s * s * (1.0 + v)
+            x2 = 1.0 - x0 - x1 - x3
+            y2 = 1.0 - y0 - y1 - y3
+            i = first + k
+            a0 = y0 * c[i] + y1 * c[i + d1] + y2 * c[i + d2] + y3 * c[i + d3]
+            i += _U(1)
+            a1 = y0 * c[i] + y1 * c[i + d1] + y2 * c[i + d2] + y3 * c[i + d3]
+            i += _U(1)
+            a2 = y0 * c[i] + y1 * c[i + d1] + y2 * c[i + d2] + y3 * c[i + d3]
+            i += _U(1)
+            a3 = y0 * c[i] + y1 * c[i + d1] + y2 * c[i + d2] + y3 * c[i + d3]
+            lanes[k + begin + _G] = x0 * a0 + x1 * a1 + x2 * a2 + x3 * a3
 
 
-@numba.njit(cache=True, fastmath=FAST, inline="always")
+@numba.njit(**FLAGS)
 def _quintic_weights(t):
     u = 1.0 - t
     t2, u2 = t * t, u * u
-    w0, w5 = u2 * u2 * u, t2 * t2 * t
-    w1 = 26.0 + t * (-50.0 + t * (20.0 + t * (20.0 + t * (-20.0 + 5.0 * t))))
-    w4 = 26.0 + u * (-50.0 + u * (20.0 + u * (20.0 + u * (-20.0 + 5.0 * u))))
-    w2 = 66.0 + t2 * (-60.0 + t2 * (30.0 - 10.0 * t))
-    w3 = 66.0 + u2 * (-60.0 + u2 * (30.0 - 10.0 * u))
-    return w0, w1, w2, w3, w4, w5
+    w0, w5 = u2 * u2 * u * (1 / 120), t2 * t2 * t * (1 / 120)
+    w1 = (26 / 120) + t * ((-50 / 120) + t * ((20 / 120) + t * (
+        (20 / 120) + t * ((-20 / 120) + (5 / 120) * t))))
+    w4 = (26 / 120) + u * ((-50 / 120) + u * ((20 / 120) + u * (
+        (20 / 120) + u * ((-20 / 120) + (5 / 120) * u))))
+    w2 = (66 / 120) + t2 * ((-60 / 120) + t2 * ((30 / 120) - (10 / 120) * t))
+    return w0, w1, w2, 1.0 - w0 - w1 - w2 - w4 - w5, w4, w5
 
 
-@numba.njit(cache=True, fastmath=FAST, inline="always")
-def _quintic_run(c, row, col, n, tx, ty, out):
-    """Evaluate the quintic spline at n points; taps of point k start at c[row, col + k]."""
-    for k in range(n):
-        w0, w1, w2, w3, w4, w5 = _quintic_weights(tx[k])
-        wy = _quintic_weights(ty[k])
-        j = col + k
-        value = 0.0
-        for i in range(6):
-            r = c[row + i]
-            value += wy[i] * (w0 * r[j] + w1 * r[j + 1] + w2 * r[j + 2]
-                              + w3 * r[j + 3] + w4 * r[j + 4] + w5 * r[j + 5])
-        out[k] = value * (1.0 / 14400.0)
+@numba.njit(**FLAGS)
+def _quintic(c, stride, n_runs, run_at, run_begin, run_end, lanes):
+    """Evaluate the quintic spline at the lanes of runs; taps of a run's first lane start at c[run_at]."""
+    d = _U(stride)
+    for run in range(n_runs):
+        first, begin, end = _U(run_at[run]), _U(run_begin[run]), _U(run_end[run])
+        for k in range(end - begin):
+            x0, x1, x2, x3, x4, x5 = _quintic_weights(lanes[k + begin + _TX])
+            y0, y1, y2, y3, y4, y5 = _quintic_weights(lanes[k + begin + _TY])
+            i0 = first + k
+            i1 = i0 + d
+            i2 = i1 + d
+            i3 = i2 + d
+            i4 = i3 + d
+            i5 = i4 + d
+            value = 0.0
+            for j, x in enumerate((x0, x1, x2, x3, x4, x5)):
+                o = _U(j)
+                value += x * (y0 * c[i0 + o] + y1 * c[i1 + o] + y2 * c[i2 + o]
+                              + y3 * c[i3 + o] + y4 * c[i4 + o] + y5 * c[i5 + o])
+            lanes[k + begin + _G] = value
 
 
-@numba.njit(cache=True, fastmath=FAST, inline="always")
-def _deformed_values(U, x0, y, n, xi, eta, spline, degree, origin_x, origin_y, width, height,
-                     g_usable, ix, iy, tx, ty, weight, g):
-    """Evaluate g at x + u(x) for n pixels of a row; weight is 0 where x + u leaves the image or is masked.
+@numba.njit(**FLAGS)
+def _find_runs(uniform, size, stride, reach, down, right, n_segments, seg_x, seg_y, seg_n, seg_at, ox, oy,
+               run_at, run_begin, run_end):
+    """Split segments into runs of one integer offset; returns the number of runs.
+
+    uniform: all lanes have one offset; size: of the coefficients; down, right: from a displaced pixel to its first
+    coefficient. A run that is a whole segment is padded as the segment is, if the coefficients go on so far.
+    """
+    n_runs = 0
+    for s in range(n_segments):
+        j, n, begin = seg_at[s], seg_n[s], np.int64(0)
+        while begin < n:
+            i, end = j + begin, n
+            if not uniform:
+                end = begin + 1
+                while end < n and ox[j + end] == ox[i] and oy[j + end] == oy[i]:
+                    end += 1
+            at = (seg_y[s] + oy[i] + down) * stride + seg_x[s] + begin + ox[i] + right
+            padded = end - begin == n and at + reach * (stride + 1) + seg_at[s + 1] - j <= size
+            run_at[n_runs], run_begin[n_runs], run_end[n_runs] = at, i, seg_at[s + 1] if padded else j + end
+            n_runs += 1
+            begin = end
+    return n_runs
+
+
+@numba.njit(**FLAGS)
+def _weigh(n_segments, seg_x, seg_y, seg_n, seg_at, f_usable, fx0, fy0, lanes):
+    """Weight 1 for the lanes of a batch that are pixels which f does not exclude, else 0."""
+    for s in range(n_segments):
+        n, j = np.int32(seg_n[s]), _U(seg_at[s]) + _WEIGHT
+        for k in range(_U(seg_at[s + 1]) - _U(seg_at[s])):
+            lanes[j + k] = 1.0 if np.int32(k) < n else 0.0
+    if f_usable.size > 0:
+        for s in range(n_segments):
+            for k in range(seg_n[s]):
+                lanes[_U(seg_at[s] + k) + _WEIGHT] *= f_usable[seg_y[s] - fy0, seg_x[s] - fx0 + k]
+
+
+@numba.njit(**FLAGS)
+def _deformed_values(X, D, e, n_segments, seg_x, seg_y, seg_n, seg_at, f_usable, fx0, fy0, spline, stride, degree,
+                     origin_x, origin_y, width, height, g_usable, xi, eta, lanes, ox, oy, run_at, run_begin, run_end):
+    """Evaluate g at x + u(x) and the weights of a batch: 0 where x + u leaves the image, or f or g excludes it.
 
     origin_x, origin_y: the spline window's first pixel; width, height: the whole image's size.
     """
-    pad = degree // 2 + 1
-    for k in range(n):
-        p = xi[k] * eta[k]
-        px = x0 + k + U[0, 0] + U[0, 1] * xi[k] + U[0, 2] * eta[k] + U[0, 3] * p
-        py = y + U[1, 0] + U[1, 1] * xi[k] + U[1, 2] * eta[k] + U[1, 3] * p
-        inside = (px >= 0.0) & (px <= width - 1.0) & (py >= 0.0) & (py <= height - 1.0)
-        weight[k] = 1.0 if inside else 0.0
-        px = min(max(px, 0.0), width - 1.0)
-        py = min(max(py, 0.0), height - 1.0)
-        fx, fy = np.floor(px), np.floor(py)
-        ix[k], iy[k] = np.int32(fx) - origin_x, np.int32(fy) - origin_y
-        tx[k], ty[k] = px - fx, py - fy
+    _weigh(n_segments, seg_x, seg_y, seg_n, seg_at, f_usable, fx0, fy0, lanes)
+    _local_coordinates(X, e, n_segments, seg_x, seg_y, seg_n, seg_at, xi, eta)
+    least_x, least_y, most_x, most_y = _displace(D, e, seg_at[n_segments], xi, eta, lanes, ox, oy)
+    left, right = np.int64(2**40), np.int64(-(2**40))
+    for s in range(n_segments):
+        left, right = min(left, seg_x[s]), max(right, seg_x[s] + seg_n[s])
+    uniform = least_x == most_x and least_y == most_y
+    if (left + least_x < 0 or right + most_x >= width or seg_y[0] + least_y < 0
+            or seg_y[n_segments - 1] + most_y + 1 >= height):
+        uniform = False
+        for s in range(n_segments):
+            _keep_inside(D, e, seg_at[s], seg_x[s], seg_y[s], seg_n[s], xi, eta, width, height, lanes, ox, oy)
+    # Taps of a pixel's first coefficient lie degree // 2 pixels before it, and the array begins one more before.
+    n_runs = _find_runs(uniform, spline.size, stride, degree, 1 - origin_y, 1 - origin_x, n_segments, seg_x, seg_y,
+                        seg_n, seg_at, ox, oy, run_at, run_begin, run_end)
+    if degree == 3:
+        _cubic(spline, stride, n_runs, run_at, run_begin, run_end, lanes)
+    else:
+        _quintic(spline, stride, n_runs, run_at, run_begin, run_end, lanes)
     if g_usable.size > 0:
+        for s in range(n_segments):
+            for k in range(seg_n[s]):
+                j = seg_at[s] + k
+                lanes[_U(j) + _WEIGHT] *= g_usable[seg_y[s] + oy[j] - origin_y, seg_x[s] + k + ox[j] - origin_x]
+
+
+@numba.njit(**FLAGS)
+def _add_moments(n, xi, eta, lanes, moments, e, kind):
+    """Add the n lanes' values times grad f and the monomials to moments[e, kind] (2, 4)."""
+    m00 = m01 = m02 = m03 = m10 = m11 = m12 = m13 = 0.0
+    for k in range(_U(n)):
+        t, s = xi[k], eta[k]
+        a, b = lanes[k + _BY_X], lanes[k + _BY_Y]
+        at, bt = a * t, b * t
+        m00 += a
+        m01 += at
+        m02 += a * s
+        m03 += at * s
+        m10 += b
+        m11 += bt
+        m12 += b * s
+        m13 += bt * s
+    moments[e, kind, 0, 0] += m00
+    moments[e, kind, 0, 1] += m01
+    moments[e, kind, 0, 2] += m02
+    moments[e, kind, 0, 3] += m03
+    moments[e, kind, 1, 0] += m10
+    moments[e, kind, 1, 1] += m11
+    moments[e, kind, 1, 2] += m12
+    moments[e, kind, 1, 3] += m13
+
+
+@numba.njit(**FLAGS)
+def _add_grey_sums(n, lanes, sums, e):
+    """Add the n lanes' sums of (1, r, g, r^2, g^2, r g) to sums[e] (N_SUMS,)."""
+    s0 = s1 = s2 = s3 = s4 = s5 = 0.0
+    for k in range(_U(n)):
+        w, r = lanes[k + _WEIGHT], lanes[k + _VALUE]
+        g = w * lanes[k + _G]
+        s0 += w
+        s1 += r
+        s2 += g
+        s3 += r * r
+        s4 += g * g
+        s5 += r * g
+    sums[e, 0] += s0
+    sums[e, 1] += s1
+    sums[e, 2] += s2
+    sums[e, 3] += s3
+    sums[e, 4] += s4
+    sums[e, 5] += s5
+
+
+@numba.njit(**FLAGS)
+def _times_gradient(kind, n_segments, seg_x, seg_y, seg_n, seg_at, f, gx, gy, f_width, fx0, fy0, lanes):
+    """Weighted r (kind 0), g (1) or 1 (2) of a batch, and each times grad f; lanes that are no pixels become 0."""
+    for s in range(n_segments):
+        j, end = _U(seg_at[s]), _U(seg_at[s + 1])
+        at = _U((seg_y[s] - fy0) * f_width + seg_x[s] - fx0)
+        n = end - j if at + end - j <= _U(f.size) else _U(seg_n[s])
         for k in range(n):
-            weight[k] *= g_usable[iy[k], ix[k]]
-    begin = 0
-    shift = pad - degree // 2
-    while begin < n:
-        end = begin + 1
-        while end < n and iy[end] == iy[begin] and ix[end] - ix[begin] == end - begin:
-            end += 1
-        if degree == 3:
-            _cubic_run(spline, iy[begin] + shift, ix[begin] + shift, end - begin,
-                       tx[begin:end], ty[begin:end], g[begin:end])
-        else:
-            _quintic_run(spline, iy[begin] + shift, ix[begin] + shift, end - begin,
-                         tx[begin:end], ty[begin:end], g[begin:end])
-        begin = end
+            w, g = lanes[j + k + _WEIGHT], lanes[j + k + _G]
+            value = w * (f[at + k] - g) if kind == 0 else (w * g if kind == 1 else w)
+            lanes[j + k + _VALUE] = value
+            lanes[j + k + _BY_X] = value * gx[at + k]
+            lanes[j + k + _BY_Y] = value * gy[at + k]
+        for k in range(j + n, end):
+            lanes[k + _VALUE] = lanes[k + _BY_X] = lanes[k + _BY_Y] = 0.0
 
 
-@numba.njit(cache=True, fastmath=FAST, nogil=True)
-def residual_sums(X, U, first_row, row_ptr, starts, stops,
-                  f, gx, gy, f_usable, fx0, fy0,
-                  spline, degree, origin_x, origin_y, width, height, g_usable, all_kinds,
+@numba.njit(**FLAGS)
+def _scratch():
+    """Buffers of a batch.
+
+    xi, eta; lanes' quantities; their offsets ox, oy; segments' column, row, length and first lane; runs' first
+    coefficient, first lane and the lane after the last. Zeros, since a lane that is no pixel must be a number for its
+    product with weight 0 to be 0.
+    """
+    most = BATCH // LANES
+    return (np.zeros(BATCH), np.zeros(BATCH), np.zeros(5 * PLANE), np.zeros(BATCH, np.int32), np.zeros(BATCH, np.int32),
+            np.zeros(most, np.int64), np.zeros(most, np.int64), np.zeros(most, np.int64), np.zeros(most + 1, np.int64),
+            (np.zeros(BATCH, np.int64), np.zeros(BATCH, np.int64), np.zeros(BATCH, np.int64)))
+
+
+@numba.njit(**FLAGS)
+def _fetch(array, width, e, right, down, first_row, row_ptr, starts, stops):
+    """Ask for the pixels of cell e in a flat array of rows of ``width``, moved by so many columns and rows."""
+    begin = (first_row[e] + down) * width + right
+    for row in range(row_ptr[e], row_ptr[e + 1]):
+        x, stop = begin + starts[row], begin + stops[row] + LINE - 1
+        while x < stop:
+            prefetch(array, x)
+            x += LINE
+        begin += width
+
+
+@numba.njit(**FLAGS)
+def residual_sums(order, X, U, first_row, row_ptr, starts, stops,
+                  f, gx, gy, f_width, f_usable, fx0, fy0,
+                  spline, stride, degree, origin_x, origin_y, width, height, g_usable, all_kinds,
                   moments, sums):
     """Accumulate, per cell, moments of the residual against grad f and the monomials, and plain sums.
 
+    order: (n_cells,) the cells in the order of visiting, so that neighbours find their pixels in the cache.
     X, U: (n_cells, 2, 4) geometry and displacement coefficients on the monomials.
+    f, gx, gy, spline: flat, rows of f_width and of stride pixels.
     moments: (n_cells, 3, 2, 4), sums of (r, g, 1) x (f_x, f_y) x (1, xi, eta, xi eta); the last two
     kinds only where all_kinds. sums: (n_cells, N_SUMS).
     """
-    xi, eta = np.empty(CHUNK), np.empty(CHUNK)
-    tx, ty, weight, g = np.empty(CHUNK), np.empty(CHUNK), np.empty(CHUNK), np.empty(CHUNK)
-    ix, iy = np.empty(CHUNK, np.int32), np.empty(CHUNK, np.int32)
-    for e in range(len(first_row)):
-        m00 = m01 = m02 = m03 = m10 = m11 = m12 = m13 = 0.0
-        s0 = s1 = s2 = s3 = s4 = s5 = 0.0
-        for row in range(row_ptr[e], row_ptr[e + 1]):
-            y = first_row[e] + row - row_ptr[e]
-            for x0 in range(starts[row], stops[row], CHUNK):
-                n = min(CHUNK, stops[row] - x0)
-                _local_coordinates(X[e], x0, y, n, xi, eta)
-                _deformed_values(U[e], x0, y, n, xi, eta, spline, degree, origin_x, origin_y,
-                                 width, height, g_usable, ix, iy, tx, ty, weight, g)
-                if f_usable.size > 0:
-                    for k in range(n):
-                        weight[k] *= f_usable[y - fy0, x0 - fx0 + k]
-                f_row = f[y - fy0, x0 - fx0: x0 - fx0 + n]
-                gx_row = gx[y - fy0, x0 - fx0: x0 - fx0 + n]
-                gy_row = gy[y - fy0, x0 - fx0: x0 - fx0 + n]
-                for k in range(n):
-                    w, value = weight[k], g[k]
-                    r = w * (f_row[k] - value)
-                    value *= w
-                    a, b = r * gx_row[k], r * gy_row[k]
-                    t, s = xi[k], eta[k]
-                    m00 += a
-                    m01 += a * t
-                    m02 += a * s
-                    m03 += a * t * s
-                    m10 += b
-                    m11 += b * t
-                    m12 += b * s
-                    m13 += b * t * s
-                    s0 += w
-                    s1 += r
-                    s2 += value
-                    s3 += r * r
-                    s4 += value * value
-                    s5 += r * value
-                if all_kinds:
-                    for k in range(n):
-                        for c in range(2):
-                            slope = weight[k] * (gx_row[k] if c == 0 else gy_row[k])
-                            t, s = xi[k], eta[k]
-                            for kind in range(1, 3):
-                                a = slope * g[k] if kind == 1 else slope
-                                moments[e, kind, c, 0] += a
-                                moments[e, kind, c, 1] += a * t
-                                moments[e, kind, c, 2] += a * s
-                                moments[e, kind, c, 3] += a * t * s
-        m = moments[e, 0]
-        m[0, 0], m[0, 1], m[0, 2], m[0, 3] = m00, m01, m02, m03
-        m[1, 0], m[1, 1], m[1, 2], m[1, 3] = m10, m11, m12, m13
-        q = sums[e]
-        q[0], q[1], q[2], q[3], q[4], q[5] = s0, s1, s2, s3, s4, s5
+    xi, eta, lanes, ox, oy, seg_x, seg_y, seg_n, seg_at, runs = _scratch()
+    for i in range(len(order)):
+        e = order[i]
+        if i + 1 < len(order):
+            after = order[i + 1]
+            right, down = np.int64(np.floor(U[after, 0, 0])) - origin_x, np.int64(np.floor(U[after, 1, 0])) - origin_y
+            _fetch(spline, stride, after, right + 1, down + degree + 1, first_row, row_ptr, starts, stops)
+            _fetch(gx, f_width, after, -fx0, -fy0, first_row, row_ptr, starts, stops)
+            _fetch(gy, f_width, after, -fx0, -fy0, first_row, row_ptr, starts, stops)
+            _fetch(f, f_width, after, -fx0, -fy0, first_row, row_ptr, starts, stops)
+        row, x, y = row_ptr[e], FROM_START, first_row[e]
+        while row < row_ptr[e + 1]:
+            n_segments, row, x, y = _take_segments(row, row_ptr[e + 1], x, y, starts, stops, seg_x, seg_y, seg_n,
+                                                   seg_at)
+            if n_segments == 0:
+                continue
+            n = seg_at[n_segments]
+            _deformed_values(X, U, e, n_segments, seg_x, seg_y, seg_n, seg_at, f_usable, fx0, fy0, spline, stride,
+                             degree, origin_x, origin_y, width, height, g_usable, xi, eta, lanes, ox, oy, *runs)
+            _times_gradient(0, n_segments, seg_x, seg_y, seg_n, seg_at, f, gx, gy, f_width, fx0, fy0, lanes)
+            _add_moments(n, xi, eta, lanes, moments, e, 0)
+            _add_grey_sums(n, lanes, sums, e)
+            if all_kinds:
+                for kind in range(1, 3):
+                    _times_gradient(kind, n_segments, seg_x, seg_y, seg_n, seg_at, f, gx, gy, f_width, fx0, fy0, lanes)
+                    _add_moments(n, xi, eta, lanes, moments, e, kind)
 
 
-@numba.njit(cache=True, fastmath=FAST, nogil=True)
-def residual_pixels(X, U, first_row, row_ptr, starts, stops, f, f_usable, fx0, fy0,
-                    spline, degree, origin_x, origin_y, width, height, g_usable, gain, offset, out):
+@numba.njit(**FLAGS)
+def residual_pixels(X, U, first_row, row_ptr, starts, stops, f, f_width, f_usable, fx0, fy0,
+                    spline, stride, degree, origin_x, origin_y, width, height, g_usable, gain, offset, out):
     """Write f - gain g(x + u) - offset into out (the reference window's shape), NaN where a pixel is left out.
 
-    gain, offset: (n_cells,).
+    f, spline: flat, rows of f_width and of stride pixels. gain, offset: (n_cells,).
     """
-    xi, eta = np.empty(CHUNK), np.empty(CHUNK)
-    tx, ty, weight, g = np.empty(CHUNK), np.empty(CHUNK), np.empty(CHUNK), np.empty(CHUNK)
-    ix, iy = np.empty(CHUNK, np.int32), np.empty(CHUNK, np.int32)
+    xi, eta, lanes, ox, oy, seg_x, seg_y, seg_n, seg_at, runs = _scratch()
     for e in range(len(first_row)):
-        for row in range(row_ptr[e], row_ptr[e + 1]):
-            y = first_row[e] + row - row_ptr[e]
-            for x0 in range(starts[row], stops[row], CHUNK):
-                n = min(CHUNK, stops[row] - x0)
-                _local_coordinates(X[e], x0, y, n, xi, eta)
-                _deformed_values(U[e], x0, y, n, xi, eta, spline, degree, origin_x, origin_y,
-                                 width, height, g_usable, ix, iy, tx, ty, weight, g)
-                for k in range(n):
-                    i, j = y - fy0, x0 - fx0 + k
-                    used = weight[k] > 0.0 and (f_usable.size == 0 or f_usable[i, j] > 0)
-                    out[i, j] = f[i, j] - gain[e] * g[k] - offset[e] if used else np.nan
+        row, x, y = row_ptr[e], FROM_START, first_row[e]
+        while row < row_ptr[e + 1]:
+            n_segments, row, x, y = _take_segments(row, row_ptr[e + 1], x, y, starts, stops, seg_x, seg_y, seg_n,
+                                                   seg_at)
+            if n_segments == 0:
+                continue
+            _deformed_values(X, U, e, n_segments, seg_x, seg_y, seg_n, seg_at, f_usable, fx0, fy0, spline, stride,
+                             degree, origin_x, origin_y, width, height, g_usable, xi, eta, lanes, ox, oy, *runs)
+            for s in range(n_segments):
+                for k in range(seg_n[s]):
+                    i, j, lane = seg_y[s] - fy0, seg_x[s] + k - fx0, _U(seg_at[s] + k)
+                    used = lanes[lane + _WEIGHT] > 0.0
+                    out[i, j] = f[i * f_width + j] - gain[e] * lanes[lane + _G] - offset[e] if used else np.nan
 
 
-@numba.njit(cache=True, fastmath=FAST, nogil=True)
-def hessian_cells(X, T, first_row, row_ptr, starts, stops, gx, gy, f_usable, fx0, fy0, out):
+@numba.njit(**FLAGS)
+def _add_products(n, component, xi, eta, lanes, S):
+    """Add the n lanes' sums of one component of grad f grad f^T x xi^i eta^j to S[component] (3, 3)."""
+    a00 = a10 = a20 = a01 = a11 = a21 = a02 = a12 = a22 = 0.0
+    one, other = _BY_Y if component == 2 else _BY_X, _BY_X if component == 0 else _BY_Y
+    for k in range(_U(n)):
+        # In float64: the product of two float32 numbers would be rounded.
+        w = lanes[k + one] * lanes[k + other]
+        t, s = xi[k], eta[k]
+        wt, ws = w * t, w * s
+        wtt, wts, wss = wt * t, wt * s, ws * s
+        a00 += w
+        a10 += wt
+        a01 += ws
+        a20 += wtt
+        a11 += wts
+        a02 += wss
+        a21 += wtt * s
+        a12 += wts * s
+        a22 += wtt * s * s
+    S[component, 0, 0] += a00
+    S[component, 1, 0] += a10
+    S[component, 2, 0] += a20
+    S[component, 0, 1] += a01
+    S[component, 1, 1] += a11
+    S[component, 2, 1] += a21
+    S[component, 0, 2] += a02
+    S[component, 1, 2] += a12
+    S[component, 2, 2] += a22
+
+
+@numba.njit(**FLAGS)
+def _transform(S, T, e, half, out):
+    """M_e into out[e] (4, 2, 4, 2) from sums S (3 components, 3, 3) and shapes T[e]; half: (4, 4) scratch."""
+    for component in range(3):
+        c, d = (0, 0) if component == 0 else ((0, 1) if component == 1 else (1, 1))
+        for a in range(4):
+            for n in range(4):
+                half[a, n] = 0.0
+                for m in range(4):
+                    half[a, n] += T[e, a, m] * S[component, m % 2 + n % 2, m // 2 + n // 2]
+        for a in range(4):
+            for b in range(4):
+                value = 0.0
+                for n in range(4):
+                    value += half[a, n] * T[e, b, n]
+                out[e, a, c, b, d] = value
+                out[e, b, d, a, c] = value
+
+
+@numba.njit(**FLAGS)
+def hessian_cells(order, X, T, first_row, row_ptr, starts, stops, gx, gy, f_width, f_usable, fx0, fy0, out):
     """Assemble M_e = sum_px N_a N_b grad f grad f^T of every cell into out (n_cells, 4, 2, 4, 2), Eq. 5 of [BP17].
 
+    order: (n_cells,) the cells in the order of visiting; gx, gy: flat, rows of f_width pixels.
     X: (n_cells, 2, 4) geometry; T: (n_cells, 4, 4) shape coefficients on the monomials.
     """
-    xi, eta = np.empty(CHUNK), np.empty(CHUNK)
-    S = np.empty((3, 3, 3))
-    half = np.empty((4, 4))
-    for e in range(len(first_row)):
+    xi, eta, lanes, _, _, seg_x, seg_y, seg_n, seg_at, _ = _scratch()
+    S, half = np.empty((3, 3, 3)), np.empty((4, 4))
+    for i in range(len(order)):
+        e = order[i]
+        if i + 1 < len(order):
+            _fetch(gx, f_width, order[i + 1], -fx0, -fy0, first_row, row_ptr, starts, stops)
+            _fetch(gy, f_width, order[i + 1], -fx0, -fy0, first_row, row_ptr, starts, stops)
         S[:] = 0.0
-        for row in range(row_ptr[e], row_ptr[e + 1]):
-            y = first_row[e] + row - row_ptr[e]
-            for x0 in range(starts[row], stops[row], CHUNK):
-                n = min(CHUNK, stops[row] - x0)
-                _local_coordinates(X[e], x0, y, n, xi, eta)
-                if f_usable.size > 0:
-                    _add_hessian_masked(S, n, xi, eta, gx[y - fy0, x0 - fx0:], gy[y - fy0, x0 - fx0:],
-                                        f_usable[y - fy0, x0 - fx0:])
-                else:
-                    _add_hessian(S, n, xi, eta, gx[y - fy0, x0 - fx0:], gy[y - fy0, x0 - fx0:])
-        for component in range(3):
-            c, d = (0, 0) if component == 0 else ((0, 1) if component == 1 else (1, 1))
-            for a in range(4):
-                for n in range(4):
-                    half[a, n] = 0.0
-                    for m in range(4):
-                        half[a, n] += T[e, a, m] * S[component, m % 2 + n % 2, m // 2 + n // 2]
-            for a in range(4):
-                for b in range(4):
-                    value = 0.0
-                    for n in range(4):
-                        value += half[a, n] * T[e, b, n]
-                    out[e, a, c, b, d] = value
-                    out[e, b, d, a, c] = value
-
-
-@numba.njit(cache=True, fastmath=FAST, inline="always")
-def _add_hessian(S, n, xi, eta, gx, gy):
-    for component in range(3):
-        a00 = a10 = a20 = a01 = a11 = a21 = a02 = a12 = a22 = 0.0
-        for k in range(n):
-            u, v = 1.0 * gx[k], 1.0 * gy[k]  # in float64: the product of two float32 numbers would be rounded
-            w = u * u if component == 0 else (u * v if component == 1 else v * v)
-            t, s = xi[k], eta[k]
-            wt, ws = w * t, w * s
-            wtt, wts, wss = wt * t, wt * s, ws * s
-            a00 += w
-            a10 += wt
-            a01 += ws
-            a20 += wtt
-            a11 += wts
-            a02 += wss
-            a21 += wtt * s
-            a12 += wts * s
-            a22 += wtt * s * s
-        p = S[component]
-        p[0, 0] += a00
-        p[1, 0] += a10
-        p[2, 0] += a20
-        p[0, 1] += a01
-        p[1, 1] += a11
-        p[2, 1] += a21
-        p[0, 2] += a02
-        p[1, 2] += a12
-        p[2, 2] += a22
-
-
-@numba.njit(cache=True, fastmath=FAST, inline="always")
-def _add_hessian_masked(S, n, xi, eta, gx, gy, usable):
-    for k in range(n):
-        if usable[k] > 0:
-            _add_hessian(S, 1, xi[k: k + 1], eta[k: k + 1], gx[k: k + 1], gy[k: k + 1])
+        row, x, y = row_ptr[e], FROM_START, first_row[e]
+        while row < row_ptr[e + 1]:
+            n_segments, row, x, y = _take_segments(row, row_ptr[e + 1], x, y, starts, stops, seg_x, seg_y, seg_n,
+                                                   seg_at)
+            if n_segments == 0:
+                continue
+            _weigh(n_segments, seg_x, seg_y, seg_n, seg_at, f_usable, fx0, fy0, lanes)
+            _local_coordinates(X, e, n_segments, seg_x, seg_y, seg_n, seg_at, xi, eta)
+            _times_gradient(2, n_segments, seg_x, seg_y, seg_n, seg_at, gx, gx, gy, f_width, fx0, fy0, lanes)
+            for component in range(3):
+                _add_products(seg_at[n_segments], component, xi, eta, lanes, S)
+        _transform(S, T, e, half, out)

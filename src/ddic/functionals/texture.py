@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.functionals.correlation import Correlation
-from ddic.kinematics.finite_element import finite_element_kinematics
-from ddic.mesh.raster import rasterize
 
 NOISE_GAIN = {3: 1.392305, 5: 1.893960}
 """Variance of the spline's slope at a pixel for white noise of variance 1: mean over w of |slope(w)/value(w)|^2 of the
@@ -89,12 +87,6 @@ def _between(values: NDArray[Any], row: NDArray[np.int64], start: NDArray[np.int
     up_to = np.zeros((values.shape[0], values.shape[1] + 1))
     np.cumsum(values, axis=1, out=up_to[:, 1:])
     return float((up_to[row, stop] - up_to[row, start]).sum())
-
-
-def restricted(correlation: Correlation, cells: NDArray[np.int64]) -> Correlation:
-    """The same on some of a subdomain's cells, with the same window of the image."""
-    mesh, _ = correlation.mesh.submesh(cells)
-    return replace(correlation, mesh=mesh, kinematics=finite_element_kinematics(mesh), raster=rasterize(mesh))
 
 
 def rigid_modes(nodes: NDArray[np.float64]) -> NDArray[np.float64]:

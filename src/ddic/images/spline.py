@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from ddic.images.prefilter import TURNED, column_slopes, prefilter, prefilter_columns, prefilter_rows, row_slopes
 from ddic.images.source import ImageSource
 from ddic.images.window import Window
 
@@ -19,10 +20,9 @@ HALO = {3: 28, 5: 44}
 PADDING = {3: 2, 5: 3}
 """Coefficients needed beyond the outermost pixel at which the spline is evaluated."""
 
-_VALUE_TAPS = {3: np.array([1.0, 4.0, 1.0]) / 6.0, 5: np.array([1.0, 26.0, 66.0, 26.0, 1.0]) / 120.0}
-_SLOPE_TAPS = {3: np.array([-1.0, 0.0, 1.0]) / 2.0, 5: np.array([-1.0, -10.0, 0.0, 10.0, 1.0]) / 24.0}
-
 _BAND_ROWS = 512
+_BLOCK = 2**17
+"""Pixels whose rows are filtered together, in float64 as much as the second-level cache holds."""
 
 
 @dataclass(frozen=True)
@@ -55,10 +55,19 @@ class GradientImage:
     by_y: NDArray[np.float32]
     usable: NDArray[np.uint8] | None = None
 
+    def part(self, window: Window) -> GradientImage:
+        """A window of it, whose arrays look into these; only what is excluded is copied."""
+        inside = np.s_[window.y0 - self.window.y0: window.y1 - self.window.y0,
+                       window.x0 - self.window.x0: window.x1 - self.window.x0]
+        return GradientImage(window, self.values[inside], self.by_x[inside], self.by_y[inside],
+                             None if self.usable is None else self.usable[inside].copy())
+
 
 def spline_coefficients(values: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
     """Prefilter an image (height, width) for B-spline interpolation with reflection at its edges."""
-    return np.asarray(ndimage.spline_filter(values, order=degree, output=np.float64, mode="mirror"))
+    coefficients = np.array(values, dtype=np.float64, order="C")
+    prefilter(coefficients, degree)
+    return coefficients
 
 
 def read_spline(source: ImageSource, window: Window, degree: int,
@@ -78,27 +87,29 @@ def read_spline(source: ImageSource, window: Window, degree: int,
 
 def read_gradient(source: ImageSource, window: Window, degree: int,
                   usable: NDArray[np.uint8] | None = None) -> GradientImage:
-    """Read a window (inside the image) with its spline gradient at pixel centres."""
+    """Read a window (inside the image) with its spline gradient at pixel centres.
+
+    A slope along x needs coefficients along x alone: the values of the spline at pixel centres of a column undo the
+    prefilter along columns.
+    """
     shape = (window.height, window.width)
     values, by_x, by_y = (np.empty(shape, dtype=np.float32) for _ in range(3))
-    pad = PADDING[degree]
-    held = _hold(source, window.grown(pad), degree)
-    for band in _bands(window):
-        wide = band.grown(pad).clipped(source.width, source.height)
-        coefficients = np.concatenate([c for _, c in _coefficient_bands(held, wide, degree)])
-        gx = _filter(coefficients, _VALUE_TAPS[degree], _SLOPE_TAPS[degree])
-        gy = _filter(coefficients, _SLOPE_TAPS[degree], _VALUE_TAPS[degree])
-        rows = slice(band.y0 - window.y0, band.y1 - window.y0)
-        inner = np.s_[band.y0 - wide.y0: band.y1 - wide.y0, band.x0 - wide.x0: band.x1 - wide.x0]
-        by_x[rows], by_y[rows] = gx[inner], gy[inner]
-        values[rows] = held.read(band)
+    held = _hold(source, window.grown(PADDING[degree]), degree)
+    wide = held.window
+    n_rows = max(_BLOCK // wide.width, TURNED)
+    buffer = held.buffer(max(n_rows, _BAND_ROWS + 2 * (HALO[degree] + PADDING[degree])))
+    for rows in _bands(window, n_rows):
+        block = held.read(Window(wide.x0, rows.y0, wide.x1, rows.y1), buffer)
+        prefilter_rows(block, degree)
+        row_slopes(block, window.x0 - wide.x0, degree, by_x[rows.y0 - window.y0: rows.y1 - window.y0])
+    for band in _bands(window, _BAND_ROWS):
+        place = slice(band.y0 - window.y0, band.y1 - window.y0)
+        tall = band.grown(HALO[degree] + PADDING[degree]).intersection(wide)
+        block = held.read(Window(window.x0, tall.y0, window.x1, tall.y1), buffer)
+        prefilter_columns(block, degree)
+        column_slopes(block, band.y0 - tall.y0, degree, by_y[place])
+        values[place] = held.part(band)
     return GradientImage(window, values, by_x, by_y, usable)
-
-
-def _filter(coefficients: NDArray[np.float64], taps_y: NDArray[np.float64],
-            taps_x: NDArray[np.float64]) -> NDArray[np.float64]:
-    along_y = ndimage.correlate1d(coefficients, taps_y, axis=0, mode="mirror")
-    return np.asarray(ndimage.correlate1d(along_y, taps_x, axis=1, mode="mirror"))
 
 
 @dataclass(frozen=True)
@@ -109,10 +120,18 @@ class _Held:
     extent: Window
     pixels: NDArray[Any]
 
-    def read(self, window: Window) -> NDArray[np.float64]:
-        inside = self.pixels[window.y0 - self.window.y0: window.y1 - self.window.y0,
-                             window.x0 - self.window.x0: window.x1 - self.window.x0]
-        return inside.astype(np.float64)
+    def part(self, window: Window) -> NDArray[Any]:
+        return self.pixels[window.y0 - self.window.y0: window.y1 - self.window.y0,
+                           window.x0 - self.window.x0: window.x1 - self.window.x0]
+
+    def read(self, window: Window, buffer: NDArray[np.float64]) -> NDArray[np.float64]:
+        # Memory that is asked for anew for every band costs more than its filtering.
+        block = buffer[:window.n_pixels].reshape(window.height, window.width)
+        block[:] = self.part(window)
+        return block
+
+    def buffer(self, rows: int) -> NDArray[np.float64]:
+        return np.empty(min(rows, self.window.height) * self.window.width)
 
 
 def _hold(source: ImageSource, window: Window, degree: int) -> _Held:
@@ -135,16 +154,18 @@ def _finite(pixels: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(pixels[tuple(nearest)])
 
 
-def _bands(window: Window) -> Iterator[Window]:
-    for y0 in range(window.y0, window.y1, _BAND_ROWS):
-        yield Window(window.x0, y0, window.x1, min(y0 + _BAND_ROWS, window.y1))
+def _bands(window: Window, height: int) -> Iterator[Window]:
+    for y0 in range(window.y0, window.y1, height):
+        yield Window(window.x0, y0, window.x1, min(y0 + height, window.y1))
 
 
 def _coefficient_bands(held: _Held, window: Window,
                        degree: int) -> Iterator[tuple[Window, NDArray[np.float64]]]:
-    for band in _bands(window):
+    buffer = held.buffer(_BAND_ROWS + 2 * HALO[degree])
+    for band in _bands(window, _BAND_ROWS):
         wide = band.grown(HALO[degree]).intersection(held.extent)
-        coefficients = spline_coefficients(held.read(wide), degree)
+        coefficients = held.read(wide, buffer)
+        prefilter(coefficients, degree)
         yield band, coefficients[band.y0 - wide.y0: band.y1 - wide.y0, band.x0 - wide.x0: band.x1 - wide.x0]
 
 

@@ -35,15 +35,23 @@ class MaskedSource:
         """The whole image."""
         return Window(0, 0, self.image.width, self.image.height)
 
+    @property
+    def may_exclude(self) -> bool:
+        """Whether pixels can be left out at all."""
+        return self.mask is not None or self._without_saturated
+
+    @property
+    def _without_saturated(self) -> bool:
+        return self.exclude_saturated and self.image.saturation is not None
+
     def usable(self, window: Window) -> NDArray[np.uint8] | None:
         """1 where a pixel counts, 0 where it is left out; None where nothing can be left out."""
-        saturated = self.exclude_saturated and self.image.saturation is not None
-        if self.mask is None and not saturated:
+        if not self.may_exclude:
             return None
         usable = np.ones((window.height, window.width), dtype=np.uint8)
         if self.mask is not None:
             usable &= np.asarray(self.mask.read(window) != 0, dtype=np.uint8)
-        if saturated:
+        if self._without_saturated:
             usable &= np.asarray(self.image.read(window) < self.image.saturation, dtype=np.uint8)
         return usable
 

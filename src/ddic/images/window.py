@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 
@@ -51,3 +52,23 @@ class Window:
         """Whether ``other`` lies inside."""
         return (self.x0 <= other.x0 and self.y0 <= other.y0
                 and self.x1 >= other.x1 and self.y1 >= other.y1)
+
+
+def shared_windows(windows: Sequence[Window], halo: int) -> list[list[int]]:
+    """Put neighbours together whose common window holds no more pixels than theirs do, a halo around each; in order."""
+    groups: list[list[int]] = []
+
+    def divide(members: list[int]) -> None:
+        common = windows[members[0]]
+        for k in members[1:]:
+            common = common.union(windows[k])
+        if common.grown(halo).n_pixels <= sum(windows[k].grown(halo).n_pixels for k in members):
+            groups.append(members)
+            return
+        half = len(members) // 2
+        divide(members[:half])
+        divide(members[half:])
+
+    if windows:
+        divide(list(range(len(windows))))
+    return groups

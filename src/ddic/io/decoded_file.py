@@ -17,11 +17,14 @@ from ddic.io.pixel_format import PixelFormat
 
 def decoded_format(path: Path) -> PixelFormat:
     """Size and type of an image file that OpenCV reads; raises InputError if it does not."""
+    return _format(_decode(path))
+
+
+def decode_whole(path: Path) -> tuple[PixelFormat, NDArray[Any]]:
+    """Size and type, and the grey levels of the whole image, (height, width); raises InputError if unreadable."""
     pixels = _decode(path)
-    n_channels = pixels.shape[2]
-    return PixelFormat(width=pixels.shape[1], height=pixels.shape[0], dtype=pixels.dtype,
-                       bits=8 * pixels.dtype.itemsize, n_colours=1 if n_channels < 3 else 3,
-                       n_channels=n_channels)
+    layout = _format(pixels)
+    return layout, to_grey(_red_first(pixels, layout), layout.n_colours)
 
 
 def read_decoded(path: Path, layout: PixelFormat, window: Window) -> NDArray[Any]:
@@ -29,11 +32,20 @@ def read_decoded(path: Path, layout: PixelFormat, window: Window) -> NDArray[Any
     pixels = _decode(path)
     if pixels.shape != (layout.height, layout.width, layout.n_channels):
         raise InputError(f"{path}: the file changed while it was in use; keep images fixed during a run")
-    part = pixels[window.y0:window.y1, window.x0:window.x1]
-    if layout.n_colours == 3:
-        part = part[..., 2::-1]  # OpenCV orders colours blue, green, red
+    part = _red_first(pixels[window.y0:window.y1, window.x0:window.x1], layout)
     # A copy, so that the whole image is released.
     return to_grey(part, layout.n_colours).copy()
+
+
+def _format(pixels: NDArray[Any]) -> PixelFormat:
+    height, width, n_channels = pixels.shape
+    return PixelFormat(width=width, height=height, dtype=pixels.dtype, bits=8 * pixels.dtype.itemsize,
+                       n_colours=1 if n_channels < 3 else 3, n_channels=n_channels)
+
+
+def _red_first(pixels: NDArray[Any], layout: PixelFormat) -> NDArray[Any]:
+    # OpenCV orders colours blue, green, red.
+    return pixels[..., 2::-1] if layout.n_colours == 3 else pixels
 
 
 def _decode(path: Path) -> NDArray[Any]:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +15,13 @@ from numpy.typing import NDArray
 from ddic.errors import InputError
 from ddic.images.source import ImageSource
 from ddic.images.window import Window
-from ddic.io.decoded_file import decoded_format, read_decoded
+from ddic.io.decoded_file import decode_whole, decoded_format, read_decoded
 from ddic.io.pixel_format import PixelFormat
 from ddic.io.tiff_file import can_decode, is_tiff, read_tiff, tiff_format
 
 BAND_PIXELS = 1 << 20
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,25 @@ def open_image(path: Path | str) -> ImageFile:
     Raises InputError if the file is missing or is no image that can be read.
     """
     path = Path(path)
+    windowed, tiff = _kind(path)
+    layout = tiff_format(path) if windowed else _explained(path, tiff, decoded_format)
+    _warn_of_what_is_dropped(path, layout)
+    return ImageFile(path, layout, windowed)
+
+
+def open_decoded(path: Path | str) -> tuple[ImageFile, NDArray[Any] | None]:
+    """``open_image``, and the grey levels (height, width) where the file can only be decoded whole, else None."""
+    path = Path(path)
+    windowed, tiff = _kind(path)
+    if windowed:
+        return open_image(path), None
+    layout, pixels = _explained(path, tiff, decode_whole)
+    _warn_of_what_is_dropped(path, layout)
+    return ImageFile(path, layout, windowed), pixels
+
+
+def _kind(path: Path) -> tuple[bool, bool]:
+    """Whether a file can be read window by window, and whether it is a TIFF; raises InputError if it is missing."""
     if not path.is_file():
         raise InputError(f"{path}: no such image file; check the path")
     try:
@@ -78,10 +100,7 @@ def open_image(path: Path | str) -> ImageFile:
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
     # Some compressions need codecs that tifffile lacks: OpenCV decodes those, whole but with all their bits.
-    windowed = tiff and can_decode(path)
-    layout = tiff_format(path) if windowed else _decoded_format(path, tiff)
-    _warn_of_what_is_dropped(path, layout)
-    return ImageFile(path, layout, windowed)
+    return tiff and can_decode(path), tiff
 
 
 def sha256_of_file(path: Path | str) -> str:
@@ -114,9 +133,10 @@ def find_not_finite(source: ImageSource, mask: NDArray[np.bool_] | None = None) 
                          f"(x, y) = {first}; leave them out with a mask image (0 there)")
 
 
-def _decoded_format(path: Path, tiff: bool) -> PixelFormat:
+def _explained(path: Path, tiff: bool, decode: Callable[[Path], T]) -> T:
+    """What ``decode`` makes of a file; where it fails on a TIFF, the error says what to do about it."""
     try:
-        return decoded_format(path)
+        return decode(path)
     except InputError as error:
         if not tiff:
             raise

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-SCHEMA_VERSION = "1.0"
+SCHEMA_VERSION = "1.1"
 VTKHDF_VERSION = (2, 0)
 
 VTKHDF = "VTKHDF"
@@ -19,6 +19,7 @@ RESIDUAL_IMAGE = "residual_image"
 RESIDUAL = "residual"
 GAUSS_NEWTON = "history/gauss_newton"
 KRYLOV = "history/krylov"
+PHASES = "history/phases"
 CASE = "case"
 PROVENANCE = "provenance"
 TIME = "time"

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from ddic.io import result_schema as schema
+from ddic.io.image_chunks import ChunkGrid
 from ddic.io.replace_on_exit import replaced_on_exit
 from ddic.io.residual_sidecar import write_sidecar
 from ddic.io.result_schema import FieldSpec
 
 CHUNK_ROWS = 16384
-IMAGE_CHUNK = 256
 CHUNK_CACHE_BYTES = 64 << 20
 
 
@@ -34,10 +34,10 @@ class PieceSize:
 
 @dataclass(frozen=True)
 class Piece:
-    """A subdomain's mesh and fields.
+    """A subdomain's mesh and fields, or those of several subdomains that follow each other.
 
     points: (n_points, dim) pixels, y down. connectivity: (n_connectivity,) numbers of the piece's own points.
-    offsets: (n_cells + 1,). types: (n_cells,) VTK cell types.
+    offsets: (n_cells + 1,) of each piece. types: (n_cells,) VTK cell types.
     point_data, cell_data: name -> (n,) scalars, (n, dim) or (n, 3) vectors, (n, 6) symmetric tensors.
     """
 
@@ -60,10 +60,13 @@ class ResultWriter:
                  cell_fields: Sequence[FieldSpec], *, flip_y: bool) -> None:
         self._path = Path(path)
         self._sizes = tuple(sizes)
+        counts = np.array([(s.n_points, s.n_cells, s.n_connectivity) for s in sizes], np.int64).reshape(-1, 3)
+        self._starts = np.concatenate([np.zeros((1, 3), np.int64), np.cumsum(counts, axis=0)])
         self._point_fields = tuple(point_fields)
         self._cell_fields = tuple(cell_fields)
         self._flip_y = flip_y
         self._written: set[int] = set()
+        self._grid: ChunkGrid | None = None
         self._stack = ExitStack()
 
     def __enter__(self) -> Self:
@@ -83,65 +86,65 @@ class ResultWriter:
             missing = sorted(set(range(len(self._sizes))) - self._written)
             if missing:
                 raise ValueError(f"{self._path}: pieces {missing} were not written")
-            image_shape = self._residual.shape if self._has_residual else None
         sidecar = schema.sidecar_path(self._path)
-        if image_shape is None:
+        if self._grid is None:
             # One of an earlier run would point to an image that is no longer there.
             sidecar.unlink(missing_ok=True)
         else:
-            write_sidecar(self._path, width=image_shape[1], height=image_shape[0], flip_y=self._flip_y)
+            write_sidecar(self._path, width=self._grid.width, height=self._grid.height, flip_y=self._flip_y)
 
-    def write_piece(self, index: int, piece: Piece) -> None:
-        """Write the mesh and fields of one piece.
+    def write_pieces(self, indices: range, pieces: Piece) -> None:
+        """Write the mesh and fields of some pieces that follow each other, joined to one (``joined``).
 
-        Raises ValueError if the piece was written before, or if its arrays do not have the announced shapes.
+        Raises ValueError if one was written before, or if the arrays do not have the announced shapes.
         """
-        if index in self._written:
-            raise ValueError(f"piece {index} was written before")
-        size = self._sizes[index]
-        for what, found, expected in (("points", len(piece.points), size.n_points),
-                                      ("types", len(piece.types), size.n_cells),
-                                      ("offsets", len(piece.offsets), size.n_cells + 1),
-                                      ("connectivity", len(piece.connectivity), size.n_connectivity)):
+        again = sorted(self._written.intersection(indices))
+        if again:
+            raise ValueError(f"pieces {again} were written before")
+        start, stop = self._start(indices.start), self._start(indices.stop)
+        n_points, n_cells = stop.n_points - start.n_points, stop.n_cells - start.n_cells
+        for what, found, expected in (("points", len(pieces.points), n_points),
+                                      ("types", len(pieces.types), n_cells),
+                                      ("offsets", len(pieces.offsets), n_cells + len(indices)),
+                                      ("connectivity", len(pieces.connectivity),
+                                       stop.n_connectivity - start.n_connectivity)):
             if found != expected:
-                raise ValueError(f"piece {index}: {found} {what}, {expected} announced")
-        start = self._start(index)
+                raise ValueError(f"pieces {indices}: {found} {what}, {expected} announced")
         group = self._file[schema.VTKHDF]
-        points = _three_components(np.asarray(piece.points, np.float64))
+        points = _three_components(np.asarray(pieces.points, np.float64))
         _put(group["Points"], start.n_points, self._oriented(points))
-        _put(group["Connectivity"], start.n_connectivity, piece.connectivity)
-        _put(group["Offsets"], start.n_cells + index, piece.offsets)
-        _put(group["Types"], start.n_cells, piece.types)
-        self._write_fields(schema.POINT_DATA, self._point_fields, piece.point_data,
-                           start.n_points, size.n_points)
-        self._write_fields(schema.CELL_DATA, self._cell_fields, piece.cell_data, start.n_cells, size.n_cells)
-        self._written.add(index)
+        _put(group["Connectivity"], start.n_connectivity, pieces.connectivity)
+        _put(group["Offsets"], start.n_cells + indices.start, pieces.offsets)
+        _put(group["Types"], start.n_cells, pieces.types)
+        self._write_fields(schema.POINT_DATA, self._point_fields, pieces.point_data, start.n_points, n_points)
+        self._write_fields(schema.CELL_DATA, self._cell_fields, pieces.cell_data, start.n_cells, n_cells)
+        self._written.update(indices)
 
-    def create_residual_image(self, width: int, height: int) -> None:
-        """Make room for the residual image (pixels); it is NaN where no strip is written."""
-        chunks = (min(IMAGE_CHUNK, height), min(IMAGE_CHUNK, width))
-        data = self._file.create_dataset(f"{schema.RESIDUAL_IMAGE}/{schema.RESIDUAL}", (height, width),
-                                         np.float32, chunks=chunks, compression="gzip", compression_opts=1,
+    def create_residual_image(self, grid: ChunkGrid) -> None:
+        """Make room for the residual image; it is NaN where no chunk is written."""
+        data = self._file.create_dataset(f"{schema.RESIDUAL_IMAGE}/{schema.RESIDUAL}", (grid.height, grid.width),
+                                         "<f4", chunks=grid.shape, compression="gzip", compression_opts=1,
                                          shuffle=True, fillvalue=np.nan)
         data.attrs["unit"] = "grey level"
         data.attrs["description"] = "f(x) - g(x + u), NaN where not correlated; rows go down"
         self._file[schema.RESIDUAL_IMAGE].attrs["origin"] = np.zeros(2)
+        self._grid, self._residual = grid, data.id
 
-    def write_residual_strip(self, y0: int, strip: NDArray[np.float32]) -> None:
-        """Write rows y0, y0 + 1, ... of the residual image; strip: (rows, width), NaN: not correlated."""
-        height, width = self._residual.shape
-        if strip.ndim != 2 or strip.shape[1] != width or y0 < 0 or y0 + len(strip) > height:
-            raise ValueError(f"strip of shape {strip.shape} at row {y0} in an image of {width} x {height} px")
-        self._residual[y0:y0 + len(strip)] = strip
+    def write_residual_chunk(self, number: int, data: bytes) -> None:
+        """Write one chunk of the residual image; data: as ``packed`` makes it. It is not unpacked here."""
+        if self._grid is None:
+            raise ValueError("create_residual_image comes before write_residual_chunk")
+        window = self._grid.window(number)
+        self._residual.write_direct_chunk((window.y0, window.x0), data)
 
     def write_table(self, group: str, columns: Mapping[str, Sequence[Any] | NDArray[Any]]) -> None:
-        """Write a table, one dataset per column; all columns have the same length."""
+        """Write a table, one dataset per column of numbers or texts; all columns have the same length."""
         arrays = {name: np.asarray(column) for name, column in columns.items()}
         if len({len(array) for array in arrays.values()}) > 1:
             raise ValueError(f"{group}: columns of different lengths")
         target = self._file.require_group(group)
         for name, array in arrays.items():
-            target[name] = array
+            target[name] = array.astype(h5py.string_dtype()) if array.dtype.kind == "U" else array
 
     def write_curves(self, group: str, curves: Sequence[Sequence[float] | NDArray[np.float64]]) -> None:
         """Write arrays of different lengths as datasets 0000, 0001, ..."""
@@ -155,20 +158,9 @@ class ResultWriter:
         for name, value in values.items():
             target.attrs[name] = value
 
-    @property
-    def _has_residual(self) -> bool:
-        return schema.RESIDUAL_IMAGE in self._file
-
-    @property
-    def _residual(self) -> Any:
-        if not self._has_residual:
-            raise ValueError("create_residual_image comes before write_residual_strip")
-        return self._file[schema.RESIDUAL_IMAGE][schema.RESIDUAL]
-
     def _start(self, index: int) -> PieceSize:
-        before = self._sizes[:index]
-        return PieceSize(sum(s.n_points for s in before), sum(s.n_cells for s in before),
-                         sum(s.n_connectivity for s in before))
+        """Where a piece begins."""
+        return PieceSize(*(int(n) for n in self._starts[index]))
 
     def _oriented(self, values: NDArray[Any]) -> NDArray[Any]:
         return schema.flip_components(values) if self._flip_y else values
@@ -210,6 +202,19 @@ class ResultWriter:
             if values.shape != expected:
                 raise ValueError(f"{group}/{field.name}: shape {values.shape}, {expected} announced")
             _put(self._file[group][field.name], start, self._oriented(values))
+
+
+def joined(pieces: Sequence[Piece]) -> Piece:
+    """Pieces one after the other, as the file holds them: every piece still numbers its own points from 0."""
+    if len(pieces) == 1:
+        return pieces[0]
+
+    def fields(all_of: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
+        return {name: np.concatenate([one[name] for one in all_of]) for name in all_of[0]}
+
+    return Piece(np.concatenate([p.points for p in pieces]), np.concatenate([p.connectivity for p in pieces]),
+                 np.concatenate([p.offsets for p in pieces]), np.concatenate([p.types for p in pieces]),
+                 fields([p.point_data for p in pieces]), fields([p.cell_data for p in pieces]))
 
 
 def _create(group: Any, name: str, length: int, n_components: int, dtype: DTypeLike) -> Any:

@@ -18,7 +18,8 @@ class Summary:
 
     iterations: of Gauss-Newton at full resolution; krylov_iterations: of each of them.
     residual_std_grey: grey levels; residual_percent_of_range: the same in % of the dynamic range.
-    seconds: wall seconds by phase, the slowest rank's; cpu_seconds: by phase, all ranks';
+    seconds: wall seconds by phase, the slowest rank's; cpu_seconds: by phase, all ranks'; imbalance: by phase, the
+    busiest rank's CPU seconds over the ranks' mean, without those spent waiting for other ranks outside PETSc;
     peak_memory_bytes: by rank. eta, cut_off_wavelength (px): None without regularization.
     largest_jump_px: largest displacement jump left at an interface node; linear_error_px: estimated RMS error of
     the displacement that the last linear step left (0 if direct, None if unknown).
@@ -47,6 +48,7 @@ class Summary:
     eta: float | None = None
     cut_off_wavelength: float | None = None
     notes: Sequence[str] = field(default_factory=tuple)
+    imbalance: Mapping[str, float] = field(default_factory=dict)
 
 
 def summary_path(result: Path) -> Path:

@@ -30,11 +30,11 @@ class FiniteElementKinematics:
     def monomial_coefficients(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """Coefficients of u on the monomials, (n_cells, 2, 4), from nodal unknowns q (n_dofs,), pixels."""
         nodal = q[self.cell_dofs].reshape(-1, N_MONOMIALS, 2)
-        return np.ascontiguousarray(np.einsum("eam,eac->ecm", self.shapes, nodal))
+        return nodal.transpose(0, 2, 1) @ self.shapes
 
     def assemble_vector(self, moments: NDArray[np.float64]) -> NDArray[np.float64]:
         """Assemble cell moments (n_cells, 2, 4) on the monomials into a nodal vector (n_dofs,)."""
-        nodal = np.einsum("eam,ecm->eac", self.shapes, moments).reshape(len(moments), -1)
+        nodal = (self.shapes @ moments.transpose(0, 2, 1)).reshape(len(moments), -1)
         summed = np.bincount(self.cell_dofs.ravel(), weights=nodal.ravel(), minlength=self.n_dofs)
         return summed.astype(np.float64, copy=False)
 

@@ -11,9 +11,10 @@ from scipy import sparse
 
 from ddic.case.schema import RegularizationSection, SolverSection
 from ddic.errors import InputError, on_all_ranks
-from ddic.functionals.correlation import correlation
+from ddic.functionals.correlation import correlations
 from ddic.functionals.equilibrium_gap import controlled_stiffness, cut_off_weight, texture_energies
 from ddic.images.sub_image import DeformedSubImage
+from ddic.images.window import Window
 from ddic.methods.inputs import ImagePair, Region, material
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain, interface_weights
@@ -43,15 +44,27 @@ class Assembly:
         return 1.0 if self.eta == 0 else float(1.0 / np.sqrt(self.eta * self.mean_diagonal))
 
 
-def own_part(subdomain: Subdomain, pair: ImagePair, degree: int) -> OwnedPart:
-    """Read a subdomain's window of the reference image; that of the deformed one is read when needed."""
-    return OwnedPart(subdomain, correlation(subdomain.mesh, pair.reference, degree),
-                     DeformedSubImage(pair.deformed, degree))
+def own_parts(subdomains: Sequence[Subdomain], pair: ImagePair, degree: int) -> list[OwnedPart]:
+    """Read the subdomains' windows of the reference image; those of the deformed one are read when needed."""
+    parts: list[OwnedPart] = []
+    for group in correlations([s.mesh for s in subdomains], pair.reference, degree):
+        deformed = DeformedSubImage(pair.deformed, degree)
+        parts += [OwnedPart(subdomains[len(parts) + k], seen, deformed) for k, seen in enumerate(group)]
+    return parts
 
 
-def seen_part(part: OwnedPart, q: NDArray[np.float64]) -> OwnedPart:
-    """A part without the pixels that the displacement q hides in the deformed image."""
-    return replace(part, correlation=part.correlation.seen_from(part.deformed, q))
+def seen_parts(parts: Sequence[OwnedPart], q: Sequence[NDArray[np.float64]]) -> list[OwnedPart]:
+    """The parts without the pixels that the displacements q hide in the deformed image, whose windows are read."""
+    wanted: dict[int, tuple[DeformedSubImage, Window]] = {}
+    for part, q_s in zip(parts, q, strict=True):
+        window = part.correlation.displaced_window(q_s)
+        shared = wanted.get(id(part.deformed))
+        # At once for all who share it: one by one, every subdomain would outgrow what the last one read.
+        wanted[id(part.deformed)] = (part.deformed, window if shared is None else window.union(shared[1]))
+    for deformed, window in wanted.values():
+        deformed.covering(window)
+    return [replace(part, correlation=part.correlation.seen_from(part.deformed, q_s))
+            for part, q_s in zip(parts, q, strict=True)]
 
 
 def correlate(team: Team, parts: Sequence[OwnedPart]) -> list[sparse.csr_matrix]:

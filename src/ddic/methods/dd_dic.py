@@ -13,8 +13,8 @@ from ddic.functionals.correlation import Residual
 from ddic.functionals.strain import inverted_cells
 from ddic.io.mesh_source import build_mesh
 from ddic.mesh.mesh import Mesh
-from ddic.methods.assembly import SINGULAR, assemble, correlate, own_part, seen_part
-from ddic.methods.inputs import ImagePair, Region, cut, hand_out, open_pair
+from ddic.methods.assembly import SINGULAR, assemble, correlate, own_parts, seen_parts
+from ddic.methods.inputs import ImagePair, Region, cut, hand_out, open_shared_pair
 from ddic.methods.linear_step import linear_solver
 from ddic.methods.listener import Listener, Setting
 from ddic.methods.start import coarse_field, coarse_task, refine_independently
@@ -58,7 +58,7 @@ def dd_dic(team: Team, case: Case, listener: Listener, clock: PhaseClock) -> Mea
     """
     correction = case.correlation.grey_correction
     with clock.phase("mesh"):
-        pair = team.together(lambda: open_pair(case))
+        pair = open_shared_pair(team, case)
         mesh = _whole_mesh(team, case, pair)
     with clock.phase("start"):
         find_coarse = coarse_task(team, case, pair, mesh)
@@ -67,9 +67,9 @@ def dd_dic(team: Team, case: Case, listener: Listener, clock: PhaseClock) -> Mea
         subdomains, region = hand_out(team, whole)
         start = coarse_field(team, case, found, [s.mesh.nodes for s in subdomains])
     with clock.phase("read"):
-        parts = team.together(lambda: [own_part(s, pair, case.correlation.spline_degree) for s in subdomains])
+        parts = team.together(lambda: own_parts(subdomains, pair, case.correlation.spline_degree))
         n_pixels = sum(team.gather_lists([part.correlation.n_usable_pixels for part in parts]))
-        parts = team.together(lambda: [seen_part(part, q) for part, q in zip(parts, start.q, strict=True)])
+        parts = team.together(lambda: seen_parts(parts, start.q))
     with clock.phase("assemble"):
         correlated = Correlated(parts, correlate(team, parts), region, start)
         if case.solver.method == "dual":

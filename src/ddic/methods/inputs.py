@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,16 +12,18 @@ from numpy.typing import NDArray
 from ddic.case.schema import Case, RegularizationSection, SolverSection
 from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import gap_energies
+from ddic.images.source import ImageSource
 from ddic.images.sub_image import MaskedSource
-from ddic.io.image_file import open_image
+from ddic.io.image_file import open_decoded, open_image
 from ddic.io.partition_file import read_partition
 from ddic.mesh.control import not_controlled_nodes
 from ddic.mesh.mesh import Mesh, Similarity
-from ddic.mesh.raster import rasterize
 from ddic.mesh.topology import boundary_nodes
 from ddic.parallel.distribution import distribute
+from ddic.parallel.shared_image import open_once_a_node
 from ddic.parallel.team import Team
 from ddic.partition.connectivity import build_subdomains
+from ddic.partition.cost import cell_costs, subdomain_costs
 from ddic.partition.split import split_by_blocks, split_by_metis
 from ddic.partition.subdomain import Subdomain
 
@@ -57,6 +60,17 @@ def open_pair(case: Case) -> ImagePair:
                      MaskedSource(open_image(section.deformed), masks[1], section.exclude_saturated))
 
 
+def open_shared_pair(team: Team, case: Case) -> ImagePair:
+    """``open_pair`` on all ranks: an image that can only be decoded whole is decoded once a node; collective."""
+    def opened(path: Path) -> ImageSource:
+        return open_once_a_node(team, lambda: open_decoded(path))
+
+    section = case.images
+    masks = [None if path is None else opened(path) for path in (section.reference_mask, section.deformed_mask)]
+    return ImagePair(MaskedSource(opened(section.reference), masks[0], section.exclude_saturated),
+                     MaskedSource(opened(section.deformed), masks[1], section.exclude_saturated))
+
+
 def material(section: RegularizationSection) -> Material:
     """Elastic constants of the regularization."""
     return Material(section.poisson_ratio, section.plane)
@@ -64,17 +78,21 @@ def material(section: RegularizationSection) -> Material:
 
 @dataclass(frozen=True)
 class CutMesh:
-    """All subdomains of the mesh, and what every rank is to know of it."""
+    """All subdomains of the mesh, the work that each brings, (n_subdomains,), and what every rank is to know of it."""
 
     subdomains: list[Subdomain]
+    costs: NDArray[np.float64]
     region: Region
 
 
 def cut(case: Case, mesh: Mesh, n_ranks: int) -> CutMesh:
     """Split the whole mesh as the case says; free of communication."""
-    subdomains = build_subdomains(mesh, _parts(case.solver, mesh, n_ranks), _controlled(case.regularization, mesh))
-    return CutMesh(subdomains, Region(mesh.n_nodes, mesh.n_cells, mesh.n_dofs, len(subdomains),
-                                      region_gap_energies(case.regularization, mesh), mesh.mapping))
+    costs = cell_costs(mesh)
+    parts = _parts(case.solver, mesh, n_ranks, costs)
+    subdomains = build_subdomains(mesh, parts, _controlled(case.regularization, mesh))
+    region = Region(mesh.n_nodes, mesh.n_cells, mesh.n_dofs, len(subdomains),
+                    region_gap_energies(case.regularization, mesh), mesh.mapping)
+    return CutMesh(subdomains, subdomain_costs(costs, parts), region)
 
 
 def hand_out(team: Team, whole: CutMesh | None) -> tuple[list[Subdomain], Region]:
@@ -83,7 +101,7 @@ def hand_out(team: Team, whole: CutMesh | None) -> tuple[list[Subdomain], Region
         assert whole is not None
         return whole
 
-    return distribute(team, lambda: known().subdomains), team.on_root(lambda: known().region)
+    return distribute(team, lambda: (known().subdomains, known().costs)), team.on_root(lambda: known().region)
 
 
 def share_out(team: Team, case: Case, mesh: Mesh | None) -> tuple[list[Subdomain], Region]:
@@ -100,14 +118,16 @@ def share_out(team: Team, case: Case, mesh: Mesh | None) -> tuple[list[Subdomain
 
 def deal_out(team: Team, case: Case, mesh: Mesh | None, split: Callable[[Mesh], NDArray[np.int64]]) -> list[Subdomain]:
     """Cut the mesh that rank 0 holds as ``split`` says there, (n_cells,), and give each rank its subdomains."""
-    def cut() -> list[Subdomain]:
+    def cut() -> tuple[list[Subdomain], NDArray[np.float64]]:
         assert mesh is not None
-        return build_subdomains(mesh, split(mesh), _controlled(case.regularization, mesh))
+        parts = split(mesh)
+        return (build_subdomains(mesh, parts, _controlled(case.regularization, mesh)),
+                subdomain_costs(cell_costs(mesh), parts))
 
     return distribute(team, cut)
 
 
-def _parts(solver: SolverSection, mesh: Mesh, n_ranks: int) -> NDArray[np.int64]:
+def _parts(solver: SolverSection, mesh: Mesh, n_ranks: int, costs: NDArray[np.float64]) -> NDArray[np.int64]:
     if solver.method == "monolithic":
         return np.zeros(mesh.n_cells, dtype=np.int64)
     if solver.partition == "blocks":
@@ -116,7 +136,7 @@ def _parts(solver: SolverSection, mesh: Mesh, n_ranks: int) -> NDArray[np.int64]
     if solver.partition == "file":
         assert solver.partition_file is not None
         return read_partition(solver.partition_file, mesh.n_cells)
-    return split_by_metis(mesh, solver.subdomains or n_ranks, rasterize(mesh).pixel_counts)
+    return split_by_metis(mesh, solver.subdomains or n_ranks, costs)
 
 
 def _controlled(section: RegularizationSection | None, mesh: Mesh) -> NDArray[np.bool_]:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ddic.case.schema import Case, SolverSection
 from ddic.io.mesh_source import build_mesh
-from ddic.methods.assembly import assemble, correlate, factorize, own_part
+from ddic.methods.assembly import assemble, correlate, factorize, own_parts
 from ddic.methods.inputs import open_pair, share_out
 from ddic.parallel.team import Team
 from ddic.solvers.noise_floor import expected_noise_rms
@@ -25,7 +25,7 @@ def expected_noise(case: Case, sigma: float, nodes: NDArray[np.bool_]) -> float:
     pair = open_pair(case)
     mesh = build_mesh(case, pair.reference.image.width, pair.reference.image.height)
     subdomains, region = share_out(alone, case, mesh)
-    parts = [own_part(s, pair, case.correlation.spline_degree) for s in subdomains]
+    parts = own_parts(subdomains, pair, case.correlation.spline_degree)
     assembly = assemble(alone, parts, correlate(alone, parts), region, case.solver, case.regularization)
     operator = factorize(alone, assembly.systems, assembly.mean_diagonal)[0]
     try:

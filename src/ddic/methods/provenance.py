@@ -11,14 +11,15 @@ import mpi4py.MPI
 import petsc4py.PETSc
 
 import ddic
-from ddic.case.schema import ImagesSection
-from ddic.io.image_file import open_image, sha256_of_file
+from ddic.images.source import ImageSource
+from ddic.io.image_file import sha256_of_file
 from ddic.io.source_tree import source_commit
 
 _LIBRARIES = ("numpy", "scipy", "numba", "h5py", "mpi4py", "petsc4py")
 
 
-def provenance(images: ImagesSection, *, n_ranks: int, n_subdomains: int) -> dict[str, str | int]:
+def provenance(reference: ImageSource, deformed: ImageSource, *, n_ranks: int,
+               n_subdomains: int) -> dict[str, str | int]:
     """Facts that let a reader repeat the measurement; called on rank 0."""
     facts: dict[str, str | int] = {
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -33,9 +34,8 @@ def provenance(images: ImagesSection, *, n_ranks: int, n_subdomains: int) -> dic
     }
     for library in _LIBRARIES:
         facts[library] = metadata.version(library)
-    for name, path in (("reference", images.reference), ("deformed", images.deformed)):
-        image = open_image(path)
-        facts[f"{name}_path"] = str(path)
+    for name, image in (("reference", reference), ("deformed", deformed)):
+        facts[f"{name}_path"] = str(image.path)
         facts[f"{name}_size"] = f"{image.width}x{image.height}"
-        facts[f"{name}_sha256"] = sha256_of_file(path)
+        facts[f"{name}_sha256"] = sha256_of_file(image.path)
     return facts

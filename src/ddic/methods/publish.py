@@ -13,51 +13,82 @@ from ddic.case.loader import LoadedCase
 from ddic.functionals.correlation import Residual
 from ddic.functionals.strain import cell_strain
 from ddic.io import result_schema as schema
-from ddic.io.result_writer import Piece, PieceSize, ResultWriter
+from ddic.io.image_chunks import ChunkGrid
+from ddic.io.result_writer import Piece, PieceSize, ResultWriter, joined
 from ddic.methods.dd_dic import Measurement
+from ddic.methods.phase_times import PhaseTimes
 from ddic.methods.provenance import provenance
-from ddic.parallel.distribution import owners
+from ddic.methods.residual_image import PackedChunk, Patch, packed_chunks, to_root
 from ddic.parallel.team import Team
 from ddic.solvers.gauss_newton import IterationRecord, OwnedPart
 
-STRIP_ROWS = 512
-_PIECE = 1
+BATCH_POINTS = 1 << 14
+"""Points from which on pieces are sent and written together (about 6 MB)."""
+
+_BATCH = 1
 
 
 @dataclass(frozen=True)
-class Patch:
-    """A rectangle of the residual image, NaN where its subdomain has no pixel; x0, y0: its first pixel."""
+class Batch:
+    """Pieces that follow each other, joined."""
 
-    x0: int
-    y0: int
-    values: NDArray[np.float32]
+    n_pieces: int
+    pieces: Piece
 
 
-def publish(team: Team, loaded: LoadedCase, measurement: Measurement) -> None:
-    """Write the result file; collective, only rank 0 touches the disk."""
+def publish(team: Team, loaded: LoadedCase, measurement: Measurement, times: PhaseTimes) -> None:
+    """Write the result file; collective, only rank 0 touches the disk. times: of the phases before."""
     sizes = team.gather_lists([_size(part) for part in measurement.parts])
-    pieces = _pieces(loaded, measurement)
-    patches = _patches(loaded, measurement) if loaded.case.output.residual_image else []
+    owned = team.gather_lists([len(measurement.parts)])
+    batches = _batches(_pieces(loaded, measurement))
     if not team.is_root:
-        for piece in pieces:
-            team.comm.send(piece, dest=0, tag=_PIECE)
-        if loaded.case.output.residual_image:
-            for _ in _strips(team, measurement, patches):
-                pass
+        for batch in batches:
+            with team.waiting.counted():
+                team.comm.send(batch, dest=0, tag=_BATCH)
+        for _ in _chunks(team, loaded, measurement):
+            pass
         return
     length_unit = None if loaded.case.images.pixel_size is None else loaded.case.images.length_unit
     with ResultWriter(loaded.case.output.file, sizes, schema.point_fields(length_unit), schema.cell_fields(),
                       flip_y=loaded.case.output.flip_y) as writer:
-        for rank, owned in enumerate(owners(measurement.region.n_subdomains, team.size)):
-            for index in owned:
-                writer.write_piece(index, next(pieces) if rank == 0 else team.comm.recv(source=rank, tag=_PIECE))
+        for indices, pieces in _all_batches(team, owned, batches):
+            writer.write_pieces(indices, pieces)
         _write_histories(writer, measurement.records)
+        _write_times(writer, times)
         _write_attributes(writer, team, loaded, measurement)
         if loaded.case.output.residual_image:
-            writer.create_residual_image(measurement.pair.reference.image.width,
-                                         measurement.pair.reference.image.height)
-            for y0, strip in _strips(team, measurement, patches):
-                writer.write_residual_strip(y0, strip)
+            writer.create_residual_image(_grid(measurement))
+            for chunk in _chunks(team, loaded, measurement):
+                writer.write_residual_chunk(chunk.number, chunk.data)
+
+
+def _batches(pieces: Iterator[Piece]) -> Iterator[Batch]:
+    """Join pieces up to a size that bounds what rank 0 holds at a time."""
+    held: list[Piece] = []
+    for piece in pieces:
+        held.append(piece)
+        if sum(len(p.points) for p in held) >= BATCH_POINTS:
+            yield Batch(len(held), joined(held))
+            held = []
+    if held:
+        yield Batch(len(held), joined(held))
+
+
+def _all_batches(team: Team, owned: Sequence[int], own: Iterator[Batch]) -> Iterator[tuple[range, Piece]]:
+    """All ranks' batches on rank 0, in the order of subdomains, with their numbers."""
+    begin = 0
+    for rank, n_pieces in enumerate(owned):
+        end = begin + n_pieces
+        while begin < end:
+            batch = next(own) if rank == 0 else _received(team, rank)
+            yield range(begin, begin + batch.n_pieces), batch.pieces
+            begin += batch.n_pieces
+
+
+def _received(team: Team, rank: int) -> Batch:
+    with team.waiting.counted():
+        batch: Batch = team.comm.recv(source=rank, tag=_BATCH)
+    return batch
 
 
 def _size(part: OwnedPart) -> PieceSize:
@@ -107,28 +138,24 @@ def _residual_rms(loaded: LoadedCase, measurement: Measurement, residual: Residu
     return np.where(n > 0, np.sqrt(square / np.maximum(n, 1.0)), np.nan)
 
 
-def _patches(loaded: LoadedCase, measurement: Measurement) -> list[Patch]:
-    patches = []
+def _grid(measurement: Measurement) -> ChunkGrid:
+    image = measurement.pair.reference.image
+    return ChunkGrid(image.width, image.height)
+
+
+def _chunks(team: Team, loaded: LoadedCase, measurement: Measurement) -> Iterator[PackedChunk]:
+    """Chunks of the residual image on rank 0, nothing elsewhere and where the case wants no image."""
+    if not loaded.case.output.residual_image:
+        return
+    windows = [part.correlation.reference.window for part in measurement.parts]
+    yield from to_root(team, packed_chunks(team, _grid(measurement), windows, _patches(loaded, measurement)))
+
+
+def _patches(loaded: LoadedCase, measurement: Measurement) -> Iterator[Patch]:
     for part, q, residual in zip(measurement.parts, measurement.field.q, measurement.residuals, strict=True):
         gain, offset = _gain_and_offset(loaded, measurement, residual)
-        window = part.correlation.reference.window
-        patches.append(Patch(window.x0, window.y0, part.correlation.residual_image(part.deformed, q, gain, offset)))
-    return patches
-
-
-def _strips(team: Team, measurement: Measurement,
-            patches: Sequence[Patch]) -> Iterator[tuple[int, NDArray[np.float32]]]:
-    """Gather the residual image strip by strip on rank 0 (y0, rows); elsewhere the strips are empty."""
-    image = measurement.pair.reference.image
-    for y0 in range(0, image.height, STRIP_ROWS):
-        y1 = min(y0 + STRIP_ROWS, image.height)
-        mine = [Patch(p.x0, max(p.y0, y0) - y0, p.values[max(y0 - p.y0, 0): max(y1 - p.y0, 0)]) for p in patches]
-        gathered = team.comm.gather([p for p in mine if p.values.size], root=0)
-        strip = np.full((y1 - y0 if team.is_root else 0, image.width), np.nan, dtype=np.float32)
-        for patch in (p for part in gathered or () for p in part):
-            target = strip[patch.y0: patch.y0 + patch.values.shape[0], patch.x0: patch.x0 + patch.values.shape[1]]
-            np.copyto(target, patch.values, where=~np.isnan(patch.values))
-        yield y0, strip
+        yield Patch(part.correlation.reference.window,
+                    part.correlation.residual_image(part.deformed, q, gain, offset))
 
 
 def _write_histories(writer: ResultWriter, records: Sequence[IterationRecord]) -> None:
@@ -147,6 +174,15 @@ def _write_histories(writer: ResultWriter, records: Sequence[IterationRecord]) -
     writer.write_curves(schema.KRYLOV, [r.krylov_history for r in records])
 
 
+def _write_times(writer: ResultWriter, times: PhaseTimes) -> None:
+    writer.write_table(schema.PHASES, {
+        "phase": list(times.seconds),
+        "seconds": list(times.seconds.values()),
+        "cpu_seconds": list(times.cpu_seconds.values()),
+        "imbalance": list(times.imbalance.values()),
+    })
+
+
 def _write_attributes(writer: ResultWriter, team: Team, loaded: LoadedCase, measurement: Measurement) -> None:
     images = loaded.case.images
     writer.write_attributes(schema.CASE, {
@@ -155,5 +191,6 @@ def _write_attributes(writer: ResultWriter, team: Team, loaded: LoadedCase, meas
     })
     writer.write_attributes(schema.TIME, {"reference": images.reference_time, "deformed": images.deformed_time})
     writer.write_attributes(schema.UNITS, {"pixel_size": images.pixel_size or 1.0, "length_unit": images.length_unit})
+    pair = measurement.pair
     writer.write_attributes(schema.PROVENANCE, provenance(
-        images, n_ranks=team.size, n_subdomains=measurement.region.n_subdomains))
+        pair.reference.image, pair.deformed.image, n_ranks=team.size, n_subdomains=measurement.region.n_subdomains))

@@ -12,6 +12,7 @@ from ddic.io.case_check import check_case
 from ddic.io.summary import Summary, summary_path, write_summary
 from ddic.methods.dd_dic import Measurement, dd_dic
 from ddic.methods.listener import Listener
+from ddic.methods.phase_times import phase_times
 from ddic.methods.publish import publish
 from ddic.parallel.team import Team
 from ddic.solvers.phases import PhaseClock
@@ -23,10 +24,10 @@ def run_case(team: Team, path: Path, listener: Listener) -> Summary:
     Raises DdicError on all ranks; nothing is written unless the measurement converged.
     """
     loaded = team.on_root(lambda: _checked(path, team.size))
-    clock = PhaseClock(entered=listener.phase)
+    clock = PhaseClock(entered=listener.phase, waiting=team.waiting)
     measurement = dd_dic(team, loaded.case, listener, clock)
     with clock.phase("write"):
-        publish(team, loaded, measurement)
+        publish(team, loaded, measurement, phase_times(team, clock))
     summary = summarize(team, loaded.case, measurement, clock)
     team.on_root(lambda: write_summary(summary_path(loaded.case.output.file), summary))
     return summary
@@ -59,8 +60,7 @@ def summarize(team: Team, case: Case, measurement: Measurement, clock: PhaseCloc
     """Numbers for scripts; collective."""
     setting, grey = measurement.setting, measurement.grey
     memory = team.gather_lists([resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024])
-    walls = team.gather_lists([clock.wall])
-    cpus = team.gather_lists([clock.cpu])
+    times = phase_times(team, clock)
     return Summary(
         converged=True,
         iterations=len(measurement.records),
@@ -72,8 +72,9 @@ def summarize(team: Team, case: Case, measurement: Measurement, clock: PhaseCloc
         n_pixels=grey.n_pixels,
         n_pixels_outside=setting.n_pixels - grey.n_pixels,
         krylov_iterations=[r.krylov_iterations for r in measurement.records],
-        seconds={name: max(w.get(name, 0.0) for w in walls) for name in clock.wall},
-        cpu_seconds={name: sum(c.get(name, 0.0) for c in cpus) for name in clock.wall},
+        seconds=times.seconds,
+        cpu_seconds=times.cpu_seconds,
+        imbalance=times.imbalance,
         peak_memory_bytes=memory,
         eta=setting.eta or None,
         cut_off_wavelength=None if case.regularization is None else case.regularization.cut_off_wavelength,

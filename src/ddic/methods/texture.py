@@ -11,10 +11,11 @@ from scipy import sparse
 
 from ddic.case.schema import Case
 from ddic.errors import InputError, first_of
-from ddic.functionals.texture import Texture, blank_subdomains, restricted, texture
+from ddic.functionals.correlation import restricted
+from ddic.functionals.texture import Texture, blank_subdomains, texture
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import cell_adjacency
-from ddic.methods.assembly import correlate, own_part, seen_part
+from ddic.methods.assembly import correlate, own_parts, seen_parts
 from ddic.methods.inputs import ImagePair, Region, deal_out
 from ddic.methods.start import StartField
 from ddic.parallel.team import Team
@@ -64,8 +65,7 @@ def with_texture(team: Team, case: Case, pair: ImagePair, mesh: Mesh | None, giv
     n_left = team.on_root(merge)
     subdomains = deal_out(team, case, mesh, lambda whole: held[0])
     q = _moved(team, region, parts, start.q, subdomains)
-    parts = team.together(lambda: [seen_part(own_part(s, pair, case.correlation.spline_degree), q_s)
-                                   for s, q_s in zip(subdomains, q, strict=True)])
+    parts = team.together(lambda: seen_parts(own_parts(subdomains, pair, case.correlation.spline_degree), q))
     note = _note(owner, blank, region.n_subdomains, n_left)
     return Correlated(parts, correlate(team, parts), replace(region, n_subdomains=n_left),
                       StartField(q, (note, *start.notes)))

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import pickle
+import time
 import traceback
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import numpy as np
@@ -17,11 +19,31 @@ from ddic.errors import DdicError, on_all_ranks
 T = TypeVar("T")
 
 
+@dataclass
+class Waiting:
+    """CPU seconds that this rank has spent in a team's communication: MPI turns in a loop while it waits."""
+
+    seconds: float = 0.0
+
+    @contextmanager
+    def counted(self) -> Iterator[None]:
+        """Count the time spent inside."""
+        began = time.process_time()
+        try:
+            yield
+        finally:
+            self.seconds += time.process_time() - began
+
+
 @dataclass(frozen=True)
 class Team:
-    """A communicator and the collective operations that ddic allows itself outside PETSc."""
+    """A communicator and the collective operations that ddic allows itself outside PETSc.
+
+    waiting: what this rank has spent in them, by which a busy rank is told from one that waits for it.
+    """
 
     comm: MPI.Comm
+    waiting: Waiting = field(default_factory=Waiting, compare=False, repr=False)
 
     @property
     def rank(self) -> int:
@@ -40,12 +62,16 @@ class Team:
 
     def on_root(self, work: Callable[[], T]) -> T:
         """Run ``work`` on rank 0 and give every rank its result; an error there is raised on all ranks."""
-        result: T = self.comm.bcast(self._attempt_on_root(work), root=0)
+        outcome = self._attempt_on_root(work)
+        with self.waiting.counted():
+            result: T = self.comm.bcast(outcome, root=0)
         return result
 
     def scatter_from_root(self, work: Callable[[], Sequence[T]]) -> T:
         """Run ``work`` on rank 0, which returns one item per rank, and give each rank its own."""
-        item: T = self.comm.scatter(self._attempt_on_root(work), root=0)
+        items = self._attempt_on_root(work)
+        with self.waiting.counted():
+            item: T = self.comm.scatter(items, root=0)
         return item
 
     def together(self, work: Callable[[], T]) -> T:
@@ -56,7 +82,8 @@ class Team:
             result = work()
         except Exception as caught:
             error = _portable(caught, self.rank)
-        failed = self.comm.allreduce(self.rank if error is not None else self.size, op=MPI.MIN)
+        with self.waiting.counted():
+            failed = self.comm.allreduce(self.rank if error is not None else self.size, op=MPI.MIN)
         if failed < self.size:
             error = self.comm.bcast(error, root=failed)
             assert error is not None
@@ -82,7 +109,8 @@ class Team:
                 outcome = work()
             except Exception as caught:
                 error = _portable(caught, self.rank)
-        error = self.comm.bcast(error, root=0)
+        with self.waiting.counted():
+            error = self.comm.bcast(error, root=0)
         if error is not None:
             raise on_all_ranks(error)
         return outcome
@@ -92,13 +120,16 @@ class Team:
 
         The result does not depend on how subdomains are spread over ranks, to the last bit.
         """
-        parts = self.comm.allgather([np.asarray(v, dtype=np.float64) for v in values])
+        with self.waiting.counted():
+            parts = self.comm.allgather([np.asarray(v, dtype=np.float64) for v in values])
         everything = [v for part in parts for v in part]
         return np.asarray(np.sum(np.stack(everything), axis=0))
 
     def gather_lists(self, values: Sequence[T]) -> list[T]:
         """All ranks' items, in the order of ranks, on every rank."""
-        return [v for part in self.comm.allgather(list(values)) for v in part]
+        with self.waiting.counted():
+            gathered = self.comm.allgather(list(values))
+        return [v for part in gathered for v in part]
 
 
 def _portable(error: Exception, rank: int) -> Exception:

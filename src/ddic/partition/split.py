@@ -10,9 +10,12 @@ from ddic.errors import InputError
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import cell_adjacency
 
+MEAN_WEIGHT = 1000.0
+LARGEST_SUM = 2.0**30
 
-def split_by_metis(mesh: Mesh, n_subdomains: int, weights: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
-    """Split by METIS on the graph of cells that share a facet; weights (n_cells,) are balanced.
+
+def split_by_metis(mesh: Mesh, n_subdomains: int, weights: NDArray[np.float64] | None = None) -> NDArray[np.int64]:
+    """Split by METIS on the graph of cells that share a facet; weights (n_cells,), of any scale, are balanced.
 
     Returns the subdomain of each cell (n_cells,). Raises InputError where a subdomain would be empty.
     """
@@ -26,9 +29,15 @@ def split_by_metis(mesh: Mesh, n_subdomains: int, weights: NDArray[np.int64] | N
     options = pymetis.Options(seed=1, ncuts=8, niter=50)
     _, parts = pymetis.part_graph(
         n_subdomains, adjacency=pymetis.CSRAdjacency(indptr, indices), recursive=n_subdomains <= 8, options=options,
-        vweights=None if weights is None else np.maximum(weights, 1).tolist(),
+        vweights=None if weights is None else _whole_weights(weights).tolist(),
     )
     return renumber(np.asarray(parts, dtype=np.int64), n_subdomains)
+
+
+def _whole_weights(weights: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Weights as whole numbers of at least 1: METIS knows no others, and adds them up in 32 bits."""
+    unit = max(float(np.mean(weights)) / MEAN_WEIGHT, float(np.sum(weights)) / LARGEST_SUM)
+    return np.maximum(np.rint(weights / unit), 1).astype(np.int64) if unit > 0 else np.ones(len(weights), np.int64)
 
 
 def split_by_blocks(mesh: Mesh, blocks: tuple[int, ...]) -> NDArray[np.int64]:

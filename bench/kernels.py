@@ -1,0 +1,175 @@
+"""Pixel kernels, one core: right-hand side against plain C, left-hand side, prefilter; 4096 x 4096 px.
+
+All are measured alternately in one process; rates are medians of CPU time and count the region's pixels.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import reduce
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from support.c_kernel import FLAGS, compiled, right_hand_side, triad
+from support.harness import DATA, Row, append_result, main
+from support.unstructured_mesh import write_unstructured_mesh
+
+from ddic.functionals.correlation import Correlation, correlations
+from ddic.images.binned import ArraySource
+from ddic.images.spline import read_gradient, read_spline
+from ddic.images.sub_image import DeformedSubImage, MaskedSource
+from ddic.images.window import Window
+from ddic.io.mesh_file import read_mesh
+from ddic.mesh.mesh import Mesh, Similarity
+from ddic.mesh.structured import structured_mesh
+from ddic.partition.split import split_by_metis
+
+SIZE, MARGIN = 4096, 32
+SUBDOMAIN = 160_000
+"""Pixels of a subdomain in the paper's case: 29 megapixels in 180."""
+
+ROUNDS = 5
+RHS_BOUND, C_BOUND, LHS_BOUND = 100.0, 0.6, 70.0
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Parts of a mesh with their images and a displacement, and the pixels of all.
+
+    windows: of the reference image, each of one part or shared by several.
+    """
+
+    name: str
+    parts: list[Correlation]
+    deformed: list[DeformedSubImage]
+    q: list[NDArray[np.float64]]
+    source: MaskedSource
+    degree: int
+    windows: list[Window]
+
+    @property
+    def n_pixels(self) -> int:
+        """Pixels of the region."""
+        return sum(part.n_usable_pixels for part in self.parts)
+
+
+def field(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The reference field at nodes (n, 2), as unknowns (2 n,), pixels."""
+    x, y = 2 * np.pi * nodes.T
+    return np.column_stack([0.35 + 0.60 * np.sin(x / 1024 + 0.3) * np.cos(y / 1280 - 0.2),
+                            -0.25 + 0.50 * np.cos(x / 1280 - 0.7) * np.sin(y / 1024 + 0.5)]).ravel()
+
+
+def mixed_mesh() -> Mesh:
+    """Triangles and quadrangles of 15 px around a hole."""
+    path = Path(DATA) / "kernels_mixed.vtk"
+    if not path.is_file():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        low, high = MARGIN + 0.3, SIZE - MARGIN - 0.4
+        write_unstructured_mesh(path, (low, low, high, high), 15.0, ((SIZE / 2, SIZE / 2), SIZE / 8))
+    return read_mesh(path, Similarity())
+
+
+def problem(name: str, mesh: Mesh, n_parts: int, degree: int = 3) -> Problem:
+    """Cut a mesh in parts, as a run does."""
+    pixels = np.random.default_rng(0).integers(0, 256, (SIZE, SIZE), dtype=np.uint8)
+    source = MaskedSource(ArraySource(Path("memory"), pixels, 255.0))
+    labels = split_by_metis(mesh, n_parts) if n_parts > 1 else np.zeros(mesh.n_cells, dtype=np.int64)
+    meshes = [mesh.submesh(np.flatnonzero(labels == s))[0] for s in range(n_parts)]
+    groups = correlations(meshes, source, degree)
+    parts, q = [part for group in groups for part in group], [field(m.nodes) for m in meshes]
+    deformed = [image for group in groups for image in [DeformedSubImage(source, degree)] * len(group)]
+    windows = [reduce(Window.union, (part.reference.window for part in group)) for group in groups]
+    reach = [part.displaced_window(q_s) for part, q_s in zip(parts, q, strict=True)]
+    for image in deformed:
+        image.covering(reduce(Window.union, (r for r, of in zip(reach, deformed, strict=True) if of is image)))
+    return Problem(name, parts, deformed, q, source, degree, windows)
+
+
+def alternated(calls: dict[str, Callable[[], object]]) -> dict[str, float]:
+    """Median CPU seconds of each call, all called in turn ROUNDS times after one unmeasured call."""
+    seconds: dict[str, list[float]] = {name: [] for name in calls}
+    for call in calls.values():
+        call()
+    for _ in range(ROUNDS):
+        for name, call in calls.items():
+            start = time.process_time()
+            call()
+            seconds[name].append(time.process_time() - start)
+    return {name: float(np.median(values)) for name, values in seconds.items()}
+
+
+def c_calls(p: Problem) -> dict[str, Callable[[], object]]:
+    """The C kernel with each set of flags on all parts; raises RuntimeError where its sums are others."""
+    calls: dict[str, Callable[[], object]] = {}
+    for flags in FLAGS:
+        library = compiled(flags)
+        runs = []
+        for part, deformed, q in zip(p.parts, p.deformed, p.q, strict=True):
+            ours = part.residual(deformed, q)
+            run = right_hand_side(library, part, deformed.covering(part.displaced_window(q)),
+                                  part.kinematics.monomial_coefficients(q))
+            moments, sums = run()
+            for a, b in ((moments, ours.moments[:, 0]), (sums, ours.cell_sums.values)):
+                if not np.abs(a - b).max() <= 1e-11 * np.abs(b).max():
+                    raise RuntimeError("the C kernel's sums differ from ours by more than rounding")
+            runs.append(run)
+        calls[f"C {flags}"] = lambda runs=runs: [run() for run in runs]  # type: ignore[misc]
+    return calls
+
+
+def our_calls(p: Problem) -> dict[str, Callable[[], object]]:
+    """Phases of a part's work, each on all parts."""
+    return {
+        "rhs": lambda: [part.residual(g, q) for part, g, q in zip(p.parts, p.deformed, p.q, strict=True)],
+        "hessian": lambda: [part.hessian_cells() for part in p.parts],
+        "gradient": lambda: [read_gradient(p.source.image, w, p.degree) for w in p.windows],
+        "prefilter": lambda: [read_spline(p.source.image, w, p.degree) for w in p.windows],
+    }
+
+
+def rows_of(p: Problem) -> list[Row]:
+    """Measure a problem and append its figures to bench/results/kernels_runs.jsonl."""
+    stream = {"triad": triad(compiled("-O3 -march=native"))}
+    seconds = alternated({**our_calls(p), **(c_calls(p) if p.degree == 3 else {}), **stream})
+    rate = {name: p.n_pixels / s / 1e6 for name, s in seconds.items()}
+    bandwidth = 24 * 4e6 / seconds["triad"] / 1e9
+    lhs = 1.0 / (1.0 / rate["hessian"] + 1.0 / rate["gradient"])
+    record = {
+        "problem": p.name, "degree": p.degree, "n_pixels": p.n_pixels, "n_parts": len(p.parts),
+        "rhs_mpx_per_s_core": rate["rhs"], "lhs_mpx_per_s_core": lhs, "hessian_mpx_per_s": rate["hessian"],
+        "gradient_mpx_per_s": rate["gradient"], "prefilter_mpx_per_s": rate["prefilter"], "triad_gb_per_s": bandwidth}
+    what = f"degree {p.degree}, {p.name}"
+    left = Row(f"left-hand side, {what}", f">= {LHS_BOUND:.0f} Mpx/s per core" if p.degree == 3 else "recorded",
+               f"{lhs:.0f} Mpx/s: gradient {rate['gradient']:.0f}, cell sums {rate['hessian']:.0f}; "
+               f"prefilter of g {rate['prefilter']:.0f}", lhs >= LHS_BOUND or p.degree == 5)
+    if p.degree == 5:
+        append_result("kernels", record)
+        return [Row(f"right-hand side, {what}", "recorded", f"{rate['rhs']:.0f} Mpx/s", True), left]
+    in_c = {name: r for name, r in rate.items() if name.startswith("C ")}
+    fastest = max(in_c.values())
+    fraction = rate["rhs"] / fastest
+    append_result("kernels", {**record, **in_c, "rhs_fraction_of_c_kernel": fraction,
+                              "c_kernel_bytes_per_triad_bytes": 16e-3 * fastest / bandwidth})
+    return [Row(f"right-hand side, {what}", f">= {RHS_BOUND:.0f} Mpx/s per core and >= {C_BOUND} of C",
+                f"{rate['rhs']:.0f} Mpx/s, {fraction:.2f} of C ("
+                + ", ".join(f"{name[2:]}: {r:.0f}" for name, r in in_c.items())
+                + f"); C moves 16 B/px at {16e-3 * fastest / bandwidth:.2f} of triad's {bandwidth:.0f} GB/s",
+                rate["rhs"] >= RHS_BOUND and fraction >= C_BOUND), left]
+
+
+def measure() -> list[Row]:
+    """Q4 of 16 px as one part and in subdomains, a mixed mesh in subdomains, and the quintic spline."""
+    square = structured_mesh((MARGIN, MARGIN, SIZE - MARGIN, SIZE - MARGIN), 16)
+    n_parts = round(SIZE**2 / SUBDOMAIN)
+    rows = rows_of(problem("16-px Q4, one part", square, 1))
+    rows += rows_of(problem(f"16-px Q4, {n_parts} subdomains", square, n_parts))
+    rows += rows_of(problem(f"15-px T3/Q4, {n_parts} subdomains", mixed_mesh(), n_parts))
+    return rows + rows_of(problem("16-px Q4, one part", square, 1, 5))
+
+
+if __name__ == "__main__":
+    main("kernels_rows", measure)

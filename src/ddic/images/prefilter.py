@@ -1,0 +1,152 @@
+"""Recursive B-spline prefilter of float64 blocks, and slopes of the spline at pixel centres.
+
+A block continues by reflection about its outermost pixels. The recursion runs along columns, so that neighbours in a
+row are one vector; rows are turned into columns a few at a time.
+"""
+# mypy: disable-error-code="no-untyped-def"
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+FLAGS = {"fastmath": {"contract", "reassoc", "nsz", "arcp"}, "error_model": "numpy", "nogil": True, "cache": True}
+
+POLES = {
+    # z + 1/z = s; s = -4 of z^2 + 4 z + 1, and the roots of s^2 + 26 s + 64 for z^4 + 26 z^3 + 66 z^2 + 26 z + 1.
+    degree: np.array([2.0 / (s - np.sqrt(s * s - 4.0)) for s in sums])
+    for degree, sums in {3: [-4.0], 5: [-64.0 / (13.0 + np.sqrt(105.0)), -13.0 - np.sqrt(105.0)]}.items()
+}
+"""Roots inside the unit circle of the polynomial of the spline's values at integers (1, 4, 1; 1, 26, 66, 26, 1)."""
+
+SLOPE_TAPS = {3: np.array([1.0]) / 2.0, 5: np.array([10.0, 1.0]) / 24.0}
+"""Weights of c[k + 1] - c[k - 1], c[k + 2] - c[k - 2] in the slope at pixel k."""
+
+STRIP = 128
+"""Columns filtered together: a strip of some 600 rows stays in the second-level cache."""
+
+TURNED = 16
+"""Rows that are turned into columns together."""
+
+TERMS = {3: 30, 5: 47}
+"""Terms of the first value's series, after which the poles' powers are below 1e-17."""
+
+
+def prefilter(block: NDArray[np.float64], degree: int) -> None:
+    """Turn pixels (height, width) into B-spline coefficients, in place, along both axes."""
+    prefilter_rows(block, degree)
+    prefilter_columns(block, degree)
+
+
+def prefilter_columns(block: NDArray[np.float64], degree: int) -> None:
+    """Turn pixels (height, width) into coefficients along columns, in place."""
+    _filter_columns(block, POLES[degree], TERMS[degree])
+
+
+def prefilter_rows(block: NDArray[np.float64], degree: int) -> None:
+    """Turn pixels (height, width) into coefficients along rows, in place."""
+    _filter_rows(block, POLES[degree], TERMS[degree], np.empty((block.shape[1], TURNED)))
+
+
+def row_slopes(coefficients: NDArray[np.float64], first: int, degree: int, out: NDArray[np.float32]) -> None:
+    """Slopes along x into out (height, n) at the columns from ``first``, per pixel.
+
+    coefficients: (height, width), prefiltered along rows only: along columns, values at pixel centres would undo it.
+    """
+    _row_slopes(coefficients, first, SLOPE_TAPS[degree], out)
+
+
+def column_slopes(coefficients: NDArray[np.float64], first: int, degree: int, out: NDArray[np.float32]) -> None:
+    """Slopes along y into out (n, width) at the rows from ``first``, per pixel; prefiltered along columns only."""
+    _column_slopes(coefficients, first, SLOPE_TAPS[degree], out)
+
+
+@numba.njit(**FLAGS)
+def _reflected(k, n):
+    """Where index k of a sequence of n that continues by reflection lies in it."""
+    if n == 1:
+        return 0
+    k = abs(k) % (2 * n - 2)
+    return k if k < n else 2 * n - 2 - k
+
+
+@numba.njit(**FLAGS)
+def _filter_strip(a, begin, end, poles, terms):
+    n = a.shape[0]
+    sums = np.empty(end - begin)
+    for z in poles:
+        gain = (1.0 - z) * (1.0 - 1.0 / z)
+        sums[:] = 0.0
+        power = gain
+        for k in range(terms):
+            row = a[_reflected(k, n)]
+            for j in range(end - begin):
+                sums[j] += power * row[begin + j]
+            power *= z
+        for j in range(end - begin):
+            a[0, begin + j] = sums[j]
+        for k in range(1, n):
+            for j in range(begin, end):
+                a[k, j] = gain * a[k, j] + z * a[k - 1, j]
+        last, before = a[n - 1], a[_reflected(n, n)]
+        for j in range(begin, end):
+            last[j] = z / (z * z - 1.0) * (last[j] + z * before[j])
+        for k in range(n - 2, -1, -1):
+            for j in range(begin, end):
+                a[k, j] = z * (a[k + 1, j] - a[k, j])
+
+
+@numba.njit(**FLAGS)
+def _filter_columns(a, poles, terms):
+    for begin in range(0, a.shape[1], STRIP):
+        _filter_strip(a, begin, min(begin + STRIP, a.shape[1]), poles, terms)
+
+
+@numba.njit(**FLAGS)
+def _filter_rows(a, poles, terms, turned):
+    for first in range(0, a.shape[0], TURNED):
+        rows = min(TURNED, a.shape[0] - first)
+        for k in range(a.shape[1]):
+            for i in range(rows):
+                turned[k, i] = a[first + i, k]
+        _filter_strip(turned, 0, rows, poles, terms)
+        for i in range(rows):
+            for k in range(a.shape[1]):
+                a[first + i, k] = turned[k, i]
+
+
+@numba.njit(**FLAGS)
+def _row_slopes(c, first, taps, out):
+    n, reach = c.shape[1], len(taps)
+    begin, end = max(first, reach), min(first + out.shape[1], n - reach)
+    for i in range(out.shape[0]):
+        row, to = c[i], out[i]
+        for k in range(first, first + out.shape[1]):
+            if begin <= k < end:
+                continue
+            slope = 0.0
+            for t in range(reach):
+                slope += taps[t] * (row[_reflected(k + t + 1, n)] - row[_reflected(k - t - 1, n)])
+            to[k - first] = slope
+        inner, target = row[begin - reach:end + reach], to[begin - first:]
+        if reach == 1:
+            for k in range(end - begin):
+                target[k] = taps[0] * (inner[k + 2] - inner[k])
+        else:
+            for k in range(end - begin):
+                target[k] = taps[0] * (inner[k + 3] - inner[k + 1]) + taps[1] * (inner[k + 4] - inner[k])
+
+
+@numba.njit(**FLAGS)
+def _column_slopes(c, first, taps, out):
+    n = c.shape[0]
+    for k in range(out.shape[0]):
+        row, ahead, behind = out[k], c[_reflected(first + k + 1, n)], c[_reflected(first + k - 1, n)]
+        if len(taps) == 1:
+            for j in range(out.shape[1]):
+                row[j] = taps[0] * (ahead[j] - behind[j])
+        else:
+            far, back = c[_reflected(first + k + 2, n)], c[_reflected(first + k - 2, n)]
+            for j in range(out.shape[1]):
+                row[j] = taps[0] * (ahead[j] - behind[j]) + taps[1] * (far[j] - back[j])

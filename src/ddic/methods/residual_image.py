@@ -1,0 +1,145 @@
+"""The residual image: every rank computes and compresses its chunks, rank 0 only stores them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.images.window import Window
+from ddic.io.image_chunks import ChunkGrid, packed
+from ddic.parallel.team import Team
+
+CHUNKS_A_MESSAGE = 16
+
+LARGE = 0.5
+"""Share of a chunk's largest part from which on a rank may own it; of these the one with the fewest chunks does."""
+
+_PART, _PACKED = 2, 3
+
+
+@dataclass(frozen=True)
+class Patch:
+    """A rectangle of the residual image, NaN where its subdomain has no pixel; window: its pixels."""
+
+    window: Window
+    values: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class PackedChunk:
+    """A compressed chunk; number: its place in the grid."""
+
+    number: int
+    data: bytes
+
+
+@dataclass(frozen=True)
+class ChunkShares:
+    """Who holds pixels of which chunk, the same on every rank.
+
+    sharers: ranks whose windows touch each touched chunk; owner: one of them with a large part.
+    """
+
+    sharers: dict[int, list[int]]
+    owner: dict[int, int]
+
+
+def share_chunks(team: Team, grid: ChunkGrid, windows: Iterable[Window]) -> ChunkShares:
+    """Agree on the owner of every chunk; windows: of the owned subdomains, pixels. Collective."""
+    area: Counter[int] = Counter()
+    for window in windows:
+        for number in grid.touching(window):
+            area[number] += window.intersection(grid.window(number)).n_pixels
+    parts: dict[int, dict[int, int]] = {}
+    for rank, areas in enumerate(team.gather_lists([dict(area)])):
+        for number, n_pixels in areas.items():
+            parts.setdefault(number, {})[rank] = n_pixels
+    n_owned: Counter[int] = Counter()
+    owner: dict[int, int] = {}
+    for number, held in sorted(parts.items()):
+        large = [rank for rank, n_pixels in held.items() if n_pixels >= LARGE * max(held.values())]
+        owner[number] = min(large, key=lambda rank: n_owned[rank])
+        n_owned[owner[number]] += 1
+    return ChunkShares({number: list(held) for number, held in parts.items()}, owner)
+
+
+def packed_chunks(team: Team, grid: ChunkGrid, windows: list[Window], patches: Iterator[Patch]) -> list[PackedChunk]:
+    """Chunks of this rank, compressed; those without a correlated pixel are left out. Collective.
+
+    windows: of the owned subdomains; patches: of the same, in this order, computed one by one. A chunk is sent or
+    compressed as soon as no further subdomain of this rank touches it.
+    """
+    shares = share_chunks(team, grid, windows)
+    mine = [n for n, rank in shares.owner.items() if rank == team.rank]
+    awaited = Counter(rank for n in mine for rank in shares.sharers[n] if rank != team.rank)
+    done: list[PackedChunk] = []
+    kept: dict[int, NDArray[np.float32]] = {}
+    sent = []
+    for number, chunk in _completed(grid, windows, patches):
+        if shares.owner[number] != team.rank:
+            sent.append(team.comm.isend((number, chunk), dest=shares.owner[number], tag=_PART))
+        elif len(shares.sharers[number]) > 1:
+            kept[number] = chunk
+        else:
+            done += _packed(number, chunk)
+    for rank, n_chunks in awaited.items():
+        for _ in range(n_chunks):
+            with team.waiting.counted():
+                number, chunk = team.comm.recv(source=rank, tag=_PART)
+            np.copyto(kept[number], chunk, where=~np.isnan(chunk))
+    for number, chunk in kept.items():
+        done += _packed(number, chunk)
+    with team.waiting.counted():
+        for request in sent:
+            request.wait()
+    return done
+
+
+def to_root(team: Team, chunks: list[PackedChunk]) -> Iterator[PackedChunk]:
+    """All ranks' chunks on rank 0, a few in each message; nothing elsewhere. Collective."""
+    if team.is_root:
+        yield from chunks
+        for rank in range(1, team.size):
+            while batch := _received(team, rank):
+                yield from batch
+        return
+    with team.waiting.counted():
+        for begin in range(0, len(chunks), CHUNKS_A_MESSAGE):
+            team.comm.send(chunks[begin:begin + CHUNKS_A_MESSAGE], dest=0, tag=_PACKED)
+        team.comm.send([], dest=0, tag=_PACKED)
+
+
+def _received(team: Team, rank: int) -> list[PackedChunk]:
+    with team.waiting.counted():
+        batch: list[PackedChunk] = team.comm.recv(source=rank, tag=_PACKED)
+    return batch
+
+
+def _completed(grid: ChunkGrid, windows: list[Window],
+               patches: Iterator[Patch]) -> Iterator[tuple[int, NDArray[np.float32]]]:
+    """Chunks with all that this rank's subdomains hold of them, each as soon as that is so."""
+    left = Counter(number for window in windows for number in grid.touching(window))
+    open_chunks: dict[int, NDArray[np.float32]] = {}
+    for patch in patches:
+        for number in grid.touching(patch.window):
+            chunk = open_chunks.setdefault(number, np.full(grid.shape, np.nan, dtype=np.float32))
+            _lay(patch, grid.window(number), chunk)
+            left[number] -= 1
+            if left[number] == 0:
+                yield number, open_chunks.pop(number)
+
+
+def _lay(patch: Patch, place: Window, chunk: NDArray[np.float32]) -> None:
+    """Copy the part of a patch that lies in a chunk; place: the chunk's pixels."""
+    common, origin = patch.window.intersection(place), patch.window
+    values = patch.values[common.y0 - origin.y0:common.y1 - origin.y0, common.x0 - origin.x0:common.x1 - origin.x0]
+    target = chunk[common.y0 - place.y0:common.y1 - place.y0, common.x0 - place.x0:common.x1 - place.x0]
+    np.copyto(target, values, where=~np.isnan(values))
+
+
+def _packed(number: int, chunk: NDArray[np.float32]) -> list[PackedChunk]:
+    return [] if np.isnan(chunk).all() else [PackedChunk(number, packed(chunk))]

@@ -1,0 +1,114 @@
+"""Images that can only be decoded whole: once a node, for all of its ranks."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from ddic.errors import InputError
+from ddic.images.source import ImageSource
+from ddic.images.window import Window
+from ddic.parallel.team import Team
+
+
+@dataclass(frozen=True)
+class DecodedImage:
+    """An image held decoded; windows are copies, as they are where an image is read from its file.
+
+    path: where it comes from; pixels: (height, width) grey levels in their own type, read-only;
+    saturation: largest grey level that the integer type holds, None for float images.
+    """
+
+    path: Path
+    pixels: NDArray[Any]
+    saturation: float | None
+
+    @property
+    def width(self) -> int:
+        """Number of columns."""
+        return int(self.pixels.shape[1])
+
+    @property
+    def height(self) -> int:
+        """Number of rows."""
+        return int(self.pixels.shape[0])
+
+    def read(self, window: Window) -> NDArray[Any]:
+        """Grey levels of a window, (window.height, window.width); raises ValueError if it leaves the image."""
+        if window.n_pixels == 0 or not Window(0, 0, self.width, self.height).contains(window):
+            raise ValueError(f"{window} is empty or leaves the image of {self.width} x {self.height} pixels")
+        return np.array(self.pixels[window.y0:window.y1, window.x0:window.x1])
+
+
+@dataclass(frozen=True)
+class _Offer:
+    """What the first rank of a node opened; pixels: where it is alone; file, shape, dtype: where others map them."""
+
+    source: ImageSource
+    pixels: NDArray[Any] | None = None
+    file: Path | None = None
+    shape: tuple[int, ...] = ()
+    dtype: np.dtype[Any] | None = None
+
+
+def open_once_a_node(team: Team, opened: Callable[[], tuple[ImageSource, NDArray[Any] | None]]) -> ImageSource:
+    """Open an image on the first rank of each node and share it with the node's other ranks; collective.
+
+    opened: gives the image and, where it had to be decoded whole, its pixels (height, width). Several ranks of a node
+    map these from a temporary file (in TMPDIR) that is unlinked at once: the node holds one copy, which goes with the
+    last rank that lets go of the image. Raises on all ranks what ``opened`` raises, and InputError where the
+    temporary file cannot be written.
+    """
+    # A map of a file and no MPI window: where shared memory is short, MPI_Win_allocate_shared fails on one rank
+    # alone and leaves the others waiting (Open MPI 4.1), and a window could only be freed by all ranks together.
+    node = Team(team.comm.Split_type(MPI.COMM_TYPE_SHARED))
+    try:
+        own = team.together(lambda: _offer(*opened(), alone=node.size == 1) if node.is_root else None)
+        # Pixels that nobody else needs are not copied through MPI.
+        offer: _Offer | None = own if node.size == 1 else node.comm.bcast(own)
+        assert offer is not None
+        try:
+            return team.together(partial(_accepted, offer))
+        finally:
+            if node.is_root and offer.file is not None:
+                offer.file.unlink(missing_ok=True)
+    finally:
+        node.comm.Free()
+
+
+def _offer(source: ImageSource, pixels: NDArray[Any] | None, *, alone: bool) -> _Offer:
+    if pixels is None or alone:
+        return _Offer(source, pixels)
+    return _Offer(source, None, _stored(source.path, pixels), pixels.shape, pixels.dtype)
+
+
+def _stored(path: Path, pixels: NDArray[Any]) -> Path:
+    """Write pixels to a temporary file; returns its name."""
+    file: Path | None = None
+    try:
+        with tempfile.NamedTemporaryFile(prefix="ddic-image-", delete=False) as stream:
+            file = Path(stream.name)
+            pixels.tofile(stream)
+    except OSError as error:
+        if file is not None:
+            file.unlink(missing_ok=True)
+        raise InputError(
+            f"{path}: its {pixels.nbytes} bytes, decoded once for all ranks of a node, do not fit into "
+            f"{tempfile.gettempdir()} ({error}); make room there, set TMPDIR to another folder, or save the image as "
+            "uncompressed TIFF, which is read window by window") from error
+    return file
+
+
+def _accepted(offer: _Offer) -> ImageSource:
+    pixels = offer.pixels
+    if offer.file is not None:
+        pixels = np.asarray(np.memmap(offer.file, offer.dtype, mode="r", shape=offer.shape))
+    return offer.source if pixels is None else DecodedImage(offer.source.path, pixels, offer.source.saturation)
