@@ -18,8 +18,8 @@ from support.cases import Ears, write_case, write_images
 RANKS = [1, 2, 3, 4]
 KEYS = {"converged", "iterations", "residual_std_grey", "n_dofs", "n_subdomains", "n_ranks", "krylov_iterations",
         "seconds", "peak_memory_bytes"}
-PHASES = ["mesh", "start", "read", "assemble", "independent start", "factorize", "interface set-up", "residual", "linear step",
-          "finish", "write"]
+PHASES = ["mesh", "start", "read", "assemble", "independent start", "factorize", "interface set-up", "residual",
+          "linear step", "finish", "write"]
 
 
 def _write(folder: Path, more: str = "", **sections: str) -> Path:
