@@ -3,7 +3,7 @@
 Usage: peers.py [--peers NAME ...] [--sizes SIZE ...] [--repeats N] [--method NAME]
 
 All peers and sizes by default, which takes an hour; with --sizes 2048 it takes some minutes. --method is ddic's
-solver.method, where it is not the default.
+solver.method, where it is not that of METHODS; rows name it.
 
 Every program runs in a process of its own with one thread. Seconds are CPU seconds from images on disk to the field in
 memory: process start, imports, compilation (a tiny pair goes first) and ddic's result file are left out; the ratio of
@@ -37,6 +37,8 @@ WAVELENGTH = 80
 """The cut-off wavelength of every regularized run of ddic, px: one for images with and without noise."""
 SIZES = {"2048": (2112, 2112), "4096": (4160, 4160), "29mpx": (6576, 4384)}
 """Image width and height, px; 2048 and 4096 are the mesh's sides, a margin inside."""
+METHODS = {"pyxel": None, "pyvale": "conjugate_gradient"}
+"""ddic's solver.method against each peer, None for its default; l_c is a few elements, where nothing need be factorised."""
 PLAN = {"pyxel": ("2048", "4096"), "pyvale": ("2048", "29mpx")}
 REPEATS, REPEATS_LARGE = 3, 1
 """Of each program; pyxel needs ten minutes for one measurement of size 4096."""
@@ -248,6 +250,7 @@ PEERS = {"pyxel": against_pyxel, "pyvale": against_pyvale}
 def rows(peer: str, sizes: Sequence[str] | None = None, repeats: int | None = None,
          method: str | None = None) -> Iterator[Row]:
     """The rows of a peer as they are measured."""
+    method = method or METHODS[peer]
     # Compiles what the first measured job would otherwise compile within its whole-job seconds.
     for wavelength, n_ranks in ((0, 1), (WAVELENGTH, 1), (WAVELENGTH, 2)):
         ddic(warm_up_pair(), wavelength, n_ranks, method)
@@ -267,7 +270,7 @@ def main() -> int:
     parser.add_argument("--peers", nargs="+", choices=PEERS, default=list(PEERS))
     parser.add_argument("--sizes", nargs="+", choices=SIZES, default=list(SIZES))
     parser.add_argument("--repeats", type=int, help=f"default {REPEATS}, {REPEATS_LARGE} of pyxel at 4096")
-    parser.add_argument("--method", help="ddic's solver.method, its default where none is given")
+    parser.add_argument("--method", help="ddic's solver.method against all peers")
     chosen = parser.parse_args()
     held = True
     for peer in chosen.peers:
