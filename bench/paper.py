@@ -1,7 +1,7 @@
 """The 29-megapixel case on 2 ranks, from the start of the command to the written file.
 
 Usage: paper.py [--repeats N] [--without-kernels] [CASE ...]; cases: beam_8, beam_16 (the paper's open-hole beam, about
-62,500 unknowns in 180 subdomains) and full_16 (the whole image, 221,136 unknowns); all by default. Every case is one
+62,500 unknowns in 180 subdomains) and full_16 (the whole image, 221,136 unknowns, by conjugate gradients); all by default. Every case is one
 record of bench/results/paper.jsonl.
 """
 
@@ -34,7 +34,7 @@ def whole_command(name: str, repeats: int = REPEATS) -> tuple[Row, dict[str, Any
     case = CASES[name]()
     record = run_record(case, timed_runs(case, repeats))
     wall, memory = record["wall_s"], record["memory_total_bytes"] / 2**30
-    row = Row(f"29-Mpx case {name} ({record['n_dofs']} unknowns, {record['n_subdomains']} subdomains, "
+    row = Row(f"29-Mpx case {name} ({record['n_dofs']} unknowns, {case.solver}, "
               f"{record['n_pixels'] / 1e6:.1f} Mpx: {case.covered}), {case.bits} bit, 2 ranks, l_c = "
               f"{record['cut_off_wavelength']:g} px, tolerance {TOLERANCE:g}: whole command, warm cache",
               f"at most {LONGEST_S:g} s wall; both ranks' memory at most {GIBIBYTES} GiB",

@@ -38,7 +38,7 @@ WAVELENGTH = 80
 SIZES = {"2048": (2112, 2112), "4096": (4160, 4160), "29mpx": (6576, 4384)}
 """Image width and height, px; 2048 and 4096 are the mesh's sides, a margin inside."""
 METHODS = {"pyxel": None, "pyvale": "conjugate_gradient"}
-"""ddic's solver.method against each peer, None for its default; with l_c of a few elements nothing need be factorised."""
+"""ddic's solver.method against each peer, None for its default; with l_c of a few elements nothing is factorised."""
 PLAN = {"pyxel": ("2048", "4096"), "pyvale": ("2048", "29mpx")}
 REPEATS, REPEATS_LARGE = 3, 1
 """Of each program; pyxel needs ten minutes for one measurement of size 4096."""

@@ -87,10 +87,10 @@ def _binned_together(team: Team, pair: ImagePair) -> BinnedPair | None:
 
 def refine_independently(team: Team, case: Case, parts: Sequence[OwnedPart], systems: Sequence[LocalSystem],
                          coarse: StartField, smallest_eigenvalue: float) -> StartField:
-    """Independent FE-DIC per subdomain, where the case asks for it and there are several."""
+    """Independent FE-DIC per subdomain, where the case asks for it and the dual method couples several."""
     alone = team.size == 1 and len(parts) == 1
-    # The whole region's Gauss-Newton would only be run twice.
-    if alone or not case.start.independent:
+    # Else the whole region's Gauss-Newton starts as cheaply: its factor is there, or none is needed.
+    if alone or case.solver.method != "dual" or not case.start.independent:
         return coarse
     refined = team.together(lambda: independent_start(parts, systems, coarse.q, smallest_eigenvalue,
                                                       case.correlation.grey_correction))
