@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ddic.functionals.correlation import Correlation, correlation
 from ddic.functionals.pixel_kernels import BATCH
 from ddic.images.sub_image import DeformedSubImage
-from ddic.mesh.mesh import Mesh
+from ddic.mesh.mesh import VTK_QUAD, Mesh
 from support.pictures import source
 from support.random_meshes import SEEDS, Cells, grid_mesh
 from support.slow_correlation import SlowSums, cell_pixels, slow_sums
@@ -110,3 +110,20 @@ def test_last_pixel_of_the_image_counts() -> None:
     assert residual.sums.n_pixels == 100
     # All positions are pixel centres, where the spline equals the image but for float32 coefficients.
     np.testing.assert_allclose(residual.sums.values[3] / 100, 0.0, atol=(2550 * GREY_ROUNDING) ** 2)
+
+
+@pytest.mark.parametrize("corner", [(52.0, 47.0), (44.0, 43.0), (38.6, 36.6)])
+def test_local_coordinates_of_distorted_cells(corner: tuple[float, float]) -> None:
+    """A quadrangle whose fourth corner approaches the diagonal: both ways to xi and eta, and the one near det J = 0."""
+    x, y = corner
+    mesh = Mesh(np.array([[20.2, 20.3], [53.1, 21.4], [x, y], [21.6, 52.3]]), np.arange(4), np.array([0, 4]),
+                np.array([VTK_QUAD], dtype=np.uint8))
+    part = correlation(mesh, source(noise(1)), 3)
+    S = part.hessian_cells()[0].reshape(4, 2, 4, 2)
+    # Shapes sum to 1 and sum_a N_a x_a = x, whatever xi and eta: sums of x^2 over pixels need no inverse.
+    (pixels,) = cell_pixels(part)
+    products = np.einsum("pc,pd->pcd", pixels.gradient, pixels.gradient)
+    for values, nodal in ((pixels.x, mesh.nodes[:, 0]), (pixels.y, mesh.nodes[:, 1])):
+        found = np.einsum("a,acbd,b->cd", nodal, S, nodal)
+        # Rounding of a thousand float64 terms.
+        np.testing.assert_allclose(found, np.einsum("p,pcd->cd", values**2, products), rtol=1e-12, atol=1e-6)

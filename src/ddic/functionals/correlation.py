@@ -122,7 +122,7 @@ class Correlation:
         """M_e = sum_px N_i . grad f grad f^T . N_j of every cell, (n_cells, 8, 8), Eq. 5 of [BP17]."""
         k, r, f = self.kinematics, self.raster, self.reference
         out = np.zeros((len(k.geometry), 4, 2, 4, 2))
-        hessian_cells(self.order, k.geometry, k.shapes, r.first_row, r.row_ptr, r.starts, r.stops,
+        hessian_cells(self.order, k.geometry, k.shapes, k.kinds, r.first_row, r.row_ptr, r.starts, r.stops,
                       _flat(f.by_x), _flat(f.by_y), _row_length(f.by_x), _or_nothing(f.usable),
                       f.window.x0, f.window.y0, out)
         return out.reshape(len(out), 8, 8)

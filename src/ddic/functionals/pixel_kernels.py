@@ -1,8 +1,10 @@
 """Compiled loops over the pixels of cells, fused with the assembly of cell sums.
 
-Cells are visited in batches of segments: neighbouring pixels of one row each, padded to a multiple of LANES. Every
-stage of a batch is a loop over lanes, which the compiler turns into vector instructions without a remainder; lanes
-beyond a segment's end repeat its last pixel's position and weigh nothing. Segments whose pixels have one integer
+Cells are visited in batches of segments: neighbouring pixels of one row each. Segments of a batch follow each other
+without gaps, so that short rows fill vectors as well as long ones, and only what reads images goes row by row: it
+writes whole vectors, and the next segment overwrites what is beyond a segment's end. All else is a loop over the
+batch's lanes, which the compiler turns into vector instructions without a remainder; lanes after the last segment
+repeat its last pixel's position and weigh nothing. Segments whose pixels have one integer
 offset read spline coefficients contiguously. Displacements are split into an integer offset and a fraction, so that
 no digit is lost to the position in the image. Images are float32 and everything computed from them is float64: in
 float32, Gauss-Newton would not get below 5e-8 px.
@@ -17,6 +19,7 @@ import numba
 import numpy as np
 
 from ddic.functionals.prefetch import prefetch
+from ddic.functionals.vector_moves import WIDTH, copy_vector, count_vector, fill_vector
 
 LANES = 8
 """Numbers in the widest vector."""
@@ -24,16 +27,19 @@ LANES = 8
 LONGEST = 64
 """Most pixels of a segment."""
 
-UNROLLED = 4 * LANES
+UNROLLED = 2 * LANES
 """A batch's lanes are a multiple of it, so that no remainder is left where the compiler unrolls as well."""
 
-BATCH = 10 * UNROLLED
-"""Most lanes of a batch; its scratch arrays stay in the first-level cache."""
+BATCH = 28 * UNROLLED
+"""Most lanes of a batch: what a cell of 15 px uses of the scratch arrays stays in the first-level cache."""
 
-PLANE = BATCH + 8
+PLANE = BATCH + WIDTH + 8
 """Distance of a batch's quantities in memory: not a power of 2, which would bring all to one set of the cache."""
 
 FLAGS = {"fastmath": {"contract", "reassoc", "nsz", "arcp"}, "error_model": "numpy", "nogil": True, "cache": True}
+
+INLINED = {**FLAGS, "forceinline": True}
+"""Of what is called for every cell: without it, code loaded from the cache was slower than just compiled."""
 
 N_SUMS = 6
 """Sums over usable pixels of (1, r, g, r^2, g^2, r g) with r = f - g(x + u)."""
@@ -44,19 +50,31 @@ LINE = 16
 FROM_START = np.int64(-(2**31))
 """Column before any run's first one."""
 
+AHEAD = 2
+"""Cells between the one that is worked on and the one whose pixels are fetched."""
+
+DISTORTED = 0.3
+"""Least det J of a cell, relative to its centre, at which one Newton step from float32 gives xi and eta to 1e-12."""
+
 AFFINE = 1e-11
 """A cell whose xi eta term is below this, relative to its linear terms, is a parallelogram but for rounding."""
 
 # Unsigned, so that numba need not allow for negative indices, which would keep loops from being vectorised.
 _U = np.uint64
-_BY_X, _BY_Y, _WEIGHT, _G, _VALUE = (_U(k * PLANE) for k in range(5))
+_TX, _TY, _WEIGHT, _G = (_U(k * PLANE) for k in range(4))
 """Where a batch's quantities begin in one scratch array. One array, because the compiler then knows them apart."""
 
-_TX, _TY = _BY_X, _BY_Y
-"""Fractions of the displacement, until the interpolation has been made."""
+_COLUMN, _ROW, _F, _BY_X, _BY_Y = (_U(k * PLANE) for k in range(5))
+"""The same for what is read from images and float32: pixels' columns and rows from the cell's first, f and grad f."""
 
 
-@numba.njit(**FLAGS)
+@numba.njit(**INLINED)
+def _padded(n):
+    """n, rounded up to a multiple of LANES."""
+    return _U((n + (LANES - 1)) & -LANES)
+
+
+@numba.njit(**INLINED)
 def _take_segments(row, last_row, x, y, starts, stops, seg_x, seg_y, seg_n, seg_at):
     """Fill the segments of a batch from column x of a cell's run ``row``.
 
@@ -70,48 +88,95 @@ def _take_segments(row, last_row, x, y, starts, stops, seg_x, seg_y, seg_n, seg_
         if length > 0:
             seg_x[n], seg_y[n], seg_n[n], seg_at[n] = x, y, length, at
             x += length
-            at += (length + LANES - 1) // LANES * LANES
+            at += length
             n += 1
         if x >= stops[row]:
             row += 1
             y += 1
             x = FROM_START
-    seg_at[n] = (at + UNROLLED - 1) // UNROLLED * UNROLLED
+    seg_at[n] = at
     return n, row, x, y
 
 
-@numba.njit(**FLAGS)
-def _local_coordinates(X, e, n_segments, seg_x, seg_y, seg_n, seg_at, xi, eta):
-    """Invert x = X[e] phi(xi, eta) at the lanes of a batch: linear in a parallelogram, else a stable quadratic."""
-    e0, e1, f0, f1, g0, g1 = X[e, 0, 1], X[e, 1, 1], X[e, 0, 2], X[e, 1, 2], X[e, 0, 3], X[e, 1, 3]
-    x0, x1 = X[e, 0, 0], X[e, 1, 0]
-    ef = e0 * f1 - e1 * f0
-    affine = abs(g0) + abs(g1) <= AFFINE * (abs(e0) + abs(e1) + abs(f0) + abs(f1))
-    a = g0 * f1 - g1 * f0
+@numba.njit(**INLINED)
+def _gather(x0, y0, n_segments, seg_x, seg_y, seg_n, seg_at, f, gx, gy, f_width, fx0, fy0, pixels):
+    """Copy columns from x0, rows from y0, f and grad f of a batch's pixels; returns the number of lanes.
+
+    Each segment is written in whole vectors, and what is beyond its end by the next one. The last pixel's position
+    is repeated.
+    """
+    last = f.size - WIDTH
     for s in range(n_segments):
-        h0, h1 = seg_x[s] - x0, seg_y[s] - x1
-        last = np.int32(seg_n[s] - 1)
-        j = _U(seg_at[s])
-        n = _U(seg_at[s + 1]) - j
-        if affine:
-            p, dp = (f1 * h0 - f0 * h1) / ef, f1 / ef
-            q, dq = (e0 * h1 - e1 * h0) / ef, -e1 / ef
-            for k in range(n):
-                i = np.float64(min(np.int32(k), last))
-                xi[j + k] = p + dp * i
-                eta[j + k] = q + dq * i
-        else:
-            for k in range(n):
-                h = h0 + np.float64(min(np.int32(k), last))
-                b = ef + h * g1 - h1 * g0
-                c = h * e1 - h1 * e0
-                t = 2.0 * c / (-b - np.sqrt(max(b * b - 4.0 * a * c, 0.0)))
-                p0, p1 = e0 + g0 * t, e1 + g1 * t
-                xi[j + k] = ((h - f0 * t) * p0 + (h1 - f1 * t) * p1) / (p0 * p0 + p1 * p1)
-                eta[j + k] = t
+        column, row = np.float32(seg_x[s] - x0), np.float32(seg_y[s] - y0)
+        at = (seg_y[s] - fy0) * f_width + seg_x[s] - fx0
+        j, end = seg_at[s], seg_at[s + 1]
+        while j < end:
+            count_vector(pixels, _U(j) + _COLUMN, column)
+            fill_vector(pixels, _U(j) + _ROW, row)
+            if at <= last:
+                copy_vector(pixels, _U(j) + _F, f, at)
+                copy_vector(pixels, _U(j) + _BY_X, gx, at)
+                copy_vector(pixels, _U(j) + _BY_Y, gy, at)
+            else:
+                for k in range(end - j):
+                    pixels[_U(j + k) + _F] = f[at + k]
+                    pixels[_U(j + k) + _BY_X] = gx[at + k]
+                    pixels[_U(j + k) + _BY_Y] = gy[at + k]
+            j += WIDTH
+            at += WIDTH
+            column += np.float32(WIDTH)
+    end = seg_at[n_segments]
+    n = (end + UNROLLED - 1) // UNROLLED * UNROLLED
+    for k in range(_U(end), _U(n)):
+        pixels[k + _COLUMN] = pixels[_U(end - 1) + _COLUMN]
+        pixels[k + _ROW] = pixels[_U(end - 1) + _ROW]
+    return _U(n)
 
 
-@numba.njit(**FLAGS)
+@numba.njit(**INLINED)
+def _local_coordinates(X, e, x0, y0, n, pixels, xi, eta):
+    """Invert x = X[e] phi(xi, eta) at n lanes: linear in a parallelogram, else two quadratics."""
+    x0, y0 = x0 - X[e, 0, 0], y0 - X[e, 1, 0]
+    ef = X[e, 0, 1] * X[e, 1, 2] - X[e, 1, 1] * X[e, 0, 2]
+    e0, e1, f0, f1 = X[e, 0, 1] / ef, X[e, 1, 1] / ef, X[e, 0, 2] / ef, X[e, 1, 2] / ef
+    g0, g1 = X[e, 0, 3] / ef, X[e, 1, 3] / ef
+    if abs(g0) + abs(g1) <= AFFINE * (abs(e0) + abs(e1) + abs(f0) + abs(f1)):
+        for k in range(n):
+            x, y = x0 + pixels[k + _COLUMN], y0 + pixels[k + _ROW]
+            xi[k] = f1 * x - f0 * y
+            eta[k] = e0 * y - e1 * x
+        return
+    # Of the quadratics a t^2 + b t + c = 0 for eta and for xi, whose slopes at the solution are s and -s.
+    a_eta, a_xi = (g0 * f1 - g1 * f0) * ef, (g0 * e1 - g1 * e0) * ef
+    if 1.0 - abs(a_eta) - abs(a_xi) < DISTORTED:
+        for k in range(n):
+            x, y = x0 + pixels[k + _COLUMN], y0 + pixels[k + _ROW]
+            hg, c_eta, c_xi = x * g1 - y * g0, x * e1 - y * e0, x * f1 - y * f0
+            s = np.sqrt(max((1.0 + hg) * (1.0 + hg) - 4.0 * a_eta * c_eta, 0.0))
+            xi[k], eta[k] = 2.0 * c_xi / (1.0 - hg + s), -2.0 * c_eta / (1.0 + hg + s)
+        return
+    # A root and a reciprocal in float32, and a step of Newton's, spare a root and two divisions in float64.
+    a4 = np.float32(4.0 * a_eta)
+    for k in range(n):
+        x, y = x0 + pixels[k + _COLUMN], y0 + pixels[k + _ROW]
+        hg = x * g1 - y * g0
+        c_eta, c_xi = x * e1 - y * e0, x * f1 - y * f0
+        b_eta, b_xi = hg + 1.0, hg - 1.0
+        b, c, d = np.float32(b_eta), np.float32(c_eta), np.float32(c_xi)
+        s = np.sqrt(b * b - a4 * c)
+        p, q = b + s, s - np.float32(b_xi)
+        pq = p * q
+        r = np.float32(1.0) / (pq * s)
+        sr = s * r
+        sr += sr
+        slope = np.float64(pq * r)
+        t, u = np.float64(-(c * q) * sr), np.float64((d * p) * sr)
+        t -= (c_eta + t * (b_eta + a_eta * t)) * slope
+        u += (c_xi + u * (b_xi + a_xi * u)) * slope
+        xi[k], eta[k] = u, t
+
+
+@numba.njit(**INLINED)
 def _displace(D, e, n, xi, eta, lanes, ox, oy):
     """Split u = D[e] phi of n lanes into integer offsets and fractions; returns the least and largest offsets."""
     u0, u1, u2, u3 = D[e, 0, 0], D[e, 0, 1], D[e, 0, 2], D[e, 0, 3]
@@ -151,7 +216,7 @@ def _keep_inside(D, e, at, x0, y, n, xi, eta, width, height, lanes, ox, oy):
             lanes[_U(j) + _TX], lanes[_U(j) + _TY] = px - fx, py - fy
 
 
-@numba.njit(**FLAGS)
+@numba.njit(**INLINED)
 def _cubic(c, stride, n_runs, run_at, run_begin, run_end, lanes):
     """Evaluate the cubic spline at the lanes of runs; taps of a run's first lane start at c[run_at]."""
     d1, d2, d3 = _U(stride), _U(2 * stride), _U(3 * stride)
@@ -212,7 +277,7 @@ def _quintic(c, stride, n_runs, run_at, run_begin, run_end, lanes):
             lanes[k + begin + _G] = value
 
 
-@numba.njit(**FLAGS)
+@numba.njit(**INLINED)
 def _find_runs(uniform, size, stride, reach, down, right, n_segments, seg_x, seg_y, seg_n, seg_at, ox, oy,
                run_at, run_begin, run_end):
     """Split segments into runs of one integer offset; returns the number of runs.
@@ -220,46 +285,59 @@ def _find_runs(uniform, size, stride, reach, down, right, n_segments, seg_x, seg
     uniform: all lanes have one offset; size: of the coefficients; down, right: from a displaced pixel to its first
     coefficient. A run that is a whole segment is padded as the segment is, if the coefficients go on so far.
     """
+    span = reach * (stride + 1)
+    if uniform:
+        first = (oy[0] + down) * stride + ox[0] + right
+        for s in range(n_segments):
+            j, n = seg_at[s], seg_n[s]
+            at = seg_y[s] * stride + seg_x[s] + first
+            padded = np.int64(_padded(n))
+            run_at[s], run_begin[s], run_end[s] = at, j, j + (padded if at + span + padded <= size else n)
+        return n_segments
     n_runs = 0
     for s in range(n_segments):
         j, n, begin = seg_at[s], seg_n[s], np.int64(0)
+        differ = np.int32(0)
+        for k in range(_U(n)):
+            differ |= (ox[_U(j) + k] ^ ox[j]) | (oy[_U(j) + k] ^ oy[j])
         while begin < n:
             i, end = j + begin, n
-            if not uniform:
+            if differ != 0:
                 end = begin + 1
                 while end < n and ox[j + end] == ox[i] and oy[j + end] == oy[i]:
                     end += 1
             at = (seg_y[s] + oy[i] + down) * stride + seg_x[s] + begin + ox[i] + right
-            padded = end - begin == n and at + reach * (stride + 1) + seg_at[s + 1] - j <= size
-            run_at[n_runs], run_begin[n_runs], run_end[n_runs] = at, i, seg_at[s + 1] if padded else j + end
+            padded = np.int64(_padded(end - begin))
+            run_at[n_runs], run_begin[n_runs] = at, i
+            run_end[n_runs] = i + padded if at + span + padded <= size else j + end
             n_runs += 1
             begin = end
     return n_runs
 
 
-@numba.njit(**FLAGS)
-def _weigh(n_segments, seg_x, seg_y, seg_n, seg_at, f_usable, fx0, fy0, lanes):
-    """Weight 1 for the lanes of a batch that are pixels which f does not exclude, else 0."""
-    for s in range(n_segments):
-        n, j = np.int32(seg_n[s]), _U(seg_at[s]) + _WEIGHT
-        for k in range(_U(seg_at[s + 1]) - _U(seg_at[s])):
-            lanes[j + k] = 1.0 if np.int32(k) < n else 0.0
+@numba.njit(**INLINED)
+def _weigh(n, n_segments, seg_x, seg_y, seg_n, seg_at, f_usable, fx0, fy0, lanes):
+    """Weight 1 for those of n lanes that are pixels which f does not exclude, else 0."""
+    end = np.int32(seg_at[n_segments])
+    for k in range(n):
+        lanes[k + _WEIGHT] = 1.0 if np.int32(k) < end else 0.0
     if f_usable.size > 0:
         for s in range(n_segments):
             for k in range(seg_n[s]):
                 lanes[_U(seg_at[s] + k) + _WEIGHT] *= f_usable[seg_y[s] - fy0, seg_x[s] - fx0 + k]
 
 
-@numba.njit(**FLAGS)
-def _deformed_values(X, D, e, n_segments, seg_x, seg_y, seg_n, seg_at, f_usable, fx0, fy0, spline, stride, degree,
-                     origin_x, origin_y, width, height, g_usable, xi, eta, lanes, ox, oy, run_at, run_begin, run_end):
+@numba.njit(**INLINED)
+def _deformed_values(X, D, e, x0, y0, n, pixels, n_segments, seg_x, seg_y, seg_n, seg_at, f_usable, fx0, fy0,
+                     spline, stride, degree, origin_x, origin_y, width, height, g_usable, xi, eta, lanes, ox, oy,
+                     run_at, run_begin, run_end):
     """Evaluate g at x + u(x) and the weights of a batch: 0 where x + u leaves the image, or f or g excludes it.
 
     origin_x, origin_y: the spline window's first pixel; width, height: the whole image's size.
     """
-    _weigh(n_segments, seg_x, seg_y, seg_n, seg_at, f_usable, fx0, fy0, lanes)
-    _local_coordinates(X, e, n_segments, seg_x, seg_y, seg_n, seg_at, xi, eta)
-    least_x, least_y, most_x, most_y = _displace(D, e, seg_at[n_segments], xi, eta, lanes, ox, oy)
+    _local_coordinates(X, e, x0, y0, n, pixels, xi, eta)
+    _weigh(n, n_segments, seg_x, seg_y, seg_n, seg_at, f_usable, fx0, fy0, lanes)
+    least_x, least_y, most_x, most_y = _displace(D, e, n, xi, eta, lanes, ox, oy)
     left, right = np.int64(2**40), np.int64(-(2**40))
     for s in range(n_segments):
         left, right = min(left, seg_x[s]), max(right, seg_x[s] + seg_n[s])
@@ -283,13 +361,22 @@ def _deformed_values(X, D, e, n_segments, seg_x, seg_y, seg_n, seg_at, f_usable,
                 lanes[_U(j) + _WEIGHT] *= g_usable[seg_y[s] + oy[j] - origin_y, seg_x[s] + k + ox[j] - origin_x]
 
 
-@numba.njit(**FLAGS)
-def _add_moments(n, xi, eta, lanes, moments, e, kind):
-    """Add the n lanes' values times grad f and the monomials to moments[e, kind] (2, 4)."""
+@numba.njit(**INLINED)
+def _add_residual_sums(n, pixels, xi, eta, lanes, moments, sums, e):
+    """Add the n lanes' sums of r grad f times the monomials to moments[e, 0], and their grey sums to sums[e]."""
     m00 = m01 = m02 = m03 = m10 = m11 = m12 = m13 = 0.0
-    for k in range(_U(n)):
-        t, s = xi[k], eta[k]
-        a, b = lanes[k + _BY_X], lanes[k + _BY_Y]
+    s0 = s1 = s2 = s3 = s4 = s5 = 0.0
+    for k in range(n):
+        t, s, w = xi[k], eta[k], lanes[k + _WEIGHT]
+        g = w * lanes[k + _G]
+        r = w * pixels[k + _F] - g
+        s0 += w
+        s1 += r
+        s2 += g
+        s3 += r * r
+        s4 += g * g
+        s5 += r * g
+        a, b = r * pixels[k + _BY_X], r * pixels[k + _BY_Y]
         at, bt = a * t, b * t
         m00 += a
         m01 += at
@@ -299,76 +386,86 @@ def _add_moments(n, xi, eta, lanes, moments, e, kind):
         m11 += bt
         m12 += b * s
         m13 += bt * s
-    moments[e, kind, 0, 0] += m00
-    moments[e, kind, 0, 1] += m01
-    moments[e, kind, 0, 2] += m02
-    moments[e, kind, 0, 3] += m03
-    moments[e, kind, 1, 0] += m10
-    moments[e, kind, 1, 1] += m11
-    moments[e, kind, 1, 2] += m12
-    moments[e, kind, 1, 3] += m13
+    for k, value in enumerate((s0, s1, s2, s3, s4, s5)):
+        sums[e, k] += value
+    for k, value in enumerate((m00, m01, m02, m03)):
+        moments[e, 0, 0, k] += value
+    for k, value in enumerate((m10, m11, m12, m13)):
+        moments[e, 0, 1, k] += value
 
 
 @numba.njit(**FLAGS)
-def _add_grey_sums(n, lanes, sums, e):
-    """Add the n lanes' sums of (1, r, g, r^2, g^2, r g) to sums[e] (N_SUMS,)."""
-    s0 = s1 = s2 = s3 = s4 = s5 = 0.0
-    for k in range(_U(n)):
-        w, r = lanes[k + _WEIGHT], lanes[k + _VALUE]
-        g = w * lanes[k + _G]
-        s0 += w
-        s1 += r
-        s2 += g
-        s3 += r * r
-        s4 += g * g
-        s5 += r * g
-    sums[e, 0] += s0
-    sums[e, 1] += s1
-    sums[e, 2] += s2
-    sums[e, 3] += s3
-    sums[e, 4] += s4
-    sums[e, 5] += s5
+def _add_moments(kind, n, pixels, xi, eta, lanes, moments, e):
+    """Add the n lanes' sums of g (kind 1) or 1 (2) times grad f and the monomials to moments[e, kind] (2, 4)."""
+    m00 = m01 = m02 = m03 = m10 = m11 = m12 = m13 = 0.0
+    for k in range(n):
+        t, s, w = xi[k], eta[k], lanes[k + _WEIGHT]
+        value = w * lanes[k + _G] if kind == 1 else w
+        a, b = value * pixels[k + _BY_X], value * pixels[k + _BY_Y]
+        at, bt = a * t, b * t
+        m00 += a
+        m01 += at
+        m02 += a * s
+        m03 += at * s
+        m10 += b
+        m11 += bt
+        m12 += b * s
+        m13 += bt * s
+    for k, value in enumerate((m00, m01, m02, m03)):
+        moments[e, kind, 0, k] += value
+    for k, value in enumerate((m10, m11, m12, m13)):
+        moments[e, kind, 1, k] += value
 
 
 @numba.njit(**FLAGS)
-def _times_gradient(kind, n_segments, seg_x, seg_y, seg_n, seg_at, f, gx, gy, f_width, fx0, fy0, lanes):
-    """Weighted r (kind 0), g (1) or 1 (2) of a batch, and each times grad f; lanes that are no pixels become 0."""
-    for s in range(n_segments):
-        j, end = _U(seg_at[s]), _U(seg_at[s + 1])
-        at = _U((seg_y[s] - fy0) * f_width + seg_x[s] - fx0)
-        n = end - j if at + end - j <= _U(f.size) else _U(seg_n[s])
-        for k in range(n):
-            w, g = lanes[j + k + _WEIGHT], lanes[j + k + _G]
-            value = w * (f[at + k] - g) if kind == 0 else (w * g if kind == 1 else w)
-            lanes[j + k + _VALUE] = value
-            lanes[j + k + _BY_X] = value * gx[at + k]
-            lanes[j + k + _BY_Y] = value * gy[at + k]
-        for k in range(j + n, end):
-            lanes[k + _VALUE] = lanes[k + _BY_X] = lanes[k + _BY_Y] = 0.0
+def _aligned(array):
+    """The array from the first number on that begins a line of the cache: a vector across two lines takes two loads."""
+    ahead = -np.int64(array.ctypes.data) & (4 * LINE - 1)
+    return array[ahead // array.itemsize:]
 
 
 @numba.njit(**FLAGS)
 def _scratch():
     """Buffers of a batch.
 
-    xi, eta; lanes' quantities; their offsets ox, oy; segments' column, row, length and first lane; runs' first
-    coefficient, first lane and the lane after the last. Zeros, since a lane that is no pixel must be a number for its
-    product with weight 0 to be 0.
+    xi, eta; lanes' quantities and pixels; their offsets ox, oy; segments' column, row, length and first lane; runs'
+    first coefficient, first lane and the lane after the last. Zeros, since a lane that is no pixel must be a number
+    for its product with weight 0 to be 0.
     """
-    most = BATCH // LANES
-    return (np.zeros(BATCH), np.zeros(BATCH), np.zeros(5 * PLANE), np.zeros(BATCH, np.int32), np.zeros(BATCH, np.int32),
+    # Segments are at least a pixel long, and so are runs.
+    most = BATCH
+    return (_aligned(np.zeros(PLANE)), _aligned(np.zeros(PLANE)), _aligned(np.zeros(5 * PLANE)),
+            _aligned(np.zeros(6 * PLANE, np.float32)),
+            _aligned(np.zeros(PLANE, np.int32)), _aligned(np.zeros(PLANE, np.int32)),
             np.zeros(most, np.int64), np.zeros(most, np.int64), np.zeros(most, np.int64), np.zeros(most + 1, np.int64),
             (np.zeros(BATCH, np.int64), np.zeros(BATCH, np.int64), np.zeros(BATCH, np.int64)))
 
 
-@numba.njit(**FLAGS)
+@numba.njit(**INLINED)
 def _fetch(array, width, e, right, down, first_row, row_ptr, starts, stops):
-    """Ask for the pixels of cell e in a flat array of rows of ``width``, moved by so many columns and rows."""
+    """Ask for the pixels of cell e in a flat array of rows of ``width``, moved by so many columns and rows.
+
+    And for the line after each row, where the next cell is likely to begin.
+    """
     begin = (first_row[e] + down) * width + right
     for row in range(row_ptr[e], row_ptr[e + 1]):
-        x, stop = begin + starts[row], begin + stops[row] + LINE - 1
+        x, stop = begin + starts[row], begin + stops[row] + 2 * LINE - 1
         while x < stop:
             prefetch(array, x)
+            x += LINE
+        begin += width
+
+
+@numba.njit(**INLINED)
+def _fetch_three(a, b, c, width, e, right, down, first_row, row_ptr, starts, stops):
+    """The same in three arrays at once."""
+    begin = (first_row[e] + down) * width + right
+    for row in range(row_ptr[e], row_ptr[e + 1]):
+        x, stop = begin + starts[row], begin + stops[row] + 2 * LINE - 1
+        while x < stop:
+            prefetch(a, x)
+            prefetch(b, x)
+            prefetch(c, x)
             x += LINE
         begin += width
 
@@ -386,32 +483,29 @@ def residual_sums(order, X, U, first_row, row_ptr, starts, stops,
     moments: (n_cells, 3, 2, 4), sums of (r, g, 1) x (f_x, f_y) x (1, xi, eta, xi eta); the last two
     kinds only where all_kinds. sums: (n_cells, N_SUMS).
     """
-    xi, eta, lanes, ox, oy, seg_x, seg_y, seg_n, seg_at, runs = _scratch()
+    xi, eta, lanes, pixels, ox, oy, seg_x, seg_y, seg_n, seg_at, runs = _scratch()
     for i in range(len(order)):
         e = order[i]
-        if i + 1 < len(order):
-            after = order[i + 1]
+        if i + AHEAD < len(order):
+            after = order[i + AHEAD]
             right, down = np.int64(np.floor(U[after, 0, 0])) - origin_x, np.int64(np.floor(U[after, 1, 0])) - origin_y
             _fetch(spline, stride, after, right + 1, down + degree + 1, first_row, row_ptr, starts, stops)
-            _fetch(gx, f_width, after, -fx0, -fy0, first_row, row_ptr, starts, stops)
-            _fetch(gy, f_width, after, -fx0, -fy0, first_row, row_ptr, starts, stops)
-            _fetch(f, f_width, after, -fx0, -fy0, first_row, row_ptr, starts, stops)
+            _fetch_three(f, gx, gy, f_width, after, -fx0, -fy0, first_row, row_ptr, starts, stops)
         row, x, y = row_ptr[e], FROM_START, first_row[e]
         while row < row_ptr[e + 1]:
             n_segments, row, x, y = _take_segments(row, row_ptr[e + 1], x, y, starts, stops, seg_x, seg_y, seg_n,
                                                    seg_at)
             if n_segments == 0:
                 continue
-            n = seg_at[n_segments]
-            _deformed_values(X, U, e, n_segments, seg_x, seg_y, seg_n, seg_at, f_usable, fx0, fy0, spline, stride,
-                             degree, origin_x, origin_y, width, height, g_usable, xi, eta, lanes, ox, oy, *runs)
-            _times_gradient(0, n_segments, seg_x, seg_y, seg_n, seg_at, f, gx, gy, f_width, fx0, fy0, lanes)
-            _add_moments(n, xi, eta, lanes, moments, e, 0)
-            _add_grey_sums(n, lanes, sums, e)
+            x0, y0 = starts[row_ptr[e]], first_row[e]
+            n = _gather(x0, y0, n_segments, seg_x, seg_y, seg_n, seg_at, f, gx, gy, f_width, fx0, fy0, pixels)
+            _deformed_values(X, U, e, x0, y0, n, pixels, n_segments, seg_x, seg_y, seg_n, seg_at, f_usable, fx0, fy0,
+                             spline, stride, degree, origin_x, origin_y, width, height, g_usable, xi, eta, lanes,
+                             ox, oy, *runs)
+            _add_residual_sums(n, pixels, xi, eta, lanes, moments, sums, e)
             if all_kinds:
                 for kind in range(1, 3):
-                    _times_gradient(kind, n_segments, seg_x, seg_y, seg_n, seg_at, f, gx, gy, f_width, fx0, fy0, lanes)
-                    _add_moments(n, xi, eta, lanes, moments, e, kind)
+                    _add_moments(kind, n, pixels, xi, eta, lanes, moments, e)
 
 
 @numba.njit(**FLAGS)
@@ -421,7 +515,7 @@ def residual_pixels(X, U, first_row, row_ptr, starts, stops, f, f_width, f_usabl
 
     f, spline: flat, rows of f_width and of stride pixels. gain, offset: (n_cells,).
     """
-    xi, eta, lanes, ox, oy, seg_x, seg_y, seg_n, seg_at, runs = _scratch()
+    xi, eta, lanes, pixels, ox, oy, seg_x, seg_y, seg_n, seg_at, runs = _scratch()
     for e in range(len(first_row)):
         row, x, y = row_ptr[e], FROM_START, first_row[e]
         while row < row_ptr[e + 1]:
@@ -429,8 +523,11 @@ def residual_pixels(X, U, first_row, row_ptr, starts, stops, f, f_width, f_usabl
                                                    seg_at)
             if n_segments == 0:
                 continue
-            _deformed_values(X, U, e, n_segments, seg_x, seg_y, seg_n, seg_at, f_usable, fx0, fy0, spline, stride,
-                             degree, origin_x, origin_y, width, height, g_usable, xi, eta, lanes, ox, oy, *runs)
+            x0, y0 = starts[row_ptr[e]], first_row[e]
+            n = _gather(x0, y0, n_segments, seg_x, seg_y, seg_n, seg_at, f, f, f, f_width, fx0, fy0, pixels)
+            _deformed_values(X, U, e, x0, y0, n, pixels, n_segments, seg_x, seg_y, seg_n, seg_at, f_usable, fx0, fy0,
+                             spline, stride, degree, origin_x, origin_y, width, height, g_usable, xi, eta, lanes,
+                             ox, oy, *runs)
             for s in range(n_segments):
                 for k in range(seg_n[s]):
                     i, j, lane = seg_y[s] - fy0, seg_x[s] + k - fx0, _U(seg_at[s] + k)
@@ -438,14 +535,14 @@ def residual_pixels(X, U, first_row, row_ptr, starts, stops, f, f_width, f_usabl
                     out[i, j] = f[i * f_width + j] - gain[e] * lanes[lane + _G] - offset[e] if used else np.nan
 
 
-@numba.njit(**FLAGS)
-def _add_products(n, component, xi, eta, lanes, S):
+@numba.njit(**INLINED)
+def _add_products(n, component, pixels, xi, eta, lanes, S):
     """Add the n lanes' sums of one component of grad f grad f^T x xi^i eta^j to S[component] (3, 3)."""
     a00 = a10 = a20 = a01 = a11 = a21 = a02 = a12 = a22 = 0.0
     one, other = _BY_Y if component == 2 else _BY_X, _BY_X if component == 0 else _BY_Y
-    for k in range(_U(n)):
+    for k in range(n):
         # In float64: the product of two float32 numbers would be rounded.
-        w = lanes[k + one] * lanes[k + other]
+        w = lanes[k + _WEIGHT] * pixels[k + one] * pixels[k + other]
         t, s = xi[k], eta[k]
         wt, ws = w * t, w * s
         wtt, wts, wss = wt * t, wt * s, ws * s
@@ -469,49 +566,109 @@ def _add_products(n, component, xi, eta, lanes, S):
     S[component, 2, 2] += a22
 
 
+@numba.njit(**INLINED)
+def _add_linear_products(n, pixels, xi, eta, lanes, S):
+    """Add the n lanes' sums of all components that cells without the monomial xi eta need to S (3, 3, 3)."""
+    a00 = a10 = a20 = a01 = a11 = a02 = 0.0
+    b00 = b10 = b20 = b01 = b11 = b02 = 0.0
+    c00 = c10 = c20 = c01 = c11 = c02 = 0.0
+    for k in range(n):
+        t, s = xi[k], eta[k]
+        x, y = lanes[k + _WEIGHT] * pixels[k + _BY_X], np.float64(pixels[k + _BY_Y])
+        a, b, c = x * pixels[k + _BY_X], x * y, lanes[k + _WEIGHT] * y * y
+        at, bt, ct = a * t, b * t, c * t
+        as_, bs, cs = a * s, b * s, c * s
+        a00 += a
+        a10 += at
+        a01 += as_
+        a20 += at * t
+        a11 += at * s
+        a02 += as_ * s
+        b00 += b
+        b10 += bt
+        b01 += bs
+        b20 += bt * t
+        b11 += bt * s
+        b02 += bs * s
+        c00 += c
+        c10 += ct
+        c01 += cs
+        c20 += ct * t
+        c11 += ct * s
+        c02 += cs * s
+    for component, sums in enumerate(((a00, a10, a20, a01, a11, a02), (b00, b10, b20, b01, b11, b02),
+                                      (c00, c10, c20, c01, c11, c02))):
+        S[component, 0, 0] += sums[0]
+        S[component, 1, 0] += sums[1]
+        S[component, 2, 0] += sums[2]
+        S[component, 0, 1] += sums[3]
+        S[component, 1, 1] += sums[4]
+        S[component, 0, 2] += sums[5]
+
+
 @numba.njit(**FLAGS)
-def _transform(S, T, e, half, out):
-    """M_e into out[e] (4, 2, 4, 2) from sums S (3 components, 3, 3) and shapes T[e]; half: (4, 4) scratch."""
-    for component in range(3):
-        c, d = (0, 0) if component == 0 else ((0, 1) if component == 1 else (1, 1))
-        for a in range(4):
-            for n in range(4):
-                half[a, n] = 0.0
-                for m in range(4):
-                    half[a, n] += T[e, a, m] * S[component, m % 2 + n % 2, m // 2 + n // 2]
+def _products_of_shapes(T):
+    """Coefficients of N_a N_b on xi^i eta^j: (n_kinds, 3, 3, 16) from shapes T (n_kinds, 4, 4)."""
+    W = np.zeros((len(T), 3, 3, 16))
+    for kind in range(len(T)):
         for a in range(4):
             for b in range(4):
-                value = 0.0
-                for n in range(4):
-                    value += half[a, n] * T[e, b, n]
-                out[e, a, c, b, d] = value
-                out[e, b, d, a, c] = value
+                for m in range(4):
+                    for n in range(4):
+                        W[kind, m % 2 + n % 2, m // 2 + n // 2, 4 * a + b] += T[kind, a, m] * T[kind, b, n]
+    return W
+
+
+@numba.njit(**INLINED)
+def _transform(S, W, e, product, out):
+    """M_e into out[e] (4, 2, 4, 2) from sums S (3 components, 3, 3) and products of shapes W (3, 3, 16).
+
+    product: (16,) scratch.
+    """
+    for component in range(3):
+        for ab in range(16):
+            value = 0.0
+            for i in range(3):
+                for j in range(3):
+                    value += S[component, i, j] * W[i, j, ab]
+            product[ab] = value
+        c, d = (0, 0) if component == 0 else ((0, 1) if component == 1 else (1, 1))
+        for a in range(4):
+            for b in range(4):
+                out[e, a, c, b, d] = out[e, a, d, b, c] = product[4 * a + b]
 
 
 @numba.njit(**FLAGS)
-def hessian_cells(order, X, T, first_row, row_ptr, starts, stops, gx, gy, f_width, f_usable, fx0, fy0, out):
+def hessian_cells(order, X, T, kinds, first_row, row_ptr, starts, stops, gx, gy, f_width, f_usable, fx0, fy0, out):
     """Assemble M_e = sum_px N_a N_b grad f grad f^T of every cell into out (n_cells, 4, 2, 4, 2), Eq. 5 of [BP17].
 
     order: (n_cells,) the cells in the order of visiting; gx, gy: flat, rows of f_width pixels.
     X: (n_cells, 2, 4) geometry; T: (n_cells, 4, 4) shape coefficients on the monomials.
     """
-    xi, eta, lanes, _, _, seg_x, seg_y, seg_n, seg_at, _ = _scratch()
-    S, half = np.empty((3, 3, 3)), np.empty((4, 4))
+    xi, eta, lanes, pixels, _, _, seg_x, seg_y, seg_n, seg_at, _ = _scratch()
+    S, product = np.empty((3, 3, 3)), np.empty(16)
+    W = _products_of_shapes(T)
     for i in range(len(order)):
         e = order[i]
-        if i + 1 < len(order):
-            _fetch(gx, f_width, order[i + 1], -fx0, -fy0, first_row, row_ptr, starts, stops)
-            _fetch(gy, f_width, order[i + 1], -fx0, -fy0, first_row, row_ptr, starts, stops)
+        if i + AHEAD < len(order):
+            _fetch_three(gx, gx, gy, f_width, order[i + AHEAD], -fx0, -fy0, first_row, row_ptr, starts, stops)
         S[:] = 0.0
+        linear = True
+        for a in range(4):
+            linear = linear and T[kinds[e], a, 3] == 0.0
         row, x, y = row_ptr[e], FROM_START, first_row[e]
         while row < row_ptr[e + 1]:
             n_segments, row, x, y = _take_segments(row, row_ptr[e + 1], x, y, starts, stops, seg_x, seg_y, seg_n,
                                                    seg_at)
             if n_segments == 0:
                 continue
-            _weigh(n_segments, seg_x, seg_y, seg_n, seg_at, f_usable, fx0, fy0, lanes)
-            _local_coordinates(X, e, n_segments, seg_x, seg_y, seg_n, seg_at, xi, eta)
-            _times_gradient(2, n_segments, seg_x, seg_y, seg_n, seg_at, gx, gx, gy, f_width, fx0, fy0, lanes)
-            for component in range(3):
-                _add_products(seg_at[n_segments], component, xi, eta, lanes, S)
-        _transform(S, T, e, half, out)
+            x0, y0 = starts[row_ptr[e]], first_row[e]
+            n = _gather(x0, y0, n_segments, seg_x, seg_y, seg_n, seg_at, gx, gx, gy, f_width, fx0, fy0, pixels)
+            _local_coordinates(X, e, x0, y0, n, pixels, xi, eta)
+            _weigh(n, n_segments, seg_x, seg_y, seg_n, seg_at, f_usable, fx0, fy0, lanes)
+            if linear:
+                _add_linear_products(n, pixels, xi, eta, lanes, S)
+            else:
+                for component in range(3):
+                    _add_products(n, component, pixels, xi, eta, lanes, S)
+        _transform(S, W[kinds[e]], e, product, out)
