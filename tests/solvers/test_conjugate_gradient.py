@@ -18,8 +18,8 @@ from support.textureless import corner, without_texture
 
 RANKS = [1, 2, 3, 4]
 WAVELENGTH = 32.0
-# The residual is 1e-13 of the right-hand side, D^-1 A has a condition number below 1e3 here.
-TIGHT, SAME = 1e-13, 1e-9
+# The tolerance is one on the relative error of dq, here of its largest entry.
+TIGHT, SAME = 1e-10, 1e-9
 
 
 def _step(cut: Decomposed, tolerance: float = TIGHT, most: int = 2000) -> ConjugateGradientStep:
@@ -41,7 +41,7 @@ def test_equals_monolithic(weighting: Weighting, kind: str, n_subdomains: int, w
         error = cut.relative_error(result.dq, reference)
     assert error <= SAME
     assert 0 < result.krylov_iterations == len(result.krylov_history) - 1
-    assert result.krylov_history[-1] <= TIGHT < result.krylov_history[-2]
+    assert result.krylov_history[-1] <= TIGHT
 
 
 @pytest.mark.parallel(RANKS)
@@ -97,7 +97,7 @@ def test_a_step_is_taken_up_where_it_was_left() -> None:
         second = cut.solve(step)
         step.destroy()
         error = cut.relative_error(second.dq, reference)
-    assert again.krylov_iterations <= 2  # the residual of the solution, computed anew, is rounding
+    assert again.krylov_iterations == 0
     assert error <= SAME
     # What the directions of the first part knew is lost, its reduction is not.
     assert second.krylov_history[0] <= 1.1 * first.krylov_history[-1]

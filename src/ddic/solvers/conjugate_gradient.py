@@ -16,7 +16,7 @@ from ddic.solvers.step import Leave, StepResult
 from ddic.solvers.whole_system import WholeSystem
 
 LOOK_EVERY = 4
-"""Iterations between two estimates of the lowest eigenvalue."""
+"""Iterations between two estimates of the extreme eigenvalues."""
 
 OF_ALLOWED = 0.1
 """Share of the allowed error that is left: ten more iterations cost less than one more pass over the pixels."""
@@ -32,8 +32,8 @@ class ConjugateGradientStep:
     def __init__(self, team: Team, systems: Sequence[LocalSystem], tolerance: float, max_iterations: int) -> None:
         """Set up; collective.
 
-        systems: this rank's subdomains; tolerance: on the norm of D^-1 times the residual, relative to that of the
-        right-hand side. Raises SingularSubdomainError on all ranks where a dof is held by nothing.
+        systems: this rank's subdomains; tolerance: on the relative error, by |e|/|dq| <= cond(D^-1 A) |z|/|z_0| with
+        z = D^-1 times the residual. Raises SingularSubdomainError on all ranks where a dof is held by nothing.
         """
         self._tolerance = tolerance
         self._whole = WholeSystem(team, systems)
@@ -43,7 +43,7 @@ class ConjugateGradientStep:
         self._matrix.setUp()
         self._left, self._right, self._residual = (self._whole.new_vector() for _ in range(3))
         self._root_n_nodes = float(np.sqrt(self._left.getSize() / systems[0].subdomain.mesh.dim))
-        self._lowest = 1.0
+        self._largest, self._lowest = 1.0, 1.0
         self._ksp = configured_ksp(team.comm, CONJUGATE_GRADIENT)
         try:
             self._configure(max_iterations)
@@ -118,19 +118,21 @@ class ConjugateGradientStep:
 
     def _stop(self, size: float, begun: float, leave: Leave | None) -> Callable[[PETSc.KSP, int, float], int]:
         """PETSc's test of convergence; size, begun: |D^-1 r| of the right-hand side and of the first guess."""
-        finest = self._tolerance * size
 
         def test(ksp: PETSc.KSP, iteration: int, norm: float) -> int:
             if not np.isfinite(norm):
                 return int(PETSc.KSP.ConvergedReason.DIVERGED_NANORINF)
-            if norm <= finest:
-                return int(PETSc.KSP.ConvergedReason.CONVERGED_RTOL)
-            if leave is None or iteration % LOOK_EVERY:
+            if iteration % LOOK_EVERY:
                 return 0
             if iteration:
-                self._lowest = min(self._lowest, ksp.computeExtremeSingularValues()[1])
+                largest, lowest = ksp.computeExtremeSingularValues()
+                self._largest, self._lowest = max(self._largest, largest), min(self._lowest, lowest)
+            if norm <= self._tolerance * size * self._lowest / self._largest:
+                return int(PETSc.KSP.ConvergedReason.CONVERGED_RTOL)
+            if leave is None or iteration == 0:
+                return 0
             allowed = OF_ALLOWED * max(leave.error, leave.share * self._error(begun))
-            return int(PETSc.KSP.ConvergedReason.CONVERGED_ATOL) if iteration and self._error(norm) <= allowed else 0
+            return int(PETSc.KSP.ConvergedReason.CONVERGED_ATOL) if self._error(norm) <= allowed else 0
 
         return test
 
