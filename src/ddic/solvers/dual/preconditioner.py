@@ -16,6 +16,10 @@ from ddic.solvers.dual.local_dual import LocalDual
 from ddic.solvers.dual.sparse_inverse import SINGULAR_INTERFACE
 from ddic.solvers.exchange import Exchange
 
+SINGULAR_PIVOT = 1e-14
+"""Pivot of Cholesky, relative to the diagonal entry that it is what is left of, below which it is rounding: some tens
+of the precision of a number."""
+
 
 def local_schur(local: LocalDual) -> NDArray[np.float64]:
     """S_s = T_s A_s^-1 T_s^T - D_s of one subdomain, dense and symmetric."""
@@ -49,6 +53,9 @@ def _inverse(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
         factor = linalg.cho_factor(matrix, lower=True)
     except linalg.LinAlgError as error:
         raise SingularSubdomainError(SINGULAR_INTERFACE) from error
+    # Whether the pivot of a null vector comes out negative is rounding's choice.
+    if (factor[0].diagonal() ** 2 <= SINGULAR_PIVOT * matrix.diagonal()).any():
+        raise SingularSubdomainError(SINGULAR_INTERFACE)
     inverse = linalg.cho_solve(factor, np.eye(len(matrix)))
     return np.asarray(0.5 * (inverse + inverse.T))
 
