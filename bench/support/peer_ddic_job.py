@@ -13,6 +13,7 @@ from mpi4py import MPI
 from ddic.case.loader import LoadedCase, load_case
 from ddic.methods.dd_dic import dd_dic
 from ddic.methods.listener import Silence
+from ddic.methods.phase_times import phase_times
 from ddic.methods.publish import publish
 from ddic.parallel.team import Team
 from ddic.solvers.phases import PhaseClock
@@ -28,7 +29,7 @@ def measured_seconds(team: Team, loaded: LoadedCase) -> tuple[float, dict[str, f
     start = time.process_time()
     measurement = dd_dic(team, loaded.case, Silence(), clock)
     seconds = time.process_time() - start
-    publish(team, loaded, measurement)
+    publish(team, loaded, measurement, phase_times(team, clock))
     by_rank = team.gather_lists([clock.cpu])
     phases = {name: sum(cpu.get(name, 0.0) for cpu in by_rank) for name in clock.cpu}
     return sum(team.gather_lists([seconds])), phases, len(measurement.records)
