@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
 from typing import Any, Literal
 
 import numpy as np
@@ -212,8 +211,8 @@ def correlations(meshes: Sequence[Mesh], reference: MaskedSource, degree: int) -
         raise InputError(f"{reference.image.path}: pixels of the mesh lie outside the image "
                          f"({reference.extent.width} x {reference.extent.height} px); move or cut the mesh")
     found = []
-    for members in shared_windows(windows, HALO[degree] + PADDING[degree]):
-        image = read_reference(reference, reduce(Window.union, (windows[k] for k in members)), degree)
+    for common, members in shared_windows(windows, HALO[degree] + PADDING[degree]):
+        image = read_reference(reference, common, degree)
         found.append([_correlation(meshes[k], rasters[k], image.part(windows[k]), reference.extent) for k in members])
     return found
 

@@ -4,8 +4,8 @@ Cells are visited in batches of segments: neighbouring pixels of one row each. S
 without gaps, so that short rows fill vectors as well as long ones, and only what reads images goes row by row: it
 writes whole vectors, and the next segment overwrites what is beyond a segment's end. All else is a loop over the
 batch's lanes, which the compiler turns into vector instructions without a remainder; lanes after the last segment
-repeat its last pixel's position and weigh nothing. Segments whose pixels have one integer
-offset read spline coefficients contiguously. Displacements are split into an integer offset and a fraction, so that
+repeat its last pixel's position and weigh nothing. Segments whose pixels have one integer offset read spline
+coefficients contiguously. Displacements are split into an integer offset and a fraction, so that
 no digit is lost to the position in the image. Images are float32 and everything computed from them is float64: in
 float32, Gauss-Newton would not get below 5e-8 px.
 
@@ -19,7 +19,7 @@ import numba
 import numpy as np
 
 from ddic.functionals.prefetch import prefetch
-from ddic.functionals.vector_moves import WIDTH, copy_vector, count_vector, fill_vector
+from ddic.functionals.vector_moves import WIDTH, copy_some, copy_vector, count_vector, fill_vector
 
 LANES = 8
 """Numbers in the widest vector."""
@@ -59,13 +59,24 @@ DISTORTED = 0.3
 AFFINE = 1e-11
 """A cell whose xi eta term is below this, relative to its linear terms, is a parallelogram but for rounding."""
 
-# Unsigned, so that numba need not allow for negative indices, which would keep loops from being vectorised.
+# Unsigned, so that numba need not allow for negative indices: that keeps loops from being vectorised, and outside
+# them costs as much as the arithmetic on a pixel.
 _U = np.uint64
-_TX, _TY, _WEIGHT, _G = (_U(k * PLANE) for k in range(4))
-"""Where a batch's quantities begin in one scratch array. One array, because the compiler then knows them apart."""
+_XI, _ETA, _TX, _TY, _WEIGHT, _G = (_U(k * PLANE) for k in range(6))
+"""Where a batch's quantities begin in one scratch array ``lanes``. One array, because the compiler then knows them
+apart, and because it has too few registers for the addresses of many."""
 
 _COLUMN, _ROW, _F, _BY_X, _BY_Y = (_U(k * PLANE) for k in range(5))
-"""The same for what is read from images and float32: pixels' columns and rows from the cell's first, f and grad f."""
+"""The same in ``pixels``, float32: pixels' columns and rows from the cell's first, f and grad f."""
+
+_OX, _OY = (_U(k * PLANE) for k in range(2))
+"""The same in ``offsets``: integer parts of the displacements."""
+
+_SEG_X, _SEG_Y, _SEG_N, _SEG_AT, _RUN_AT, _RUN_BEGIN, _RUN_END = (_U(k * PLANE) for k in range(7))
+"""The same in ``bounds``: segments' column, row, length and first lane (and of the one after the last the first lane);
+runs' first coefficient, first lane and the lane after the last."""
+
+_0, _1 = _U(0), _U(1)
 
 
 @numba.njit(**INLINED)
@@ -75,66 +86,62 @@ def _padded(n):
 
 
 @numba.njit(**INLINED)
-def _take_segments(row, last_row, x, y, starts, stops, seg_x, seg_y, seg_n, seg_at):
-    """Fill the segments of a batch from column x of a cell's run ``row``.
+def _segment(bounds, s):
+    """Column, row, length and first lane of segment s."""
+    s = _U(s)
+    return bounds[s + _SEG_X], bounds[s + _SEG_Y], bounds[s + _SEG_N], bounds[s + _SEG_AT]
 
-    seg_at: first lane of each segment, and of the one after the last. Returns the number of segments and where to go
-    on: row, x, y.
+
+@numba.njit(**INLINED)
+def _take_batch(row, last_row, x, y, x0, y0, starts, stops, f, gx, gy, f_width, fx0, fy0, pixels, bounds):
+    """Fill a batch from column x of a cell's run ``row``: segments, and the columns from x0, rows from y0, f and grad f
+    of their pixels.
+
+    Each segment is written in whole vectors, and what is beyond its end by the next one. The last pixel's position
+    is repeated. Returns the numbers of segments and of lanes, and where to go on: row, x, y.
     """
-    n, at = 0, 0
+    n, at, last = _0, 0, f.size - WIDTH
     while row < last_row and at < BATCH:
         x = max(x, starts[row])
         length = min(stops[row] - x, LONGEST, BATCH - at)
         if length > 0:
-            seg_x[n], seg_y[n], seg_n[n], seg_at[n] = x, y, length, at
+            bounds[n + _SEG_X], bounds[n + _SEG_Y], bounds[n + _SEG_N], bounds[n + _SEG_AT] = x, y, length, at
+            column, line = np.float32(x - x0), np.float32(y - y0)
+            i, j, end = (y - fy0) * f_width + x - fx0, at, at + length
+            while j < end:
+                to = _U(j)
+                count_vector(pixels, to + _COLUMN, column)
+                fill_vector(pixels, to + _ROW, line)
+                if i <= last:
+                    copy_vector(pixels, to + _F, f, i)
+                    copy_vector(pixels, to + _BY_X, gx, i)
+                    copy_vector(pixels, to + _BY_Y, gy, i)
+                else:
+                    copy_some(pixels, to + _F, f, i, end - j)
+                    copy_some(pixels, to + _BY_X, gx, i, end - j)
+                    copy_some(pixels, to + _BY_Y, gy, i, end - j)
+                i += WIDTH
+                j += WIDTH
+                column += np.float32(WIDTH)
             x += length
-            at += length
-            n += 1
+            at = end
+            n += _1
         if x >= stops[row]:
-            row += 1
+            row += _1
             y += 1
             x = FROM_START
-    seg_at[n] = at
-    return n, row, x, y
+    bounds[n + _SEG_AT] = at
+    end, n_lanes = _U(at), _U((at + UNROLLED - 1) // UNROLLED * UNROLLED)
+    if at > 0:
+        column, line = pixels[end - _1 + _COLUMN], pixels[end - _1 + _ROW]
+        for k in range(n_lanes - end):
+            pixels[k + end + _COLUMN] = column
+            pixels[k + end + _ROW] = line
+    return np.int64(n), n_lanes, row, x, y
 
 
 @numba.njit(**INLINED)
-def _gather(x0, y0, n_segments, seg_x, seg_y, seg_n, seg_at, f, gx, gy, f_width, fx0, fy0, pixels):
-    """Copy columns from x0, rows from y0, f and grad f of a batch's pixels; returns the number of lanes.
-
-    Each segment is written in whole vectors, and what is beyond its end by the next one. The last pixel's position
-    is repeated.
-    """
-    last = f.size - WIDTH
-    for s in range(n_segments):
-        column, row = np.float32(seg_x[s] - x0), np.float32(seg_y[s] - y0)
-        at = (seg_y[s] - fy0) * f_width + seg_x[s] - fx0
-        j, end = seg_at[s], seg_at[s + 1]
-        while j < end:
-            count_vector(pixels, _U(j) + _COLUMN, column)
-            fill_vector(pixels, _U(j) + _ROW, row)
-            if at <= last:
-                copy_vector(pixels, _U(j) + _F, f, at)
-                copy_vector(pixels, _U(j) + _BY_X, gx, at)
-                copy_vector(pixels, _U(j) + _BY_Y, gy, at)
-            else:
-                for k in range(end - j):
-                    pixels[_U(j + k) + _F] = f[at + k]
-                    pixels[_U(j + k) + _BY_X] = gx[at + k]
-                    pixels[_U(j + k) + _BY_Y] = gy[at + k]
-            j += WIDTH
-            at += WIDTH
-            column += np.float32(WIDTH)
-    end = seg_at[n_segments]
-    n = (end + UNROLLED - 1) // UNROLLED * UNROLLED
-    for k in range(_U(end), _U(n)):
-        pixels[k + _COLUMN] = pixels[_U(end - 1) + _COLUMN]
-        pixels[k + _ROW] = pixels[_U(end - 1) + _ROW]
-    return _U(n)
-
-
-@numba.njit(**INLINED)
-def _local_coordinates(X, e, x0, y0, n, pixels, xi, eta):
+def _local_coordinates(X, e, x0, y0, n, pixels, lanes):
     """Invert x = X[e] phi(xi, eta) at n lanes: linear in a parallelogram, else two quadratics."""
     x0, y0 = x0 - X[e, 0, 0], y0 - X[e, 1, 0]
     ef = X[e, 0, 1] * X[e, 1, 2] - X[e, 1, 1] * X[e, 0, 2]
@@ -143,8 +150,8 @@ def _local_coordinates(X, e, x0, y0, n, pixels, xi, eta):
     if abs(g0) + abs(g1) <= AFFINE * (abs(e0) + abs(e1) + abs(f0) + abs(f1)):
         for k in range(n):
             x, y = x0 + pixels[k + _COLUMN], y0 + pixels[k + _ROW]
-            xi[k] = f1 * x - f0 * y
-            eta[k] = e0 * y - e1 * x
+            lanes[k + _XI] = f1 * x - f0 * y
+            lanes[k + _ETA] = e0 * y - e1 * x
         return
     # Of the quadratics a t^2 + b t + c = 0 for eta and for xi, whose slopes at the solution are s and -s.
     a_eta, a_xi = (g0 * f1 - g1 * f0) * ef, (g0 * e1 - g1 * e0) * ef
@@ -153,7 +160,7 @@ def _local_coordinates(X, e, x0, y0, n, pixels, xi, eta):
             x, y = x0 + pixels[k + _COLUMN], y0 + pixels[k + _ROW]
             hg, c_eta, c_xi = x * g1 - y * g0, x * e1 - y * e0, x * f1 - y * f0
             s = np.sqrt(max((1.0 + hg) * (1.0 + hg) - 4.0 * a_eta * c_eta, 0.0))
-            xi[k], eta[k] = 2.0 * c_xi / (1.0 - hg + s), -2.0 * c_eta / (1.0 + hg + s)
+            lanes[k + _XI], lanes[k + _ETA] = 2.0 * c_xi / (1.0 - hg + s), -2.0 * c_eta / (1.0 + hg + s)
         return
     # A root and a reciprocal in float32, and a step of Newton's, spare a root and two divisions in float64.
     a4 = np.float32(4.0 * a_eta)
@@ -173,55 +180,55 @@ def _local_coordinates(X, e, x0, y0, n, pixels, xi, eta):
         t, u = np.float64(-(c * q) * sr), np.float64((d * p) * sr)
         t -= (c_eta + t * (b_eta + a_eta * t)) * slope
         u += (c_xi + u * (b_xi + a_xi * u)) * slope
-        xi[k], eta[k] = u, t
+        lanes[k + _XI], lanes[k + _ETA] = u, t
 
 
 @numba.njit(**INLINED)
-def _displace(D, e, n, xi, eta, lanes, ox, oy):
+def _displace(D, e, n, lanes, offsets):
     """Split u = D[e] phi of n lanes into integer offsets and fractions; returns the least and largest offsets."""
     u0, u1, u2, u3 = D[e, 0, 0], D[e, 0, 1], D[e, 0, 2], D[e, 0, 3]
     v0, v1, v2, v3 = D[e, 1, 0], D[e, 1, 1], D[e, 1, 2], D[e, 1, 3]
     least_x, least_y, most_x, most_y = np.int32(2**31 - 1), np.int32(2**31 - 1), np.int32(-(2**31)), np.int32(-(2**31))
-    for k in range(_U(n)):
-        t, s = xi[k], eta[k]
+    for k in range(n):
+        t, s = lanes[k + _XI], lanes[k + _ETA]
         p = t * s
         u = u0 + u1 * t + u2 * s + u3 * p
         v = v0 + v1 * t + v2 * s + v3 * p
         fu, fv = np.floor(u), np.floor(v)
         lanes[k + _TX], lanes[k + _TY] = u - fu, v - fv
         i, j = np.int32(fu), np.int32(fv)
-        ox[k], oy[k] = i, j
+        offsets[k + _OX], offsets[k + _OY] = i, j
         least_x, least_y = min(least_x, i), min(least_y, j)
         most_x, most_y = max(most_x, i), max(most_y, j)
     return least_x, least_y, most_x, most_y
 
 
 @numba.njit(**FLAGS)
-def _keep_inside(D, e, at, x0, y, n, xi, eta, width, height, lanes, ox, oy):
+def _keep_inside(D, e, at, x0, y, n, width, height, lanes, offsets):
     """Give the n lanes from ``at`` whose x + u leaves the image the nearest position in it and no weight."""
     for k in range(n):
-        j = at + k
-        p = xi[j] * eta[j]
+        j = _U(at + k)
+        t, s = lanes[j + _XI], lanes[j + _ETA]
         x = x0 + k
-        px = x + (D[e, 0, 0] + D[e, 0, 1] * xi[j] + D[e, 0, 2] * eta[j] + D[e, 0, 3] * p)
-        py = y + (D[e, 1, 0] + D[e, 1, 1] * xi[j] + D[e, 1, 2] * eta[j] + D[e, 1, 3] * p)
+        px = x + (D[e, 0, 0] + D[e, 0, 1] * t + D[e, 0, 2] * s + D[e, 0, 3] * (t * s))
+        py = y + (D[e, 1, 0] + D[e, 1, 1] * t + D[e, 1, 2] * s + D[e, 1, 3] * (t * s))
         if not (0.0 <= px <= width - 1.0 and 0.0 <= py <= height - 1.0):
-            lanes[_U(j) + _WEIGHT] = 0.0
+            lanes[j + _WEIGHT] = 0.0
             # Written so that a position that is not a number becomes 0.
             px = px if px > 0.0 else 0.0
             py = py if py > 0.0 else 0.0
             px, py = min(px, width - 1.0), min(py, height - 1.0)
             fx, fy = np.floor(px), np.floor(py)
-            ox[j], oy[j] = np.int32(fx) - x, np.int32(fy) - y
-            lanes[_U(j) + _TX], lanes[_U(j) + _TY] = px - fx, py - fy
+            offsets[j + _OX], offsets[j + _OY] = np.int32(fx) - x, np.int32(fy) - y
+            lanes[j + _TX], lanes[j + _TY] = px - fx, py - fy
 
 
 @numba.njit(**INLINED)
-def _cubic(c, stride, n_runs, run_at, run_begin, run_end, lanes):
-    """Evaluate the cubic spline at the lanes of runs; taps of a run's first lane start at c[run_at]."""
+def _cubic(c, stride, n_runs, bounds, lanes):
+    """Evaluate the cubic spline at the lanes of runs; c: its coefficients, flat, in rows of ``stride``."""
     d1, d2, d3 = _U(stride), _U(2 * stride), _U(3 * stride)
-    for run in range(n_runs):
-        first, begin, end = _U(run_at[run]), _U(run_begin[run]), _U(run_end[run])
+    for run in range(_U(n_runs)):
+        first, begin, end = _U(bounds[run + _RUN_AT]), _U(bounds[run + _RUN_BEGIN]), _U(bounds[run + _RUN_END])
         for k in range(end - begin):
             t, s = lanes[k + begin + _TX], lanes[k + begin + _TY]
             u, v = 1.0 - t, 1.0 - s
@@ -255,11 +262,11 @@ def _quintic_weights(t):
 
 
 @numba.njit(**FLAGS)
-def _quintic(c, stride, n_runs, run_at, run_begin, run_end, lanes):
-    """Evaluate the quintic spline at the lanes of runs; taps of a run's first lane start at c[run_at]."""
+def _quintic(c, stride, n_runs, bounds, lanes):
+    """Evaluate the quintic spline at the lanes of runs; c: its coefficients, flat, in rows of ``stride``."""
     d = _U(stride)
-    for run in range(n_runs):
-        first, begin, end = _U(run_at[run]), _U(run_begin[run]), _U(run_end[run])
+    for run in range(_U(n_runs)):
+        first, begin, end = _U(bounds[run + _RUN_AT]), _U(bounds[run + _RUN_BEGIN]), _U(bounds[run + _RUN_END])
         for k in range(end - begin):
             x0, x1, x2, x3, x4, x5 = _quintic_weights(lanes[k + begin + _TX])
             y0, y1, y2, y3, y4, y5 = _quintic_weights(lanes[k + begin + _TY])
@@ -278,8 +285,7 @@ def _quintic(c, stride, n_runs, run_at, run_begin, run_end, lanes):
 
 
 @numba.njit(**INLINED)
-def _find_runs(uniform, size, stride, reach, down, right, n_segments, seg_x, seg_y, seg_n, seg_at, ox, oy,
-               run_at, run_begin, run_end):
+def _find_runs(uniform, size, stride, reach, down, right, n_segments, bounds, offsets):
     """Split segments into runs of one integer offset; returns the number of runs.
 
     uniform: all lanes have one offset; size: of the coefficients; down, right: from a displaced pixel to its first
@@ -287,87 +293,93 @@ def _find_runs(uniform, size, stride, reach, down, right, n_segments, seg_x, seg
     """
     span = reach * (stride + 1)
     if uniform:
-        first = (oy[0] + down) * stride + ox[0] + right
-        for s in range(n_segments):
-            j, n = seg_at[s], seg_n[s]
-            at = seg_y[s] * stride + seg_x[s] + first
+        first = (offsets[_OY] + down) * stride + offsets[_OX] + right
+        for s in range(_U(n_segments)):
+            x, y, n, j = _segment(bounds, s)
+            at = y * stride + x + first
             padded = np.int64(_padded(n))
-            run_at[s], run_begin[s], run_end[s] = at, j, j + (padded if at + span + padded <= size else n)
+            bounds[s + _RUN_AT], bounds[s + _RUN_BEGIN] = at, j
+            bounds[s + _RUN_END] = j + (padded if at + span + padded <= size else n)
         return n_segments
-    n_runs = 0
+    n_runs = _0
     for s in range(n_segments):
-        j, n, begin = seg_at[s], seg_n[s], np.int64(0)
+        x, y, n, j = _segment(bounds, s)
         differ = np.int32(0)
         for k in range(_U(n)):
-            differ |= (ox[_U(j) + k] ^ ox[j]) | (oy[_U(j) + k] ^ oy[j])
+            differ |= ((offsets[k + _U(j) + _OX] ^ offsets[_U(j) + _OX])
+                       | (offsets[k + _U(j) + _OY] ^ offsets[_U(j) + _OY]))
+        begin = np.int64(0)
         while begin < n:
-            i, end = j + begin, n
+            i, end = _U(j + begin), n
+            ox, oy = offsets[i + _OX], offsets[i + _OY]
             if differ != 0:
                 end = begin + 1
-                while end < n and ox[j + end] == ox[i] and oy[j + end] == oy[i]:
+                while end < n and offsets[_U(j + end) + _OX] == ox and offsets[_U(j + end) + _OY] == oy:
                     end += 1
-            at = (seg_y[s] + oy[i] + down) * stride + seg_x[s] + begin + ox[i] + right
+            at = (y + oy + down) * stride + x + begin + ox + right
             padded = np.int64(_padded(end - begin))
-            run_at[n_runs], run_begin[n_runs] = at, i
-            run_end[n_runs] = i + padded if at + span + padded <= size else j + end
-            n_runs += 1
+            bounds[n_runs + _RUN_AT], bounds[n_runs + _RUN_BEGIN] = at, j + begin
+            bounds[n_runs + _RUN_END] = j + begin + padded if at + span + padded <= size else j + end
+            n_runs += _1
             begin = end
-    return n_runs
+    return np.int64(n_runs)
 
 
 @numba.njit(**INLINED)
-def _weigh(n, n_segments, seg_x, seg_y, seg_n, seg_at, f_usable, fx0, fy0, lanes):
+def _weigh(n, n_segments, bounds, f_usable, fx0, fy0, lanes):
     """Weight 1 for those of n lanes that are pixels which f does not exclude, else 0."""
-    end = np.int32(seg_at[n_segments])
+    end = np.int32(bounds[_U(n_segments) + _SEG_AT])
     for k in range(n):
         lanes[k + _WEIGHT] = 1.0 if np.int32(k) < end else 0.0
     if f_usable.size > 0:
         for s in range(n_segments):
-            for k in range(seg_n[s]):
-                lanes[_U(seg_at[s] + k) + _WEIGHT] *= f_usable[seg_y[s] - fy0, seg_x[s] - fx0 + k]
+            x, y, length, at = _segment(bounds, s)
+            for k in range(length):
+                lanes[_U(at + k) + _WEIGHT] *= f_usable[y - fy0, x - fx0 + k]
 
 
 @numba.njit(**INLINED)
-def _deformed_values(X, D, e, x0, y0, n, pixels, n_segments, seg_x, seg_y, seg_n, seg_at, f_usable, fx0, fy0,
-                     spline, stride, degree, origin_x, origin_y, width, height, g_usable, xi, eta, lanes, ox, oy,
-                     run_at, run_begin, run_end):
+def _deformed_values(X, D, e, x0, y0, n, n_segments, f_usable, fx0, fy0,
+                     spline, stride, degree, origin_x, origin_y, width, height, g_usable,
+                     lanes, pixels, offsets, bounds):
     """Evaluate g at x + u(x) and the weights of a batch: 0 where x + u leaves the image, or f or g excludes it.
 
     origin_x, origin_y: the spline window's first pixel; width, height: the whole image's size.
     """
-    _local_coordinates(X, e, x0, y0, n, pixels, xi, eta)
-    _weigh(n, n_segments, seg_x, seg_y, seg_n, seg_at, f_usable, fx0, fy0, lanes)
-    least_x, least_y, most_x, most_y = _displace(D, e, n, xi, eta, lanes, ox, oy)
+    _local_coordinates(X, e, x0, y0, n, pixels, lanes)
+    _weigh(n, n_segments, bounds, f_usable, fx0, fy0, lanes)
+    least_x, least_y, most_x, most_y = _displace(D, e, n, lanes, offsets)
     left, right = np.int64(2**40), np.int64(-(2**40))
     for s in range(n_segments):
-        left, right = min(left, seg_x[s]), max(right, seg_x[s] + seg_n[s])
+        x, y, length, _ = _segment(bounds, s)
+        left, right = min(left, x), max(right, x + length)
     uniform = least_x == most_x and least_y == most_y
-    if (left + least_x < 0 or right + most_x >= width or seg_y[0] + least_y < 0
-            or seg_y[n_segments - 1] + most_y + 1 >= height):
+    if (left + least_x < 0 or right + most_x >= width or bounds[_SEG_Y] + least_y < 0 or y + most_y + 1 >= height):
         uniform = False
         for s in range(n_segments):
-            _keep_inside(D, e, seg_at[s], seg_x[s], seg_y[s], seg_n[s], xi, eta, width, height, lanes, ox, oy)
+            x, y, length, at = _segment(bounds, s)
+            _keep_inside(D, e, at, x, y, length, width, height, lanes, offsets)
     # Taps of a pixel's first coefficient lie degree // 2 pixels before it, and the array begins one more before.
-    n_runs = _find_runs(uniform, spline.size, stride, degree, 1 - origin_y, 1 - origin_x, n_segments, seg_x, seg_y,
-                        seg_n, seg_at, ox, oy, run_at, run_begin, run_end)
+    n_runs = _find_runs(uniform, spline.size, stride, degree, 1 - origin_y, 1 - origin_x, n_segments, bounds, offsets)
     if degree == 3:
-        _cubic(spline, stride, n_runs, run_at, run_begin, run_end, lanes)
+        _cubic(spline, stride, n_runs, bounds, lanes)
     else:
-        _quintic(spline, stride, n_runs, run_at, run_begin, run_end, lanes)
+        _quintic(spline, stride, n_runs, bounds, lanes)
     if g_usable.size > 0:
         for s in range(n_segments):
-            for k in range(seg_n[s]):
-                j = seg_at[s] + k
-                lanes[_U(j) + _WEIGHT] *= g_usable[seg_y[s] + oy[j] - origin_y, seg_x[s] + k + ox[j] - origin_x]
+            x, y, length, at = _segment(bounds, s)
+            for k in range(length):
+                j = _U(at + k)
+                lanes[j + _WEIGHT] *= g_usable[y + offsets[j + _OY] - origin_y, x + k + offsets[j + _OX] - origin_x]
 
 
 @numba.njit(**INLINED)
-def _add_residual_sums(n, pixels, xi, eta, lanes, moments, sums, e):
+def _add_residual_sums(n, pixels, lanes, moments, sums, e):
     """Add the n lanes' sums of r grad f times the monomials to moments[e, 0], and their grey sums to sums[e]."""
     m00 = m01 = m02 = m03 = m10 = m11 = m12 = m13 = 0.0
     s0 = s1 = s2 = s3 = s4 = s5 = 0.0
     for k in range(n):
-        t, s, w = xi[k], eta[k], lanes[k + _WEIGHT]
+        t, s, w = lanes[k + _XI], lanes[k + _ETA], lanes[k + _WEIGHT]
         g = w * lanes[k + _G]
         r = w * pixels[k + _F] - g
         s0 += w
@@ -395,11 +407,11 @@ def _add_residual_sums(n, pixels, xi, eta, lanes, moments, sums, e):
 
 
 @numba.njit(**FLAGS)
-def _add_moments(kind, n, pixels, xi, eta, lanes, moments, e):
+def _add_moments(kind, n, pixels, lanes, moments, e):
     """Add the n lanes' sums of g (kind 1) or 1 (2) times grad f and the monomials to moments[e, kind] (2, 4)."""
     m00 = m01 = m02 = m03 = m10 = m11 = m12 = m13 = 0.0
     for k in range(n):
-        t, s, w = xi[k], eta[k], lanes[k + _WEIGHT]
+        t, s, w = lanes[k + _XI], lanes[k + _ETA], lanes[k + _WEIGHT]
         value = w * lanes[k + _G] if kind == 1 else w
         a, b = value * pixels[k + _BY_X], value * pixels[k + _BY_Y]
         at, bt = a * t, b * t
@@ -426,19 +438,12 @@ def _aligned(array):
 
 @numba.njit(**FLAGS)
 def _scratch():
-    """Buffers of a batch.
+    """Buffers of a batch: lanes, pixels, offsets, bounds.
 
-    xi, eta; lanes' quantities and pixels; their offsets ox, oy; segments' column, row, length and first lane; runs'
-    first coefficient, first lane and the lane after the last. Zeros, since a lane that is no pixel must be a number
-    for its product with weight 0 to be 0.
+    Zeros, since a lane that is no pixel must be a number for its product with weight 0 to be 0.
     """
-    # Segments are at least a pixel long, and so are runs.
-    most = BATCH
-    return (_aligned(np.zeros(PLANE)), _aligned(np.zeros(PLANE)), _aligned(np.zeros(5 * PLANE)),
-            _aligned(np.zeros(6 * PLANE, np.float32)),
-            _aligned(np.zeros(PLANE, np.int32)), _aligned(np.zeros(PLANE, np.int32)),
-            np.zeros(most, np.int64), np.zeros(most, np.int64), np.zeros(most, np.int64), np.zeros(most + 1, np.int64),
-            (np.zeros(BATCH, np.int64), np.zeros(BATCH, np.int64), np.zeros(BATCH, np.int64)))
+    return (_aligned(np.zeros(7 * PLANE)), _aligned(np.zeros(6 * PLANE, np.float32)),
+            _aligned(np.zeros(3 * PLANE, np.int32)), _aligned(np.zeros(8 * PLANE, np.int64)))
 
 
 @numba.njit(**INLINED)
@@ -448,7 +453,7 @@ def _fetch(array, width, e, right, down, first_row, row_ptr, starts, stops):
     And for the line after each row, where the next cell is likely to begin.
     """
     begin = (first_row[e] + down) * width + right
-    for row in range(row_ptr[e], row_ptr[e + 1]):
+    for row in range(_U(row_ptr[e]), _U(row_ptr[e + _1])):
         x, stop = begin + starts[row], begin + stops[row] + 2 * LINE - 1
         while x < stop:
             prefetch(array, x)
@@ -460,7 +465,7 @@ def _fetch(array, width, e, right, down, first_row, row_ptr, starts, stops):
 def _fetch_three(a, b, c, width, e, right, down, first_row, row_ptr, starts, stops):
     """The same in three arrays at once."""
     begin = (first_row[e] + down) * width + right
-    for row in range(row_ptr[e], row_ptr[e + 1]):
+    for row in range(_U(row_ptr[e]), _U(row_ptr[e + _1])):
         x, stop = begin + starts[row], begin + stops[row] + 2 * LINE - 1
         while x < stop:
             prefetch(a, x)
@@ -468,6 +473,15 @@ def _fetch_three(a, b, c, width, e, right, down, first_row, row_ptr, starts, sto
             prefetch(c, x)
             x += LINE
         begin += width
+
+
+@numba.njit(**INLINED)
+def _fetch_numbers(array, e, n):
+    """Ask for the n float64 numbers of cell e in a flat array: cells are not visited in their order in memory."""
+    first = e * _U(n)
+    for k in range(_0, _U(n), _U(LANES)):
+        prefetch(array, first + k)
+    prefetch(array, first + _U(n - 1))
 
 
 @numba.njit(**FLAGS)
@@ -483,29 +497,32 @@ def residual_sums(order, X, U, first_row, row_ptr, starts, stops,
     moments: (n_cells, 3, 2, 4), sums of (r, g, 1) x (f_x, f_y) x (1, xi, eta, xi eta); the last two
     kinds only where all_kinds. sums: (n_cells, N_SUMS).
     """
-    xi, eta, lanes, pixels, ox, oy, seg_x, seg_y, seg_n, seg_at, runs = _scratch()
+    scratch = _scratch()
+    lanes, pixels, _, bounds = scratch
+    flat_X, flat_moments, flat_sums = X.reshape(-1), moments.reshape(-1), sums.reshape(-1)
     for i in range(len(order)):
-        e = order[i]
+        e = _U(order[i])
         if i + AHEAD < len(order):
-            after = order[i + AHEAD]
+            after = _U(order[i + AHEAD])
             right, down = np.int64(np.floor(U[after, 0, 0])) - origin_x, np.int64(np.floor(U[after, 1, 0])) - origin_y
             _fetch(spline, stride, after, right + 1, down + degree + 1, first_row, row_ptr, starts, stops)
             _fetch_three(f, gx, gy, f_width, after, -fx0, -fy0, first_row, row_ptr, starts, stops)
-        row, x, y = row_ptr[e], FROM_START, first_row[e]
-        while row < row_ptr[e + 1]:
-            n_segments, row, x, y = _take_segments(row, row_ptr[e + 1], x, y, starts, stops, seg_x, seg_y, seg_n,
-                                                   seg_at)
+            _fetch_numbers(flat_X, after, 8)
+            _fetch_numbers(flat_moments, after, 24)
+            _fetch_numbers(flat_sums, after, N_SUMS)
+        row, last_row, x, y = _U(row_ptr[e]), _U(row_ptr[e + _1]), FROM_START, first_row[e]
+        x0, y0 = (starts[row], y) if row < last_row else (np.int32(0), y)
+        while row < last_row:
+            n_segments, n, row, x, y = _take_batch(row, last_row, x, y, x0, y0, starts, stops, f, gx, gy, f_width,
+                                                   fx0, fy0, pixels, bounds)
             if n_segments == 0:
                 continue
-            x0, y0 = starts[row_ptr[e]], first_row[e]
-            n = _gather(x0, y0, n_segments, seg_x, seg_y, seg_n, seg_at, f, gx, gy, f_width, fx0, fy0, pixels)
-            _deformed_values(X, U, e, x0, y0, n, pixels, n_segments, seg_x, seg_y, seg_n, seg_at, f_usable, fx0, fy0,
-                             spline, stride, degree, origin_x, origin_y, width, height, g_usable, xi, eta, lanes,
-                             ox, oy, *runs)
-            _add_residual_sums(n, pixels, xi, eta, lanes, moments, sums, e)
+            _deformed_values(X, U, e, x0, y0, n, n_segments, f_usable, fx0, fy0,
+                             spline, stride, degree, origin_x, origin_y, width, height, g_usable, *scratch)
+            _add_residual_sums(n, pixels, lanes, moments, sums, e)
             if all_kinds:
                 for kind in range(1, 3):
-                    _add_moments(kind, n, pixels, xi, eta, lanes, moments, e)
+                    _add_moments(kind, n, pixels, lanes, moments, e)
 
 
 @numba.njit(**FLAGS)
@@ -515,35 +532,35 @@ def residual_pixels(X, U, first_row, row_ptr, starts, stops, f, f_width, f_usabl
 
     f, spline: flat, rows of f_width and of stride pixels. gain, offset: (n_cells,).
     """
-    xi, eta, lanes, pixels, ox, oy, seg_x, seg_y, seg_n, seg_at, runs = _scratch()
-    for e in range(len(first_row)):
-        row, x, y = row_ptr[e], FROM_START, first_row[e]
-        while row < row_ptr[e + 1]:
-            n_segments, row, x, y = _take_segments(row, row_ptr[e + 1], x, y, starts, stops, seg_x, seg_y, seg_n,
-                                                   seg_at)
+    scratch = _scratch()
+    lanes, pixels, _, bounds = scratch
+    for e in range(_U(len(first_row))):
+        row, last_row, x, y = _U(row_ptr[e]), _U(row_ptr[e + _1]), FROM_START, first_row[e]
+        x0, y0 = (starts[row], y) if row < last_row else (np.int32(0), y)
+        while row < last_row:
+            n_segments, n, row, x, y = _take_batch(row, last_row, x, y, x0, y0, starts, stops, f, f, f, f_width,
+                                                   fx0, fy0, pixels, bounds)
             if n_segments == 0:
                 continue
-            x0, y0 = starts[row_ptr[e]], first_row[e]
-            n = _gather(x0, y0, n_segments, seg_x, seg_y, seg_n, seg_at, f, f, f, f_width, fx0, fy0, pixels)
-            _deformed_values(X, U, e, x0, y0, n, pixels, n_segments, seg_x, seg_y, seg_n, seg_at, f_usable, fx0, fy0,
-                             spline, stride, degree, origin_x, origin_y, width, height, g_usable, xi, eta, lanes,
-                             ox, oy, *runs)
+            _deformed_values(X, U, e, x0, y0, n, n_segments, f_usable, fx0, fy0,
+                             spline, stride, degree, origin_x, origin_y, width, height, g_usable, *scratch)
             for s in range(n_segments):
-                for k in range(seg_n[s]):
-                    i, j, lane = seg_y[s] - fy0, seg_x[s] + k - fx0, _U(seg_at[s] + k)
+                left, top, length, at = _segment(bounds, s)
+                for k in range(length):
+                    i, j, lane = top - fy0, left + k - fx0, _U(at + k)
                     used = lanes[lane + _WEIGHT] > 0.0
                     out[i, j] = f[i * f_width + j] - gain[e] * lanes[lane + _G] - offset[e] if used else np.nan
 
 
 @numba.njit(**INLINED)
-def _add_products(n, component, pixels, xi, eta, lanes, S):
+def _add_products(n, component, pixels, lanes, S):
     """Add the n lanes' sums of one component of grad f grad f^T x xi^i eta^j to S[component] (3, 3)."""
     a00 = a10 = a20 = a01 = a11 = a21 = a02 = a12 = a22 = 0.0
     one, other = _BY_Y if component == 2 else _BY_X, _BY_X if component == 0 else _BY_Y
     for k in range(n):
         # In float64: the product of two float32 numbers would be rounded.
         w = lanes[k + _WEIGHT] * pixels[k + one] * pixels[k + other]
-        t, s = xi[k], eta[k]
+        t, s = lanes[k + _XI], lanes[k + _ETA]
         wt, ws = w * t, w * s
         wtt, wts, wss = wt * t, wt * s, ws * s
         a00 += w
@@ -567,13 +584,13 @@ def _add_products(n, component, pixels, xi, eta, lanes, S):
 
 
 @numba.njit(**INLINED)
-def _add_linear_products(n, pixels, xi, eta, lanes, S):
+def _add_linear_products(n, pixels, lanes, S):
     """Add the n lanes' sums of all components that cells without the monomial xi eta need to S (3, 3, 3)."""
     a00 = a10 = a20 = a01 = a11 = a02 = 0.0
     b00 = b10 = b20 = b01 = b11 = b02 = 0.0
     c00 = c10 = c20 = c01 = c11 = c02 = 0.0
     for k in range(n):
-        t, s = xi[k], eta[k]
+        t, s = lanes[k + _XI], lanes[k + _ETA]
         x, y = lanes[k + _WEIGHT] * pixels[k + _BY_X], np.float64(pixels[k + _BY_Y])
         a, b, c = x * pixels[k + _BY_X], x * y, lanes[k + _WEIGHT] * y * y
         at, bt, ct = a * t, b * t, c * t
@@ -643,32 +660,31 @@ def hessian_cells(order, X, T, kinds, first_row, row_ptr, starts, stops, gx, gy,
     """Assemble M_e = sum_px N_a N_b grad f grad f^T of every cell into out (n_cells, 4, 2, 4, 2), Eq. 5 of [BP17].
 
     order: (n_cells,) the cells in the order of visiting; gx, gy: flat, rows of f_width pixels.
-    X: (n_cells, 2, 4) geometry; T: (n_cells, 4, 4) shape coefficients on the monomials.
+    X: (n_cells, 2, 4) geometry; T: (n_kinds, 4, 4) shape coefficients on the monomials; kinds: (n_cells,) cells' T.
     """
-    xi, eta, lanes, pixels, _, _, seg_x, seg_y, seg_n, seg_at, _ = _scratch()
+    lanes, pixels, _, bounds = _scratch()
     S, product = np.empty((3, 3, 3)), np.empty(16)
     W = _products_of_shapes(T)
     for i in range(len(order)):
-        e = order[i]
+        e = _U(order[i])
         if i + AHEAD < len(order):
-            _fetch_three(gx, gx, gy, f_width, order[i + AHEAD], -fx0, -fy0, first_row, row_ptr, starts, stops)
+            _fetch_three(gx, gx, gy, f_width, _U(order[i + AHEAD]), -fx0, -fy0, first_row, row_ptr, starts, stops)
         S[:] = 0.0
         linear = True
         for a in range(4):
             linear = linear and T[kinds[e], a, 3] == 0.0
-        row, x, y = row_ptr[e], FROM_START, first_row[e]
-        while row < row_ptr[e + 1]:
-            n_segments, row, x, y = _take_segments(row, row_ptr[e + 1], x, y, starts, stops, seg_x, seg_y, seg_n,
-                                                   seg_at)
+        row, last_row, x, y = _U(row_ptr[e]), _U(row_ptr[e + _1]), FROM_START, first_row[e]
+        x0, y0 = (starts[row], y) if row < last_row else (np.int32(0), y)
+        while row < last_row:
+            n_segments, n, row, x, y = _take_batch(row, last_row, x, y, x0, y0, starts, stops, gx, gx, gy, f_width,
+                                                   fx0, fy0, pixels, bounds)
             if n_segments == 0:
                 continue
-            x0, y0 = starts[row_ptr[e]], first_row[e]
-            n = _gather(x0, y0, n_segments, seg_x, seg_y, seg_n, seg_at, gx, gx, gy, f_width, fx0, fy0, pixels)
-            _local_coordinates(X, e, x0, y0, n, pixels, xi, eta)
-            _weigh(n, n_segments, seg_x, seg_y, seg_n, seg_at, f_usable, fx0, fy0, lanes)
+            _local_coordinates(X, e, x0, y0, n, pixels, lanes)
+            _weigh(n, n_segments, bounds, f_usable, fx0, fy0, lanes)
             if linear:
-                _add_linear_products(n, pixels, xi, eta, lanes, S)
+                _add_linear_products(n, pixels, lanes, S)
             else:
                 for component in range(3):
-                    _add_products(n, component, pixels, xi, eta, lanes, S)
+                    _add_products(n, component, pixels, lanes, S)
         _transform(S, W[kinds[e]], e, product, out)

@@ -41,6 +41,23 @@ def copy_vector(typing_context: Any, to: Any, j: Any, source: Any, i: Any) -> An
 
 
 @intrinsic  # type: ignore[untyped-decorator]
+def copy_some(typing_context: Any, to: Any, j: Any, source: Any, i: Any, n: Any) -> Any:
+    """Copy source[i : i + n] to to[j : j + n], float32, contiguous and apart: a call, where a loop would be unrolled."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        to_type, _, source_type, _, _ = signature.args
+        bytes_ = ir.IntType(8).as_pointer()
+        ends = [builder.bitcast(_address(context, builder, *end), bytes_)
+                for end in ((to_type, arguments[0], arguments[1]), (source_type, arguments[2], arguments[3]))]
+        size = builder.mul(arguments[4], ir.IntType(64)(4))
+        copy = builder.module.declare_intrinsic("llvm.memcpy", [bytes_, bytes_, ir.IntType(64)])
+        builder.call(copy, [*ends, size, ir.IntType(1)(0)])
+        return context.get_dummy_value()
+
+    return types.void(to, j, source, i, types.int64), generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
 def fill_vector(typing_context: Any, to: Any, j: Any, value: Any) -> Any:
     """Set to[j : j + WIDTH], float32, contiguous, to a float32 value; the caller minds its end."""
 
