@@ -11,7 +11,6 @@ import json
 import sys
 import time
 from collections.abc import Callable
-from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ from ddic.case.loader import load_case
 from ddic.case.schema import Case
 from ddic.images.spline import HALO, PADDING
 from ddic.images.sub_image import read_reference
-from ddic.images.window import Window, shared_windows
+from ddic.images.window import shared_windows
 from ddic.io.mesh_source import build_mesh
 from ddic.io.result_reader import read_result
 from ddic.methods.assembly import own_parts, seen_parts
@@ -65,9 +64,8 @@ def once(team: Team, case: Case, pair: ImagePair, subdomains: list[Subdomain], q
     parts = watch("reference", lambda: own_parts(subdomains, pair, degree))
     watch("deformed", lambda: seen_parts(parts, q))
     rasters = [p.correlation.raster.window for p in parts]
-    shared = [reduce(Window.union, (rasters[k] for k in members))
-              for members in shared_windows(rasters, HALO[degree] + PADDING[degree])]
-    watch("gradient", lambda: [read_reference(pair.reference, window, degree) for window in shared])
+    shared = shared_windows(rasters, HALO[degree] + PADDING[degree])
+    watch("gradient", lambda: [read_reference(pair.reference, window, degree) for window, _ in shared])
     watch("M", lambda: [p.correlation.hessian_cells() for p in parts])
     watch("residual", residual_pass)
     return watch.times

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from ddic.images import binned
-from ddic.images.binned import bin_image
+from ddic.images.binned import ArraySource, bin_image
 from ddic.images.sub_image import MaskedSource
 from ddic.images.window import Window
 from support.pictures import source
@@ -63,3 +65,21 @@ def test_bands_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     in_bands = bin_image(image, 2)
     np.testing.assert_array_equal(whole(in_bands), whole(at_once))
     np.testing.assert_array_equal(in_bands.usable(in_bands.extent), at_once.usable(at_once.extent))
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_an_image_in_memory_gives_windows_in_its_own_type_that_nobody_writes_to(dtype: type) -> None:
+    values = np.arange(30).reshape(5, 6).astype(dtype)
+    image = ArraySource(Path("memory"), values)
+    part = image.read(Window(1, 2, 4, 5))
+    assert part.dtype == dtype
+    np.testing.assert_array_equal(part, [[13, 14, 15], [19, 20, 21], [25, 26, 27]])
+    with pytest.raises(ValueError, match="read-only"):
+        part[:] = 0
+
+
+@pytest.mark.parametrize("window", [Window(0, 0, 7, 5), Window(0, 0, 6, 6), Window(-1, 0, 6, 5), Window(0, -1, 6, 5),
+                                    Window(3, 2, 3, 4)])
+def test_windows_outside_an_image_in_memory_are_refused(window: Window) -> None:
+    with pytest.raises(ValueError, match="empty or leaves the image of 6 x 5 pixels"):
+        ArraySource(Path("memory"), np.zeros((5, 6))).read(window)

@@ -32,12 +32,16 @@ def test_a_rank_that_waits_is_not_busy() -> None:
         team.on_root(lambda: _work(WORK))
     with clock.phase("the last rank's"):
         team.together(lambda: _work(WORK if team.rank == team.size - 1 else 0.0))
+    with clock.phase("handed over"):
+        if team.is_root:
+            _work(WORK)
+        team.hand_over("a thing" if team.is_root else None, team.size - 1)
     times = phase_times(team, clock)
     assert team.gather_lists([times]) == [times] * team.size
-    assert list(times.seconds) == ["even", "one rank's", "the last rank's"]
+    assert list(times.seconds) == ["even", "one rank's", "the last rank's", "handed over"]
     # 10 %: what MPI's own work and the clock's steps may add to 0.15 s.
     assert times.imbalance["even"] <= 1.1
-    for name in ("one rank's", "the last rank's"):
+    for name in ("one rank's", "the last rank's", "handed over"):
         assert 0.9 * team.size <= times.imbalance[name] <= team.size * (1 + 1e-12)
     assert times.cpu_seconds["even"] >= team.size * WORK
     assert all(wall >= WORK for wall in times.seconds.values())

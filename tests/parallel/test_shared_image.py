@@ -13,9 +13,10 @@ import tifffile
 from mpi4py import MPI
 
 from ddic.errors import InputError, is_on_all_ranks
+from ddic.images.binned import ArraySource
 from ddic.images.window import Window
 from ddic.io.image_file import ImageFile, open_decoded
-from ddic.parallel.shared_image import DecodedImage, open_once_a_node
+from ddic.parallel.shared_image import open_once_a_node
 from ddic.parallel.team import Team
 
 RANKS = [1, 2, 3, 4]
@@ -62,16 +63,16 @@ def test_the_ranks_of_a_node_hold_one_copy(shared_path: Path, monkeypatch: pytes
     monkeypatch.setattr(tempfile, "tempdir", str(shared_path))
     path = _write(shared_path, "f.png")
     image = open_once_a_node(team, lambda: open_decoded(path))
-    assert isinstance(image, DecodedImage)
-    base = image.pixels
+    assert isinstance(image, ArraySource)
+    base = image.values
     while isinstance(base, np.ndarray):
         base = base.base
     assert isinstance(base, mmap.mmap)
     with pytest.raises(ValueError, match="read-only"):
-        image.pixels[0, 0] = 1
+        image.values[0, 0] = 1
     # No file is left behind, and the pixels are still there.
     assert team.comm.allreduce(len(list(shared_path.glob("ddic-image-*")))) == 0
-    assert len(set(team.gather_lists([int(image.pixels.astype(int).sum())]))) == 1
+    assert len(set(team.gather_lists([int(image.values.astype(int).sum())]))) == 1
 
 
 @pytest.mark.parallel(RANKS)

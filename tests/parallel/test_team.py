@@ -123,3 +123,10 @@ def test_ordered_sum_is_the_same_to_the_last_bit_however_subdomains_are_spread(t
 def test_lists_are_gathered_in_the_order_of_ranks(team: Team) -> None:
     mine = [(team.rank, k) for k in range(team.rank + 1)]
     assert team.gather_lists(mine) == [(rank, k) for rank in range(team.size) for k in range(rank + 1)]
+
+
+@pytest.mark.parallel(RANKS)
+def test_what_the_root_hands_over_is_the_other_ranks_alone(team: Team) -> None:
+    for to in range(team.size):
+        found = team.hand_over({"to": to} if team.is_root else None, to)
+        assert found == ({"to": to} if team.rank == to else None)

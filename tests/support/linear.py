@@ -120,7 +120,7 @@ class Decomposed:
         self.subdomains = [everything[s] for s in owners(np.ones(len(everything)), comm.size)[comm.rank]]
         self.systems = [problem.system(s, interface_weights(s.dof_multiplicity, weighting)) for s in self.subdomains]
         self.operators = [LocalOperator(s.operator, smallest_eigenvalue=0, where="part") for s in self.systems]
-        self.dofs = [(s.node_ids[:, None] * 2 + np.arange(2)).ravel() for s in self.subdomains]
+        self.dofs = [s.dofs for s in self.subdomains]
         self._steps: list[DualStep] = []
 
     def __enter__(self) -> Decomposed:

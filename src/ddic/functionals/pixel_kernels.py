@@ -94,9 +94,9 @@ def _segment(bounds, s):
 
 @numba.njit(**INLINED)
 def _take_batch(row, last_row, x, y, x0, y0, starts, stops, f, gx, gy, f_width, fx0, fy0, pixels, bounds):
-    """Fill a batch from column x of a cell's run ``row``: segments, and the columns from x0, rows from y0, f and grad f
-    of their pixels.
+    """Fill a batch from column x of a cell's run ``row``: segments and their pixels.
 
+    That is columns from x0 and rows from y0, f and grad f.
     Each segment is written in whole vectors, and what is beyond its end by the next one. The last pixel's position
     is repeated. Returns the numbers of segments and of lanes, and where to go on: row, x, y.
     """

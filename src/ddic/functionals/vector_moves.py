@@ -42,7 +42,7 @@ def copy_vector(typing_context: Any, to: Any, j: Any, source: Any, i: Any) -> An
 
 @intrinsic  # type: ignore[untyped-decorator]
 def copy_some(typing_context: Any, to: Any, j: Any, source: Any, i: Any, n: Any) -> Any:
-    """Copy source[i : i + n] to to[j : j + n], float32, contiguous and apart: a call, where a loop would be unrolled."""
+    """Copy source[i : i + n] to to[j : j + n], float32, contiguous and apart: a call, where a loop is unrolled."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         to_type, _, source_type, _, _ = signature.args

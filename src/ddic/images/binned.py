@@ -19,10 +19,14 @@ _BAND_PIXELS = 1 << 24
 
 @dataclass(frozen=True)
 class ArraySource:
-    """An image held in memory; values (height, width) float32."""
+    """An image held in memory; its windows look into it and cannot be written to.
+
+    path: where it comes from; values: (height, width) grey levels in their own type;
+    saturation: largest grey level that the integer type holds, None for float images.
+    """
 
     path: Path
-    values: NDArray[np.float32]
+    values: NDArray[Any]
     saturation: float | None = None
 
     @property
@@ -35,9 +39,16 @@ class ArraySource:
         """Number of rows."""
         return int(self.values.shape[0])
 
-    def read(self, window: Window) -> NDArray[np.float32]:
-        """Grey levels of a window inside the image."""
-        return self.values[window.y0: window.y1, window.x0: window.x1]
+    def read(self, window: Window) -> NDArray[Any]:
+        """Grey levels of a window, (window.height, window.width).
+
+        Raises ValueError if the window leaves the image or is empty.
+        """
+        if window.n_pixels == 0 or not Window(0, 0, self.width, self.height).contains(window):
+            raise ValueError(f"{window} is empty or leaves the image of {self.width} x {self.height} pixels")
+        part = self.values[window.y0:window.y1, window.x0:window.x1]
+        part.flags.writeable = False
+        return part
 
 
 @dataclass(frozen=True)

@@ -62,6 +62,9 @@ def column_slopes(coefficients: NDArray[np.float64], first: int, degree: int, ou
     _column_slopes(coefficients, first, SLOPE_TAPS[degree], out)
 
 
+_U = np.uint64
+
+
 @numba.njit(**FLAGS)
 def _reflected(k, n):
     """Where index k of a sequence of n that continues by reflection lies in it."""
@@ -73,7 +76,8 @@ def _reflected(k, n):
 
 @numba.njit(**FLAGS)
 def _filter_strip(a, begin, end, poles, terms):
-    n = a.shape[0]
+    # Rows as sequences and unsigned columns: numba would allow for negative ones, and no loop would be vectorised.
+    begin, width, n = _U(begin), _U(end - begin), a.shape[0]
     sums = np.empty(end - begin)
     for z in poles:
         gain = (1.0 - z) * (1.0 - 1.0 / z)
@@ -81,20 +85,23 @@ def _filter_strip(a, begin, end, poles, terms):
         power = gain
         for k in range(terms):
             row = a[_reflected(k, n)]
-            for j in range(end - begin):
-                sums[j] += power * row[begin + j]
+            for j in range(width):
+                sums[j] += power * row[j + begin]
             power *= z
-        for j in range(end - begin):
-            a[0, begin + j] = sums[j]
+        first = a[0]
+        for j in range(width):
+            first[j + begin] = sums[j]
         for k in range(1, n):
-            for j in range(begin, end):
-                a[k, j] = gain * a[k, j] + z * a[k - 1, j]
+            row, before = a[k], a[k - 1]
+            for j in range(width):
+                row[j + begin] = gain * row[j + begin] + z * before[j + begin]
         last, before = a[n - 1], a[_reflected(n, n)]
-        for j in range(begin, end):
-            last[j] = z / (z * z - 1.0) * (last[j] + z * before[j])
+        for j in range(width):
+            last[j + begin] = z / (z * z - 1.0) * (last[j + begin] + z * before[j + begin])
         for k in range(n - 2, -1, -1):
-            for j in range(begin, end):
-                a[k, j] = z * (a[k + 1, j] - a[k, j])
+            row, after = a[k], a[k + 1]
+            for j in range(width):
+                row[j + begin] = z * (after[j + begin] - row[j + begin])
 
 
 @numba.njit(**FLAGS)
@@ -107,13 +114,13 @@ def _filter_columns(a, poles, terms):
 def _filter_rows(a, poles, terms, turned):
     for first in range(0, a.shape[0], TURNED):
         rows = min(TURNED, a.shape[0] - first)
-        for k in range(a.shape[1]):
-            for i in range(rows):
-                turned[k, i] = a[first + i, k]
+        for k in range(_U(a.shape[1])):
+            for i in range(_U(rows)):
+                turned[k, i] = a[_U(first) + i, k]
         _filter_strip(turned, 0, rows, poles, terms)
-        for i in range(rows):
-            for k in range(a.shape[1]):
-                a[first + i, k] = turned[k, i]
+        for i in range(_U(rows)):
+            for k in range(_U(a.shape[1])):
+                a[_U(first) + i, k] = turned[k, i]
 
 
 @numba.njit(**FLAGS)
@@ -131,11 +138,12 @@ def _row_slopes(c, first, taps, out):
             to[k - first] = slope
         inner, target = row[begin - reach:end + reach], to[begin - first:]
         if reach == 1:
-            for k in range(end - begin):
-                target[k] = taps[0] * (inner[k + 2] - inner[k])
+            for k in range(_U(end - begin)):
+                target[k] = taps[0] * (inner[k + _U(2)] - inner[k])
         else:
-            for k in range(end - begin):
-                target[k] = taps[0] * (inner[k + 3] - inner[k + 1]) + taps[1] * (inner[k + 4] - inner[k])
+            for k in range(_U(end - begin)):
+                target[k] = (taps[0] * (inner[k + _U(3)] - inner[k + _U(1)])
+                             + taps[1] * (inner[k + _U(4)] - inner[k]))
 
 
 @numba.njit(**FLAGS)
@@ -144,9 +152,9 @@ def _column_slopes(c, first, taps, out):
     for k in range(out.shape[0]):
         row, ahead, behind = out[k], c[_reflected(first + k + 1, n)], c[_reflected(first + k - 1, n)]
         if len(taps) == 1:
-            for j in range(out.shape[1]):
+            for j in range(_U(out.shape[1])):
                 row[j] = taps[0] * (ahead[j] - behind[j])
         else:
             far, back = c[_reflected(first + k + 2, n)], c[_reflected(first + k - 2, n)]
-            for j in range(out.shape[1]):
+            for j in range(_U(out.shape[1])):
                 row[j] = taps[0] * (ahead[j] - behind[j]) + taps[1] * (far[j] - back[j])

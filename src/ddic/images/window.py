@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 
 @dataclass(frozen=True)
@@ -54,16 +55,17 @@ class Window:
                 and self.x1 >= other.x1 and self.y1 >= other.y1)
 
 
-def shared_windows(windows: Sequence[Window], halo: int) -> list[list[int]]:
-    """Put neighbours together whose common window holds no more pixels than theirs do, a halo around each; in order."""
-    groups: list[list[int]] = []
+def shared_windows(windows: Sequence[Window], halo: int) -> list[tuple[Window, list[int]]]:
+    """Put neighbours together whose common window holds no more pixels than theirs do, a halo around each.
+
+    Returns the common windows, without halo, and the numbers of the windows in each, in order.
+    """
+    groups: list[tuple[Window, list[int]]] = []
 
     def divide(members: list[int]) -> None:
-        common = windows[members[0]]
-        for k in members[1:]:
-            common = common.union(windows[k])
+        common = reduce(Window.union, (windows[k] for k in members))
         if common.grown(halo).n_pixels <= sum(windows[k].grown(halo).n_pixels for k in members):
-            groups.append(members)
+            groups.append((common, members))
             return
         half = len(members) // 2
         divide(members[:half])

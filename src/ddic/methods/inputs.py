@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.case.schema import Case, RegularizationSection, SolverSection
+from ddic.case.schema import Case, ImagesSection, RegularizationSection, SolverSection
 from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import gap_energies
 from ddic.images.source import ImageSource
@@ -54,18 +54,15 @@ class Region:
 
 def open_pair(case: Case) -> ImagePair:
     """Open the images of a case (headers only)."""
-    section = case.images
-    masks = [None if path is None else open_image(path) for path in (section.reference_mask, section.deformed_mask)]
-    return ImagePair(MaskedSource(open_image(section.reference), masks[0], section.exclude_saturated),
-                     MaskedSource(open_image(section.deformed), masks[1], section.exclude_saturated))
+    return _pair(case.images, open_image)
 
 
 def open_shared_pair(team: Team, case: Case) -> ImagePair:
     """``open_pair`` on all ranks: an image that can only be decoded whole is decoded once a node; collective."""
-    def opened(path: Path) -> ImageSource:
-        return open_once_a_node(team, lambda: open_decoded(path))
+    return _pair(case.images, lambda path: open_once_a_node(team, lambda: open_decoded(path)))
 
-    section = case.images
+
+def _pair(section: ImagesSection, opened: Callable[[Path], ImageSource]) -> ImagePair:
     masks = [None if path is None else opened(path) for path in (section.reference_mask, section.deformed_mask)]
     return ImagePair(MaskedSource(opened(section.reference), masks[0], section.exclude_saturated),
                      MaskedSource(opened(section.deformed), masks[1], section.exclude_saturated))
@@ -89,10 +86,10 @@ def cut(case: Case, mesh: Mesh, n_ranks: int) -> CutMesh:
     """Split the whole mesh as the case says; free of communication."""
     costs = cell_costs(mesh)
     parts = _parts(case.solver, mesh, n_ranks, costs)
-    subdomains = build_subdomains(mesh, parts, _controlled(case.regularization, mesh))
+    subdomains, work = _subdomains(case, mesh, parts, costs)
     region = Region(mesh.n_nodes, mesh.n_cells, mesh.n_dofs, len(subdomains),
                     region_gap_energies(case.regularization, mesh), mesh.mapping)
-    return CutMesh(subdomains, subdomain_costs(costs, parts), region)
+    return CutMesh(subdomains, work, region)
 
 
 def hand_out(team: Team, whole: CutMesh | None) -> tuple[list[Subdomain], Region]:
@@ -118,13 +115,17 @@ def share_out(team: Team, case: Case, mesh: Mesh | None) -> tuple[list[Subdomain
 
 def deal_out(team: Team, case: Case, mesh: Mesh | None, split: Callable[[Mesh], NDArray[np.int64]]) -> list[Subdomain]:
     """Cut the mesh that rank 0 holds as ``split`` says there, (n_cells,), and give each rank its subdomains."""
-    def cut() -> tuple[list[Subdomain], NDArray[np.float64]]:
+    def build() -> tuple[list[Subdomain], NDArray[np.float64]]:
         assert mesh is not None
-        parts = split(mesh)
-        return (build_subdomains(mesh, parts, _controlled(case.regularization, mesh)),
-                subdomain_costs(cell_costs(mesh), parts))
+        return _subdomains(case, mesh, split(mesh), cell_costs(mesh))
 
-    return distribute(team, cut)
+    return distribute(team, build)
+
+
+def _subdomains(case: Case, mesh: Mesh, parts: NDArray[np.int64], costs: NDArray[np.float64],
+                ) -> tuple[list[Subdomain], NDArray[np.float64]]:
+    """The subdomains of given parts and the work that each brings, (n_subdomains,); parts, costs: of cells."""
+    return build_subdomains(mesh, parts, _controlled(case.regularization, mesh)), subdomain_costs(costs, parts)
 
 
 def _parts(solver: SolverSection, mesh: Mesh, n_ranks: int, costs: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ddic.case.schema import Case
 from ddic.errors import first_of
 from ddic.images.binned import bin_rows, binned_source
+from ddic.images.grid_field import uniform_field
 from ddic.io.result_reader import displacement_at, read_result
 from ddic.mesh.mesh import Mesh
 from ddic.methods.inputs import ImagePair
@@ -37,10 +38,13 @@ def coarse_task(team: Team, case: Case, pair: ImagePair, mesh: Mesh | None,
     """What this rank has to do for rigid correlation and the pyramid, free of communication; collective.
 
     All ranks bin the images; the last one receives the blocks, and the mesh from rank 0, so that rank 0 may split the
-    mesh at the same time. Elsewhere there is nothing to do, nor anywhere if the start is an earlier result.
+    mesh at the same time. Elsewhere there is nothing to do, nor anywhere if the start is an earlier result, or zero.
     """
     if case.start.from_result is not None:
         return lambda: None
+    if not (case.start.rigid or case.start.pyramid):
+        zero = MultilevelStart(uniform_field((0.0, 0.0)), None, (), ())
+        return lambda: zero
     last = team.size - 1
     blocks = _binned_together(team, pair)
     whole = team.hand_over(mesh, last)
@@ -59,7 +63,8 @@ def coarse_field(team: Team, case: Case, found: MultilevelStart | None,
     """
     if case.start.from_result is not None:
         return _from_result(team, case.start.from_result, nodes)
-    start: MultilevelStart = team.comm.bcast(found, root=team.size - 1)
+    with team.waiting.counted():
+        start: MultilevelStart = team.comm.bcast(found, root=team.size - 1)
     notes = list(start.warnings)
     if start.rigid is not None:
         x, y = start.rigid.shift
@@ -78,7 +83,9 @@ def _binned_together(team: Team, pair: ImagePair) -> BinnedPair | None:
     edges = np.linspace(0, image.height // factor, team.size + 1).astype(int)
     mine = range(int(edges[team.rank]), int(edges[team.rank + 1]))
     sources = (pair.reference, pair.deformed)
-    bands = team.comm.gather(team.together(lambda: [bin_rows(s, factor, mine) for s in sources]), root=team.size - 1)
+    own = team.together(lambda: [bin_rows(s, factor, mine) for s in sources])
+    with team.waiting.counted():
+        bands = team.comm.gather(own, root=team.size - 1)
     if bands is None:
         return None
     reference, deformed = (binned_source(s, [rank[k] for rank in bands]) for k, s in enumerate(sources))
@@ -102,7 +109,8 @@ def refine_independently(team: Team, case: Case, parts: Sequence[OwnedPart], sys
 
 
 def _from_result(team: Team, path: Path, nodes: Sequence[NDArray[np.float64]]) -> StartField:
-    wanted = team.comm.gather(list(nodes), root=0)
+    with team.waiting.counted():
+        wanted = team.comm.gather(list(nodes), root=0)
 
     def read() -> list[list[NDArray[np.float64]]]:
         assert wanted is not None

@@ -54,7 +54,8 @@ def with_texture(team: Team, case: Case, pair: ImagePair, mesh: Mesh | None, giv
     if not blank.any() or blank.all():
         return given
     held: list[NDArray[np.int64]] = []
-    cells = team.comm.gather([p.cells for piece in pieces for p in piece], root=0)
+    with team.waiting.counted():
+        cells = team.comm.gather([p.cells for piece in pieces for p in piece], root=0)
 
     def merge() -> int:
         assert mesh is not None
@@ -113,8 +114,9 @@ def _count(merged: NDArray[np.int64], n_before: int, n_ranks: int) -> int:
 def _moved(team: Team, region: Region, parts: Sequence[OwnedPart], q: Sequence[NDArray[np.float64]],
            subdomains: Sequence[Subdomain]) -> list[NDArray[np.float64]]:
     """The displacement q of the old parts on the new subdomains; copies of a node hold the same value."""
-    old = team.comm.gather([(p.subdomain.node_ids, q_s) for p, q_s in zip(parts, q, strict=True)], root=0)
-    new = team.comm.gather([s.node_ids for s in subdomains], root=0)
+    with team.waiting.counted():
+        old = team.comm.gather([(p.subdomain.node_ids, q_s) for p, q_s in zip(parts, q, strict=True)], root=0)
+        new = team.comm.gather([s.node_ids for s in subdomains], root=0)
 
     def pick() -> list[list[NDArray[np.float64]]]:
         assert old is not None

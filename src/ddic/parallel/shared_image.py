@@ -14,38 +14,9 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ddic.errors import InputError
+from ddic.images.binned import ArraySource
 from ddic.images.source import ImageSource
-from ddic.images.window import Window
 from ddic.parallel.team import Team
-
-
-@dataclass(frozen=True)
-class DecodedImage:
-    """An image held decoded; windows are copies, as they are where an image is read from its file.
-
-    path: where it comes from; pixels: (height, width) grey levels in their own type, read-only;
-    saturation: largest grey level that the integer type holds, None for float images.
-    """
-
-    path: Path
-    pixels: NDArray[Any]
-    saturation: float | None
-
-    @property
-    def width(self) -> int:
-        """Number of columns."""
-        return int(self.pixels.shape[1])
-
-    @property
-    def height(self) -> int:
-        """Number of rows."""
-        return int(self.pixels.shape[0])
-
-    def read(self, window: Window) -> NDArray[Any]:
-        """Grey levels of a window, (window.height, window.width); raises ValueError if it leaves the image."""
-        if window.n_pixels == 0 or not Window(0, 0, self.width, self.height).contains(window):
-            raise ValueError(f"{window} is empty or leaves the image of {self.width} x {self.height} pixels")
-        return np.array(self.pixels[window.y0:window.y1, window.x0:window.x1])
 
 
 @dataclass(frozen=True)
@@ -111,4 +82,4 @@ def _accepted(offer: _Offer) -> ImageSource:
     pixels = offer.pixels
     if offer.file is not None:
         pixels = np.asarray(np.memmap(offer.file, offer.dtype, mode="r", shape=offer.shape))
-    return offer.source if pixels is None else DecodedImage(offer.source.path, pixels, offer.source.saturation)
+    return offer.source if pixels is None else ArraySource(offer.source.path, pixels, offer.source.saturation)

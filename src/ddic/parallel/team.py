@@ -95,9 +95,10 @@ class Team:
         """Give what rank 0 holds to another rank; None elsewhere."""
         if to == 0:
             return item
-        if self.is_root:
-            self.comm.send(item, dest=to)
-        result: T | None = self.comm.recv(source=0) if self.rank == to else None
+        with self.waiting.counted():
+            if self.is_root:
+                self.comm.send(item, dest=to)
+            result: T | None = self.comm.recv(source=0) if self.rank == to else None
         return result
 
     def _attempt_on_root(self, work: Callable[[], T]) -> T | None:

@@ -47,12 +47,10 @@ class AssembledStep:
     def solve(self, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]],
               leave: Leave | None = None) -> StepResult:
         """Solve for dq_s; where copies of a node differ in q, q + dq is one field, as of the dual step."""
-        whole = self._whole
-        mean = whole.mean_of_copies(q)
-        whole.exchange.add_to_owners(whole.right_hand_side(q, b, mean), self._right)
+        mean = self._whole.mean_of_copies(q)
+        self._whole.set_right_hand_side(self._right, q, b, mean)
         self._ksp.solve(self._right, self._left)
-        found = whole.of_subdomains(mean + whole.exchange.to_ghosts(self._left))
-        return StepResult([new - q_s for new, q_s in zip(found, q, strict=True)], 0, np.zeros(0), 0.0)
+        return StepResult(self._whole.corrections(self._left, q, mean), 0, np.zeros(0), 0.0)
 
     def destroy(self) -> None:
         """Free PETSc's objects; must be called before the interpreter ends."""
@@ -60,12 +58,8 @@ class AssembledStep:
             thing.destroy()
 
     def _factorize(self, seed: int, smallest_eigenvalue: float) -> None:
-        diagonal = self._matrix.getDiagonal()
-        where, lowest = diagonal.min()
-        diagonal.destroy()
         # Not left to MUMPS, which says no more than that a pivot is zero.
-        if not lowest > 0:
-            raise self._whole.singular_at(where)
+        self._whole.refuse_unheld(self._matrix)
         self._ksp.setOperators(self._matrix)
         self._ksp.setFromOptions()
         self._ksp.setUp()

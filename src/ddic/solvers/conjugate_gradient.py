@@ -57,9 +57,8 @@ class ConjugateGradientStep:
 
         The last solution is taken up again where that helps, as it does when one step is asked for more exactly.
         """
-        whole = self._whole
-        mean = whole.mean_of_copies(q)
-        whole.exchange.add_to_owners(whole.right_hand_side(q, b, mean), self._right)
+        mean = self._whole.mean_of_copies(q)
+        self._whole.set_right_hand_side(self._right, q, b, mean)
         size = self._preconditioned_norm(self._right)
         begun = self._preconditioned_norm(self._residual_of_last())
         if not begun < size:
@@ -74,9 +73,7 @@ class ConjugateGradientStep:
                 f"residual {self._ksp.getResidualNorm() / (size or 1.0):.1e}): the cut-off wavelength is too long for "
                 'them, or nothing holds a part of the region; use solver.method = "dual", or raise '
                 "solver.max_iterations"))
-        found = whole.of_subdomains(mean + whole.exchange.to_ghosts(self._left))
-        return StepResult([new - q_s for new, q_s in zip(found, q, strict=True)],
-                          int(self._ksp.getIterationNumber()),
+        return StepResult(self._whole.corrections(self._left, q, mean), int(self._ksp.getIterationNumber()),
                           np.array(self._ksp.getConvergenceHistory()) / (size or 1.0),
                           self._error(self._ksp.getResidualNorm()))
 
@@ -92,12 +89,7 @@ class ConjugateGradientStep:
         self._ksp.setComputeSingularValues(True)
         self._ksp.setConvergenceHistory(length=max_iterations + 2, reset=True)
         self._ksp.setFromOptions()
-        diagonal = self._whole.new_vector()
-        self._matrix.getDiagonal(diagonal)
-        where, lowest = diagonal.min()
-        diagonal.destroy()
-        if not lowest > 0:
-            raise self._whole.singular_at(where)
+        self._whole.refuse_unheld(self._matrix)
         self._ksp.setUp()
 
     def _residual_of_last(self) -> PETSc.Vec:

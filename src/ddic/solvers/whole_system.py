@@ -65,16 +65,35 @@ class WholeSystem:
         return self.added([s.hessian @ x_s + s.eta * (kbar.T @ g)
                            for s, kbar, x_s, g in zip(self.systems, self.kbars, x, gap, strict=True)])
 
-    def right_hand_side(self, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]],
-                        mean: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Part of this rank in sum_s R_s^T (b_s + M_s (q_s - qbar_s)) - eta Kbar^T Kbar qbar; collective.
+    def set_right_hand_side(self, right: PETSc.Vec, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]],
+                            mean: NDArray[np.float64]) -> None:
+        """Let ``right`` be sum_s R_s^T (b_s + M_s (q_s - qbar_s)) - eta Kbar^T Kbar qbar; collective.
 
         mean: qbar, here, the one field that takes the place of copies that differ.
         """
         q_mean = self.of_subdomains(mean)
         gap = self._gap(q_mean)
-        return self.added([b_s + s.hessian @ (q_s - m) - s.eta * (kbar.T @ g) for s, kbar, b_s, q_s, m, g
-                           in zip(self.systems, self.kbars, b, q, q_mean, gap, strict=True)])
+        self.exchange.add_to_owners(self.added(
+            [b_s + s.hessian @ (q_s - m) - s.eta * (kbar.T @ g) for s, kbar, b_s, q_s, m, g
+             in zip(self.systems, self.kbars, b, q, q_mean, gap, strict=True)]), right)
+
+    def corrections(self, solution: PETSc.Vec, q: Sequence[NDArray[np.float64]], mean: NDArray[np.float64],
+                    ) -> list[NDArray[np.float64]]:
+        """dq_s of each owned subdomain, by which q + dq is ``mean`` (here) plus the solution everywhere; collective."""
+        found = self.of_subdomains(mean + self.exchange.to_ghosts(solution))
+        return [new - q_s for new, q_s in zip(found, q, strict=True)]
+
+    def refuse_unheld(self, operator: PETSc.Mat) -> None:
+        """Raise SingularSubdomainError on all ranks where the diagonal of A is not positive; collective.
+
+        operator: A, or what gives its diagonal.
+        """
+        diagonal = self.new_vector()
+        operator.getDiagonal(diagonal)
+        where, lowest = diagonal.min()
+        diagonal.destroy()
+        if not lowest > 0:
+            raise self.singular_at(where)
 
     def singular_at(self, number: int) -> SingularSubdomainError:
         """The error that names the node of a dof, from its number; collective."""
