@@ -12,7 +12,7 @@ JOBS ?= 2
 SIZE ?= 22000
 
 .PHONY: help setup demo test lint bench bench-iterations bench-interface bench-paper bench-peers bench-big bench-scaling \
-	accept-core accept-solver accept-performance clean
+	bench-threads accept-core accept-solver accept-performance clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -58,6 +58,9 @@ bench-big: setup ## a SIZE x SIZE px pair on 2 ranks, 22,000 by default: time by
 
 bench-scaling: setup ## work by rank, messages and bytes on 4 to 64 oversubscribed ranks
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/scaling.py $(ARGS)
+
+bench-threads: setup ## one thread against two on one rank, phase by phase
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/threads.py $(ARGS)
 
 accept-core: setup ## measure the acceptance table (CHECK=NAME: one check); non-zero exit where a bound is missed
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/accept_core.py $(CHECK)

@@ -63,10 +63,10 @@ def once(team: Team, case: Case, pair: ImagePair, subdomains: list[Subdomain], q
 
     parts = watch("reference", lambda: own_parts(subdomains, pair, degree))
     watch("deformed", lambda: seen_parts(parts, q))
-    rasters = [p.correlation.raster.window for p in parts]
+    rasters = [p.view.correlation.raster.window for p in parts]
     shared = shared_windows(rasters, HALO[degree] + PADDING[degree])
     watch("gradient", lambda: [read_reference(pair.reference, window, degree) for window, _ in shared])
-    watch("M", lambda: [p.correlation.hessian_cells() for p in parts])
+    watch("M", lambda: [p.view.correlation.hessian_cells() for p in parts])
     watch("residual", residual_pass)
     return watch.times
 
@@ -81,7 +81,7 @@ def main(case_file: str, result_file: str, repeats: str) -> None:
     displacement = read_result(Path(result_file)).displacement
     q = [displacement[s.node_ids].ravel() for s in subdomains]
     runs = [once(team, case, pair, subdomains, q) for _ in range(int(repeats) + 1)][1:]
-    pixels = [p.correlation.n_usable_pixels for p in own_parts(subdomains, pair, case.correlation.spline_degree)]
+    pixels = [p.view.correlation.n_usable_pixels for p in own_parts(subdomains, pair, case.correlation.spline_degree)]
     n_pixels = sum(team.gather_lists(pixels))
     record: dict[str, Any] = {"n_ranks": team.size, "n_pixels": n_pixels}
     for kind in runs[0]:

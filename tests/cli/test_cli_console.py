@@ -26,7 +26,7 @@ SUMMARY = Summary(converged=True, iterations=2, residual_std_grey=1.5, residual_
 
 
 def _record(number: int, seconds: float) -> IterationRecord:
-    return IterationRecord(number, 10.0**-number, 0.5 / number, GreyState(2.0, 2.1, 20736, 1.0, 0.0), 12 - number,
+    return IterationRecord(number, 10.0**-number, 0.5 / number, (GreyState(2.0, 2.1, 20736, 1.0, 0.0),), 12 - number,
                            np.zeros(2), 3e-6, {"residual": seconds, "linear step": 2 * seconds})
 
 

@@ -192,7 +192,7 @@ def test_pixels_hidden_in_the_deformed_image_are_no_texture(shared_path: Path) -
     team = Team(MPI.COMM_WORLD)
     measured = _measure(team, _hidden(shared_path))
     assert "1 of 16 subdomains without texture (5)" in measured.notes[0]
-    assert 48**2 < measured.setting.n_pixels - measured.grey.n_pixels < 70**2
+    assert 48**2 < measured.setting.n_pixels - measured.grey[0].n_pixels < 70**2
     nodes, field = _field(team, measured)
     assert _rms(field - HIDDEN.field.displacement(nodes)) <= 3e-3
 
@@ -211,14 +211,14 @@ def test_start_and_hidden_pixels_move_along(shared_path: Path) -> None:
     joined = with_texture(team, case, pair, mesh, given)
     merged, region, moved = joined.parts, joined.region, joined.start
     for part, hessian in zip(merged, joined.hessians, strict=True):
-        np.testing.assert_array_equal(hessian.diagonal(), part.correlation.hessian().diagonal())
+        np.testing.assert_array_equal(hessian.diagonal(), part.view.correlation.hessian().diagonal())
     expected = coarse_field(team, case, found, [p.subdomain.mesh.nodes for p in merged])
     assert region.n_subdomains == 15
     assert len(merged) == len(moved.q) > 0
     for found, wanted in zip(moved.q, expected.q, strict=True):
         np.testing.assert_array_equal(found, wanted)
     assert moved.notes[1:] == start.notes
-    before, after = (sum(team.gather_lists([p.correlation.n_usable_pixels for p in which]))
+    before, after = (sum(team.gather_lists([p.view.correlation.n_usable_pixels for p in which]))
                      for which in (parts, merged))
     assert before == after < 192**2 - 48**2
 

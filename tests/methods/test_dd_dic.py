@@ -170,8 +170,8 @@ def test_grey_correction_is_one_for_all_ranks(shared_path: Path, correction: str
     more = f'[correlation]\ngrey_correction = "{correction}"\n' + TIGHT_SOLVER
     measured = _measure(Team(MPI.COMM_WORLD), _case(shared_path, more, deformed="dim.tif"))
     # Without displacement nothing is interpolated: what is left is float32 rounding.
-    assert measured.grey.gain == pytest.approx(gain, abs=1e-5)
-    assert measured.grey.residual_std < 1e-3
+    assert measured.grey[0].gain == pytest.approx(gain, abs=1e-5)
+    assert measured.grey[0].residual_std < 1e-3
     assert max(np.abs(q).max() for q in measured.field.q) < 1e-4
 
 
@@ -207,7 +207,7 @@ def test_a_shift_larger_than_the_windows_is_followed(shared_path: Path) -> None:
     # A whole number of pixels: grey levels match exactly, up to the rest of the last correction.
     assert max(rms_error(q, p.subdomain.mesh.nodes, field)
                for p, q in zip(measured.parts, measured.field.q, strict=True)) <= 2e-4
-    assert measured.grey.n_pixels == measured.setting.n_pixels
+    assert measured.grey[0].n_pixels == measured.setting.n_pixels
 
 
 @pytest.mark.parallel(RANKS)
@@ -215,6 +215,6 @@ def test_pixels_that_leave_the_image_are_counted(shared_path: Path) -> None:
     _images(shared_path, displacement=Translation((10.0, 0.0)))
     team = Team(MPI.COMM_WORLD)
     measured = _measure(team, _case(shared_path, TIGHT_SOLVER, region="region = [47, 24, 191, 168]"))
-    lost = measured.setting.n_pixels - measured.grey.n_pixels
+    lost = measured.setting.n_pixels - measured.grey[0].n_pixels
     # Ten columns, or eleven with a shift a hair above 10 px, of 144 or 145 rows.
     assert 9 * 144 <= lost <= 11 * 145

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError, is_on_all_ranks
 from ddic.functionals.correlation import GreyCorrection, correlation
+from ddic.functionals.view import View
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.team import Team
@@ -41,13 +42,13 @@ def part_of(reference: MaskedSource, deformed: MaskedSource, mesh: Mesh = MESH, 
     """The whole mesh as one subdomain."""
     controlled = np.zeros(mesh.n_dofs, dtype=bool)
     subdomain = build_subdomains(mesh, np.zeros(mesh.n_cells, np.int64), controlled)[0]
-    return OwnedPart(subdomain, correlation(mesh, reference, degree), DeformedSubImage(deformed, degree))
+    return OwnedPart(subdomain, (View(correlation(mesh, reference, degree), DeformedSubImage(deformed, degree)),))
 
 
 def measure(part: OwnedPart, *, q: NDArray[np.float64] | None = None, correction: GreyCorrection = "none",
             tolerances: Tolerances | None = None) -> Solution:
     """FE-DIC without regularization from q (zero)."""
-    hessian = part.correlation.hessian()
+    hessian = part.view.correlation.hessian()
     operator = LocalOperator(hessian, smallest_eigenvalue=1e-9 * hessian.diagonal().mean(), where="test")
     system = LocalSystem(part.subdomain, hessian, None, np.zeros(0), 0.0)
     start = np.zeros(part.subdomain.mesh.n_dofs) if q is None else q
@@ -100,7 +101,7 @@ def test_records_count_and_describe_the_iterations() -> None:
     pair = pair_of(Translation((0.3, -0.4)))
     told: list[IterationRecord] = []
     part = part_of(source(pair.reference), source(pair.deformed))
-    hessian = part.correlation.hessian()
+    hessian = part.view.correlation.hessian()
     operator = LocalOperator(hessian, smallest_eigenvalue=0, where="test")
     system = LocalSystem(part.subdomain, hessian, None, np.zeros(0), 0.0)
     clock = PhaseClock()
@@ -112,7 +113,7 @@ def test_records_count_and_describe_the_iterations() -> None:
     assert told[0].relative == pytest.approx(1.0)  # from zero, q = dq
     assert told[0].rms == pytest.approx(np.sqrt((0.3**2 + 0.4**2) / 2), rel=0.5)  # a first step overshoots
     assert told[-1].grey.residual_std < 0.1 * told[0].grey.residual_std
-    assert told[0].grey.n_pixels == part.correlation.n_usable_pixels
+    assert told[0].grey.n_pixels == part.view.correlation.n_usable_pixels
     assert set(clock.wall) == {"residual", "linear step"}
     assert (q[0] == 0).all()  # the start is left alone
 
@@ -176,10 +177,10 @@ def test_pixels_that_leave_the_image_are_left_out_and_counted() -> None:
     part = part_of(source(pair.reference), source(pair.deformed), mesh)
     rows, columns = np.unique(MESH.nodes[:, 1]), 144
     exact = np.tile([10.0, 0.0], mesh.n_nodes)
-    _, grey = evaluate(TEAM, [part], [exact], "none")
+    _, (grey,) = evaluate(TEAM, [part], [exact], "none")
     assert len(rows) == 10
     # Columns 47 to 190 or 191 of 144 or 145 rows, whichever the fill rule gives the edges.
-    lost = part.correlation.n_usable_pixels - grey.n_pixels
+    lost = part.view.correlation.n_usable_pixels - grey.n_pixels
     assert lost / grey.n_pixels == pytest.approx(10 / (columns - 10), abs=0.01)
     # A whole-pixel shift needs no interpolation: what is left differs by the float32 spline's rounding.
     assert grey.residual_std < 1e-3
@@ -191,11 +192,11 @@ def test_the_window_grows_with_the_displacement() -> None:
     pair = pair_of(field, side=256)
     mesh = square_mesh(64.0, 160.0)
     part = part_of(source(pair.reference), source(pair.deformed), mesh)
-    part.deformed.covering(part.correlation.raster.window)  # the window of a start at zero
+    part.view.deformed.covering(part.view.correlation.raster.window)  # the window of a start at zero
     near = np.tile([-29.5, 30.5], mesh.n_nodes)
     solution = measure(part, q=near)
     assert rms_error(solution.q[0], mesh.nodes, field) <= 2e-3
-    assert solution.records[-1].grey.n_pixels == part.correlation.n_usable_pixels
+    assert solution.records[-1].grey.n_pixels == part.view.correlation.n_usable_pixels
 
 
 @pytest.mark.parametrize("correction", ["global", "element"])
@@ -208,18 +209,18 @@ def test_a_gain_and_an_offset_of_the_deformed_image_are_recovered(correction: Gr
     solution = measure(part, correction=correction)
     bound = 2.6e-3 if correction == "global" else 4e-3  # two more unknowns per 256 pixels cost some certainty
     assert rms_error(solution.q[0], MESH.nodes, field) <= bound
-    residuals, grey = evaluate(TEAM, [part], solution.q, correction)
+    residuals, (grey,) = evaluate(TEAM, [part], solution.q, correction)
     assert grey.residual_std < 1.0  # what the spline leaves: 0.7 grey levels
     if correction == "global":
         # Residuals of 0.3 grey levels on 20000 pixels of standard deviation 50.
         assert grey.gain == pytest.approx(gain, abs=2e-3)
         assert grey.offset == pytest.approx(offset, abs=0.3)
     else:
-        gains, offsets = residuals[0].cell_sums.gain_and_offset()
+        gains, offsets = residuals[0][0].cell_sums.gain_and_offset()
         np.testing.assert_allclose(gains, gain, rtol=0, atol=0.02)
         np.testing.assert_allclose(offsets, offset, rtol=0, atol=3.0)
     # Without it the gap of grey levels stays in the residual.
-    _, uncorrected = evaluate(TEAM, [part], solution.q, "none")
+    _, (uncorrected,) = evaluate(TEAM, [part], solution.q, "none")
     assert uncorrected.residual_rms > 10.0
 
 
@@ -248,10 +249,10 @@ def test_saturated_pixels_and_masks_are_left_out() -> None:
     good = part_of(source(f, mask, exclude_saturated=True), source(g, exclude_saturated=True))
     blind = part_of(source(f), source(g))
     found, fooled = measure(good), measure(blind, tolerances=Tolerances(relative=5e-2))
-    total = blind.correlation.n_usable_pixels
-    assert good.correlation.n_usable_pixels == total - 400 - 100
+    total = blind.view.correlation.n_usable_pixels
+    assert good.view.correlation.n_usable_pixels == total - 400 - 100
     # 225 pixels map onto the reflection; those whose interpolation touches it may be left out as well.
-    lost = good.correlation.n_usable_pixels - found.records[-1].grey.n_pixels
+    lost = good.view.correlation.n_usable_pixels - found.records[-1].grey.n_pixels
     assert 225 - 30 <= lost <= 17 * 17
     # The cell under the mask keeps its edge pixels alone, which costs certainty; what is left in costs the field.
     assert rms_error(found.q[0], MESH.nodes, field) <= 1.5e-2

@@ -31,11 +31,44 @@ class ImagesSection(Section):
     length_unit: str = "px"
     reference_time: Finite = 0.0
     deformed_time: Finite = 1.0
+    noise: Positive | None = None
 
     @model_validator(mode="after")
     def _unit_needs_size(self) -> ImagesSection:
         if (self.pixel_size is None) != (self.length_unit == "px"):
             raise ValueError("pixel_size and length_unit go together: give both, or neither")
+        return self
+
+
+class NearSection(Section):
+    """A near-field image pair of a part of what the images show, and where that part lies.
+
+    x_near = ratio R(rotation) x_far + offset, or what ``ddic calibrate`` wrote.
+    """
+
+    reference: Path
+    deformed: Path
+    reference_mask: Path | None = None
+    deformed_mask: Path | None = None
+    exclude_saturated: bool = False
+    mapping_file: Path | None = None
+    ratio: Positive | None = None
+    rotation_degrees: Finite = 0.0
+    offset: tuple[Finite, Finite] | None = None
+    motion: Literal["translation", "rigid"] = "translation"
+    region: Box | None = None
+    margin: NonNegative = 8.0
+    noise: Positive | None = None
+    use_far: bool = False
+
+    @model_validator(mode="after")
+    def _one_mapping(self) -> NearSection:
+        given = (self.ratio is not None, self.offset is not None)
+        if given not in ((False, False), (True, True)) or (self.mapping_file is None) != all(given):
+            raise ValueError("give either near.mapping_file, as ddic calibrate writes it, or near.ratio and "
+                             "near.offset")
+        if self.mapping_file is not None and self.rotation_degrees != 0:
+            raise ValueError("near.rotation_degrees goes with near.ratio and near.offset")
         return self
 
 
@@ -133,6 +166,7 @@ class SolverSection(Section):
     inexact: bool = True
     recycle: bool = True
     local_inverse: Literal["auto", "dense", "sparse"] = "auto"
+    threads: Annotated[int, Field(ge=1)] = 1
 
     @model_validator(mode="after")
     def _partition_is_complete(self) -> SolverSection:
@@ -175,6 +209,7 @@ class Case(Section):
 
     title: str = ""
     images: ImagesSection
+    near: tuple[NearSection, ...] = ()
     mesh: MeshSection
     correlation: CorrelationSection = CorrelationSection()
     regularization: RegularizationSection | None = None
@@ -182,3 +217,10 @@ class Case(Section):
     gauss_newton: GaussNewtonSection = GaussNewtonSection()
     start: StartSection = StartSection()
     output: OutputSection = OutputSection()
+
+    @model_validator(mode="after")
+    def _near_needs_an_interface(self) -> Case:
+        if self.near and self.solver.method == "monolithic":
+            raise ValueError('solver.method = "monolithic" knows one camera; with [[near]] use "assembled", which '
+                             "factorises the same system")
+        return self

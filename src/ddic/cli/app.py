@@ -14,6 +14,7 @@ COMMANDS = {
     "synth": "Make image pairs with a known displacement.",
     "info": "Describe a result file or an image.",
     "plot": "Draw the pictures of a result file.",
+    "calibrate": "Find where a near-field image lies in a far-field one.",
 }
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 import click
 
+from ddic.cli.synth_near_far import near_far
+from ddic.cli.synth_options import ImageOptions, image_options, prepare_folder
 from ddic.errors import DdicError, InputError
 
 if TYPE_CHECKING:
@@ -16,18 +15,7 @@ if TYPE_CHECKING:
     from ddic.synth.hole import Hole
 
 Pair = tuple[float, float]
-Command = TypeVar("Command", bound=Callable[..., Any])
-
-
-class ImageOptions(TypedDict):
-    """The options that every kind of field shares."""
-
-    size: tuple[int, int]
-    bit_depth: str
-    noise: float
-    seed: int
-    speckle_size: float
-    output: Path
+_pair_options = image_options("512x512", "reference.tif, deformed.tif and truth.json")
 
 
 class InputFailure(click.ClickException):
@@ -51,45 +39,20 @@ class OneLineErrors(click.Group):
             raise click.ClickException(str(error)) from error
 
 
-def parse_size(_context: click.Context, _option: click.Parameter, text: str) -> tuple[int, int]:
-    """Turn "640x480" into (640, 480), pixels."""
-    match = re.fullmatch(r"([1-9]\d*)[xX]([1-9]\d*)", text)
-    if match is None:
-        raise click.BadParameter(f"{text!r} is not WIDTHxHEIGHT in pixels, for instance 640x480")
-    return int(match[1]), int(match[2])
-
-
-def image_options(command: Command) -> Command:
-    """Add the options of ImageOptions to a command."""
-    options = (
-        click.option("--size", callback=parse_size, default="512x512", show_default=True,
-                     metavar="WIDTHxHEIGHT", help="Size, pixels."),
-        click.option("--bit-depth", type=click.Choice(["8", "16", "32"]), default="8", show_default=True,
-                     help="8 or 16 bit, or 32 for float values on the scale 0..255."),
-        click.option("--noise", type=float, default=0.0, show_default=True,
-                     help="Standard deviation of the noise of both images, 8-bit grey levels."),
-        click.option("--seed", type=int, default=0, show_default=True, help="Seed of speckle and noise."),
-        click.option("--speckle-size", type=float, default=1.0, show_default=True,
-                     help="Magnification of the speckle; 1 has spots of about 5 px."),
-        click.option("--output", type=click.Path(file_okay=False, path_type=Path), required=True,
-                     help="Folder for reference.tif, deformed.tif and truth.json."),
-    )
-    for option in reversed(options):
-        command = option(command)
-    return command
-
-
 @click.group(cls=OneLineErrors)
 def synth() -> None:
-    """Generate a speckled image pair with an exactly known displacement.
+    """Generate speckled image pairs with an exactly known displacement.
 
     Pixels: x is the column, y the row (downwards), pixel centres are at integers.
     """
 
 
+synth.add_command(near_far)
+
+
 @synth.command()
 @click.option("--vector", type=float, nargs=2, default=(0.25, -0.4), show_default=True, help="u_x u_y, px.")
-@image_options
+@_pair_options
 def translation(vector: Pair, **image: Unpack[ImageOptions]) -> None:
     """Move the whole image by one vector."""
     from ddic.synth.fields import Translation
@@ -103,7 +66,7 @@ def translation(vector: Pair, **image: Unpack[ImageOptions]) -> None:
 @click.option("--vector", type=float, nargs=2, default=(0.0, 0.0), show_default=True,
               help="Displacement of the centre, px.")
 @click.option("--center", type=float, nargs=2, default=None, help="x y, px.  [default: the image's centre]")
-@image_options
+@_pair_options
 def affine(gradient: tuple[float, float, float, float], vector: Pair, center: Pair | None,
            **image: Unpack[ImageOptions]) -> None:
     """Deform with a uniform gradient."""
@@ -126,7 +89,7 @@ def affine(gradient: tuple[float, float, float, float], vector: Pair, center: Pa
               help="Of u_x along x and along y, rad.")
 @click.option("--phase-y", type=float, nargs=2, default=(-0.7, 0.5), show_default=True,
               help="Of u_y along x and along y, rad.")
-@image_options
+@_pair_options
 def sinusoidal(offset: Pair, amplitude: Pair, wavelength_x: Pair, wavelength_y: Pair, phase_x: Pair,
                phase_y: Pair, **image: Unpack[ImageOptions]) -> None:
     """Deform with waves; the default values are the reference field of all accuracy figures."""
@@ -147,7 +110,7 @@ def sinusoidal(offset: Pair, amplitude: Pair, wavelength_x: Pair, wavelength_y: 
               help="Rigid displacement added, px.")
 @click.option("--paint-hole/--no-paint-hole", default=True, show_default=True,
               help="Show the hole as a dark disc, or leave speckles in it.")
-@image_options
+@_pair_options
 def kirsch(center: Pair | None, radius: float | None, strain: float, poisson_ratio: float,
            translation: Pair, paint_hole: bool, **image: Unpack[ImageOptions]) -> None:
     """Pull a plate with a circular hole along y (Kirsch's solution)."""
@@ -166,7 +129,7 @@ def kirsch(center: Pair | None, radius: float | None, strain: float, poisson_rat
 @click.option("--poisson-ratio", type=float, default=0.3, show_default=True)
 @click.option("--translation", type=float, nargs=2, default=(0.0, 0.0), show_default=True,
               help="Rigid displacement added, px.")
-@image_options
+@_pair_options
 def bending(curvature: float, center: Pair | None, poisson_ratio: float, translation: Pair,
             **image: Unpack[ImageOptions]) -> None:
     """Bend a beam along x as between the inner rollers of a four-point test."""
@@ -190,21 +153,12 @@ def _generate(field: DisplacementField, hole: Hole | None, image: ImageOptions) 
 
     width, height = image["size"]
     camera = Digitiser(int(image["bit_depth"]), image["noise"], image["seed"])
-    scene = Scene(SpeckleTexture(image["seed"], image["speckle_size"]), field, hole)
+    texture = SpeckleTexture(image["seed"], image["speckle_size"])
     folder = image["output"]
     reference, deformed, truth = folder / "reference.tif", folder / "deformed.tif", folder / "truth.json"
-    _prepare(folder, truth)
-    write_pair(reference, deformed, scene.texture, field, width, height, bit_depth=camera.bit_depth,
+    prepare_folder(folder, truth)
+    write_pair(reference, deformed, texture, field, width, height, bit_depth=camera.bit_depth,
                noise=camera.noise, seed=camera.seed, hole=hole)
-    save_truth(truth, scene, camera, width, height)
+    save_truth(truth, Scene(texture, field, hole), camera, width, height)
     for path in (reference, deformed, truth):
         click.echo(path)
-
-
-def _prepare(folder: Path, truth: Path) -> None:
-    """Make the folder and drop the truth of an earlier pair, which no longer holds."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        truth.unlink(missing_ok=True)
-    except OSError as error:
-        raise InputError(f"--output {folder}: {error.strerror}; choose a writable folder") from error

@@ -15,6 +15,7 @@ from ddic.errors import InputError
 from ddic.functionals.pixel_kernels import N_SUMS, hessian_cells, residual_pixels, residual_sums
 from ddic.images.spline import HALO, PADDING, GradientImage
 from ddic.images.sub_image import DeformedSubImage, MaskedSource, read_reference
+from ddic.images.threads import ONE_THREAD, Threads
 from ddic.images.window import Window, shared_windows
 from ddic.kinematics.finite_element import FiniteElementKinematics, finite_element_kinematics
 from ddic.mesh.mesh import Mesh
@@ -24,6 +25,9 @@ GreyCorrection = Literal["none", "global", "element"]
 
 BAND = 32
 """Height, pixels, of the bands in which cells are visited."""
+
+FEWEST = 128
+"""Cells of a thread's slice, some 0.2 ms: handing it over and the kernel's scratch arrays cost a tenth of that."""
 
 _NOTHING_EXCLUDED = np.zeros((0, 0), dtype=np.uint8)
 
@@ -83,7 +87,7 @@ class Correlation:
     """One subdomain's pixels, reference image and kinematics.
 
     order: (n_cells,) int64, cells from left to right in bands of BAND rows, whatever the mesh's order: neighbours
-    share the cache's lines.
+    share the cache's lines. threads: take slices of the cells; what comes of a cell depends on its pixels alone.
     """
 
     mesh: Mesh
@@ -92,6 +96,7 @@ class Correlation:
     reference: GradientImage
     extent: Window
     order: NDArray[np.int64]
+    threads: Threads = ONE_THREAD
 
     @property
     def n_usable_pixels(self) -> int:
@@ -121,9 +126,13 @@ class Correlation:
         """M_e = sum_px N_i . grad f grad f^T . N_j of every cell, (n_cells, 8, 8), Eq. 5 of [BP17]."""
         k, r, f = self.kinematics, self.raster, self.reference
         out = np.zeros((len(k.geometry), 4, 2, 4, 2))
-        hessian_cells(self.order, k.geometry, k.shapes, k.kinds, r.first_row, r.row_ptr, r.starts, r.stops,
-                      _flat(f.by_x), _flat(f.by_y), _row_length(f.by_x), _or_nothing(f.usable),
-                      f.window.x0, f.window.y0, out)
+
+        def accumulate(place: slice) -> None:
+            hessian_cells(self.order[place], k.geometry, k.shapes, k.kinds, r.first_row, r.row_ptr, r.starts, r.stops,
+                          _flat(f.by_x), _flat(f.by_y), _row_length(f.by_x), _or_nothing(f.usable),
+                          f.window.x0, f.window.y0, out)
+
+        self.threads.over(len(self.order), FEWEST, accumulate)
         return out.reshape(len(out), 8, 8)
 
     def hessian(self) -> sparse.csr_matrix:
@@ -140,13 +149,17 @@ class Correlation:
         spline = deformed.covering(self.displaced_window(q))
         moments = np.zeros((len(k.geometry), 3, 2, 4))
         sums = np.zeros((len(k.geometry), N_SUMS))
-        residual_sums(self.order, k.geometry, u, r.first_row, r.row_ptr, r.starts, r.stops,
-                      _flat(f.values), _flat(f.by_x), _flat(f.by_y), _row_length(f.values),
-                      _or_nothing(f.usable), f.window.x0, f.window.y0,
-                      _flat(spline.coefficients), _row_length(spline.coefficients), spline.degree,
-                      spline.window.x0, spline.window.y0, self.extent.width, self.extent.height,
-                      _or_nothing(spline.usable), all_kinds,
-                      moments, sums)
+
+        def accumulate(place: slice) -> None:
+            residual_sums(self.order[place], k.geometry, u, r.first_row, r.row_ptr, r.starts, r.stops,
+                          _flat(f.values), _flat(f.by_x), _flat(f.by_y), _row_length(f.values),
+                          _or_nothing(f.usable), f.window.x0, f.window.y0,
+                          _flat(spline.coefficients), _row_length(spline.coefficients), spline.degree,
+                          spline.window.x0, spline.window.y0, self.extent.width, self.extent.height,
+                          _or_nothing(spline.usable), all_kinds,
+                          moments, sums)
+
+        self.threads.over(len(self.order), FEWEST, accumulate)
         return Residual(moments, GreySums(sums))
 
     def right_hand_side(self, residual: Residual, gain: NDArray[np.float64] | float = 1.0,
@@ -167,14 +180,17 @@ class Correlation:
         k, r, f = self.kinematics, self.raster, self.reference
         spline = deformed.covering(self.displaced_window(q))
         out = np.full(f.values.shape, np.nan, dtype=np.float32)
-        n_cells = len(k.geometry)
-        residual_pixels(k.geometry, k.monomial_coefficients(q), r.first_row, r.row_ptr, r.starts, r.stops,
-                        _flat(f.values), _row_length(f.values), _or_nothing(f.usable), f.window.x0, f.window.y0,
-                        _flat(spline.coefficients), _row_length(spline.coefficients), spline.degree,
-                        spline.window.x0, spline.window.y0, self.extent.width, self.extent.height,
-                        _or_nothing(spline.usable),
-                        np.array(np.broadcast_to(np.asarray(gain, dtype=float), n_cells)),
-                        np.array(np.broadcast_to(np.asarray(offset, dtype=float), n_cells)), out)
+        n_cells, u = len(k.geometry), k.monomial_coefficients(q)
+        gains, offsets = (np.array(np.broadcast_to(np.asarray(a, dtype=float), n_cells)) for a in (gain, offset))
+
+        def write(cells: slice) -> None:
+            residual_pixels(k.geometry[cells], u[cells], r.first_row[cells], r.row_ptr[cells.start:cells.stop + 1],
+                            r.starts, r.stops, _flat(f.values), _row_length(f.values), _or_nothing(f.usable),
+                            f.window.x0, f.window.y0, _flat(spline.coefficients), _row_length(spline.coefficients),
+                            spline.degree, spline.window.x0, spline.window.y0, self.extent.width, self.extent.height,
+                            _or_nothing(spline.usable), gains[cells], offsets[cells], out)
+
+        self.threads.over(n_cells, FEWEST, write)
         return out
 
     def _stays_inside(self, q: NDArray[np.float64]) -> bool:
@@ -199,7 +215,8 @@ def correlation(mesh: Mesh, reference: MaskedSource, degree: int) -> Correlation
     return correlations([mesh], reference, degree)[0][0]
 
 
-def correlations(meshes: Sequence[Mesh], reference: MaskedSource, degree: int) -> list[list[Correlation]]:
+def correlations(meshes: Sequence[Mesh], reference: MaskedSource, degree: int,
+                 threads: Threads = ONE_THREAD) -> list[list[Correlation]]:
     """The same for several subdomains: groups, in order, that share a window of the image.
 
     Neighbours do where their common window holds fewer pixels than their own ones, whose edges and halos overlap.
@@ -212,21 +229,22 @@ def correlations(meshes: Sequence[Mesh], reference: MaskedSource, degree: int) -
                          f"({reference.extent.width} x {reference.extent.height} px); move or cut the mesh")
     found = []
     for common, members in shared_windows(windows, HALO[degree] + PADDING[degree]):
-        image = read_reference(reference, common, degree)
-        found.append([_correlation(meshes[k], rasters[k], image.part(windows[k]), reference.extent) for k in members])
+        image = read_reference(reference, common, degree, threads)
+        found.append([_correlation(meshes[k], rasters[k], image.part(windows[k]), reference.extent, threads)
+                      for k in members])
     return found
 
 
 def restricted(whole: Correlation, cells: NDArray[np.int64]) -> Correlation:
     """The same on some of a subdomain's cells, with the same window of the image."""
     mesh, _ = whole.mesh.submesh(cells)
-    return _correlation(mesh, rasterize(mesh), whole.reference, whole.extent)
+    return _correlation(mesh, rasterize(mesh), whole.reference, whole.extent, whole.threads)
 
 
-def _correlation(mesh: Mesh, raster: Raster, image: GradientImage, extent: Window) -> Correlation:
+def _correlation(mesh: Mesh, raster: Raster, image: GradientImage, extent: Window, threads: Threads) -> Correlation:
     x, y = mesh.centroids.T
     order = np.lexsort((x, y // BAND)).astype(np.int64)
-    return Correlation(mesh, finite_element_kinematics(mesh), raster, image, extent, order)
+    return Correlation(mesh, finite_element_kinematics(mesh), raster, image, extent, order, threads)
 
 
 def _flat(image: NDArray[Any]) -> NDArray[Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +12,7 @@ from scipy import ndimage
 
 from ddic.images.prefilter import TURNED, column_slopes, prefilter, prefilter_columns, prefilter_rows, row_slopes
 from ddic.images.source import ImageSource
+from ddic.images.threads import ONE_THREAD, Threads
 from ddic.images.window import Window
 
 HALO = {3: 28, 5: 44}
@@ -71,22 +72,27 @@ def spline_coefficients(values: NDArray[np.float64], degree: int) -> NDArray[np.
 
 
 def read_spline(source: ImageSource, window: Window, degree: int,
-                usable: NDArray[np.uint8] | None = None) -> SplineImage:
+                usable: NDArray[np.uint8] | None = None, threads: Threads = ONE_THREAD) -> SplineImage:
     """Read a window (inside the image) and prefilter it; coefficients equal the whole image's to 1e-16."""
     pad = PADDING[degree]
     out = np.empty((window.height + 2 * pad, window.width + 2 * pad), dtype=np.float32)
     inner = window.grown(pad).clipped(source.width, source.height)
     held = _hold(source, inner, degree)
-    for band, coefficients in _coefficient_bands(held, inner, degree):
-        y = band.y0 - (window.y0 - pad)
-        x = inner.x0 - (window.x0 - pad)
-        out[y: y + band.height, x: x + inner.width] = coefficients
+
+    def fill(bands: Iterator[Window]) -> None:
+        for band, coefficients in _coefficient_bands(held, bands, degree):
+            y = band.y0 - (window.y0 - pad)
+            x = inner.x0 - (window.x0 - pad)
+            out[y: y + band.height, x: x + inner.width] = coefficients
+
+    # The same bands for any number of threads: the halo's remainder, and with it rounding, depends on them.
+    threads.share(_bands(inner, _BAND_ROWS), fill)
     _reflect(out, inner, window.grown(pad))
     return SplineImage(window, degree, out, None if usable is None else _erode(usable))
 
 
 def read_gradient(source: ImageSource, window: Window, degree: int,
-                  usable: NDArray[np.uint8] | None = None) -> GradientImage:
+                  usable: NDArray[np.uint8] | None = None, threads: Threads = ONE_THREAD) -> GradientImage:
     """Read a window (inside the image) with its spline gradient at pixel centres.
 
     A slope along x needs coefficients along x alone: the values of the spline at pixel centres of a column undo the
@@ -96,19 +102,27 @@ def read_gradient(source: ImageSource, window: Window, degree: int,
     values, by_x, by_y = (np.empty(shape, dtype=np.float32) for _ in range(3))
     held = _hold(source, window.grown(PADDING[degree]), degree)
     wide = held.window
-    n_rows = max(_BLOCK // wide.width, TURNED)
-    buffer = held.buffer(max(n_rows, _BAND_ROWS + 2 * (HALO[degree] + PADDING[degree])))
-    for rows in _bands(window, n_rows):
-        block = held.read(Window(wide.x0, rows.y0, wide.x1, rows.y1), buffer)
-        prefilter_rows(block, degree)
-        row_slopes(block, window.x0 - wide.x0, degree, by_x[rows.y0 - window.y0: rows.y1 - window.y0])
-    for band in _bands(window, _BAND_ROWS):
-        place = slice(band.y0 - window.y0, band.y1 - window.y0)
-        tall = band.grown(HALO[degree] + PADDING[degree]).intersection(wide)
-        block = held.read(Window(window.x0, tall.y0, window.x1, tall.y1), buffer)
-        prefilter_columns(block, degree)
-        column_slopes(block, band.y0 - tall.y0, degree, by_y[place])
-        values[place] = held.part(band)
+    n_rows, halo = max(_BLOCK // wide.width, TURNED), HALO[degree] + PADDING[degree]
+
+    def along_x(blocks: Iterator[Window]) -> None:
+        buffer = held.buffer(n_rows)
+        for rows in blocks:
+            block = held.read(Window(wide.x0, rows.y0, wide.x1, rows.y1), buffer)
+            prefilter_rows(block, degree)
+            row_slopes(block, window.x0 - wide.x0, degree, by_x[rows.y0 - window.y0: rows.y1 - window.y0])
+
+    def along_y(bands: Iterator[Window]) -> None:
+        buffer = held.buffer(_BAND_ROWS + 2 * halo)
+        for band in bands:
+            place = slice(band.y0 - window.y0, band.y1 - window.y0)
+            tall = band.grown(halo).intersection(wide)
+            block = held.read(Window(window.x0, tall.y0, window.x1, tall.y1), buffer)
+            prefilter_columns(block, degree)
+            column_slopes(block, band.y0 - tall.y0, degree, by_y[place])
+            values[place] = held.part(band)
+
+    threads.share(_bands(window, n_rows), along_x)
+    threads.share(_bands(window, _BAND_ROWS), along_y)
     return GradientImage(window, values, by_x, by_y, usable)
 
 
@@ -159,10 +173,10 @@ def _bands(window: Window, height: int) -> Iterator[Window]:
         yield Window(window.x0, y0, window.x1, min(y0 + height, window.y1))
 
 
-def _coefficient_bands(held: _Held, window: Window,
+def _coefficient_bands(held: _Held, bands: Iterable[Window],
                        degree: int) -> Iterator[tuple[Window, NDArray[np.float64]]]:
     buffer = held.buffer(_BAND_ROWS + 2 * HALO[degree])
-    for band in _bands(window, _BAND_ROWS):
+    for band in bands:
         wide = band.grown(HALO[degree]).intersection(held.extent)
         coefficients = held.read(wide, buffer)
         prefilter(coefficients, degree)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ddic.images.source import ImageSource
 from ddic.images.spline import GradientImage, SplineImage, read_gradient, read_spline
+from ddic.images.threads import ONE_THREAD, Threads
 from ddic.images.window import Window
 
 GROWTH = 8
@@ -56,18 +57,23 @@ class MaskedSource:
         return usable
 
 
-def read_reference(source: MaskedSource, window: Window, degree: int) -> GradientImage:
+def read_reference(source: MaskedSource, window: Window, degree: int,
+                   threads: Threads = ONE_THREAD) -> GradientImage:
     """Read grey levels and gradient of a window (clipped to the image) of the reference image."""
     window = _sizeable(window, source.extent)
-    return read_gradient(source.image, window, degree, source.usable(window))
+    return read_gradient(source.image, window, degree, source.usable(window), threads)
 
 
 @dataclass
 class DeformedSubImage:
-    """The deformed image as one subdomain sees it; the only mutable part is the window held."""
+    """The deformed image as one subdomain sees it; the only mutable part is the window held.
+
+    threads: prefilter it.
+    """
 
     source: MaskedSource
     degree: int
+    threads: Threads = ONE_THREAD
     _spline: SplineImage | None = field(default=None, repr=False)
 
     def covering(self, window: Window) -> SplineImage:
@@ -76,7 +82,8 @@ class DeformedSubImage:
         if self._spline is None or not self._spline.window.contains(needed):
             grown = window if self._spline is None else window.union(self._spline.window)
             wanted = _sizeable(grown.grown(GROWTH), self.source.extent)
-            self._spline = read_spline(self.source.image, wanted, self.degree, self.source.usable(wanted))
+            self._spline = read_spline(self.source.image, wanted, self.degree, self.source.usable(wanted),
+                                       self.threads)
         return self._spline
 
 

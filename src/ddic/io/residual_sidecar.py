@@ -11,13 +11,13 @@ from ddic.io import result_schema as schema
 from ddic.io.replace_on_exit import replaced_on_exit
 
 
-def write_sidecar(result: Path, *, width: int, height: int, flip_y: bool) -> Path:
-    """Write NAME.residual.vtkhdf beside a result; returns its path.
+def write_sidecar(result: Path, camera: int = 0, *, width: int, height: int, flip_y: bool) -> Path:
+    """Write NAME.residual.vtkhdf beside a result, or another camera's; returns its path.
 
     It holds no pixels: an HDF5 external link leads to the image in the result file, so both move together.
     width, height: pixels; flip_y: show rows upwards (through VTKHDF's Direction, spacings being positive).
     """
-    path = schema.sidecar_path(result)
+    path = schema.sidecar_path(result, camera)
     with replaced_on_exit(path) as temporary, h5py.File(temporary, "w") as file:
         file.attrs["ddic_schema"] = schema.SCHEMA_VERSION
         file.attrs["y_axis"] = "up" if flip_y else "down"
@@ -29,5 +29,5 @@ def write_sidecar(result: Path, *, width: int, height: int, flip_y: bool) -> Pat
         group.attrs["Spacing"] = np.ones(3)
         group.attrs["Direction"] = np.diag([1.0, -1.0 if flip_y else 1.0, 1.0]).ravel()
         data = group.create_group("PointData")
-        data[schema.RESIDUAL] = h5py.ExternalLink(result.name, f"/{schema.RESIDUAL_IMAGE}/{schema.RESIDUAL}")
+        data[schema.RESIDUAL] = h5py.ExternalLink(result.name, f"/{schema.residual_group(camera)}/{schema.RESIDUAL}")
     return path

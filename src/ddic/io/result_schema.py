@@ -82,9 +82,15 @@ def cell_fields() -> tuple[FieldSpec, ...]:
     )
 
 
-def sidecar_path(path: Path) -> Path:
-    """The ImageData file that shows the residual image of a result: NAME.residual.vtkhdf."""
-    return path.with_name(f"{path.stem}.residual.vtkhdf")
+def residual_group(camera: int) -> str:
+    """The group of a camera's residual image: the far camera's, or the only one's, is number 0."""
+    return RESIDUAL_IMAGE if camera == 0 else f"{RESIDUAL_IMAGE}_near_{camera}"
+
+
+def sidecar_path(path: Path, camera: int = 0) -> Path:
+    """The ImageData file that shows a residual image of a result: NAME.residual.vtkhdf, NAME.near_1.residual.vtkhdf."""
+    near = "" if camera == 0 else f".near_{camera}"
+    return path.with_name(f"{path.stem}{near}.residual.vtkhdf")
 
 
 def flip_components(values: NDArray[Any]) -> NDArray[Any]:

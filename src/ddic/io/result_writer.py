@@ -66,7 +66,7 @@ class ResultWriter:
         self._cell_fields = tuple(cell_fields)
         self._flip_y = flip_y
         self._written: set[int] = set()
-        self._grid: ChunkGrid | None = None
+        self._grids: list[ChunkGrid] = []
         self._stack = ExitStack()
 
     def __enter__(self) -> Self:
@@ -86,12 +86,11 @@ class ResultWriter:
             missing = sorted(set(range(len(self._sizes))) - self._written)
             if missing:
                 raise ValueError(f"{self._path}: pieces {missing} were not written")
-        sidecar = schema.sidecar_path(self._path)
-        if self._grid is None:
+        if not self._grids:
             # One of an earlier run would point to an image that is no longer there.
-            sidecar.unlink(missing_ok=True)
-        else:
-            write_sidecar(self._path, width=self._grid.width, height=self._grid.height, flip_y=self._flip_y)
+            schema.sidecar_path(self._path).unlink(missing_ok=True)
+        for camera, grid in enumerate(self._grids):
+            write_sidecar(self._path, camera, width=grid.width, height=grid.height, flip_y=self._flip_y)
 
     def write_pieces(self, indices: range, pieces: Piece) -> None:
         """Write the mesh and fields of some pieces that follow each other, joined to one (``joined``).
@@ -121,20 +120,22 @@ class ResultWriter:
         self._written.update(indices)
 
     def create_residual_image(self, grid: ChunkGrid) -> None:
-        """Make room for the residual image; it is NaN where no chunk is written."""
-        data = self._file.create_dataset(f"{schema.RESIDUAL_IMAGE}/{schema.RESIDUAL}", (grid.height, grid.width),
+        """Make room for the next camera's residual image; it is NaN where no chunk is written."""
+        group = schema.residual_group(len(self._grids))
+        data = self._file.create_dataset(f"{group}/{schema.RESIDUAL}", (grid.height, grid.width),
                                          "<f4", chunks=grid.shape, compression="gzip", compression_opts=1,
                                          shuffle=True, fillvalue=np.nan)
         data.attrs["unit"] = "grey level"
         data.attrs["description"] = "f(x) - g(x + u), NaN where not correlated; rows go down"
-        self._file[schema.RESIDUAL_IMAGE].attrs["origin"] = np.zeros(2)
-        self._grid, self._residual = grid, data.id
+        self._file[group].attrs["origin"] = np.zeros(2)
+        self._grids.append(grid)
+        self._residual = data.id
 
     def write_residual_chunk(self, number: int, data: bytes) -> None:
-        """Write one chunk of the residual image; data: as ``packed`` makes it. It is not unpacked here."""
-        if self._grid is None:
+        """Write one chunk of the last residual image; data: as ``packed`` makes it. It is not unpacked here."""
+        if not self._grids:
             raise ValueError("create_residual_image comes before write_residual_chunk")
-        window = self._grid.window(number)
+        window = self._grids[-1].window(number)
         self._residual.write_direct_chunk((window.y0, window.x0), data)
 
     def write_table(self, group: str, columns: Mapping[str, Sequence[Any] | NDArray[Any]]) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
+from operator import add
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +15,11 @@ from ddic.case.schema import RegularizationSection, SolverSection
 from ddic.errors import InputError, on_all_ranks
 from ddic.functionals.correlation import correlations
 from ddic.functionals.equilibrium_gap import controlled_stiffness, cut_off_weight, texture_energies
+from ddic.functionals.view import View
 from ddic.images.sub_image import DeformedSubImage
+from ddic.images.threads import Threads
 from ddic.images.window import Window
+from ddic.kinematics.finite_element import finite_element_kinematics
 from ddic.methods.inputs import ImagePair, Region, material
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain, interface_weights
@@ -44,39 +49,42 @@ class Assembly:
         return 1.0 if self.eta == 0 else float(1.0 / np.sqrt(self.eta * self.mean_diagonal))
 
 
-def own_parts(subdomains: Sequence[Subdomain], pair: ImagePair, degree: int) -> list[OwnedPart]:
-    """Read the subdomains' windows of the reference image; those of the deformed one are read when needed."""
+def own_parts(subdomains: Sequence[Subdomain], pair: ImagePair, degree: int, n_threads: int = 1) -> list[OwnedPart]:
+    """Read the subdomains' windows of the reference image; those of the deformed one are read when needed.
+
+    n_threads: of this rank, for all that is done with the parts' pixels.
+    """
     parts: list[OwnedPart] = []
-    for group in correlations([s.mesh for s in subdomains], pair.reference, degree):
-        deformed = DeformedSubImage(pair.deformed, degree)
-        parts += [OwnedPart(subdomains[len(parts) + k], seen, deformed) for k, seen in enumerate(group)]
+    threads = Threads(n_threads)
+    for group in correlations([s.mesh for s in subdomains], pair.reference, degree, threads):
+        deformed = DeformedSubImage(pair.deformed, degree, threads)
+        parts += [OwnedPart(subdomains[len(parts) + k], (View(seen, deformed),)) for k, seen in enumerate(group)]
     return parts
 
 
 def seen_parts(parts: Sequence[OwnedPart], q: Sequence[NDArray[np.float64]]) -> list[OwnedPart]:
     """The parts without the pixels that the displacements q hide in the deformed image, whose windows are read."""
     wanted: dict[int, tuple[DeformedSubImage, Window]] = {}
-    for part, q_s in zip(parts, q, strict=True):
-        window = part.correlation.displaced_window(q_s)
-        shared = wanted.get(id(part.deformed))
+    for view, q_s in ((view, q_s) for part, q_s in zip(parts, q, strict=True) for view in part.views):
+        window = view.displaced_window(q_s)
+        shared = wanted.get(id(view.deformed))
         # At once for all who share it: one by one, every subdomain would outgrow what the last one read.
-        wanted[id(part.deformed)] = (part.deformed, window if shared is None else window.union(shared[1]))
+        wanted[id(view.deformed)] = (view.deformed, window if shared is None else window.union(shared[1]))
     for deformed, window in wanted.values():
         deformed.covering(window)
-    return [replace(part, correlation=part.correlation.seen_from(part.deformed, q_s))
+    return [replace(part, views=tuple(view.seen_from(q_s) for view in part.views))
             for part, q_s in zip(parts, q, strict=True)]
 
 
 def correlate(team: Team, parts: Sequence[OwnedPart]) -> list[sparse.csr_matrix]:
     """M_s of all owned subdomains."""
-    return team.together(lambda: [part.correlation.hessian() for part in parts])
+    return team.together(lambda: [reduce(add, (view.hessian() for view in part.views)) for part in parts])
 
 
 def assemble(team: Team, parts: Sequence[OwnedPart], hessians: Sequence[sparse.csr_matrix], region: Region,
              solver: SolverSection, section: RegularizationSection | None) -> Assembly:
     """Find eta for the whole region, and Kbar_s; hessians: M_s."""
-    trace = team.ordered_sum([np.array(h.diagonal().sum()) for h in hessians])
-    mean_diagonal = float(trace) / region.n_dofs
+    mean_diagonal = _mean_diagonal(team, parts, hessians, region)
     if section is None:
         nothing = np.zeros(0)
         systems = [LocalSystem(p.subdomain, h, None, nothing, 0.0) for p, h in zip(parts, hessians, strict=True)]
@@ -87,7 +95,7 @@ def assemble(team: Team, parts: Sequence[OwnedPart], hessians: Sequence[sparse.c
         assert section.cut_off_wavelength is not None
         wavelength = section.cut_off_wavelength
         texture = team.ordered_sum([
-            texture_energies(p.subdomain.mesh.nodes, h, p.subdomain.interior, wavelength)
+            texture_energies(p.subdomain.mesh.nodes, h[:p.n_dofs, :p.n_dofs], p.subdomain.interior, wavelength)
             for p, h in zip(parts, hessians, strict=True)
         ])
         eta = _weight(texture, region)
@@ -96,11 +104,21 @@ def assemble(team: Team, parts: Sequence[OwnedPart], hessians: Sequence[sparse.c
     def system(part: OwnedPart, hessian: sparse.csr_matrix) -> LocalSystem:
         subdomain = part.subdomain
         weights = interface_weights(subdomain.dof_multiplicity, solver.weighting) * subdomain.controlled
-        kbar = controlled_stiffness(subdomain.mesh, part.correlation.kinematics, regularization, weights)
-        return LocalSystem(subdomain, hessian, kbar, weights, eta)
+        kbar = controlled_stiffness(subdomain.mesh, finite_element_kinematics(subdomain.mesh), regularization, weights)
+        motion = sparse.csr_matrix((kbar.shape[0], hessian.shape[0] - kbar.shape[0]))
+        return LocalSystem(subdomain, hessian, sparse.hstack([kbar, motion]).tocsr(), weights, eta)
 
     systems = team.together(lambda: [system(p, h) for p, h in zip(parts, hessians, strict=True)])
     return Assembly(systems, eta, mean_diagonal)
+
+
+def _mean_diagonal(team: Team, parts: Sequence[OwnedPart], hessians: Sequence[sparse.csr_matrix],
+                   region: Region) -> float:
+    """Mean of diag M over the first camera's dofs: near-field ones would hide what the far-field ones are."""
+    sums = team.ordered_sum([np.array([h.diagonal()[:p.n_dofs].sum(), p.n_dofs]) * float(p.subdomain.camera == 0)
+                             for p, h in zip(parts, hessians, strict=True)])
+    several = any(team.gather_lists([part.subdomain.camera for part in parts]))
+    return float(sums[0]) / (float(sums[1]) if several else region.n_dofs)
 
 
 def _weight(texture: NDArray[np.float64], region: Region) -> float:
@@ -114,7 +132,7 @@ def _weight(texture: NDArray[np.float64], region: Region) -> float:
 def factorize(team: Team, systems: Sequence[LocalSystem], mean_diagonal: float) -> list[LocalOperator]:
     """Factorise A_s of all owned subdomains; raises SingularSubdomainError on all ranks."""
     return team.together(lambda: [
-        LocalOperator(s.operator, smallest_eigenvalue=SINGULAR * mean_diagonal, where=_where(s.subdomain))
+        LocalOperator(s.displacements.operator, smallest_eigenvalue=SINGULAR * mean_diagonal, where=_where(s.subdomain))
         for s in systems
     ])
 

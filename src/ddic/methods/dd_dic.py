@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ddic.case.schema import Case
 from ddic.errors import ConvergenceError, first_of, on_all_ranks
@@ -17,8 +18,10 @@ from ddic.methods.assembly import SINGULAR, assemble, correlate, own_parts, seen
 from ddic.methods.inputs import ImagePair, Region, cut, hand_out, open_shared_pair
 from ddic.methods.linear_step import linear_solver
 from ddic.methods.listener import Listener, Setting
+from ddic.methods.shift import SetupMotion
 from ddic.methods.start import coarse_field, coarse_task, refine_independently
 from ddic.methods.texture import Correlated, with_texture
+from ddic.methods.thread_note import thread_note
 from ddic.parallel.team import Team
 from ddic.solvers.dual.continuity import ContinuousField, average_copies
 from ddic.solvers.gauss_newton import (
@@ -37,18 +40,23 @@ class Measurement:
     """A measured field, spread over ranks, and how it was measured.
 
     parts: owned subdomains; field: their displacement, one value per interface node (Eq. 41 of [BP17]).
-    residuals, grey: grey levels at the solution; setting: sizes and weights; records: iterations.
+    pairs: of each camera; unknowns: of each owned subdomain, (n_unknowns,). residuals (of each view), grey (of each
+    camera): grey levels at the solution; setting: sizes and weights; records: iterations. motions: of near-field set-ups;
+    noise: of each camera, grey levels (empty with one camera).
     """
 
     region: Region
-    pair: ImagePair
+    pairs: tuple[ImagePair, ...]
     parts: list[OwnedPart]
     field: ContinuousField
-    residuals: list[Residual]
-    grey: GreyState
+    unknowns: list[NDArray[np.float64]]
+    residuals: list[tuple[Residual, ...]]
+    grey: tuple[GreyState, ...]
     setting: Setting
     records: list[IterationRecord]
     notes: tuple[str, ...]
+    motions: tuple[SetupMotion, ...] = ()
+    noise: tuple[float, ...] = ()
 
 
 def dd_dic(team: Team, case: Case, listener: Listener, clock: PhaseClock) -> Measurement:
@@ -67,8 +75,8 @@ def dd_dic(team: Team, case: Case, listener: Listener, clock: PhaseClock) -> Mea
         subdomains, region = hand_out(team, whole)
         start = coarse_field(team, case, found, [s.mesh.nodes for s in subdomains])
     with clock.phase("read"):
-        parts = team.together(lambda: own_parts(subdomains, pair, case.correlation.spline_degree))
-        n_pixels = sum(team.gather_lists([part.correlation.n_usable_pixels for part in parts]))
+        parts = team.together(lambda: own_parts(subdomains, pair, case.correlation.spline_degree, case.solver.threads))
+        n_pixels = sum(team.gather_lists([part.view.correlation.n_usable_pixels for part in parts]))
         parts = team.together(lambda: seen_parts(parts, start.q))
     with clock.phase("assemble"):
         correlated = Correlated(parts, correlate(team, parts), region, start)
@@ -78,17 +86,19 @@ def dd_dic(team: Team, case: Case, listener: Listener, clock: PhaseClock) -> Mea
         assembly = assemble(team, parts, correlated.hessians, region, case.solver, case.regularization)
     with clock.phase("independent start"):
         start = refine_independently(team, case, parts, assembly.systems, start, SINGULAR * assembly.mean_diagonal)
-    for line in start.notes:
+    notes = (*start.notes, *thread_note(team, case.solver.threads))
+    for line in notes:
         listener.note(line)
     with linear_solver(team, case, assembly, clock) as (step, n_interface):
-        setting = _setting(team, region, parts, n_pixels, n_interface, assembly.eta)
+        setting = setting_of(team, region, parts, n_pixels, n_interface, assembly.eta)
         listener.setting(setting)
-        solution = gauss_newton(team, parts, start.q, step, correction, _tolerances(case), listener.iteration, clock)
+        solution = gauss_newton(team, parts, start.q, step, correction, tolerances_of(case), listener.iteration, clock)
     with clock.phase("finish"):
         field = average_copies(team.comm, [part.subdomain for part in parts], solution.q)
-        _refuse_inverted_cells(team, parts, field)
+        refuse_inverted_cells(team, parts, field)
         residuals, grey = evaluate(team, parts, field.q, correction)
-    return Measurement(region, pair, list(parts), field, residuals, grey, setting, solution.records, start.notes)
+    return Measurement(region, (pair,), list(parts), field, field.q, residuals, grey, setting, solution.records,
+                       notes)
 
 
 def _whole_mesh(team: Team, case: Case, pair: ImagePair) -> Mesh | None:
@@ -99,13 +109,17 @@ def _whole_mesh(team: Team, case: Case, pair: ImagePair) -> Mesh | None:
     return held[0] if held else None
 
 
-def _tolerances(case: Case) -> Tolerances:
+def tolerances_of(case: Case) -> Tolerances:
+    """When Gauss-Newton stops."""
     section = case.gauss_newton
     return Tolerances(section.tolerance, section.rms_tolerance, section.max_iterations, case.solver.inexact)
 
 
-def _refuse_inverted_cells(team: Team, parts: Sequence[OwnedPart], field: ContinuousField) -> None:
-    """A field that turns cells inside out is no displacement of matter, however small the last correction was."""
+def refuse_inverted_cells(team: Team, parts: Sequence[OwnedPart], field: ContinuousField) -> None:
+    """Raise ConvergenceError on all ranks where a field turns cells inside out, however small the last correction.
+
+    Such a field is no displacement of matter.
+    """
     found = team.gather_lists([part.subdomain.cell_ids[inverted_cells(part.subdomain.mesh, q)]
                                for part, q in zip(parts, field.q, strict=True)])
     cells = np.sort(np.concatenate(found))
@@ -115,10 +129,11 @@ def _refuse_inverted_cells(team: Team, parts: Sequence[OwnedPart], field: Contin
             "determine it; use larger elements or a longer regularization.cut_off_wavelength"))
 
 
-def _setting(team: Team, region: Region, parts: Sequence[OwnedPart], n_pixels: int, n_interface: int,
-             eta: float) -> Setting:
+def setting_of(team: Team, region: Region, parts: Sequence[OwnedPart], n_pixels: int, n_interface: int,
+               eta: float) -> Setting:
+    """Sizes and weights of what is about to be solved; collective."""
     def range_of(part: OwnedPart) -> tuple[float, float]:
-        values = part.correlation.reference.values
+        values = part.view.correlation.reference.values
         return float(values.min()), float(values.max())
 
     lows, highs = zip(*team.gather_lists([range_of(part) for part in parts]), strict=True)

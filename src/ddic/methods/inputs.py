@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.case.schema import Case, ImagesSection, RegularizationSection, SolverSection
+from ddic.case.schema import Case, ImagesSection, NearSection, RegularizationSection, SolverSection
 from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import gap_energies
 from ddic.images.source import ImageSource
@@ -54,15 +54,16 @@ class Region:
 
 def open_pair(case: Case) -> ImagePair:
     """Open the images of a case (headers only)."""
-    return _pair(case.images, open_image)
+    return pair_of(case.images, open_image)
 
 
 def open_shared_pair(team: Team, case: Case) -> ImagePair:
     """``open_pair`` on all ranks: an image that can only be decoded whole is decoded once a node; collective."""
-    return _pair(case.images, lambda path: open_once_a_node(team, lambda: open_decoded(path)))
+    return pair_of(case.images, lambda path: open_once_a_node(team, lambda: open_decoded(path)))
 
 
-def _pair(section: ImagesSection, opened: Callable[[Path], ImageSource]) -> ImagePair:
+def pair_of(section: ImagesSection | NearSection, opened: Callable[[Path], ImageSource]) -> ImagePair:
+    """A section's images and masks, opened as told."""
     masks = [None if path is None else opened(path) for path in (section.reference_mask, section.deformed_mask)]
     return ImagePair(MaskedSource(opened(section.reference), masks[0], section.exclude_saturated),
                      MaskedSource(opened(section.deformed), masks[1], section.exclude_saturated))
@@ -85,7 +86,12 @@ class CutMesh:
 def cut(case: Case, mesh: Mesh, n_ranks: int) -> CutMesh:
     """Split the whole mesh as the case says; free of communication."""
     costs = cell_costs(mesh)
-    parts = _parts(case.solver, mesh, n_ranks, costs)
+    if case.solver.method == "monolithic":
+        parts: NDArray[np.int64] | None = np.zeros(mesh.n_cells, dtype=np.int64)
+    else:
+        parts = given_parts(case.solver, mesh)
+    if parts is None:
+        parts = split_by_metis(mesh, case.solver.subdomains or n_ranks, costs)
     subdomains, work = _subdomains(case, mesh, parts, costs)
     region = Region(mesh.n_nodes, mesh.n_cells, mesh.n_dofs, len(subdomains),
                     region_gap_energies(case.regularization, mesh), mesh.mapping)
@@ -125,22 +131,21 @@ def deal_out(team: Team, case: Case, mesh: Mesh | None, split: Callable[[Mesh], 
 def _subdomains(case: Case, mesh: Mesh, parts: NDArray[np.int64], costs: NDArray[np.float64],
                 ) -> tuple[list[Subdomain], NDArray[np.float64]]:
     """The subdomains of given parts and the work that each brings, (n_subdomains,); parts, costs: of cells."""
-    return build_subdomains(mesh, parts, _controlled(case.regularization, mesh)), subdomain_costs(costs, parts)
+    return build_subdomains(mesh, parts, controlled_dofs(case.regularization, mesh)), subdomain_costs(costs, parts)
 
 
-def _parts(solver: SolverSection, mesh: Mesh, n_ranks: int, costs: NDArray[np.float64]) -> NDArray[np.int64]:
-    if solver.method == "monolithic":
-        return np.zeros(mesh.n_cells, dtype=np.int64)
+def given_parts(solver: SolverSection, mesh: Mesh) -> NDArray[np.int64] | None:
+    """Subdomain of each cell where the case gives blocks or a file, (n_cells,); None where METIS is to find it."""
     if solver.partition == "blocks":
         assert solver.blocks is not None
         return split_by_blocks(mesh, solver.blocks)
     if solver.partition == "file":
         assert solver.partition_file is not None
         return read_partition(solver.partition_file, mesh.n_cells)
-    return split_by_metis(mesh, solver.subdomains or n_ranks, costs)
+    return None
 
 
-def _controlled(section: RegularizationSection | None, mesh: Mesh) -> NDArray[np.bool_]:
+def controlled_dofs(section: RegularizationSection | None, mesh: Mesh) -> NDArray[np.bool_]:
     """Dofs whose equilibrium row is controlled: P of Eq. 11 of [BP17]."""
     if section is None:
         return np.zeros(mesh.n_dofs, dtype=bool)
@@ -149,10 +154,20 @@ def _controlled(section: RegularizationSection | None, mesh: Mesh) -> NDArray[np
     return np.repeat(controlled, mesh.dim)
 
 
-def region_gap_energies(section: RegularizationSection | None, mesh: Mesh) -> NDArray[np.float64] | None:
-    """|K v|^2 of the plane waves on the nodes inside the whole mesh (``gap_energies``); None where eta needs none."""
+def region_gap_energies(section: RegularizationSection | None, mesh: Mesh,
+                        inside: NDArray[np.bool_] | None = None) -> NDArray[np.float64] | None:
+    """|K v|^2 of the plane waves on nodes inside the whole mesh (``gap_energies``); None where eta needs none.
+
+    inside: (n_nodes,) which nodes count, by default all that are not on the boundary.
+    """
     if section is None or section.cut_off_wavelength is None:
         return None
+    inside = inner_nodes(mesh) if inside is None else inside
+    return gap_energies(mesh, material(section), inside, section.cut_off_wavelength)
+
+
+def inner_nodes(mesh: Mesh) -> NDArray[np.bool_]:
+    """Whether each node lies inside the mesh and not on its boundary, (n_nodes,)."""
     interior = np.ones(mesh.n_nodes, dtype=bool)
     interior[boundary_nodes(mesh)] = False
-    return gap_energies(mesh, material(section), interior, section.cut_off_wavelength)
+    return interior

@@ -20,7 +20,7 @@ from ddic.methods.phase_times import PhaseTimes
 from ddic.methods.provenance import provenance
 from ddic.methods.residual_image import PackedChunk, Patch, packed_chunks, to_root
 from ddic.parallel.team import Team
-from ddic.solvers.gauss_newton import IterationRecord, OwnedPart
+from ddic.solvers.gauss_newton import IterationRecord, OwnedPart, gain_and_offset
 
 BATCH_POINTS = 1 << 14
 """Points from which on pieces are sent and written together (about 6 MB)."""
@@ -45,8 +45,9 @@ def publish(team: Team, loaded: LoadedCase, measurement: Measurement, times: Pha
         for batch in batches:
             with team.waiting.counted():
                 team.comm.send(batch, dest=0, tag=_BATCH)
-        for _ in _chunks(team, loaded, measurement):
-            pass
+        for camera in range(len(measurement.pairs)):
+            for _ in _chunks(team, loaded, measurement, camera):
+                pass
         return
     length_unit = None if loaded.case.images.pixel_size is None else loaded.case.images.length_unit
     with ResultWriter(loaded.case.output.file, sizes, schema.point_fields(length_unit), schema.cell_fields(),
@@ -56,9 +57,9 @@ def publish(team: Team, loaded: LoadedCase, measurement: Measurement, times: Pha
         _write_histories(writer, measurement.records)
         _write_times(writer, times)
         _write_attributes(writer, team, loaded, measurement)
-        if loaded.case.output.residual_image:
-            writer.create_residual_image(_grid(measurement))
-            for chunk in _chunks(team, loaded, measurement):
+        for camera in range(len(measurement.pairs) if loaded.case.output.residual_image else 0):
+            writer.create_residual_image(_grid(measurement, camera))
+            for chunk in _chunks(team, loaded, measurement, camera):
                 writer.write_residual_chunk(chunk.number, chunk.data)
 
 
@@ -97,8 +98,8 @@ def _size(part: OwnedPart) -> PieceSize:
 
 
 def _pieces(loaded: LoadedCase, measurement: Measurement) -> Iterator[Piece]:
-    for part, q, residual in zip(measurement.parts, measurement.field.q, measurement.residuals, strict=True):
-        mesh, subdomain = part.subdomain.mesh, part.subdomain
+    for part, q, residuals in zip(measurement.parts, measurement.field.q, measurement.residuals, strict=True):
+        mesh, subdomain, residual = part.subdomain.mesh, part.subdomain, residuals[0]
         u = q.reshape(mesh.nodes.shape)
         point_data: dict[str, NDArray[Any]] = {
             schema.DISPLACEMENT: u,
@@ -111,7 +112,7 @@ def _pieces(loaded: LoadedCase, measurement: Measurement) -> Iterator[Piece]:
         cell_data: dict[str, NDArray[Any]] = {
             schema.STRAIN_INFINITESIMAL: _six_components(strain.infinitesimal),
             schema.STRAIN_GREEN_LAGRANGE: _six_components(strain.green_lagrange),
-            schema.RESIDUAL_RMS: _residual_rms(loaded, measurement, residual),
+            schema.RESIDUAL_RMS: _residual_rms(loaded, measurement, part.view.camera, residual),
             schema.RESIDUAL_N_PIXELS: residual.cell_sums.n_pixels.astype(np.int64),
             schema.SUBDOMAIN_ID: np.full(mesh.n_cells, subdomain.index, dtype=np.int32),
             schema.GLOBAL_CELL_ID: subdomain.cell_ids,
@@ -125,37 +126,36 @@ def _six_components(tensor: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([tensor[:, 0], tensor[:, 1], zero, tensor[:, 2], zero, zero], axis=1)
 
 
-def _gain_and_offset(loaded: LoadedCase, measurement: Measurement,
-                     residual: Residual) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    if loaded.case.correlation.grey_correction == "element":
-        return residual.cell_sums.gain_and_offset()
-    return np.array(measurement.grey.gain), np.array(measurement.grey.offset)
-
-
-def _residual_rms(loaded: LoadedCase, measurement: Measurement, residual: Residual) -> NDArray[np.float64]:
-    _, square = residual.cell_sums.residual(*_gain_and_offset(loaded, measurement, residual))
+def _residual_rms(loaded: LoadedCase, measurement: Measurement, camera: int,
+                  residual: Residual) -> NDArray[np.float64]:
+    correction = loaded.case.correlation.grey_correction
+    _, square = residual.cell_sums.residual(*gain_and_offset(residual, measurement.grey[camera], correction))
     n = residual.cell_sums.n_pixels
     return np.where(n > 0, np.sqrt(square / np.maximum(n, 1.0)), np.nan)
 
 
-def _grid(measurement: Measurement) -> ChunkGrid:
-    image = measurement.pair.reference.image
+def _grid(measurement: Measurement, camera: int) -> ChunkGrid:
+    image = measurement.pairs[camera].reference.image
     return ChunkGrid(image.width, image.height)
 
 
-def _chunks(team: Team, loaded: LoadedCase, measurement: Measurement) -> Iterator[PackedChunk]:
-    """Chunks of the residual image on rank 0, nothing elsewhere and where the case wants no image."""
+def _chunks(team: Team, loaded: LoadedCase, measurement: Measurement, camera: int) -> Iterator[PackedChunk]:
+    """Chunks of a camera's residual image on rank 0, nothing elsewhere and where the case wants no image."""
     if not loaded.case.output.residual_image:
         return
-    windows = [part.correlation.reference.window for part in measurement.parts]
-    yield from to_root(team, packed_chunks(team, _grid(measurement), windows, _patches(loaded, measurement)))
+    windows = [view.correlation.reference.window for part in measurement.parts for view in part.views
+               if view.camera == camera]
+    patches = _patches(loaded, measurement, camera)
+    yield from to_root(team, packed_chunks(team, _grid(measurement, camera), windows, patches))
 
 
-def _patches(loaded: LoadedCase, measurement: Measurement) -> Iterator[Patch]:
-    for part, q, residual in zip(measurement.parts, measurement.field.q, measurement.residuals, strict=True):
-        gain, offset = _gain_and_offset(loaded, measurement, residual)
-        yield Patch(part.correlation.reference.window,
-                    part.correlation.residual_image(part.deformed, q, gain, offset))
+def _patches(loaded: LoadedCase, measurement: Measurement, camera: int) -> Iterator[Patch]:
+    correction = loaded.case.correlation.grey_correction
+    for part, q, residuals in zip(measurement.parts, measurement.unknowns, measurement.residuals, strict=True):
+        for view, residual in zip(part.views, residuals, strict=True):
+            if view.camera == camera:
+                gain, offset = gain_and_offset(residual, measurement.grey[camera], correction)
+                yield Patch(view.correlation.reference.window, view.residual_image(q, gain, offset))
 
 
 def _write_histories(writer: ResultWriter, records: Sequence[IterationRecord]) -> None:
@@ -191,6 +191,6 @@ def _write_attributes(writer: ResultWriter, team: Team, loaded: LoadedCase, meas
     })
     writer.write_attributes(schema.TIME, {"reference": images.reference_time, "deformed": images.deformed_time})
     writer.write_attributes(schema.UNITS, {"pixel_size": images.pixel_size or 1.0, "length_unit": images.length_unit})
-    pair = measurement.pair
+    pair = measurement.pairs[0]
     writer.write_attributes(schema.PROVENANCE, provenance(
         pair.reference.image, pair.deformed.image, n_ranks=team.size, n_subdomains=measurement.region.n_subdomains))

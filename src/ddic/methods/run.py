@@ -12,6 +12,7 @@ from ddic.io.case_check import check_case
 from ddic.io.summary import Summary, summary_path, write_summary
 from ddic.methods.dd_dic import Measurement, dd_dic
 from ddic.methods.listener import Listener
+from ddic.methods.near_far_dic import near_far_dic
 from ddic.methods.phase_times import phase_times
 from ddic.methods.publish import publish
 from ddic.parallel.team import Team
@@ -25,7 +26,8 @@ def run_case(team: Team, path: Path, listener: Listener) -> Summary:
     """
     loaded = team.on_root(lambda: _checked(path, team.size))
     clock = PhaseClock(entered=listener.phase, waiting=team.waiting)
-    measurement = dd_dic(team, loaded.case, listener, clock)
+    measure = near_far_dic if loaded.case.near else dd_dic
+    measurement = measure(team, loaded.case, listener, clock)
     with clock.phase("write"):
         publish(team, loaded, measurement, phase_times(team, clock))
     summary = summarize(team, loaded.case, measurement, clock)
@@ -58,7 +60,7 @@ def rank_problem(case: Case, n_ranks: int) -> str | None:
 
 def summarize(team: Team, case: Case, measurement: Measurement, clock: PhaseClock) -> Summary:
     """Numbers for scripts; collective."""
-    setting, grey = measurement.setting, measurement.grey
+    setting, grey = measurement.setting, measurement.grey[0]
     memory = team.gather_lists([resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024])
     times = phase_times(team, clock)
     return Summary(

@@ -66,7 +66,8 @@ def with_texture(team: Team, case: Case, pair: ImagePair, mesh: Mesh | None, giv
     n_left = team.on_root(merge)
     subdomains = deal_out(team, case, mesh, lambda whole: held[0])
     q = _moved(team, region, parts, start.q, subdomains)
-    parts = team.together(lambda: seen_parts(own_parts(subdomains, pair, case.correlation.spline_degree), q))
+    degree, n_threads = case.correlation.spline_degree, case.solver.threads
+    parts = team.together(lambda: seen_parts(own_parts(subdomains, pair, degree, n_threads), q))
     note = _note(owner, blank, region.n_subdomains, n_left)
     return Correlated(parts, correlate(team, parts), replace(region, n_subdomains=n_left),
                       StartField(q, (note, *start.notes)))
@@ -83,11 +84,11 @@ class _Piece:
 
 def _pieces(part: OwnedPart, hessian: sparse.csr_matrix) -> list[_Piece]:
     label = connected_pieces(cell_adjacency(part.subdomain.mesh))
-    index, degree = part.subdomain.index, part.deformed.degree
+    index, degree = part.subdomain.index, part.view.deformed.degree
     if label.max() == 0:
-        return [_Piece(index, part.subdomain.cell_ids, texture(part.correlation, hessian, degree))]
+        return [_Piece(index, part.subdomain.cell_ids, texture(part.view.correlation, hessian, degree))]
     loose = [np.flatnonzero(label == k) for k in range(int(label.max()) + 1)]
-    correlations = [restricted(part.correlation, cells) for cells in loose]
+    correlations = [restricted(part.view.correlation, cells) for cells in loose]
     return [_Piece(index, part.subdomain.cell_ids[cells], texture(alone, alone.hessian(), degree))
             for cells, alone in zip(loose, correlations, strict=True)]
 

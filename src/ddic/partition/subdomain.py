@@ -47,6 +47,8 @@ class Subdomain:
     multiplicity: (n_nodes,) number of subdomains that share each node.
     displacement, reaction: the rows of C_s (Lambda) and of Cbar_s (LambdaBar).
     n_owned_rows, n_owned_copies: rows and copies of the chains that belong to this subdomain.
+    camera: number of the camera whose pixels it has, 0 the first; shifts: unknowns of the motion of that camera's
+    set-up, which all of its subdomains share (None where there are none).
     """
 
     index: int
@@ -60,6 +62,8 @@ class Subdomain:
     reaction: Interface
     n_owned_rows: int
     n_owned_copies: int
+    camera: int = 0
+    shifts: Shifts | None = None
 
     @property
     def dofs(self) -> NDArray[np.int64]:
@@ -71,6 +75,42 @@ class Subdomain:
     def dof_multiplicity(self) -> NDArray[np.int64]:
         """Number of subdomains that share each dof, (n_dofs,)."""
         return np.repeat(self.multiplicity, self.mesh.dim)
+
+    @property
+    def unknowns(self) -> NDArray[np.int64]:
+        """Numbers of its dofs and of its camera's motion in the whole problem, (n_unknowns,)."""
+        return self.dofs if self.shifts is None else np.concatenate([self.dofs, self.shifts.numbers])
+
+    @property
+    def unknown_multiplicity(self) -> NDArray[np.int64]:
+        """Number of subdomains that share each unknown, (n_unknowns,)."""
+        if self.shifts is None:
+            return self.dof_multiplicity
+        return np.concatenate([self.dof_multiplicity,
+                               np.full(len(self.shifts.numbers), self.shifts.n_subdomains, dtype=np.int64)])
+
+    @property
+    def owned_unknowns(self) -> NDArray[np.bool_]:
+        """Whether each unknown belongs to this subdomain, the lowest of those that share it, (n_unknowns,)."""
+        owned = np.ones(len(self.unknowns), dtype=bool)
+        owned[self.displacement.dofs[self.displacement.position > 0]] = False
+        if self.shifts is not None:
+            owned[self.mesh.n_dofs:] = self.shifts.owned
+        return owned
+
+
+@dataclass(frozen=True)
+class Shifts:
+    """Unknowns of the motion of a near-field set-up between its two pictures (alpha of Eq. 20 of [BP17]).
+
+    numbers: (n_shifts,) after all dofs of the mesh; rows: (n_shifts,) of the interface problem, after all chains.
+    n_subdomains: how many share them; owned: whether they belong to this subdomain.
+    """
+
+    numbers: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    n_subdomains: int
+    owned: bool
 
 
 def interface_weights(dof_multiplicity: NDArray[np.int64], weighting: Weighting) -> NDArray[np.float64]:

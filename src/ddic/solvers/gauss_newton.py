@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Protocol
@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError, on_all_ranks
-from ddic.functionals.correlation import Correlation, GreyCorrection, GreySums, Residual
-from ddic.images.sub_image import DeformedSubImage
+from ddic.functionals.correlation import GreyCorrection, GreySums, Residual
+from ddic.functionals.view import View
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.solvers.phases import PhaseClock
@@ -44,16 +44,25 @@ class Tolerances:
 
 @dataclass(frozen=True)
 class OwnedPart:
-    """An owned subdomain with its pixels and its window of the deformed image."""
+    """An owned subdomain with its pixels; views: of its own camera first, then of others that see it as well."""
 
     subdomain: Subdomain
-    correlation: Correlation
-    deformed: DeformedSubImage
+    views: tuple[View, ...]
+
+    @property
+    def view(self) -> View:
+        """What its own camera says."""
+        return self.views[0]
+
+    @property
+    def n_dofs(self) -> int:
+        """Number of nodal displacements, which come before the other unknowns."""
+        return self.subdomain.mesh.n_dofs
 
 
 @dataclass(frozen=True)
 class GreyState:
-    """Grey-level statistics of the whole region at one displacement.
+    """Grey-level statistics of one camera's pixels of the whole region at one displacement.
 
     residual_std, residual_rms: grey levels; n_pixels: pixels that count; gain, offset: of f = a g + b
     (the global correction; 1 and 0 without it, and with the correction per element).
@@ -70,7 +79,7 @@ class GreyState:
 class IterationRecord:
     """One line of the Gauss-Newton table.
 
-    number: from 1; relative: |dq|/|q|; rms: RMS dq, pixels; grey: statistics before the correction;
+    number: from 1; relative: |dq|/|q|; rms: RMS dq, pixels; cameras: statistics before the correction, by camera;
     krylov_iterations, krylov_history, linear_error: of its linear step (``StepResult``); seconds: wall seconds so
     far by phase.
     """
@@ -78,11 +87,16 @@ class IterationRecord:
     number: int
     relative: float
     rms: float
-    grey: GreyState
+    cameras: tuple[GreyState, ...]
     krylov_iterations: int
     krylov_history: NDArray[np.float64]
     linear_error: float
     seconds: dict[str, float]
+
+    @property
+    def grey(self) -> GreyState:
+        """Statistics of the first camera."""
+        return self.cameras[0]
 
 
 class Report(Protocol):
@@ -95,62 +109,81 @@ class Report(Protocol):
 
 @dataclass(frozen=True)
 class Solution:
-    """Displacement q_s of each owned subdomain (n_dofs,), pixels, and how it came about."""
+    """Unknowns q_s of each owned subdomain (n_unknowns,), pixels, and how they came about."""
 
     q: list[NDArray[np.float64]]
     records: list[IterationRecord]
 
 
-def evaluate(team: Team, parts: Sequence[OwnedPart], q: Sequence[NDArray[np.float64]],
-             correction: GreyCorrection) -> tuple[list[Residual], GreyState]:
-    """Residuals of all owned subdomains and the whole region's grey-level statistics."""
+def evaluate(team: Team, parts: Sequence[OwnedPart], q: Sequence[NDArray[np.float64]], correction: GreyCorrection,
+             n_cameras: int = 1) -> tuple[list[tuple[Residual, ...]], tuple[GreyState, ...]]:
+    """Residuals of all views of owned subdomains, and each camera's grey-level statistics; raises ConvergenceError."""
     residuals = team.together(lambda: [
-        part.correlation.residual(part.deformed, q_s, all_kinds=correction != "none")
+        tuple(view.residual(q_s, all_kinds=correction != "none") for view in part.views)
         for part, q_s in zip(parts, q, strict=True)
     ])
-    total = GreySums(team.ordered_sum([r.sums.values for r in residuals]))
+    grey = team.ordered_sum([_by_camera(part, r, n_cameras, lambda r: r.sums.values)
+                             for part, r in zip(parts, residuals, strict=True)])
+    moments = team.ordered_sum([
+        _by_camera(part, r, n_cameras, lambda r: np.stack(
+            [sums.sum() for sums in r.cell_sums.residual(*r.cell_sums.gain_and_offset())]))
+        for part, r in zip(parts, residuals, strict=True)]) if correction == "element" else None
+    return residuals, tuple(
+        _grey_state(GreySums(grey[k]), correction, None if moments is None else moments[k]) for k in range(n_cameras))
+
+
+def _by_camera(part: OwnedPart, residuals: Sequence[Residual], n_cameras: int,
+               of: Callable[[Residual], NDArray[np.float64]]) -> NDArray[np.float64]:
+    """A subdomain's sums in its cameras' rows, (n_cameras, n)."""
+    values = [of(residual) for residual in residuals]
+    rows = np.zeros((n_cameras, len(values[0])))
+    for view, value in zip(part.views, values, strict=True):
+        rows[view.camera] += value
+    return rows
+
+
+def _grey_state(total: GreySums, correction: GreyCorrection, moments: NDArray[np.float64] | None) -> GreyState:
+    """Statistics from the sums over a camera's pixels; moments: of the residual corrected by cell, (2,)."""
     gain, offset = total.gain_and_offset() if correction == "global" else (np.ones(()), np.zeros(()))
-    if correction == "element":
-        moments = team.ordered_sum([
-            np.stack([part.sum() for part in r.cell_sums.residual(*r.cell_sums.gain_and_offset())])
-            for r in residuals
-        ])
-        first, second = moments[0], moments[1]
-    else:
-        first, second = total.residual(gain, offset)
+    first, second = total.residual(gain, offset) if moments is None else (moments[0], moments[1])
     n = float(total.n_pixels)
     if n == 0:
         raise on_all_ranks(ConvergenceError(
             "no pixel is left: every pixel of the mesh is masked or mapped outside the deformed image; "
             "check the start of the displacement and the masks"))
     mean = float(first) / n
-    state = GreyState(float(np.sqrt(max(second / n - mean**2, 0.0))), float(np.sqrt(second / n)), int(n),
-                      float(gain), float(offset))
-    return residuals, state
+    return GreyState(float(np.sqrt(max(second / n - mean**2, 0.0))), float(np.sqrt(second / n)), int(n),
+                     float(gain), float(offset))
 
 
-def right_hand_sides(parts: Sequence[OwnedPart], residuals: Sequence[Residual], state: GreyState,
-                     correction: GreyCorrection) -> list[NDArray[np.float64]]:
+def right_hand_sides(parts: Sequence[OwnedPart], residuals: Sequence[tuple[Residual, ...]],
+                     states: Sequence[GreyState], correction: GreyCorrection) -> list[NDArray[np.float64]]:
     """b_s of all owned subdomains, Eq. 5 of [BP17], with the grey-level correction of choice."""
-    out = []
-    for part, residual in zip(parts, residuals, strict=True):
-        gain, offset = (residual.cell_sums.gain_and_offset() if correction == "element"
-                        else (np.array(state.gain), np.array(state.offset)))
-        out.append(part.correlation.right_hand_side(residual, gain, offset))
-    return out
+    return [np.sum([view.right_hand_side(residual, *gain_and_offset(residual, states[view.camera], correction))
+                    for view, residual in zip(part.views, r, strict=True)], axis=0)
+            for part, r in zip(parts, residuals, strict=True)]
+
+
+def gain_and_offset(residual: Residual, state: GreyState,
+                    correction: GreyCorrection) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Gain and offset of f = a g + b, one number, or one per cell (n_cells,); state: of the view's camera."""
+    if correction == "element":
+        return residual.cell_sums.gain_and_offset()
+    return np.array(state.gain), np.array(state.offset)
 
 
 def gauss_newton(team: Team, parts: Sequence[OwnedPart], q: Sequence[NDArray[np.float64]], step: Step,
-                 correction: GreyCorrection, tolerances: Tolerances, report: Report, clock: PhaseClock) -> Solution:
+                 correction: GreyCorrection, tolerances: Tolerances, report: Report, clock: PhaseClock,
+                 n_cameras: int = 1) -> Solution:
     """Iterate q <- q + dq until the correction is small; raises ConvergenceError.
 
-    q: start of each owned subdomain (n_dofs,), pixels.
+    q: start of each owned subdomain (n_unknowns,), pixels.
     """
     current = [np.array(q_s) for q_s in q]
     records: list[IterationRecord] = []
     for number in range(1, tolerances.max_iterations + 1):
         with clock.phase("residual"):
-            residuals, grey = evaluate(team, parts, current, correction)
+            residuals, grey = evaluate(team, parts, current, correction, n_cameras)
             b = right_hand_sides(parts, residuals, grey, correction)
         with clock.phase("linear step"):
             result, relative, rms = _linear_step(team, parts, step, current, b, tolerances, records)
@@ -199,8 +232,8 @@ def _sizes(team: Team, parts: Sequence[OwnedPart], dq: Sequence[NDArray[np.float
            q: Sequence[NDArray[np.float64]]) -> tuple[float, float]:
     """|dq|/|q + dq| and RMS dq in pixels, every node counted once."""
     sums = team.ordered_sum([
-        np.array([(dq_s**2 / m).sum(), ((q_s + dq_s)**2 / m).sum(), (1.0 / m).sum()])
-        for dq_s, q_s, m in zip(dq, q, (p.subdomain.dof_multiplicity for p in parts), strict=True)
+        np.array([(dq_s[:p.n_dofs]**2 / m).sum(), ((q_s + dq_s)[:p.n_dofs]**2 / m).sum(), (1.0 / m).sum()])
+        for dq_s, q_s, p, m in zip(dq, q, parts, (p.subdomain.dof_multiplicity for p in parts), strict=True)
     ])
     dim = parts[0].subdomain.mesh.dim
     if not np.isfinite(sums).all():

@@ -17,6 +17,7 @@ from ddic.functionals.equilibrium_gap import (
     gap_energies,
     texture_energies,
 )
+from ddic.functionals.view import View
 from ddic.images.binned import ArraySource
 from ddic.images.grid_field import GridField, fill_absent
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
@@ -109,10 +110,11 @@ def _solve(pair: BinnedPair, grid: Mesh, active: NDArray[np.uint8], q: NDArray[n
     everywhere = np.ones(grid.n_dofs, dtype=bool)
     subdomain = build_subdomains(grid, np.zeros(grid.n_cells, dtype=np.int64), everywhere)[0]
     region = MaskedSource(pair.reference.image, ArraySource(pair.reference.image.path, active.astype(np.float32)))
-    part = OwnedPart(subdomain, correlation(grid, region, 3), DeformedSubImage(pair.deformed, 3))
-    hessian = part.correlation.hessian()
+    view = View(correlation(grid, region, 3), DeformedSubImage(pair.deformed, 3))
+    part = OwnedPart(subdomain, (view,))
+    hessian = view.hessian()
     rows = np.repeat(subdomain.interior, grid.dim).astype(np.float64)
-    kbar = controlled_stiffness(grid, part.correlation.kinematics, Material(), rows)
+    kbar = controlled_stiffness(grid, view.correlation.kinematics, Material(), rows)
     eta = 0.0
     if rows.any():
         texture = texture_energies(grid.nodes, hessian, subdomain.interior, CUT_OFF)

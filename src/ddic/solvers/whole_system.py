@@ -21,8 +21,8 @@ from ddic.solvers.singularity import singular
 class WholeSystem:
     """A = sum_s R_s^T M_s R_s + eta Kbar^T Kbar with Kbar = sum_s R_s^T Kbar_s R_s.
 
-    R_s takes a subdomain's dofs from those of the whole mesh, which are numbered rank by rank; vectors of
-    values "here" are on all dofs that this rank's subdomains have.
+    R_s takes a subdomain's unknowns (displacements, and the motion of its camera) from those of the whole problem,
+    which are numbered rank by rank; vectors of values "here" are on all that this rank's subdomains have.
     """
 
     def __init__(self, team: Team, systems: Sequence[LocalSystem]) -> None:
@@ -97,7 +97,8 @@ class WholeSystem:
 
     def singular_at(self, number: int) -> SingularSubdomainError:
         """The error that names the node of a dof, from its number; collective."""
-        nodes = [system.subdomain.mesh.nodes[int(local) // system.subdomain.mesh.dim]
+        # A camera's motion that nothing holds is said to be where its first subdomain begins.
+        nodes = [system.subdomain.mesh.nodes[int(local) // system.subdomain.mesh.dim % system.subdomain.mesh.n_nodes]
                  for system, numbers in zip(self.systems, self.numbers, strict=True)
                  for local in np.flatnonzero(numbers == number)]
         x, y = self._team.gather_lists(nodes)[0][:2]
@@ -123,8 +124,8 @@ def _numbers(comm: MPI.Comm, subdomains: Sequence[Subdomain]) -> tuple[list[NDAr
 
     A dof belongs to its lowest subdomain. Returns each subdomain's numbers (n_dofs,) and how many this rank owns.
     """
-    dofs = [s.dofs for s in subdomains]
-    mine = [_owned(s) for s in subdomains]
+    dofs = [s.unknowns for s in subdomains]
+    mine = [s.owned_unknowns for s in subdomains]
     n_owned = sum(int(m.sum()) for m in mine)
     first = sum(comm.allgather(n_owned)[: comm.Get_rank()])
     n_dofs = comm.allreduce(n_owned)
@@ -142,18 +143,15 @@ def _numbers(comm: MPI.Comm, subdomains: Sequence[Subdomain]) -> tuple[list[NDAr
     return result, n_owned
 
 
-def _owned(subdomain: Subdomain) -> NDArray[np.bool_]:
-    owned = np.ones(len(subdomain.dofs), dtype=bool)
-    owned[subdomain.displacement.dofs[subdomain.displacement.position > 0]] = False
-    return owned
-
-
 def _unweighted(system: LocalSystem) -> sparse.csr_matrix:
     """Kbar_s whose rows add up over subdomains to Kbar.
 
     The coupled subdomains minimise (1/m) |sum_s (Kbar_s q_s)_i|^2 at a dof of m of them: consistent weights sqrt(m)
     make that the row of the whole mesh, the paper's weight 1 leaves the row of the whole mesh over sqrt(m).
     """
+    n_unknowns = system.hessian.shape[0]
     if system.controlled_stiffness is None:
-        return sparse.csr_matrix(system.hessian.shape)
-    return (sparse.diags(1.0 / np.sqrt(system.subdomain.dof_multiplicity)) @ system.controlled_stiffness).tocsr()
+        return sparse.csr_matrix((n_unknowns, n_unknowns))
+    kbar = sparse.diags(1.0 / np.sqrt(system.subdomain.dof_multiplicity)) @ system.controlled_stiffness
+    # A row for every unknown: a camera's motion is no displacement of matter, hence in no equilibrium.
+    return sparse.vstack([kbar, sparse.csr_matrix((n_unknowns - kbar.shape[0], n_unknowns))]).tocsr()

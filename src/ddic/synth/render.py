@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from ddic.synth.fields import DisplacementField
 from ddic.synth.hole import Hole
 from ddic.synth.inverse import reference_points
 from ddic.synth.texture import SpeckleTexture
+from ddic.synth.two_scale_texture import TwoScaleTexture
 
 # Images are made square by square: temporary arrays stay in cache and memory does not grow with the image.
 # The noise is drawn square by square too, so this number is part of what a seed means.
@@ -30,11 +32,23 @@ class ImagePair:
     deformed: Stored
 
 
+class Pictured(Protocol):
+    """What a camera sees before and after the motion, at any point of its picture."""
+
+    def reference_grey(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Grey level f at points (n, 2), pixels, as fractions of full scale (n,)."""
+        ...
+
+    def deformed_grey(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Grey level g at points (n, 2), pixels, as fractions of full scale (n,)."""
+        ...
+
+
 @dataclass(frozen=True)
 class Scene:
     """What the camera looks at: a textured plane, its motion, and a hole or none."""
 
-    texture: SpeckleTexture
+    texture: SpeckleTexture | TwoScaleTexture
     field: DisplacementField
     hole: Hole | None = None
 
@@ -72,8 +86,18 @@ def write_pair(path_reference: Path, path_deformed: Path, texture: SpeckleTextur
 
     Arguments and errors as for ``render_pair``; also InputError if a file cannot be written.
     """
-    digitiser = Digitiser(bit_depth, noise, seed)
-    bands = _bands(Scene(texture, field, hole), digitiser, width, height)
+    write_images(path_reference, path_deformed, Scene(texture, field, hole), Digitiser(bit_depth, noise, seed),
+                 width, height)
+
+
+def write_images(path_reference: Path, path_deformed: Path, scene: Pictured, digitiser: Digitiser, width: int,
+                 height: int, stream: int = 0) -> None:
+    """Write what a camera sees of a scene to two uncompressed TIFF files, holding one band in memory.
+
+    width, height: pixels; stream: of the reference image's noise, the deformed image's being the next.
+    Raises InputError for impossible values, a field that folds the plane or a file that cannot be written.
+    """
+    bands = _bands(scene, digitiser, width, height, stream)
     try:
         reference = _EmptyTiff.create(path_reference, width, height, digitiser)
         deformed = _EmptyTiff.create(path_deformed, width, height, digitiser)
@@ -116,24 +140,24 @@ class _EmptyTiff:
             file.write(band.tobytes())
 
 
-def _bands(scene: Scene, digitiser: Digitiser, width: int, height: int) -> Iterator[ImagePair]:
+def _bands(scene: Pictured, digitiser: Digitiser, width: int, height: int, stream: int = 0) -> Iterator[ImagePair]:
     """Bands of both images from top to bottom, each a row of squares."""
     if width < 1 or height < 1:
         raise InputError(f"image: size = {width}x{height}: must be at least 1x1 pixels")
-    return (_band(scene, digitiser, width, y0, min(y0 + _SQUARE, height))
+    return (_band(scene, digitiser, width, y0, min(y0 + _SQUARE, height), stream)
             for y0 in range(0, height, _SQUARE))
 
 
-def _band(scene: Scene, digitiser: Digitiser, width: int, y0: int, y1: int) -> ImagePair:
+def _band(scene: Pictured, digitiser: Digitiser, width: int, y0: int, y1: int, stream: int) -> ImagePair:
     windows = [Window(x0, y0, min(x0 + _SQUARE, width), y1) for x0 in range(0, width, _SQUARE)]
-    pairs = [_square(scene, digitiser, window) for window in windows]
+    pairs = [_square(scene, digitiser, window, stream) for window in windows]
     return ImagePair(np.concatenate([pair.reference for pair in pairs], axis=1),
                      np.concatenate([pair.deformed for pair in pairs], axis=1))
 
 
-def _square(scene: Scene, digitiser: Digitiser, window: Window) -> ImagePair:
+def _square(scene: Pictured, digitiser: Digitiser, window: Window, stream: int) -> ImagePair:
     x, y = np.meshgrid(np.arange(window.x0, window.x1), np.arange(window.y0, window.y1))
     points = np.column_stack([x.ravel(), y.ravel()]).astype(np.float64)
     stored = [digitiser.store(grey.reshape(x.shape), (image, window.x0, window.y0))
-              for image, grey in enumerate((scene.reference_grey(points), scene.deformed_grey(points)))]
+              for image, grey in enumerate((scene.reference_grey(points), scene.deformed_grey(points)), stream)]
     return ImagePair(*stored)

@@ -26,7 +26,15 @@ def save_truth(path: Path, scene: Scene, digitiser: Digitiser, width: int, heigh
 
     Raises InputError if the field is not one of this package's, or the file cannot be written.
     """
-    record = {
+    write_record(path, describe_pair(scene, digitiser, width, height))
+
+
+def describe_pair(scene: Scene, digitiser: Digitiser, width: int, height: int) -> dict[str, Any]:
+    """Everything that made a pair, as values that JSON holds; width, height: pixels.
+
+    Raises InputError if the field is not one of this package's.
+    """
+    return {
         "format": _FORMAT,
         "version": _VERSION,
         "field": _describe(scene.field),
@@ -34,6 +42,10 @@ def save_truth(path: Path, scene: Scene, digitiser: Digitiser, width: int, heigh
         "hole": None if scene.hole is None else dataclasses.asdict(scene.hole),
         "image": {"width": width, "height": height, **dataclasses.asdict(digitiser)},
     }
+
+
+def write_record(path: Path, record: dict[str, Any]) -> None:
+    """Write a truth file; raises InputError if it cannot be written."""
     try:
         path.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
     except OSError as error:
@@ -45,6 +57,11 @@ def load_truth(path: Path) -> DisplacementField:
 
     Raises InputError, naming file and key, if the file is missing, foreign, or has an impossible value.
     """
+    return _rebuild(path, read_record(path).get("field"))
+
+
+def read_record(path: Path) -> dict[str, Any]:
+    """Read the values of a truth file; raises InputError if the file is missing or foreign."""
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
@@ -54,7 +71,7 @@ def load_truth(path: Path) -> DisplacementField:
         raise InputError(f'{path}: format: is not "{_FORMAT}"; give the truth.json that ddic synth wrote')
     if record.get("version") != _VERSION:
         raise InputError(f"{path}: version = {record.get('version')}: this ddic reads version {_VERSION}")
-    return _rebuild(path, record.get("field"))
+    return record
 
 
 def _describe(field: DisplacementField) -> dict[str, Any]:
@@ -71,7 +88,7 @@ def _rebuild(path: Path, description: object) -> DisplacementField:
     name = description.get("name") if isinstance(description, dict) else None
     if not isinstance(description, dict) or not isinstance(name, str) or name not in _FIELDS:
         raise InputError(f"{path}: field.name: is not one of {', '.join(_FIELDS)}")
-    values = {key: _as_tuples(value) for key, value in description.items() if key != "name"}
+    values = {key: as_tuples(value) for key, value in description.items() if key != "name"}
     kind = _FIELDS[name]
     if kind is Sum:
         terms = description.get("terms")
@@ -87,5 +104,6 @@ def _rebuild(path: Path, description: object) -> DisplacementField:
     return field
 
 
-def _as_tuples(value: object) -> object:
-    return tuple(_as_tuples(item) for item in value) if isinstance(value, list) else value
+def as_tuples(value: Any) -> Any:
+    """The value with tuples in place of the lists that JSON has instead of them."""
+    return tuple(as_tuples(item) for item in value) if isinstance(value, list) else value

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ class LocalDual:
     compliance: diagonal of D_s, (n interface dofs,), zero on displacement dofs.
     jump: G_s, (n ghost rows, n_dofs).
     n_displacement: number of displacement interface dofs.
+    motion: the rows of the subdomain's camera's motion, None without.
     """
 
     operator: LocalOperator
@@ -36,11 +37,15 @@ class LocalDual:
     jump: sparse.csr_matrix
     jump_transposed: sparse.csr_matrix
     n_displacement: int
+    motion: MotionRows | None = None
 
     def apply(self, v: NDArray[np.float64]) -> NDArray[np.float64]:
         """G_s A_s^-1 G_s^T v - H_s v on ghost rows, with one local solve."""
         y = self.operator.solve(self.jump_transposed @ v)
-        return np.asarray(self.jump @ y - self.incidence @ (self.compliance * (self.incidence.T @ v)))
+        out = np.asarray(self.jump @ y - self.incidence @ (self.compliance * (self.incidence.T @ v)))
+        if self.motion is not None:
+            out[self.motion.rows] -= self.motion.block @ v[self.motion.rows]
+        return out
 
     def schur_product(self, columns: NDArray[np.float64]) -> NDArray[np.float64]:
         """S_s X = T_s A_s^-1 T_s^T X - D_s X, S_s not formed; columns: X, (n interface dofs, k).
@@ -54,6 +59,40 @@ class LocalDual:
             y = self.operator.solve_many(self.trace.T @ block)
             out[:, begin: begin + step] = self.trace @ y - self.compliance[:, None] * block
         return out
+
+
+@dataclass(frozen=True)
+class MotionRows:
+    """Rows of the interface problem for the motion alpha of a near-field set-up, unknowns kappa alpha.
+
+    With R_s the displacements that alpha makes and N_s = M_s R_s, alpha's equation N_s^T u_s + R_s^T M_s R_s alpha
+    = R_s^T b_s, summed over subdomains, has the form of the others: G_s gains the rows N_s^T / kappa, H_s the block
+    R_s^T M_s R_s / kappa^2. Where the near camera alone sees its subdomains, A_s^-1 N_s = R_s, since K R_s = 0: then
+    C_s R_s are alpha's columns R of Eq. 20 of [BP17] (1 from near to far, 0 within one side), and the block's part
+    of S_tot vanishes.
+
+    rows: (n_shifts,) ghost rows; columns: N_s / kappa, (n_dofs, n_shifts); block: (n_shifts, n_shifts);
+    scale: kappa, (n_shifts,), sum_s diag R_s^T M_s R_s, which makes the rows' residuals pixels.
+    """
+
+    rows: NDArray[np.int64]
+    columns: NDArray[np.float64]
+    block: NDArray[np.float64]
+    scale: NDArray[np.float64]
+
+
+def with_motion(local: LocalDual, system: LocalSystem, ghosts: NDArray[np.int64],
+                scale: NDArray[np.float64]) -> LocalDual:
+    """The same with the rows of its camera's motion; scale: kappa of ``MotionRows``."""
+    shifts = system.subdomain.shifts
+    if shifts is None:
+        return local
+    rows = np.searchsorted(ghosts, shifts.rows)
+    motion = MotionRows(rows, system.shift_columns / scale, system.shift_block / np.outer(scale, scale), scale)
+    n_rows = local.jump.shape[0]
+    place = sparse.csr_matrix((np.ones(len(rows)), (rows, np.arange(len(rows)))), shape=(n_rows, len(rows)))
+    jump = (local.jump + place @ sparse.csr_matrix(motion.columns.T)).tocsr()
+    return replace(local, jump=jump, jump_transposed=jump.T.tocsr(), motion=motion)
 
 
 def local_dual(system: LocalSystem, operator: LocalOperator, ghosts: NDArray[np.int64],

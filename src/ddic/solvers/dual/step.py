@@ -16,9 +16,10 @@ from ddic.parallel.team import Team
 from ddic.partition.incidence import copies_of, rows_of, scaled_incidence
 from ddic.solvers.dual.coarse_space import CoarseSpace, coarse_columns
 from ddic.solvers.dual.interface_solver import InterfaceSettings, InterfaceSolver
-from ddic.solvers.dual.local_dual import local_dual
+from ddic.solvers.dual.local_dual import local_dual, with_motion
 from ddic.solvers.dual.local_inverse import LocalInverseKind, schur_pair
 from ddic.solvers.dual.local_modes import low_energy_modes
+from ddic.solvers.dual.motion import MotionPreconditioner, motion_scales
 from ddic.solvers.dual.preconditioner import DualPreconditioner, LocalInverse, LocalPreconditioner
 from ddic.solvers.dual.schur_operator import DualSchurOperator
 from ddic.solvers.dual.shell import Preconditioning
@@ -63,17 +64,24 @@ class DualStep:
         """
         comm = team.comm
         self._team = team
-        self._systems = systems
+        self._systems = [system.displacements for system in systems]
         parts = [system.subdomain for system in systems]
         needed = [rows_of(interface) for p in parts for interface in (p.displacement, p.reaction)]
+        needed += [p.shifts.rows for p in parts if p.shifts is not None]
         self._exchange = Exchange(comm, sum(p.n_owned_rows for p in parts), needed)
-        self._locals = [local_dual(s, a, self._exchange.ghosts, scale)
-                        for s, a in zip(systems, operators, strict=True)]
+        scales = motion_scales(team, systems)
+        self._n_shifts = sum(len(values) for values in scales.values())
+        self._locals = [with_motion(local_dual(alone, a, self._exchange.ghosts, scale), s, self._exchange.ghosts,
+                                    scales.get(s.subdomain.camera, np.ones(0)))
+                        for s, alone, a in zip(systems, self._systems, operators, strict=True)]
         self._right = self._exchange.new_vector()
         self._operator = DualSchurOperator(self._exchange, self._locals)
         self._coarse: CoarseSpace | None = None
         self._inverses: list[LocalInverse] = []
         self._preconditioner = None if settings.preconditioner == "none" else self._set_up(comm, settings)
+        if self._preconditioner is not None and self._n_shifts:
+            self._preconditioner = MotionPreconditioner(self._operator, self._preconditioner, self._n_shifts,
+                                                        self._right)
         self._interface = InterfaceSolver(
             self._operator, self._preconditioner, self._coarse,
             InterfaceSettings(settings.tolerance, settings.max_iterations,
@@ -92,13 +100,14 @@ class DualStep:
     def solve(self, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]],
               leave: Leave | None = None) -> StepResult:
         """Solve for dq_s given q_s and b_s of this rank's subdomains; raises ConvergenceError."""
-        right = [system.right_hand_side(b_s, q_s) for system, b_s, q_s in zip(self._systems, b, q, strict=True)]
+        u, forces = ([v[:local.operator.n] for v, local in zip(of, self._locals, strict=True)] for of in (q, b))
+        right = [system.right_hand_side(b_s, u_s) for system, b_s, u_s in zip(self._systems, forces, u, strict=True)]
         free = [local.operator.solve(r) for local, r in zip(self._locals, right, strict=True)]
         if self.n_interface == 0:
             return StepResult(free, 0, np.zeros(0), 0.0)
-        size = self._set_right_hand_side([q_s + y for q_s, y in zip(q, free, strict=True)])
+        size = self._set_right_hand_side(free, u, b)
         iterations, norms = self._interface.solve(self._right, self._stop(size, leave))
-        dq = self.correction(free, self._interface.multipliers)
+        dq = self._with_motion(self.correction(free, self._interface.multipliers), self._interface.multipliers)
         return StepResult(dq, iterations, norms / (size or 1.0), self._estimated_error())
 
     def correction(self, free: Sequence[NDArray[np.float64]], multipliers: PETSc.Vec) -> list[NDArray[np.float64]]:
@@ -113,13 +122,25 @@ class DualStep:
             if thing is not None:
                 thing.destroy()
 
-    def _set_right_hand_side(self, freed: Sequence[NDArray[np.float64]]) -> float:
-        """t_tot = sum_s G_s (q_s + A_s^-1 (b_s - eta Kbar_s^T Kbar_s q_s)), Eq. 27 of [BP17]; returns its norm."""
+    def _set_right_hand_side(self, free: Sequence[NDArray[np.float64]], u: Sequence[NDArray[np.float64]],
+                             b: Sequence[NDArray[np.float64]]) -> float:
+        """t_tot = sum_s G_s (u_s + free_s), Eq. 27 of [BP17]; returns its norm.
+
+        free: A_s^-1 (b_s - eta Kbar_s^T Kbar_s u_s). Rows of a camera's motion: (N_s^T free_s - R_s^T b_s) / kappa.
+        """
         total = np.zeros(len(self._exchange.ghosts))
-        for local, displacement in zip(self._locals, freed, strict=True):
-            total += local.jump @ displacement
+        for local, free_s, u_s, b_s in zip(self._locals, free, u, b, strict=True):
+            total += local.jump @ (u_s + free_s)
+            if local.motion is not None:
+                total[local.motion.rows] -= local.motion.columns.T @ u_s + b_s[len(u_s):] / local.motion.scale
         self._exchange.add_to_owners(total, self._right)
         return float(self._right.norm())
+
+    def _with_motion(self, du: Sequence[NDArray[np.float64]], multipliers: PETSc.Vec) -> list[NDArray[np.float64]]:
+        """Corrections of all unknowns, the cameras' motions after the displacements."""
+        v = self._exchange.to_ghosts(multipliers)
+        return [du_s if local.motion is None else np.concatenate([du_s, v[local.motion.rows] / local.motion.scale])
+                for du_s, local in zip(du, self._locals, strict=True)]
 
     def _stop(self, size: float, leave: Leave | None) -> float:
         """Norm of the residual at which GMRES may stop: of the tolerance, or of the displacement error allowed."""

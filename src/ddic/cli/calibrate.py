@@ -1,0 +1,97 @@
+"""``ddic calibrate``: where a near-field image lies in a far-field one."""
+
+from __future__ import annotations
+
+import math
+import sys
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from ddic.errors import DdicError
+
+if TYPE_CHECKING:
+    from ddic.images.camera_models import Kind
+    from ddic.methods.calibration import Calibration
+
+Lines = list[tuple[str, str]]
+
+
+@click.command()
+@click.argument("far", metavar="FAR", type=click.Path(path_type=Path))
+@click.argument("near", metavar="NEAR", type=click.Path(path_type=Path))
+@click.option("--ratio", type=float, required=True, help="Near px per far px, right within 15 %.")
+@click.option("--model", type=click.Choice(["translation", "similarity", "homography"]), default="homography",
+              show_default=True, help="What is solved for; a translation keeps the ratio as given.")
+@click.option("--distortion", is_flag=True, help="Also solve for the near camera's radial distortion k1.")
+@click.option("--output", type=click.Path(dir_okay=False, path_type=Path), default=None,
+              help="Mapping file for near.mapping_file of a case.")
+def calibrate(far: Path, near: Path, ratio: float, model: Kind, distortion: bool, output: Path | None) -> None:
+    """Find the mapping from the far to the near reference image of one specimen, and its uncertainty.
+
+    The near field must lie in the far image, turned by 5 degrees at most.
+    """
+    # Imported here because they bring numba, SciPy and OpenCV, which --help does not need.
+    from ddic.io.image_file import find_not_finite, open_image
+    from ddic.methods import calibration
+
+    try:
+        with warnings.catch_warnings(record=True) as warned:
+            warnings.simplefilter("always", UserWarning)
+            images = [open_image(path) for path in (far, near)]
+            for image in images:
+                find_not_finite(image)
+            found = calibration.calibrate(images[0], images[1], ratio, model, distortion)
+        if output is not None:
+            _write(output, found)
+    except DdicError as error:
+        click.echo(str(error), err=True)
+        sys.exit(error.exit_code)
+    for warning in warned:
+        click.echo(f"warning: {warning.message}", err=True)
+    for name, value in _lines(found):
+        click.echo(f"{name:<20}{value}")
+    if output is not None:
+        click.echo(f"{'mapping file':<20}{output}")
+
+
+def _write(path: Path, found: Calibration) -> None:
+    import numpy as np
+
+    from ddic.io.mapping_file import MappingFile, write_mapping
+
+    write_mapping(path, MappingFile(found.mapping, found.far_size, found.near_size, found.homography_std,
+                                    np.array([found.k1_std, 0.0]), float(found.places_std.max()),
+                                    found.registration.coefficient))
+
+
+def _lines(found: Calibration) -> Lines:
+    ratio, rotation, x, y = found.similarity_std
+    registration = found.registration
+    names = ("top left", "top right", "bottom left", "bottom right", "centre")
+    lines = [
+        ("ratio", f"{_pm(found.ratio, ratio)} near px per far px"),
+        ("rotation", f"{_pm(found.rotation, rotation)} degrees"),
+        ("offset", f"{_pm(found.offset[0], x)}, {_pm(found.offset[1], y)} near px, where far pixel (0, 0) would be"),
+        ("not a similarity", f"{found.deviation[0]:.4f} near px RMS, {found.deviation[1]:.4f} at most"),
+    ]
+    if registration.model.distorts:
+        lines.append(("distortion k1", f"{_pm(float(found.mapping.radial[0]), found.k1_std)} at a radius of "
+                                       f"{found.mapping.radius:.1f} near px"))
+    lines += [(f"near {name}", f"far ({place[0]:.4f}, {place[1]:.4f}) px, +- {std[0]:.1e}, {std[1]:.1e} near px")
+              for name, place, std in zip(names, found.places_far, found.places_std, strict=True)]
+    return [
+        *lines,
+        ("grey levels", f"far = {registration.gain:.4f} near + {registration.offset:.3f}"),
+        ("correlation", f"coefficient {registration.coefficient:.4f}, {registration.n_pixels} far pixels compared"),
+        ("residual", f"{registration.residual_std:.3f} grey levels; neighbours' correlation changes the variance by a "
+                     f"factor of {registration.correlation:.2f}"),
+    ]
+
+
+def _pm(value: float, std: float) -> str:
+    """A value and its standard deviation, with digits down to the latter's second one."""
+    digits = min(max(1 - math.floor(math.log10(std)), 0), 9) if std > 1e-9 else 6
+    return f"{value:.{digits}f} +- {std:.{digits}f}"

@@ -1,0 +1,157 @@
+"""Camera mappings: where a camera sees a point of the specimen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_MAX_ITERATIONS = 50
+_ROUNDING = 8 * float(np.finfo(np.float64).eps)
+
+
+def _origin() -> Array:
+    return np.zeros(2)
+
+
+@dataclass(frozen=True, eq=False)
+class CameraMapping:
+    """A homography from the specimen frame to image pixels, followed by radial distortion.
+
+    x_u = homography applied to X, x = centre + (x_u - centre) (1 + k1 r^2 + k2 r^4), r = |x_u - centre| / radius.
+    homography: (3, 3), entry [2, 2] is 1. centre: (2,), radius: of the radial distortion, image px.
+    radial: (2,), k1 and k2, no unit.
+    Raises ValueError where a shape is wrong, a number is not finite, entry [2, 2] is not 1, the homography is
+    singular or the radius is not positive.
+    """
+
+    homography: Array
+    centre: Array = field(default_factory=_origin)
+    radius: float = 1.0
+    radial: Array = field(default_factory=_origin)
+
+    def __post_init__(self) -> None:
+        for name, shape in (("homography", (3, 3)), ("centre", (2,)), ("radial", (2,))):
+            values = np.array(getattr(self, name), dtype=np.float64)
+            if values.shape != shape or not np.isfinite(values).all():
+                size = " x ".join(map(str, shape))
+                raise ValueError(f"{name}: expected {size} finite numbers, got {values.tolist()}")
+            values.flags.writeable = False
+            object.__setattr__(self, name, values)
+        if self.homography[2, 2] != 1.0:
+            raise ValueError(f"homography: entry [2, 2] is {self.homography[2, 2]:g}; divide all entries by it")
+        if np.linalg.det(self.homography) == 0.0:
+            raise ValueError("homography: is singular, it maps the specimen to a line")
+        if not (np.isfinite(self.radius) and self.radius > 0):
+            raise ValueError(f"radius: expected a positive number of px, got {self.radius:g}")
+
+    @property
+    def distorts(self) -> bool:
+        """Whether there is any radial distortion."""
+        return bool(self.radial.any())
+
+    def to_image(self, points: Array) -> Array:
+        """Image positions (n, 2), px, of specimen points (n, 2).
+
+        Raises ValueError where a point lies beyond the horizon of the homography.
+        """
+        x = _project(self.homography, points)[0]
+        if not self.distorts:
+            return x
+        offset = x - self.centre
+        return self.centre + offset * self._factor((offset**2).sum(axis=1) / self.radius**2)[:, None]
+
+    def jacobian(self, points: Array) -> Array:
+        """Derivatives d x_image / d X at specimen points (n, 2); (n, 2, 2), rows x and y of the image.
+
+        Raises ValueError as ``to_image`` does.
+        """
+        h = self.homography
+        x, depth = _project(h, points)
+        projective = (h[None, :2, :2] - x[:, :, None] * h[None, 2:, :2]) / depth[:, None, None]
+        if not self.distorts:
+            return projective
+        offset = (x - self.centre) / self.radius
+        square = (offset**2).sum(axis=1)
+        slope = 2 * (self.radial[0] + 2 * self.radial[1] * square)
+        distortion = (self._factor(square)[:, None, None] * np.eye(2)
+                      + slope[:, None, None] * offset[:, :, None] * offset[:, None, :])
+        return np.asarray(distortion @ projective)
+
+    def to_specimen(self, points: Array) -> Array:
+        """Specimen points (n, 2) seen at image positions (n, 2), px.
+
+        Raises ValueError where the distortion cannot be undone, or the point lies beyond the horizon.
+        """
+        x = self._undistorted(np.asarray(points, dtype=np.float64)) if self.distorts else points
+        return _project(np.linalg.inv(self.homography), x)[0]
+
+    def _factor(self, square: Array) -> Array:
+        return np.asarray(1 + square * (self.radial[0] + square * self.radial[1]))
+
+    def _undistorted(self, points: Array) -> Array:
+        """Newton's method on r (1 + k1 r^2 + k2 r^4) = distance of the distorted point, for all points at once."""
+        offset = points - self.centre
+        distance = np.sqrt((offset**2).sum(axis=1)) / self.radius
+        r = distance.copy()
+        with np.errstate(all="ignore"):
+            for _ in range(_MAX_ITERATIONS):
+                residual = r * self._factor(r**2) - distance
+                if (np.abs(residual) <= _ROUNDING * distance).all():
+                    break
+                r -= residual / self._stretch(r**2)
+            undone = (np.abs(r * self._factor(r**2) - distance) <= 4 * _ROUNDING * distance) & self._unfolded(r)
+        if not undone.all():
+            worst = points[int(np.argmin(undone))]
+            raise ValueError(f"radial distortion k1 = {self.radial[0]:g}, k2 = {self.radial[1]:g} (radius "
+                             f"{self.radius:g} px) cannot be undone at image position ({worst[0]:g}, {worst[1]:g}) px: "
+                             "no point before the place where the distortion folds the image is mapped there")
+        scale = np.divide(r, distance, out=np.ones_like(r), where=distance > 0)
+        return np.asarray(self.centre + offset * scale[:, None])
+
+    def _stretch(self, square: Array) -> Array:
+        """Derivative of r (1 + k1 r^2 + k2 r^4)."""
+        return np.asarray(1 + square * (3 * self.radial[0] + 5 * square * self.radial[1]))
+
+    def _unfolded(self, r: Array) -> NDArray[np.bool_]:
+        """Whether the distorted radius grows all the way from 0 to r >= 0."""
+        k1, k2 = self.radial
+        square = r**2
+        # The stretch is a parabola in r^2, 1 at 0: its least value lies at its vertex or at the end.
+        lowest = np.clip(-3 * k1 / (10 * k2), 0.0, square) if k2 > 0 else square
+        return np.asarray((r >= 0) & (self._stretch(square) > 0) & (self._stretch(lowest) > 0))
+
+
+def identity() -> CameraMapping:
+    """The mapping of the camera whose pixels are the specimen frame."""
+    return CameraMapping(np.eye(3))
+
+
+def similarity(scale: float, rotation_degrees: float, translation: tuple[float, float]) -> CameraMapping:
+    """The mapping x = scale R(rotation) X + translation.
+
+    scale: image px per specimen px. rotation_degrees: from x towards y, that is clockwise on the screen.
+    translation: image px.
+    Raises ValueError where the scale is not positive or a number is not finite.
+    """
+    if not scale > 0:
+        raise ValueError(f"scale: expected a positive number of image px per specimen px, got {scale:g}")
+    c, s = scale * np.cos(np.deg2rad(rotation_degrees)), scale * np.sin(np.deg2rad(rotation_degrees))
+    return CameraMapping(np.array([[c, -s, translation[0]], [s, c, translation[1]], [0.0, 0.0, 1.0]]))
+
+
+def _project(homography: Array, points: Array) -> tuple[Array, Array]:
+    """A homography (3, 3) applied to points (n, 2), and their depth (n,), 1 at the specimen's origin.
+
+    The inverse of a homography, not scaled, gives points in front of the camera a positive depth too.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    moved = points @ homography[:, :2].T + homography[:, 2]
+    if not (moved[:, 2] > 0).all():
+        beyond = points[int(np.argmin(moved[:, 2] > 0))]
+        raise ValueError(f"point ({beyond[0]:g}, {beyond[1]:g}) lies beyond the horizon of the homography "
+                         f"{homography.tolist()}")
+    return moved[:, :2] / moved[:, 2:], moved[:, 2]

@@ -1,0 +1,98 @@
+"""The truth file of a near-field and far-field pair: exact displacements in both cameras' pixels."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.errors import InputError
+from ddic.images.camera import CameraMapping
+from ddic.synth.fields import DisplacementField
+from ddic.synth.near_far import NearFarScene, SetUpMotion
+from ddic.synth.truth import as_tuples, describe_pair, load_truth, read_record, write_record
+
+Built = TypeVar("Built")
+_REMEDY = "give the truth.json that ddic synth near-far wrote"
+
+
+@dataclass(frozen=True, eq=False)
+class NearFarTruth:
+    """What a near-field and far-field measurement should find.
+
+    field: u, specimen's frame, which is the far camera's pixels; mapping: phi, from there to the near camera's pixels;
+    motion: T, of the near set-up between its two pictures; near_size: width and height of the near image, pixels.
+    """
+
+    field: DisplacementField
+    mapping: CameraMapping
+    motion: SetUpMotion
+    near_size: tuple[int, int]
+
+    def displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Displacement u at points (n, 2) of the specimen's frame, far pixels (n, 2)."""
+        return self.field.displacement(points)
+
+    def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Gradient du_i/dX_j at points (n, 2) of the specimen's frame, (n, 2, 2), no unit."""
+        return self.field.gradient(points)
+
+    def near_displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """phi(T(X + u(X))) - phi(X) at points X (n, 2) of the specimen's frame, near pixels (n, 2)."""
+        moved = self.motion.moved(points + self.field.displacement(points))
+        return np.asarray(self.mapping.to_image(moved) - self.mapping.to_image(points))
+
+    def in_near_field(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Whether the near reference image shows the points (n, 2) of the specimen's frame; (n,)."""
+        seen = self.mapping.to_image(points)
+        return np.asarray(((seen >= 0) & (seen <= np.array(self.near_size) - 1)).all(axis=1))
+
+
+def save_near_far_truth(path: Path, scene: NearFarScene) -> None:
+    """Write fields, textures, holes, cameras and the set-up's motion as JSON.
+
+    The far pair is described as ``save_truth`` describes a pair, the near pair likewise under ``near``, where
+    ``mapping`` is phi and ``motion`` is T; the displacement of both is the one of the specimen's frame.
+    Raises InputError if the field is not one of this package's, or the file cannot be written.
+    """
+    far, near = scene.far_frame, scene.near_frame
+    record = describe_pair(scene.far, far.digitiser, far.width, far.height)
+    of_near = describe_pair(scene.near.surface, near.digitiser, near.width, near.height)
+    mapping = scene.near.mapping
+    record["near"] = {
+        **{key: of_near[key] for key in ("texture", "hole", "image")},
+        "mapping": {"homography": mapping.homography.tolist(), "centre": mapping.centre.tolist(),
+                    "radius": mapping.radius, "radial": mapping.radial.tolist()},
+        "motion": dataclasses.asdict(scene.near.motion),
+    }
+    write_record(path, record)
+
+
+def load_near_far_truth(path: Path) -> NearFarTruth:
+    """Rebuild the exact fields that a truth file of ``ddic synth near-far`` describes.
+
+    Raises InputError, naming file and key, if the file is missing, foreign, or has an impossible value.
+    """
+    field = load_truth(path)
+    near = read_record(path).get("near")
+    if not isinstance(near, dict):
+        raise InputError(f"{path}: near: is missing; {_REMEDY}")
+    mapping = _rebuild(path, near, "mapping", CameraMapping)
+    motion = _rebuild(path, near, "motion", SetUpMotion)
+    size = _rebuild(path, near, "image", lambda width, height, **_rest: (int(width), int(height)))
+    return NearFarTruth(field, mapping, motion, size)
+
+
+def _rebuild(path: Path, near: dict[str, Any], key: str, kind: Callable[..., Built]) -> Built:
+    values = near.get(key)
+    if not isinstance(values, dict):
+        raise InputError(f"{path}: near.{key}: is missing; {_REMEDY}")
+    try:
+        return kind(**{name: as_tuples(value) for name, value in values.items()})
+    except (InputError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: near.{key}: {error}; {_REMEDY}") from error
