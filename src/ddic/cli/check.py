@@ -24,12 +24,12 @@ def check(case_file: Path) -> None:
     """
     # Imported here because they bring numba, meshio and OpenCV, which --help does not need.
     from ddic.case.loader import load_case
-    from ddic.io.case_check import check_case
+    from ddic.methods.check import check_inputs
 
     try:
         with warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always", UserWarning)
-            report = check_case(load_case(case_file))
+            report = check_inputs(load_case(case_file))
     except InputError as error:
         for line in error.problems:
             click.echo(line, err=True)

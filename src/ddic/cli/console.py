@@ -69,7 +69,8 @@ class RunConsole:
         """Print a line of the iteration table; the residual is that before the correction."""
         spent = {name: record.seconds[name] - self._seconds.get(name, 0.0) for name in ("residual", "linear step")}
         self._seconds = record.seconds
-        cells = (f"{record.number}", f"{record.relative:.2e}", f"{record.rms:.2e}", f"{record.grey.residual_std:.3f}",
+        cells = (f"{record.number}", f"{record.relative:.2e}", f"{record.rms:.2e}",
+                 " ".join(f"{camera.residual_std:.3f}" for camera in record.cameras),
                  f"{100 * record.grey.residual_std / self._range:.2f}", f"{record.krylov_iterations}",
                  f"{record.linear_error:.1e}", f"{spent['residual']:.2f}", f"{spent['linear step']:.2f}")
         self._print("  ".join(f"{cell:>{max(len(name), 9)}}" for cell, name in zip(cells, _COLUMNS, strict=True)))
@@ -82,6 +83,11 @@ class RunConsole:
         self._print(f"converged in {summary.iterations} iterations; residual {summary.residual_std_grey:.3f} grey "
                     f"levels ({summary.residual_percent_of_range:.2f} % of the dynamic range), "
                     f"grey-level correction: {summary.grey_correction}")
+        for number, near in enumerate(summary.near, start=1):
+            turned = f", theta = {near.theta_rad:.2e} +- {near.theta_std_rad:.1e} rad" if near.theta_std_rad else ""
+            self._print(f"near field {number}: residual {near.residual_std_grey:.3f} grey levels; its set-up moved by "
+                        f"alpha = ({near.alpha_px[0]:.4f} +- {near.alpha_std_px[0]:.4f}, {near.alpha_px[1]:.4f} +- "
+                        f"{near.alpha_std_px[1]:.4f}) far-field px{turned}")
         self._print(f"largest jump left at an interface node: {summary.largest_jump_px:.1e} px")
         if math.isfinite(summary.linear_error_px):
             self._print("estimated displacement error left by the linear solver: "

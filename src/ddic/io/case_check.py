@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.case.loader import LoadedCase
-from ddic.case.schema import Case
+from ddic.case.schema import Case, ImagesSection, NearSection
 from ddic.errors import InputError
 from ddic.images.source import ImageSource
 from ddic.io.image_file import find_not_finite, open_image
@@ -59,13 +59,17 @@ class CheckReport:
     output: Path
 
 
-def check_case(loaded: LoadedCase) -> CheckReport:
+def check_case(loaded: LoadedCase, pixel_counts: Callable[[Mesh], NDArray[np.int64]] | None = None) -> CheckReport:
     """Read and validate the images, masks, mesh, node sets, partition, start and output of a case.
 
-    Raises InputError with the problems of all inputs, one line each.
+    pixel_counts: gives the number of pixels of each cell, (n_cells,), by default of the images' own. Raises InputError
+    with the problems of all inputs, one line each.
     """
     case, problems = loaded.case, _Problems()
-    reference = _check_images(case, problems)
+    reference = _check_images(case.images, problems)
+    for number, section in enumerate(case.near, start=1):
+        if _check_images(section, problems) is None:
+            problems.lines.append(f"{loaded.path}: near, entry {number}: its images cannot be used; see above")
     with problems.gathered(loaded.path):
         _check_output(case.output.file)
         _check_nothing_is_overwritten(loaded)
@@ -79,7 +83,10 @@ def check_case(loaded: LoadedCase) -> CheckReport:
         mesh = build_mesh(case, reference.width, reference.height)
     if mesh is None:
         raise InputError(problems.lines)
-    counts = rasterize(mesh).pixel_counts
+    try:
+        counts = rasterize(mesh).pixel_counts if pixel_counts is None else pixel_counts(mesh)
+    except InputError as error:
+        raise InputError([*problems.lines, *(f"{loaded.path}: {line}" for line in error.problems)]) from error
     free = _check_mesh_uses(loaded, mesh, counts, problems)
     if problems.lines:
         raise InputError(problems.lines)
@@ -101,9 +108,9 @@ class _Problems:
             self.lines += [line if source is None else f"{source}: {line}" for line in error.problems]
 
 
-def _check_images(case: Case, problems: _Problems) -> ImageSource | None:
+def _check_images(images: ImagesSection | NearSection, problems: _Problems) -> ImageSource | None:
     """Check both images and their masks; returns the reference image, None if it cannot be read."""
-    images, opened = case.images, list[ImageSource]()
+    opened = list[ImageSource]()
     for path, mask_path in ((images.reference, images.reference_mask), (images.deformed, images.deformed_mask)):
         source: ImageSource | None = None
         with problems.gathered():
@@ -145,8 +152,11 @@ def _check_nothing_is_overwritten(loaded: LoadedCase) -> None:
     structured = case.mesh.structured
     inputs = (loaded.path, case.images.reference, case.images.deformed, case.images.reference_mask,
               case.images.deformed_mask, case.mesh.file, None if structured is None else structured.mask,
-              case.solver.partition_file)
-    written = {p.resolve() for p in (result, summary_path(result), sidecar_path(result))}
+              case.solver.partition_file,
+              *(path for near in case.near for path in (near.reference, near.deformed, near.reference_mask,
+                                                        near.deformed_mask, near.mapping_file)))
+    sidecars = [sidecar_path(result, camera) for camera in range(len(case.near) + 1)]
+    written = {p.resolve() for p in (result, summary_path(result), *sidecars)}
     for path in inputs:
         if path is not None and path.resolve() in written:
             raise InputError(f"output.file: {result} would overwrite the input {path}; choose another name")

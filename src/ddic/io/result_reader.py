@@ -119,7 +119,8 @@ def _read(path: Path, file: Any) -> Result:
         subdomain_ids=on_cells[schema.SUBDOMAIN_ID].astype(np.int64),
         gauss_newton=_arrays(file, schema.GAUSS_NEWTON),
         krylov=tuple(_arrays(file, schema.KRYLOV).values()),
-        attributes={name: dict(file[name].attrs) for name in schema.ATTRIBUTE_GROUPS if name in file},
+        attributes={name: dict(file[name].attrs) for name in file
+                    if name in schema.ATTRIBUTE_GROUPS or name.startswith(schema.near_group(0)[:-1])},
         flipped=flipped,
     )
 

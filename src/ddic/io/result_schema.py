@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-SCHEMA_VERSION = "1.1"
+SCHEMA_VERSION = "1.2"
 VTKHDF_VERSION = (2, 0)
 
 VTKHDF = "VTKHDF"
@@ -31,6 +31,7 @@ DISPLACEMENT_MESH_UNITS = "displacement_mesh_units"
 DISPLACEMENT_PHYSICAL = "displacement_physical"
 GLOBAL_NODE_ID = "GlobalNodeId"
 GLOBAL_CELL_ID = "GlobalCellId"
+CAMERA = "Camera"
 SUBDOMAIN_ID = "SubdomainId"
 STRAIN_INFINITESIMAL = "strain_infinitesimal"
 STRAIN_GREEN_LAGRANGE = "strain_green_lagrange"
@@ -69,9 +70,9 @@ def point_fields(length_unit: str | None) -> tuple[FieldSpec, ...]:
                                "displacement times the pixel size"))
 
 
-def cell_fields() -> tuple[FieldSpec, ...]:
+def cell_fields(n_cameras: int = 1) -> tuple[FieldSpec, ...]:
     """Fields on the cells."""
-    return (
+    fields = (
         FieldSpec(STRAIN_INFINITESIMAL, SYMMETRIC_TENSOR, np.float64, "1", "infinitesimal strain, cell mean"),
         FieldSpec(STRAIN_GREEN_LAGRANGE, SYMMETRIC_TENSOR, np.float64, "1",
                   "Green-Lagrange strain, cell mean"),
@@ -80,6 +81,14 @@ def cell_fields() -> tuple[FieldSpec, ...]:
         FieldSpec(SUBDOMAIN_ID, 1, np.int32, "1", "subdomain that owns the cell"),
         FieldSpec(GLOBAL_CELL_ID, 1, np.int64, "1", "number of the cell in the whole mesh"),
     )
+    if n_cameras == 1:
+        return fields
+    return (*fields, FieldSpec(CAMERA, 1, np.int32, "1", "camera that measures the cell: 0 the far field, 1 ... near"))
+
+
+def near_group(camera: int) -> str:
+    """The group with what is known of a near-field set-up, from 1."""
+    return f"near_{camera}"
 
 
 def residual_group(camera: int) -> str:

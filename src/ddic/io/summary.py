@@ -13,6 +13,21 @@ from ddic.io.replace_on_exit import replaced_on_exit
 
 
 @dataclass(frozen=True)
+class NearSummary:
+    """Measured motion of a near-field set-up and what its images say, with standard deviations.
+
+    alpha_px: pixels of the far field; theta_rad: radians; residual_std_grey, noise_grey: of the near images.
+    """
+
+    alpha_px: tuple[float, float]
+    alpha_std_px: tuple[float, float]
+    theta_rad: float
+    theta_std_rad: float
+    residual_std_grey: float
+    noise_grey: float
+
+
+@dataclass(frozen=True)
 class Summary:
     """What a run did and measured.
 
@@ -25,7 +40,8 @@ class Summary:
     the displacement that the last linear step left (0 if direct, None if unknown).
     n_pixels: correlated; n_pixels_outside: left out because they are mapped outside the deformed image or
     onto its excluded pixels. notes: how the start was found, and warnings.
-    grey_correction: what was corrected. result_file: name of the result file.
+    grey_correction: what was corrected. result_file: name of the result file. near: near-field set-ups in order; the
+    residual is then that of the far images.
     """
 
     converged: bool
@@ -49,6 +65,7 @@ class Summary:
     cut_off_wavelength: float | None = None
     notes: Sequence[str] = field(default_factory=tuple)
     imbalance: Mapping[str, float] = field(default_factory=dict)
+    near: Sequence[NearSummary] = field(default_factory=tuple)
 
 
 def summary_path(result: Path) -> Path:

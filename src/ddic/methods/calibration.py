@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError, InputError
-from ddic.functionals.registration import NearImage, Registration, near_image, register
+from ddic.functionals.registration import TOLERANCE, NearImage, Registration, near_image, register
 from ddic.images.camera import CameraMapping
 from ddic.images.camera_models import CameraModel, Kind, closest_similarity
 from ddic.images.source import ImageSource
@@ -24,7 +24,10 @@ LEAST_COEFFICIENT = 0.5
 """Correlation coefficient below which two pictures are not taken to show the same surface."""
 
 _OTHER_RATIOS = (0.5, 2.0, 0.7, 1.4)
-_OTHER_TILES = 2
+_OTHER_TILES = 1
+_LEAST_START = 0.3
+_ROUGH = 0.01
+_ROUGH_SAMPLES = 3
 _GRID = 11
 
 
@@ -92,6 +95,8 @@ class _Pair:
         best = 0.0
         matches = tile_search(self.far, self.near, ratio).matches(fixed=self.kind == "translation")
         for match in islice(matches, n_tiles):
+            if match.coefficient < _LEAST_START:
+                continue
             try:
                 found = self._grown(match, ratio)
             except ConvergenceError:
@@ -108,15 +113,19 @@ class _Pair:
         part = _part(match.centre, half, whole)
         kind: Kind = "translation" if self.kind == "translation" else "similarity"
         model = self._model(kind, ratio, part, mapping, False)
-        found = register(self.gradient, self.spline, model, model.parameters(mapping), part)
-        spline = replace(self.spline, samples=max(round(_local_ratio(found.mapping, part)), 1))
+        rough = replace(self.spline, samples=min(self.spline.samples, _ROUGH_SAMPLES))
+        found = register(self.gradient, rough, model, model.parameters(mapping), part, _ROUGH)
         # Texture that repeats by chance over a tile is not worth a larger one.
-        while found.local_coefficient >= LEAST_COEFFICIENT and (part != whole or found.model.kind != self.kind
-                                                                or found.model.distorts != self.distortion):
+        while found.local_coefficient >= LEAST_COEFFICIENT:
             half *= 2
+            last = part == whole
             part = _part(match.centre, half, whole)
+            samples = max(round(_local_ratio(found.mapping, part)), 1)
             model = self._model(self.kind, ratio, part, found.mapping, self.distortion)
-            found = register(self.gradient, spline, model, model.parameters(found.mapping), part)
+            found = register(self.gradient, replace(self.spline, samples=samples) if last else rough, model,
+                             model.parameters(found.mapping), part, TOLERANCE if last else _ROUGH)
+            if last:
+                break
         return found
 
     def _model(self, kind: Kind, ratio: float, part: Window, mapping: CameraMapping, distorts: bool) -> CameraModel:

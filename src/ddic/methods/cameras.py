@@ -54,7 +54,7 @@ def measured_by(case: Case, cameras: tuple[Camera, ...], mesh: Mesh) -> NDArray[
                                     for section, camera in zip(case.near, cameras[1:], strict=True)])
     for number in range(1, len(cameras)):
         if not (labels == number).any():
-            raise InputError(f"{_name(number)}: its images see no whole element of the mesh; check its mapping "
+            raise InputError(f"{name_of(number)}: its images see no whole element of the mesh; check its mapping "
                              f"(ddic calibrate), near.region and near.margin, or use smaller elements")
     if not (labels == 0).any():
         raise InputError("near: the near-field images see every element, which leaves none to the far-field images; "
@@ -70,12 +70,13 @@ def _cameras(case: Case, opened: Callable[[Path], ImageSource]) -> tuple[Camera,
         try:
             rig = _rig(_mapping(section), pair, section.motion)
         except ValueError as error:
-            raise InputError(f"{_name(number)}: {error}; check its mapping (ddic calibrate)") from error
+            raise InputError(f"{name_of(number)}: {error}; check its mapping (ddic calibrate)") from error
         cameras.append(Camera(pair, rig, section.noise))
     return tuple(cameras)
 
 
-def _name(number: int) -> str:
+def name_of(number: int) -> str:
+    """What messages call a near camera, from 1."""
     return f"near, entry {number}"
 
 

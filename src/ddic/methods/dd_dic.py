@@ -41,8 +41,8 @@ class Measurement:
 
     parts: owned subdomains; field: their displacement, one value per interface node (Eq. 41 of [BP17]).
     pairs: of each camera; unknowns: of each owned subdomain, (n_unknowns,). residuals (of each view), grey (of each
-    camera): grey levels at the solution; setting: sizes and weights; records: iterations. motions: of near-field set-ups;
-    noise: of each camera, grey levels (empty with one camera).
+    camera): grey levels at the solution; setting: sizes and weights; records: iterations. motions: of near-field
+    set-ups; noise: of each camera, grey levels (empty with one camera).
     """
 
     region: Region

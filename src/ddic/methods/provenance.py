@@ -34,8 +34,10 @@ def provenance(reference: ImageSource, deformed: ImageSource, *, n_ranks: int,
     }
     for library in _LIBRARIES:
         facts[library] = metadata.version(library)
-    for name, image in (("reference", reference), ("deformed", deformed)):
-        facts[f"{name}_path"] = str(image.path)
-        facts[f"{name}_size"] = f"{image.width}x{image.height}"
-        facts[f"{name}_sha256"] = sha256_of_file(image.path)
-    return facts
+    return {**facts, **image_attributes("reference", reference), **image_attributes("deformed", deformed)}
+
+
+def image_attributes(name: str, image: ImageSource) -> dict[str, str | int]:
+    """An image's path, size and checksum under NAME_path, NAME_size and NAME_sha256."""
+    return {f"{name}_path": str(image.path), f"{name}_size": f"{image.width}x{image.height}",
+            f"{name}_sha256": sha256_of_file(image.path)}

@@ -16,6 +16,7 @@ from ddic.io import result_schema as schema
 from ddic.io.image_chunks import ChunkGrid
 from ddic.io.result_writer import Piece, PieceSize, ResultWriter, joined
 from ddic.methods.dd_dic import Measurement
+from ddic.methods.near_attributes import near_attributes
 from ddic.methods.phase_times import PhaseTimes
 from ddic.methods.provenance import provenance
 from ddic.methods.residual_image import PackedChunk, Patch, packed_chunks, to_root
@@ -50,8 +51,8 @@ def publish(team: Team, loaded: LoadedCase, measurement: Measurement, times: Pha
                 pass
         return
     length_unit = None if loaded.case.images.pixel_size is None else loaded.case.images.length_unit
-    with ResultWriter(loaded.case.output.file, sizes, schema.point_fields(length_unit), schema.cell_fields(),
-                      flip_y=loaded.case.output.flip_y) as writer:
+    with ResultWriter(loaded.case.output.file, sizes, schema.point_fields(length_unit),
+                      schema.cell_fields(len(measurement.pairs)), flip_y=loaded.case.output.flip_y) as writer:
         for indices, pieces in _all_batches(team, owned, batches):
             writer.write_pieces(indices, pieces)
         _write_histories(writer, measurement.records)
@@ -117,6 +118,8 @@ def _pieces(loaded: LoadedCase, measurement: Measurement) -> Iterator[Piece]:
             schema.SUBDOMAIN_ID: np.full(mesh.n_cells, subdomain.index, dtype=np.int32),
             schema.GLOBAL_CELL_ID: subdomain.cell_ids,
         }
+        if len(measurement.pairs) > 1:
+            cell_data[schema.CAMERA] = np.full(mesh.n_cells, subdomain.camera, dtype=np.int32)
         yield Piece(mesh.nodes, mesh.connectivity, mesh.offsets, mesh.types, point_data, cell_data)
 
 
@@ -168,6 +171,8 @@ def _write_histories(writer: ResultWriter, records: Sequence[IterationRecord]) -
         "n_pixels": [r.grey.n_pixels for r in records],
         "gain": [r.grey.gain for r in records],
         "offset": [r.grey.offset for r in records],
+        **{f"near_{k}_residual_std_grey": [r.cameras[k].residual_std for r in records]
+           for k in range(1, len(records[0].cameras))},
         "krylov_iterations": [r.krylov_iterations for r in records],
         "linear_error_px": [r.linear_error for r in records],
     })
@@ -191,6 +196,8 @@ def _write_attributes(writer: ResultWriter, team: Team, loaded: LoadedCase, meas
     })
     writer.write_attributes(schema.TIME, {"reference": images.reference_time, "deformed": images.deformed_time})
     writer.write_attributes(schema.UNITS, {"pixel_size": images.pixel_size or 1.0, "length_unit": images.length_unit})
+    for motion in measurement.motions:
+        writer.write_attributes(schema.near_group(motion.camera), near_attributes(measurement, motion))
     pair = measurement.pairs[0]
     writer.write_attributes(schema.PROVENANCE, provenance(
         pair.reference.image, pair.deformed.image, n_ranks=team.size, n_subdomains=measurement.region.n_subdomains))

@@ -8,10 +8,11 @@ from pathlib import Path
 from ddic.case.loader import LoadedCase, load_case
 from ddic.case.schema import Case
 from ddic.errors import InputError
-from ddic.io.case_check import check_case
 from ddic.io.summary import Summary, summary_path, write_summary
+from ddic.methods.check import check_inputs
 from ddic.methods.dd_dic import Measurement, dd_dic
 from ddic.methods.listener import Listener
+from ddic.methods.near_attributes import near_summary
 from ddic.methods.near_far_dic import near_far_dic
 from ddic.methods.phase_times import phase_times
 from ddic.methods.publish import publish
@@ -37,7 +38,7 @@ def run_case(team: Team, path: Path, listener: Listener) -> Summary:
 
 def _checked(path: Path, n_ranks: int) -> LoadedCase:
     loaded = load_case(path)
-    check_case(loaded)
+    check_inputs(loaded)
     problem = rank_problem(loaded.case, n_ranks)
     if problem:
         raise InputError(f"{path}: {problem}")
@@ -71,8 +72,8 @@ def summarize(team: Team, case: Case, measurement: Measurement, clock: PhaseCloc
         n_dofs=setting.n_dofs,
         n_subdomains=setting.n_subdomains,
         n_ranks=setting.n_ranks,
-        n_pixels=grey.n_pixels,
-        n_pixels_outside=setting.n_pixels - grey.n_pixels,
+        n_pixels=sum(camera.n_pixels for camera in measurement.grey),
+        n_pixels_outside=setting.n_pixels - sum(camera.n_pixels for camera in measurement.grey),
         krylov_iterations=[r.krylov_iterations for r in measurement.records],
         seconds=times.seconds,
         cpu_seconds=times.cpu_seconds,
@@ -84,5 +85,6 @@ def summarize(team: Team, case: Case, measurement: Measurement, clock: PhaseCloc
         linear_error_px=measurement.records[-1].linear_error,
         grey_correction=case.correlation.grey_correction,
         notes=measurement.notes,
+        near=[near_summary(measurement, motion) for motion in measurement.motions],
         result_file=str(case.output.file),
     )

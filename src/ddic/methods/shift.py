@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import InputError, on_all_ranks
+from ddic.kinematics.pose import Rig
 from ddic.methods.cameras import Camera
 from ddic.parallel.team import Team
 from ddic.solvers.dual.motion import motion_scales
@@ -21,14 +22,14 @@ from ddic.solvers.step import Step
 class SetupMotion:
     """Measured motion of a near-field set-up between its pictures, T(Y) = X0 + R(theta) (Y - X0) + alpha.
 
-    camera: its number; alpha: (2,) px of the far image; theta: radians, 0 where it was not asked for; centre: X0, (2,).
+    camera: its number; rig: phi and X0; alpha: (2,) px of the far image; theta: radians, 0 where it was not asked for.
     covariance: of (alpha_x, alpha_y) or (alpha_x, alpha_y, theta), px and radians.
     """
 
     camera: int
+    rig: Rig
     alpha: NDArray[np.float64]
     theta: float
-    centre: NDArray[np.float64]
     covariance: NDArray[np.float64]
 
 
@@ -98,7 +99,7 @@ def setup_motions(cameras: Sequence[Camera], shifts: Sequence[NDArray[np.float64
             continue
         units = np.array([1.0, 1.0, 1.0 / camera.rig.length])[:n]
         values = shifts[number] * units
-        out.append(SetupMotion(number, values[:2], float(values[2]) if n == 3 else 0.0, camera.rig.centre,
+        out.append(SetupMotion(number, camera.rig, values[:2], float(values[2]) if n == 3 else 0.0,
                                covariances[number] * np.outer(units, units)))
     return tuple(out)
 
