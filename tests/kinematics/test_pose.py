@@ -116,16 +116,16 @@ def test_unmoved_inverts_moved(points: NDArray[np.float64], x: float, y: float, 
 @given(points=points_of_any_kind, x=st.floats(-20, 20), y=st.floats(-20, 20), turn=st.floats(-200, 200))
 def test_a_motion_is_rigid(points: NDArray[np.float64], x: float, y: float, turn: float) -> None:
     moved = rig(identity(), "rigid").moved(np.vstack([CENTRE, points]), np.array([x, y, turn]))
-    np.testing.assert_allclose(moved[0], CENTRE + (x, y), atol=1e-12)
+    np.testing.assert_allclose(moved[0], CENTRE + np.array([x, y]), atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(moved[1:] - moved[0], axis=1), np.linalg.norm(points - CENTRE, axis=1),
                                atol=1e-11)
     plain = rig(identity(), "translation").moved(points, np.array([x, y]))
-    np.testing.assert_array_equal(plain, points + (x, y))
+    np.testing.assert_array_equal(plain, points + np.array([x, y]))
 
 
 def test_a_rotation_turns_x_towards_y_by_the_unknown_over_the_length() -> None:
     angle = 0.02
-    arm = CENTRE + (100.0, 0.0)
+    arm = CENTRE + np.array([100.0, 0.0])
     moved = rig(identity(), "rigid").moved(arm[None], np.array([0.0, 0.0, angle * LENGTH]))
     np.testing.assert_allclose(moved[0] - CENTRE, [100 * np.cos(angle), 100 * np.sin(angle)], atol=1e-12)
 

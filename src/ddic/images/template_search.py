@@ -21,6 +21,8 @@ ROTATION_RANGE = 5.0
 TILE = 64
 """Side of the searched tile, far px: long enough to be told apart, short enough for coarse steps."""
 
+_SMALL_TILE = 32
+
 LEAST_TILE = 16
 """Side below which a tile of speckle may match anywhere, far px."""
 
@@ -135,7 +137,9 @@ def tile_search(far: Grey, near: Grey, ratio: float) -> TileSearch:
     height, width = near.shape
     size = max(round(width / ratio), 1), max(round(height / ratio), 1)
     reduced = cv2.resize(near, size, interpolation=cv2.INTER_AREA)
-    side = max(min(TILE, *(int(n / (1 + RATIO_RANGE)) for n in (*size, far.shape[1], far.shape[0]))), 1)
+    most = min(int(n / (1 + RATIO_RANGE)) for n in (*size, far.shape[1], far.shape[0]))
+    # Half the image, so that a tile is left in view where part of the near field is not.
+    side = max(min(TILE, most, max(_SMALL_TILE, min(size) // 2)), 1)
     blurred, small = (cv2.GaussianBlur(image, (0, 0), _BLUR) for image in (far, reduced))
     blurred -= blurred.mean()
     return TileSearch(blurred, window_power(blurred, side), small, (width / size[0], height / size[1]), ratio, side)

@@ -32,6 +32,7 @@ from ddic.methods.near_far_parts import (
 )
 from ddic.methods.shift import covariance, setup_motions, start_of_motion
 from ddic.methods.start import coarse_field, coarse_task
+from ddic.methods.thread_note import thread_note
 from ddic.parallel.team import Team
 from ddic.solvers.dual.continuity import ContinuousField, average_copies
 from ddic.solvers.gauss_newton import OwnedPart, evaluate, gauss_newton
@@ -74,7 +75,8 @@ def near_far_dic(team: Team, case: Case, listener: Listener, clock: PhaseClock) 
         hessians = [in_unknowns(p, m) for p, m in zip(parts, matrices, strict=True)]
         del matrices
         assembly = assemble(team, parts, hessians, region, case.solver, case.regularization)
-    for line in (*notes, *kept, *_noise_notes(cameras, noise)):
+    notes = (*notes, *kept, *_noise_notes(cameras, noise), *thread_note(team, case.solver.threads))
+    for line in notes:
         listener.note(line)
     with linear_solver(team, case, assembly, clock) as (step, n_interface):
         setting = setting_of(team, region, parts, n_pixels, n_interface, assembly.eta)
@@ -91,7 +93,7 @@ def near_far_dic(team: Team, case: Case, listener: Listener, clock: PhaseClock) 
                                         field.largest_jump)
         refuse_inverted_cells(team, parts, displacements)
     return Measurement(region, tuple(c.pair for c in cameras), list(parts), displacements, field.q, residuals, grey,
-                       setting, solution.records, (*notes, *kept), motions, tuple(noise))
+                       setting, solution.records, notes, motions, tuple(noise))
 
 
 def _known(cut: NearFarMesh | None) -> NearFarMesh:

@@ -13,6 +13,7 @@ from ddic.case.schema import Case
 from ddic.functionals.correlation import correlations
 from ddic.functionals.view import View
 from ddic.images.sub_image import DeformedSubImage
+from ddic.images.threads import Threads
 from ddic.kinematics.pose import Rig, pose, seen_mesh
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
@@ -72,6 +73,7 @@ def cut_by_camera(case: Case, mesh: Mesh, cameras: Sequence[Camera], n_ranks: in
 def own_views(case: Case, cameras: Sequence[Camera], subdomains: Sequence[Subdomain]) -> list[OwnedPart]:
     """Read the reference images of owned subdomains; set-ups still, all weights 1."""
     degree = case.correlation.spline_degree
+    threads = Threads(case.solver.threads)
     views: list[list[View]] = [[] for _ in subdomains]
     for number, camera in enumerate(cameras):
         own = [k for k, s in enumerate(subdomains) if s.camera == number]
@@ -80,8 +82,8 @@ def own_views(case: Case, cameras: Sequence[Camera], subdomains: Sequence[Subdom
         poses = [pose(still(camera.rig), subdomains[k].mesh.nodes, 1.0) for k in own + also]
         meshes = [seen_mesh(subdomains[k].mesh, placed) for k, placed in zip(own + also, poses, strict=True)]
         found = 0
-        for group in correlations(meshes, camera.pair.reference, degree):
-            deformed = DeformedSubImage(camera.pair.deformed, degree)
+        for group in correlations(meshes, camera.pair.reference, degree, threads):
+            deformed = DeformedSubImage(camera.pair.deformed, degree, threads)
             for correlation in group:
                 views[(own + also)[found]].append(View(correlation, deformed, number, poses[found]))
                 found += 1

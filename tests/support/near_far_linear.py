@@ -1,0 +1,260 @@
+"""One linear step with near and far cameras on random data, and the saddle point of Eq. 23 of [BP17] that it solves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+from scipy import ndimage, sparse
+from scipy.sparse.linalg import splu
+
+from ddic.case.schema import (
+    Case,
+    ImagesSection,
+    MeshSection,
+    NearSection,
+    RegularizationSection,
+    SolverSection,
+    StructuredSection,
+)
+from ddic.functionals.correlation import correlation
+from ddic.functionals.elasticity import Material
+from ddic.functionals.equilibrium_gap import controlled_stiffness
+from ddic.images.camera import CameraMapping, identity
+from ddic.images.sub_image import MaskedSource
+from ddic.kinematics.finite_element import finite_element_kinematics
+from ddic.kinematics.pose import Motion, Rig
+from ddic.mesh.mesh import Mesh
+from ddic.methods.assembly import Assembly, assemble
+from ddic.methods.cameras import Camera
+from ddic.methods.inputs import ImagePair, Region
+from ddic.methods.linear_step import linear_solver
+from ddic.methods.near_far_parts import in_unknowns, moving, own_views
+from ddic.parallel.distribution import owners
+from ddic.parallel.team import Team
+from ddic.partition.connectivity import build_subdomains
+from ddic.partition.near_far import kept_apart, split_by_camera, with_cameras
+from ddic.partition.split import split_by_blocks, split_by_metis
+from ddic.partition.subdomain import Subdomain
+from ddic.solvers.gauss_newton import OwnedPart
+from ddic.solvers.phases import PhaseClock
+from ddic.solvers.step import Step, StepResult
+from support.linear import LinearStep, linear_step
+from support.pictures import source
+
+Layout = Literal["island", "edge", "two"]
+Array = NDArray[np.float64]
+
+# Columns and rows of cells, first and last, that each near camera sees of 12 x 12.
+SEEN: dict[Layout, list[tuple[int, int, int, int]]] = {
+    "island": [(4, 3, 9, 8)], "edge": [(7, 0, 11, 11)], "two": [(2, 3, 5, 9), (6, 3, 9, 8)]}
+N = 12
+RATIO = 3.0
+WAVELENGTH = 32.0
+WEIGHTS = (1.0, 0.37, 1.8)
+
+
+@dataclass(frozen=True, eq=False)
+class NearFarStep:
+    """The data of one linear step.
+
+    base: mesh, far image, controlled rows and eta (0 without regularization); labels: camera of each cell; cameras:
+    the far one first; subdomains: all; q: unknowns of each subdomain, copies of a node differ; forces: b of each
+    subdomain before each of its cameras, its own first, in that image's pixels, unweighted.
+    """
+
+    base: LinearStep
+    labels: NDArray[np.int64]
+    cameras: tuple[Camera, ...]
+    subdomains: list[Subdomain]
+    q: list[Array]
+    forces: list[list[Array]]
+    use_far: bool
+
+    def case(self, **solver: Any) -> Case:
+        """What asks for it; solver: keys of [solver]."""
+        near = tuple(NearSection(reference=Path("f"), deformed=Path("g"), ratio=RATIO, offset=(0.0, 0.0),
+                                 motion="translation", use_far=self.use_far) for _ in self.cameras[1:])
+        mesh = MeshSection(structured=StructuredSection(region=(0, 0, 16, 16), element_size=8))
+        regularization = RegularizationSection(eta=self.base.eta) if self.base.eta else None
+        return Case(images=ImagesSection(reference=Path("f"), deformed=Path("g")), near=near, mesh=mesh,
+                    regularization=regularization, solver=SolverSection(**solver))
+
+
+@cache
+def near_far_step(layout: Layout, kind: str, n_subdomains: int, motion: Motion, *, regularized: bool,
+                  use_far: bool = False) -> NearFarStep:
+    """12 x 12 cells, some before near cameras of three times the magnification, a little turned and tilted.
+
+    kind: "blocks" (n_subdomains x 1 of them, cut where the camera changes) or "metis".
+    """
+    base = linear_step(N, WAVELENGTH if regularized else None)
+    mesh = base.mesh
+    column, row = np.arange(mesh.n_cells) % N, np.arange(mesh.n_cells) // N
+    labels = np.zeros(mesh.n_cells, dtype=np.int64)
+    cameras = [_camera(base.image, identity(), "none", np.zeros(2), 1.0)]
+    for number, (c0, r0, c1, r1) in enumerate(SEEN[layout], start=1):
+        labels[(column >= c0) & (column <= c1) & (row >= r0) & (row <= r1)] = number
+        cameras.append(_near_camera(mesh, labels == number, motion, number))
+    if kind == "blocks":
+        parts = kept_apart(split_by_blocks(mesh, (n_subdomains, 1)), labels)
+    else:
+        parts = split_by_camera(labels, np.ones(mesh.n_cells), n_subdomains,
+                                lambda cells, n: split_by_metis(mesh.submesh(cells)[0], n))
+    subdomains = with_cameras(build_subdomains(mesh, parts, base.controlled), labels,
+                              [c.rig.n_shifts for c in cameras], np.ones(mesh.n_nodes, dtype=bool), mesh.n_dofs)
+    rng = np.random.default_rng(7)
+    shifts = [rng.normal(size=c.rig.n_shifts) for c in cameras]
+    q = [np.concatenate([rng.normal(size=s.mesh.n_dofs), shifts[s.camera]]) for s in subdomains]
+    forces = [[base.mean_diagonal * rng.normal(size=s.mesh.n_dofs) for _ in range(1 + bool(use_far and s.camera))]
+              for s in subdomains]
+    return NearFarStep(base, labels, tuple(cameras), subdomains, q, forces, use_far)
+
+
+def _camera(image: MaskedSource, mapping: CameraMapping, motion: Motion, centre: Array, length: float) -> Camera:
+    return Camera(ImagePair(image, image), Rig(mapping, motion, centre, length), None)
+
+
+def _near_camera(mesh: Mesh, cells: NDArray[np.bool_], motion: Motion, seed: int) -> Camera:
+    """A camera whose image shows these cells and 20 px around them."""
+    nodes = mesh.submesh(np.flatnonzero(cells))[0].nodes
+    low, high = nodes.min(axis=0), nodes.max(axis=0)
+    centre, side = (low + high) / 2, int(RATIO * 1.2 * (high - low).max()) + 40
+    c, s = RATIO * np.cos(0.05 * seed), RATIO * np.sin(0.05 * seed)
+    about = np.array([[c, -s, side / 2], [s, c, side / 2], [2e-4, -1e-4, 1.0]])
+    homography = about @ np.array([[1, 0, -centre[0]], [0, 1, -centre[1]], [0, 0, 1.0]])
+    noise = ndimage.gaussian_filter(np.random.default_rng(seed).normal(size=(side, side)), 1.5)
+    return _camera(source(noise / noise.std() * 50 + 128), CameraMapping(homography / homography[2, 2]), motion,
+                   centre, float(np.linalg.norm(high - low)) / 2)
+
+
+class NearFarCut:
+    """The step on the ranks of a communicator: their subdomains, as the method sets them up."""
+
+    def __init__(self, comm: MPI.Comm, problem: NearFarStep, **solver: Any) -> None:
+        self.team, self.problem, self.case = Team(comm), problem, problem.case(**solver)
+        mine = list(owners(np.ones(len(problem.subdomains)), comm.size)[comm.rank])
+        self.numbers = mine
+        still = own_views(self.case, problem.cameras, [problem.subdomains[k] for k in mine])
+        self.parts: list[OwnedPart] = [moving(part, problem.cameras, WEIGHTS) for part in still]
+        matrices = [[view.correlation.hessian() for view in part.views] for part in still]
+        hessians = [in_unknowns(part, m) for part, m in zip(self.parts, matrices, strict=True)]
+        mesh = problem.base.mesh
+        region = Region(mesh.n_nodes, mesh.n_cells, mesh.n_dofs, len(problem.subdomains), None, mesh.mapping)
+        self.assembly: Assembly = assemble(self.team, self.parts, hessians, region, self.case.solver,
+                                           self.case.regularization)
+
+    @contextmanager
+    def step(self) -> Iterator[Step]:
+        """The step that the case asks for."""
+        with linear_solver(self.team, self.case, self.assembly, PhaseClock()) as (step, _):
+            yield step
+
+    def solve(self, step: Step) -> StepResult:
+        """Solve with the problem's q and forces."""
+        b = [np.sum([v.pose.weight * (v.pose.tangent.T @ f) for v, f in zip(p.views, self.problem.forces[k],
+                                                                           strict=True) if v.pose is not None], axis=0)
+             for k, p in zip(self.numbers, self.parts, strict=True)]
+        return step.solve([self.problem.q[k] for k in self.numbers], b)
+
+    def relative_error(self, dq: list[Array], reference: list[Array]) -> float:
+        """Largest difference in any unknown over all ranks, relative to the largest unknown."""
+        largest = max(float(np.abs(x - reference[k]).max()) for x, k in zip(dq, self.numbers, strict=True))
+        return float(self.team.comm.allreduce(largest, op=MPI.MAX)) / max(float(np.abs(x).max()) for x in reference)
+
+
+@cache
+def saddle_point_solution(problem: NearFarStep, *, paper_weighting: bool = False) -> list[Array]:
+    """dq of every subdomain by Eq. 23 of [BP17], one sparse LU.
+
+    Unknowns are what each camera sees, v = u + R alpha before a near camera and u before the far one; alpha has no
+    stiffness but its columns in the jumps: +R on rows oriented from near to far, -R from far to near. Where the far
+    image is used under the near field as well, it sees v - R alpha. Interface rows of K add up over subdomains.
+    """
+    parts, mesh = problem.subdomains, problem.base.mesh
+    first = np.concatenate([[0], np.cumsum([s.mesh.n_dofs for s in parts])])
+    n_shifts = [c.rig.n_shifts for c in problem.cameras]
+    begin = first[-1] + np.concatenate([[0], np.cumsum(n_shifts)])
+    n = int(begin[-1])
+    matrix, right = sparse.csr_matrix((n, n)), np.zeros(n)
+    stiffness = sparse.csr_matrix((mesh.n_dofs, n))
+    displacement, now = [], []
+    for s, part in enumerate(parts):
+        v = _selection(np.arange(first[s], first[s + 1]), n)
+        motion = _selection(np.arange(begin[part.camera], begin[part.camera + 1]), n)
+        rigid = sparse.csr_matrix(_rigid(problem.cameras[part.camera].rig, part.mesh.nodes))
+        u = v - rigid @ motion
+        for camera, seen, force in zip((part.camera, 0), (v, u), problem.forces[s], strict=False):
+            m, jacobian = _texture(problem.cameras[camera], part.mesh)
+            matrix = matrix + WEIGHTS[camera] * (seen.T @ m @ seen)
+            right += WEIGHTS[camera] * (seen.T @ (jacobian.T @ force))
+        if problem.base.eta:
+            k = controlled_stiffness(part.mesh, finite_element_kinematics(part.mesh), Material(),
+                                     np.ones(part.mesh.n_dofs))
+            stiffness = stiffness + _selection(part.dofs, mesh.n_dofs).T @ k @ v
+        displacement.append(u)
+        now.append(problem.q[s][:part.mesh.n_dofs])
+    copies = np.concatenate([*now, np.zeros(n - first[-1])])
+    if problem.base.eta:
+        weights = problem.base.controlled / (np.sqrt(_sharing(problem)) if paper_weighting else 1.0)
+        gap = sparse.diags(weights) @ stiffness
+        matrix = matrix + problem.base.eta * (gap.T @ gap)
+        right -= problem.base.eta * (gap.T @ (gap @ copies))
+    jumps, jump_now = _jumps(problem, displacement, now)
+    size = problem.base.mean_diagonal
+    whole = sparse.bmat([[matrix / size, jumps.T], [jumps, None]]).tocsc()
+    x = splu(whole).solve(np.concatenate([right / size, -jump_now]))[:n]
+    return [np.concatenate([u @ x, x[begin[p.camera]: begin[p.camera + 1]]])
+            for u, p in zip(displacement, parts, strict=True)]
+
+
+def _texture(camera: Camera, mesh: Mesh) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
+    """M in displacements of the specimen's frame, unweighted, and d(pixels of the camera) / d(specimen's frame)."""
+    mapping = camera.rig.mapping
+    seen = Mesh(mapping.to_image(mesh.nodes), mesh.connectivity, mesh.offsets, mesh.types)
+    jacobian = sparse.block_diag(list(mapping.jacobian(mesh.nodes))).tocsr()
+    return (jacobian.T @ correlation(seen, camera.pair.reference, 3).hessian() @ jacobian).tocsr(), jacobian
+
+
+def _rigid(rig: Rig, nodes: Array) -> Array:
+    """R: a pixel along x, one along y, and a turn from x towards y by 1 / length about the centre."""
+    columns = np.zeros((nodes.size, 3))
+    columns[0::2, 0] = columns[1::2, 1] = 1.0
+    columns[0::2, 2] = -(nodes[:, 1] - rig.centre[1]) / rig.length
+    columns[1::2, 2] = (nodes[:, 0] - rig.centre[0]) / rig.length
+    return columns[:, :rig.n_shifts]
+
+
+def _jumps(problem: NearFarStep, displacement: list[sparse.csr_matrix],
+           now: list[Array]) -> tuple[sparse.csr_matrix, Array]:
+    """Rows of the differences between copies of a node, each to the next subdomain's, and what they are now."""
+    places: dict[int, list[tuple[int, int]]] = {}
+    for s, part in enumerate(problem.subdomains):
+        for local, node in enumerate(part.node_ids):
+            places.setdefault(int(node), []).append((s, local))
+    rows, values = [], []
+    for copies in places.values():
+        for (a, i), (b, j) in zip(copies[:-1], copies[1:], strict=True):
+            for axis in range(2):
+                rows.append(displacement[a][2 * i + axis] - displacement[b][2 * j + axis])
+                values.append(now[a][2 * i + axis] - now[b][2 * j + axis])
+    return sparse.vstack(rows).tocsr(), np.array(values)
+
+
+def _sharing(problem: NearFarStep) -> Array:
+    """Number of subdomains at each dof of the mesh."""
+    counts = np.zeros(problem.base.mesh.n_dofs)
+    for part in problem.subdomains:
+        counts[part.dofs] += 1
+    return counts
+
+
+def _selection(places: NDArray[np.int64], n: int) -> sparse.csr_matrix:
+    return sparse.csr_matrix((np.ones(len(places)), (np.arange(len(places)), places)), shape=(len(places), n))
