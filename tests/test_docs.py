@@ -20,6 +20,7 @@ MODULE_FOLDERS = [ROOT / name for name in ("src", "scripts", "bench", "examples"
 SECTIONS: dict[str, type[BaseModel]] = {
     "Top level": schema.Case,
     "[images]": schema.ImagesSection,
+    "[near]": schema.NearSection,
     "[mesh]": schema.MeshSection,
     "[mesh.structured]": schema.StructuredSection,
     "[mesh.mapping]": schema.MappingSection,

@@ -66,7 +66,7 @@ class CameraModel:
             depth = local @ h[2, :2] + 1.0
             place = (local @ h[:2, :2].T + h[:2, 2]) / depth[:, None]
             rows = [[x, y, one, zero, zero, zero, -place[:, 0] * x, -place[:, 0] * y],
-                    [zero, zero, zero, x, y, one, -place[:, 1] * x, place[:, 1] * y]]
+                    [zero, zero, zero, x, y, one, -place[:, 1] * x, -place[:, 1] * y]]
             undistorted = np.array(rows).transpose(2, 0, 1) / depth[:, None, None]
         else:
             turning = [[x, -y], [y, x]] if self.kind == "similarity" else [[], []]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -159,15 +160,16 @@ def _check_sizes(far: ImageSource, near: ImageSource, ratio: float) -> None:
         raise InputError(f"--ratio {ratio:g}: must be more than 1, near pixels per far pixel; "
                          "the image with more pixels per millimetre is NEAR")
     covered = near.width / ratio, near.height / ratio
-    least, most = covered[0] / (1 + RATIO_RANGE), covered[1] / (1 + RATIO_RANGE)
-    if least > far.width or most > far.height:
+    # The ratio may be larger than given by so much.
+    across, down = (size / (1 + RATIO_RANGE) for size in covered)
+    if across > far.width or down > far.height:
         raise InputError(f"{near.path}: {near.width} x {near.height} px at a ratio of {ratio:g} cover "
                          f"{covered[0]:.0f} x {covered[1]:.0f} far px, more than the {far.width} x {far.height} px of "
                          f"{far.path}; give a larger --ratio, or swap the images if the first is NEAR")
-    if min(least, most) < LEAST_TILE:
+    if min(across, down) < LEAST_TILE:
         raise InputError(f"{near.path}: {near.width} x {near.height} px at a ratio of {ratio:g} cover only "
                          f"{covered[0]:.0f} x {covered[1]:.0f} far px, too few to be found; at least "
-                         f"{LEAST_TILE * (1 + RATIO_RANGE):.0f} are needed either way; check --ratio")
+                         f"{math.ceil(LEAST_TILE * (1 + RATIO_RANGE))} are needed either way; check --ratio")
 
 
 def _check_inside(found: Registration, far: ImageSource, near: ImageSource) -> None:
