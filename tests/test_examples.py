@@ -126,3 +126,21 @@ def test_restart(tmp_path: Path) -> None:
     assert second < 1.2e-2
     # From zero the second frame, 8 px away, is not found in 50; from the first, 3 px away at most, in 5.
     assert iterations <= 7
+
+
+def test_near_far(tmp_path: Path) -> None:
+    printed = run_example("near_far", tmp_path / "out")
+    off, *_ = numbers_after("calibration: ", printed)
+    # Fine speckles that the far camera does not resolve are the calibration's noise: it says 0.3 near px itself.
+    assert off < 1.0
+    x, y, *spread, _, _ = numbers_after("alpha: ", printed)
+    # Three of the standard deviations that the result states, for a fixed realisation of the noise.
+    assert abs(x - 3.7) < 3 * spread[0]
+    assert abs(y + 2.2) < 3 * spread[1]
+    assert max(spread) < 0.005
+    far, = numbers_after("far field: RMS error ", printed)
+    near, = numbers_after("near field: RMS error ", printed)
+    # Measured 8.7e-3 and 4.9e-3 px.
+    assert far < 1.2e-2
+    assert near < 0.8 * far
+    assert (tmp_path / "out" / "result.near-far.png").stat().st_size > 10_000

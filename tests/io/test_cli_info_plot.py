@@ -92,7 +92,8 @@ def test_plot_of_two_results_adds_the_difference(tmp_path: Path, write_result: W
     assert (tmp_path / "a.difference.png").exists()
 
 
-@pytest.mark.parametrize(("kind", "remedy"), [("difference", "--other"), ("krylov", "another --kind")])
+@pytest.mark.parametrize(("kind", "remedy"), [("difference", "--other"), ("krylov", "another --kind"),
+                                              ("near-far", "another --kind")])
 def test_plot_says_what_a_figure_lacks(tmp_path: Path, write_result: Write, kind: str, remedy: str) -> None:
     path = write_result(tmp_path / "r.vtkhdf", curves=False)
     outcome = CliRunner().invoke(plot, [str(path), "--kind", kind])

@@ -1,12 +1,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import tifffile
-from matplotlib.collections import PolyCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
@@ -15,6 +16,7 @@ from ddic.io.plots.canvas import triangulation
 from ddic.io.plots.deformed import deformed_figure, visible_amplification
 from ddic.io.plots.difference import difference_figure
 from ddic.io.plots.krylov import krylov_figure
+from ddic.io.plots.near_far import CellPanel, near_far_figure, panels_figure
 from ddic.io.plots.partition import partition_figure
 from ddic.io.plots.preview import read_preview
 from ddic.io.plots.residual import residual_figure
@@ -107,3 +109,43 @@ def test_previews_keep_every_step_th_pixel_across_bands(tmp_path: Path) -> None:
     preview = read_preview(open_image(tmp_path / "tall.tif"))
     assert preview.step == 3
     np.testing.assert_array_equal(preview.pixels, pixels[::3, ::3])
+
+
+@pytest.fixture
+def near_far(result: Result) -> Result:
+    """A result whose first column of squares (x from 5 to 15) was measured by a near camera."""
+    camera = (result.mesh.centroids[:, 0] < 15).astype(np.int32)
+    return replace(result, cell_data={**result.cell_data, "Camera": camera},
+                   attributes={**result.attributes, "near_1": {"alpha_px": np.array([1.25, -0.5])}})
+
+
+def test_near_fields_are_outlined_and_shown_in_their_own_colours(near_far: Result) -> None:
+    far, near = near_far_figure(near_far, "x").axes[:2]
+    for axes in (far, near):
+        outline, = (c for c in axes.collections if isinstance(c, LineCollection))
+        corners = np.concatenate(outline.get_segments())
+        # One by three squares have eight sides on their outline.
+        assert len(outline.get_segments()) == 8
+        assert corners.min(axis=0).tolist() == [5, 7]
+        assert corners.max(axis=0).tolist() == [15, 37]
+    # The near field and 12 % of its longer side around it.
+    assert near.get_xlim() == pytest.approx((5 - 3.6, 15 + 3.6))
+    assert near.get_ylim() == pytest.approx((37 + 3.6, 7 - 3.6))
+    assert "(1.250, -0.500) px" in near.get_title()
+    x = near_far.mesh.nodes[:, 0]
+    for axes, chosen in ((far, x > 0), (near, x < 18.6)):
+        u = near_far.displacement[chosen, 0]
+        assert axes.collections[0].get_clim() == (u.min(), u.max())
+
+
+def test_panels_share_the_colours_of_the_last_one(near_far: Result) -> None:
+    mesh = near_far.mesh
+    values = np.arange(mesh.n_cells, dtype=float)
+    near = mesh.submesh(np.flatnonzero(near_far.cell_data["Camera"] == 1))[0]
+    figure = panels_figure([CellPanel("a", mesh, 100 * values), CellPanel("b", mesh, values)], [near],
+                           (0, 0, 50, 50), "value")
+    drawn = [cells_drawn(axes)[0] for axes in figure.axes[:2]]
+    np.testing.assert_array_equal(drawn[0].get_array(), 100 * values)
+    expected = np.percentile(values, [0.5, 99.5])
+    for cells in drawn:
+        np.testing.assert_allclose(cells.get_clim(), expected)

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -169,6 +170,14 @@ class NearFarCut:
         largest = max(float(np.abs(x - reference[k]).max()) for x, k in zip(dq, self.numbers, strict=True))
         return float(self.team.comm.allreduce(largest, op=MPI.MAX)) / max(float(np.abs(x).max()) for x in reference)
 
+    def motion_error(self, dq: list[Array], reference: list[Array]) -> float:
+        """The same of the set-ups' motions alone, which are smaller than displacements."""
+        n_dofs = [s.mesh.n_dofs for s in self.problem.subdomains]
+        pairs = [(x[n_dofs[k]:], reference[k][n_dofs[k]:]) for x, k in zip(dq, self.numbers, strict=True)]
+        largest = max(float(np.abs(a - b).max(initial=0.0)) for a, b in pairs)
+        scale = max(float(np.abs(x[n:]).max(initial=0.0)) for x, n in zip(reference, n_dofs, strict=True))
+        return float(self.team.comm.allreduce(largest, op=MPI.MAX)) / scale
+
 
 @cache
 def saddle_point_solution(problem: NearFarStep, *, paper_weighting: bool = False) -> list[Array]:
@@ -215,6 +224,24 @@ def saddle_point_solution(problem: NearFarStep, *, paper_weighting: bool = False
             for u, p in zip(displacement, parts, strict=True)]
 
 
+def dense_operators(problem: NearFarStep) -> tuple[Array, Array]:
+    """A and M of the one field and the motions, of the mesh's dofs and then each camera's alpha, in that order."""
+    mesh = problem.base.mesh
+    begin = mesh.n_dofs + np.concatenate([[0], np.cumsum([c.rig.n_shifts for c in problem.cameras])])
+    n = int(begin[-1])
+    texture, stiffness = np.zeros((n, n)), np.zeros((mesh.n_dofs, n))
+    for part in problem.subdomains:
+        u = _selection(part.dofs, n).toarray()
+        v = u.copy()
+        v[:, begin[part.camera]: begin[part.camera + 1]] += _rigid(problem.cameras[part.camera].rig, part.mesh.nodes)
+        seen = [(part.camera, v), (0, u)][:1 + bool(problem.use_far and part.camera)]
+        texture += sum(WEIGHTS[c] * (w.T @ (_texture(problem.cameras[c], part.mesh)[0] @ w)) for c, w in seen)
+        k = controlled_stiffness(part.mesh, finite_element_kinematics(part.mesh), Material(), np.ones(part.mesh.n_dofs))
+        stiffness[part.dofs] += k @ u
+    gap = stiffness[problem.base.controlled]
+    return texture + problem.base.eta * gap.T @ gap, texture
+
+
 def _texture(camera: Camera, mesh: Mesh) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
     """M in displacements of the specimen's frame, unweighted, and d(pixels of the camera) / d(specimen's frame)."""
     mapping = camera.rig.mapping
@@ -241,7 +268,7 @@ def _jumps(problem: NearFarStep, displacement: list[sparse.csr_matrix],
             places.setdefault(int(node), []).append((s, local))
     rows, values = [], []
     for copies in places.values():
-        for (a, i), (b, j) in zip(copies[:-1], copies[1:], strict=True):
+        for (a, i), (b, j) in pairwise(copies):
             for axis in range(2):
                 rows.append(displacement[a][2 * i + axis] - displacement[b][2 * j + axis])
                 values.append(now[a][2 * i + axis] - now[b][2 * j + axis])

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from ddic.io.plots.preview import Preview
     from ddic.io.result_reader import Result
 
-KINDS = ("partition", "deformed", "residual", "difference", "krylov")
+KINDS = ("partition", "deformed", "residual", "difference", "krylov", "near-far")
 
 
 @click.command()
@@ -64,11 +64,15 @@ def plot(file: Path, kind: str, component: Literal["x", "y", "magnitude"], ampli
 
 def _kinds(asked: str, result: Result, other: Result | None) -> list[str]:
     """Figures to draw; raises InputError if the one asked for needs what is not there."""
+    from ddic.io.result_schema import CAMERA
+
     lacking = {}
     if other is None:
         lacking["difference"] = "--kind difference compares two results; give the second by --other"
     if not _has_curves(result):
         lacking["krylov"] = "holds no Krylov history (a direct method); choose another --kind"
+    if CAMERA not in result.cell_data:
+        lacking["near-far"] = "is of one camera (a case without [[near]]); choose another --kind"
     if asked in lacking:
         raise InputError(f"{result.path}: {lacking[asked]}")
     return [kind for kind in KINDS if kind not in lacking] if asked == "all" else [asked]
@@ -99,6 +103,7 @@ def _figure(kind: str, result: Result, other: Result | None, preview: Preview | 
     from ddic.io.plots.deformed import deformed_figure
     from ddic.io.plots.difference import difference_figure
     from ddic.io.plots.krylov import krylov_figure
+    from ddic.io.plots.near_far import near_far_figure
     from ddic.io.plots.partition import partition_figure
     from ddic.io.plots.residual import residual_figure
 
@@ -110,6 +115,8 @@ def _figure(kind: str, result: Result, other: Result | None, preview: Preview | 
         return residual_figure(result)
     if kind == "difference" and other is not None:
         return difference_figure(result, other, component)
+    if kind == "near-far":
+        return near_far_figure(result, component)
     results = [one for one in (result, other) if one is not None and _has_curves(one)]
     return krylov_figure({_label(one, results): one.krylov for one in results})
 

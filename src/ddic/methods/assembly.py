@@ -62,18 +62,23 @@ def own_parts(subdomains: Sequence[Subdomain], pair: ImagePair, degree: int, n_t
     return parts
 
 
-def seen_parts(parts: Sequence[OwnedPart], q: Sequence[NDArray[np.float64]]) -> list[OwnedPart]:
-    """The parts without the pixels that the displacements q hide in the deformed image, whose windows are read."""
+def seen_parts(parts: Sequence[OwnedPart], q: Sequence[NDArray[np.float64]],
+               which: slice = slice(None)) -> list[OwnedPart]:
+    """The parts without the pixels that unknowns q hide in the deformed image, whose windows are read.
+
+    which: views of each part that this is done for.
+    """
     wanted: dict[int, tuple[DeformedSubImage, Window]] = {}
-    for view, q_s in ((view, q_s) for part, q_s in zip(parts, q, strict=True) for view in part.views):
+    for view, q_s in ((view, q_s) for part, q_s in zip(parts, q, strict=True) for view in part.views[which]):
         window = view.displaced_window(q_s)
         shared = wanted.get(id(view.deformed))
         # At once for all who share it: one by one, every subdomain would outgrow what the last one read.
         wanted[id(view.deformed)] = (view.deformed, window if shared is None else window.union(shared[1]))
     for deformed, window in wanted.values():
         deformed.covering(window)
-    return [replace(part, views=tuple(view.seen_from(q_s) for view in part.views))
-            for part, q_s in zip(parts, q, strict=True)]
+    chosen = [set(range(*which.indices(len(part.views)))) for part in parts]
+    return [replace(part, views=tuple(view.seen_from(q_s) if k in own else view for k, view in enumerate(part.views)))
+            for part, q_s, own in zip(parts, q, chosen, strict=True)]
 
 
 def correlate(team: Team, parts: Sequence[OwnedPart]) -> list[sparse.csr_matrix]:

@@ -40,6 +40,9 @@ from ddic.solvers.independent import independent_start
 from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.phases import PhaseClock
 
+OWN, OTHERS = slice(0, 1), slice(1, None)
+"""A subdomain's views by its own camera and by others."""
+
 SMALLEST_NOISE = 0.29
 """Grey levels, the rounding of a camera that gives whole ones: no estimate is below it."""
 
@@ -61,19 +64,21 @@ def near_far_dic(team: Team, case: Case, listener: Listener, clock: PhaseClock) 
         n_pixels = sum(team.gather_lists([v.correlation.n_usable_pixels for p in parts for v in p.views]))
     with clock.phase("start"):
         u, notes = _coarse_start(team, case, cameras, None if cut is None else cut.meshes, parts)
-        parts = team.together(lambda: seen_parts(parts, u))
+        parts = team.together(lambda: seen_parts(parts, u, OWN))
     with clock.phase("assemble"):
-        matrices = team.together(lambda: [[v.correlation.hessian() for v in p.views] for p in parts])
+        own = team.together(lambda: [[v.correlation.hessian() for v in p.views[OWN]] for p in parts])
     with clock.phase("independent start"):
-        u, kept = _independently(team, case, parts, matrices, u)
+        u, kept = _independently(team, case, parts, own, u)
         motion = start_of_motion(team, cameras, parts, u, shared)
         noise = _noise(team, cameras, parts, u, case)
     with clock.phase("assemble"):
         weights = [(noise[0] / sigma) ** 2 for sigma in noise]
         parts = [moving(p, cameras, weights) for p in parts]
         q = [_with_motion(p, u_s, motion[p.subdomain.camera]) for p, u_s in zip(parts, u, strict=True)]
-        hessians = [in_unknowns(p, m) for p, m in zip(parts, matrices, strict=True)]
-        del matrices
+        # What the far camera sees under a near field depends on how the near set-up moved.
+        parts = team.together(lambda: seen_parts(parts, q, OTHERS))
+        hessians = team.together(lambda: [in_unknowns(p, [*m, *(v.correlation.hessian() for v in p.views[OTHERS])])
+                                          for p, m in zip(parts, own, strict=True)])
         assembly = assemble(team, parts, hessians, region, case.solver, case.regularization)
     notes = (*notes, *kept, *_noise_notes(cameras, noise), *thread_note(team, case.solver.threads))
     for line in notes:
@@ -126,7 +131,8 @@ def _coarse_start(team: Team, case: Case, cameras: Sequence[Camera], meshes: Seq
             moved = team.on_root(partial(_stored_motion, case, number))
             for k, q in zip(own, start.q, strict=True):
                 rig, x = camera.rig, parts[k].subdomain.mesh.nodes
-                u[k] = (rig.moved(x + q.reshape(-1, 2), moved[:rig.n_shifts]) - x).ravel()
+                shift = (moved * [1.0, 1.0, rig.length])[:rig.n_shifts]
+                u[k] = (rig.moved(x + q.reshape(-1, 2), shift) - x).ravel()
         else:
             task = coarse_task(team, case, camera.pair, None if meshes is None else meshes[number])
             found = team.together(task)
@@ -143,7 +149,7 @@ def _placed(part: OwnedPart) -> Pose:
 
 
 def _stored_motion(case: Case, number: int) -> NDArray[np.float64]:
-    """Unknowns of a camera's motion in an earlier result; zeros for the far camera."""
+    """Motion alpha and theta of a set-up in an earlier result, (3,), px and radians; zeros for the far camera."""
     assert case.start.from_result is not None
     if number == 0:
         return np.zeros(3)
@@ -151,7 +157,7 @@ def _stored_motion(case: Case, number: int) -> NDArray[np.float64]:
     if "alpha_px" not in stored:
         raise InputError(f"start.from_result: {case.start.from_result} holds no motion of near field {number}; give a "
                          "result of the same near-field images")
-    return np.array([*stored["alpha_px"], float(stored["theta_rad"]) * float(stored["lever_px"])])
+    return np.array([*stored["alpha_px"], float(stored["theta_rad"])])
 
 
 def _independently(team: Team, case: Case, parts: Sequence[OwnedPart],

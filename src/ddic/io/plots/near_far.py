@@ -1,0 +1,117 @@
+"""Near-field and far-field measurements: where each camera measured, and panels of cell values (Fig. 4 of [BP17])."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from ddic.io.plots.canvas import (
+    COLOURS,
+    WIDTH_INCHES,
+    Component,
+    add_colour_bar,
+    cell_polygons,
+    component_symbol,
+    mesh_bounds,
+    pick_component,
+    triangulation,
+)
+from ddic.io.result_reader import Result
+from ddic.io.result_schema import CAMERA, near_group
+from ddic.mesh.mesh import Mesh
+from ddic.mesh.topology import boundary_facets
+
+OUTLINE = "white"
+AROUND = 0.12
+SHOWN_PERCENT = 0.5
+
+
+@dataclass(frozen=True)
+class CellPanel:
+    """A value on each cell, (n_cells,), of a mesh in pixels of the far field."""
+
+    title: str
+    mesh: Mesh
+    values: NDArray[np.float64]
+
+
+def near_mesh(result: Result, camera: int) -> Mesh:
+    """The cells that a camera measured; pixels of the far field."""
+    return result.mesh.submesh(np.flatnonzero(result.cell_data[CAMERA] == camera))[0]
+
+
+def near_far_figure(result: Result, component: Component = "magnitude") -> Figure:
+    """Displacement of the whole mesh, then around each near field in colours of its own; near fields are outlined.
+
+    Titles tell alpha, by which each near set-up moved. The result must be one of several cameras.
+    """
+    cameras = range(1, int(result.cell_data[CAMERA].max()) + 1)
+    near = [near_mesh(result, camera) for camera in cameras]
+    titles = ["far field", *(_moved(result, camera) for camera in cameras)]
+    boxes = [mesh_bounds(result.mesh.nodes), *(mesh_bounds(mesh.nodes, AROUND) for mesh in near)]
+    figure, panels = _page(len(boxes), boxes[0])
+    values = pick_component(result.displacement, component)
+    for axes, title, box in zip(panels, titles, boxes, strict=True):
+        inside = values[_in_box(result.mesh.nodes, box)]
+        colours = axes.tripcolor(triangulation(result.mesh, result.mesh.nodes), values, shading="gouraud",
+                                 cmap=COLOURS, vmin=inside.min(), vmax=inside.max())
+        _finish(axes, title, box, near)
+        add_colour_bar(figure, axes, colours, f"{component_symbol('u', component)} [px]")
+    return figure
+
+
+def panels_figure(panels: Sequence[CellPanel], outlined: Sequence[Mesh], box: tuple[float, float, float, float],
+                  label: str) -> Figure:
+    """Panels of one part of the image, (x0, y0, x1, y1) px, with common colours, two in a row.
+
+    outlined: meshes whose outlines are drawn in all panels. Colours span what the last panel shows, without the
+    outermost 0.5 % on either side.
+    """
+    last = panels[-1]
+    centres = np.array([last.mesh.nodes[cell[cell >= 0]].mean(axis=0) for cell in last.mesh.cells])
+    low, high = np.percentile(last.values[_in_box(centres, box)], [SHOWN_PERCENT, 100 - SHOWN_PERCENT])
+    figure, all_axes = _page(len(panels), box)
+    for axes, panel in zip(all_axes, panels, strict=True):
+        cells = cell_polygons(panel.mesh, panel.mesh.nodes, array=panel.values, cmap=COLOURS, edgecolors="face",
+                              linewidths=0.1, clim=(low, high))
+        axes.add_collection(cells)
+        _finish(axes, panel.title, box, outlined)
+    figure.colorbar(cells, ax=all_axes, label=label, extend="both", shrink=0.7)
+    return figure
+
+
+def _page(n: int, box: tuple[float, float, float, float]) -> tuple[Figure, list[Axes]]:
+    columns = min(n, 2)
+    rows = -(-n // columns)
+    x0, y0, x1, y1 = box
+    height = WIDTH_INCHES / columns * (y1 - y0) / (x1 - x0)
+    figure = Figure(figsize=(1.25 * WIDTH_INCHES, 1.1 * rows * height + 0.8), layout="constrained")
+    return figure, [figure.add_subplot(rows, columns, k + 1) for k in range(n)]
+
+
+def _finish(axes: Axes, title: str, box: tuple[float, float, float, float], outlined: Sequence[Mesh]) -> None:
+    for mesh in outlined:
+        axes.add_collection(LineCollection(list(mesh.nodes[boundary_facets(mesh)[:, :2]]), colors=OUTLINE,
+                                           linewidths=1.2))
+    axes.set_facecolor("0.6")
+    axes.set_xlim(box[0], box[2])
+    axes.set_ylim(box[3], box[1])
+    axes.set_aspect("equal")
+    axes.set_xlabel("x [px]")
+    axes.set_ylabel("y [px]")
+    axes.set_title(title, fontsize="medium")
+
+
+def _in_box(points: NDArray[np.float64], box: tuple[float, float, float, float]) -> NDArray[np.bool_]:
+    return np.asarray(((points >= box[:2]) & (points <= box[2:])).all(axis=1))
+
+
+def _moved(result: Result, camera: int) -> str:
+    alpha = result.attributes[near_group(camera)]["alpha_px"]
+    return f"near field {camera}, $\\alpha$ = ({alpha[0]:.3f}, {alpha[1]:.3f}) px"
