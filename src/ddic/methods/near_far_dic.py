@@ -11,6 +11,7 @@ from scipy import sparse
 
 from ddic.case.schema import Case
 from ddic.errors import InputError
+from ddic.functionals.correlation import GreyCorrection, Residual
 from ddic.io.mesh_source import build_mesh
 from ddic.io.result_reader import read_result
 from ddic.kinematics.pose import Pose
@@ -35,7 +36,7 @@ from ddic.methods.start import coarse_field, coarse_task
 from ddic.methods.thread_note import thread_note
 from ddic.parallel.team import Team
 from ddic.solvers.dual.continuity import ContinuousField, average_copies
-from ddic.solvers.gauss_newton import OwnedPart, evaluate, gauss_newton
+from ddic.solvers.gauss_newton import GreyState, OwnedPart, evaluate, gain_and_offset, gauss_newton
 from ddic.solvers.independent import independent_start
 from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.phases import PhaseClock
@@ -185,11 +186,25 @@ def _independently(team: Team, case: Case, parts: Sequence[OwnedPart],
 
 def _noise(team: Team, cameras: Sequence[Camera], parts: Sequence[OwnedPart], u: Sequence[NDArray[np.float64]],
            case: Case) -> list[float]:
-    """Standard deviation of each camera's noise, grey levels: given, or that of its residual over sqrt(2)."""
+    """Standard deviation of each camera's noise, grey levels: given, or that of its residual over sqrt(2).
+
+    Of a camera's subdomains the one in the middle counts: some may not have been measured well by themselves.
+    """
+    correction = case.correlation.grey_correction
     alone = [own_camera_only(part) for part in parts]
-    _, grey = evaluate(team, alone, u, case.correlation.grey_correction, len(cameras))
-    return [camera.noise if camera.noise is not None else max(g.residual_std / np.sqrt(2), SMALLEST_NOISE)
-            for camera, g in zip(cameras, grey, strict=True)]
+    residuals, grey = evaluate(team, alone, u, correction, len(cameras))
+    found = team.gather_lists([
+        (p.subdomain.camera, _deviation(r[0], grey[p.subdomain.camera], correction))
+        for p, r in zip(alone, residuals, strict=True)])
+    return [max(float(np.median([std for number, std in found if number == k])) / np.sqrt(2), SMALLEST_NOISE)
+            if camera.noise is None else camera.noise for k, camera in enumerate(cameras)]
+
+
+def _deviation(residual: Residual, state: GreyState, correction: GreyCorrection) -> float:
+    """Standard deviation of a subdomain's residual, grey levels."""
+    first, second = residual.cell_sums.residual(*gain_and_offset(residual, state, correction))
+    n = max(float(residual.sums.n_pixels), 1.0)
+    return float(np.sqrt(max(second.sum() / n - (first.sum() / n) ** 2, 0.0)))
 
 
 def _noise_notes(cameras: Sequence[Camera], noise: Sequence[float]) -> list[str]:

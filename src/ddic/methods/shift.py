@@ -15,7 +15,10 @@ from ddic.parallel.team import Team
 from ddic.solvers.dual.motion import motion_scales
 from ddic.solvers.gauss_newton import OwnedPart
 from ddic.solvers.local_system import LocalSystem
-from ddic.solvers.step import Step
+from ddic.solvers.step import Leave, Step
+
+ENOUGH = Leave(1e-4)
+"""Error of a field of about a pixel that is left in what makes the covariance: four digits of it."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +85,7 @@ def covariance(team: Team, parts: Sequence[OwnedPart], systems: Sequence[LocalSy
         for k, kappa in enumerate(scale):
             # As large as what moves the set-up by about a pixel: steps start from their last solution.
             b = [kappa * _unit(p, number, k) for p in parts]
-            columns.append([x / kappa for x in step.solve([np.zeros_like(v) for v in b], b).dq])
+            columns.append([x / kappa for x in step.solve([np.zeros_like(v) for v in b], b, ENOUGH).dq])
         products = [np.stack([x[s] for x in columns], axis=1) for s in range(len(parts))]
         total = team.ordered_sum([x.T @ (system.hessian @ x) for x, system in zip(products, systems, strict=True)])
         found[number] = 2 * noise**2 * total

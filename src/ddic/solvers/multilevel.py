@@ -70,11 +70,12 @@ def multilevel_start(pair: BinnedPair, mesh: Mesh, *, rigid: bool, pyramid: bool
         warnings.append(f"start: no rigid translation stands out (best correlation coefficient {shift.coefficient:.2f}"
                         "); starting from zero")
         shift = None
-    field = uniform_field((0.0, 0.0) if shift is None else shift.shift)
+    field = rigid_field = uniform_field((0.0, 0.0) if shift is None else shift.shift)
     done: list[int] = []
     for size in sizes:
         try:
-            field = correlate_level(pairs[size], mesh, field, correction)
+            # A coarse level of a ragged region may have gone astray: the residual of the next one tells.
+            field = correlate_level(pairs[size], mesh, [field, rigid_field] if done else [field], correction)
             done.append(size)
         except (ConvergenceError, SingularSubdomainError) as error:
             warnings.append(f"start: the pyramid's level with blocks of {size} px was left out ({error})")

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from ddic.errors import SingularSubdomainError
+from ddic.errors import ConvergenceError, SingularSubdomainError
 from ddic.functionals.correlation import GreyCorrection, correlation
 from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import (
@@ -25,7 +26,7 @@ from ddic.mesh.mesh import VTK_QUAD, Mesh, mesh_from_cells
 from ddic.mesh.raster import Raster, rasterize
 from ddic.parallel.team import Team
 from ddic.partition.connectivity import build_subdomains
-from ddic.solvers.gauss_newton import OwnedPart, Tolerances, gauss_newton, silent
+from ddic.solvers.gauss_newton import OwnedPart, Tolerances, evaluate, gauss_newton, silent
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.monolithic import MonolithicStep
@@ -35,6 +36,10 @@ CELL = 16
 """Side of the grid's cells, blocks."""
 
 CUT_OFF = 4.0 * CELL
+FREE_EDGE = 0.03
+"""Weight of the equilibrium of the grid's edge relative to its inside. Cells at the edge may hold a few blocks only,
+which do not determine all of their nodes; a thousandth of the energy does, and is nothing where there is texture."""
+
 TOLERANCES = Tolerances(relative=1e-12, rms=0.01, max_iterations=30)
 SINGULAR = 1e-10
 """Lowest eigenvalue of a usable operator, relative to the mean diagonal of M."""
@@ -73,8 +78,9 @@ class Grid:
     spacing: NDArray[np.float64]
 
 
-def correlate_level(pair: BinnedPair, mesh: Mesh, start: GridField, correction: GreyCorrection) -> GridField:
-    """Correlate one level from ``start``; mesh is the whole mesh in pixels, fields are in pixels.
+def correlate_level(pair: BinnedPair, mesh: Mesh, starts: Sequence[GridField],
+                    correction: GreyCorrection) -> GridField:
+    """Correlate one level from the best of ``starts``; mesh is the whole mesh in pixels, fields are in pixels.
 
     Raises ConvergenceError or SingularSubdomainError.
     """
@@ -83,8 +89,8 @@ def correlate_level(pair: BinnedPair, mesh: Mesh, start: GridField, correction: 
     if not active.any():
         raise SingularSubdomainError("no block of the region is usable: everything is masked")
     grid = _grid(coarse, active)
-    q = start.at(grid.mesh.nodes * pair.factor + pair.centre).ravel() / pair.factor
-    q = _solve(pair, grid.mesh, active, q, correction)
+    candidates = [start.at(grid.mesh.nodes * pair.factor + pair.centre).ravel() / pair.factor for start in starts]
+    q = _solve(pair, grid.mesh, active, candidates, correction)
     values = np.full((*grid.shape, 2), np.nan)
     values.reshape(-1, 2)[grid.numbers] = q.reshape(-1, 2) * pair.factor
     origin, spacing = grid.origin * pair.factor + pair.centre, grid.spacing * pair.factor
@@ -104,7 +110,7 @@ def active_blocks(coarse: MaskedSource, raster: Raster) -> NDArray[np.uint8]:
     return covered if usable is None else covered & usable
 
 
-def _solve(pair: BinnedPair, grid: Mesh, active: NDArray[np.uint8], q: NDArray[np.float64],
+def _solve(pair: BinnedPair, grid: Mesh, active: NDArray[np.uint8], starts: Sequence[NDArray[np.float64]],
            correction: GreyCorrection) -> NDArray[np.float64]:
     """R-DIC with cut-off wavelength CUT_OFF on one domain; lengths are blocks."""
     everywhere = np.ones(grid.n_dofs, dtype=bool)
@@ -112,11 +118,12 @@ def _solve(pair: BinnedPair, grid: Mesh, active: NDArray[np.uint8], q: NDArray[n
     region = MaskedSource(pair.reference.image, ArraySource(pair.reference.image.path, active.astype(np.float32)))
     view = View(correlation(grid, region, 3), DeformedSubImage(pair.deformed, 3))
     part = OwnedPart(subdomain, (view,))
+    q = min(starts, key=lambda start: _residual(part, start, correction)) if len(starts) > 1 else starts[0]
     hessian = view.hessian()
-    rows = np.repeat(subdomain.interior, grid.dim).astype(np.float64)
+    rows = np.repeat(np.where(subdomain.interior, 1.0, FREE_EDGE), grid.dim)
     kbar = controlled_stiffness(grid, view.correlation.kinematics, Material(), rows)
     eta = 0.0
-    if rows.any():
+    if subdomain.interior.any():
         texture = texture_energies(grid.nodes, hessian, subdomain.interior, CUT_OFF)
         eta = cut_off_weight(texture, gap_energies(grid, Material(), subdomain.interior, CUT_OFF))
     system = LocalSystem(subdomain, hessian, kbar, rows, eta)
@@ -128,6 +135,14 @@ def _solve(pair: BinnedPair, grid: Mesh, active: NDArray[np.uint8], q: NDArray[n
     finally:
         operator.destroy()
     return solution.q[0]
+
+
+def _residual(part: OwnedPart, q: NDArray[np.float64], correction: GreyCorrection) -> float:
+    """Root mean square of a start's residual, grey levels; infinite where it leaves no pixel."""
+    try:
+        return evaluate(Team(MPI.COMM_SELF), [part], [q], correction)[1][0].residual_rms
+    except ConvergenceError:
+        return np.inf
 
 
 def _grid(mesh: Mesh, active: NDArray[np.uint8]) -> Grid:
