@@ -12,7 +12,7 @@ JOBS ?= 2
 SIZE ?= 22000
 
 .PHONY: help setup demo test lint bench bench-iterations bench-interface bench-paper bench-peers bench-big bench-scaling \
-	bench-threads accept-core accept-solver accept-performance clean
+	bench-threads accept-core accept-solver accept-performance accept-near-far clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -70,6 +70,9 @@ accept-solver: setup ## measure the interface solver's acceptance table (CHECK=N
 
 accept-performance: $(BENCH_STAMP) ## measure the performance acceptance table (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/accept_performance.py $(CHECK)
+
+accept-near-far: setup ## measure the acceptance table of near-field and far-field images (CHECK=NAME: one check)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/accept_near_far.py $(CHECK)
 
 clean: ## remove the environments and caches
 	rm -rf .venv .venv-numpy2 .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
