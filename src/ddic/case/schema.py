@@ -40,38 +40,6 @@ class ImagesSection(Section):
         return self
 
 
-class NearSection(Section):
-    """A near-field image pair of a part of what the images show, and where that part lies.
-
-    x_near = ratio R(rotation) x_far + offset, or what ``ddic calibrate`` wrote.
-    """
-
-    reference: Path
-    deformed: Path
-    reference_mask: Path | None = None
-    deformed_mask: Path | None = None
-    exclude_saturated: bool = False
-    mapping_file: Path | None = None
-    ratio: Positive | None = None
-    rotation_degrees: Finite = 0.0
-    offset: tuple[Finite, Finite] | None = None
-    motion: Literal["translation", "rigid"] = "translation"
-    region: Box | None = None
-    margin: NonNegative = 8.0
-    noise: Positive | None = None
-    use_far: bool = False
-
-    @model_validator(mode="after")
-    def _one_mapping(self) -> NearSection:
-        given = (self.ratio is not None, self.offset is not None)
-        if given not in ((False, False), (True, True)) or (self.mapping_file is None) != all(given):
-            raise ValueError("give either near.mapping_file, as ddic calibrate writes it, or near.ratio and "
-                             "near.offset")
-        if self.mapping_file is not None and self.rotation_degrees != 0:
-            raise ValueError("near.rotation_degrees goes with near.ratio and near.offset")
-        return self
-
-
 class Circle(Section):
     """A circular hole, pixels."""
 
@@ -124,6 +92,46 @@ class MeshSection(Section):
             raise ValueError("give either mesh.file or [mesh.structured]")
         if self.structured is not None and self.mapping != MappingSection():
             raise ValueError("mesh.mapping applies to mesh.file only: structured meshes are in pixels")
+        return self
+
+
+class NearSection(Section):
+    """A near-field image pair of a part of what the images show, and where that part lies.
+
+    x_near = ratio R(rotation) x_far + offset, or what ``ddic calibrate`` wrote.
+    """
+
+    reference: Path
+    deformed: Path
+    reference_mask: Path | None = None
+    deformed_mask: Path | None = None
+    exclude_saturated: bool = False
+    mapping_file: Path | None = None
+    ratio: Positive | None = None
+    rotation_degrees: Finite = 0.0
+    offset: tuple[Finite, Finite] | None = None
+    motion: Literal["translation", "rigid"] = "translation"
+    region: Box | None = None
+    mesh: MeshSection | None = None
+    margin: NonNegative = 8.0
+    noise: Positive | None = None
+    use_far: bool = False
+
+    @model_validator(mode="after")
+    def _one_mapping(self) -> NearSection:
+        given = (self.ratio is not None, self.offset is not None)
+        if given not in ((False, False), (True, True)) or (self.mapping_file is None) != all(given):
+            raise ValueError("give either near.mapping_file, as ddic calibrate writes it, or near.ratio and "
+                             "near.offset")
+        if self.mapping_file is not None and self.rotation_degrees != 0:
+            raise ValueError("near.rotation_degrees goes with near.ratio and near.offset")
+        return self
+
+    @model_validator(mode="after")
+    def _one_choice_of_elements(self) -> NearSection:
+        if self.mesh is not None and self.region is not None:
+            raise ValueError("near.region chooses elements of [mesh]; a near field with near.mesh measures all of "
+                             "its own")
         return self
 
 
@@ -223,4 +231,7 @@ class Case(Section):
         if self.near and self.solver.method == "monolithic":
             raise ValueError('solver.method = "monolithic" knows one camera; with [[near]] use "assembled", which '
                              "factorises the same system")
+        if self.near and self.solver.subdomains is not None and self.solver.subdomains <= len(self.near):
+            raise ValueError(f"solver.subdomains = {self.solver.subdomains}: the far field and {len(self.near)} near "
+                             f"fields need a subdomain each; ask for at least {len(self.near) + 1}")
         return self

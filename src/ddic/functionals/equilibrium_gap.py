@@ -8,15 +8,21 @@ from scipy import sparse
 
 from ddic.functionals.elasticity import Material, stiffness_cells
 from ddic.kinematics.finite_element import FiniteElementKinematics, finite_element_kinematics
+from ddic.kinematics.tie import Tie
 from ddic.mesh.mesh import Mesh
 
 _CHUNK_CELLS = 2_000
 
 
 def controlled_stiffness(mesh: Mesh, kinematics: FiniteElementKinematics, material: Material,
-                         row_weights: NDArray[np.float64]) -> sparse.csr_matrix:
-    """Kbar = diag(row_weights) K, (n_dofs, n_dofs); weight 0 drops a row (P of Eq. 11 of [BP17])."""
+                         row_weights: NDArray[np.float64], tie: Tie | None = None) -> sparse.csr_matrix:
+    """Kbar = diag(row_weights) K, (n_dofs, n_dofs); weight 0 drops a row (P of Eq. 11 of [BP17]).
+
+    tie: from unknown to mesh nodes; forces on slaves are then their masters', as much as these move them.
+    """
     stiffness = kinematics.assemble_matrix(stiffness_cells(mesh, material))
+    if tie is not None:
+        stiffness = tie.matrix.T @ stiffness @ tie.matrix
     return (sparse.diags(row_weights) @ stiffness).tocsr()
 
 

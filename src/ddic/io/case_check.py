@@ -17,7 +17,7 @@ from ddic.errors import InputError
 from ddic.images.source import ImageSource
 from ddic.io.image_file import find_not_finite, open_image
 from ddic.io.mask_file import read_mask
-from ddic.io.mesh_source import build_mesh, mesh_name
+from ddic.io.mesh_source import build_meshes, mesh_name
 from ddic.io.partition_file import read_partition
 from ddic.io.result_reader import read_result
 from ddic.io.result_schema import sidecar_path
@@ -27,6 +27,7 @@ from ddic.mesh.mesh import CELL_NAMES, Mesh
 from ddic.mesh.quality import areas
 from ddic.mesh.raster import rasterize
 from ddic.mesh.repair import check_pixels
+from ddic.partition.ties import Tying
 
 SHORTEST_WAVELENGTH = 3.0
 """Elements per cut-off wavelength below which a plane wave is not one on the mesh (aliasing)."""
@@ -59,7 +60,8 @@ class CheckReport:
     output: Path
 
 
-def check_case(loaded: LoadedCase, pixel_counts: Callable[[Mesh], NDArray[np.int64]] | None = None) -> CheckReport:
+def check_case(loaded: LoadedCase,
+               pixel_counts: Callable[[Mesh, Tying | None], NDArray[np.int64]] | None = None) -> CheckReport:
     """Read and validate the images, masks, mesh, node sets, partition, start and output of a case.
 
     pixel_counts: gives the number of pixels of each cell, (n_cells,), by default of the images' own. Raises InputError
@@ -67,9 +69,8 @@ def check_case(loaded: LoadedCase, pixel_counts: Callable[[Mesh], NDArray[np.int
     """
     case, problems = loaded.case, _Problems()
     reference = _check_images(case.images, problems)
-    for number, section in enumerate(case.near, start=1):
-        if _check_images(section, problems) is None:
-            problems.lines.append(f"{loaded.path}: near, entry {number}: its images cannot be used; see above")
+    for section in case.near:
+        _check_images(section, problems)
     with problems.gathered(loaded.path):
         _check_output(case.output.file)
         _check_nothing_is_overwritten(loaded)
@@ -80,17 +81,18 @@ def check_case(loaded: LoadedCase, pixel_counts: Callable[[Mesh], NDArray[np.int
         raise InputError(problems.lines)
     mesh: Mesh | None = None
     with problems.gathered():
-        mesh = build_mesh(case, reference.width, reference.height)
-    if mesh is None:
+        mesh, tying = build_meshes(case, reference.width, reference.height)
+    # What several cameras see of the mesh cannot be said without all of their images.
+    if mesh is None or (case.near and problems.lines):
         raise InputError(problems.lines)
     try:
-        counts = rasterize(mesh).pixel_counts if pixel_counts is None else pixel_counts(mesh)
+        counts = rasterize(mesh).pixel_counts if pixel_counts is None else pixel_counts(mesh, tying)
     except InputError as error:
         raise InputError([*problems.lines, *(f"{loaded.path}: {line}" for line in error.problems)]) from error
-    free = _check_mesh_uses(loaded, mesh, counts, problems)
+    free = _check_mesh_uses(loaded, mesh, tying, counts, problems)
     if problems.lines:
         raise InputError(problems.lines)
-    return _report(case, reference, mesh, counts, free)
+    return _report(case, reference, mesh, tying, counts, free)
 
 
 class _Problems:
@@ -149,10 +151,11 @@ def _check_nothing_is_overwritten(loaded: LoadedCase) -> None:
     if result.suffix == ".json":
         raise InputError(f"output.file: {result} is the name of the summary that is written beside the result; "
                          "choose another ending, such as .vtkhdf")
-    structured = case.mesh.structured
+    meshes = [case.mesh, *(near.mesh for near in case.near if near.mesh is not None)]
     inputs = (loaded.path, case.images.reference, case.images.deformed, case.images.reference_mask,
-              case.images.deformed_mask, case.mesh.file, None if structured is None else structured.mask,
-              case.solver.partition_file,
+              case.images.deformed_mask, case.solver.partition_file,
+              *(path for mesh in meshes
+                for path in (mesh.file, None if mesh.structured is None else mesh.structured.mask)),
               *(path for near in case.near for path in (near.reference, near.deformed, near.reference_mask,
                                                         near.deformed_mask, near.mapping_file)))
     sidecars = [sidecar_path(result, camera) for camera in range(len(case.near) + 1)]
@@ -177,7 +180,7 @@ def _check_wavelength(case: Case, mesh: Mesh) -> None:
                          f"power); give at most {LONGEST_WAVELENGTH * size:.3g}")
 
 
-def _check_mesh_uses(loaded: LoadedCase, mesh: Mesh, pixel_counts: NDArray[np.int64],
+def _check_mesh_uses(loaded: LoadedCase, mesh: Mesh, tying: Tying | None, pixel_counts: NDArray[np.int64],
                      problems: _Problems) -> NDArray[np.int64]:
     """Check what refers to the mesh; returns the nodes that are not controlled."""
     case = loaded.case
@@ -186,7 +189,8 @@ def _check_mesh_uses(loaded: LoadedCase, mesh: Mesh, pixel_counts: NDArray[np.in
         check_pixels(mesh, pixel_counts, mesh_name(case))
     if case.regularization is not None:
         with problems.gathered(loaded.path):
-            free = not_controlled_nodes(mesh, case.regularization.not_controlled, case.regularization.boxes)
+            free = not_controlled_nodes(mesh, case.regularization.not_controlled, case.regularization.boxes,
+                                        None if tying is None else tying.boundary)
     with problems.gathered(loaded.path):
         _check_wavelength(case, mesh)
     if case.solver.partition_file is not None:
@@ -198,8 +202,10 @@ def _check_mesh_uses(loaded: LoadedCase, mesh: Mesh, pixel_counts: NDArray[np.in
     return free
 
 
-def _report(case: Case, reference: ImageSource, mesh: Mesh, pixel_counts: NDArray[np.int64],
+def _report(case: Case, reference: ImageSource, mesh: Mesh, tying: Tying | None, pixel_counts: NDArray[np.int64],
             free: NDArray[np.int64]) -> CheckReport:
+    n_unknown_nodes = mesh.n_nodes if tying is None else tying.n_unknown_nodes
+    n_controlled_nodes = n_unknown_nodes - int((free < n_unknown_nodes).sum())
     kinds, numbers = np.unique(mesh.types, return_counts=True)
     saturation = reference.saturation
     return CheckReport(
@@ -207,11 +213,11 @@ def _report(case: Case, reference: ImageSource, mesh: Mesh, pixel_counts: NDArra
         bits=None if saturation is None else int(saturation).bit_length(),
         n_nodes=mesh.n_nodes,
         n_cells=mesh.n_cells,
-        n_dofs=mesh.n_dofs,
+        n_dofs=mesh.dim * n_unknown_nodes,
         cell_counts={CELL_NAMES[int(k)]: int(n) for k, n in zip(kinds, numbers, strict=True)},
         node_sets={name: len(nodes) for name, nodes in mesh.node_sets.items()},
         pixels_min=int(pixel_counts.min()),
         pixels_mean=float(pixel_counts.mean()),
-        n_controlled_dofs=0 if case.regularization is None else mesh.dim * (mesh.n_nodes - len(free)),
+        n_controlled_dofs=0 if case.regularization is None else mesh.dim * n_controlled_nodes,
         output=case.output.file,
     )

@@ -6,13 +6,14 @@ import math
 
 import numpy as np
 
-from ddic.case.schema import Case, MappingSection, StructuredSection
+from ddic.case.schema import Case, MappingSection, MeshSection, StructuredSection
 from ddic.errors import InputError
 from ddic.io.mask_file import read_mask
 from ddic.io.mesh_file import read_mesh
 from ddic.mesh.mesh import Mesh, Similarity
 from ddic.mesh.repair import check_inside, repair
 from ddic.mesh.structured import structured_mesh
+from ddic.partition.ties import Tying, tied_mesh
 
 
 def build_mesh(case: Case, width: int, height: int) -> Mesh:
@@ -21,26 +22,47 @@ def build_mesh(case: Case, width: int, height: int) -> Mesh:
     width, height: size of the images, pixels; the case's paths are absolute. Raises InputError, with the
     mesh's file or section named, on all that read_mesh, structured_mesh, repair and check_inside refuse.
     """
-    raw = _raw_mesh(case, width, height)
-    try:
-        mesh = repair(raw)
-        check_inside(mesh, width, height)
-    except InputError as error:
-        raise InputError([f"{mesh_name(case)}: {problem}" for problem in error.problems]) from error
-    return mesh
+    return _mesh_of(case.mesh, mesh_name(case), width, height)
+
+
+def build_meshes(case: Case, width: int, height: int) -> tuple[Mesh, Tying | None]:
+    """``build_mesh``, with the near fields' own meshes in it, tied to what is left of the far elements.
+
+    The second is None where no near field has a mesh of its own. Raises InputError as ``build_mesh`` and ``tied_mesh``.
+    """
+    far = build_mesh(case, width, height)
+    near = {}
+    for number, section in enumerate(case.near, start=1):
+        if section.mesh is not None:
+            near[number] = _mesh_of(section.mesh, f"near, entry {number}: {_name(section.mesh)}", width, height)
+    return tied_mesh(far, near) if near else (far, None)
 
 
 def mesh_name(case: Case) -> str:
     """The mesh file, or the section that describes the built-in mesh, for messages."""
-    return "mesh.structured" if case.mesh.file is None else str(case.mesh.file)
+    return _name(case.mesh)
 
 
-def _raw_mesh(case: Case, width: int, height: int) -> Mesh:
-    if case.mesh.file is not None:
-        return read_mesh(case.mesh.file, _similarity(case.mesh.mapping))
-    if case.mesh.structured is None:
+def _name(section: MeshSection) -> str:
+    return "mesh.structured" if section.file is None else str(section.file)
+
+
+def _mesh_of(section: MeshSection, name: str, width: int, height: int) -> Mesh:
+    raw = _raw_mesh(section, width, height)
+    try:
+        mesh = repair(raw)
+        check_inside(mesh, width, height)
+    except InputError as error:
+        raise InputError([f"{name}: {problem}" for problem in error.problems]) from error
+    return mesh
+
+
+def _raw_mesh(section: MeshSection, width: int, height: int) -> Mesh:
+    if section.file is not None:
+        return read_mesh(section.file, _similarity(section.mapping))
+    if section.structured is None:
         raise InputError("mesh: give either mesh.file or [mesh.structured]")
-    return _structured(case.mesh.structured, width, height)
+    return _structured(section.structured, width, height)
 
 
 def _similarity(mapping: MappingSection) -> Similarity:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.images.camera import CameraMapping
+from ddic.kinematics.tie import Tie
 from ddic.mesh.mesh import Mesh
 
 Motion = Literal["none", "translation", "rigid"]
@@ -76,6 +77,7 @@ class Pose:
     rig: the camera; nodes: X, (n_nodes, 2), specimen's frame; image_nodes: phi(X), (n_nodes, 2), the camera's pixels.
     tangent: (n_dofs, n_unknowns), d(displacement in the image) by the unknowns (u of the nodes, motion) at rest; it
     stays as it is over Gauss-Newton, as grad f does. weight: of this camera's squared grey levels in the functional.
+    tie: from the unknown nodes to the nodes, None where they are the same.
     """
 
     rig: Rig
@@ -83,30 +85,35 @@ class Pose:
     image_nodes: NDArray[np.float64]
     tangent: sparse.csr_matrix
     weight: float
+    tie: Tie | None = None
 
     def displacement(self, unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
         """phi(T(X + u)) - phi(X) at the nodes, (n_dofs,), the camera's pixels; unknowns: (n_unknowns,)."""
-        n = self.nodes.size
-        points = self.nodes + unknowns[:n].reshape(self.nodes.shape)
+        n = self.nodes.size if self.tie is None else self.tie.nodes.size
+        u = unknowns[:n] if self.tie is None else self.tie.matrix @ unknowns[:n]
+        points = self.nodes + u.reshape(self.nodes.shape)
         seen = self.rig.mapping.to_image(self.rig.moved(points, unknowns[n: n + self.rig.n_shifts]))
         return np.asarray(seen - self.image_nodes).ravel()
 
     def unknowns(self, displacement: NDArray[np.float64], shift: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Nodal u (n_dofs,) from a displacement in the image (n_dofs,), pixels, and the motion (n_shifts,)."""
+        """Nodal u (n_dofs,) from a displacement in the image, pixels, and the motion (n_shifts,)."""
         points = self.rig.mapping.to_specimen(self.image_nodes + displacement.reshape(self.nodes.shape))
-        return np.asarray(self.rig.unmoved(points, shift) - self.nodes).ravel()
+        u = np.asarray(self.rig.unmoved(points, shift) - self.nodes).ravel()
+        return u if self.tie is None else np.asarray(self.tie.inverse @ u)
 
 
-def pose(rig: Rig, nodes: NDArray[np.float64], weight: float, n_more: int = 0) -> Pose:
+def pose(rig: Rig, nodes: NDArray[np.float64], weight: float, n_more: int = 0, tie: Tie | None = None) -> Pose:
     """Place nodes (n, 2), specimen's frame, before a camera.
 
-    n_more: unknowns of another camera's motion, on which what this one sees does not depend.
+    n_more: unknowns of another camera's motion, on which what this one sees does not depend. tie: from unknown nodes
+    to these, None where they are the same.
     """
     n = len(nodes)
     blocks = rig.mapping.jacobian(nodes)
     derivative = sparse.bsr_matrix((blocks, np.arange(n), np.arange(n + 1)), shape=(2 * n, 2 * n))
-    columns = [derivative, sparse.csr_matrix(derivative @ rig.rigid_columns(nodes)), sparse.csr_matrix((2 * n, n_more))]
-    return Pose(rig, nodes, rig.mapping.to_image(nodes), sparse.hstack(columns).tocsr(), weight)
+    columns = [derivative if tie is None else derivative @ tie.matrix,
+               sparse.csr_matrix(derivative @ rig.rigid_columns(nodes)), sparse.csr_matrix((2 * n, n_more))]
+    return Pose(rig, nodes, rig.mapping.to_image(nodes), sparse.hstack(columns).tocsr(), weight, tie)
 
 
 def seen_mesh(mesh: Mesh, placed: Pose) -> Mesh:

@@ -17,16 +17,19 @@ BOUNDARY = "boundary"
 
 
 def not_controlled_nodes(mesh: Mesh, names: Sequence[str], boxes: Sequence[Sequence[float]],
-                         ) -> NDArray[np.int64]:
+                         boundary: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
     """Sorted numbers of the nodes that are not mechanically controlled.
 
-    names: node sets, or "boundary"; boxes: (x0, y0, x1, y1), pixels. Raises InputError, a line for each,
-    on unknown names, empty sets and boxes without nodes.
+    names: node sets, or "boundary"; boxes: (x0, y0, x1, y1), pixels; boundary: its nodes, by default those on facets of
+    one cell. Raises InputError, a line for each, on unknown names, empty sets and boxes without nodes.
     """
     chosen, problems = [np.zeros(0, np.int64)], []
     for name in names:
         try:
-            chosen.append(boundary_nodes(mesh) if name == BOUNDARY else named_nodes(mesh, name))
+            if name == BOUNDARY:
+                chosen.append(boundary_nodes(mesh) if boundary is None else boundary)
+            else:
+                chosen.append(named_nodes(mesh, name))
         except InputError as error:
             problems += [f"regularization.not_controlled: {line}" for line in error.problems]
     for box in boxes:

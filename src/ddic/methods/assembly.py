@@ -100,7 +100,7 @@ def assemble(team: Team, parts: Sequence[OwnedPart], hessians: Sequence[sparse.c
         assert section.cut_off_wavelength is not None
         wavelength = section.cut_off_wavelength
         texture = team.ordered_sum([
-            texture_energies(p.subdomain.mesh.nodes, h[:p.n_dofs, :p.n_dofs], p.subdomain.interior, wavelength)
+            texture_energies(p.subdomain.nodes, h[:p.n_dofs, :p.n_dofs], p.subdomain.interior, wavelength)
             for p, h in zip(parts, hessians, strict=True)
         ])
         eta = _weight(texture, region)
@@ -109,7 +109,8 @@ def assemble(team: Team, parts: Sequence[OwnedPart], hessians: Sequence[sparse.c
     def system(part: OwnedPart, hessian: sparse.csr_matrix) -> LocalSystem:
         subdomain = part.subdomain
         weights = interface_weights(subdomain.dof_multiplicity, solver.weighting) * subdomain.controlled
-        kbar = controlled_stiffness(subdomain.mesh, finite_element_kinematics(subdomain.mesh), regularization, weights)
+        kbar = controlled_stiffness(subdomain.mesh, finite_element_kinematics(subdomain.mesh), regularization, weights,
+                                    subdomain.tie)
         motion = sparse.csr_matrix((kbar.shape[0], hessian.shape[0] - kbar.shape[0]))
         return LocalSystem(subdomain, hessian, sparse.hstack([kbar, motion]).tocsr(), weights, eta)
 

@@ -21,6 +21,7 @@ from ddic.methods.inputs import ImagePair, pair_of
 from ddic.parallel.shared_image import open_once_a_node
 from ddic.parallel.team import Team
 from ddic.partition.near_far import camera_of_cells
+from ddic.partition.ties import Tying
 
 
 @dataclass(frozen=True)
@@ -45,13 +46,19 @@ def open_shared_cameras(team: Team, case: Case) -> tuple[Camera, ...]:
     return _cameras(case, lambda path: open_once_a_node(team, lambda: open_decoded(path)))
 
 
-def measured_by(case: Case, cameras: tuple[Camera, ...], mesh: Mesh) -> NDArray[np.int64]:
+def measured_by(case: Case, cameras: tuple[Camera, ...], mesh: Mesh, tying: Tying | None = None) -> NDArray[np.int64]:
     """Number of the camera that measures each cell, (n_cells,).
 
-    Raises InputError where a near camera sees no whole element, or leaves none to the far one.
+    tying: of near fields' own meshes in the whole one, None without. Raises InputError where a near camera sees no
+    whole element, or leaves none to the far one, or does not see its own mesh.
     """
-    labels = camera_of_cells(mesh, [_sees(section, camera, mesh.nodes)
-                                    for section, camera in zip(case.near, cameras[1:], strict=True)])
+    seen = [_sees(section, camera, mesh.nodes) for section, camera in zip(case.near, cameras[1:], strict=True)]
+    if tying is not None:
+        _check_own_meshes(mesh, tying, seen)
+        seen = [s & (section.mesh is None) for section, s in zip(case.near, seen, strict=True)]
+    labels = camera_of_cells(mesh, seen)
+    if tying is not None:
+        labels = np.where(tying.cameras > 0, tying.cameras, labels)
     for number in range(1, len(cameras)):
         if not (labels == number).any():
             raise InputError(f"{name_of(number)}: its images see no whole element of the mesh; check its mapping "
@@ -60,6 +67,16 @@ def measured_by(case: Case, cameras: tuple[Camera, ...], mesh: Mesh) -> NDArray[
         raise InputError("near: the near-field images see every element, which leaves none to the far-field images; "
                          "measure with the near-field images alone, or give near.region")
     return labels
+
+
+def _check_own_meshes(mesh: Mesh, tying: Tying, seen: list[NDArray[np.bool_]]) -> None:
+    """Raise InputError where a near camera does not see all of its own mesh; seen: of its camera, each (n_nodes,)."""
+    for number, sees in enumerate(seen, start=1):
+        part, nodes = mesh.submesh(np.flatnonzero(tying.cameras == number))
+        hidden = part.nodes[~sees[nodes]]
+        if len(hidden):
+            raise InputError(f"{name_of(number)}: its images do not show all of near.mesh, for instance column "
+                             f"{hidden[0, 0]:.0f}, row {hidden[0, 1]:.0f}; use a smaller mesh, or a smaller margin")
 
 
 def _cameras(case: Case, opened: Callable[[Path], ImageSource]) -> tuple[Camera, ...]:

@@ -18,6 +18,7 @@ from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
 from ddic.methods.cameras import Camera, measured_by, name_of, open_cameras
 from ddic.methods.near_far_parts import still
+from ddic.partition.ties import Tying
 
 LEAST_COEFFICIENT = 0.3
 """Correlation of a near reference image with the far one below which it does not show what its mapping says: unrelated
@@ -35,12 +36,12 @@ def check_inputs(loaded: LoadedCase) -> CheckReport:
     return check_case(loaded, partial(_pixels_by_camera, loaded.case) if loaded.case.near else None)
 
 
-def _pixels_by_camera(case: Case, mesh: Mesh) -> NDArray[np.int64]:
+def _pixels_by_camera(case: Case, mesh: Mesh, tying: Tying | None) -> NDArray[np.int64]:
     """Number of pixels of each cell in the images of the camera that measures it, (n_cells,); raises InputError."""
     cameras = open_cameras(case)
     for number in range(1, len(cameras)):
         _check_common_texture(cameras, number)
-    labels = measured_by(case, cameras, mesh)
+    labels = measured_by(case, cameras, mesh, tying)
     counts = np.zeros(mesh.n_cells, dtype=np.int64)
     for number, camera in enumerate(cameras):
         cells = np.flatnonzero(labels == number)

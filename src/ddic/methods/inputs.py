@@ -145,12 +145,13 @@ def given_parts(solver: SolverSection, mesh: Mesh) -> NDArray[np.int64] | None:
     return None
 
 
-def controlled_dofs(section: RegularizationSection | None, mesh: Mesh) -> NDArray[np.bool_]:
-    """Dofs whose equilibrium row is controlled: P of Eq. 11 of [BP17]."""
+def controlled_dofs(section: RegularizationSection | None, mesh: Mesh,
+                    boundary: NDArray[np.int64] | None = None) -> NDArray[np.bool_]:
+    """Dofs whose equilibrium row is controlled: P of Eq. 11 of [BP17]; boundary: its nodes, by default the mesh's."""
     if section is None:
         return np.zeros(mesh.n_dofs, dtype=bool)
     controlled = np.ones(mesh.n_nodes, dtype=bool)
-    controlled[not_controlled_nodes(mesh, section.not_controlled, section.boxes)] = False
+    controlled[not_controlled_nodes(mesh, section.not_controlled, section.boxes, boundary)] = False
     return np.repeat(controlled, mesh.dim)
 
 
@@ -166,8 +167,8 @@ def region_gap_energies(section: RegularizationSection | None, mesh: Mesh,
     return gap_energies(mesh, material(section), inside, section.cut_off_wavelength)
 
 
-def inner_nodes(mesh: Mesh) -> NDArray[np.bool_]:
-    """Whether each node lies inside the mesh and not on its boundary, (n_nodes,)."""
+def inner_nodes(mesh: Mesh, boundary: NDArray[np.int64] | None = None) -> NDArray[np.bool_]:
+    """Whether each node lies inside the mesh and not on its boundary, (n_nodes,); boundary: its nodes, if known."""
     interior = np.ones(mesh.n_nodes, dtype=bool)
-    interior[boundary_nodes(mesh)] = False
+    interior[boundary_nodes(mesh) if boundary is None else boundary] = False
     return interior

@@ -12,7 +12,7 @@ from scipy import sparse
 from ddic.case.schema import Case
 from ddic.errors import InputError
 from ddic.functionals.correlation import GreyCorrection, Residual
-from ddic.io.mesh_source import build_mesh
+from ddic.io.mesh_source import build_meshes
 from ddic.io.result_reader import read_result
 from ddic.kinematics.pose import Pose
 from ddic.mesh.mesh import Mesh
@@ -95,8 +95,8 @@ def near_far_dic(team: Team, case: Case, listener: Listener, clock: PhaseClock) 
         field = average_copies(team.comm, [part.subdomain for part in parts], solution.q)
         residuals, grey = evaluate(team, parts, field.q, correction, len(cameras))
         motions = setup_motions(cameras, _motions(team, cameras, parts, field.q), spread)
-        displacements = ContinuousField([v[:p.n_dofs] for v, p in zip(field.q, parts, strict=True)],
-                                        field.largest_jump)
+        displacements = ContinuousField([p.subdomain.on_mesh(v[:p.n_dofs])
+                                         for v, p in zip(field.q, parts, strict=True)], field.largest_jump)
         refuse_inverted_cells(team, parts, displacements)
     return Measurement(region, tuple(c.pair for c in cameras), list(parts), displacements, field.q, residuals, grey,
                        setting, solution.records, notes, motions, tuple(noise))
@@ -113,7 +113,8 @@ def _cut(team: Team, case: Case, cameras: Sequence[Camera]) -> NearFarMesh | Non
 
     def make() -> None:
         image = cameras[0].pair.reference.image
-        held.append(cut_by_camera(case, build_mesh(case, image.width, image.height), cameras, team.size))
+        mesh, tying = build_meshes(case, image.width, image.height)
+        held.append(cut_by_camera(case, mesh, cameras, team.size, tying))
 
     team.on_root(make)
     return held[0] if held else None
@@ -127,11 +128,11 @@ def _coarse_start(team: Team, case: Case, cameras: Sequence[Camera], meshes: Seq
     for number, camera in enumerate(cameras):
         own = [k for k, part in enumerate(parts) if part.subdomain.camera == number]
         if case.start.from_result is not None:
-            nodes = [parts[k].subdomain.mesh.nodes for k in own]
+            nodes = [parts[k].subdomain.nodes for k in own]
             start = coarse_field(team, case, None, nodes)
             moved = team.on_root(partial(_stored_motion, case, number))
             for k, q in zip(own, start.q, strict=True):
-                rig, x = camera.rig, parts[k].subdomain.mesh.nodes
+                rig, x = camera.rig, parts[k].subdomain.nodes
                 shift = (moved * [1.0, 1.0, rig.length])[:rig.n_shifts]
                 u[k] = (rig.moved(x + q.reshape(-1, 2), shift) - x).ravel()
         else:

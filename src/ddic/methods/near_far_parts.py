@@ -24,6 +24,8 @@ from ddic.partition.cost import cell_costs, subdomain_costs
 from ddic.partition.near_far import cameras_at_nodes, kept_apart, split_by_camera, with_cameras
 from ddic.partition.split import split_by_metis
 from ddic.partition.subdomain import Subdomain
+from ddic.partition.tied_parts import with_told_masters
+from ddic.partition.ties import Tying
 from ddic.solvers.gauss_newton import OwnedPart
 
 
@@ -44,10 +46,14 @@ def still(rig: Rig) -> Rig:
     return replace(rig, motion="none")
 
 
-def cut_by_camera(case: Case, mesh: Mesh, cameras: Sequence[Camera], n_ranks: int) -> NearFarMesh:
-    """Split the whole mesh so that every subdomain has one camera; free of communication. Raises InputError."""
-    labels = measured_by(case, tuple(cameras), mesh)
-    at_nodes = cameras_at_nodes(mesh, labels, len(cameras))
+def cut_by_camera(case: Case, mesh: Mesh, cameras: Sequence[Camera], n_ranks: int,
+                  tying: Tying | None = None) -> NearFarMesh:
+    """Split the whole mesh so that every subdomain has one camera; free of communication. Raises InputError.
+
+    tying: of near fields' own meshes in the whole one, None without.
+    """
+    labels = measured_by(case, tuple(cameras), mesh, tying)
+    at_nodes = cameras_at_nodes(mesh, labels, len(cameras), None if tying is None else tying.weights)
     meshes = []
     costs = np.zeros(mesh.n_cells)
     for number, camera in enumerate(cameras):
@@ -61,10 +67,18 @@ def cut_by_camera(case: Case, mesh: Mesh, cameras: Sequence[Camera], n_ranks: in
     parts = kept_apart(given, labels) if given is not None else split_by_camera(
         labels, costs, case.solver.subdomains or max(n_ranks, len(cameras)),
         lambda cells, n: split_by_metis(mesh.submesh(cells)[0], n, costs[cells]))
-    far_inside = inner_nodes(mesh) & ~at_nodes[:, 1:].any(axis=1)
-    subdomains = with_cameras(build_subdomains(mesh, parts, controlled_dofs(case.regularization, mesh)), labels,
-                              [camera.rig.n_shifts for camera in cameras], far_inside, mesh.n_dofs)
-    region = Region(mesh.n_nodes, mesh.n_cells, mesh.n_dofs, len(subdomains),
+    boundary = None if tying is None else tying.boundary
+    weights = None if tying is None else tying.weights
+    if tying is not None:
+        parts = with_told_masters(mesh, tying, parts)
+    far_inside = inner_nodes(mesh, boundary)
+    far_inside[:len(at_nodes)] &= ~at_nodes[:, 1:].any(axis=1)
+    far_inside[len(at_nodes):] = False
+    n_dofs = at_nodes.shape[0] * mesh.dim
+    controlled = controlled_dofs(case.regularization, mesh, boundary)[:n_dofs]
+    subdomains = with_cameras(build_subdomains(mesh, parts, controlled, weights), labels,
+                              [camera.rig.n_shifts for camera in cameras], far_inside, n_dofs)
+    region = Region(mesh.n_nodes, mesh.n_cells, n_dofs, len(subdomains),
                     region_gap_energies(case.regularization, mesh, far_inside), mesh.mapping)
     return NearFarMesh(CutMesh(subdomains, subdomain_costs(costs, parts), region), meshes,
                        np.flatnonzero(at_nodes.sum(axis=1) > 1))
@@ -79,7 +93,7 @@ def own_views(case: Case, cameras: Sequence[Camera], subdomains: Sequence[Subdom
         own = [k for k, s in enumerate(subdomains) if s.camera == number]
         also = [k for k, s in enumerate(subdomains)
                 if number == 0 and s.camera and case.near[s.camera - 1].use_far]
-        poses = [pose(still(camera.rig), subdomains[k].mesh.nodes, 1.0) for k in own + also]
+        poses = [pose(still(camera.rig), subdomains[k].mesh.nodes, 1.0, tie=subdomains[k].tie) for k in own + also]
         meshes = [seen_mesh(subdomains[k].mesh, placed) for k, placed in zip(own + also, poses, strict=True)]
         found = 0
         for group in correlations(meshes, camera.pair.reference, degree, threads):
@@ -106,12 +120,12 @@ def as_only_camera(part: OwnedPart) -> OwnedPart:
 def moving(part: OwnedPart, cameras: Sequence[Camera], weights: Sequence[float]) -> OwnedPart:
     """The part with the motion of its camera's set-up among its unknowns, and weighted cameras, (n_cameras,)."""
     n_shifts = 0 if part.subdomain.shifts is None else len(part.subdomain.shifts.numbers)
-    nodes = part.subdomain.mesh.nodes
+    nodes, tie = part.subdomain.mesh.nodes, part.subdomain.tie
     views = []
     for view in part.views:
         own = view.camera == part.subdomain.camera
         rig = cameras[view.camera].rig
-        placed = pose(rig if own else still(rig), nodes, weights[view.camera], 0 if own else n_shifts)
+        placed = pose(rig if own else still(rig), nodes, weights[view.camera], 0 if own else n_shifts, tie)
         views.append(replace(view, pose=placed))
     return replace(part, views=tuple(views))
 

@@ -105,7 +105,7 @@ def _pieces(loaded: LoadedCase, measurement: Measurement) -> Iterator[Piece]:
         point_data: dict[str, NDArray[Any]] = {
             schema.DISPLACEMENT: u,
             schema.DISPLACEMENT_MESH_UNITS: measurement.region.mapping.vector_to_mesh_units(u),
-            schema.GLOBAL_NODE_ID: subdomain.node_ids,
+            schema.GLOBAL_NODE_ID: subdomain.mesh_node_ids,
         }
         if loaded.case.images.pixel_size is not None:
             point_data[schema.DISPLACEMENT_PHYSICAL] = u * loaded.case.images.pixel_size

@@ -43,7 +43,7 @@ def start_of_motion(team: Team, cameras: Sequence[Camera], parts: Sequence[Owned
     u: of the nodes as if no set-up had moved, (n_dofs,) each; shared: nodes of several cameras. Collective; raises
     InputError on all ranks where a camera shares too few nodes with others.
     """
-    found = [(p.subdomain.camera, p.subdomain.node_ids[at], p.subdomain.mesh.nodes[at],
+    found = [(p.subdomain.camera, p.subdomain.node_ids[at], p.subdomain.nodes[at],
               u_s.reshape(-1, 2)[at]) for p, u_s in zip(parts, u, strict=True)
              for at in [np.isin(p.subdomain.node_ids, shared)]]
     pieces = team.gather_lists(found)

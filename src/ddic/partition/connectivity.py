@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
+from ddic.kinematics.tie import tie
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import boundary_nodes
 from ddic.partition.subdomain import Interface, Subdomain
@@ -40,13 +42,23 @@ class Chains:
     owned_copies: NDArray[np.int64]
 
 
-def node_sharing(mesh: Mesh, parts: NDArray[np.int64]) -> NodeSharing:
-    """Find which subdomains share each node; parts (n_cells,) holds the subdomain of each cell."""
+def node_sharing(mesh: Mesh, parts: NDArray[np.int64], weights: sparse.csr_matrix | None = None) -> NodeSharing:
+    """Find which subdomains share each node; parts (n_cells,) holds the subdomain of each cell.
+
+    weights: (n_nodes, n_unknown_nodes), where some nodes are tied to others: a subdomain has the unknown nodes on which
+    its mesh nodes depend.
+    """
     n_subdomains = int(parts.max()) + 1
     owner = np.repeat(parts, np.diff(mesh.offsets))
     pairs = np.unique(mesh.connectivity * n_subdomains + owner)
     node, subdomain = pairs // n_subdomains, pairs % n_subdomains
-    multiplicity = np.bincount(node, minlength=mesh.n_nodes)
+    n_nodes = mesh.n_nodes
+    if weights is not None:
+        n_nodes = weights.shape[1]
+        rows = weights[node]
+        pairs = np.unique(rows.indices.astype(np.int64) * n_subdomains + np.repeat(subdomain, np.diff(rows.indptr)))
+        node, subdomain = pairs // n_subdomains, pairs % n_subdomains
+    multiplicity = np.bincount(node, minlength=n_nodes)
     first = np.concatenate([[0], np.cumsum(multiplicity)])[:-1]
     position = np.arange(len(node)) - first[node]
     return NodeSharing(node, subdomain, position, multiplicity)
@@ -74,14 +86,16 @@ def number_chains(sharing: NodeSharing, controlled: NDArray[np.bool_], n_subdoma
                   np.bincount(owner, weights=m, minlength=n_subdomains).astype(np.int64))
 
 
-def build_subdomains(mesh: Mesh, parts: NDArray[np.int64], controlled: NDArray[np.bool_]) -> list[Subdomain]:
+def build_subdomains(mesh: Mesh, parts: NDArray[np.int64], controlled: NDArray[np.bool_],
+                     weights: sparse.csr_matrix | None = None) -> list[Subdomain]:
     """Cut a mesh into self-contained subdomains.
 
     parts: (n_cells,) subdomain of each cell, 0 to n - 1 without gaps.
     controlled: (n_dofs,) whether each dof's equilibrium row is controlled (P of Eq. 11 of [BP17]).
+    weights: (n_nodes, n_unknown_nodes), where some nodes are tied to others; the unknown nodes come first.
     """
     n_subdomains = int(parts.max()) + 1
-    sharing = node_sharing(mesh, parts)
+    sharing = node_sharing(mesh, parts, weights)
     chains = number_chains(sharing, controlled, n_subdomains)
     interior = np.ones(mesh.n_nodes, dtype=bool)
     interior[boundary_nodes(mesh)] = False
@@ -92,8 +106,9 @@ def build_subdomains(mesh: Mesh, parts: NDArray[np.int64], controlled: NDArray[n
     subdomains = []
     for s in range(n_subdomains):
         cell_ids = np.sort(cell_order[cell_ends[s - 1] if s else 0: cell_ends[s]])
-        position = sharing.position[copy_order[copy_ends[s - 1] if s else 0: copy_ends[s]]]
-        part, node_ids = mesh.submesh(cell_ids)
+        copies = copy_order[copy_ends[s - 1] if s else 0: copy_ends[s]]
+        position, node_ids = sharing.position[copies], sharing.node[copies]
+        part, mesh_node_ids = mesh.submesh(cell_ids)
         dofs = (node_ids[:, None] * mesh.dim + np.arange(mesh.dim)).ravel()
         multiplicity = sharing.multiplicity[node_ids]
         displacement, reaction = (
@@ -101,8 +116,10 @@ def build_subdomains(mesh: Mesh, parts: NDArray[np.int64], controlled: NDArray[n
             for kind in (0, 1)
         )
         subdomains.append(Subdomain(
-            s, part, node_ids, cell_ids, controlled[dofs], interior[node_ids], multiplicity,
+            s, part, node_ids, mesh_node_ids, cell_ids, controlled[dofs], interior[node_ids], multiplicity,
             displacement, reaction, int(chains.owned_rows[s]), int(chains.owned_copies[s]),
+            tie=None if np.array_equal(node_ids, mesh_node_ids) or weights is None
+            else tie(mesh.nodes[node_ids], weights[mesh_node_ids][:, node_ids]),
         ))
     return subdomains
 

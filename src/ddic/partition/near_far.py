@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from ddic.errors import InputError
 from ddic.mesh.mesh import Mesh
@@ -29,11 +30,16 @@ def camera_of_cells(mesh: Mesh, seen: Sequence[NDArray[np.bool_]]) -> NDArray[np
     return labels
 
 
-def cameras_at_nodes(mesh: Mesh, labels: NDArray[np.int64], n_cameras: int) -> NDArray[np.bool_]:
-    """Whether a camera measures a cell at each node, (n_nodes, n_cameras); labels: of ``camera_of_cells``."""
+def cameras_at_nodes(mesh: Mesh, labels: NDArray[np.int64], n_cameras: int,
+                     weights: sparse.csr_matrix | None = None) -> NDArray[np.bool_]:
+    """Whether a camera measures a cell at each node, (n_nodes, n_cameras); labels: of ``camera_of_cells``.
+
+    weights: (n_nodes, n_unknown_nodes), where some nodes are tied to others: then of the unknown nodes, at which the
+    cells of nodes tied to them are as well.
+    """
     present = np.zeros((mesh.n_nodes, n_cameras), dtype=bool)
     present[mesh.connectivity, np.repeat(labels, np.diff(mesh.offsets))] = True
-    return present
+    return present if weights is None else np.asarray((weights != 0).T @ present.astype(np.int64) > 0)
 
 
 def split_by_camera(labels: NDArray[np.int64], costs: NDArray[np.float64], n_subdomains: int,

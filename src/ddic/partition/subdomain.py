@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.kinematics.tie import Tie
 from ddic.mesh.mesh import Mesh
 
 Weighting = Literal["consistent", "paper"]
@@ -41,19 +42,22 @@ class Interface:
 class Subdomain:
     """One subdomain, self-contained: what a rank receives.
 
-    index: its number; mesh: its cells; node_ids, cell_ids: numbers in the whole mesh.
+    index: its number; mesh: its cells; mesh_node_ids, cell_ids: numbers in the whole mesh of its nodes and cells;
+    node_ids: numbers of its unknown nodes, the same but where a tie gives displacements of its mesh nodes from others.
     controlled: (n_dofs,) whether the whole mesh's equilibrium row of each dof is controlled (P of Eq. 11).
     interior: (n_nodes,) whether a node lies inside the whole mesh (not on its boundary).
     multiplicity: (n_nodes,) number of subdomains that share each node.
     displacement, reaction: the rows of C_s (Lambda) and of Cbar_s (LambdaBar).
     n_owned_rows, n_owned_copies: rows and copies of the chains that belong to this subdomain.
     camera: number of the camera whose pixels it has, 0 the first; shifts: unknowns of the motion of that camera's
-    set-up, which all of its subdomains share (None where there are none).
+    set-up, which all of its subdomains share (None where there are none). tie: None where mesh nodes are the unknown
+    nodes.
     """
 
     index: int
     mesh: Mesh
     node_ids: NDArray[np.int64]
+    mesh_node_ids: NDArray[np.int64]
     cell_ids: NDArray[np.int64]
     controlled: NDArray[np.bool_]
     interior: NDArray[np.bool_]
@@ -64,6 +68,21 @@ class Subdomain:
     n_owned_copies: int
     camera: int = 0
     shifts: Shifts | None = None
+    tie: Tie | None = None
+
+    @property
+    def nodes(self) -> NDArray[np.float64]:
+        """Its unknown nodes, (n_nodes, dim), pixels."""
+        return self.mesh.nodes if self.tie is None else self.tie.nodes
+
+    @property
+    def n_dofs(self) -> int:
+        """Number of unknown displacements."""
+        return self.nodes.size
+
+    def on_mesh(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Displacement of its mesh nodes (n_mesh_dofs,) from that of its unknown nodes (n_dofs,)."""
+        return q if self.tie is None else np.asarray(self.tie.matrix @ q)
 
     @property
     def dofs(self) -> NDArray[np.int64]:
@@ -95,7 +114,7 @@ class Subdomain:
         owned = np.ones(len(self.unknowns), dtype=bool)
         owned[self.displacement.dofs[self.displacement.position > 0]] = False
         if self.shifts is not None:
-            owned[self.mesh.n_dofs:] = self.shifts.owned
+            owned[self.n_dofs:] = self.shifts.owned
         return owned
 
 

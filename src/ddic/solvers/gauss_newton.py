@@ -57,7 +57,7 @@ class OwnedPart:
     @property
     def n_dofs(self) -> int:
         """Number of nodal displacements, which come before the other unknowns."""
-        return self.subdomain.mesh.n_dofs
+        return self.subdomain.n_dofs
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ class LocalSystem:
     @property
     def displacements(self) -> LocalSystem:
         """The same with the camera's motion held."""
-        n = self.subdomain.mesh.n_dofs
+        n = self.subdomain.n_dofs
         if n == self.hessian.shape[0]:
             return self
         kbar = self.controlled_stiffness
@@ -56,13 +56,13 @@ class LocalSystem:
     @property
     def shift_columns(self) -> NDArray[np.float64]:
         """M_s R_s: what the camera's motion does to the displacements' equations, (n_dofs, n_shifts)."""
-        n = self.subdomain.mesh.n_dofs
+        n = self.subdomain.n_dofs
         return np.asarray(self.hessian[:n, n:].toarray())
 
     @property
     def shift_block(self) -> NDArray[np.float64]:
         """R_s^T M_s R_s of the camera's motion, (n_shifts, n_shifts)."""
-        n = self.subdomain.mesh.n_dofs
+        n = self.subdomain.n_dofs
         return np.asarray(self.hessian[n:, n:].toarray())
 
     def right_hand_side(self, b: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -98,7 +98,7 @@ class WholeSystem:
     def singular_at(self, number: int) -> SingularSubdomainError:
         """The error that names the node of a dof, from its number; collective."""
         # A camera's motion that nothing holds is said to be where its first subdomain begins.
-        nodes = [system.subdomain.mesh.nodes[int(local) // system.subdomain.mesh.dim % system.subdomain.mesh.n_nodes]
+        nodes = [system.subdomain.nodes[int(local) // system.subdomain.mesh.dim % len(system.subdomain.nodes)]
                  for system, numbers in zip(self.systems, self.numbers, strict=True)
                  for local in np.flatnonzero(numbers == number)]
         x, y = self._team.gather_lists(nodes)[0][:2]

@@ -103,7 +103,7 @@ def local_dual(system: LocalSystem, operator: LocalOperator, ghosts: NDArray[np.
     unknowns and of residuals one unit (DESIGN: LambdaBar scaled symmetrically by 1 / sqrt(eta mean diag M)).
     """
     part = system.subdomain
-    n_dofs = part.mesh.n_dofs
+    n_dofs = part.n_dofs
     jumps = part.displacement
     trace = _selection(jumps.dofs, n_dofs)
     incidence = signed_incidence(jumps, ghosts, len(ghosts))

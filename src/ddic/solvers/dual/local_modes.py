@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
 
-from ddic.mesh.mesh import Mesh
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
 
@@ -33,13 +32,13 @@ def low_energy_modes(system: LocalSystem, operator: LocalOperator) -> NDArray[np
     solve with a block of vectors. A few sweeps are enough: smooth fields are nearly the modes sought, and a coarse
     space needs their span, not each of them.
     """
-    mesh = system.subdomain.mesh
+    nodes = system.subdomain.nodes
     matrix = _softened(system)
     factor = operator if system.controlled_stiffness is None else LocalOperator(
         matrix, smallest_eigenvalue=0.0, where="softened subdomain")
     # More modes than half the interface dofs would make the coarse problem the interface problem.
-    wanted = min(MANY, mesh.n_dofs, max(len(system.subdomain.displacement.dofs) // 2, 1))
-    block = _orthonormal(_start(mesh, min(wanted + _EXTRA, mesh.n_dofs)))
+    wanted = min(MANY, nodes.size, max(len(system.subdomain.displacement.dofs) // 2, 1))
+    block = _orthonormal(_start(nodes, min(wanted + _EXTRA, nodes.size)))
     for _ in range(_SWEEPS):
         block = _orthonormal(factor.solve_many(block))
     if factor is not operator:
@@ -59,17 +58,17 @@ def _softened(system: LocalSystem) -> sparse.csr_matrix:
     return replace(system, controlled_stiffness=softened).operator
 
 
-def _start(mesh: Mesh, size: int) -> NDArray[np.float64]:
+def _start(nodes: NDArray[np.float64], size: int) -> NDArray[np.float64]:
     """Polynomials of rising degree in each component, filled up with random vectors, (n_dofs, size)."""
-    centred = mesh.nodes - mesh.nodes.mean(axis=0)
+    centred = nodes - nodes.mean(axis=0)
     x = centred / max(float(np.abs(centred).max()), 1e-300)
-    start = np.random.default_rng(0).standard_normal((mesh.n_dofs, size))
+    start = np.random.default_rng(0).standard_normal((nodes.size, size))
     column = 0
-    for exponents in _exponents(mesh.dim, size):
-        for component in range(mesh.dim):
+    for exponents in _exponents(nodes.shape[1], size):
+        for component in range(nodes.shape[1]):
             if column == size:
                 return start
-            field = np.zeros((mesh.n_nodes, mesh.dim))
+            field = np.zeros(nodes.shape)
             field[:, component] = np.prod(x ** np.array(exponents), axis=1)
             start[:, column] = field.ravel()
             column += 1
