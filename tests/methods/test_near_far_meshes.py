@@ -11,8 +11,11 @@ from mpi4py import MPI
 
 from ddic.case.loader import load_case
 from ddic.errors import InputError
+from ddic.io.mesh_source import build_meshes
 from ddic.io.result_reader import read_result
+from ddic.methods.cameras import measured_by, open_cameras
 from ddic.methods.check import check_inputs
+from ddic.methods.near_far_parts import cut_by_camera
 from ddic.methods.run import run_case
 from ddic.parallel.team import Team
 from ddic.synth.texture import SpeckleTexture
@@ -137,6 +140,31 @@ def test_wrong_near_meshes_are_refused(tmp_path: Path, near: str, message: str) 
     path = write(tmp_path, near=near)
     with pytest.raises(InputError, match=message):
         check_inputs(load_case(path))
+
+
+def test_near_fields_with_and_without_a_mesh(tmp_path: Path) -> None:
+    """The second sees columns 78 to 140, of which it measures far elements only."""
+    second = (f'[[near]]\nreference = "near_f.tif"\ndeformed = "near_g.tif"\nratio = {RATIO}\noffset = [-232, -130]\n'
+              "margin = 2.0\n")
+    case = load_case(write(tmp_path, "[solver]\nsubdomains = 9\n", NEAR_MESH.format(size=3.4) + second)).case
+    mesh, tying = build_meshes(case, *FAR)
+    cameras = open_cameras(case)
+    labels = measured_by(case, cameras, mesh, tying)
+    np.testing.assert_array_equal(labels == 1, tying.cameras == 1)
+    far = tying.cameras == 0
+    low = np.minimum.reduceat(mesh.nodes[mesh.connectivity], mesh.offsets[:-1], axis=0)
+    high = np.maximum.reduceat(mesh.nodes[mesh.connectivity], mesh.offsets[:-1], axis=0)
+    seen = (RATIO * low - (232, 130) >= 2).all(axis=1) & (RATIO * high - (232, 130) <= np.array(NEAR) - 3).all(axis=1)
+    np.testing.assert_array_equal(labels[far], 2 * seen[far])
+    cut = cut_by_camera(case, mesh, cameras, 1, tying)
+    assert [s.camera for s in cut.whole.subdomains] == sorted(labels[s.cell_ids[0]] for s in cut.whole.subdomains)
+    assert {s.camera for s in cut.whole.subdomains} == {0, 1, 2}
+    assert {s.camera for s in cut.whole.subdomains if s.tie is not None} == {1}
+    # The right side of the near mesh touches elements of the second near field.
+    masters = np.unique(tying.weights[tying.n_unknown_nodes:].indices)
+    right = masters[mesh.nodes[masters, 0] == 104]
+    assert len(right) == 5
+    assert set(right.tolist()) <= set(cut.shared.tolist())
 
 
 def test_a_coarse_near_mesh_is_refused(tmp_path: Path) -> None:
