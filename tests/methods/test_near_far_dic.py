@@ -272,7 +272,7 @@ def test_a_result_without_near_images_is_no_start(shared_path: Path) -> None:
     (near_section(more="region = [150, 100, 155, 105]"), {}, "near, entry 1.*see no whole element.*near.region"),
     (near_section(more="margin = 95.0"), {}, "see no whole element.*near.margin"),
     (near_section(), {"region": "region = [140, 90, 160, 110]"}, "see every element"),
-    (near_section(), {"more": "[solver]\nsubdomains = 1\n"}, "solver.subdomains = 1: 2 cameras.*at least 2"),
+    (near_section(), {"more": "[solver]\nsubdomains = 1\n"}, "solver.subdomains = 1: .* a subdomain each; ask for at least 2"),
     (near_section(NearField((-300.0, 100.0))), {}, "see no whole element"),
 ], ids=["region", "margin", "whole mesh", "subdomains", "outside"])
 def test_what_leaves_a_camera_nothing_is_refused(shared_path: Path, near: str, keys: dict[str, str],

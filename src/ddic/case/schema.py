@@ -232,6 +232,6 @@ class Case(Section):
             raise ValueError('solver.method = "monolithic" knows one camera; with [[near]] use "assembled", which '
                              "factorises the same system")
         if self.near and self.solver.subdomains is not None and self.solver.subdomains <= len(self.near):
-            raise ValueError(f"solver.subdomains = {self.solver.subdomains}: the far field and {len(self.near)} near "
-                             f"fields need a subdomain each; ask for at least {len(self.near) + 1}")
+            raise ValueError(f"solver.subdomains = {self.solver.subdomains}: the far field and every near field need "
+                             f"a subdomain each; ask for at least {len(self.near) + 1}")
         return self
