@@ -272,9 +272,8 @@ def test_a_result_without_near_images_is_no_start(shared_path: Path) -> None:
     (near_section(more="region = [150, 100, 155, 105]"), {}, "near, entry 1.*see no whole element.*near.region"),
     (near_section(more="margin = 95.0"), {}, "see no whole element.*near.margin"),
     (near_section(), {"region": "region = [140, 90, 160, 110]"}, "see every element"),
-    (near_section(), {"more": "[solver]\nsubdomains = 1\n"}, "solver.subdomains = 1: .* a subdomain each; ask for at least 2"),
     (near_section(NearField((-300.0, 100.0))), {}, "see no whole element"),
-], ids=["region", "margin", "whole mesh", "subdomains", "outside"])
+], ids=["region", "margin", "whole mesh", "outside"])
 def test_what_leaves_a_camera_nothing_is_refused(shared_path: Path, near: str, keys: dict[str, str],
                                                  message: str) -> None:
     path = _on_root(shared_path, case_text(near, **keys))
@@ -312,6 +311,13 @@ def test_without_a_number_each_camera_and_each_rank_gets_a_subdomain(shared_path
     cameras = team.gather_lists([p.subdomain.camera for p in measured.parts])
     assert len(cameras) == max(2, team.size)
     assert set(cameras) == {0, 1}
+
+
+def test_every_camera_needs_a_subdomain(tmp_path: Path) -> None:
+    path = tmp_path / "case.toml"
+    path.write_text(case_text(near_section(), more="[solver]\nsubdomains = 1\n"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"solver.subdomains = 1: .* a subdomain each; ask for at least 2"):
+        load_case(path)
 
 
 def test_the_monolithic_method_knows_one_camera(tmp_path: Path) -> None:
