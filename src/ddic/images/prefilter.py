@@ -49,12 +49,13 @@ def prefilter_rows(block: NDArray[np.float64], degree: int) -> None:
     _filter_rows(block, POLES[degree], TERMS[degree], np.empty((block.shape[1], TURNED)))
 
 
-def row_slopes(coefficients: NDArray[np.float64], first: int, degree: int, out: NDArray[np.float32]) -> None:
-    """Slopes along x into out (height, n) at the columns from ``first``, per pixel.
+def row_slopes(block: NDArray[np.float64], first: int, degree: int, out: NDArray[np.float32]) -> None:
+    """Slopes along x of pixels (height, width) into out (height, n) at the columns from ``first``, per pixel.
 
-    coefficients: (height, width), prefiltered along rows only: along columns, values at pixel centres would undo it.
+    Only rows are filtered for that: along columns, values at pixel centres would undo it.
     """
-    _row_slopes(coefficients, first, SLOPE_TAPS[degree], out)
+    _row_slopes(block, first, POLES[degree], TERMS[degree], SLOPE_TAPS[degree], out,
+                np.empty((block.shape[1], TURNED)))
 
 
 def column_slopes(coefficients: NDArray[np.float64], first: int, degree: int, out: NDArray[np.float32]) -> None:
@@ -68,6 +69,8 @@ _U = np.uint64
 @numba.njit(**FLAGS)
 def _reflected(k, n):
     """Where index k of a sequence of n that continues by reflection lies in it."""
+    if 0 <= k < n:
+        return k
     if n == 1:
         return 0
     k = abs(k) % (2 * n - 2)
@@ -124,26 +127,24 @@ def _filter_rows(a, poles, terms, turned):
 
 
 @numba.njit(**FLAGS)
-def _row_slopes(c, first, taps, out):
-    n, reach = c.shape[1], len(taps)
-    begin, end = max(first, reach), min(first + out.shape[1], n - reach)
-    for i in range(out.shape[0]):
-        row, to = c[i], out[i]
-        for k in range(first, first + out.shape[1]):
-            if begin <= k < end:
-                continue
-            slope = 0.0
-            for t in range(reach):
-                slope += taps[t] * (row[_reflected(k + t + 1, n)] - row[_reflected(k - t - 1, n)])
-            to[k - first] = slope
-        inner, target = row[begin - reach:end + reach], to[begin - first:]
-        if reach == 1:
-            for k in range(_U(end - begin)):
-                target[k] = taps[0] * (inner[k + _U(2)] - inner[k])
-        else:
-            for k in range(_U(end - begin)):
-                target[k] = (taps[0] * (inner[k + _U(3)] - inner[k + _U(1)])
-                             + taps[1] * (inner[k + _U(4)] - inner[k]))
+def _row_slopes(a, first, poles, terms, taps, out, turned):
+    n = a.shape[1]
+    for begin in range(0, a.shape[0], TURNED):
+        rows = min(TURNED, a.shape[0] - begin)
+        for k in range(_U(n)):
+            for i in range(_U(rows)):
+                turned[k, i] = a[_U(begin) + i, k]
+        _filter_strip(turned, 0, rows, poles, terms)
+        for k in range(out.shape[1]):
+            c, to = first + k, _U(k)
+            ahead, behind = turned[_reflected(c + 1, n)], turned[_reflected(c - 1, n)]
+            if len(taps) == 1:
+                for i in range(_U(rows)):
+                    out[_U(begin) + i, to] = taps[0] * (ahead[i] - behind[i])
+            else:
+                far, back = turned[_reflected(c + 2, n)], turned[_reflected(c - 2, n)]
+                for i in range(_U(rows)):
+                    out[_U(begin) + i, to] = taps[0] * (ahead[i] - behind[i]) + taps[1] * (far[i] - back[i])
 
 
 @numba.njit(**FLAGS)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ddic.images.prefilter import TURNED, column_slopes, prefilter, prefilter_columns, prefilter_rows, row_slopes
+from ddic.images.prefilter import TURNED, column_slopes, prefilter, prefilter_columns, row_slopes
 from ddic.images.source import ImageSource
 from ddic.images.threads import ONE_THREAD, Threads
 from ddic.images.window import Window
@@ -108,7 +108,6 @@ def read_gradient(source: ImageSource, window: Window, degree: int,
         buffer = held.buffer(n_rows)
         for rows in blocks:
             block = held.read(Window(wide.x0, rows.y0, wide.x1, rows.y1), buffer)
-            prefilter_rows(block, degree)
             row_slopes(block, window.x0 - wide.x0, degree, by_x[rows.y0 - window.y0: rows.y1 - window.y0])
 
     def along_y(bands: Iterator[Window]) -> None:
