@@ -13,11 +13,10 @@ from ddic.case.schema import Case
 from ddic.errors import InputError
 from ddic.images.window import Window
 from ddic.io.case_check import CheckReport, check_case
-from ddic.kinematics.pose import pose, seen_mesh
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
 from ddic.methods.cameras import Camera, measured_by, name_of, open_cameras
-from ddic.methods.near_far_parts import still
+from ddic.methods.near_far_parts import camera_fields
 from ddic.partition.ties import Tying
 
 LEAST_COEFFICIENT = 0.3
@@ -43,10 +42,8 @@ def _pixels_by_camera(case: Case, mesh: Mesh, tying: Tying | None) -> NDArray[np
         _check_common_texture(cameras, number)
     labels = measured_by(case, cameras, mesh, tying)
     counts = np.zeros(mesh.n_cells, dtype=np.int64)
-    for number, camera in enumerate(cameras):
-        cells = np.flatnonzero(labels == number)
-        part, _ = mesh.submesh(cells)
-        counts[cells] = rasterize(seen_mesh(part, pose(still(camera.rig), part.nodes, 1.0))).pixel_counts
+    for field in camera_fields(cameras, mesh, labels):
+        counts[field.cells] = rasterize(field.seen).pixel_counts
     return counts
 
 

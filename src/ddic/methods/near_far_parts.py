@@ -46,6 +46,25 @@ def still(rig: Rig) -> Rig:
     return replace(rig, motion="none")
 
 
+@dataclass(frozen=True)
+class CameraField:
+    """What one camera measures: numbers of its cells, their mesh, and that in the camera's pixels."""
+
+    cells: NDArray[np.int64]
+    mesh: Mesh
+    seen: Mesh
+
+
+def camera_fields(cameras: Sequence[Camera], mesh: Mesh, labels: NDArray[np.int64]) -> list[CameraField]:
+    """The cells of each camera; labels: of ``measured_by``, (n_cells,)."""
+    fields = []
+    for number, camera in enumerate(cameras):
+        cells = np.flatnonzero(labels == number)
+        part, _ = mesh.submesh(cells)
+        fields.append(CameraField(cells, part, seen_mesh(part, pose(still(camera.rig), part.nodes, 1.0))))
+    return fields
+
+
 def cut_by_camera(case: Case, mesh: Mesh, cameras: Sequence[Camera], n_ranks: int,
                   tying: Tying | None = None) -> NearFarMesh:
     """Split the whole mesh so that every subdomain has one camera; free of communication. Raises InputError.
@@ -54,15 +73,12 @@ def cut_by_camera(case: Case, mesh: Mesh, cameras: Sequence[Camera], n_ranks: in
     """
     labels = measured_by(case, tuple(cameras), mesh, tying)
     at_nodes = cameras_at_nodes(mesh, labels, len(cameras), None if tying is None else tying.weights)
-    meshes = []
+    fields = camera_fields(cameras, mesh, labels)
     costs = np.zeros(mesh.n_cells)
-    for number, camera in enumerate(cameras):
-        cells = np.flatnonzero(labels == number)
-        part, _ = mesh.submesh(cells)
-        meshes.append(seen_mesh(part, pose(still(camera.rig), part.nodes, 1.0)))
-        costs[cells] = cell_costs(meshes[-1])
+    for number, field in enumerate(fields):
+        costs[field.cells] = cell_costs(field.seen)
         if number and case.near[number - 1].use_far:
-            costs[cells] += rasterize(part).pixel_counts
+            costs[field.cells] += rasterize(field.mesh).pixel_counts
     given = given_parts(case.solver, mesh)
     parts = kept_apart(given, labels) if given is not None else split_by_camera(
         labels, costs, case.solver.subdomains or max(n_ranks, len(cameras)),
@@ -80,7 +96,7 @@ def cut_by_camera(case: Case, mesh: Mesh, cameras: Sequence[Camera], n_ranks: in
                               [camera.rig.n_shifts for camera in cameras], far_inside, n_dofs)
     region = Region(mesh.n_nodes, mesh.n_cells, n_dofs, len(subdomains),
                     region_gap_energies(case.regularization, mesh, far_inside), mesh.mapping)
-    return NearFarMesh(CutMesh(subdomains, subdomain_costs(costs, parts), region), meshes,
+    return NearFarMesh(CutMesh(subdomains, subdomain_costs(costs, parts), region), [field.seen for field in fields],
                        np.flatnonzero(at_nodes.sum(axis=1) > 1))
 
 
