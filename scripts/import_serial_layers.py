@@ -17,6 +17,7 @@ SERIAL_LAYERS = (
     "kinematics",
     "functionals",
     "partition",
+    "calibration",
     "case",
     "synth",
     "io",

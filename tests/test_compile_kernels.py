@@ -35,7 +35,7 @@ petsc4py.init(["ddic"])
 from mpi4py import MPI
 from numba.core.dispatcher import Dispatcher
 from ddic.compile_kernels import compile_kernels
-from ddic.methods.listener import Silence
+from ddic.results.listener import Silence
 from ddic.methods.run import run_case
 from ddic.parallel.team import Team
 

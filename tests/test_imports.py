@@ -8,7 +8,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "ddic"
-SERIAL_LAYERS = ("images", "mesh", "kinematics", "functionals", "partition", "case", "synth", "io")
+SERIAL_LAYERS = ("images", "mesh", "kinematics", "functionals", "partition", "calibration", "case", "synth", "io")
 COMMANDS = ("run", "synth", "info", "plot", "check")
 SLOW_TO_IMPORT = ("matplotlib", "cv2", "numba", "meshio", "vtk", "scipy")
 

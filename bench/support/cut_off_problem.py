@@ -19,13 +19,13 @@ from ddic.functionals.equilibrium_gap import (
     cut_off_weight,
     texture_energies,
 )
-from ddic.io.mesh_source import build_mesh
 from ddic.kinematics.finite_element import finite_element_kinematics
 from ddic.mesh.mesh import Mesh
-from ddic.methods.assembly import Assembly, own_parts
-from ddic.methods.inputs import material, open_pair, region_gap_energies, share_out
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain, interface_weights
+from ddic.problem.assembly import Assembly, own_parts
+from ddic.problem.inputs import material, open_pair, region_gap_energies, share_out
+from ddic.problem.mesh_source import build_mesh
 from ddic.solvers.local_system import LocalSystem
 from support.step_problem import ALONE
 

@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from ddic.case.schema import SolverSection
-from ddic.methods.assembly import Assembly, factorize
-from ddic.methods.linear_step import linear_step
 from ddic.parallel.distribution import distribute
 from ddic.parallel.team import Team
 from ddic.partition.connectivity import build_subdomains
 from ddic.partition.split import split_by_metis
 from ddic.partition.subdomain import interface_weights
+from ddic.problem.assembly import Assembly, factorize
+from ddic.problem.linear_solver import linear_step
 from ddic.solvers.local_system import LocalSystem
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))

@@ -18,10 +18,10 @@ from scipy import sparse
 
 from ddic.case.schema import Case, RegularizationSection, SolverSection
 from ddic.errors import ConvergenceError
-from ddic.methods.assembly import Assembly, factorize
-from ddic.methods.linear_step import linear_step
+from ddic.problem.assembly import Assembly, factorize
+from ddic.problem.linear_solver import linear_step
+from ddic.solvers.linear_step import StepResult
 from ddic.solvers.local_operator import LocalOperator
-from ddic.solvers.step import StepResult
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 

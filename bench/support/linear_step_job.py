@@ -10,8 +10,8 @@ import numpy as np
 from mpi4py import MPI
 
 from ddic.case.schema import Case
-from ddic.methods.linear_step import linear_step
 from ddic.parallel.team import Team
+from ddic.problem.linear_solver import linear_step
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 

@@ -17,14 +17,14 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ddic.case.schema import Case, SolverSection
-from ddic.io.mesh_source import build_mesh
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import boundary_nodes
-from ddic.methods.assembly import Assembly, assemble, correlate, factorize, own_parts
-from ddic.methods.inputs import Region, open_pair, region_gap_energies
-from ddic.methods.linear_step import linear_step
 from ddic.parallel.team import Team
 from ddic.partition.connectivity import build_subdomains
+from ddic.problem.assembly import Assembly, assemble, correlate, factorize, own_parts
+from ddic.problem.inputs import Region, open_pair, region_gap_energies
+from ddic.problem.linear_solver import linear_step
+from ddic.problem.mesh_source import build_mesh
 
 TEAM = Team(MPI.COMM_WORLD)
 PAGE = resource.getpagesize()

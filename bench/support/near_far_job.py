@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 
 from ddic.case.loader import load_case
 from ddic.case.schema import Case
-from ddic.io.mesh_source import build_mesh
 from ddic.mesh.mesh import Mesh
-from ddic.methods.assembly import assemble, seen_parts
-from ddic.methods.cameras import Camera, measured_by, open_shared_cameras
-from ddic.methods.inputs import hand_out
-from ddic.methods.linear_step import linear_solver
-from ddic.methods.near_far_parts import cut_by_camera, in_unknowns, moving, own_views
+from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.solvers.phases import PhaseClock
+from ddic.problem.assembly import assemble, seen_parts
+from ddic.problem.cameras import Camera, measured_by, open_shared_cameras
+from ddic.problem.inputs import hand_out
+from ddic.problem.linear_solver import linear_solver
+from ddic.problem.mesh_source import build_mesh
+from ddic.problem.near_far_parts import cut_by_camera, in_unknowns, moving, own_views
 from ddic.synth.near_far_truth import load_near_far_truth
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))

@@ -20,8 +20,8 @@ from ddic.functionals.equilibrium_gap import controlled_stiffness
 from ddic.images.sub_image import DeformedSubImage
 from ddic.kinematics.finite_element import finite_element_kinematics
 from ddic.mesh.mesh import Mesh
-from ddic.methods.cameras import Camera
-from ddic.methods.inputs import controlled_dofs, material
+from ddic.problem.cameras import Camera
+from ddic.problem.inputs import controlled_dofs, material
 
 Array = NDArray[np.float64]
 

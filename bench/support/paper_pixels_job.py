@@ -23,12 +23,12 @@ from ddic.case.schema import Case
 from ddic.images.spline import HALO, PADDING
 from ddic.images.sub_image import read_reference
 from ddic.images.window import shared_windows
-from ddic.io.mesh_source import build_mesh
 from ddic.io.result_reader import read_result
-from ddic.methods.assembly import own_parts, seen_parts
-from ddic.methods.inputs import ImagePair, open_pair, share_out
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
+from ddic.problem.assembly import own_parts, seen_parts
+from ddic.problem.inputs import ImagePair, open_pair, share_out
+from ddic.problem.mesh_source import build_mesh
 from ddic.solvers.gauss_newton import evaluate, right_hand_sides
 
 Times = dict[str, tuple[float, float]]

@@ -21,9 +21,9 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from ddic.methods.listener import Setting
 from ddic.methods.run import run_case
 from ddic.parallel.team import Team
+from ddic.results.listener import Setting
 from ddic.solvers.dual.coarse_space import CoarseSpace
 from ddic.solvers.dual.local_dual import LocalDual
 from ddic.solvers.dual.preconditioner import LocalPreconditioner

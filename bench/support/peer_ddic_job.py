@@ -12,11 +12,11 @@ from mpi4py import MPI
 
 from ddic.case.loader import LoadedCase, load_case
 from ddic.methods.dd_dic import dd_dic
-from ddic.methods.listener import Silence
-from ddic.methods.phase_times import phase_times
-from ddic.methods.publish import publish
+from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.solvers.phases import PhaseClock
+from ddic.results.listener import Silence
+from ddic.results.phase_times import phase_times
+from ddic.results.publish import publish
 
 
 def measured_seconds(team: Team, loaded: LoadedCase) -> tuple[float, dict[str, float], int]:

@@ -10,8 +10,8 @@ import numpy as np
 from petsc4py import PETSc
 
 from ddic.case.schema import Case, SolverSection
-from ddic.methods.linear_step import linear_step
-from ddic.solvers.dual.step import DualStep
+from ddic.problem.linear_solver import linear_step
+from ddic.solvers.dual.dual_step import DualStep
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 

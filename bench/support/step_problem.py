@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from ddic.case.schema import Case, RegularizationSection, SolverSection
 from ddic.functionals.equilibrium_gap import controlled_stiffness
-from ddic.io.mesh_source import build_mesh
 from ddic.mesh.mesh import Mesh
-from ddic.methods.assembly import Assembly, assemble, correlate, factorize, own_parts
-from ddic.methods.inputs import ImagePair, material, open_pair, share_out
 from ddic.parallel.team import Team
+from ddic.problem.assembly import Assembly, assemble, correlate, factorize, own_parts
+from ddic.problem.inputs import ImagePair, material, open_pair, share_out
+from ddic.problem.mesh_source import build_mesh
 from ddic.solvers.gauss_newton import OwnedPart
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem

@@ -8,7 +8,7 @@ import numpy as np
 
 from ddic.case.loader import load_case
 from ddic.io.result_reader import read_result
-from ddic.methods.noise import expected_noise
+from ddic.methods.expected_noise import expected_noise
 from ddic.synth.truth import load_truth
 
 

@@ -37,9 +37,9 @@ def compile_kernels() -> None:
     import cv2
     from mpi4py import MPI
 
-    from ddic.methods.listener import Silence
     from ddic.methods.run import run_case
     from ddic.parallel.team import Team
+    from ddic.results.listener import Silence
 
     cv2.setNumThreads(1)
     team = Team(MPI.COMM_SELF)

@@ -139,7 +139,7 @@ def test_options_that_are_not_petscs_are_refused(folder: Path) -> None:
 
 ON_RANK_1 = """
 from mpi4py import MPI
-import ddic.methods.dd_dic as dd_dic, ddic.methods.assembly as assembly
+import ddic.methods.dd_dic as dd_dic, ddic.problem.assembly as assembly
 import ddic.solvers.dual.schur_operator as schur_operator
 from ddic.errors import InputError
 def fail(*arguments, **options):

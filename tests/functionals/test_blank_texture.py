@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ddic.functionals.correlation import correlation
 from ddic.functionals.elasticity import Material, stiffness_cells
-from ddic.functionals.texture import Texture, blank_subdomains, rigid_modes, texture
+from ddic.functionals.texture_strength import Texture, blank_subdomains, rigid_modes, texture
 from ddic.kinematics.finite_element import finite_element_kinematics
 from support.cases import WAVES
 from support.pictures import pair_of, source, square_mesh

@@ -12,11 +12,11 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from ddic.io.image_file import open_image
+from ddic.io.plots.camera_fields import CellPanel, near_far_figure, panels_figure
 from ddic.io.plots.canvas import triangulation
 from ddic.io.plots.deformed import deformed_figure, visible_amplification
 from ddic.io.plots.difference import difference_figure
 from ddic.io.plots.krylov import krylov_figure
-from ddic.io.plots.near_far import CellPanel, near_far_figure, panels_figure
 from ddic.io.plots.partition import partition_figure
 from ddic.io.plots.preview import read_preview
 from ddic.io.plots.residual import residual_figure

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from ddic.case.loader import load_case
 from ddic.errors import ConvergenceError, SingularSubdomainError, is_on_all_ranks
 from ddic.methods.dd_dic import Measurement, dd_dic
-from ddic.methods.listener import Silence
+from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.solvers.phases import PhaseClock
+from ddic.results.listener import Silence
 from ddic.synth.fields import Translation
 from support.cases import WAVES, Ears, write_case, write_images
 from support.pictures import rms_error

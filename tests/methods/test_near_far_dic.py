@@ -14,11 +14,11 @@ from ddic.case.loader import load_case
 from ddic.errors import InputError, is_on_all_ranks
 from ddic.io.mapping_file import MappingFile, write_mapping
 from ddic.methods.dd_dic import Measurement
-from ddic.methods.listener import Silence
 from ddic.methods.near_far_dic import near_far_dic
 from ddic.methods.run import run_case
+from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.solvers.phases import PhaseClock
+from ddic.results.listener import Silence
 from ddic.synth.fields import DisplacementField
 from ddic.synth.hole import Hole
 from ddic.synth.kirsch import Kirsch

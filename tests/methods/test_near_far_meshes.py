@@ -11,13 +11,13 @@ from mpi4py import MPI
 
 from ddic.case.loader import load_case
 from ddic.errors import InputError
-from ddic.io.mesh_source import build_meshes
 from ddic.io.result_reader import read_result
-from ddic.methods.cameras import measured_by, open_cameras
-from ddic.methods.check import check_inputs
-from ddic.methods.near_far_parts import cut_by_camera
 from ddic.methods.run import run_case
 from ddic.parallel.team import Team
+from ddic.problem.cameras import measured_by, open_cameras
+from ddic.problem.check_cameras import check_inputs
+from ddic.problem.mesh_source import build_meshes
+from ddic.problem.near_far_parts import cut_by_camera
 from ddic.synth.texture import SpeckleTexture
 from support.cases import Ears
 

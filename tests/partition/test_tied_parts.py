@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from ddic.errors import InputError
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import structured_mesh
+from ddic.partition.by_camera import kept_apart
 from ddic.partition.connectivity import build_subdomains
-from ddic.partition.near_far import kept_apart
 from ddic.partition.split import split_by_metis
 from ddic.partition.tied_parts import LEAST, with_told_masters
 from ddic.partition.ties import Tying, tied_mesh

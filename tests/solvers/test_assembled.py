@@ -11,7 +11,7 @@ from ddic.errors import FactorizationError, SingularSubdomainError, is_on_all_ra
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Weighting
 from ddic.solvers.assembled import AssembledStep
-from ddic.solvers.dual.step import DualSettings
+from ddic.solvers.dual.dual_step import DualSettings
 from support.linear import Decomposed, linear_step, one_domain_solution, split
 from support.textureless import corner, without_texture
 

@@ -12,7 +12,7 @@ from ddic.parallel.team import Team
 from ddic.partition.subdomain import Weighting
 from ddic.solvers.assembled import AssembledStep
 from ddic.solvers.conjugate_gradient import OF_ALLOWED, ConjugateGradientStep
-from ddic.solvers.step import Leave
+from ddic.solvers.linear_step import Leave
 from support.linear import Decomposed, linear_step, one_domain_solution, split
 from support.textureless import corner, without_texture
 

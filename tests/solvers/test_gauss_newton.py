@@ -14,6 +14,7 @@ from ddic.functionals.correlation import GreyCorrection, correlation
 from ddic.functionals.view import View
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.mesh.mesh import Mesh
+from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.partition.connectivity import build_subdomains
 from ddic.solvers.gauss_newton import (
@@ -25,11 +26,10 @@ from ddic.solvers.gauss_newton import (
     gauss_newton,
     silent,
 )
+from ddic.solvers.linear_step import Leave, StepResult
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.monolithic import MonolithicStep
-from ddic.solvers.phases import PhaseClock
-from ddic.solvers.step import Leave, StepResult
 from ddic.synth.fields import Affine, DisplacementField, Sinusoidal, Translation
 from support.pictures import pair_of, rms_error, source, square_mesh
 

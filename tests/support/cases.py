@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 import tifffile
 
-from ddic.methods.listener import Setting
+from ddic.results.listener import Setting
 from ddic.solvers.gauss_newton import IterationRecord
 from ddic.synth.fields import DisplacementField, Sinusoidal
 from support.pictures import pair_of

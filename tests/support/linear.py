@@ -22,13 +22,13 @@ from ddic.parallel.team import Team
 from ddic.partition.connectivity import build_subdomains, node_sharing
 from ddic.partition.split import split_by_blocks, split_by_metis
 from ddic.partition.subdomain import Subdomain, Weighting, interface_weights
+from ddic.solvers.dual.dual_step import DualSettings, DualStep
 from ddic.solvers.dual.local_dual import LocalDual, local_dual
-from ddic.solvers.dual.step import DualSettings, DualStep
 from ddic.solvers.exchange import Exchange
+from ddic.solvers.linear_step import Leave, StepResult
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.monolithic import MonolithicStep
-from ddic.solvers.step import Leave, StepResult
 from support.pictures import source
 
 CELL = 8.0

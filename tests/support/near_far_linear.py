@@ -33,20 +33,20 @@ from ddic.images.sub_image import MaskedSource
 from ddic.kinematics.finite_element import finite_element_kinematics
 from ddic.kinematics.pose import Motion, Rig
 from ddic.mesh.mesh import Mesh
-from ddic.methods.assembly import Assembly, assemble
-from ddic.methods.cameras import Camera
-from ddic.methods.inputs import ImagePair, Region
-from ddic.methods.linear_step import linear_solver
-from ddic.methods.near_far_parts import in_unknowns, moving, own_views
 from ddic.parallel.distribution import owners
+from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
+from ddic.partition.by_camera import kept_apart, split_by_camera, with_cameras
 from ddic.partition.connectivity import build_subdomains
-from ddic.partition.near_far import kept_apart, split_by_camera, with_cameras
 from ddic.partition.split import split_by_blocks, split_by_metis
 from ddic.partition.subdomain import Subdomain
+from ddic.problem.assembly import Assembly, assemble
+from ddic.problem.cameras import Camera
+from ddic.problem.inputs import ImagePair, Region
+from ddic.problem.linear_solver import linear_solver
+from ddic.problem.near_far_parts import in_unknowns, moving, own_views
 from ddic.solvers.gauss_newton import OwnedPart
-from ddic.solvers.phases import PhaseClock
-from ddic.solvers.step import Step, StepResult
+from ddic.solvers.linear_step import Step, StepResult
 from support.linear import LinearStep, linear_step
 from support.pictures import source
 

@@ -33,16 +33,16 @@ from ddic.kinematics.finite_element import finite_element_kinematics
 from ddic.kinematics.pose import Motion, Rig
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import structured_mesh
-from ddic.methods.assembly import assemble
-from ddic.methods.cameras import Camera
-from ddic.methods.inputs import ImagePair
-from ddic.methods.linear_step import linear_solver
-from ddic.methods.near_far_parts import NearFarMesh, cut_by_camera, in_unknowns, moving, own_views
 from ddic.parallel.distribution import owners
+from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.partition.ties import Tying, tied_mesh
-from ddic.solvers.phases import PhaseClock
-from ddic.solvers.step import Step, StepResult
+from ddic.problem.assembly import assemble
+from ddic.problem.cameras import Camera
+from ddic.problem.inputs import ImagePair
+from ddic.problem.linear_solver import linear_solver
+from ddic.problem.near_far_parts import NearFarMesh, cut_by_camera, in_unknowns, moving, own_views
+from ddic.solvers.linear_step import Step, StepResult
 from support.pictures import source
 
 Array = NDArray[np.float64]

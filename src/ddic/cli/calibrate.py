@@ -13,8 +13,8 @@ import click
 from ddic.errors import DdicError
 
 if TYPE_CHECKING:
-    from ddic.images.camera_models import Kind
-    from ddic.methods.calibration import Calibration
+    from ddic.calibration.calibrate import Calibration
+    from ddic.calibration.camera_models import Kind
 
 Lines = list[tuple[str, str]]
 
@@ -35,7 +35,7 @@ def calibrate(far: Path, near: Path, ratio: float, model: Kind, distortion: bool
     """
     # Imported here because they bring numba, SciPy and OpenCV, which --help does not need.
     from ddic.io.image_file import find_not_finite, open_image
-    from ddic.methods import calibration
+    from ddic.calibration import calibrate as calibration
 
     try:
         with warnings.catch_warnings(record=True) as warned:

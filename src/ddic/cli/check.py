@@ -12,7 +12,7 @@ import click
 from ddic.errors import InputError
 
 if TYPE_CHECKING:
-    from ddic.io.case_check import CheckReport
+    from ddic.problem.check_case import CheckReport
 
 
 @click.command()
@@ -24,7 +24,7 @@ def check(case_file: Path) -> None:
     """
     # Imported here because they bring numba, meshio and OpenCV, which --help does not need.
     from ddic.case.loader import load_case
-    from ddic.methods.check import check_inputs
+    from ddic.problem.check_cameras import check_inputs
 
     try:
         with warnings.catch_warnings(record=True) as warned:

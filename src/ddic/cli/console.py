@@ -12,8 +12,8 @@ from typing import Protocol, Self
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
-from ddic.io.summary import Summary
-from ddic.methods.listener import Setting
+from ddic.results.listener import Setting
+from ddic.results.summary import Summary
 from ddic.solvers.gauss_newton import IterationRecord
 
 PHASES = ("mesh", "start", "read", "assemble", "independent start", "factorize", "interface set-up", "residual",

@@ -100,10 +100,10 @@ def _reference(result: Result, image: Path | None) -> Preview | None:
 
 def _figure(kind: str, result: Result, other: Result | None, preview: Preview | None,
             component: Literal["x", "y", "magnitude"], amplification: float | None) -> Figure:
+    from ddic.io.plots.camera_fields import near_far_figure
     from ddic.io.plots.deformed import deformed_figure
     from ddic.io.plots.difference import difference_figure
     from ddic.io.plots.krylov import krylov_figure
-    from ddic.io.plots.near_far import near_far_figure
     from ddic.io.plots.partition import partition_figure
     from ddic.io.plots.residual import residual_figure
 

@@ -40,9 +40,9 @@ def _run_everywhere(case_file: Path) -> int:
     from mpi4py import MPI
 
     from ddic.cli.console import RunConsole
-    from ddic.methods.listener import Silence
     from ddic.methods.run import run_case
     from ddic.parallel.team import Team
+    from ddic.results.listener import Silence
 
     cv2.setNumThreads(1)
     team = Team(MPI.COMM_WORLD)

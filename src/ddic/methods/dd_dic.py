@@ -11,18 +11,18 @@ from numpy.typing import NDArray
 from ddic.case.schema import Case
 from ddic.errors import ConvergenceError, first_of, on_all_ranks
 from ddic.functionals.correlation import Residual
-from ddic.functionals.strain import inverted_cells
-from ddic.io.mesh_source import build_mesh
+from ddic.kinematics.strain import inverted_cells
 from ddic.mesh.mesh import Mesh
-from ddic.methods.assembly import SINGULAR, assemble, correlate, own_parts, seen_parts
-from ddic.methods.inputs import ImagePair, Region, cut, hand_out, open_shared_pair
-from ddic.methods.linear_step import linear_solver
-from ddic.methods.listener import Listener, Setting
-from ddic.methods.shift import SetupMotion
-from ddic.methods.start import coarse_field, coarse_task, refine_independently
-from ddic.methods.texture import Correlated, with_texture
-from ddic.methods.thread_note import thread_note
+from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
+from ddic.problem.assembly import SINGULAR, assemble, correlate, own_parts, seen_parts
+from ddic.problem.blank_subdomains import Correlated, with_texture
+from ddic.problem.inputs import ImagePair, Region, cut, hand_out, open_shared_pair
+from ddic.problem.linear_solver import linear_solver
+from ddic.problem.mesh_source import build_mesh
+from ddic.problem.setup_motion import SetupMotion
+from ddic.problem.thread_note import thread_note
+from ddic.results.listener import Listener, Setting
 from ddic.solvers.dual.continuity import ContinuousField, average_copies
 from ddic.solvers.gauss_newton import (
     GreyState,
@@ -32,7 +32,7 @@ from ddic.solvers.gauss_newton import (
     evaluate,
     gauss_newton,
 )
-from ddic.solvers.phases import PhaseClock
+from ddic.start.coarse_field import coarse_field, coarse_task, refine_independently
 
 
 @dataclass(frozen=True)

@@ -12,17 +12,18 @@ from scipy import sparse
 from ddic.case.schema import Case
 from ddic.errors import InputError
 from ddic.functionals.correlation import GreyCorrection, Residual
-from ddic.io.mesh_source import build_meshes
 from ddic.io.result_reader import read_result
 from ddic.kinematics.pose import Pose
 from ddic.mesh.mesh import Mesh
-from ddic.methods.assembly import SINGULAR, assemble, seen_parts
-from ddic.methods.cameras import Camera, open_shared_cameras
 from ddic.methods.dd_dic import Measurement, refuse_inverted_cells, setting_of, tolerances_of
-from ddic.methods.inputs import hand_out
-from ddic.methods.linear_step import linear_solver
-from ddic.methods.listener import Listener
-from ddic.methods.near_far_parts import (
+from ddic.parallel.phases import PhaseClock
+from ddic.parallel.team import Team
+from ddic.problem.assembly import SINGULAR, assemble, seen_parts
+from ddic.problem.cameras import Camera, open_shared_cameras
+from ddic.problem.inputs import hand_out
+from ddic.problem.linear_solver import linear_solver
+from ddic.problem.mesh_source import build_meshes
+from ddic.problem.near_far_parts import (
     NearFarMesh,
     as_only_camera,
     cut_by_camera,
@@ -31,15 +32,14 @@ from ddic.methods.near_far_parts import (
     own_camera_only,
     own_views,
 )
-from ddic.methods.shift import covariance, setup_motions, start_of_motion
-from ddic.methods.start import coarse_field, coarse_task
-from ddic.methods.thread_note import thread_note
-from ddic.parallel.team import Team
+from ddic.problem.setup_motion import covariance, setup_motions, start_of_motion
+from ddic.problem.thread_note import thread_note
+from ddic.results.listener import Listener
 from ddic.solvers.dual.continuity import ContinuousField, average_copies
 from ddic.solvers.gauss_newton import GreyState, OwnedPart, evaluate, gain_and_offset, gauss_newton
-from ddic.solvers.independent import independent_start
 from ddic.solvers.local_system import LocalSystem
-from ddic.solvers.phases import PhaseClock
+from ddic.start.coarse_field import coarse_field, coarse_task
+from ddic.start.independent import independent_start
 
 OWN, OTHERS = slice(0, 1), slice(1, None)
 """A subdomain's views by its own camera and by others."""

@@ -8,16 +8,16 @@ from pathlib import Path
 from ddic.case.loader import LoadedCase, load_case
 from ddic.case.schema import Case
 from ddic.errors import InputError
-from ddic.io.summary import Summary, summary_path, write_summary
-from ddic.methods.check import check_inputs
 from ddic.methods.dd_dic import Measurement, dd_dic
-from ddic.methods.listener import Listener
-from ddic.methods.near_attributes import near_summary
 from ddic.methods.near_far_dic import near_far_dic
-from ddic.methods.phase_times import phase_times
-from ddic.methods.publish import publish
+from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.solvers.phases import PhaseClock
+from ddic.problem.check_cameras import check_inputs
+from ddic.results.listener import Listener
+from ddic.results.near_attributes import near_summary
+from ddic.results.phase_times import phase_times
+from ddic.results.publish import publish
+from ddic.results.summary import Summary, summary_path, write_summary
 
 
 def run_case(team: Team, path: Path, listener: Listener) -> Summary:

@@ -11,11 +11,11 @@ from petsc4py import PETSc
 
 from ddic.errors import FactorizationError, on_all_ranks
 from ddic.parallel.team import Team
+from ddic.solvers.linear_step import Leave, StepResult
 from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.parallel_entries import ParallelEntries
 from ddic.solvers.petsc_defaults import ASSEMBLED, configured_ksp
 from ddic.solvers.singularity import lowest_eigenvalue_estimate
-from ddic.solvers.step import Leave, StepResult
 from ddic.solvers.whole_system import WholeSystem
 
 ZERO_PIVOT = -10

@@ -10,9 +10,9 @@ from petsc4py import PETSc
 
 from ddic.errors import ConvergenceError, on_all_ranks
 from ddic.parallel.team import Team
+from ddic.solvers.linear_step import Leave, StepResult
 from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.petsc_defaults import CONJUGATE_GRADIENT, configured_ksp
-from ddic.solvers.step import Leave, StepResult
 from ddic.solvers.whole_system import WholeSystem
 
 LOOK_EVERY = 4

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from ddic.errors import ConvergenceError, on_all_ranks
 from ddic.functionals.correlation import GreyCorrection, GreySums, Residual
 from ddic.functionals.view import View
+from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
-from ddic.solvers.phases import PhaseClock
-from ddic.solvers.step import Leave, Step, StepResult
+from ddic.solvers.linear_step import Leave, Step, StepResult
 
 SHARE = 0.05
 """Share of the RMS of dq that a linear step may leave as its error, and of the error before its first Krylov

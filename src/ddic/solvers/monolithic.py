@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.solvers.linear_step import Leave, StepResult
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
-from ddic.solvers.step import Leave, StepResult
 
 
 class MonolithicStep:

@@ -10,6 +10,7 @@ from scipy import linalg, sparse
 from ddic.parallel.team import Team
 from ddic.partition.incidence import scaled_incidence
 from ddic.solvers.dual.coarse_space import CoarseSpace, coarse_columns
+from ddic.solvers.dual.dual_step import DualSettings
 from ddic.solvers.dual.local_modes import _softened, low_energy_modes
 from ddic.solvers.dual.preconditioner import (
     DenseInverse,
@@ -19,7 +20,6 @@ from ddic.solvers.dual.preconditioner import (
     local_schur,
 )
 from ddic.solvers.dual.schur_operator import DualSchurOperator
-from ddic.solvers.dual.step import DualSettings
 from ddic.solvers.dual.two_level import TwoLevelPreconditioner
 from support.linear import Decomposed, linear_step, split
 

@@ -11,11 +11,11 @@ from scipy import sparse
 
 from ddic.errors import SingularSubdomainError, is_on_all_ranks
 from ddic.partition.subdomain import Weighting
+from ddic.solvers.dual.dual_step import DualSettings, Preconditioner
 from ddic.solvers.dual.local_dual import LocalDual
 from ddic.solvers.dual.local_inverse import DENSE_ARRAYS, DENSE_LIMIT, LocalInverseKind, is_dense, schur_pair
 from ddic.solvers.dual.preconditioner import DenseInverse, block_inverse, local_schur
 from ddic.solvers.dual.sparse_inverse import SparseInverse
-from ddic.solvers.dual.step import DualSettings, Preconditioner
 from support.linear import Decomposed, dense, linear_step, split
 
 KINDS: list[LocalInverseKind] = ["dense", "sparse"]

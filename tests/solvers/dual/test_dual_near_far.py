@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from ddic.kinematics.pose import Motion
+from ddic.solvers.dual.dual_step import DualStep
 from ddic.solvers.dual.motion import MotionPreconditioner
-from ddic.solvers.dual.step import DualStep
 from support.near_far_linear import NearFarCut, NearFarStep, near_far_step, saddle_point_solution
 
 RANKS = [1, 2, 3, 4]

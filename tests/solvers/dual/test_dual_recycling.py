@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
+from ddic.solvers.dual.dual_step import DualSettings, Preconditioner
 from ddic.solvers.dual.recycling import LARGEST, RecycledSpace
-from ddic.solvers.dual.step import DualSettings, Preconditioner
-from ddic.solvers.step import Leave
+from ddic.solvers.linear_step import Leave
 from support.linear import Decomposed, linear_step, one_domain_solution, split
 
 RANKS = [1, 2, 3, 4]

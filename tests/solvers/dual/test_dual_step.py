@@ -11,7 +11,7 @@ from mpi4py import MPI
 from ddic.errors import ConvergenceError, is_on_all_ranks
 from ddic.partition.connectivity import node_sharing
 from ddic.partition.subdomain import Weighting
-from ddic.solvers.dual.step import DualSettings, Preconditioner
+from ddic.solvers.dual.dual_step import DualSettings, Preconditioner
 from support.linear import Decomposed, linear_step, one_domain_solution, split
 
 RANKS = [1, 2, 3, 4]

@@ -1,0 +1,1 @@
+"""Where a camera looks: models, registration, calibration."""

@@ -1,0 +1,1 @@
+"""From a case to subdomains with pixels and their local systems."""

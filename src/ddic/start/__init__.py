@@ -1,0 +1,1 @@
+"""The displacement that Gauss-Newton starts from."""

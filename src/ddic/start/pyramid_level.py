@@ -1,0 +1,158 @@
+"""One level of the coarse-graining pyramid: R-DIC on a square grid over binned images."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from ddic.errors import ConvergenceError, SingularSubdomainError
+from ddic.functionals.correlation import GreyCorrection, correlation
+from ddic.functionals.elasticity import Material
+from ddic.functionals.equilibrium_gap import (
+    controlled_stiffness,
+    cut_off_weight,
+    gap_energies,
+    texture_energies,
+)
+from ddic.functionals.view import View
+from ddic.images.binned import ArraySource
+from ddic.images.grid_field import GridField, fill_absent
+from ddic.images.sub_image import DeformedSubImage, MaskedSource
+from ddic.mesh.mesh import VTK_QUAD, Mesh, mesh_from_cells
+from ddic.mesh.raster import Raster, rasterize
+from ddic.parallel.phases import PhaseClock
+from ddic.parallel.team import Team
+from ddic.partition.connectivity import build_subdomains
+from ddic.solvers.gauss_newton import OwnedPart, Tolerances, evaluate, gauss_newton, silent
+from ddic.solvers.local_operator import LocalOperator
+from ddic.solvers.local_system import LocalSystem
+from ddic.solvers.monolithic import MonolithicStep
+
+CELL = 16
+"""Side of the grid's cells, blocks."""
+
+CUT_OFF = 4.0 * CELL
+FREE_EDGE = 0.03
+"""Weight of the equilibrium of the grid's edge relative to its inside. Cells at the edge may hold a few blocks only,
+which do not determine all of their nodes; a thousandth of the energy does, and is nothing where there is texture."""
+
+TOLERANCES = Tolerances(relative=1e-12, rms=0.01, max_iterations=30)
+SINGULAR = 1e-10
+"""Lowest eigenvalue of a usable operator, relative to the mean diagonal of M."""
+
+
+@dataclass(frozen=True)
+class BinnedPair:
+    """An image pair binned over blocks of factor x factor pixels."""
+
+    reference: MaskedSource
+    deformed: MaskedSource
+    factor: int
+
+    @property
+    def n_blocks(self) -> int:
+        """Blocks of an image."""
+        return self.reference.image.width * self.reference.image.height
+
+    @property
+    def centre(self) -> float:
+        """Position of block 0's centre, pixels."""
+        return (self.factor - 1) / 2
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Square cells that hold active blocks, within a regular grid over the region's bounding box.
+
+    mesh: the cells, in blocks; numbers: its nodes in the full grid; shape: (rows, columns) of nodes.
+    """
+
+    mesh: Mesh
+    numbers: NDArray[np.int64]
+    shape: tuple[int, int]
+    origin: NDArray[np.float64]
+    spacing: NDArray[np.float64]
+
+
+def correlate_level(pair: BinnedPair, mesh: Mesh, starts: Sequence[GridField],
+                    correction: GreyCorrection) -> GridField:
+    """Correlate one level from the best of ``starts``; mesh is the whole mesh in pixels, fields are in pixels.
+
+    Raises ConvergenceError or SingularSubdomainError.
+    """
+    coarse = scaled_mesh(mesh, pair.factor)
+    active = active_blocks(pair.reference, rasterize(coarse))
+    if not active.any():
+        raise SingularSubdomainError("no block of the region is usable: everything is masked")
+    grid = _grid(coarse, active)
+    candidates = [start.at(grid.mesh.nodes * pair.factor + pair.centre).ravel() / pair.factor for start in starts]
+    q = _solve(pair, grid.mesh, active, candidates, correction)
+    values = np.full((*grid.shape, 2), np.nan)
+    values.reshape(-1, 2)[grid.numbers] = q.reshape(-1, 2) * pair.factor
+    origin, spacing = grid.origin * pair.factor + pair.centre, grid.spacing * pair.factor
+    return GridField((origin[0], origin[1]), (spacing[0], spacing[1]), fill_absent(values))
+
+
+def scaled_mesh(mesh: Mesh, factor: int) -> Mesh:
+    """The mesh in blocks of factor x factor pixels."""
+    nodes = (mesh.nodes - (factor - 1) / 2) / factor
+    return Mesh(nodes, mesh.connectivity, mesh.offsets, mesh.types)
+
+
+def active_blocks(coarse: MaskedSource, raster: Raster) -> NDArray[np.uint8]:
+    """1 on the blocks whose centre lies in the mesh and that are not masked."""
+    covered = raster.coverage(coarse.image.width, coarse.image.height)
+    usable = coarse.usable(coarse.extent)
+    return covered if usable is None else covered & usable
+
+
+def _solve(pair: BinnedPair, grid: Mesh, active: NDArray[np.uint8], starts: Sequence[NDArray[np.float64]],
+           correction: GreyCorrection) -> NDArray[np.float64]:
+    """R-DIC with cut-off wavelength CUT_OFF on one domain; lengths are blocks."""
+    everywhere = np.ones(grid.n_dofs, dtype=bool)
+    subdomain = build_subdomains(grid, np.zeros(grid.n_cells, dtype=np.int64), everywhere)[0]
+    region = MaskedSource(pair.reference.image, ArraySource(pair.reference.image.path, active.astype(np.float32)))
+    view = View(correlation(grid, region, 3), DeformedSubImage(pair.deformed, 3))
+    part = OwnedPart(subdomain, (view,))
+    q = min(starts, key=lambda start: _residual(part, start, correction)) if len(starts) > 1 else starts[0]
+    hessian = view.hessian()
+    rows = np.repeat(np.where(subdomain.interior, 1.0, FREE_EDGE), grid.dim)
+    kbar = controlled_stiffness(grid, view.correlation.kinematics, Material(), rows)
+    eta = 0.0
+    if subdomain.interior.any():
+        texture = texture_energies(grid.nodes, hessian, subdomain.interior, CUT_OFF)
+        eta = cut_off_weight(texture, gap_energies(grid, Material(), subdomain.interior, CUT_OFF))
+    system = LocalSystem(subdomain, hessian, kbar, rows, eta)
+    operator = LocalOperator(system.operator, smallest_eigenvalue=SINGULAR * float(hessian.diagonal().mean()),
+                             where=f"pyramid level with blocks of {pair.factor} px")
+    try:
+        solution = gauss_newton(Team(MPI.COMM_SELF), [part], [q], MonolithicStep(system, operator), correction,
+                                TOLERANCES, silent, PhaseClock())
+    finally:
+        operator.destroy()
+    return solution.q[0]
+
+
+def _residual(part: OwnedPart, q: NDArray[np.float64], correction: GreyCorrection) -> float:
+    """Root mean square of a start's residual, grey levels; infinite where it leaves no pixel."""
+    try:
+        return evaluate(Team(MPI.COMM_SELF), [part], [q], correction)[1][0].residual_rms
+    except ConvergenceError:
+        return np.inf
+
+
+def _grid(mesh: Mesh, active: NDArray[np.uint8]) -> Grid:
+    low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
+    counts = np.maximum(np.round((high - low) / CELL).astype(int), 1)
+    xs, ys = (np.linspace(low[axis], high[axis], counts[axis] + 1) for axis in range(2))
+    nodes = np.stack([a.ravel() for a in np.meshgrid(xs, ys)], axis=1)
+    columns = counts[0] + 1
+    corner = (np.arange(counts[1])[:, None] * columns + np.arange(counts[0])).ravel()
+    full = mesh_from_cells(nodes, {VTK_QUAD: np.stack(
+        [corner, corner + 1, corner + columns + 1, corner + columns], axis=1)})
+    part, numbers = full.submesh(np.flatnonzero(rasterize(full).counts_in(active) > 0))
+    return Grid(part, numbers, (int(counts[1]) + 1, int(columns)), low, (high - low) / counts)
