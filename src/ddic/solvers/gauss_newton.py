@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ddic.errors import ConvergenceError, on_all_ranks
 from ddic.functionals.correlation import GreyCorrection, GreySums, Residual
 from ddic.functionals.view import View
-from ddic.parallel.phases import PhaseClock
+from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.solvers.linear_step import Leave, Step, StepResult
@@ -91,7 +91,7 @@ class IterationRecord:
     krylov_iterations: int
     krylov_history: NDArray[np.float64]
     linear_error: float
-    seconds: dict[str, float]
+    seconds: dict[Phase, float]
 
     @property
     def grey(self) -> GreyState:
@@ -182,10 +182,10 @@ def gauss_newton(team: Team, parts: Sequence[OwnedPart], q: Sequence[NDArray[np.
     current = [np.array(q_s) for q_s in q]
     records: list[IterationRecord] = []
     for number in range(1, tolerances.max_iterations + 1):
-        with clock.phase("residual"):
+        with clock.phase(Phase.RESIDUAL):
             residuals, grey = evaluate(team, parts, current, correction, n_cameras)
             b = right_hand_sides(parts, residuals, grey, correction)
-        with clock.phase("linear step"):
+        with clock.phase(Phase.LINEAR_STEP):
             result, relative, rms = _linear_step(team, parts, step, current, b, tolerances, records)
         current = [q_s + dq for q_s, dq in zip(current, result.dq, strict=True)]
         records.append(IterationRecord(number, relative, rms, grey, result.krylov_iterations,
