@@ -13,7 +13,8 @@ from ddic.parallel.team import Team
 from ddic.problem.assembly import SINGULAR, Assembly, factorize
 from ddic.solvers.assembled import AssembledStep
 from ddic.solvers.conjugate_gradient import ConjugateGradientStep
-from ddic.solvers.dual.dual_step import DualSettings, DualStep, Preconditioner
+from ddic.solvers.dual.build_preconditioner import Preconditioner
+from ddic.solvers.dual.dual_step import DualSettings, DualStep
 from ddic.solvers.linear_step import Step
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.monolithic import MonolithicStep
