@@ -79,8 +79,3 @@ class LinearStep(Protocol):
     def destroy(self) -> None:
         """Free what PETSc holds."""
         ...
-
-
-# Old names, until Gauss-Newton and problem/ use the new ones.
-Leave = AllowedError
-Step = LinearStep

@@ -9,7 +9,8 @@ from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
 
 _PROBES = 64
-"""Random vectors: about 1 % of error for a thousand displacements; twice as many halve its square and double the time."""
+"""Random vectors: about 1 % of error for a thousand displacements; twice as many halve its square, for
+twice the time."""
 
 
 def estimate_noise_rms(system: LocalSystem, operator: LocalOperator, sigma: float,

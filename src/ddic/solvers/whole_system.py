@@ -263,11 +263,11 @@ def _number_by_rank(team: Team, subdomains: Sequence[Subdomain]) -> tuple[list[N
 
 def _find_node(subdomain: Subdomain, unknown: int) -> NDArray[np.float64]:
     """The node that an unknown of a subdomain displaces most, (dim,), pixels; the first for a camera's motion."""
-    nodes = subdomain.mesh.nodes
+    nodes: NDArray[np.float64] = subdomain.mesh.nodes
     if unknown >= subdomain.n_field:
-        return nodes[0]
+        return np.asarray(nodes[0])
     column = subdomain.kinematics.tangent[:, [unknown]].toarray().reshape(nodes.shape)
-    return nodes[int(np.linalg.norm(column, axis=1).argmax())]
+    return np.asarray(nodes[int(np.linalg.norm(column, axis=1).argmax())])
 
 
 def _remove_weights(system: LocalSystem) -> sparse.csr_matrix:

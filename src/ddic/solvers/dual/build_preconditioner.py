@@ -97,9 +97,13 @@ def _find_columns(problem: DualProblem) -> list[CoarseColumns]:
 def _build_pairs(stack: PetscStack, problem: DualProblem, local_inverse: LocalInverseKind) -> list[SchurPair]:
     """S_s and its inverse of each owned subdomain."""
     def build() -> list[SchurPair]:
-        # Kept one by one: where a later one is singular, those before are freed.
-        return [stack.keep(build_schur_pair(system, local, local_inverse))
-                for system, local in zip(problem.systems, problem.local_duals, strict=True)]
+        pairs = []
+        for system, local in zip(problem.systems, problem.local_duals, strict=True):
+            pair = build_schur_pair(system, local, local_inverse)
+            # One by one: where a later one is singular, those before are freed. The inverse alone, for S_s may go.
+            stack.keep(pair.inverse)
+            pairs.append(pair)
+        return pairs
 
     return problem.team.together(build)
 

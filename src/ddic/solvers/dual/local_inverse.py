@@ -17,11 +17,11 @@ from ddic.solvers.local_system import LocalSystem
 LocalInverseKind = Literal["auto", "dense", "sparse"]
 
 DENSE_ARRAYS = 5
-"""Arrays of the size of S_s at the peak of the dense way: S_s, its inverse, and those ``invert_by_blocks`` works with."""
+"""Arrays of the size of S_s at the peak of the dense way: S_s, its inverse, and those of ``invert_by_blocks``."""
 
 DENSE_LIMIT = 2**26
-"""Bytes that the dense way of one subdomain may take: 1295 interface unknowns, some 80 x 80 elements with neighbours all
-round. bench/local_inverse.py finds the array faster in an iteration and slower to set up at 50 x 50 and 100 x 100
+"""Bytes that the dense way of one subdomain may take: 1295 interface unknowns, some 80 x 80 elements with neighbours
+all round. bench/local_inverse.py finds the array faster in an iteration and slower to set up at 50 x 50 and 100 x 100
 elements, with the same memory within 30 MiB; the limit lies between, where several subdomains a rank stay cheap."""
 
 
@@ -39,10 +39,6 @@ class SchurPair:
 
     multiply: Callable[[NDArray[np.float64]], NDArray[np.float64]]
     inverse: LocalInverse
-
-    def destroy(self) -> None:
-        """Free what PETSc holds."""
-        self.inverse.destroy()
 
 
 def is_dense(n_interface: int, kind: LocalInverseKind) -> bool:
@@ -80,7 +76,7 @@ def build_schur_pair(system: LocalSystem, local: LocalDual, kind: LocalInverseKi
     Returns
     -------
     SchurPair
-        The caller's to destroy.
+        The inverse is the caller's to destroy.
 
     Raises
     ------

@@ -17,8 +17,8 @@ class SparseInverse:
     """S_s^-1 through [[A_s, -T_s^T], [-T_s, D_s]] (y, x) = (0, -r), whose x is S_s^-1 r.
 
     The first row gives y = A_s^-1 T_s^T x, the second then S_s x = r. With A_s eliminated what is left is -S_s, so
-    that by Sylvester's law the matrix has as many negative eigenvalues as -S_s: one for each interface
-    unknown with a jump, none for a reaction. That inertia is checked, as Cholesky checks the blocks of the dense inverse.
+    that by Sylvester's law the matrix has as many negative eigenvalues as -S_s: one for each interface unknown with a
+    jump, none for a reaction. That inertia is checked, as Cholesky checks the blocks of the dense inverse.
 
     PETSc options (prefix ``inverse_``): factorised by MUMPS (LDL^T); another package must tell the inertia too.
 
