@@ -96,6 +96,22 @@ def residual_group(camera: int) -> str:
     return RESIDUAL_IMAGE if camera == 0 else f"{RESIDUAL_IMAGE}_near_{camera}"
 
 
+def summary_path(result: Path) -> Path:
+    """Name the summary beside a result file: NAME.json.
+
+    Parameters
+    ----------
+    result : Path
+        The result file.
+
+    Returns
+    -------
+    Path
+        In the same folder.
+    """
+    return result.with_suffix(".json")
+
+
 def sidecar_path(path: Path, camera: int = 0) -> Path:
     """The ImageData file that shows a residual image of a result: NAME.residual.vtkhdf, NAME.near_1.residual.vtkhdf."""
     near = "" if camera == 0 else f".near_{camera}"
