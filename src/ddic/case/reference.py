@@ -1,6 +1,6 @@
 """The tables of docs/case-file.md, written from the schema.
 
-A table stands below a line ``<!-- keys: SECTION -->``, SECTION being the keys that lead to it joined by dots, or nothing
+A table stands below a line ``<!-- keys: SECTION -->``; SECTION is the keys that lead to it joined by dots, or nothing
 for the top level. The text around is written by hand.
 """
 
