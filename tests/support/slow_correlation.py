@@ -41,7 +41,7 @@ class SlowSums:
 
 def shape_functions(kind: int, local: NDArray[np.float64]) -> NDArray[np.float64]:
     xi, eta = local.T
-    if kind == Q4:
+    if kind == Q4.vtk:
         return np.stack([(1 - xi) * (1 - eta), (1 + xi) * (1 - eta), (1 + xi) * (1 + eta), (1 - xi) * (1 + eta)],
                         axis=1) / 4
     return np.stack([1 - xi - eta, xi, eta], axis=1)
