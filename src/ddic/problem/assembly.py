@@ -19,7 +19,7 @@ from ddic.functionals.view import View
 from ddic.images.sub_image import DeformedSubImage
 from ddic.images.threads import Threads
 from ddic.images.window import Window
-from ddic.kinematics.finite_element import finite_element_kinematics
+from ddic.kinematics.cell_interpolation import interpolate_cells
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain, interface_weights
 from ddic.problem.inputs import ImagePair, Region, material
@@ -109,7 +109,7 @@ def assemble(team: Team, parts: Sequence[OwnedPart], hessians: Sequence[sparse.c
     def system(part: OwnedPart, hessian: sparse.csr_matrix) -> LocalSystem:
         subdomain = part.subdomain
         weights = interface_weights(subdomain.dof_multiplicity, solver.weighting) * subdomain.controlled
-        kbar = controlled_stiffness(subdomain.mesh, finite_element_kinematics(subdomain.mesh), regularization, weights,
+        kbar = controlled_stiffness(subdomain.mesh, interpolate_cells(subdomain.mesh), regularization, weights,
                                     subdomain.tie)
         motion = sparse.csr_matrix((kbar.shape[0], hessian.shape[0] - kbar.shape[0]))
         return LocalSystem(subdomain, hessian, sparse.hstack([kbar, motion]).tocsr(), weights, eta)

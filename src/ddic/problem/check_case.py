@@ -21,8 +21,9 @@ from ddic.io.mask_file import read_mask
 from ddic.io.partition_file import read_partition
 from ddic.io.result_reader import read_result
 from ddic.io.result_schema import sidecar_path, summary_path
+from ddic.mesh.cell_type import CELL_TYPES
 from ddic.mesh.control import not_controlled_nodes
-from ddic.mesh.mesh import CELL_NAMES, Mesh
+from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import areas
 from ddic.mesh.raster import rasterize
 from ddic.mesh.repair import check_pixels
@@ -214,7 +215,7 @@ def _report(case: Case, reference: ImageSource, mesh: Mesh, tying: Tying | None,
         n_nodes=mesh.n_nodes,
         n_cells=mesh.n_cells,
         n_dofs=mesh.dim * n_unknown_nodes,
-        cell_counts={CELL_NAMES[int(k)]: int(n) for k, n in zip(kinds, numbers, strict=True)},
+        cell_counts={CELL_TYPES[int(k)].name: int(n) for k, n in zip(kinds, numbers, strict=True)},
         node_sets={name: len(nodes) for name, nodes in mesh.node_sets.items()},
         pixels_min=int(pixel_counts.min()),
         pixels_mean=float(pixel_counts.mean()),
