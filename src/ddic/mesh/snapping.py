@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.mesh.cell_type import Q4, T3
 from ddic.mesh.holes import Hole
-from ddic.mesh.mesh import VTK_QUAD, VTK_TRIANGLE, mesh_from_cells
+from ddic.mesh.mesh import mesh_from_cells
 from ddic.mesh.quality import shape_quality
 
 SMALLEST_SINE = 0.2
@@ -104,12 +105,12 @@ def _along_axis(points: NDArray[np.float64], hole: Hole, axis: int) -> NDArray[n
 def _careful_move(nodes: NDArray[np.float64], target: NDArray[np.float64], quads: Cells, triangles: Cells,
                   ) -> NDArray[np.float64]:
     """Move nodes towards their targets as far as all cells keep their shape."""
-    mesh = mesh_from_cells(nodes, {VTK_QUAD: quads, VTK_TRIANGLE: triangles})
+    mesh = mesh_from_cells(nodes, {Q4: quads, T3: triangles})
     fraction = np.ones(len(nodes))
     fraction[(target == nodes).all(axis=1)] = 0.0
     while True:
         moved = nodes + fraction[:, None] * (target - nodes)
-        cells = mesh_from_cells(moved, {VTK_QUAD: quads, VTK_TRIANGLE: triangles})
+        cells = mesh_from_cells(moved, {Q4: quads, T3: triangles})
         bad = mesh.cells[shape_quality(cells) < SMALLEST_SINE]
         blamed = np.unique(bad[bad >= 0])
         blamed = blamed[fraction[blamed] > 0]

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import InputError
+from ddic.mesh.cell_type import Q4, T3
 from ddic.mesh.holes import CircularHole, Hole, PolygonalHole
-from ddic.mesh.mesh import VTK_QUAD, VTK_TRIANGLE, Mesh, mesh_from_cells
+from ddic.mesh.mesh import Mesh, mesh_from_cells
 from ddic.mesh.snapping import chop_corners, snap_to_holes
 
 
@@ -75,7 +76,7 @@ def structured_mesh(region: Sequence[float], element_size: float, cell: Literal[
         quads, triangles = quads[:0], np.concatenate([_split_quads(quads, len(grid.x)), triangles])
     # After the split, so that the cells whose shape is watched are those of the mesh.
     nodes, on_holes = snap_to_holes(nodes, quads, triangles, members, holes, region)
-    blocks = {VTK_QUAD: quads, VTK_TRIANGLE: triangles}
+    blocks = {Q4: quads, T3: triangles}
     mesh = mesh_from_cells(nodes, {kind: block for kind, block in blocks.items() if len(block)},
                            _sides(grid) | {f"hole_{k}": found for k, found in enumerate(on_holes)})
     return mesh.submesh(np.arange(mesh.n_cells))[0]
