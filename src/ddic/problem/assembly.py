@@ -11,9 +11,7 @@ from scipy import sparse
 
 from ddic.case.schema import Case, RegularizationSection
 from ddic.errors import InputError, on_all_ranks
-from ddic.functionals.elasticity import stiffness_cells
-from ddic.functionals.equilibrium_gap import cut_off_weight, texture_energies
-from ddic.kinematics.finite_element import finite_element_kinematics
+from ddic.functionals.equilibrium_gap import controlled_stiffness, cut_off_weight, texture_energies
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain, interface_weights
 from ddic.problem.region_mesh import Region, material_of
@@ -136,9 +134,7 @@ def _system(case: Case, section: RegularizationSection, subdomain: Subdomain, he
             eta: float) -> LocalSystem:
     """M_s and Kbar_s = diag(w) P T^T K T of one subdomain, Eq. 11 of [BP17]."""
     weights = interface_weights(subdomain.multiplicity, case.solver.weighting) * subdomain.controlled
-    interpolation = finite_element_kinematics(subdomain.mesh)
-    stiffness = interpolation.assemble_matrix(stiffness_cells(subdomain.mesh, material_of(section)))
-    kbar = sparse.diags(weights) @ subdomain.kinematics.project_matrix(stiffness)
+    kbar = controlled_stiffness(subdomain.kinematics, material_of(section), weights)
     # A camera's motion is no displacement of matter, hence in no equilibrium.
     of_motion = sparse.csr_matrix((kbar.shape[0], subdomain.n_motion))
     return LocalSystem(subdomain, hessian, sparse.hstack([kbar, of_motion]).tocsr(), weights, eta)
