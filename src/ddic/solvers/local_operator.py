@@ -53,14 +53,14 @@ class LocalOperator:
         with PetscStack() as stack:
             petsc_matrix = stack.keep(PETSc.Mat().createAIJ(matrix.shape, csr=csr, comm=PETSc.COMM_SELF))
             petsc_matrix.setOption(PETSc.Mat.Option.SPD, True)
-            ksp = stack.keep(create_ksp(PETSc.COMM_SELF, LOCAL))
-            ksp.setOperators(petsc_matrix)
-            ksp.setFromOptions()
+            self._ksp = stack.keep(create_ksp(PETSc.COMM_SELF, LOCAL))
+            self._ksp.setOperators(petsc_matrix)
+            self._ksp.setFromOptions()
             try:
-                ksp.setUp()
+                self._ksp.setUp()
             except PETSc.Error as error:
                 raise SingularSubdomainError(describe_singular(where)) from error
-            self._factor = stack.keep(ksp.getPC().getFactorMatrix())
+            self._factor = stack.keep(self._ksp.getPC().getFactorMatrix())
             self._left = stack.keep(petsc_matrix.createVecLeft())
             self._right = stack.keep(petsc_matrix.createVecRight())
             self._right.setArray(np.random.default_rng(0).standard_normal(self.n))

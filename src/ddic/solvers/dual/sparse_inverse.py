@@ -48,10 +48,13 @@ class SparseInverse:
             # A failure here is one of memory, hence PETSc's own error: MUMPS goes on past null pivots and counts them.
             ksp.setUp()
             self._factor = stack.keep(ksp.getPC().getFactorMatrix())
-            n_negative, n_zero = self._factor.getInertia()[:2]
-            if (n_negative, n_zero) != (local.n_jumps, 0):
-                raise SingularSubdomainError(SINGULAR_INTERFACE)
+            self._check_inertia(local.n_jumps)
             self._objects = stack.pop_all()
+
+    def _check_inertia(self, n_negative: int) -> None:
+        """Raise SingularSubdomainError where the factor has not so many negative eigenvalues, or some that are zero."""
+        if self._factor.getInertia()[:2] != (n_negative, 0):
+            raise SingularSubdomainError(SINGULAR_INTERFACE)
 
     def apply(self, r: NDArray[np.float64]) -> NDArray[np.float64]:
         """Apply S_s^-1.
