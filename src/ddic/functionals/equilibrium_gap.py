@@ -15,7 +15,7 @@ PHASES = (0.0, np.pi / 2)
 """Phases of the plane waves, radians: cosine and sine, of which one at least does not vanish on the nodes."""
 
 _CHUNK_CELLS = 2_000
-"""Cells whose stiffness is held at once; a larger value takes more memory and no less time."""
+"""Cells whose stiffness is held at once; a larger value takes more memory."""
 
 
 def controlled_stiffness(mesh: Mesh, interpolation: CellInterpolation, material: Material,

@@ -18,10 +18,10 @@ LARGEST_SUM = 2.0**30
 
 N_CUTS, N_PASSES = 8, 50
 """METIS's tries, of which the best is kept, and passes of refinement: ragged interfaces cost Krylov iterations in every
-step. Larger values take longer for a slightly smoother cut."""
+step. Larger values take longer."""
 
 MOST_BISECTED = 8
-"""Most subdomains that are found by repeated halving, which cuts smoother than METIS's direct way but takes longer."""
+"""Most subdomains that are found by repeated halving, as METIS's manual advises for few parts; more are cut at once."""
 
 
 def split_by_metis(mesh: Mesh, n_subdomains: int, weights: NDArray[np.float64] | None = None) -> NDArray[np.int64]:
@@ -125,4 +125,4 @@ def _whole_weights(weights: NDArray[np.float64]) -> NDArray[np.int64]:
 def _number_without_gaps(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
     """The place of each number among the distinct ones, in order."""
     _, places = np.unique(numbers, return_inverse=True)
-    return places.reshape(-1).astype(np.int64)
+    return places.reshape(-1).astype(np.int64, copy=False)
