@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ddic.case.schema import Case
 from ddic.errors import ConvergenceError, first_of, on_all_ranks
 from ddic.functionals.correlation import Residual
-from ddic.kinematics.strain import inverted_cells
+from ddic.kinematics.strain import find_inverted_cells
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
@@ -120,7 +120,7 @@ def refuse_inverted_cells(team: Team, parts: Sequence[OwnedPart], field: Continu
 
     Such a field is no displacement of matter.
     """
-    found = team.gather_lists([part.subdomain.cell_ids[inverted_cells(part.subdomain.mesh, q)]
+    found = team.gather_lists([part.subdomain.cell_ids[find_inverted_cells(part.subdomain.mesh, q)]
                                for part, q in zip(parts, field.q, strict=True)])
     cells = np.sort(np.concatenate(found))
     if len(cells):

@@ -10,7 +10,7 @@ from scipy import sparse
 
 from ddic.kinematics.tie import tie
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.topology import boundary_nodes
+from ddic.mesh.topology import find_boundary_nodes
 from ddic.partition.subdomain import Interface, Subdomain
 
 
@@ -98,7 +98,7 @@ def build_subdomains(mesh: Mesh, parts: NDArray[np.int64], controlled: NDArray[n
     sharing = node_sharing(mesh, parts, weights)
     chains = number_chains(sharing, controlled, n_subdomains)
     interior = np.ones(mesh.n_nodes, dtype=bool)
-    interior[boundary_nodes(mesh)] = False
+    interior[find_boundary_nodes(mesh)] = False
     cell_order = np.argsort(parts, kind="stable")
     cell_ends = np.cumsum(np.bincount(parts, minlength=n_subdomains))
     copy_order = np.argsort(sharing.subdomain, kind="stable")

@@ -14,7 +14,7 @@ from scipy import sparse
 from ddic.case.schema import RegularizationSection, SolverSection
 from ddic.errors import InputError, on_all_ranks
 from ddic.functionals.correlation import correlations
-from ddic.functionals.equilibrium_gap import controlled_stiffness, cut_off_weight, texture_energies
+from ddic.functionals.equilibrium_gap import controlled_stiffness, find_cut_off_weight, measure_texture_energies
 from ddic.functionals.view import View
 from ddic.images.sub_image import DeformedSubImage
 from ddic.images.threads import Threads
@@ -100,7 +100,7 @@ def assemble(team: Team, parts: Sequence[OwnedPart], hessians: Sequence[sparse.c
         assert section.cut_off_wavelength is not None
         wavelength = section.cut_off_wavelength
         texture = team.ordered_sum([
-            texture_energies(p.subdomain.nodes, h[:p.n_dofs, :p.n_dofs], p.subdomain.interior, wavelength)
+            measure_texture_energies(p.subdomain.nodes, h[:p.n_dofs, :p.n_dofs], p.subdomain.interior, wavelength)
             for p, h in zip(parts, hessians, strict=True)
         ])
         eta = _weight(texture, region)
@@ -132,7 +132,7 @@ def _weight(texture: NDArray[np.float64], region: Region) -> float:
         raise on_all_ranks(InputError(
             "regularization.cut_off_wavelength: the mesh has no interior node, so no wavelength can be given a "
             "weight; use a finer mesh or give regularization.eta"))
-    return cut_off_weight(texture, region.gap_energies)
+    return find_cut_off_weight(texture, region.gap_energies)
 
 
 def factorize(team: Team, systems: Sequence[LocalSystem], mean_diagonal: float) -> list[LocalOperator]:

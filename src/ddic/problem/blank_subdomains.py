@@ -14,9 +14,9 @@ from ddic.errors import InputError, first_of
 from ddic.functionals.correlation import restricted
 from ddic.functionals.texture_strength import Texture, blank_subdomains, texture
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.topology import cell_adjacency
+from ddic.mesh.topology import find_adjacent_cells
 from ddic.parallel.team import Team
-from ddic.partition.merge import connected_pieces, merge_blank
+from ddic.partition.merge import find_connected_pieces, merge_blank
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.assembly import correlate, own_parts, seen_parts
 from ddic.problem.inputs import ImagePair, Region, deal_out
@@ -83,7 +83,7 @@ class _Piece:
 
 
 def _pieces(part: OwnedPart, hessian: sparse.csr_matrix) -> list[_Piece]:
-    label = connected_pieces(cell_adjacency(part.subdomain.mesh))
+    label = find_connected_pieces(find_adjacent_cells(part.subdomain.mesh))
     index, degree = part.subdomain.index, part.view.deformed.degree
     if label.max() == 0:
         return [_Piece(index, part.subdomain.cell_ids, texture(part.view.correlation, hessian, degree))]
@@ -99,7 +99,7 @@ def _merged(mesh: Mesh, cells: Sequence[NDArray[np.int64]], owner: NDArray[np.in
     pieces = np.empty(mesh.n_cells, dtype=np.int64)
     for number, members in enumerate(cells):
         pieces[members] = number
-    return merge_blank(pieces, owner, cell_adjacency(mesh), blank)
+    return merge_blank(pieces, owner, find_adjacent_cells(mesh), blank)
 
 
 def _count(merged: NDArray[np.int64], n_before: int, n_ranks: int) -> int:

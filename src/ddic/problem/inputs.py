@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 
 from ddic.case.schema import Case, ImagesSection, NearSection, RegularizationSection, SolverSection
 from ddic.functionals.elasticity import Material
-from ddic.functionals.equilibrium_gap import gap_energies
+from ddic.functionals.equilibrium_gap import measure_gap_energies
 from ddic.images.source import ImageSource
 from ddic.images.sub_image import MaskedSource
 from ddic.io.image_file import open_decoded, open_image
 from ddic.io.partition_file import read_partition
-from ddic.mesh.control import not_controlled_nodes
+from ddic.mesh.control import find_not_controlled_nodes
 from ddic.mesh.mesh import Mesh, Similarity
-from ddic.mesh.topology import boundary_nodes
+from ddic.mesh.topology import find_boundary_nodes
 from ddic.parallel.distribution import distribute
 from ddic.parallel.shared_image import open_once_a_node
 from ddic.parallel.team import Team
 from ddic.partition.connectivity import build_subdomains
-from ddic.partition.cost import cell_costs, subdomain_costs
+from ddic.partition.cost import estimate_cell_costs, sum_costs
 from ddic.partition.split import split_by_blocks, split_by_metis
 from ddic.partition.subdomain import Subdomain
 
@@ -85,7 +85,7 @@ class CutMesh:
 
 def cut(case: Case, mesh: Mesh, n_ranks: int) -> CutMesh:
     """Split the whole mesh as the case says; free of communication."""
-    costs = cell_costs(mesh)
+    costs = estimate_cell_costs(mesh)
     if case.solver.method == "monolithic":
         parts: NDArray[np.int64] | None = np.zeros(mesh.n_cells, dtype=np.int64)
     else:
@@ -123,7 +123,7 @@ def deal_out(team: Team, case: Case, mesh: Mesh | None, split: Callable[[Mesh], 
     """Cut the mesh that rank 0 holds as ``split`` says there, (n_cells,), and give each rank its subdomains."""
     def build() -> tuple[list[Subdomain], NDArray[np.float64]]:
         assert mesh is not None
-        return _subdomains(case, mesh, split(mesh), cell_costs(mesh))
+        return _subdomains(case, mesh, split(mesh), estimate_cell_costs(mesh))
 
     return distribute(team, build)
 
@@ -131,7 +131,7 @@ def deal_out(team: Team, case: Case, mesh: Mesh | None, split: Callable[[Mesh], 
 def _subdomains(case: Case, mesh: Mesh, parts: NDArray[np.int64], costs: NDArray[np.float64],
                 ) -> tuple[list[Subdomain], NDArray[np.float64]]:
     """The subdomains of given parts and the work that each brings, (n_subdomains,); parts, costs: of cells."""
-    return build_subdomains(mesh, parts, controlled_dofs(case.regularization, mesh)), subdomain_costs(costs, parts)
+    return build_subdomains(mesh, parts, controlled_dofs(case.regularization, mesh)), sum_costs(costs, parts)
 
 
 def given_parts(solver: SolverSection, mesh: Mesh) -> NDArray[np.int64] | None:
@@ -151,24 +151,24 @@ def controlled_dofs(section: RegularizationSection | None, mesh: Mesh,
     if section is None:
         return np.zeros(mesh.n_dofs, dtype=bool)
     controlled = np.ones(mesh.n_nodes, dtype=bool)
-    controlled[not_controlled_nodes(mesh, section.not_controlled, section.boxes, boundary)] = False
+    controlled[find_not_controlled_nodes(mesh, section.not_controlled, section.boxes, boundary)] = False
     return np.repeat(controlled, mesh.dim)
 
 
 def region_gap_energies(section: RegularizationSection | None, mesh: Mesh,
                         inside: NDArray[np.bool_] | None = None) -> NDArray[np.float64] | None:
-    """|K v|^2 of the plane waves on nodes inside the whole mesh (``gap_energies``); None where eta needs none.
+    """|K v|^2 of the plane waves on nodes inside the whole mesh (``measure_gap_energies``); None where eta needs none.
 
     inside: (n_nodes,) which nodes count, by default all that are not on the boundary.
     """
     if section is None or section.cut_off_wavelength is None:
         return None
     inside = inner_nodes(mesh) if inside is None else inside
-    return gap_energies(mesh, material(section), inside, section.cut_off_wavelength)
+    return measure_gap_energies(mesh, material(section), inside, section.cut_off_wavelength)
 
 
 def inner_nodes(mesh: Mesh, boundary: NDArray[np.int64] | None = None) -> NDArray[np.bool_]:
     """Whether each node lies inside the mesh and not on its boundary, (n_nodes,); boundary: its nodes, if known."""
     interior = np.ones(mesh.n_nodes, dtype=bool)
-    interior[boundary_nodes(mesh) if boundary is None else boundary] = False
+    interior[find_boundary_nodes(mesh) if boundary is None else boundary] = False
     return interior

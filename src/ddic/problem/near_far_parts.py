@@ -19,7 +19,7 @@ from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
 from ddic.partition.by_camera import cameras_at_nodes, kept_apart, split_by_camera, with_cameras
 from ddic.partition.connectivity import build_subdomains
-from ddic.partition.cost import cell_costs, subdomain_costs
+from ddic.partition.cost import estimate_cell_costs, sum_costs
 from ddic.partition.split import split_by_metis
 from ddic.partition.subdomain import Subdomain
 from ddic.partition.tied_parts import with_told_masters
@@ -76,7 +76,7 @@ def cut_by_camera(case: Case, mesh: Mesh, cameras: Sequence[Camera], n_ranks: in
     fields = camera_fields(cameras, mesh, labels)
     costs = np.zeros(mesh.n_cells)
     for number, field in enumerate(fields):
-        costs[field.cells] = cell_costs(field.seen)
+        costs[field.cells] = estimate_cell_costs(field.seen)
         if number and case.near[number - 1].use_far:
             costs[field.cells] += rasterize(field.mesh).pixel_counts
     given = given_parts(case.solver, mesh)
@@ -96,7 +96,7 @@ def cut_by_camera(case: Case, mesh: Mesh, cameras: Sequence[Camera], n_ranks: in
                               [camera.rig.n_shifts for camera in cameras], far_inside, n_dofs)
     region = Region(mesh.n_nodes, mesh.n_cells, n_dofs, len(subdomains),
                     region_gap_energies(case.regularization, mesh, far_inside), mesh.mapping)
-    return NearFarMesh(CutMesh(subdomains, subdomain_costs(costs, parts), region), [field.seen for field in fields],
+    return NearFarMesh(CutMesh(subdomains, sum_costs(costs, parts), region), [field.seen for field in fields],
                        np.flatnonzero(at_nodes.sum(axis=1) > 1))
 
 

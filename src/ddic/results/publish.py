@@ -14,7 +14,7 @@ from ddic.functionals.correlation import Residual
 from ddic.io import result_schema as schema
 from ddic.io.image_chunks import ChunkGrid
 from ddic.io.result_writer import Piece, PieceSize, ResultWriter, joined
-from ddic.kinematics.strain import cell_strain
+from ddic.kinematics.strain import compute_strain
 from ddic.methods.dd_dic import Measurement
 from ddic.parallel.team import Team
 from ddic.results.near_attributes import near_attributes
@@ -109,7 +109,7 @@ def _pieces(loaded: LoadedCase, measurement: Measurement) -> Iterator[Piece]:
         }
         if loaded.case.images.pixel_size is not None:
             point_data[schema.DISPLACEMENT_PHYSICAL] = u * loaded.case.images.pixel_size
-        strain = cell_strain(mesh, q)
+        strain = compute_strain(mesh, q)
         cell_data: dict[str, NDArray[Any]] = {
             schema.STRAIN_INFINITESIMAL: _six_components(strain.infinitesimal),
             schema.STRAIN_GREEN_LAGRANGE: _six_components(strain.green_lagrange),

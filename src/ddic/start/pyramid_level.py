@@ -14,16 +14,16 @@ from ddic.functionals.correlation import GreyCorrection, correlation
 from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import (
     controlled_stiffness,
-    cut_off_weight,
-    gap_energies,
-    texture_energies,
+    find_cut_off_weight,
+    measure_gap_energies,
+    measure_texture_energies,
 )
 from ddic.functionals.view import View
 from ddic.images.binned import ArraySource
 from ddic.images.grid_field import GridField, fill_absent
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.mesh.cell_type import Q4
-from ddic.mesh.mesh import Mesh, mesh_from_cells
+from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.raster import Raster, rasterize
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
@@ -125,8 +125,8 @@ def _solve(pair: BinnedPair, grid: Mesh, active: NDArray[np.uint8], starts: Sequ
     kbar = controlled_stiffness(grid, view.correlation.kinematics, Material(), rows)
     eta = 0.0
     if subdomain.interior.any():
-        texture = texture_energies(grid.nodes, hessian, subdomain.interior, CUT_OFF)
-        eta = cut_off_weight(texture, gap_energies(grid, Material(), subdomain.interior, CUT_OFF))
+        texture = measure_texture_energies(grid.nodes, hessian, subdomain.interior, CUT_OFF)
+        eta = find_cut_off_weight(texture, measure_gap_energies(grid, Material(), subdomain.interior, CUT_OFF))
     system = LocalSystem(subdomain, hessian, kbar, rows, eta)
     operator = LocalOperator(system.operator, smallest_eigenvalue=SINGULAR * float(hessian.diagonal().mean()),
                              where=f"pyramid level with blocks of {pair.factor} px")
@@ -153,7 +153,7 @@ def _grid(mesh: Mesh, active: NDArray[np.uint8]) -> Grid:
     nodes = np.stack([a.ravel() for a in np.meshgrid(xs, ys)], axis=1)
     columns = counts[0] + 1
     corner = (np.arange(counts[1])[:, None] * columns + np.arange(counts[0])).ravel()
-    full = mesh_from_cells(nodes, {Q4: np.stack(
+    full = build_mesh(nodes, {Q4: np.stack(
         [corner, corner + 1, corner + columns + 1, corner + columns], axis=1)})
     part, numbers = full.submesh(np.flatnonzero(rasterize(full).counts_in(active) > 0))
     return Grid(part, numbers, (int(counts[1]) + 1, int(columns)), low, (high - low) / counts)
