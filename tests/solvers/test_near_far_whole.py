@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
+from ddic.kinematics.pose import Motion
 from mpi4py import MPI
 
-from ddic.kinematics.pose import Motion
 from support.near_far_linear import NearFarCut, near_far_step, saddle_point_solution
 
 RANKS = [1, 2, 4]

@@ -33,7 +33,7 @@ from ddic.functionals.equilibrium_gap import controlled_stiffness
 from ddic.images.camera import CameraMapping, identity
 from ddic.kinematics.cell_interpolation import interpolate_cells
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.structured import structured_mesh
+from ddic.mesh.structured import build_structured_mesh
 from ddic.parallel.distribution import split_evenly
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
@@ -91,9 +91,9 @@ class TiedStep:
 def tied_step(layout: Layout, motion: Motion, near_element: float | None = 3.1, *, regularized: bool,
               cell: Literal["Q4", "T3"] = "Q4") -> TiedStep:
     """12 x 12 far cells, of which 5 x 5 make way for a near mesh of elements of another size (None: the same)."""
-    far = structured_mesh(FAR, FAR_ELEMENT)
+    far = build_structured_mesh(FAR, FAR_ELEMENT)
     low, high = np.array(NEAR[layout][:2]), np.array(NEAR[layout][2:])
-    own = structured_mesh(NEAR[layout], near_element or FAR_ELEMENT, cell)
+    own = build_structured_mesh(NEAR[layout], near_element or FAR_ELEMENT, cell)
     mesh, tying = tied_mesh(far, {1: own})
     cameras = (_camera(0, 140, identity(), "none", np.zeros(2), 1.0), _near_camera(low, high, motion))
     rng = np.random.default_rng(7)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.mesh.cell_type import CELL_TYPES, CellType
-from ddic.mesh.mesh import Mesh, Similarity, mesh_from_cells
+from ddic.mesh.mesh import Mesh, Similarity, build_mesh
 
 PLANE_CELLS = {kind.meshio_name: kind for kind in CELL_TYPES.values()}
 """Cell types by meshio's names."""
@@ -59,7 +59,7 @@ def convert_mesh(raw: Any, name: str, mapping: Similarity) -> Mesh:
               for b in raw.cells if b.type in PLANE_CELLS and len(b.data)]
     _refuse_other_cells(name, raw)
     points = _plane_points(name, np.asarray(raw.points, dtype=np.float64), blocks)
-    return mesh_from_cells(mapping.to_pixels(points), blocks, _node_sets(raw), mapping)
+    return build_mesh(mapping.to_pixels(points), blocks, _node_sets(raw), mapping)
 
 
 def _read_raw(path: Path) -> Any:

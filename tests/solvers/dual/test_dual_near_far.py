@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from ddic.kinematics.pose import Motion
 from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-from ddic.kinematics.pose import Motion
 from ddic.solvers.dual.dual_step import DualStep
 from ddic.solvers.dual.motion import MotionPreconditioner
 from support.near_far_linear import NearFarCut, NearFarStep, near_far_step, saddle_point_solution

@@ -25,7 +25,7 @@ from ddic.io.plots.canvas import (
 from ddic.io.result_reader import Result
 from ddic.io.result_schema import CAMERA, near_group
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.topology import boundary_facets
+from ddic.mesh.topology import find_boundary_facets
 
 OUTLINE = "white"
 AROUND = 0.12
@@ -97,7 +97,7 @@ def _page(n: int, box: tuple[float, float, float, float]) -> tuple[Figure, list[
 
 def _finish(axes: Axes, title: str, box: tuple[float, float, float, float], outlined: Sequence[Mesh]) -> None:
     for mesh in outlined:
-        axes.add_collection(LineCollection(list(mesh.nodes[boundary_facets(mesh)[:, :2]]), colors=OUTLINE,
+        axes.add_collection(LineCollection(list(mesh.nodes[find_boundary_facets(mesh)[:, :2]]), colors=OUTLINE,
                                            linewidths=1.2))
     axes.set_facecolor("0.6")
     axes.set_xlim(box[0], box[2])
