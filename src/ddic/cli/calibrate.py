@@ -59,6 +59,7 @@ def calibrate(far: Path, near: Path, ratio: float, model: Kind, distortion: bool
 
 
 def _write(path: Path, found: Calibration) -> None:
+    """Write the mapping file of a calibration."""
     import numpy as np
 
     from ddic.io.mapping_file import MappingFile, write_mapping
@@ -69,6 +70,7 @@ def _write(path: Path, found: Calibration) -> None:
 
 
 def _lines(found: Calibration) -> Lines:
+    """Names and values of what is printed."""
     ratio, rotation, x, y = found.similarity_std
     registration = found.registration
     names = ("top left", "top right", "bottom left", "bottom right", "centre")

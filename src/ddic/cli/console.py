@@ -45,11 +45,23 @@ class RunConsole:
         self._bar.stop()
 
     def phase(self, phase: Phase) -> None:
-        """Show the phase that begins."""
+        """Show the phase that begins.
+
+        Parameters
+        ----------
+        phase : Phase
+            Of the run.
+        """
         self._bar.phase(phase)
 
     def note(self, line: str) -> None:
-        """Print a line."""
+        """Print a line.
+
+        Parameters
+        ----------
+        line : str
+            Without its end.
+        """
         self._print(line)
 
     def setting(self, setting: Setting) -> None:
@@ -74,7 +86,13 @@ class RunConsole:
         self._print("  ".join(f"{cell:>{max(len(name), 9)}}" for cell, name in zip(cells, _COLUMNS, strict=True)))
 
     def finish(self, summary: Summary) -> None:
-        """Print what was found."""
+        """Print what was found.
+
+        Parameters
+        ----------
+        summary : Summary
+            Of the run.
+        """
         self._bar.stop()
         seconds = ", ".join(f"{name} {value:.2f}" for name, value in summary.seconds.items())
         memory = ", ".join(f"{value / 2**20:.0f}" for value in summary.peak_memory_bytes)
@@ -98,11 +116,13 @@ class RunConsole:
         self._print(f"result: {summary.result_file}")
 
     def _print(self, line: str) -> None:
+        """Print a line as it is, at once."""
         self._console.print(line, markup=False)
         sys.stdout.flush()
 
 
 def _count(number: int, noun: str) -> str:
+    """A number and its noun."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
@@ -149,7 +169,13 @@ class _PhaseLines:
 
 
 def on_terminal() -> bool:
-    """Whether a person watches; under mpirun, which gives ranks a terminal of its own, mpirun's output counts."""
+    """Tell whether a person watches; under mpirun, which gives ranks a terminal of its own, mpirun's output counts.
+
+    Returns
+    -------
+    bool
+        Whether the output is a terminal's.
+    """
     if not sys.stdout.isatty():
         return False
     launched = any(name in os.environ for name in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_RANK"))

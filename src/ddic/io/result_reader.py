@@ -247,6 +247,7 @@ def _fields(group: Any, flipped: bool) -> dict[str, NDArray[Any]]:
 
 
 def _unflipped(values: NDArray[Any], flipped: bool) -> NDArray[Any]:
+    """Values with y down; flipped: the file has it up."""
     return schema.flip_components(values) if flipped else values
 
 
