@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from ddic.functionals import equilibrium_gap
 from ddic.functionals.correlation import correlation
-from ddic.functionals.elasticity import Material, stiffness_cells
+from ddic.functionals.elasticity import Material, assemble_stiffness
 from ddic.functionals.equilibrium_gap import (
     controlled_stiffness,
     cut_off_weight,
@@ -40,7 +40,7 @@ def interior(mesh: Mesh) -> NDArray[np.bool_]:
 
 
 def dense_stiffness(mesh: Mesh) -> NDArray[np.float64]:
-    return np.asarray(interpolate_cells(mesh).assemble_matrix(stiffness_cells(mesh, Material())).toarray())
+    return np.asarray(assemble_stiffness(mesh, Material()).toarray())
 
 
 def region() -> Mesh:

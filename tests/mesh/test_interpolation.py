@@ -141,7 +141,7 @@ def test_a_million_points_in_a_hundred_thousand_cells() -> None:
     interpolate(mesh, mesh.nodes, points[:10])
     begin = time.perf_counter()
     found = interpolate(mesh, mesh.nodes, points)
-    # Half a second on an idle core; twenty times that only where the search is not by place.
+    # One or two seconds on a core; ten only where the search is not by place.
     assert time.perf_counter() - begin < 10
     held = ~np.isnan(found).any(axis=1)
     assert held.mean() > 0.99

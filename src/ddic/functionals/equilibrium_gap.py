@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from ddic.functionals.elasticity import Material, stiffness_cells
-from ddic.kinematics.cell_interpolation import CellInterpolation, interpolate_cells
-from ddic.kinematics.tie import Tie
+from ddic.functionals.elasticity import Material, assemble_stiffness, stiffness_cells
+from ddic.kinematics.cell_interpolation import interpolate_cells
+from ddic.kinematics.kinematics import Kinematics
 from ddic.mesh.mesh import Mesh
 
 PHASES = (0.0, np.pi / 2)
@@ -18,31 +18,28 @@ _CHUNK_CELLS = 2_000
 """Cells whose stiffness is held at once; a larger value takes more memory and no less time."""
 
 
-def controlled_stiffness(mesh: Mesh, interpolation: CellInterpolation, material: Material,
-                         row_weights: NDArray[np.float64], tie: Tie | None = None) -> sparse.csr_matrix:
-    """Assemble Kbar = diag(row_weights) K; weight 0 drops a row (P of Eq. (11) of [BP17]).
+def controlled_stiffness(kinematics: Kinematics, material: Material,
+                         row_weights: NDArray[np.float64]) -> sparse.csr_matrix:
+    """Assemble Kbar = diag(row_weights) T^T K T, weight 0 dropping a row (P of Eq. 11 of [BP17]).
+
+    K acts on the nodes; T^T K T are the forces on the unknowns: those on tied nodes are then their masters', as much as
+    these move them.
 
     Parameters
     ----------
-    mesh : Mesh
-        Lengths in pixels.
-    interpolation : CellInterpolation
-        Of the mesh.
+    kinematics : Kinematics
+        From unknowns to the displacement of the mesh's nodes, specimen's frame.
     material : Material
         The same in all cells.
     row_weights : (n_unknowns,) array
         Weights of the rows.
-    tie : Tie, optional
-        From unknown to mesh nodes; forces on slaves are then their masters', as much as these move them.
 
     Returns
     -------
     (n_unknowns, n_unknowns) csr_matrix
         Kbar.
     """
-    stiffness = interpolation.assemble_matrix(stiffness_cells(mesh, material))
-    if tie is not None:
-        stiffness = tie.matrix.T @ stiffness @ tie.matrix
+    stiffness = kinematics.project_matrix(assemble_stiffness(kinematics.mesh, material))
     return (sparse.diags(row_weights) @ stiffness).tocsr()
 
 
