@@ -65,7 +65,13 @@ class RunConsole:
         self._print(line)
 
     def problem_size(self, size: ProblemSize) -> None:
-        """Print the sizes and the head of the iteration table."""
+        """Print the sizes and the head of the iteration table.
+
+        Parameters
+        ----------
+        size : ProblemSize
+            Of what is about to be solved.
+        """
         self._bar.settle()
         self._range = size.dynamic_range or 1.0
         weight = f", eta = {size.eta:.4g}" if size.eta else ""
@@ -75,7 +81,13 @@ class RunConsole:
         self._print("  ".join(f"{name:>{max(len(name), 9)}}" for name in _COLUMNS))
 
     def iteration(self, record: IterationRecord) -> None:
-        """Print a line of the iteration table; the residual is that before the correction."""
+        """Print a line of the iteration table; the residual is that before the correction.
+
+        Parameters
+        ----------
+        record : IterationRecord
+            Of the iteration that has ended.
+        """
         spent = {phase: record.seconds[phase] - self._seconds.get(phase, 0.0) for phase in REPEATED}
         self._seconds = record.seconds
         cells = (f"{record.number}", f"{record.size.relative:.2e}", f"{record.size.rms:.2e}",

@@ -279,12 +279,14 @@ class ResultWriter:
             target.attrs[name] = value
 
     def _open(self, stack: ExitStack) -> h5py.File:
+        """The file under its temporary name, or in memory."""
         if self._path is None:
             return h5py.File("in memory", "w", driver="core", backing_store=False)
         temporary = stack.enter_context(replaced_on_exit(self._path))
         return h5py.File(temporary, "w", rdcc_nbytes=CHUNK_CACHE_BYTES)
 
     def _refuse_missing_pieces(self) -> None:
+        """Raise where an announced piece has not been written."""
         announced = 0 if self._pieces is None else len(self._pieces.sizes)
         missing = sorted(set(range(announced)) - self._written)
         if missing:
@@ -295,6 +297,7 @@ class ResultWriter:
         return schema.flip_components(values) if self._flip_y else values
 
     def _create_grid(self, pieces: _Pieces) -> None:
+        """Make room for the mesh and its fields."""
         sizes = pieces.sizes
         total = _start_of(pieces, len(sizes))
         group = self._file.create_group(schema.VTKHDF)
@@ -317,6 +320,7 @@ class ResultWriter:
         self._create_fields(schema.CELL_DATA, pieces.cell_fields, total.n_cells)
 
     def _create_fields(self, name: str, fields: Sequence[FieldSpec], length: int) -> None:
+        """Make room for the fields of a group."""
         group = self._file.create_group(name)
         for field in fields:
             created = _create(group, field.name, length, field.n_components, field.dtype)
