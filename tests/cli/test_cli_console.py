@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from ddic.cli.console import PHASES, RunConsole, on_terminal
+from ddic.functionals.grey_levels import GreyState
 from ddic.results.listener import Setting
 from ddic.results.summary import Summary
-from ddic.solvers.gauss_newton import GreyState, IterationRecord
+from ddic.solvers.gauss_newton import IterationRecord
 
 SETTING = Setting(n_dofs=200, n_cells=81, n_pixels=20736, n_subdomains=4, n_ranks=2, n_interface=60,
                   dynamic_range=200.0, eta=12.5)

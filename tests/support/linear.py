@@ -11,7 +11,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from scipy import ndimage, sparse
 
-from ddic.functionals.correlation import correlation
+from ddic.functionals.correlation import read_correlation
 from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import controlled_stiffness
 from ddic.images.sub_image import MaskedSource
@@ -58,12 +58,12 @@ class LinearStep:
 
     def system(self, subdomain: Subdomain, weights: NDArray[np.float64]) -> LocalSystem:
         """M_s and the weighted Kbar_s of one subdomain; weights: of its rows, (n_dofs,)."""
-        part = correlation(subdomain.mesh, self.image, 3)
+        part = read_correlation(subdomain.mesh, self.image, 3)
         if self.eta == 0:
-            return LocalSystem(subdomain, part.hessian(), None, np.zeros(0), 0.0)
+            return LocalSystem(subdomain, part.assemble_hessian(), None, np.zeros(0), 0.0)
         weights = weights * subdomain.controlled
-        kbar = controlled_stiffness(subdomain.mesh, part.kinematics, Material(), self.stiffness_scale * weights)
-        return LocalSystem(subdomain, part.hessian(), kbar.tocsr(), weights, self.eta)
+        kbar = controlled_stiffness(subdomain.mesh, part.interpolation, Material(), self.stiffness_scale * weights)
+        return LocalSystem(subdomain, part.assemble_hessian(), kbar.tocsr(), weights, self.eta)
 
 
 @cache
@@ -80,13 +80,13 @@ def linear_step(n: int = 16, wavelength: float | None = None) -> LinearStep:
     inside = np.ones(mesh.n_nodes, dtype=bool)
     inside[boundary_nodes(mesh)] = False
     controlled = np.repeat(inside, 2) if wavelength else np.zeros(mesh.n_dofs, dtype=bool)
-    part = correlation(mesh, image, 3)
-    hessian = part.hessian()
+    part = read_correlation(mesh, image, 3)
+    hessian = part.assemble_hessian()
     eta = 0.0
     if wavelength:
         wave = np.zeros(mesh.n_dofs)
         wave[::2] = np.cos(2 * np.pi * mesh.nodes[:, 1] / wavelength)
-        force = controlled_stiffness(mesh, part.kinematics, Material(), controlled.astype(float)) @ wave
+        force = controlled_stiffness(mesh, part.interpolation, Material(), controlled.astype(float)) @ wave
         eta = float(wave @ hessian @ wave / (force @ force))
     diagonal = hessian.diagonal()
     return LinearStep(mesh, image, controlled, eta, rng.normal(size=mesh.n_dofs),

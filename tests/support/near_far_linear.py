@@ -25,7 +25,7 @@ from ddic.case.schema import (
     SolverSection,
     StructuredSection,
 )
-from ddic.functionals.correlation import correlation
+from ddic.functionals.correlation import read_correlation
 from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import controlled_stiffness
 from ddic.images.camera import CameraMapping, identity
@@ -145,7 +145,7 @@ class NearFarCut:
         self.numbers = mine
         still = own_views(self.case, problem.cameras, [problem.subdomains[k] for k in mine])
         self.parts: list[OwnedPart] = [moving(part, problem.cameras, WEIGHTS) for part in still]
-        matrices = [[view.correlation.hessian() for view in part.views] for part in still]
+        matrices = [[view.correlation.assemble_hessian() for view in part.views] for part in still]
         hessians = [in_unknowns(part, m) for part, m in zip(self.parts, matrices, strict=True)]
         mesh = problem.base.mesh
         region = Region(mesh.n_nodes, mesh.n_cells, mesh.n_dofs, len(problem.subdomains), None, mesh.mapping)
@@ -247,7 +247,8 @@ def _texture(camera: Camera, mesh: Mesh) -> tuple[sparse.csr_matrix, sparse.csr_
     mapping = camera.rig.mapping
     seen = Mesh(mapping.to_image(mesh.nodes), mesh.connectivity, mesh.offsets, mesh.types)
     jacobian = sparse.block_diag(list(mapping.jacobian(mesh.nodes))).tocsr()
-    return (jacobian.T @ correlation(seen, camera.pair.reference, 3).hessian() @ jacobian).tocsr(), jacobian
+    hessian = read_correlation(seen, camera.pair.reference, 3).assemble_hessian()
+    return (jacobian.T @ hessian @ jacobian).tocsr(), jacobian
 
 
 def _rigid(rig: Rig, nodes: Array) -> Array:

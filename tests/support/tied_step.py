@@ -25,7 +25,7 @@ from ddic.case.schema import (
     SolverSection,
     StructuredSection,
 )
-from ddic.functionals.correlation import correlation
+from ddic.functionals.correlation import read_correlation
 from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import controlled_stiffness
 from ddic.images.camera import CameraMapping, identity
@@ -133,7 +133,7 @@ class TiedCut:
             self.copies[subdomain.mesh_node_ids] += 1
         still = own_views(self.case, problem.cameras, self.subdomains)
         self.parts = [moving(part, problem.cameras, WEIGHTS) for part in still]
-        matrices = [[view.correlation.hessian() for view in part.views] for part in still]
+        matrices = [[view.correlation.assemble_hessian() for view in part.views] for part in still]
         hessians = [in_unknowns(part, m) for part, m in zip(self.parts, matrices, strict=True)]
         self.assembly = assemble(self.team, self.parts, hessians, cut.whole.region, self.case.solver,
                                  self.case.regularization)
@@ -199,7 +199,7 @@ def multiplier_solution(problem: TiedStep) -> tuple[Array, Array]:
                 rigid[0::2, 2], rigid[1::2, 2] = -arm[:, 1], arm[:, 0]
         pick = sparse.csr_matrix((np.ones(len(dofs)), (np.arange(len(dofs)), dofs)), shape=(len(dofs), mesh.n_dofs))
         tangent = jacobian @ sparse.hstack([pick, sparse.csr_matrix(rigid)])
-        m = correlation(seen, camera.pair.reference, 3).hessian()
+        m = read_correlation(seen, camera.pair.reference, 3).assemble_hessian()
         matrix = matrix + WEIGHTS[number] * (tangent.T @ m @ tangent)
         right += WEIGHTS[number] * (tangent.T @ problem.forces[number].reshape(-1, 2)[ids].ravel())
     jumps = sparse.kron(sparse.csr_matrix(_jumps(problem)), sparse.identity(2)).tocsr()

@@ -38,11 +38,11 @@ class View:
 
     def seen_from(self, q: NDArray[np.float64]) -> View:
         """The same without the pixels that q hides in the deformed image."""
-        return replace(self, correlation=self.correlation.seen_from(self.deformed, self.displacement(q)))
+        return replace(self, correlation=self.correlation.without_hidden(self.deformed, self.displacement(q)))
 
     def hessian(self) -> sparse.csr_matrix:
         """M of this camera, (n_unknowns, n_unknowns)."""
-        return self.in_unknowns(self.correlation.hessian())
+        return self.in_unknowns(self.correlation.assemble_hessian())
 
     def in_unknowns(self, matrix: sparse.csr_matrix) -> sparse.csr_matrix:
         """M in the unknowns, weighted, from that in displacements in the image (n_dofs, n_dofs)."""
@@ -53,15 +53,15 @@ class View:
 
     def residual(self, q: NDArray[np.float64], *, all_kinds: bool = False) -> Residual:
         """One pass over all pixels with unknowns q; all_kinds: also what a grey correction needs."""
-        return self.correlation.residual(self.deformed, self.displacement(q), all_kinds=all_kinds)
+        return self.correlation.compute_residual(self.deformed, self.displacement(q), all_kinds=all_kinds)
 
     def right_hand_side(self, residual: Residual, gain: NDArray[np.float64] | float = 1.0,
                         offset: NDArray[np.float64] | float = 0.0) -> NDArray[np.float64]:
         """Right-hand side b of this camera, (n_unknowns,)."""
-        b = self.correlation.right_hand_side(residual, gain, offset)
+        b = self.correlation.assemble_right_hand_side(residual, gain, offset)
         return b if self.pose is None else np.asarray(self.pose.weight * (self.pose.tangent.T @ b))
 
     def residual_image(self, q: NDArray[np.float64], gain: NDArray[np.float64] | float = 1.0,
                        offset: NDArray[np.float64] | float = 0.0) -> NDArray[np.float32]:
         """Residual f - gain g(x + u) - offset on the reference window, NaN on pixels that do not count."""
-        return self.correlation.residual_image(self.deformed, self.displacement(q), gain, offset)
+        return self.correlation.compute_residual_image(self.deformed, self.displacement(q), gain, offset)

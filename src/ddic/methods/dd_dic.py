@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ddic.case.schema import Case
 from ddic.errors import ConvergenceError, first_of, on_all_ranks
 from ddic.functionals.correlation import Residual
+from ddic.functionals.grey_levels import GreyState
 from ddic.kinematics.strain import inverted_cells
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.phases import PhaseClock
@@ -25,7 +26,6 @@ from ddic.problem.thread_note import thread_note
 from ddic.results.listener import Listener, Setting
 from ddic.solvers.dual.continuity import ContinuousField, average_copies
 from ddic.solvers.gauss_newton import (
-    GreyState,
     IterationRecord,
     OwnedPart,
     Tolerances,

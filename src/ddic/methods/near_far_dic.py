@@ -11,7 +11,8 @@ from scipy import sparse
 
 from ddic.case.schema import Case
 from ddic.errors import InputError
-from ddic.functionals.correlation import GreyCorrection, Residual
+from ddic.functionals.correlation import Residual
+from ddic.functionals.grey_levels import GreyCorrection, GreyState
 from ddic.io.result_reader import read_result
 from ddic.kinematics.pose import Pose
 from ddic.mesh.mesh import Mesh
@@ -36,7 +37,7 @@ from ddic.problem.setup_motion import covariance, setup_motions, start_of_motion
 from ddic.problem.thread_note import thread_note
 from ddic.results.listener import Listener
 from ddic.solvers.dual.continuity import ContinuousField, average_copies
-from ddic.solvers.gauss_newton import GreyState, OwnedPart, evaluate, gain_and_offset, gauss_newton
+from ddic.solvers.gauss_newton import OwnedPart, evaluate, gain_and_offset, gauss_newton
 from ddic.solvers.local_system import LocalSystem
 from ddic.start.coarse_field import coarse_field, coarse_task
 from ddic.start.independent import independent_start
@@ -67,7 +68,7 @@ def near_far_dic(team: Team, case: Case, listener: Listener, clock: PhaseClock) 
         u, notes = _coarse_start(team, case, cameras, None if cut is None else cut.meshes, parts)
         parts = team.together(lambda: seen_parts(parts, u, OWN))
     with clock.phase("assemble"):
-        own = team.together(lambda: [[v.correlation.hessian() for v in p.views[OWN]] for p in parts])
+        own = team.together(lambda: [[v.correlation.assemble_hessian() for v in p.views[OWN]] for p in parts])
     with clock.phase("independent start"):
         u, kept = _independently(team, case, parts, own, u)
         motion = start_of_motion(team, cameras, parts, u, shared)
@@ -78,8 +79,9 @@ def near_far_dic(team: Team, case: Case, listener: Listener, clock: PhaseClock) 
         q = [_with_motion(p, u_s, motion[p.subdomain.camera]) for p, u_s in zip(parts, u, strict=True)]
         # What the far camera sees under a near field depends on how the near set-up moved.
         parts = team.together(lambda: seen_parts(parts, q, OTHERS))
-        hessians = team.together(lambda: [in_unknowns(p, [*m, *(v.correlation.hessian() for v in p.views[OTHERS])])
-                                          for p, m in zip(parts, own, strict=True)])
+        hessians = team.together(lambda: [
+            in_unknowns(p, [*m, *(v.correlation.assemble_hessian() for v in p.views[OTHERS])])
+            for p, m in zip(parts, own, strict=True)])
         assembly = assemble(team, parts, hessians, region, case.solver, case.regularization)
     notes = (*notes, *kept, *_noise_notes(cameras, noise), *thread_note(team, case.solver.threads))
     for line in notes:
@@ -203,7 +205,7 @@ def _noise(team: Team, cameras: Sequence[Camera], parts: Sequence[OwnedPart], u:
 
 def _deviation(residual: Residual, state: GreyState, correction: GreyCorrection) -> float:
     """Standard deviation of a subdomain's residual, grey levels."""
-    first, second = residual.cell_sums.residual(*gain_and_offset(residual, state, correction))
+    first, second = residual.cell_sums.sum_residual(*gain_and_offset(residual, state, correction))
     n = max(float(residual.sums.n_pixels), 1.0)
     return float(np.sqrt(max(second.sum() / n - (first.sum() / n) ** 2, 0.0)))
 

@@ -13,7 +13,7 @@ from scipy import sparse
 
 from ddic.case.schema import RegularizationSection, SolverSection
 from ddic.errors import InputError, on_all_ranks
-from ddic.functionals.correlation import correlations
+from ddic.functionals.correlation import read_correlations
 from ddic.functionals.equilibrium_gap import controlled_stiffness, cut_off_weight, texture_energies
 from ddic.functionals.view import View
 from ddic.images.sub_image import DeformedSubImage
@@ -56,7 +56,7 @@ def own_parts(subdomains: Sequence[Subdomain], pair: ImagePair, degree: int, n_t
     """
     parts: list[OwnedPart] = []
     threads = Threads(n_threads)
-    for group in correlations([s.mesh for s in subdomains], pair.reference, degree, threads):
+    for group in read_correlations([s.mesh for s in subdomains], pair.reference, degree, threads):
         deformed = DeformedSubImage(pair.deformed, degree, threads)
         parts += [OwnedPart(subdomains[len(parts) + k], (View(seen, deformed),)) for k, seen in enumerate(group)]
     return parts

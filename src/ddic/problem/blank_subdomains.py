@@ -11,8 +11,8 @@ from scipy import sparse
 
 from ddic.case.schema import Case
 from ddic.errors import InputError, first_of
-from ddic.functionals.correlation import restricted
-from ddic.functionals.texture_strength import Texture, blank_subdomains, texture
+from ddic.functionals.correlation import restrict_to_cells
+from ddic.functionals.texture_strength import Texture, find_blank_subdomains, measure_texture
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import cell_adjacency
 from ddic.parallel.team import Team
@@ -50,7 +50,7 @@ def with_texture(team: Team, case: Case, pair: ImagePair, mesh: Mesh | None, giv
     pieces = team.together(lambda: [_pieces(part, m) for part, m in zip(parts, given.hessians, strict=True)])
     # Everybody holds the same list of the same numbers, hence comes to the same decision.
     owner = np.array(team.gather_lists([p.subdomain for piece in pieces for p in piece]))
-    blank = blank_subdomains(team.gather_lists([p.texture for piece in pieces for p in piece]))
+    blank = find_blank_subdomains(team.gather_lists([p.texture for piece in pieces for p in piece]))
     if not blank.any() or blank.all():
         return given
     held: list[NDArray[np.int64]] = []
@@ -86,10 +86,10 @@ def _pieces(part: OwnedPart, hessian: sparse.csr_matrix) -> list[_Piece]:
     label = connected_pieces(cell_adjacency(part.subdomain.mesh))
     index, degree = part.subdomain.index, part.view.deformed.degree
     if label.max() == 0:
-        return [_Piece(index, part.subdomain.cell_ids, texture(part.view.correlation, hessian, degree))]
+        return [_Piece(index, part.subdomain.cell_ids, measure_texture(part.view.correlation, hessian, degree))]
     loose = [np.flatnonzero(label == k) for k in range(int(label.max()) + 1)]
-    correlations = [restricted(part.view.correlation, cells) for cells in loose]
-    return [_Piece(index, part.subdomain.cell_ids[cells], texture(alone, alone.hessian(), degree))
+    correlations = [restrict_to_cells(part.view.correlation, cells) for cells in loose]
+    return [_Piece(index, part.subdomain.cell_ids[cells], measure_texture(alone, alone.assemble_hessian(), degree))
             for cells, alone in zip(loose, correlations, strict=True)]
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.case.schema import Case
-from ddic.functionals.correlation import correlations
+from ddic.functionals.correlation import read_correlations
 from ddic.functionals.view import View
 from ddic.images.sub_image import DeformedSubImage
 from ddic.images.threads import Threads
@@ -112,7 +112,7 @@ def own_views(case: Case, cameras: Sequence[Camera], subdomains: Sequence[Subdom
         poses = [pose(still(camera.rig), subdomains[k].mesh.nodes, 1.0, tie=subdomains[k].tie) for k in own + also]
         meshes = [seen_mesh(subdomains[k].mesh, placed) for k, placed in zip(own + also, poses, strict=True)]
         found = 0
-        for group in correlations(meshes, camera.pair.reference, degree, threads):
+        for group in read_correlations(meshes, camera.pair.reference, degree, threads):
             deformed = DeformedSubImage(camera.pair.deformed, degree, threads)
             for correlation in group:
                 views[(own + also)[found]].append(View(correlation, deformed, number, poses[found]))

@@ -132,7 +132,7 @@ def _six_components(tensor: NDArray[np.float64]) -> NDArray[np.float64]:
 def _residual_rms(loaded: LoadedCase, measurement: Measurement, camera: int,
                   residual: Residual) -> NDArray[np.float64]:
     correction = loaded.case.correlation.grey_correction
-    _, square = residual.cell_sums.residual(*gain_and_offset(residual, measurement.grey[camera], correction))
+    _, square = residual.cell_sums.sum_residual(*gain_and_offset(residual, measurement.grey[camera], correction))
     n = residual.cell_sums.n_pixels
     return np.where(n > 0, np.sqrt(square / np.maximum(n, 1.0)), np.nan)
 

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError, on_all_ranks
-from ddic.functionals.correlation import GreyCorrection, GreySums, Residual
+from ddic.functionals.correlation import Residual
+from ddic.functionals.grey_levels import GreyCorrection, GreyState, GreySums
 from ddic.functionals.view import View
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
@@ -58,21 +59,6 @@ class OwnedPart:
     def n_dofs(self) -> int:
         """Number of nodal displacements, which come before the other unknowns."""
         return self.subdomain.n_dofs
-
-
-@dataclass(frozen=True)
-class GreyState:
-    """Grey-level statistics of one camera's pixels of the whole region at one displacement.
-
-    residual_std, residual_rms: grey levels; n_pixels: pixels that count; gain, offset: of f = a g + b
-    (the global correction; 1 and 0 without it, and with the correction per element).
-    """
-
-    residual_std: float
-    residual_rms: float
-    n_pixels: int
-    gain: float
-    offset: float
 
 
 @dataclass(frozen=True)
@@ -126,7 +112,7 @@ def evaluate(team: Team, parts: Sequence[OwnedPart], q: Sequence[NDArray[np.floa
                              for part, r in zip(parts, residuals, strict=True)])
     moments = team.ordered_sum([
         _by_camera(part, r, n_cameras, lambda r: np.stack(
-            [sums.sum() for sums in r.cell_sums.residual(*r.cell_sums.gain_and_offset())]))
+            [sums.sum() for sums in r.cell_sums.sum_residual(*r.cell_sums.fit_gain_and_offset())]))
         for part, r in zip(parts, residuals, strict=True)]) if correction == "element" else None
     return residuals, tuple(
         _grey_state(GreySums(grey[k]), correction, None if moments is None else moments[k]) for k in range(n_cameras))
@@ -144,8 +130,8 @@ def _by_camera(part: OwnedPart, residuals: Sequence[Residual], n_cameras: int,
 
 def _grey_state(total: GreySums, correction: GreyCorrection, moments: NDArray[np.float64] | None) -> GreyState:
     """Statistics from the sums over a camera's pixels; moments: of the residual corrected by cell, (2,)."""
-    gain, offset = total.gain_and_offset() if correction == "global" else (np.ones(()), np.zeros(()))
-    first, second = total.residual(gain, offset) if moments is None else (moments[0], moments[1])
+    gain, offset = total.fit_gain_and_offset() if correction == "global" else (np.ones(()), np.zeros(()))
+    first, second = total.sum_residual(gain, offset) if moments is None else (moments[0], moments[1])
     n = float(total.n_pixels)
     if n == 0:
         raise on_all_ranks(ConvergenceError(
@@ -168,7 +154,7 @@ def gain_and_offset(residual: Residual, state: GreyState,
                     correction: GreyCorrection) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Gain and offset of f = a g + b, one number, or one per cell (n_cells,); state: of the view's camera."""
     if correction == "element":
-        return residual.cell_sums.gain_and_offset()
+        return residual.cell_sums.fit_gain_and_offset()
     return np.array(state.gain), np.array(state.offset)
 
 

@@ -10,7 +10,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError, SingularSubdomainError
-from ddic.functionals.correlation import GreyCorrection
+from ddic.functionals.grey_levels import GreyCorrection
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.solvers.gauss_newton import OwnedPart, Tolerances, gauss_newton, silent

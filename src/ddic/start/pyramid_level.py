@@ -10,7 +10,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError, SingularSubdomainError
-from ddic.functionals.correlation import GreyCorrection, correlation
+from ddic.functionals.correlation import read_correlation
 from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import (
     controlled_stiffness,
@@ -18,6 +18,7 @@ from ddic.functionals.equilibrium_gap import (
     gap_energies,
     texture_energies,
 )
+from ddic.functionals.grey_levels import GreyCorrection
 from ddic.functionals.view import View
 from ddic.images.binned import ArraySource
 from ddic.images.grid_field import GridField, fill_absent
@@ -116,12 +117,12 @@ def _solve(pair: BinnedPair, grid: Mesh, active: NDArray[np.uint8], starts: Sequ
     everywhere = np.ones(grid.n_dofs, dtype=bool)
     subdomain = build_subdomains(grid, np.zeros(grid.n_cells, dtype=np.int64), everywhere)[0]
     region = MaskedSource(pair.reference.image, ArraySource(pair.reference.image.path, active.astype(np.float32)))
-    view = View(correlation(grid, region, 3), DeformedSubImage(pair.deformed, 3))
+    view = View(read_correlation(grid, region, 3), DeformedSubImage(pair.deformed, 3))
     part = OwnedPart(subdomain, (view,))
     q = min(starts, key=lambda start: _residual(part, start, correction)) if len(starts) > 1 else starts[0]
     hessian = view.hessian()
     rows = np.repeat(np.where(subdomain.interior, 1.0, FREE_EDGE), grid.dim)
-    kbar = controlled_stiffness(grid, view.correlation.kinematics, Material(), rows)
+    kbar = controlled_stiffness(grid, view.correlation.interpolation, Material(), rows)
     eta = 0.0
     if subdomain.interior.any():
         texture = texture_energies(grid.nodes, hessian, subdomain.interior, CUT_OFF)
