@@ -60,9 +60,9 @@ def from_images(case: Case) -> TexturedMesh:
     hessians, right = [], []
     for subdomain in subdomains:
         part = own_parts([subdomain], pair, case.correlation.spline_degree)[0]
-        residual = part.correlation.residual(part.deformed, np.zeros(subdomain.mesh.n_dofs))
-        hessians.append(part.correlation.hessian())
-        right.append(part.correlation.right_hand_side(residual))
+        residual = part.correlation.compute_residual(part.deformed, np.zeros(subdomain.mesh.n_dofs))
+        hessians.append(part.correlation.assemble_hessian())
+        right.append(part.correlation.assemble_right_hand_side(residual))
     return TexturedMesh(subdomains, hessians, right, local_stiffnesses(subdomains, case.regularization), mesh,
                         mesh.n_dofs)
 

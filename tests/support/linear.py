@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, sparse
 
-from ddic.functionals.correlation import correlation
+from ddic.functionals.correlation import read_correlation
 from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import controlled_stiffness
 from ddic.images.sub_image import MaskedSource
@@ -67,7 +67,7 @@ class StepProblem:
     def system(self, subdomain: Subdomain, weights: NDArray[np.float64]) -> LocalSystem:
         """M_s and the weighted Kbar_s of one subdomain; weights: of its rows, (n_field,)."""
         kinematics = subdomain.kinematics
-        hessian = kinematics.project_matrix(correlation(subdomain.mesh, self.image, 3).hessian())
+        hessian = kinematics.project_matrix(read_correlation(subdomain.mesh, self.image, 3).hessian())
         if self.eta == 0:
             return LocalSystem(subdomain, hessian, None, np.zeros(0), 0.0)
         weights = weights * subdomain.controlled
@@ -100,7 +100,7 @@ def linear_step(n: int = 16, wavelength: float | None = None) -> StepProblem:
     inside = np.ones(mesh.n_nodes, dtype=bool)
     inside[find_boundary_nodes(mesh)] = False
     controlled = np.repeat(inside, 2) if wavelength else np.zeros(mesh.n_dofs, dtype=bool)
-    part = correlation(mesh, image, 3)
+    part = read_correlation(mesh, image, 3)
     hessian = part.hessian()
     eta = 0.0
     if wavelength:

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.errors import InputError, first_of
-from ddic.functionals.correlation import restricted
-from ddic.functionals.texture_strength import Texture, blank_subdomains, texture
+from ddic.functionals.correlation import restrict_to_cells
+from ddic.functionals.texture_strength import Texture, find_blank_subdomains, measure_texture
 from ddic.mesh.topology import find_adjacent_cells
 from ddic.parallel.team import Team, held
 from ddic.partition.merge import find_connected_pieces, merge_blank
@@ -100,13 +100,13 @@ def _find_pieces(reference: ReferenceViews, hessian: sparse.csr_matrix, degree: 
     labels = find_connected_pieces(find_adjacent_cells(subdomain.mesh))
     n_pieces = int(labels.max()) + 1
     if n_pieces == 1:
-        whole = texture(correlation, hessian, degree)
+        whole = measure_texture(correlation, hessian, degree)
         return [_Piece(subdomain.index, subdomain.camera, subdomain.cell_ids, whole)]
     pieces = []
     for k in range(n_pieces):
         cells = np.flatnonzero(labels == k)
-        alone = restricted(correlation, cells)
-        of_piece = texture(alone, alone.hessian(), degree)
+        alone = restrict_to_cells(correlation, cells)
+        of_piece = measure_texture(alone, alone.assemble_hessian(), degree)
         pieces.append(_Piece(subdomain.index, subdomain.camera, subdomain.cell_ids[cells], of_piece))
     return pieces
 
@@ -116,7 +116,7 @@ def _find_blank(textures: Sequence[Texture], cameras: NDArray[np.int64]) -> NDAr
     blank = np.zeros(len(textures), dtype=bool)
     for camera in np.unique(cameras):
         places = np.flatnonzero(cameras == camera)
-        found = blank_subdomains([textures[k] for k in places])
+        found = find_blank_subdomains([textures[k] for k in places])
         # Where all are blank, there is no neighbour to join: the factorisation says where.
         blank[places] = found & ~found.all()
     return blank

@@ -117,6 +117,6 @@ def _six_components(tensor: NDArray[np.float64]) -> NDArray[np.float64]:
 def _residual_rms(measurement: Measurement, camera: int, residual: Residual) -> NDArray[np.float64]:
     """Root mean square of each cell's residual, grey levels; nan where it has no pixel."""
     correction = measurement.model.find_correction(measurement.evaluation, camera, residual)
-    _, squares = residual.cell_sums.residual(*correction)
+    _, squares = residual.cell_sums.sum_residual(*correction)
     n = residual.cell_sums.n_pixels
     return np.where(n > 0, np.sqrt(squares / np.maximum(n, 1.0)), np.nan)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.errors import ConvergenceError, SingularSubdomainError
-from ddic.functionals.correlation import GreyCorrection, correlation
+from ddic.functionals.correlation import read_correlation
 from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import (
     controlled_stiffness,
@@ -18,6 +18,7 @@ from ddic.functionals.equilibrium_gap import (
     measure_gap_energies,
     measure_texture_energies,
 )
+from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.functionals.view import FrameView, View
 from ddic.images.binned import ArraySource
 from ddic.images.grid_field import GridField, fill_absent
@@ -122,7 +123,7 @@ def _solve(pair: BinnedPair, grid: Mesh, active: NDArray[np.uint8], starts: Sequ
     one_domain = np.zeros(grid.n_cells, dtype=np.int64)
     subdomain = build_subdomains(NodalRegion(grid), one_domain, everywhere)[0]
     region = MaskedSource(pair.reference.image, ArraySource(pair.reference.image.path, active.astype(np.float32)))
-    view = View(correlation(grid, region, 3), subdomain.kinematics)
+    view = View(read_correlation(grid, region, 3), subdomain.kinematics)
     reference = ReferenceViews(subdomain, (view,))
     frame_view = FrameView(view, DeformedSubImage(pair.deformed, 3))
     model = ResidualModel(Team.alone(), [FrameViews(reference, (frame_view,))], correction)
