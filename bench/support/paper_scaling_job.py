@@ -210,7 +210,7 @@ def book_coarse() -> None:
 
 def main(case_files: list[str]) -> None:
     book_argument("together", "together")
-    book_argument("_attempt_on_root", "on rank 0")
+    book_argument("build_on_root", "on rank 0")
     book_cpu(LocalDual, "apply", "S_s")
     book_cpu(LocalPreconditioner, "apply", "P_s")
     book_exchange("to_ghosts")

@@ -35,7 +35,7 @@ def test_a_rank_that_waits_is_not_busy() -> None:
     with clock.phase("handed over"):
         if team.is_root:
             _work(WORK)
-        team.hand_over("a thing" if team.is_root else None, team.size - 1)
+        team.send_from_root("a thing" if team.is_root else None, team.size - 1)
     times = phase_times(team, clock)
     assert team.gather_lists([times]) == [times] * team.size
     assert list(times.seconds) == ["even", "one rank's", "the last rank's", "handed over"]

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from ddic.images.window import Window
 from ddic.io.image_chunks import ChunkGrid
-from ddic.results import residual_image
 from ddic.parallel.distribution import owners
 from ddic.parallel.team import Team
-from ddic.results.residual_image import PackedChunk, Patch, packed_chunks, share_chunks, to_root
+from ddic.results import residual_image
+from ddic.results.residual_image import PackedChunk, Patch, packed_chunks, share_chunks, stream_chunks
 
 RANKS = [1, 2, 3, 4]
 WIDTH, HEIGHT = 900, 700
@@ -59,7 +59,7 @@ def test_root_gets_every_pixel_once_compressed(monkeypatch: pytest.MonkeyPatch) 
     team = Team(MPI.COMM_WORLD)
     mine = patches(owners(np.ones(N_PARTS), team.size)[team.rank])
     held = packed_chunks(team, GRID, [p.window for p in mine], iter(mine))
-    everything = list(to_root(team, held))
+    everything = list(stream_chunks(team, held))
     image = np.full((HEIGHT, WIDTH), np.nan, np.float32)
     for chunk in everything:
         place = GRID.window(chunk.number)
