@@ -1,0 +1,96 @@
+"""The check of docstrings finds what it is there for, and lets pass what the style allows."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "scripts"))
+
+check_docstrings = pytest.importorskip("check_docstrings")
+
+GOOD = '''
+import numpy as np
+from dataclasses import dataclass
+
+
+def scale(values: NDArray[np.float64], by: float) -> NDArray[np.float64]:
+    """Multiply values by a number.
+
+    Parameters
+    ----------
+    values : (n,) array
+        Lengths, pixels.
+    by : float
+        The number.
+
+    Returns
+    -------
+    (n,) array
+        Lengths, pixels.
+
+    Raises
+    ------
+    ValueError
+        Where the number is negative.
+    """
+    if by < 0:
+        raise ValueError("negative")
+    return by * values
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two images.
+
+    Attributes
+    ----------
+    reference, deformed : (height, width) array
+        Grey levels.
+    """
+
+    reference: NDArray[np.float64]
+    deformed: NDArray[np.float64]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width, pixels."""
+        return self.reference.shape
+'''
+
+
+def codes(source: str, tmp_path: Path) -> list[str]:
+    file = tmp_path / "module.py"
+    file.write_text(source, encoding="utf-8")
+    return [violation.code for violation in check_docstrings.check_files([file])]
+
+
+def test_good_docstrings_pass(tmp_path: Path) -> None:
+    assert codes(GOOD, tmp_path) == []
+
+
+@pytest.mark.parametrize(("old", "new", "code"), [
+    ('    """Multiply values by a number.', '    """Multiplies values by a number.', "SS05"),
+    ("    values : (n,) array", "    values : array", "DD01"),
+    ("    by : float\n        The number.\n", "", "PR01"),
+    ("        The number.\n", "", "PR07"),
+    ("    Returns\n    -------\n    (n,) array\n        Lengths, pixels.\n", "", "RT01"),
+    ("    ValueError\n", "    TypeError\n", "DD03"),
+    ("    reference, deformed :", "    reference :", "DD02"),
+    ("        \"\"\"Height and width, pixels.\"\"\"\n", "", "GL08"),
+])
+def test_what_is_missing_is_found(old: str, new: str, code: str, tmp_path: Path) -> None:
+    assert old in GOOD
+    assert code in codes(GOOD.replace(old, new, 1), tmp_path)
+
+
+def test_children_need_not_repeat_what_their_base_says(tmp_path: Path) -> None:
+    child = '\n\nclass Child(Pair):\n    """One more."""\n\n    def f(self, a: int) -> int:\n        """Add."""\n        return a\n'
+    assert codes(GOOD + child, tmp_path) == ["PR01", "RT01"]
+    base = child.replace("Child(Pair)", "Base").replace("Add.", "Add.\n\n        Parameters\n        ----------\n"
+                                                        "        a : int\n            One.\n\n        Returns\n"
+                                                        "        -------\n        int\n            Two.\n        ")
+    assert codes(GOOD + base + child.replace("Child(Pair)", "Child(Base)"), tmp_path) == []
