@@ -60,7 +60,8 @@ class Violation:
 
     def __str__(self) -> str:
         """Show it as a line that editors can jump to."""
-        return f"{self.file}:{self.line}: {self.code} {self.name}: {self.message}"
+        file = self.file.relative_to(ROOT) if self.file.is_relative_to(ROOT) else self.file
+        return f"{file}:{self.line}: {self.code} {self.name}: {self.message}"
 
 
 @dataclass(frozen=True)

@@ -87,10 +87,30 @@ def test_what_is_missing_is_found(old: str, new: str, code: str, tmp_path: Path)
     assert code in codes(GOOD.replace(old, new, 1), tmp_path)
 
 
+CHILD = """
+
+class Child(Pair):
+    \"\"\"One more.\"\"\"
+
+    def add(self, a: int) -> int:
+        \"\"\"Add.\"\"\"
+        return a
+"""
+LONG = """Add.
+
+        Parameters
+        ----------
+        a : int
+            One.
+
+        Returns
+        -------
+        int
+            The sum.
+        """
+
+
 def test_children_need_not_repeat_what_their_base_says(tmp_path: Path) -> None:
-    child = '\n\nclass Child(Pair):\n    """One more."""\n\n    def f(self, a: int) -> int:\n        """Add."""\n        return a\n'
-    assert codes(GOOD + child, tmp_path) == ["PR01", "RT01"]
-    base = child.replace("Child(Pair)", "Base").replace("Add.", "Add.\n\n        Parameters\n        ----------\n"
-                                                        "        a : int\n            One.\n\n        Returns\n"
-                                                        "        -------\n        int\n            Two.\n        ")
-    assert codes(GOOD + base + child.replace("Child(Pair)", "Child(Base)"), tmp_path) == []
+    assert codes(GOOD + CHILD, tmp_path) == ["PR01", "RT01"]
+    base = CHILD.replace("Child(Pair)", "Base").replace("Add.", LONG)
+    assert codes(GOOD + base + CHILD.replace("Child(Pair)", "Child(Base)"), tmp_path) == []
