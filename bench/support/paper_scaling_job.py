@@ -22,6 +22,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from ddic.methods.run import run_case
+from ddic.parallel.phases import Phase
 from ddic.parallel.team import Team
 from ddic.results.listener import Setting
 from ddic.solvers.dual.coarse_space import CoarseSpace
@@ -58,9 +59,9 @@ LEDGER = Ledger()
 class CountingListener:
     """Books into the phase that a run is in."""
 
-    def phase(self, name: str) -> None:
+    def phase(self, phase: Phase) -> None:
         """The phase that begins."""
-        LEDGER.phase = name
+        LEDGER.phase = phase
 
     def note(self, line: str) -> None:
         """Nothing."""

@@ -10,7 +10,7 @@ import pytest
 from mpi4py import MPI
 
 from ddic.errors import InputError, SingularSubdomainError, is_on_all_ranks
-from ddic.parallel.distribution import owners
+from ddic.parallel.distribution import split_evenly
 from ddic.parallel.team import Team, held
 
 RANKS = [1, 2, 3, 4]
@@ -112,7 +112,7 @@ def test_ordered_sum_is_the_same_to_the_last_bit_however_subdomains_are_spread(t
     # Terms of very different sizes: any other order of the sum would round differently.
     rng = np.random.default_rng(0)
     terms = [rng.normal(size=3) * 10.0 ** rng.integers(-8, 8) for _ in range(11)]
-    mine = [terms[s] for s in owners(np.ones(11), team.size)[team.rank]]
+    mine = [terms[s] for s in split_evenly(np.ones(11), team.size)[team.rank]]
     total = team.ordered_sum(mine)
     alone = Team(MPI.COMM_SELF).ordered_sum(terms)
     np.testing.assert_array_equal(total, alone)

@@ -10,6 +10,7 @@ import h5py
 import numpy as np
 import tifffile
 
+from ddic.parallel.phases import Phase
 from ddic.results.listener import Setting
 from ddic.solvers.gauss_newton import IterationRecord
 from ddic.synth.fields import DisplacementField, Sinusoidal
@@ -48,8 +49,8 @@ class Ears:
     settings: list[Setting] = field(default_factory=list)
     records: list[IterationRecord] = field(default_factory=list)
 
-    def phase(self, name: str) -> None:
-        self.phases.append(name)
+    def phase(self, phase: Phase) -> None:
+        self.phases.append(phase)
 
     def note(self, line: str) -> None:
         self.notes.append(line)

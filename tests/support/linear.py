@@ -17,7 +17,7 @@ from ddic.functionals.equilibrium_gap import controlled_stiffness
 from ddic.images.sub_image import MaskedSource
 from ddic.mesh.mesh import VTK_QUAD, Mesh, mesh_from_cells
 from ddic.mesh.topology import boundary_nodes
-from ddic.parallel.distribution import owners
+from ddic.parallel.distribution import split_evenly
 from ddic.parallel.team import Team
 from ddic.partition.connectivity import build_subdomains, node_sharing
 from ddic.partition.split import split_by_blocks, split_by_metis
@@ -117,7 +117,7 @@ class Decomposed:
     def __init__(self, comm: MPI.Comm, problem: LinearStep, parts: NDArray[np.int64], weighting: Weighting) -> None:
         self.comm, self.problem = comm, problem
         everything = build_subdomains(problem.mesh, parts, problem.controlled)
-        self.subdomains = [everything[s] for s in owners(np.ones(len(everything)), comm.size)[comm.rank]]
+        self.subdomains = [everything[s] for s in split_evenly(np.ones(len(everything)), comm.size)[comm.rank]]
         self.systems = [problem.system(s, interface_weights(s.dof_multiplicity, weighting)) for s in self.subdomains]
         self.operators = [LocalOperator(s.operator, smallest_eigenvalue=0, where="part") for s in self.systems]
         self.dofs = [s.dofs for s in self.subdomains]

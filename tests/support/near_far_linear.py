@@ -33,7 +33,7 @@ from ddic.images.sub_image import MaskedSource
 from ddic.kinematics.finite_element import finite_element_kinematics
 from ddic.kinematics.pose import Motion, Rig
 from ddic.mesh.mesh import Mesh
-from ddic.parallel.distribution import owners
+from ddic.parallel.distribution import split_evenly
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.partition.by_camera import kept_apart, split_by_camera, with_cameras
@@ -141,7 +141,7 @@ class NearFarCut:
 
     def __init__(self, comm: MPI.Comm, problem: NearFarStep, **solver: Any) -> None:
         self.team, self.problem, self.case = Team(comm), problem, problem.case(**solver)
-        mine = list(owners(np.ones(len(problem.subdomains)), comm.size)[comm.rank])
+        mine = list(split_evenly(np.ones(len(problem.subdomains)), comm.size)[comm.rank])
         self.numbers = mine
         still = own_views(self.case, problem.cameras, [problem.subdomains[k] for k in mine])
         self.parts: list[OwnedPart] = [moving(part, problem.cameras, WEIGHTS) for part in still]

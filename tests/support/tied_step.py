@@ -33,7 +33,7 @@ from ddic.kinematics.finite_element import finite_element_kinematics
 from ddic.kinematics.pose import Motion, Rig
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import structured_mesh
-from ddic.parallel.distribution import owners
+from ddic.parallel.distribution import split_evenly
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.partition.ties import Tying, tied_mesh
@@ -127,7 +127,7 @@ class TiedCut:
         self.team, self.problem, self.case = Team(comm), problem, problem.case(**solver)
         cut = problem.cut(comm.size, self.case)
         everything = cut.whole.subdomains
-        self.subdomains = [everything[k] for k in owners(np.ones(len(everything)), comm.size)[comm.rank]]
+        self.subdomains = [everything[k] for k in split_evenly(np.ones(len(everything)), comm.size)[comm.rank]]
         self.copies = np.zeros(problem.mesh.n_nodes)
         for subdomain in everything:
             self.copies[subdomain.mesh_node_ids] += 1

@@ -216,6 +216,16 @@ class CameraKinematics(Kinematics):
         field_unknowns = self.field.fit(np.asarray(points - nodes).ravel())
         return np.concatenate([field_unknowns, motion])
 
+    def hold_still(self) -> CameraKinematics:
+        """Give the same for a set-up that does not move between its pictures.
+
+        Returns
+        -------
+        CameraKinematics
+            With the field's unknowns only.
+        """
+        return place_before_camera(self.field, self.setup.hold_still())
+
     def _own_motion(self, unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
         first = self.field.n_unknowns
         return unknowns[first:first + self.setup.n_motion_unknowns]

@@ -69,6 +69,16 @@ class Kinematics(ABC):
             Unknowns.
         """
 
+    def hold_still(self) -> Kinematics:
+        """Give the same without the motion of a camera among the unknowns.
+
+        Returns
+        -------
+        Kinematics
+            Itself, where there is no such motion.
+        """
+        return self
+
     def project_matrix(self, matrix: sparse.csr_matrix) -> sparse.csr_matrix:
         """Take a matrix on displacements of nodes to one on unknowns, T^T M T.
 

@@ -13,7 +13,7 @@ from ddic.errors import ConvergenceError, first_of, on_all_ranks
 from ddic.functionals.correlation import Residual
 from ddic.kinematics.strain import inverted_cells
 from ddic.mesh.mesh import Mesh
-from ddic.parallel.phases import PhaseClock
+from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.assembly import SINGULAR, assemble, correlate, own_parts, seen_parts
 from ddic.problem.blank_subdomains import Correlated, with_texture
@@ -65,26 +65,26 @@ def dd_dic(team: Team, case: Case, listener: Listener, clock: PhaseClock) -> Mea
     Raises InputError, SingularSubdomainError, ConvergenceError on all ranks.
     """
     correction = case.correlation.grey_correction
-    with clock.phase("mesh"):
+    with clock.phase(Phase.MESH):
         pair = open_shared_pair(team, case)
         mesh = _whole_mesh(team, case, pair)
-    with clock.phase("start"):
+    with clock.phase(Phase.START):
         find_coarse = coarse_task(team, case, pair, mesh)
         # Rank 0 splits the mesh while the last rank looks for the coarse field.
         whole, found = team.together(lambda: (None if mesh is None else cut(case, mesh, team.size), find_coarse()))
         subdomains, region = hand_out(team, whole)
         start = coarse_field(team, case, found, [s.mesh.nodes for s in subdomains])
-    with clock.phase("read"):
+    with clock.phase(Phase.READ):
         parts = team.together(lambda: own_parts(subdomains, pair, case.correlation.spline_degree, case.solver.threads))
         n_pixels = sum(team.gather_lists([part.view.correlation.n_usable_pixels for part in parts]))
         parts = team.together(lambda: seen_parts(parts, start.q))
-    with clock.phase("assemble"):
+    with clock.phase(Phase.ASSEMBLE):
         correlated = Correlated(parts, correlate(team, parts), region, start)
         if case.solver.method == "dual":
             correlated = with_texture(team, case, pair, mesh, correlated)
         parts, region, start = correlated.parts, correlated.region, correlated.start
         assembly = assemble(team, parts, correlated.hessians, region, case.solver, case.regularization)
-    with clock.phase("independent start"):
+    with clock.phase(Phase.INDEPENDENT_START):
         start = refine_independently(team, case, parts, assembly.systems, start, SINGULAR * assembly.mean_diagonal)
     notes = (*start.notes, *thread_note(team, case.solver.threads))
     for line in notes:
@@ -93,7 +93,7 @@ def dd_dic(team: Team, case: Case, listener: Listener, clock: PhaseClock) -> Mea
         setting = setting_of(team, region, parts, n_pixels, n_interface, assembly.eta)
         listener.setting(setting)
         solution = gauss_newton(team, parts, start.q, step, correction, tolerances_of(case), listener.iteration, clock)
-    with clock.phase("finish"):
+    with clock.phase(Phase.FINISH):
         field = average_copies(team.comm, [part.subdomain for part in parts], solution.q)
         refuse_inverted_cells(team, parts, field)
         residuals, grey = evaluate(team, parts, field.q, correction)

@@ -16,7 +16,7 @@ from ddic.io.result_reader import read_result
 from ddic.kinematics.pose import Pose
 from ddic.mesh.mesh import Mesh
 from ddic.methods.dd_dic import Measurement, refuse_inverted_cells, setting_of, tolerances_of
-from ddic.parallel.phases import PhaseClock
+from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.assembly import SINGULAR, assemble, seen_parts
 from ddic.problem.cameras import Camera, open_shared_cameras
@@ -54,25 +54,25 @@ def near_far_dic(team: Team, case: Case, listener: Listener, clock: PhaseClock) 
     Raises InputError, SingularSubdomainError, ConvergenceError on all ranks.
     """
     correction = case.correlation.grey_correction
-    with clock.phase("mesh"):
+    with clock.phase(Phase.MESH):
         cameras = open_shared_cameras(team, case)
         cut = _cut(team, case, cameras)
-    with clock.phase("start"):
+    with clock.phase(Phase.START):
         subdomains, region = hand_out(team, None if cut is None else cut.whole)
         shared: NDArray[np.int64] = team.on_root(lambda: _known(cut).shared)
-    with clock.phase("read"):
+    with clock.phase(Phase.READ):
         parts = team.together(lambda: own_views(case, cameras, subdomains))
         n_pixels = sum(team.gather_lists([v.correlation.n_usable_pixels for p in parts for v in p.views]))
-    with clock.phase("start"):
+    with clock.phase(Phase.START):
         u, notes = _coarse_start(team, case, cameras, None if cut is None else cut.meshes, parts)
         parts = team.together(lambda: seen_parts(parts, u, OWN))
-    with clock.phase("assemble"):
+    with clock.phase(Phase.ASSEMBLE):
         own = team.together(lambda: [[v.correlation.hessian() for v in p.views[OWN]] for p in parts])
-    with clock.phase("independent start"):
+    with clock.phase(Phase.INDEPENDENT_START):
         u, kept = _independently(team, case, parts, own, u)
         motion = start_of_motion(team, cameras, parts, u, shared)
         noise = _noise(team, cameras, parts, u, case)
-    with clock.phase("assemble"):
+    with clock.phase(Phase.ASSEMBLE):
         weights = [(noise[0] / sigma) ** 2 for sigma in noise]
         parts = [moving(p, cameras, weights) for p in parts]
         q = [_with_motion(p, u_s, motion[p.subdomain.camera]) for p, u_s in zip(parts, u, strict=True)]
@@ -89,9 +89,9 @@ def near_far_dic(team: Team, case: Case, listener: Listener, clock: PhaseClock) 
         listener.setting(setting)
         solution = gauss_newton(team, parts, q, step, correction, tolerances_of(case), listener.iteration, clock,
                                 len(cameras))
-        with clock.phase("finish"):
+        with clock.phase(Phase.FINISH):
             spread = covariance(team, parts, assembly.systems, step, noise[0])
-    with clock.phase("finish"):
+    with clock.phase(Phase.FINISH):
         field = average_copies(team.comm, [part.subdomain for part in parts], solution.q)
         residuals, grey = evaluate(team, parts, field.q, correction, len(cameras))
         motions = setup_motions(cameras, _motions(team, cameras, parts, field.q), spread)

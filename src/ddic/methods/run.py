@@ -10,12 +10,12 @@ from ddic.case.schema import Case
 from ddic.errors import InputError
 from ddic.methods.dd_dic import Measurement, dd_dic
 from ddic.methods.near_far_dic import near_far_dic
-from ddic.parallel.phases import PhaseClock
+from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.check_cameras import check_inputs
 from ddic.results.listener import Listener
 from ddic.results.near_attributes import near_summary
-from ddic.results.phase_times import phase_times
+from ddic.results.phase_times import gather_phase_times
 from ddic.results.publish import publish
 from ddic.results.summary import Summary, summary_path, write_summary
 
@@ -29,8 +29,8 @@ def run_case(team: Team, path: Path, listener: Listener) -> Summary:
     clock = PhaseClock(entered=listener.phase, waiting=team.waiting)
     measure = near_far_dic if loaded.case.near else dd_dic
     measurement = measure(team, loaded.case, listener, clock)
-    with clock.phase("write"):
-        publish(team, loaded, measurement, phase_times(team, clock))
+    with clock.phase(Phase.WRITE):
+        publish(team, loaded, measurement, gather_phase_times(team, clock))
     summary = summarize(team, loaded.case, measurement, clock)
     team.on_root(lambda: write_summary(summary_path(loaded.case.output.file), summary))
     return summary
@@ -63,7 +63,7 @@ def summarize(team: Team, case: Case, measurement: Measurement, clock: PhaseCloc
     """Numbers for scripts; collective."""
     setting, grey = measurement.setting, measurement.grey[0]
     memory = team.gather_lists([resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024])
-    times = phase_times(team, clock)
+    times = gather_phase_times(team, clock)
     return Summary(
         converged=True,
         iterations=len(measurement.records),

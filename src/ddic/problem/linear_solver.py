@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from ddic.case.schema import Case, SolverSection
-from ddic.parallel.phases import PhaseClock
+from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.assembly import SINGULAR, Assembly, factorize
 from ddic.solvers.assembled import AssembledStep
@@ -33,9 +33,9 @@ def linear_solver(team: Team, case: Case, assembly: Assembly, clock: PhaseClock)
     steps: list[Step] = []
     try:
         if case.solver.method in LOCAL_FACTORS:
-            with clock.phase("factorize"):
+            with clock.phase(Phase.FACTORIZE):
                 operators += factorize(team, assembly.systems, assembly.mean_diagonal)
-        with clock.phase("interface set-up" if case.solver.method == "dual" else "factorize"):
+        with clock.phase(Phase.INTERFACE_SET_UP if case.solver.method == "dual" else Phase.FACTORIZE):
             step, n_interface = linear_step(team, case.solver, assembly, operators, _wavelength(case))
             steps.append(step)
         yield step, n_interface

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+from ddic.parallel.phases import Phase
 from ddic.solvers.gauss_newton import IterationRecord
 
 
@@ -30,7 +31,7 @@ class Setting:
 class Listener(Protocol):
     """Told on every rank; only rank 0's may speak."""
 
-    def phase(self, name: str) -> None:
+    def phase(self, phase: Phase) -> None:
         """Take note of a phase that begins."""
         ...
 
@@ -50,7 +51,7 @@ class Listener(Protocol):
 class Silence:
     """Says nothing."""
 
-    def phase(self, name: str) -> None:
+    def phase(self, phase: Phase) -> None:
         """Ignore."""
 
     def note(self, line: str) -> None:

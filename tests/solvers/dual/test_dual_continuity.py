@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from ddic.parallel.distribution import owners
+from ddic.parallel.distribution import split_evenly
 from ddic.partition.connectivity import build_subdomains
 from ddic.partition.subdomain import Subdomain
 from ddic.solvers.dual.continuity import average_copies
@@ -17,7 +17,7 @@ RANKS = [1, 2, 3, 4]
 
 def _own(problem: LinearStep, everything: list[Subdomain]) -> list[Subdomain]:
     comm = MPI.COMM_WORLD
-    return [everything[s] for s in owners(np.ones(len(everything)), comm.size)[comm.rank]]
+    return [everything[s] for s in split_evenly(np.ones(len(everything)), comm.size)[comm.rank]]
 
 
 @pytest.mark.parallel(RANKS)
