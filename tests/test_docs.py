@@ -14,7 +14,7 @@ from ddic.case.loader import parse_case
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "ddic"
-DOCUMENTS = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md")),
+DOCUMENTS = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md")),
              *sorted((ROOT / "examples").glob("*/README.md"))]
 MODULE_FOLDERS = [ROOT / name for name in ("src", "scripts", "bench", "examples", "tests")]
 SECTIONS: dict[str, type[BaseModel]] = {
