@@ -7,7 +7,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 
-from ddic.mesh.mesh import VTK_QUAD, VTK_TRIANGLE
+from ddic.mesh.cell_type import Q4, T3
 from ddic.mesh.structured import structured_mesh
 from ddic.mesh.topology import boundary_nodes
 
@@ -19,8 +19,8 @@ def write_beam_mesh(path: Path, region: tuple[float, float, float, float], eleme
     rng = np.random.default_rng(seed)
     moved = rng.uniform(-0.18, 0.18, size=mesh.nodes.shape) * element_size
     moved[boundary_nodes(mesh)] = 0.0
-    quads = mesh.cells[mesh.types == VTK_QUAD]
-    triangles = mesh.cells[mesh.types == VTK_TRIANGLE][:, :3]
+    quads = mesh.cells[mesh.types == Q4.vtk]
+    triangles = mesh.cells[mesh.types == T3.vtk][:, :3]
     cut = rng.random(len(quads)) < 0.4
     halves = np.concatenate([quads[cut][:, [0, 1, 2]], quads[cut][:, [0, 2, 3]]])
     cells = [("quad", quads[~cut]), ("triangle", np.concatenate([triangles, halves]))]

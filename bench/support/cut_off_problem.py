@@ -19,7 +19,7 @@ from ddic.functionals.equilibrium_gap import (
     cut_off_weight,
     texture_energies,
 )
-from ddic.kinematics.finite_element import finite_element_kinematics
+from ddic.kinematics.cell_interpolation import interpolate_cells
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain, interface_weights
@@ -69,7 +69,7 @@ def from_images(case: Case) -> TexturedMesh:
 
 def local_stiffnesses(subdomains: Sequence[Subdomain], section: RegularizationSection) -> list[sparse.csr_matrix]:
     """Kbar_s of some subdomains with consistent interface weights."""
-    return [controlled_stiffness(s.mesh, finite_element_kinematics(s.mesh), material(section), _weights(s))
+    return [controlled_stiffness(s.mesh, interpolate_cells(s.mesh), material(section), _weights(s))
             for s in subdomains]
 
 
@@ -120,7 +120,7 @@ def one_domain(problem: TexturedMesh, section: RegularizationSection,
         right[dofs] += b
     places = (np.concatenate(rows), np.concatenate(columns))
     hessian = sparse.coo_matrix((np.concatenate(values), places), shape=(problem.n_dofs, problem.n_dofs)).tocsr()
-    kbar = controlled_stiffness(problem.whole, finite_element_kinematics(problem.whole), material(section), controlled)
+    kbar = controlled_stiffness(problem.whole, interpolate_cells(problem.whole), material(section), controlled)
     return (hessian + eta * (kbar.T @ kbar)).tocsr(), right
 
 

@@ -18,7 +18,7 @@ from ddic.case.schema import Case
 from ddic.functionals.correlation import correlations
 from ddic.functionals.equilibrium_gap import controlled_stiffness
 from ddic.images.sub_image import DeformedSubImage
-from ddic.kinematics.finite_element import finite_element_kinematics
+from ddic.kinematics.cell_interpolation import interpolate_cells
 from ddic.mesh.mesh import Mesh
 from ddic.problem.cameras import Camera
 from ddic.problem.inputs import controlled_dofs, material
@@ -85,5 +85,5 @@ def _texture(case: Case, camera: Camera, part: Mesh, displacement: Array) -> tup
 
 def _stiffness(case: Case, part: Mesh) -> sparse.csr_matrix:
     assert case.regularization is not None
-    return controlled_stiffness(part, finite_element_kinematics(part), material(case.regularization),
+    return controlled_stiffness(part, interpolate_cells(part), material(case.regularization),
                                 np.ones(part.n_dofs))

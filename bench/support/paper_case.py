@@ -9,9 +9,11 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 
+from ddic.synth.digitise import Digitiser
 from ddic.synth.fields import DisplacementField
-from ddic.synth.render import write_pair
-from ddic.synth.texture import SpeckleTexture
+from ddic.synth.picture import Picture
+from ddic.synth.render import Scene, write_pair
+from ddic.synth.speckle_texture import SpeckleTexture
 from ddic.synth.truth import load_truth
 from support.harness import DATA, images, source_version
 from support.paper_field import OpenHoleBeam
@@ -96,8 +98,8 @@ def _text(folder: Path, mesh: str, wavelength: float) -> str:
 
 
 def _render_beam(folder: Path, bits: int) -> None:
-    write_pair(folder / "reference.tif", folder / "deformed.tif", SpeckleTexture(), FIELD, WIDTH, HEIGHT,
-               bit_depth=bits)
+    paths = folder / "reference.tif", folder / "deformed.tif"
+    write_pair(paths, Scene(SpeckleTexture(), FIELD), Picture(WIDTH, HEIGHT, Digitiser(bits)))
 
 
 def _field_version() -> str:

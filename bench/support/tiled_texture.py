@@ -20,7 +20,7 @@ from ddic.functionals.equilibrium_gap import (
     gap_energies,
     texture_energies,
 )
-from ddic.kinematics.finite_element import finite_element_kinematics
+from ddic.kinematics.cell_interpolation import interpolate_cells
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import structured_mesh
 from ddic.mesh.topology import boundary_nodes
@@ -61,11 +61,11 @@ class TiledProblem:
     def hessian(self, mesh: Mesh) -> sparse.csr_matrix:
         """M of some of the cells, whose places tell which cells of the tile they are."""
         column, row = np.floor(mesh.centroids / CELL).astype(np.int64).T
-        return finite_element_kinematics(mesh).assemble_matrix(self.tile[row % TILE * TILE + column % TILE])
+        return interpolate_cells(mesh).assemble_matrix(self.tile[row % TILE * TILE + column % TILE])
 
     def stiffness(self, mesh: Mesh, weights: NDArray[np.float64]) -> sparse.csr_matrix:
         """Kbar of some of the cells, rows weighted."""
-        return controlled_stiffness(mesh, finite_element_kinematics(mesh), Material(), weights)
+        return controlled_stiffness(mesh, interpolate_cells(mesh), Material(), weights)
 
     def controlled(self, mesh: Mesh) -> NDArray[np.bool_]:
         """Dofs of nodes inside the whole mesh, (n_dofs,)."""

@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from ddic.functionals.elasticity import Material, stiffness_cells
-from ddic.kinematics.finite_element import finite_element_kinematics
+from ddic.functionals.elasticity import Material, assemble_stiffness
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import boundary_nodes
 from support.random_meshes import Cells, grid_mesh, grid_meshes
@@ -21,8 +20,7 @@ PLANES = pytest.mark.parametrize("plane", ["stress", "strain"])
 
 
 def stiffness(mesh: Mesh, material: Material | None = None) -> NDArray[np.float64]:
-    cells = stiffness_cells(mesh, material or Material())
-    return np.asarray(finite_element_kinematics(mesh).assemble_matrix(cells).toarray())
+    return np.asarray(assemble_stiffness(mesh, material or Material()).toarray())
 
 
 def inner_dofs(mesh: Mesh) -> NDArray[np.bool_]:

@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from ddic.functionals import equilibrium_gap
 from ddic.functionals.correlation import correlation
-from ddic.functionals.elasticity import Material, stiffness_cells
+from ddic.functionals.elasticity import Material, assemble_stiffness
 from ddic.functionals.equilibrium_gap import (
     controlled_stiffness,
     cut_off_weight,
@@ -20,7 +20,7 @@ from ddic.functionals.equilibrium_gap import (
     texture_energies,
 )
 from ddic.images.sub_image import MaskedSource
-from ddic.kinematics.finite_element import finite_element_kinematics
+from ddic.kinematics.cell_interpolation import interpolate_cells
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import boundary_nodes
 from ddic.partition.connectivity import build_subdomains
@@ -40,7 +40,7 @@ def interior(mesh: Mesh) -> NDArray[np.bool_]:
 
 
 def dense_stiffness(mesh: Mesh) -> NDArray[np.float64]:
-    return np.asarray(finite_element_kinematics(mesh).assemble_matrix(stiffness_cells(mesh, Material())).toarray())
+    return np.asarray(assemble_stiffness(mesh, Material()).toarray())
 
 
 def region() -> Mesh:
@@ -50,7 +50,7 @@ def region() -> Mesh:
 def test_rows_that_are_not_controlled_are_dropped() -> None:
     mesh = region()
     weights = np.random.default_rng(0).choice([0.0, 1.0, np.sqrt(2.0)], mesh.n_dofs)
-    kbar = controlled_stiffness(mesh, finite_element_kinematics(mesh), Material(), weights).toarray()
+    kbar = controlled_stiffness(mesh, interpolate_cells(mesh), Material(), weights).toarray()
     np.testing.assert_allclose(kbar, weights[:, None] * dense_stiffness(mesh), atol=1e-14)
     assert (kbar[weights == 0] == 0).all()
 

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ddic.errors import InputError
-from ddic.mesh.mesh import VTK_QUAD, VTK_TRIANGLE, Mesh, mesh_from_cells
+from ddic.mesh.cell_type import Q4, T3
+from ddic.mesh.mesh import Mesh, mesh_from_cells
 from ddic.mesh.quality import areas, shape_quality
 from ddic.mesh.repair import check_inside, check_pixels, repair
 from ddic.mesh.structured import structured_mesh
@@ -22,7 +23,7 @@ def _cells_of(mesh: Mesh) -> list[list[tuple[float, ...]]]:
 
 def _refusal(quads: list[list[int]]) -> str:
     with pytest.raises(InputError) as caught:
-        repair(mesh_from_cells(SQUARE, {VTK_QUAD: np.array(quads)}))
+        repair(mesh_from_cells(SQUARE, {Q4: np.array(quads)}))
     return str(caught.value)
 
 
@@ -36,8 +37,9 @@ def test_orientation_and_numbering_are_repaired(seed: int, n: int) -> None:
     nodes = np.full((good.n_nodes + n_extra, 2), np.nan)  # unused nodes may even be nonsense
     nodes[place] = good.nodes
     blocks = {}
-    for kind, k in ((VTK_QUAD, 4), (VTK_TRIANGLE, 3)):
-        cells = place[good.cells[good.types == kind][:, :k]]
+    for kind in (Q4, T3):
+        k = kind.n_nodes
+        cells = place[good.cells[good.types == kind.vtk][:, :k]]
         turned = np.array([np.roll(c, rng.integers(k))[::rng.choice([1, -1])] for c in cells])
         blocks[kind] = turned.reshape(-1, k)
     sets = {name: np.sort(place[members]) for name, members in good.node_sets.items()}
@@ -76,7 +78,7 @@ def test_reentrant_quad_is_refused_whatever_its_sense() -> None:
     nodes = np.array([[0.0, 0.0], [4.0, 0.0], [1.0, 1.0], [0.0, 4.0]])
     for quad in ([0, 1, 2, 3], [3, 2, 1, 0]):
         with pytest.raises(InputError, match="not convex"):
-            repair(mesh_from_cells(nodes, {VTK_QUAD: np.array([quad])}))
+            repair(mesh_from_cells(nodes, {Q4: np.array([quad])}))
 
 
 def test_duplicates_are_refused_whatever_their_order() -> None:
@@ -93,7 +95,7 @@ def test_used_nodes_must_be_finite() -> None:
     nodes = SQUARE.copy()
     nodes[2, 1] = np.inf
     with pytest.raises(InputError, match="nodes 2 have coordinates"):
-        repair(mesh_from_cells(nodes, {VTK_QUAD: np.array([[0, 1, 2, 3]])}))
+        repair(mesh_from_cells(nodes, {Q4: np.array([[0, 1, 2, 3]])}))
 
 
 def test_mesh_without_cells_is_refused() -> None:
@@ -103,7 +105,7 @@ def test_mesh_without_cells_is_refused() -> None:
 
 def test_quality_of_mixed_cells() -> None:
     nodes = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [2.0, 0.0]])
-    mesh = mesh_from_cells(nodes, {VTK_QUAD: np.array([[0, 1, 2, 3]]), VTK_TRIANGLE: np.array([[1, 4, 2]])})
+    mesh = mesh_from_cells(nodes, {Q4: np.array([[0, 1, 2, 3]]), T3: np.array([[1, 4, 2]])})
     np.testing.assert_allclose(areas(mesh), [1.0, 0.5], rtol=1e-15)
     np.testing.assert_allclose(shape_quality(mesh), [1.0, np.sqrt(0.5)], rtol=1e-14)
 

@@ -10,7 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from ddic.errors import InputError
-from ddic.mesh.mesh import VTK_QUAD, VTK_TRIANGLE
+from ddic.mesh.cell_type import Q4, T3
 from ddic.mesh.quality import areas, shape_quality
 from ddic.mesh.repair import repair
 from ddic.mesh.snapping import SMALLEST_SINE
@@ -87,7 +87,7 @@ def test_area_of_a_hole_converges(size: float) -> None:
 def test_corners_in_a_hole_are_cut_off() -> None:
     mesh = structured_mesh((0, 0, 400, 400), 16, circles=[((200.0, 200.0), 80.0)])
     kinds, counts = np.unique(mesh.types, return_counts=True)
-    assert kinds.tolist() == [VTK_TRIANGLE, VTK_QUAD]
+    assert kinds.tolist() == [T3.vtk, Q4.vtk]
     assert counts[0] < 0.05 * mesh.n_cells
 
 

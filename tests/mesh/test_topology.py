@@ -10,8 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ddic.errors import InputError
+from ddic.mesh.cell_type import Q4, T3
 from ddic.mesh.control import not_controlled_nodes
-from ddic.mesh.mesh import VTK_QUAD, VTK_TRIANGLE, mesh_from_cells
+from ddic.mesh.mesh import mesh_from_cells
 from ddic.mesh.structured import structured_mesh
 from ddic.mesh.topology import boundary_facets, boundary_nodes, cell_adjacency, facets, named_facets
 
@@ -20,7 +21,7 @@ Cell = Literal["Q4", "T3"]
 # Two quads and a triangle in a row: 0-1-2 below, 5-4-3 above, 6 at the tip.
 MIXED = mesh_from_cells(
     np.array([[0, 0], [1, 0], [2, 0], [2, 1], [1, 1], [0, 1], [3, 0.5]], dtype=float),
-    {VTK_QUAD: np.array([[0, 1, 4, 5], [1, 2, 3, 4]]), VTK_TRIANGLE: np.array([[2, 6, 3]])},
+    {Q4: np.array([[0, 1, 4, 5], [1, 2, 3, 4]]), T3: np.array([[2, 6, 3]])},
     {"tip": np.array([2, 3, 6]), "none": np.zeros(0, np.int64)},
 )
 
@@ -66,7 +67,7 @@ def test_adjacency_of_mixed_mesh() -> None:
 
 def test_three_cells_on_one_facet_are_all_neighbours() -> None:
     nodes = np.array([[0, 0], [0, 1], [1, 0.5], [-1, 0.5], [2, 0.5]], dtype=float)
-    mesh = mesh_from_cells(nodes, {VTK_TRIANGLE: np.array([[0, 2, 1], [0, 1, 3], [0, 4, 1]])})
+    mesh = mesh_from_cells(nodes, {T3: np.array([[0, 2, 1], [0, 1, 3], [0, 4, 1]])})
     indptr, indices = cell_adjacency(mesh)
     assert indptr.tolist() == [0, 2, 4, 6]
     assert indices.tolist() == [1, 2, 0, 2, 0, 1]

@@ -22,7 +22,7 @@ from ddic.results.listener import Silence
 from ddic.synth.fields import DisplacementField
 from ddic.synth.hole import Hole
 from ddic.synth.kirsch import Kirsch
-from ddic.synth.near_far import SetUpMotion
+from ddic.synth.near_far_scene import SetUpMotion
 from support.cases import Ears
 from support.near_far_cases import (
     ALPHA,

@@ -18,7 +18,7 @@ from ddic.problem.cameras import measured_by, open_cameras
 from ddic.problem.check_cameras import check_inputs
 from ddic.problem.mesh_source import build_meshes
 from ddic.problem.near_far_parts import cut_by_camera
-from ddic.synth.texture import SpeckleTexture
+from ddic.synth.speckle_texture import SpeckleTexture
 from support.cases import Ears
 
 RATIO, OFFSET = 3.0, (-160.0, -130.0)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ddic.mesh.mesh import VTK_QUAD, mesh_from_cells
+from ddic.mesh.cell_type import Q4
+from ddic.mesh.mesh import mesh_from_cells
 from ddic.mesh.structured import structured_mesh
 from ddic.partition.cost import NODE_PIXELS, cell_costs, subdomain_costs
 from ddic.partition.split import split_by_metis
@@ -30,7 +31,7 @@ def test_metis_balances_nodes_where_cells_are_small_and_pixels_where_they_are_la
     # Two pieces that no cell joins: METIS takes them as they are.
     nodes = np.concatenate([fine.nodes, coarse.nodes])
     cells = np.concatenate([fine.connectivity.reshape(-1, 4), coarse.connectivity.reshape(-1, 4) + fine.n_nodes])
-    mesh = mesh_from_cells(nodes, {VTK_QUAD: cells})
+    mesh = mesh_from_cells(nodes, {Q4: cells})
     costs = cell_costs(mesh)
     loads = subdomain_costs(costs, split_by_metis(mesh, 8, costs))
     assert loads.max() <= 1.1 * loads.mean()

@@ -12,7 +12,7 @@ from scipy import sparse
 from ddic.errors import InputError
 from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import controlled_stiffness
-from ddic.kinematics.finite_element import finite_element_kinematics
+from ddic.kinematics.cell_interpolation import interpolate_cells
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import areas
 from ddic.mesh.structured import structured_mesh
@@ -42,7 +42,7 @@ def test_a_linear_field_is_kept_and_in_equilibrium(region: tuple[float, ...], el
     field = mesh.nodes @ np.array(gradient).reshape(2, 2) + (3.0, -1.0)
     unknown = field[:tying.n_unknown_nodes]
     np.testing.assert_allclose(tying.weights @ unknown, field, rtol=0, atol=1e-12)
-    k = controlled_stiffness(mesh, finite_element_kinematics(mesh), Material(), np.ones(mesh.n_dofs))
+    k = controlled_stiffness(mesh, interpolate_cells(mesh), Material(), np.ones(mesh.n_dofs))
     forces = (by_dof(tying.weights).T @ k @ field.ravel()).reshape(-1, 2)
     inside = np.ones(tying.n_unknown_nodes, dtype=bool)
     inside[tying.boundary[tying.boundary < len(inside)]] = False

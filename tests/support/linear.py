@@ -15,7 +15,8 @@ from ddic.functionals.correlation import correlation
 from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import controlled_stiffness
 from ddic.images.sub_image import MaskedSource
-from ddic.mesh.mesh import VTK_QUAD, Mesh, mesh_from_cells
+from ddic.mesh.cell_type import Q4
+from ddic.mesh.mesh import Mesh, mesh_from_cells
 from ddic.mesh.topology import boundary_nodes
 from ddic.parallel.distribution import split_evenly
 from ddic.parallel.team import Team
@@ -76,7 +77,7 @@ def linear_step(n: int = 16, wavelength: float | None = None) -> LinearStep:
     x, y = np.meshgrid(20.3 + CELL * np.arange(n + 1), 20.7 + CELL * np.arange(n + 1))
     nodes = np.stack([x.ravel(), y.ravel()], axis=1) + rng.uniform(-1, 1, (x.size, 2))
     corner = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
-    mesh = mesh_from_cells(nodes, {VTK_QUAD: np.stack([corner, corner + 1, corner + n + 2, corner + n + 1], axis=1)})
+    mesh = mesh_from_cells(nodes, {Q4: np.stack([corner, corner + 1, corner + n + 2, corner + n + 1], axis=1)})
     inside = np.ones(mesh.n_nodes, dtype=bool)
     inside[boundary_nodes(mesh)] = False
     controlled = np.repeat(inside, 2) if wavelength else np.zeros(mesh.n_dofs, dtype=bool)

@@ -30,7 +30,7 @@ from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import controlled_stiffness
 from ddic.images.camera import CameraMapping, identity
 from ddic.images.sub_image import MaskedSource
-from ddic.kinematics.finite_element import finite_element_kinematics
+from ddic.kinematics.cell_interpolation import interpolate_cells
 from ddic.kinematics.pose import Motion, Rig
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.distribution import split_evenly
@@ -205,7 +205,7 @@ def saddle_point_solution(problem: NearFarStep, *, paper_weighting: bool = False
             matrix = matrix + WEIGHTS[camera] * (seen.T @ m @ seen)
             right += WEIGHTS[camera] * (seen.T @ (jacobian.T @ force))
         if problem.base.eta:
-            k = controlled_stiffness(part.mesh, finite_element_kinematics(part.mesh), Material(),
+            k = controlled_stiffness(part.mesh, interpolate_cells(part.mesh), Material(),
                                      np.ones(part.mesh.n_dofs))
             stiffness = stiffness + _selection(part.dofs, mesh.n_dofs).T @ k @ v
         displacement.append(u)
@@ -236,7 +236,7 @@ def dense_operators(problem: NearFarStep) -> tuple[Array, Array]:
         v[:, begin[part.camera]: begin[part.camera + 1]] += _rigid(problem.cameras[part.camera].rig, part.mesh.nodes)
         seen = [(part.camera, v), (0, u)][:1 + bool(problem.use_far and part.camera)]
         texture += sum(WEIGHTS[c] * (w.T @ (_texture(problem.cameras[c], part.mesh)[0] @ w)) for c, w in seen)
-        k = controlled_stiffness(part.mesh, finite_element_kinematics(part.mesh), Material(), np.ones(part.mesh.n_dofs))
+        k = controlled_stiffness(part.mesh, interpolate_cells(part.mesh), Material(), np.ones(part.mesh.n_dofs))
         stiffness[part.dofs] += k @ u
     gap = stiffness[problem.base.controlled]
     return texture + problem.base.eta * gap.T @ gap, texture

@@ -29,7 +29,7 @@ from ddic.functionals.correlation import correlation
 from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import controlled_stiffness
 from ddic.images.camera import CameraMapping, identity
-from ddic.kinematics.finite_element import finite_element_kinematics
+from ddic.kinematics.cell_interpolation import interpolate_cells
 from ddic.kinematics.pose import Motion, Rig
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import structured_mesh
@@ -205,7 +205,7 @@ def multiplier_solution(problem: TiedStep) -> tuple[Array, Array]:
     jumps = sparse.kron(sparse.csr_matrix(_jumps(problem)), sparse.identity(2)).tocsr()
     slaves = _solved(jumps, n_free)
     if problem.eta:
-        k = controlled_stiffness(mesh, finite_element_kinematics(mesh), Material(), np.ones(mesh.n_dofs))
+        k = controlled_stiffness(mesh, interpolate_cells(mesh), Material(), np.ones(mesh.n_dofs))
         inside = np.ones((n_free // 2, 2))
         inside[problem.tying.boundary[problem.tying.boundary < n_free // 2]] = 0.0
         gap = sparse.diags(inside.ravel()) @ slaves.T @ k

@@ -34,15 +34,16 @@ def calibrate(far: Path, near: Path, ratio: float, model: Kind, distortion: bool
     The near field must lie in the far image, turned by 5 degrees at most.
     """
     # Imported here because they bring numba, SciPy and OpenCV, which --help does not need.
-    from ddic.io.image_file import find_not_finite, open_image
     from ddic.calibration import calibrate as calibration
+    from ddic.images.grey_levels import check_finite
+    from ddic.io.image_file import open_image
 
     try:
         with warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always", UserWarning)
             images = [open_image(path) for path in (far, near)]
             for image in images:
-                find_not_finite(image)
+                check_finite(image)
             found = calibration.calibrate(images[0], images[1], ratio, model, distortion)
         if output is not None:
             _write(output, found)

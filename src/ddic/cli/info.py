@@ -49,11 +49,11 @@ def _describe(file: Path) -> Lines:
 
 
 def _image_lines(file: Path) -> Lines:
+    from ddic.images.grey_levels import measure_grey_levels
     from ddic.io.image_file import open_image
-    from ddic.io.image_report import image_report
 
     image = open_image(file)
-    report = image_report(image)
+    report = measure_grey_levels(image)
     n_pixels = image.width * image.height
     saturated = "none possible (floating point)"
     if image.saturation is not None:

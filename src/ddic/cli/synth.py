@@ -147,18 +147,21 @@ def _middle(image: ImageOptions) -> Pair:
 def _generate(field: DisplacementField, hole: Hole | None, image: ImageOptions) -> None:
     """Write the two images, then the truth: where truth.json is, the pair is whole."""
     from ddic.synth.digitise import Digitiser
+    from ddic.synth.picture import Picture
     from ddic.synth.render import Scene, write_pair
-    from ddic.synth.texture import SpeckleTexture
+    from ddic.synth.speckle_texture import SpeckleTexture
     from ddic.synth.truth import save_truth
 
     width, height = image["size"]
-    camera = Digitiser(int(image["bit_depth"]), image["noise"], image["seed"])
+    digitiser = Digitiser(int(image["bit_depth"]), image["noise"], image["seed"])
+    picture = Picture(width, height, digitiser)
     texture = SpeckleTexture(image["seed"], image["speckle_size"])
+    scene = Scene(texture, field, hole)
     folder = image["output"]
-    reference, deformed, truth = folder / "reference.tif", folder / "deformed.tif", folder / "truth.json"
+    pair = folder / "reference.tif", folder / "deformed.tif"
+    truth = folder / "truth.json"
     prepare_folder(folder, truth)
-    write_pair(reference, deformed, texture, field, width, height, bit_depth=camera.bit_depth,
-               noise=camera.noise, seed=camera.seed, hole=hole)
-    save_truth(truth, Scene(texture, field, hole), camera, width, height)
-    for path in (reference, deformed, truth):
+    write_pair(pair, scene, picture)
+    save_truth(truth, scene, picture)
+    for path in (*pair, truth):
         click.echo(path)

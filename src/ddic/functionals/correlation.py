@@ -17,7 +17,7 @@ from ddic.images.spline import HALO, PADDING, GradientImage
 from ddic.images.sub_image import DeformedSubImage, MaskedSource, read_reference
 from ddic.images.threads import ONE_THREAD, Threads
 from ddic.images.window import Window, shared_windows
-from ddic.kinematics.finite_element import FiniteElementKinematics, finite_element_kinematics
+from ddic.kinematics.cell_interpolation import CellInterpolation, interpolate_cells
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import Raster, rasterize
 
@@ -91,7 +91,7 @@ class Correlation:
     """
 
     mesh: Mesh
-    kinematics: FiniteElementKinematics
+    kinematics: CellInterpolation
     raster: Raster
     reference: GradientImage
     extent: Window
@@ -244,7 +244,7 @@ def restricted(whole: Correlation, cells: NDArray[np.int64]) -> Correlation:
 def _correlation(mesh: Mesh, raster: Raster, image: GradientImage, extent: Window, threads: Threads) -> Correlation:
     x, y = mesh.centroids.T
     order = np.lexsort((x, y // BAND)).astype(np.int64)
-    return Correlation(mesh, finite_element_kinematics(mesh), raster, image, extent, order, threads)
+    return Correlation(mesh, interpolate_cells(mesh), raster, image, extent, order, threads)
 
 
 def _flat(image: NDArray[Any]) -> NDArray[Any]:

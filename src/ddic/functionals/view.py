@@ -46,6 +46,19 @@ class View:
         """Number of pixels that the reference image does not exclude."""
         return self.correlation.n_usable_pixels
 
+    def count_pixels(self) -> NDArray[np.int64]:
+        """Count the pixels of each cell that the reference image does not exclude.
+
+        Returns
+        -------
+        (n_cells,) array of int64
+            Pixels.
+        """
+        raster, reference = self.correlation.raster, self.correlation.reference
+        if reference.usable is None:
+            return raster.pixel_counts
+        return raster.counts_in(reference.usable, reference.window.x0, reference.window.y0)
+
     def assemble_hessian(self) -> sparse.csr_matrix:
         """Assemble M of this camera on displacements of nodes in its image, Eq. 5 of [BP17].
 

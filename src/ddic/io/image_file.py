@@ -13,13 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import InputError
-from ddic.images.source import ImageSource
 from ddic.images.window import Window
 from ddic.io.decoded_file import decode_whole, decoded_format, read_decoded
 from ddic.io.pixel_format import PixelFormat
 from ddic.io.tiff_file import can_decode, is_tiff, read_tiff, tiff_format
-
-BAND_PIXELS = 1 << 20
 
 T = TypeVar("T")
 
@@ -107,30 +104,6 @@ def sha256_of_file(path: Path | str) -> str:
     """SHA-256 checksum of a file, as hexadecimal digits."""
     with Path(path).open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-def find_not_finite(source: ImageSource, mask: NDArray[np.bool_] | None = None) -> None:
-    """Check that a float image holds no NaN or infinity but where its mask leaves it out; reads it by bands.
-
-    mask: (height, width), True where pixels are used; None uses all.
-    Raises InputError with the number of such pixels and the first one.
-    """
-    if source.saturation is not None:
-        return
-    count, first = 0, None
-    rows_at_once = max(1, BAND_PIXELS // source.width)
-    for y in range(0, source.height, rows_at_once):
-        window = Window(0, y, source.width, min(y + rows_at_once, source.height))
-        bad = ~np.isfinite(source.read(window))
-        if mask is not None:
-            bad &= mask[window.y0:window.y1]
-        if first is None and bad.any():
-            row, column = np.unravel_index(int(bad.argmax()), bad.shape)
-            first = (int(column), y + int(row))
-        count += int(np.count_nonzero(bad))
-    if count:
-        raise InputError(f"{source.path}: {count} pixel(s) are NaN or infinite, the first at "
-                         f"(x, y) = {first}; leave them out with a mask image (0 there)")
 
 
 def _explained(path: Path, tiff: bool, decode: Callable[[Path], T]) -> T:

@@ -13,9 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import InputError
-from ddic.mesh.mesh import NODES_PER_CELL, VTK_QUAD, VTK_TRIANGLE, Mesh, Similarity
+from ddic.mesh.cell_type import CELL_TYPES, CellType
+from ddic.mesh.mesh import Mesh, Similarity, mesh_from_cells
 
-PLANE_CELLS = {"triangle": VTK_TRIANGLE, "quad": VTK_QUAD}
+PLANE_CELLS = {kind.meshio_name: kind for kind in CELL_TYPES.values()}
+"""Cell types by meshio's names."""
+
 NAMING_CELLS = {"vertex": 0, "line": 1}
 """meshio's names of the cells that only carry the names of node sets, and their dimension."""
 
@@ -32,15 +35,7 @@ def read_mesh(path: Path, mapping: Similarity) -> Mesh:
               for b in raw.cells if b.type in PLANE_CELLS and len(b.data)]
     _refuse_other_cells(path, raw)
     points = _plane_points(path, np.asarray(raw.points, dtype=np.float64), blocks)
-    counts = np.concatenate([np.full(len(cells), NODES_PER_CELL[kind]) for kind, cells in blocks])
-    return Mesh(
-        np.ascontiguousarray(mapping.to_pixels(points)),
-        np.concatenate([cells.ravel() for _, cells in blocks]),
-        np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
-        np.concatenate([np.full(len(cells), kind) for kind, cells in blocks]).astype(np.uint8),
-        _node_sets(raw),
-        mapping,
-    )
+    return mesh_from_cells(mapping.to_pixels(points), blocks, _node_sets(raw), mapping)
 
 
 def _read_raw(path: Path) -> Any:
@@ -73,7 +68,7 @@ def _refuse_other_cells(path: Path, raw: Any) -> None:
 
 
 def _plane_points(path: Path, points: NDArray[np.float64],
-                  blocks: list[tuple[int, NDArray[np.int64]]]) -> NDArray[np.float64]:
+                  blocks: list[tuple[CellType, NDArray[np.int64]]]) -> NDArray[np.float64]:
     """Coordinates x and y; a third one must be the same at all nodes of the cells."""
     used = np.unique(np.concatenate([cells.ravel() for _, cells in blocks]))
     used = used[(used >= 0) & (used < len(points))]

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.mesh.interpolation import interpolate
 from ddic.mesh.mesh import Mesh
 
 
@@ -68,6 +69,24 @@ class Kinematics(ABC):
         (n_unknowns,) array
             Unknowns.
         """
+
+    def at(self, points: NDArray[np.float64], unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Interpolate the displacement anywhere in the mesh by its shape functions, never across a hole.
+
+        Parameters
+        ----------
+        points : (n, dim) array
+            Positions in the frame of ``mesh``, pixels.
+        unknowns : (n_unknowns,) array
+            Unknowns.
+
+        Returns
+        -------
+        (n, dim) array
+            Displacement, pixels; nan outside the mesh.
+        """
+        nodal = self.displacement(unknowns).reshape(self.mesh.nodes.shape)
+        return interpolate(self.mesh, nodal, points)
 
     def hold_still(self) -> Kinematics:
         """Give the same without the motion of a camera among the unknowns.

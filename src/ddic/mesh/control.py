@@ -18,10 +18,28 @@ BOUNDARY = "boundary"
 
 def not_controlled_nodes(mesh: Mesh, names: Sequence[str], boxes: Sequence[Sequence[float]],
                          boundary: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
-    """Sorted numbers of the nodes that are not mechanically controlled.
+    """Find the nodes that are not mechanically controlled.
 
-    names: node sets, or "boundary"; boxes: (x0, y0, x1, y1), pixels; boundary: its nodes, by default those on facets of
-    one cell. Raises InputError, a line for each, on unknown names, empty sets and boxes without nodes.
+    Parameters
+    ----------
+    mesh : Mesh
+        Any.
+    names : sequence of str
+        Node sets, or "boundary".
+    boxes : sequence of (x0, y0, x1, y1)
+        Pixels.
+    boundary : (n,) int64 array, optional
+        Nodes of the boundary; by default those on facets of one cell.
+
+    Returns
+    -------
+    (n,) int64 array
+        Their sorted numbers.
+
+    Raises
+    ------
+    InputError
+        A line for each unknown name, empty set and box without nodes.
     """
     chosen, problems = [np.zeros(0, np.int64)], []
     for name in names:

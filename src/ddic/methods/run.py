@@ -8,6 +8,7 @@ from pathlib import Path
 from ddic.case.loader import LoadedCase, load_case
 from ddic.case.schema import Case
 from ddic.errors import InputError
+from ddic.io.result_schema import summary_path
 from ddic.methods.dd_dic import Measurement, dd_dic
 from ddic.methods.near_far_dic import near_far_dic
 from ddic.parallel.phases import Phase, PhaseClock
@@ -17,7 +18,7 @@ from ddic.results.listener import Listener
 from ddic.results.near_attributes import near_summary
 from ddic.results.phase_times import gather_phase_times
 from ddic.results.publish import publish
-from ddic.results.summary import Summary, summary_path, write_summary
+from ddic.results.summary import Summary, write_summary
 
 
 def run_case(team: Team, path: Path, listener: Listener) -> Summary:

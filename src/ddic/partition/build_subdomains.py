@@ -150,8 +150,8 @@ def number_chains(sharing: Sharing, controlled: NDArray[np.bool_], n_subdomains:
     return Chains(first_row, first_copy, owned_rows.astype(np.int64), owned_copies.astype(np.int64))
 
 
-def build_subdomains(kinematics: RegionKinematics, parts: NDArray[np.int64],
-                     controlled: NDArray[np.bool_]) -> list[Subdomain]:
+def build_subdomains(kinematics: RegionKinematics, parts: NDArray[np.int64], controlled: NDArray[np.bool_],
+                     interior: NDArray[np.bool_] | None = None) -> list[Subdomain]:
     """Cut a mesh and its unknowns into self-contained subdomains.
 
     Parameters
@@ -162,6 +162,8 @@ def build_subdomains(kinematics: RegionKinematics, parts: NDArray[np.int64],
         Subdomain of each cell, 0 to n - 1 without gaps.
     controlled : (n_unknowns,) array of bool
         Whether each unknown's equilibrium row is controlled (P of Eq. 11 of [BP17]).
+    interior : (n_nodes,) array of bool, optional
+        Nodes at which texture is weighed against mechanics; by default those that are not on the mesh's boundary.
 
     Returns
     -------
@@ -174,8 +176,9 @@ def build_subdomains(kinematics: RegionKinematics, parts: NDArray[np.int64],
     unknowns = share_unknowns(nodes, kinematics)
     position = unknowns.position
     chains = number_chains(unknowns, controlled, n_subdomains)
-    interior = np.ones(mesh.n_nodes, dtype=bool)
-    interior[boundary_nodes(mesh)] = False
+    if interior is None:
+        interior = np.ones(mesh.n_nodes, dtype=bool)
+        interior[boundary_nodes(mesh)] = False
     cells_of = _group_by(parts, n_subdomains)
     copies_of = _group_by(unknowns.subdomains, n_subdomains)
     subdomains = []

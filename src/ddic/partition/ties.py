@@ -11,7 +11,7 @@ from scipy import sparse
 
 from ddic.errors import InputError, first_of
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.mortar import Mortar, Overlaps, Sides, mortar, overlaps
+from ddic.mesh.mortar import Mortar, Overlaps, Sides, find_overlaps, integrate_mortar
 from ddic.mesh.point_in_mesh import cells_with_points, inside_outline
 from ddic.mesh.topology import boundary_facets, facets
 
@@ -101,11 +101,11 @@ def _refuse_neighbours(far: Mesh, replaced: NDArray[np.int64]) -> None:
 def _piece(number: int, rest: Mesh, edges: NDArray[np.int64], mesh: Mesh, tolerance: float) -> _Piece:
     own = boundary_facets(mesh)[:, :2]
     sides = Sides(rest.nodes, edges, mesh.nodes, own, tolerance)
-    pieces = overlaps(sides)
+    pieces = find_overlaps(sides)
     if len(pieces.near) == 0:
         raise InputError(f"near, entry {number}: its mesh has no boundary in common with the far elements around it; "
                          "align its outline with edges of far elements")
-    return _Piece(mesh, own, pieces, mortar(sides, pieces), pieces.near_cover(len(own)) > COVERED)
+    return _Piece(mesh, own, pieces, integrate_mortar(sides, pieces), pieces.near_cover(len(own)) > COVERED)
 
 
 def _refuse_cut_cells(far: Mesh, rest: Mesh, edges: NDArray[np.int64], cover: NDArray[np.float64],

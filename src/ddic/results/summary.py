@@ -69,11 +69,6 @@ class Summary:
     near: Sequence[NearSummary] = field(default_factory=tuple)
 
 
-def summary_path(result: Path) -> Path:
-    """The summary's file beside a result file: the same name, ending in .json."""
-    return result.with_suffix(".json")
-
-
 def write_summary(path: Path, summary: Summary) -> None:
     """Write a summary as JSON (temporary name, then renamed); numbers that are not finite become null.
 

@@ -22,7 +22,8 @@ from ddic.functionals.view import View
 from ddic.images.binned import ArraySource
 from ddic.images.grid_field import GridField, fill_absent
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
-from ddic.mesh.mesh import VTK_QUAD, Mesh, mesh_from_cells
+from ddic.mesh.cell_type import Q4
+from ddic.mesh.mesh import Mesh, mesh_from_cells
 from ddic.mesh.raster import Raster, rasterize
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
@@ -152,7 +153,7 @@ def _grid(mesh: Mesh, active: NDArray[np.uint8]) -> Grid:
     nodes = np.stack([a.ravel() for a in np.meshgrid(xs, ys)], axis=1)
     columns = counts[0] + 1
     corner = (np.arange(counts[1])[:, None] * columns + np.arange(counts[0])).ravel()
-    full = mesh_from_cells(nodes, {VTK_QUAD: np.stack(
+    full = mesh_from_cells(nodes, {Q4: np.stack(
         [corner, corner + 1, corner + columns + 1, corner + columns], axis=1)})
     part, numbers = full.submesh(np.flatnonzero(rasterize(full).counts_in(active) > 0))
     return Grid(part, numbers, (int(counts[1]) + 1, int(columns)), low, (high - low) / counts)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
-from ddic.mesh.mesh import VTK_QUAD, Mesh
+from ddic.mesh.mesh import Mesh
 
 Component = Literal["x", "y", "magnitude"]
 COMPONENTS: tuple[Component, ...] = ("x", "y", "magnitude")
@@ -63,11 +63,8 @@ def cell_polygons(mesh: Mesh, nodes: NDArray[np.float64], **style: Any) -> PolyC
 
 def triangulation(mesh: Mesh, nodes: NDArray[np.float64]) -> Triangulation:
     """The cells as triangles, quadrilaterals cut along a diagonal; nodes: (n_nodes, 2) pixels."""
-    quads = mesh.cells[mesh.types == VTK_QUAD]
-    triangles = mesh.cells[mesh.types != VTK_QUAD][:, :3]
-    return Triangulation(nodes[:, 0], nodes[:, 1],
-                         np.concatenate([triangles, quads[:, [0, 1, 2]], quads[:, [2, 3, 0]]])
-                         if len(quads) else triangles)
+    triangles = [block.nodes[:, corners] for block in mesh.cell_blocks for corners in block.type.triangles]
+    return Triangulation(nodes[:, 0], nodes[:, 1], np.concatenate(triangles))
 
 
 def pick_component(vectors: NDArray[np.float64], component: Component) -> NDArray[np.float64]:

@@ -22,7 +22,10 @@ _MEAN_AMPLITUDE_SQUARED = (
 RAW_MEAN = kernels.DENSITY * _MEAN_AMPLITUDE * 2 * math.pi * _MEAN_SIGMA_SQUARED
 RAW_DEVIATION = math.sqrt(kernels.DENSITY * _MEAN_AMPLITUDE_SQUARED * math.pi * _MEAN_SIGMA_SQUARED)
 TEXTURE_DEVIATION = 0.6
+"""Standard deviation of s; more drives grey levels towards the ends of the scale."""
 
+# Area whose speckles are drawn at once, and side of the tiles that a larger one is cut into, texture units: more
+# draw fewer speckles twice, and hold more of them.
 _LARGEST_BLOCK = 2048.0**2
 _TILE = 512.0
 
@@ -31,11 +34,17 @@ _TILE = 512.0
 class SpeckleTexture:
     """Speckles at random over the whole plane; a picture of any size is a window of the same texture.
 
-    seed: number that fixes every speckle, 0 <= seed < 2^64.
-    size_factor: magnification; 1 has 0.08 speckles per px^2 with standard deviations of 1.3 to 1.6 px.
+    Attributes
+    ----------
+    seed : int
+        Fixes every speckle, 0 <= seed < 2^64.
+    size_factor : float
+        Magnification; 1 has 0.08 speckles per px^2 with standard deviations of 1.3 to 1.6 px.
 
-    Raises InputError for a seed out of range or a factor that is not positive.
-    Source: reference texture of the design notes, section 3.
+    Raises
+    ------
+    InputError
+        For a seed out of range or a factor that is not positive.
     """
 
     seed: int = 0
@@ -48,10 +57,24 @@ class SpeckleTexture:
             raise InputError(f"texture: size_factor = {self.size_factor}: must be positive")
 
     def evaluate(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
-        """Texture s at points x, y of any common shape, pixels; mean 0 and standard deviation 0.6.
+        """Evaluate the texture s, of mean 0 and standard deviation 0.6.
 
         The speckles' tails that are cut sum to less than 1e-7.
-        Raises InputError if a coordinate is not finite.
+
+        Parameters
+        ----------
+        x, y : array_like
+            Points, of any common shape, pixels.
+
+        Returns
+        -------
+        array
+            Of that shape, no unit.
+
+        Raises
+        ------
+        InputError
+            If a coordinate is not finite.
         """
         x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
         flat_x, flat_y = x.ravel() / self.size_factor, y.ravel() / self.size_factor
@@ -64,17 +87,29 @@ class SpeckleTexture:
         return scaled.reshape(x.shape)
 
     def grey(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
-        """Grey level at points x, y (pixels) as a fraction of full scale, 0.5 - 0.45 tanh s."""
+        """Evaluate the grey level 0.5 - 0.45 tanh s.
+
+        Parameters
+        ----------
+        x, y : array_like
+            Points, of any common shape, pixels.
+
+        Returns
+        -------
+        array
+            Of that shape, fractions of full scale.
+        """
         return np.asarray(0.5 - 0.45 * np.tanh(self.evaluate(x, y)))
 
     def _sum_of_speckles(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Sum of Gaussians at points x, y (n,) in texture units, drawing the cells of their bounding box."""
         column0, n_columns = _cells_in_reach(x)
         row0, n_rows = _cells_in_reach(y)
+        cells = kernels.CellBlock(row0, column0, n_rows, n_columns)
         seed = np.uint64(self.seed)
-        starts = kernels.count_speckles(seed, row0, column0, n_rows, n_columns)
-        speckles = kernels.draw_speckles(seed, row0, column0, n_columns, starts)
-        return np.asarray(kernels.sum_speckles(x, y, speckles, starts, row0, column0, n_columns))
+        starts = kernels.count_speckles(seed, cells)
+        speckles = kernels.draw_speckles(seed, cells, starts)
+        return np.asarray(kernels.sum_speckles(x, y, cells, starts, speckles))
 
 
 def _cells_in_reach(coordinates: NDArray[np.float64]) -> tuple[int, int]:
@@ -92,7 +127,8 @@ def _compact_groups(x: NDArray[np.float64],
     if (np.ptp(x) + 1.0) * (np.ptp(y) + 1.0) <= _LARGEST_BLOCK:
         yield slice(None)
         return
-    columns, rows = np.floor(x / _TILE).astype(np.int64), np.floor(y / _TILE).astype(np.int64)
+    columns = np.floor(x / _TILE).astype(np.int64)
+    rows = np.floor(y / _TILE).astype(np.int64)
     order = np.lexsort((columns, rows))
     new_tile = (np.diff(columns[order]) != 0) | (np.diff(rows[order]) != 0)
     yield from np.split(order, np.flatnonzero(new_tile) + 1)

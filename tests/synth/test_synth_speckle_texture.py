@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from ddic.errors import InputError
 from ddic.synth import speckle_kernels as kernels
-from ddic.synth.texture import RAW_DEVIATION, RAW_MEAN, SpeckleTexture
+from ddic.synth.speckle_texture import RAW_DEVIATION, RAW_MEAN, SpeckleTexture
 
 SIDE = 1024
 
@@ -49,8 +49,9 @@ def test_grey_levels_follow_tanh():
 def test_equals_the_plain_sum_of_untruncated_gaussians():
     texture = SpeckleTexture(seed=11)
     first, n = -12, 30  # cells of 4 px: the points below are 24 px or more, 15 sigma, inside the block
-    starts = kernels.count_speckles(np.uint64(11), first, first, n, n)
-    speckles = kernels.draw_speckles(np.uint64(11), first, first, n, starts)
+    cells = kernels.CellBlock(first, first, n, n)
+    starts = kernels.count_speckles(np.uint64(11), cells)
+    speckles = kernels.draw_speckles(np.uint64(11), cells, starts)
     x, y = np.random.default_rng(2).uniform(-24, 48, (2, 500))
     squares = (x[:, None] - speckles[:, 0]) ** 2 + (y[:, None] - speckles[:, 1]) ** 2
     raw = np.exp(-squares * speckles[:, 3]) @ speckles[:, 2]
@@ -60,8 +61,9 @@ def test_equals_the_plain_sum_of_untruncated_gaussians():
 
 
 def test_speckles_have_the_stated_density_and_laws():
-    starts = kernels.count_speckles(np.uint64(3), -100, -100, 200, 200)
-    speckles = kernels.draw_speckles(np.uint64(3), -100, -100, 200, starts)
+    cells = kernels.CellBlock(-100, -100, 200, 200)
+    starts = kernels.count_speckles(np.uint64(3), cells)
+    speckles = kernels.draw_speckles(np.uint64(3), cells, starts)
     counts = np.diff(starts)
     mean = kernels.DENSITY * kernels.CELL_SIZE**2
     # 40,000 Poisson cells: deviations mean 0.0057, variance about 0.011; five of them.
