@@ -180,7 +180,7 @@ def book_exchange(name: str) -> None:
 
 def _foreign(exchange: Exchange) -> tuple[int, int]:
     """How many ranks own ghosts of this one, and how many ghosts they own."""
-    vector = exchange.new_vector()
+    vector = exchange.create_vector()
     ranges = np.asarray(vector.getOwnershipRanges())
     mine = int(vector.getComm().getRank())
     vector.destroy()
@@ -214,7 +214,7 @@ def main(case_files: list[str]) -> None:
     book_argument("build_on_root", "on rank 0")
     book_cpu(LocalDual, "apply", "S_s")
     book_cpu(LocalPreconditioner, "apply", "P_s")
-    book_exchange("to_ghosts")
+    book_exchange("fetch_ghosts")
     book_exchange("add_to_owners")
     book_coarse()
     team = Team(CountingComm(MPI.COMM_WORLD))

@@ -11,6 +11,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from ddic.kinematics.pose import Motion, Rig
+from ddic.partition.connectivity import build_subdomains
+from ddic.problem.near_far_parts import in_unknowns, moving, own_views
 from mpi4py import MPI
 from numpy.typing import NDArray
 from scipy import ndimage, sparse
@@ -31,20 +34,17 @@ from ddic.functionals.equilibrium_gap import controlled_stiffness
 from ddic.images.camera import CameraMapping, identity
 from ddic.images.sub_image import MaskedSource
 from ddic.kinematics.cell_interpolation import interpolate_cells
-from ddic.kinematics.pose import Motion, Rig
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.distribution import split_evenly
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.partition.by_camera import kept_apart, split_by_camera, with_cameras
-from ddic.partition.connectivity import build_subdomains
 from ddic.partition.split import split_by_blocks, split_by_metis
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.assembly import Assembly, assemble
 from ddic.problem.cameras import Camera
 from ddic.problem.inputs import ImagePair, Region
 from ddic.problem.linear_solver import linear_solver
-from ddic.problem.near_far_parts import in_unknowns, moving, own_views
 from ddic.solvers.gauss_newton import OwnedPart
 from ddic.solvers.linear_step import Step, StepResult
 from support.linear import LinearStep, linear_step

@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from ddic.kinematics.pose import Motion, Rig
+from ddic.problem.near_far_parts import NearFarMesh, cut_by_camera, in_unknowns, moving, own_views
 from mpi4py import MPI
 from numpy.typing import NDArray
 from scipy import ndimage, sparse
@@ -30,7 +32,6 @@ from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import controlled_stiffness
 from ddic.images.camera import CameraMapping, identity
 from ddic.kinematics.cell_interpolation import interpolate_cells
-from ddic.kinematics.pose import Motion, Rig
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import structured_mesh
 from ddic.parallel.distribution import split_evenly
@@ -41,7 +42,6 @@ from ddic.problem.assembly import assemble
 from ddic.problem.cameras import Camera
 from ddic.problem.inputs import ImagePair
 from ddic.problem.linear_solver import linear_solver
-from ddic.problem.near_far_parts import NearFarMesh, cut_by_camera, in_unknowns, moving, own_views
 from ddic.solvers.linear_step import Step, StepResult
 from support.pictures import source
 

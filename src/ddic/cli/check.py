@@ -24,7 +24,7 @@ def check(case_file: Path) -> None:
     """
     # Imported here because they bring numba, meshio and OpenCV, which --help does not need.
     from ddic.case.loader import load_case
-    from ddic.problem.check_cameras import check_inputs
+    from ddic.problem.check_inputs import check_inputs
 
     try:
         with warnings.catch_warnings(record=True) as warned:

@@ -117,9 +117,7 @@ class Result:
     def residual_image(self) -> NDArray[np.float32] | None:
         """The residual image (height, width), grey levels, read at first use; None if it was not written."""
         with h5py.File(self.path, "r") as file:
-            if schema.RESIDUAL_IMAGE not in file:
-                return None
-            return np.asarray(file[schema.RESIDUAL_IMAGE][schema.RESIDUAL], np.float32)
+            return _read_residual_image(file)
 
 
 def read_result(path: Path | str) -> Result:
@@ -146,7 +144,7 @@ def read_result(path: Path | str) -> Result:
     try:
         with h5py.File(path, "r") as file:
             _check_schema(path, file)
-            return _read(path, file)
+            return read_open_file(path, file)
     except (OSError, KeyError, ValueError, IndexError) as error:
         raise InputError(f"{path}: not a readable ddic result file ({error}); run ddic again") from error
 
@@ -195,8 +193,21 @@ def _check_schema(path: Path, file: Any) -> None:
                          "use the ddic version that wrote it")
 
 
-def _read(path: Path, file: Any) -> Result:
-    """Join the pieces of an open file."""
+def read_open_file(path: Path, file: Any) -> Result:
+    """Join the pieces of an open file.
+
+    Parameters
+    ----------
+    path : Path
+        Its name; an empty one for a file in memory, whose residual image is read at once.
+    file : h5py.File
+        Open for reading.
+
+    Returns
+    -------
+    Result
+        The measured field.
+    """
     flipped = str(file.attrs["y_axis"]) == "up"
     points = _unflipped(file[schema.VTKHDF]["Points"][...], flipped)
     point_data = _fields(file[schema.POINT_DATA], flipped)
@@ -209,7 +220,7 @@ def _read(path: Path, file: Any) -> Result:
     mesh = _merged_mesh(file[schema.VTKHDF], points[first_copy, :2], node_ids, order)
     at_nodes = {name: values[first_copy] for name, values in point_data.items()}
     on_cells = {name: values[order] for name, values in cell_data.items()}
-    return Result(
+    result = Result(
         path=path,
         mesh=mesh,
         displacement=np.ascontiguousarray(at_nodes[schema.DISPLACEMENT][:, :2]),
@@ -221,6 +232,16 @@ def _read(path: Path, file: Any) -> Result:
         attributes={name: dict(file[name].attrs) for name in file if schema.has_attributes(name)},
         flipped=flipped,
     )
+    if path == Path():
+        # What is computed at first use may also be put in place, whatever the class is frozen for.
+        result.__dict__["residual_image"] = _read_residual_image(file)
+    return result
+
+
+def _read_residual_image(file: Any) -> NDArray[np.float32] | None:
+    if schema.RESIDUAL_IMAGE not in file:
+        return None
+    return np.asarray(file[schema.RESIDUAL_IMAGE][schema.RESIDUAL], np.float32)
 
 
 def _merged_mesh(group: Any, nodes: NDArray[np.float64], node_ids: NDArray[np.int64],

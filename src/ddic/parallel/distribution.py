@@ -108,6 +108,3 @@ def scatter_subdomains(team: Team, build: Callable[[], tuple[list[Subdomain], ND
         return [[subdomains[s] for s in part] for part in split_evenly(costs, team.size)]
 
     return team.scatter_from_root(share)
-
-
-distribute = scatter_subdomains

@@ -375,8 +375,6 @@ class Team:
             result: T | None = self.comm.recv(source=0, tag=_SENT) if self.rank == to else None
         return result
 
-    hand_over = send_from_root
-
     def stream_to_root(self, items: Iterator[T]) -> Iterator[T]:
         """Bring all ranks' items to rank 0 one at a time, so that it never holds all of them.
 

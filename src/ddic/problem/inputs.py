@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
+from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case
 from ddic.kinematics.kinematics import RegionKinematics
 from ddic.mesh.mesh import Mesh
@@ -29,23 +31,29 @@ class Inputs:
         rank 0 only.
     choose_kinematics : callable, optional
         From the whole mesh to its kinematics, called on rank 0 only; None for displacements of nodes.
+    case_path : Path
+        The case file; empty where there is none.
+    case_text : str
+        Its content; empty where there is none.
     """
 
     case: Case
     cameras: tuple[Camera, ...]
     build_mesh: Callable[[], tuple[Mesh, Tying | None]]
     choose_kinematics: Callable[[Mesh], RegionKinematics] | None = None
+    case_path: Path = Path()
+    case_text: str = ""
 
 
-def open_inputs(team: Team, case: Case) -> tuple[Inputs, Frame]:
+def open_inputs(team: Team, loaded: LoadedCase) -> tuple[Inputs, Frame]:
     """Open the images of a case on all ranks; collective.
 
     Parameters
     ----------
     team : Team
         All ranks.
-    case : Case
-        With absolute paths.
+    loaded : LoadedCase
+        The case file.
 
     Returns
     -------
@@ -59,8 +67,10 @@ def open_inputs(team: Team, case: Case) -> tuple[Inputs, Frame]:
     InputError
         On all ranks, where an image or a mapping cannot be read.
     """
+    case = loaded.case
     opener = open_on_all_ranks(team)
     cameras = open_cameras(case, opener)
     image = cameras[0].reference.image
-    inputs = Inputs(case, cameras, lambda: build_meshes(case, image.width, image.height))
+    inputs = Inputs(case, cameras, lambda: build_meshes(case, image.width, image.height),
+                    case_path=loaded.path, case_text=loaded.text)
     return inputs, open_frame(case, opener)

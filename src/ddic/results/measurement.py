@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError, first_of, on_all_ranks
+from ddic.io.result_writer import ResultWriter
 from ddic.kinematics.strain import inverted_cells
 from ddic.parallel.team import Team
 from ddic.problem.cameras import Camera, Frame
@@ -16,7 +17,11 @@ from ddic.problem.inputs import Inputs
 from ddic.problem.region_mesh import Region
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.weighted_problem import WeightedProblem
+from ddic.results.camera_images import write_residual_images
+from ddic.results.field_pieces import write_pieces
+from ddic.results.histories import write_attributes, write_histories
 from ddic.results.listener import ProblemSize
+from ddic.results.provenance import image_attributes
 from ddic.results.setup_motion import SetupMotion, collect_motions, describe_motions, estimate_covariances
 from ddic.partition.subdomain import Subdomain
 from ddic.solvers.dual.continuity import average_copies
@@ -89,6 +94,56 @@ class Measurement:
     def displacements(self) -> list[Array]:
         """Displacement of each owned subdomain's nodes, node by node, specimen's frame, (n_dofs,), pixels."""
         return [s.displacement(q_s) for s, q_s in zip(self.subdomains, self.q, strict=True)]
+
+    def at(self, points: Array) -> Array:
+        """Interpolate the displacement by shape functions, never across a hole; collective.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Positions, specimen's frame, pixels; the same on all ranks.
+
+        Returns
+        -------
+        (n, 2) array
+            Displacement, pixels, on all ranks; nan outside the mesh.
+        """
+        total, n_found = np.zeros(points.shape), np.zeros(len(points))
+        for subdomain, q_s in zip(self.subdomains, self.q, strict=True):
+            found = subdomain.kinematics.at(points, q_s[:subdomain.n_field])
+            inside = np.isfinite(found).all(axis=1)
+            total[inside] += found[inside]
+            n_found += inside
+        # A point on an interface lies in several subdomains, which hold the same displacement there.
+        total, n_found = self.team.sum(total), self.team.sum(n_found)
+        return np.where(n_found[:, None] > 0, total / np.maximum(n_found, 1.0)[:, None], np.nan)
+
+    def write(self, writer: ResultWriter | None) -> None:
+        """Write fields, histories and residual images; collective.
+
+        Parameters
+        ----------
+        writer : ResultWriter or None
+            Open on rank 0, None elsewhere.
+        """
+        write_pieces(self, writer)
+        if writer is not None:
+            write_histories(self, writer)
+            write_attributes(self, writer)
+        if self.inputs.case.output.residual_image:
+            write_residual_images(self, writer)
+
+    def describe_origin(self) -> dict[str, str | int]:
+        """Say what it was measured from.
+
+        Returns
+        -------
+        dict
+            Sizes, and the first camera's images with their checksums.
+        """
+        reference, deformed = self.cameras[0].reference.image, self.frame[0].image
+        return {"n_ranks": self.size.n_ranks, "n_subdomains": self.size.n_subdomains,
+                **image_attributes("reference", reference), **image_attributes("deformed", deformed)}
 
 
 def finish_measurement(problem: WeightedProblem, model: ResidualModel, frame: Frame, solution: Solution,
