@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
 from ddic.parallel.phases import REPEATED, Phase
-from ddic.results.listener import Setting
+from ddic.results.listener import ProblemSize
 from ddic.results.summary import Summary
 from ddic.solvers.gauss_newton import IterationRecord
 
@@ -52,21 +52,21 @@ class RunConsole:
         """Print a line."""
         self._print(line)
 
-    def setting(self, setting: Setting) -> None:
+    def problem_size(self, size: ProblemSize) -> None:
         """Print the sizes and the head of the iteration table."""
         self._bar.settle()
-        self._range = setting.dynamic_range or 1.0
-        weight = f", eta = {setting.eta:.4g}" if setting.eta else ""
-        self._print(f"{setting.n_dofs} unknowns, {setting.n_cells} elements, {setting.n_pixels} pixels; "
-                    f"{_count(setting.n_subdomains, 'subdomain')} on {_count(setting.n_ranks, 'rank')}, "
-                    f"{setting.n_interface} interface unknowns{weight}")
+        self._range = size.dynamic_range or 1.0
+        weight = f", eta = {size.eta:.4g}" if size.eta else ""
+        self._print(f"{size.n_unknowns} unknowns, {size.n_cells} elements, {size.n_pixels} pixels; "
+                    f"{_count(size.n_subdomains, 'subdomain')} on {_count(size.n_ranks, 'rank')}, "
+                    f"{size.n_interface} interface unknowns{weight}")
         self._print("  ".join(f"{name:>{max(len(name), 9)}}" for name in _COLUMNS))
 
     def iteration(self, record: IterationRecord) -> None:
         """Print a line of the iteration table; the residual is that before the correction."""
         spent = {phase: record.seconds[phase] - self._seconds.get(phase, 0.0) for phase in REPEATED}
         self._seconds = record.seconds
-        cells = (f"{record.number}", f"{record.relative:.2e}", f"{record.rms:.2e}",
+        cells = (f"{record.number}", f"{record.size.relative:.2e}", f"{record.size.rms:.2e}",
                  " ".join(f"{camera.residual_std:.3f}" for camera in record.cameras),
                  f"{100 * record.grey.residual_std / self._range:.2f}", f"{record.krylov_iterations}",
                  f"{record.linear_error:.1e}", f"{spent[Phase.RESIDUAL]:.2f}",

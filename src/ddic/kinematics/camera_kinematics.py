@@ -256,7 +256,8 @@ def place_before_camera(field: Kinematics, setup: CameraSetup,
     own_motion = sparse.csr_matrix(derivative @ setup.motion_columns(nodes))
     others_motion = sparse.csr_matrix((derivative.shape[0], len(numbers) - setup.n_motion_unknowns))
     tangent = sparse.hstack([derivative @ field.tangent, own_motion, others_motion]).tocsr()
-    return CameraKinematics(field, setup, see_mesh(field.mesh, setup), np.concatenate([field.numbers, numbers]), tangent)
+    all_numbers = np.concatenate([field.numbers, numbers])
+    return CameraKinematics(field, setup, see_mesh(field.mesh, setup), all_numbers, tangent)
 
 
 def see_mesh(mesh: Mesh, setup: CameraSetup) -> Mesh:

@@ -103,8 +103,9 @@ class LinearRegion(RegionKinematics):
         matrix = sparse.csr_matrix(self.matrix, dtype=np.float64)
         matrix.eliminate_zeros()
         if matrix.shape[0] != self.mesh.n_dofs:
-            raise InputError(f"kinematics: the matrix has {matrix.shape[0]} rows, the mesh {self.mesh.n_dofs} displacements "
-                             f"({self.mesh.n_nodes} nodes); give a row for each component of each node, node by node")
+            raise InputError(f"kinematics: the matrix has {matrix.shape[0]} rows, the mesh {self.mesh.n_dofs} "
+                             f"displacements ({self.mesh.n_nodes} nodes); give a row for each component of each node, "
+                             "node by node")
         if not np.isfinite(matrix.data).all():
             raise InputError("kinematics: the matrix has entries that are not finite")
         idle = np.flatnonzero(np.diff(matrix.tocsc().indptr) == 0)

@@ -12,8 +12,8 @@ from ddic.partition.split import renumber
 from ddic.partition.ties import Tying
 
 LEAST = 0.1
-"""Singular value of a subdomain's weights below which its slaves do not determine its masters: squared, the share of the
-texture by which a master's displacement is held there. A larger value moves more cells."""
+"""Singular value of a subdomain's weights below which its slaves do not determine its masters: squared, the share of
+the texture by which a master's displacement is held there. A larger value moves more cells."""
 
 
 def keep_masters_determined(mesh: Mesh, tying: Tying, parts: NDArray[np.int64]) -> NDArray[np.int64]:

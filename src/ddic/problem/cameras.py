@@ -172,8 +172,9 @@ def open_frame(case: Case, opener: Opener) -> Frame:
     InputError
         Where a file cannot be read.
     """
+    sections: list[ImagesSection | NearSection] = [case.images, *case.near]
     return tuple(_masked(opener, section.deformed, section.deformed_mask, section.exclude_saturated)
-                 for section in (case.images, *case.near))
+                 for section in sections)
 
 
 def _open_reference(section: ImagesSection | NearSection, opener: Opener) -> MaskedSource:

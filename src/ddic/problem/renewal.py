@@ -17,7 +17,8 @@ from ddic.problem.views import FrameViews
 
 CHANGED_SHARE = 0.1
 """Share of a subdomain's pixels that must have come or gone since its M was assembled for M to be assembled again. The
-fixed point does not depend on M, the speed of convergence does: a larger share costs iterations, a smaller one factors."""
+fixed point does not depend on M, the speed of convergence does: a larger share costs iterations, a smaller one
+factors."""
 
 HELD_SHARE = 0.01
 """Share of what hidden pixels gave to M that stays in it where mechanics find the displacement of hidden cells: enough

@@ -202,7 +202,7 @@ def _sums_corrected_by_cell(residual: Residual) -> Array:
 
 
 def _nodal_shares(subdomain: Subdomain, dq: Array, q: Array) -> tuple[Array, float]:
-    """A subdomain's shares of |du|^2, of |u + du|^2 and of the number of nodes, (3,), and its largest |du| at a node."""
+    """A subdomain's shares of |du|^2, |u + du|^2 and the number of nodes, (3,), and its largest |du| at a node."""
     share = 1.0 / subdomain.node_multiplicity
     shape = subdomain.mesh.nodes.shape
     before = subdomain.displacement(q).reshape(shape)

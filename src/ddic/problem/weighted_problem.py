@@ -1,4 +1,4 @@
-"""The systems of a measurement with cameras weighted by their noise, factorised, and renewed where a frame asks for it."""
+"""The systems of a measurement, cameras weighted by their noise, factorised and renewed where a frame asks for it."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.functionals.view import FrameView
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.assembly import assemble
 from ddic.problem.linear_solver import LinearSolver
 from ddic.problem.reference_problem import ReferenceProblem
 from ddic.problem.renewal import VisiblePixels, find_renewal
-from ddic.problem.views import FrameView, FrameViews, ReferenceViews
+from ddic.problem.views import FrameViews, ReferenceViews
 
 
 class WeightedProblem:

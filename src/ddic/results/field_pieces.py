@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from ddic.results.measurement import Measurement
 
 BATCH_POINTS = 1 << 14
-"""Points from which on pieces are sent and written together (about 6 MB); a larger value takes more of rank 0's memory."""
+"""Points from which on pieces are sent and written together (about 6 MB); a larger value takes memory on rank 0."""
 
 
 @dataclass(frozen=True)

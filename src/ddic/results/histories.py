@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ddic.io import result_schema as schema
 from ddic.io.result_writer import ResultWriter
@@ -23,7 +23,7 @@ def write_histories(measurement: Measurement, writer: ResultWriter) -> None:
         Open.
     """
     records = measurement.records
-    columns = {
+    columns: dict[str, list[Any]] = {
         "iteration": [r.number for r in records],
         "relative_correction": [r.size.relative for r in records],
         "rms_correction_px": [r.size.rms for r in records],

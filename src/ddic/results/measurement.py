@@ -12,6 +12,7 @@ from ddic.errors import ConvergenceError, first_of, on_all_ranks
 from ddic.io.result_writer import ResultWriter
 from ddic.kinematics.strain import inverted_cells
 from ddic.parallel.team import Team
+from ddic.partition.subdomain import Subdomain
 from ddic.problem.cameras import Camera, Frame
 from ddic.problem.inputs import Inputs
 from ddic.problem.region_mesh import Region
@@ -23,7 +24,6 @@ from ddic.results.histories import write_attributes, write_histories
 from ddic.results.listener import ProblemSize
 from ddic.results.provenance import image_attributes
 from ddic.results.setup_motion import SetupMotion, collect_motions, describe_motions, estimate_covariances
-from ddic.partition.subdomain import Subdomain
 from ddic.solvers.dual.continuity import average_copies
 from ddic.solvers.gauss_newton import IterationRecord, Solution
 

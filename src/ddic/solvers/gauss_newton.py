@@ -237,7 +237,7 @@ def gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, tolerances:
 
 def _solve_as_far_as_it_pays(model: Model, step: LinearStep, system: tuple[Sequence[Array], Sequence[Array]],
                              tolerances: Tolerances, last_rms: float | None) -> tuple[StepResult, CorrectionSize]:
-    """Solve for dq, system = (q, b), to a share of dq that is only known afterwards: guess, and do again if too loose."""
+    """Solve for dq, system = (q, b), to a share of dq that is known only afterwards: guess, then tighten."""
     q, b = system
     at_last = LAST_SHARE * tolerances.rms
     if not tolerances.inexact:

@@ -21,11 +21,16 @@ class MonolithicStep:
         Of the only subdomain.
     operator : LocalOperator
         The factor of its A_s, which stays its maker's to destroy.
+
+    Attributes
+    ----------
+    operator : LocalOperator
+        The factor.
     """
 
     def __init__(self, system: LocalSystem, operator: LocalOperator) -> None:
         self._system = system
-        self._operator = operator
+        self.operator = operator
 
     def solve(self, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]],
               allowed: AllowedError | None = None) -> StepResult:
@@ -45,7 +50,7 @@ class MonolithicStep:
         StepResult
             Without an error.
         """
-        dq = self._operator.solve(self._system.right_hand_side(b[0], q[0]))
+        dq = self.operator.solve(self._system.right_hand_side(b[0], q[0]))
         return StepResult([dq], 0, np.zeros(0), 0.0)
 
     def destroy(self) -> None:

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.functionals.correlation import GreyCorrection
+from ddic.functionals.view import FrameView
 from ddic.parallel.team import Team
 from ddic.problem.cameras import Camera
 from ddic.problem.residual_model import Evaluation, ResidualModel
-from ddic.problem.views import FrameView, FrameViews, ReferenceViews
+from ddic.problem.views import FrameViews, ReferenceViews
 
 SMALLEST_NOISE = 0.29
 """Grey levels, the rounding of a camera that gives whole ones: no estimate is below it."""

@@ -1,4 +1,4 @@
-"""The displacement that Gauss-Newton starts from [BP17, Fig. 5]: a coarse field of each camera, or an earlier result."""
+"""The displacement that Gauss-Newton starts from [BP17, Fig. 5]: coarse fields of the cameras, or an earlier result."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The start of near-field set-ups' motions: what leaves the least jumps between independent fields, Eq. 22 of [BP17]."""
+"""The start of near-field set-ups' motions: least jumps between independent fields, Eq. 22 of [BP17]."""
 
 from __future__ import annotations
 
@@ -54,7 +54,8 @@ def start_motions(team: Team, cameras: Sequence[Camera], subdomains: Sequence[Su
     InputError
         On all ranks, where a camera shares too few unknowns with others.
     """
-    pieces = team.gather_lists([_interface_field(cameras[s.camera], s, q) for s, q in zip(subdomains, fields, strict=True)])
+    pieces = team.gather_lists([_interface_field(cameras[s.camera], s, field)
+                                for s, field in zip(subdomains, fields, strict=True)])
     by_camera = [_mean_of_copies([piece for piece in pieces if piece.camera == camera.number]) for camera in cameras]
     n_motion_unknowns = [camera.setup.n_motion_unknowns for camera in cameras]
     first = np.concatenate([[0], np.cumsum(n_motion_unknowns)])

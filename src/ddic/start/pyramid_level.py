@@ -22,8 +22,8 @@ from ddic.functionals.view import FrameView, View
 from ddic.images.binned import ArraySource
 from ddic.images.grid_field import GridField, fill_absent
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
-from ddic.mesh.cell_type import Q4
 from ddic.kinematics.nodal import NodalRegion
+from ddic.mesh.cell_type import Q4
 from ddic.mesh.mesh import Mesh, mesh_from_cells
 from ddic.mesh.raster import Raster, rasterize
 from ddic.parallel.phases import PhaseClock
