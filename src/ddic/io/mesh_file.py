@@ -30,11 +30,35 @@ def read_mesh(path: Path, mapping: Similarity) -> Mesh:
     named groups of lines and vertices (Gmsh physical groups, meshio cell sets) and from point sets.
     Raises InputError where the file cannot be read, holds other cells, or is not plane.
     """
-    raw = _read_raw(path)
+    return convert_mesh(_read_raw(path), str(path), mapping)
+
+
+def convert_mesh(raw: Any, name: str, mapping: Similarity) -> Mesh:
+    """Convert a meshio mesh of T3 and Q4 (mixed or not) to pixels; cells keep its order.
+
+    Parameters
+    ----------
+    raw : meshio.Mesh
+        Plane; node sets come from its named groups of lines and vertices, and from point sets.
+    name : str
+        What messages call it.
+    mapping : Similarity
+        From its units to pixels.
+
+    Returns
+    -------
+    Mesh
+        Pixels.
+
+    Raises
+    ------
+    InputError
+        Where it holds other cells, or is not plane.
+    """
     blocks = [(PLANE_CELLS[b.type], np.asarray(b.data, dtype=np.int64))
               for b in raw.cells if b.type in PLANE_CELLS and len(b.data)]
-    _refuse_other_cells(path, raw)
-    points = _plane_points(path, np.asarray(raw.points, dtype=np.float64), blocks)
+    _refuse_other_cells(name, raw)
+    points = _plane_points(name, np.asarray(raw.points, dtype=np.float64), blocks)
     return mesh_from_cells(mapping.to_pixels(points), blocks, _node_sets(raw), mapping)
 
 
@@ -55,19 +79,19 @@ def _read_raw(path: Path) -> Any:
                          "4.1 or VTU, or give it the suffix of its format") from error
 
 
-def _refuse_other_cells(path: Path, raw: Any) -> None:
+def _refuse_other_cells(name: str, raw: Any) -> None:
     found: Counter[str] = Counter()
     for block in raw.cells:
         found[block.type] += len(block.data)
     listed = ", ".join(f"{count} {kind}" for kind, count in found.items()) or "no cells"
     if set(+found) - set(PLANE_CELLS) - set(NAMING_CELLS):
-        raise InputError(f"{path}: only linear triangles and quadrilaterals can be used, but the file holds "
+        raise InputError(f"{name}: only linear triangles and quadrilaterals can be used, but the file holds "
                          f"{listed}; export a first-order plane mesh")
     if not set(+found) & set(PLANE_CELLS):
-        raise InputError(f"{path}: holds no triangle and no quadrilateral ({listed}); export the surface too")
+        raise InputError(f"{name}: holds no triangle and no quadrilateral ({listed}); export the surface too")
 
 
-def _plane_points(path: Path, points: NDArray[np.float64],
+def _plane_points(name: str, points: NDArray[np.float64],
                   blocks: list[tuple[CellType, NDArray[np.int64]]]) -> NDArray[np.float64]:
     """Coordinates x and y; a third one must be the same at all nodes of the cells."""
     used = np.unique(np.concatenate([cells.ravel() for _, cells in blocks]))
@@ -75,7 +99,7 @@ def _plane_points(path: Path, points: NDArray[np.float64],
     if points.shape[1] > 2 and len(used):
         spread = np.ptp(points[used], axis=0)
         if spread[2] > 1e-9 * spread[:2].max():
-            raise InputError(f"{path}: the mesh is not plane: z varies by {spread[2]:.6g} in mesh units; "
+            raise InputError(f"{name}: the mesh is not plane: z varies by {spread[2]:.6g} in mesh units; "
                              "export a mesh of constant z")
     return points[:, :2]
 

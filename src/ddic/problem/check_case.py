@@ -166,7 +166,21 @@ def _check_nothing_is_overwritten(loaded: LoadedCase) -> None:
             raise InputError(f"output.file: {result} would overwrite the input {path}; choose another name")
 
 
-def _check_wavelength(case: Case, mesh: Mesh) -> None:
+def check_wavelength(case: Case, mesh: Mesh) -> None:
+    """Check that the cut-off wavelength is one that the mesh carries.
+
+    Parameters
+    ----------
+    case : Case
+        Says it.
+    mesh : Mesh
+        The whole mesh, pixels.
+
+    Raises
+    ------
+    InputError
+        Where it is shorter than SHORTEST_WAVELENGTH elements or longer than LONGEST_WAVELENGTH.
+    """
     wavelength = None if case.regularization is None else case.regularization.cut_off_wavelength
     if wavelength is None:
         return
@@ -193,7 +207,7 @@ def _check_mesh_uses(loaded: LoadedCase, mesh: Mesh, tying: Tying | None, pixel_
             free = not_controlled_nodes(mesh, case.regularization.not_controlled, case.regularization.boxes,
                                         None if tying is None else tying.boundary)
     with problems.gathered(loaded.path):
-        _check_wavelength(case, mesh)
+        check_wavelength(case, mesh)
     if case.solver.partition_file is not None:
         with problems.gathered():
             read_partition(case.solver.partition_file, mesh.n_cells)
