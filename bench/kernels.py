@@ -26,7 +26,7 @@ from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.images.window import Window
 from ddic.io.mesh_file import read_mesh
 from ddic.mesh.mesh import Mesh, Similarity
-from ddic.mesh.structured import structured_mesh
+from ddic.mesh.structured import build_structured_mesh
 from ddic.partition.split import split_by_metis
 
 SIZE, MARGIN = 4096, 32
@@ -165,7 +165,7 @@ def rows_of(p: Problem) -> list[Row]:
 
 def square_mesh() -> Mesh:
     """Q4 of 16 px."""
-    return structured_mesh((MARGIN, MARGIN, SIZE - MARGIN, SIZE - MARGIN), 16)
+    return build_structured_mesh((MARGIN, MARGIN, SIZE - MARGIN, SIZE - MARGIN), 16)
 
 
 SUBDOMAINS = round(SIZE**2 / SUBDOMAIN)

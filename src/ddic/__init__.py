@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from ddic.kinematics.linear import LinearRegion
     from ddic.kinematics.nodal import NodalRegion
     from ddic.mesh.mesh import Mesh
-    from ddic.mesh.structured import structured_mesh
+    from ddic.mesh.structured import build_structured_mesh as structured_mesh
 
 __version__ = "0.1.0"
 
@@ -45,7 +45,7 @@ _HOMES = {
     "LinearRegion": "kinematics.linear",
     "NodalRegion": "kinematics.nodal",
     "Mesh": "mesh.mesh",
-    "structured_mesh": "mesh.structured",
+    "structured_mesh": "mesh.structured:build_structured_mesh",
 }
 """Where the public names live: modules are imported at first use, for some bring MPI, PETSc and numba."""
 

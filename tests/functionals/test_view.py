@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ddic.kinematics.pose import Motion, Rig, pose, seen_mesh
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -16,7 +17,6 @@ from ddic.functionals.view import View
 from ddic.images.binned import ArraySource
 from ddic.images.camera import CameraMapping, identity, similarity
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
-from ddic.kinematics.pose import Motion, Rig, pose, seen_mesh
 from support.random_meshes import grid_mesh
 from support.slow_correlation import cell_pixels
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ddic.errors import InputError
 from ddic.io.mesh_file import convert_mesh
 from ddic.mesh.cell_type import CELL_TYPES
-from ddic.mesh.mesh import Mesh, Similarity, mesh_from_cells
+from ddic.mesh.mesh import Mesh, Similarity, build_mesh
 
 if TYPE_CHECKING:
     import meshio
@@ -55,4 +55,4 @@ def _from_arrays(nodes: NDArray[Any], cells: NDArray[Any]) -> Mesh:
         raise InputError(f"mesh: cells of shape {cells.shape} and type {cells.dtype}, whole numbers of shape (n_cells, "
                          f"{widths}) expected: the nodes of each cell, numbered from 0")
     kind = by_n_nodes[cells.shape[1]]
-    return mesh_from_cells(nodes.astype(np.float64), [(kind, cells.astype(np.int64))])
+    return build_mesh(nodes.astype(np.float64), [(kind, cells.astype(np.int64))])

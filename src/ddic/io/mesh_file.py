@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.mesh.cell_type import CELL_TYPES, CellType
-from ddic.mesh.mesh import Mesh, Similarity, mesh_from_cells
+from ddic.mesh.mesh import Mesh, Similarity, build_mesh
 
 PLANE_CELLS = {kind.meshio_name: kind for kind in CELL_TYPES.values()}
 """Cell types by meshio's names."""
@@ -26,9 +26,25 @@ NAMING_CELLS = {"vertex": 0, "line": 1}
 def read_mesh(path: Path, mapping: Similarity) -> Mesh:
     """Read a mesh of T3 and Q4 (mixed or not) and map it to pixels; cells keep the file's order.
 
-    path: a file that meshio reads; mapping: from the file's units to pixels. Node sets come from the
-    named groups of lines and vertices (Gmsh physical groups, meshio cell sets) and from point sets.
-    Raises InputError where the file cannot be read, holds other cells, or is not plane.
+    Node sets come from the named groups of lines and vertices (Gmsh physical groups, meshio cell sets) and from point
+    sets.
+
+    Parameters
+    ----------
+    path : Path
+        A file that meshio reads.
+    mapping : Similarity
+        From the file's units to pixels.
+
+    Returns
+    -------
+    Mesh
+        As it is in the file: not yet repaired.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be read, holds other cells, or is not plane.
     """
     return convert_mesh(_read_raw(path), str(path), mapping)
 
@@ -59,10 +75,11 @@ def convert_mesh(raw: Any, name: str, mapping: Similarity) -> Mesh:
               for b in raw.cells if b.type in PLANE_CELLS and len(b.data)]
     _refuse_other_cells(name, raw)
     points = _plane_points(name, np.asarray(raw.points, dtype=np.float64), blocks)
-    return mesh_from_cells(mapping.to_pixels(points), blocks, _node_sets(raw), mapping)
+    return build_mesh(mapping.to_pixels(points), blocks, _node_sets(raw), mapping)
 
 
 def _read_raw(path: Path) -> Any:
+    """The mesh as meshio gives it."""
     import meshio
 
     if not path.is_file():
@@ -80,6 +97,7 @@ def _read_raw(path: Path) -> Any:
 
 
 def _refuse_other_cells(name: str, raw: Any) -> None:
+    """Refuse a file with cells that cannot be measured, or without any that can."""
     found: Counter[str] = Counter()
     for block in raw.cells:
         found[block.type] += len(block.data)
@@ -105,6 +123,7 @@ def _plane_points(name: str, points: NDArray[np.float64],
 
 
 def _node_sets(raw: Any) -> dict[str, NDArray[np.int64]]:
+    """Node sets of all kinds by name, sorted, without empty ones."""
     gathered: dict[str, list[NDArray[np.int64]]] = {}
     for source in (_physical_groups(raw), _cell_sets(raw), _point_sets(raw)):
         for name, nodes in source:
@@ -134,5 +153,6 @@ def _cell_sets(raw: Any) -> Iterator[tuple[str, NDArray[np.int64]]]:
 
 
 def _point_sets(raw: Any) -> Iterator[tuple[str, NDArray[np.int64]]]:
+    """Nodes of meshio's point sets."""
     for name, members in raw.point_sets.items():
         yield name, np.asarray(members, dtype=np.int64).ravel()

@@ -12,9 +12,9 @@ from scipy import sparse
 from ddic.errors import InputError, first_of
 from ddic.functionals.correlation import restricted
 from ddic.functionals.texture_strength import Texture, blank_subdomains, texture
-from ddic.mesh.topology import cell_adjacency
+from ddic.mesh.topology import find_adjacent_cells
 from ddic.parallel.team import Team, held
-from ddic.partition.merge import connected_pieces, merge_blank
+from ddic.partition.merge import find_connected_pieces, merge_blank
 from ddic.problem.region_mesh import RegionMesh
 from ddic.problem.views import ReferenceViews
 
@@ -97,7 +97,7 @@ def join_blank_subdomains(team: Team, region_mesh: RegionMesh | None, references
 
 def _find_pieces(reference: ReferenceViews, hessian: sparse.csr_matrix, degree: int) -> list[_Piece]:
     subdomain, correlation = reference.subdomain, reference.own.correlation
-    labels = connected_pieces(cell_adjacency(subdomain.mesh))
+    labels = find_connected_pieces(find_adjacent_cells(subdomain.mesh))
     n_pieces = int(labels.max()) + 1
     if n_pieces == 1:
         whole = texture(correlation, hessian, degree)
@@ -134,7 +134,7 @@ def _merge(region_mesh: RegionMesh, cells: Sequence[NDArray[np.int64]], owner: N
 
 def _adjacency_within_cameras(region_mesh: RegionMesh) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Cells that share a facet, of one camera, as ``cell_adjacency`` gives them."""
-    indptr, indices = cell_adjacency(region_mesh.mesh)
+    indptr, indices = find_adjacent_cells(region_mesh.mesh)
     cameras = region_mesh.cameras
     row = np.repeat(np.arange(len(indptr) - 1), np.diff(indptr))
     same = cameras[row] == cameras[indices]

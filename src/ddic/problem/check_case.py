@@ -22,9 +22,9 @@ from ddic.io.partition_file import read_partition
 from ddic.io.result_reader import read_result
 from ddic.io.result_schema import sidecar_path, summary_path
 from ddic.mesh.cell_type import CELL_TYPES
-from ddic.mesh.control import not_controlled_nodes
+from ddic.mesh.control import find_not_controlled_nodes
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.quality import areas
+from ddic.mesh.quality import measure_areas
 from ddic.mesh.raster import rasterize
 from ddic.mesh.repair import check_pixels
 from ddic.partition.ties import Tying
@@ -184,7 +184,7 @@ def check_wavelength(case: Case, mesh: Mesh) -> None:
     wavelength = None if case.regularization is None else case.regularization.cut_off_wavelength
     if wavelength is None:
         return
-    size = float(np.sqrt(areas(mesh).mean()))
+    size = float(np.sqrt(measure_areas(mesh).mean()))
     if wavelength < SHORTEST_WAVELENGTH * size:
         raise InputError(f"regularization.cut_off_wavelength = {wavelength:g}: the mesh, of elements of {size:.3g} px, "
                          f"carries no wave shorter than {SHORTEST_WAVELENGTH:g} elements; give at least "
@@ -204,7 +204,7 @@ def _check_mesh_uses(loaded: LoadedCase, mesh: Mesh, tying: Tying | None, pixel_
         check_pixels(mesh, pixel_counts, mesh_name(case))
     if case.regularization is not None:
         with problems.gathered(loaded.path):
-            free = not_controlled_nodes(mesh, case.regularization.not_controlled, case.regularization.boxes,
+            free = find_not_controlled_nodes(mesh, case.regularization.not_controlled, case.regularization.boxes,
                                         None if tying is None else tying.boundary)
     with problems.gathered(loaded.path):
         check_wavelength(case, mesh)

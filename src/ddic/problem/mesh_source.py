@@ -12,7 +12,7 @@ from ddic.io.mask_file import read_mask
 from ddic.io.mesh_file import read_mesh
 from ddic.mesh.mesh import Mesh, Similarity
 from ddic.mesh.repair import check_inside, repair
-from ddic.mesh.structured import structured_mesh
+from ddic.mesh.structured import build_structured_mesh
 from ddic.partition.ties import Tying, tied_mesh
 
 
@@ -20,7 +20,7 @@ def build_mesh(case: Case, width: int, height: int) -> Mesh:
     """Read or make the case's mesh, repair it and check that it lies in the image.
 
     width, height: size of the images, pixels; the case's paths are absolute. Raises InputError, with the
-    mesh's file or section named, on all that read_mesh, structured_mesh, repair and check_inside refuse.
+    mesh's file or section named, on all that read_mesh, build_structured_mesh, repair and check_inside refuse.
     """
     return _mesh_of(case.mesh, mesh_name(case), width, height)
 
@@ -94,7 +94,7 @@ def _similarity(mapping: MappingSection) -> Similarity:
 
 
 def _structured(section: StructuredSection, width: int, height: int) -> Mesh:
-    return structured_mesh(
+    return build_structured_mesh(
         section.region, section.element_size, section.cell,
         circles=[(circle.center, circle.radius) for circle in section.circles],
         polygons=[np.array(polygon.vertices) for polygon in section.polygons],
