@@ -59,10 +59,9 @@ def from_images(case: Case) -> TexturedMesh:
     subdomains, _ = share_out(ALONE, case, mesh)
     hessians, right = [], []
     for subdomain in subdomains:
-        part = own_parts([subdomain], pair, case.correlation.spline_degree)[0]
-        residual = part.correlation.residual(part.deformed, np.zeros(subdomain.mesh.n_dofs))
-        hessians.append(part.correlation.hessian())
-        right.append(part.correlation.right_hand_side(residual))
+        view = own_parts([subdomain], pair, case.correlation.spline_degree)[0].view
+        hessians.append(view.hessian())
+        right.append(view.right_hand_side(view.residual(np.zeros(subdomain.mesh.n_dofs))))
     return TexturedMesh(subdomains, hessians, right, local_stiffnesses(subdomains, case.regularization), mesh,
                         mesh.n_dofs)
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ddic.case.schema import Case, RegularizationSection, SolverSection
 from ddic.functionals.equilibrium_gap import controlled_stiffness
+from ddic.kinematics.finite_element import finite_element_kinematics
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.team import Team
 from ddic.problem.assembly import Assembly, assemble, correlate, factorize, own_parts
@@ -71,7 +72,7 @@ def monolithic_correction(whole: Whole, regularization: RegularizationSection | 
     system = whole.assembly.systems[0]
     if multiplicity is not None and regularization is not None:
         weights = system.row_weights / np.sqrt(multiplicity)
-        kbar = controlled_stiffness(whole.mesh, whole.part.correlation.kinematics, material(regularization), weights)
+        kbar = controlled_stiffness(whole.mesh, finite_element_kinematics(whole.mesh), material(regularization), weights)
         system = LocalSystem(system.subdomain, system.hessian, kbar, weights, system.eta)
     operator = LocalOperator(system.operator, smallest_eigenvalue=0.0, where="the whole mesh")
     try:
