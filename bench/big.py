@@ -12,10 +12,10 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from support.harness import DATA, Row, append_result, images
-from support.paper_case import TOLERANCE, BenchCase
-from support.paper_record import run_record, timed
-
+from bench.support.paper_case import TOLERANCE, BenchCase
+from bench.support.paper_record import run_record, timed
+from bench.support.rows import Row, append_result
+from bench.support.runs import DATA, images
 from ddic.synth.truth import load_truth
 
 FULL = 22000

@@ -22,7 +22,8 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from support.harness import DATA, RESULTS, ROOT, append_result
+from bench.support.rows import RESULTS, append_result
+from bench.support.runs import DATA, ROOT
 
 JOB = Path(__file__).parent / "support" / "interface_job.py"
 NAME = "interface_solvers"

@@ -19,8 +19,10 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
-from support.harness import DATA, RESULTS, ROOT, append_result, images
-from support.unstructured_mesh import write_unstructured_mesh
+
+from bench.support.rows import RESULTS, append_result
+from bench.support.runs import DATA, ROOT, images
+from bench.support.unstructured_mesh import write_unstructured_mesh
 
 JOB = Path(__file__).parent / "support" / "iterations_job.py"
 CELL = 8

@@ -15,10 +15,11 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from support.c_kernel import FLAGS, compiled, right_hand_side, triad
-from support.harness import DATA, Row, append_result, main
-from support.unstructured_mesh import write_unstructured_mesh
 
+from bench.support.c_kernel import FLAGS, compiled, right_hand_side, triad
+from bench.support.rows import Row, append_result, main
+from bench.support.runs import DATA
+from bench.support.unstructured_mesh import write_unstructured_mesh
 from ddic.functionals.correlation import Correlation, correlations
 from ddic.images.binned import ArraySource
 from ddic.images.spline import read_gradient, read_spline

@@ -12,7 +12,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from support.harness import DATA, Row, append_result, images, main, mpirun
+from bench.support.rows import Row, append_result, main
+from bench.support.runs import DATA, images, mpirun
 
 JOB = Path(__file__).parent / "support" / "local_inverse_job.py"
 CELL = 8

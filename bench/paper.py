@@ -15,9 +15,9 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
-from support.harness import RESULTS, Row, append_result
-from support.paper_case import CASES, TOLERANCE
-from support.paper_record import monolithic_record, pixel_record, run_record, timed_runs
+from bench.support.paper_case import CASES, TOLERANCE
+from bench.support.paper_record import monolithic_record, pixel_record, run_record, timed_runs
+from bench.support.rows import RESULTS, Row, append_result
 
 LONGEST_S, GIBIBYTES = 8.0, 2.5
 LEAST_SPEEDUP = 1.85

@@ -25,9 +25,10 @@ from statistics import median
 from typing import Any
 
 import numpy as np
-from support.harness import DATA, Row, append_result, images
-from support.peer_environment import run_ddic, run_peer
 
+from bench.support.peer_environment import run_ddic, run_peer
+from bench.support.rows import Row, append_result
+from bench.support.runs import DATA, images
 from ddic.io.result_reader import read_result
 from ddic.synth.truth import load_truth
 

@@ -15,8 +15,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from support.harness import DATA, RESULTS, append_result, images, mpirun
-from support.paper_scaling_model import coarse_table, measured_table, model_table
+from bench.support.paper_scaling_model import coarse_table, measured_table, model_table
+from bench.support.rows import RESULTS, append_result
+from bench.support.runs import DATA, images, mpirun
 
 JOB = Path(__file__).parent / "support" / "paper_scaling_job.py"
 RANKS = (4, 16, 36, 64)

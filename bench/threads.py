@@ -18,8 +18,9 @@ from typing import Any
 
 import h5py
 import numpy as np
-from support.harness import DATA, Row, append_result, ddic_run, images, main
 
+from bench.support.rows import Row, append_result, main
+from bench.support.runs import DATA, ddic_run, images
 from ddic.functionals.correlation import correlations
 from ddic.images.spline import read_gradient, read_spline
 from ddic.images.sub_image import DeformedSubImage, MaskedSource

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from bench.support.step_problem import ALONE
 from ddic.case.schema import Case, RegularizationSection
 from ddic.functionals.equilibrium_gap import (
     controlled_stiffness,
@@ -27,7 +28,6 @@ from ddic.problem.assembly import Assembly, own_parts
 from ddic.problem.inputs import material, open_pair, region_gap_energies, share_out
 from ddic.problem.mesh_source import build_mesh
 from ddic.solvers.local_system import LocalSystem
-from support.step_problem import ALONE
 
 
 @dataclass(frozen=True)

@@ -9,13 +9,13 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 
+from bench.support.paper_field import OpenHoleBeam
+from bench.support.paper_mesh import write_gmsh_mesh
+from bench.support.runs import DATA, images, source_version
 from ddic.synth.fields import DisplacementField
 from ddic.synth.render import write_pair
 from ddic.synth.texture import SpeckleTexture
 from ddic.synth.truth import load_truth
-from support.harness import DATA, images, source_version
-from support.paper_field import OpenHoleBeam
-from support.paper_mesh import write_gmsh_mesh
 
 WIDTH, HEIGHT = 6576, 4384
 SUBDOMAINS = 180

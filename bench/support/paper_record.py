@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from bench.support.paper_case import BenchCase
+from bench.support.runs import ddic_run, mpirun
 from ddic.io.result_reader import Result, read_result
 from ddic.mesh.topology import boundary_nodes
-from support.harness import ddic_run, mpirun
-from support.paper_case import BenchCase
 
 JOB = Path(__file__).parent / "paper_pixels_job.py"
 RANKS = 2

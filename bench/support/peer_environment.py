@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from support.harness import DATA, ROOT
+from bench.support.runs import DATA, ROOT
 
 REQUIREMENTS = ("pyxel-dic>=2026.10.8", "pyvale>=2026.10.2", "numba>=0.60")
 TIMEOUT = "3600"

@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from bench.support.rows import Row, append_result, main
+from bench.support.runs import DATA, ddic_run, real_data
 from numpy.typing import NDArray
 from scipy import integrate
-from support.harness import DATA, Row, append_result, ddic_run, main, real_data
 
 from ddic.io.result_reader import read_result
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from support.harness import DATA, Row, append_result, ddic_run, images, main
+from bench.support.rows import Row, append_result, main
+from bench.support.runs import DATA, ddic_run, images
 
 WIDTH, HEIGHT = 6576, 4384
 

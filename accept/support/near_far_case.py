@@ -9,6 +9,7 @@ from pathlib import Path
 
 import meshio
 import numpy as np
+from bench.support.runs import DATA, ddic_run, images
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -16,7 +17,6 @@ from ddic.images.camera import CameraMapping, identity
 from ddic.io.result_reader import Result, read_result
 from ddic.mesh.mesh import VTK_QUAD, VTK_TRIANGLE, Mesh
 from ddic.synth.near_far_truth import NearFarTruth, load_near_far_truth
-from support.harness import DATA, ddic_run, images
 
 SIZE = (1392, 1040)
 RATIO = 5.0

@@ -12,9 +12,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from bench.support.beam_mesh import write_beam_mesh
+from bench.support.rows import RESULTS, Row, append_result, main
+from bench.support.runs import DATA, ROOT, images
 from matplotlib.figure import Figure
-from support.beam_mesh import write_beam_mesh
-from support.harness import DATA, RESULTS, ROOT, Row, append_result, images, main
 
 JOB = Path(__file__).parent / "support" / "preconditioner_job.py"
 WAVELENGTH = 150

@@ -6,7 +6,8 @@ import json
 import sys
 from pathlib import Path
 
-from support.harness import DATA, Row, append_result, images, main, mpirun
+from bench.support.rows import Row, append_result, main
+from bench.support.runs import DATA, images, mpirun
 
 JOB = Path(__file__).parent / "support" / "linear_step_job.py"
 BOUND = 1e-9

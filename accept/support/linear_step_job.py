@@ -4,24 +4,20 @@ from __future__ import annotations
 
 import json
 import sys
-from pathlib import Path
 
 import numpy as np
-from mpi4py import MPI
-
-from ddic.case.schema import Case
-from ddic.parallel.team import Team
-from ddic.problem.linear_solver import linear_step
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from support.step_problem import (
+from bench.support.step_problem import (
     distributed_problem,
     dof_multiplicity,
     monolithic_correction,
     relative_difference,
     whole_problem,
 )
+from mpi4py import MPI
+
+from ddic.case.schema import Case
+from ddic.parallel.team import Team
+from ddic.problem.linear_solver import linear_step
 
 PARTITIONS = {"blocks": {4: [2, 2], 9: [3, 3], 16: [4, 4]}, "metis": {4: 4, 9: 9, 16: 16}}
 VARIANTS = {"consistent": 64.0, "paper": 64.0, "unregularized": None}

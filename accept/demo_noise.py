@@ -6,7 +6,8 @@ import re
 import subprocess
 
 import numpy as np
-from support.harness import DATA, ROOT, Row, ddic_run, images, main
+from bench.support.rows import Row, main
+from bench.support.runs import DATA, ROOT, ddic_run, images
 
 from ddic.io.result_reader import read_result
 from ddic.synth.truth import load_truth

@@ -15,8 +15,9 @@ from typing import Any
 import iterations as grid
 import local_inverse
 import numpy as np
+from bench.support.rows import Row, append_result
+from bench.support.runs import DATA, ddic_run
 from openhole import case
-from support.harness import DATA, Row, accept, append_result, ddic_run
 
 from ddic.io.result_reader import read_result
 

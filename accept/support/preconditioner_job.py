@@ -4,24 +4,20 @@ from __future__ import annotations
 
 import json
 import sys
-from pathlib import Path
 
 import numpy as np
-from petsc4py import PETSc
-
-from ddic.case.schema import Case, SolverSection
-from ddic.problem.linear_solver import linear_step
-from ddic.solvers.dual.dual_step import DualStep
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from support.step_problem import (
+from bench.support.step_problem import (
     ALONE,
     distributed_problem,
     dof_multiplicity,
     monolithic_correction,
     whole_problem,
 )
+from petsc4py import PETSc
+
+from ddic.case.schema import Case, SolverSection
+from ddic.problem.linear_solver import linear_step
+from ddic.solvers.dual.dual_step import DualStep
 
 KINDS = ("none", "paper", "scaled")
 

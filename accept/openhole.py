@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from support.harness import DATA, Row, append_result, ddic_run, main, real_data
+from bench.support.rows import Row, append_result, main
+from bench.support.runs import DATA, ddic_run, real_data
 
 from ddic.io.result_reader import read_result
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from support.harness import DATA, Row, append_result, ddic_run, images, main
+from bench.support.rows import Row, append_result, main
+from bench.support.runs import DATA, ddic_run, images
 
 from ddic.io.result_reader import read_result
 from ddic.synth.truth import load_truth

@@ -18,8 +18,10 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from support.harness import DATA, ROOT, Row, accept, append_result, ddic_run, images, mpirun, real_data
-from support.near_far_case import (
+from bench.support.rows import Row, append_result
+from bench.support.runs import DATA, ROOT, ddic_run, images, mpirun, real_data
+
+from accept.support.near_far_case import (
     ALPHA,
     RATIO,
     Pair,
@@ -32,9 +34,8 @@ from support.near_far_case import (
     rms,
     synthetic,
 )
-from support.near_far_error import error_rms, errors, interface_error, largest_jump, oscillation
-from support.near_far_picture import draw_panels
-
+from accept.support.near_far_error import error_rms, errors, interface_error, largest_jump, oscillation
+from accept.support.near_far_picture import draw_panels
 from ddic.images.camera import CameraMapping, identity, similarity
 from ddic.io.result_reader import Result, read_result
 

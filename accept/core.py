@@ -8,8 +8,6 @@ from __future__ import annotations
 import importlib
 import sys
 
-from support.harness import accept
-
 CHECKS = ("accuracy", "demo_noise", "linear_step", "preconditioners", "openhole", "sample14", "full_size")
 
 

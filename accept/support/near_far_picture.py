@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from accept.support.near_far_case import Fields
 from ddic.io.plots.camera_fields import CellPanel, panels_figure
 from ddic.io.plots.canvas import mesh_bounds, save_figure
 from ddic.kinematics.strain import cell_strain
-from support.near_far_case import Fields
 
 AROUND = 0.35
 

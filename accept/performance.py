@@ -12,7 +12,8 @@ from collections.abc import Sequence
 
 import accuracy as reference
 import paper as megapixels
-from support.harness import DATA, Row, accept, append_result, ddic_run, images
+from bench.support.rows import Row, append_result
+from bench.support.runs import DATA, ddic_run, images
 
 BEFORE = {(0, 0): {3: 0.0022063, 5: 0.0019515}, (0, 64): {3: 0.0011295, 5: 0.0005963},
           (2, 0): {3: 0.0123402, 5: 0.0122960}, (2, 64): {3: 0.0031624, 5: 0.0029959}}
