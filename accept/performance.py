@@ -1,19 +1,21 @@
-"""The acceptance table of performance: every check measured here and now; exit 1 where one falls short.
+"""The acceptance table of performance: ``make accept-performance``, a check alone with CHECK=NAME.
 
-Usage: accept_performance.py [NAME ...], with the names of CHECKS; all by default. What a check ran goes to
-bench/results/paper.jsonl, kernels.jsonl, peers.jsonl and accuracy_runs.jsonl.
+What a check ran goes to bench/results/paper.jsonl, kernels.jsonl, peers.jsonl and accuracy_runs.jsonl. A smoke run of
+the peers measures with ddic alone, unless their environment is there already.
 """
 
 from __future__ import annotations
 
-import importlib
 import sys
-from collections.abc import Sequence
 
-import accuracy as reference
-import paper as megapixels
-from bench.support.rows import Row, append_result
-from bench.support.runs import DATA, ddic_run, images
+from bench import kernels as pixel_kernels
+from bench import paper as megapixels
+from bench import peers
+from bench.support.peer_environment import peers_are_there
+from bench.support.rows import Row
+
+from accept.accuracy import BOUNDS, Field, measure_errors
+from accept.table import Check, Scale, run_table
 
 BEFORE = {(0, 0): {3: 0.0022063, 5: 0.0019515}, (0, 64): {3: 0.0011295, 5: 0.0005963},
           (2, 0): {3: 0.0123402, 5: 0.0122960}, (2, 64): {3: 0.0031624, 5: 0.0029959}}
@@ -22,64 +24,142 @@ BEFORE = {(0, 0): {3: 0.0022063, 5: 0.0019515}, (0, 64): {3: 0.0011295, 5: 0.000
 LAST_DIGIT = 1e-5
 """Errors are compared as the tables give them, to 1e-5 px: sums in another order change what is behind."""
 
+SPEEDUP_CASES = ("beam_16", "full_16")
+"""Cases of ``bench.paper`` whose pixel work is measured on one and two ranks."""
 
-def paper() -> Sequence[Row]:
-    """The whole command on every 29-megapixel case, records kept as by ``make bench-paper``."""
-    return [row for name in megapixels.CASES for row in megapixels.measure_case(name)[:1]]
-
-
-def speedup() -> Sequence[Row]:
-    """Pixel work on one and two ranks."""
-    return [megapixels.speedup(name)[0] for name in ("beam_16", "full_16")]
+SMOKE_CASE = "tiny"
+"""A case of ``bench.paper`` that takes a second."""
 
 
-def kernels() -> Sequence[Row]:
-    """Both pixel kernels against their bounds and against C."""
-    rows: Sequence[Row] = importlib.import_module("kernels").measure()
-    return rows
+def measure_paper(scale: Scale) -> list[Row]:
+    """Measure the whole command on every 29-megapixel case, records kept as by ``make bench-paper``.
+
+    Parameters
+    ----------
+    scale : Scale
+        A smoke run takes a tiny case, and leaves the kernels to their own check.
+
+    Returns
+    -------
+    list of Row
+        One for each case.
+    """
+    if scale.smoke:
+        return megapixels.measure_case(SMOKE_CASE, repeats=1, with_kernels=False)[:1]
+    return [row for name in megapixels.MEASURED for row in megapixels.measure_case(name)[:1]]
 
 
-def pyxel() -> Sequence[Row]:
-    """CPU and error against pyxel-dic."""
-    return _peer("pyxel")
+def measure_speedup(scale: Scale) -> list[Row]:
+    """Measure the pixel work on one and two ranks.
+
+    Parameters
+    ----------
+    scale : Scale
+        A smoke run takes a tiny case.
+
+    Returns
+    -------
+    list of Row
+        One for each case.
+    """
+    if scale.smoke:
+        return [megapixels.speedup(SMOKE_CASE, repeats=1)[0]]
+    return [megapixels.speedup(name)[0] for name in SPEEDUP_CASES]
 
 
-def pyvale() -> Sequence[Row]:
-    """CPU and error against pyvale."""
-    return _peer("pyvale")
+def measure_kernels(scale: Scale) -> list[Row]:
+    """Measure both pixel kernels against their bounds and against C.
+
+    Parameters
+    ----------
+    scale : Scale
+        A smoke run takes a small image.
+
+    Returns
+    -------
+    list of Row
+        Two for each problem.
+    """
+    return pixel_kernels.measure(pixel_kernels.SMALL if scale.smoke else pixel_kernels.SIZE)
 
 
-def accuracy() -> Sequence[Row]:
-    """The reference field's errors, quintic and cubic, against what they were before and against their bounds."""
-    return [_no_worse(noise, wavelength) for noise, wavelength in BEFORE]
+def measure_pyxel(scale: Scale) -> list[Row]:
+    """Measure CPU and error against pyxel-dic.
+
+    Parameters
+    ----------
+    scale : Scale
+        A smoke run takes small images.
+
+    Returns
+    -------
+    list of Row
+        Of ``bench.peers``.
+    """
+    return _measure_peer("pyxel", scale)
 
 
-CHECKS = {check.__name__: check for check in (paper, kernels, speedup, pyxel, pyvale, accuracy)}
+def measure_pyvale(scale: Scale) -> list[Row]:
+    """Measure CPU and error against pyvale.
+
+    Parameters
+    ----------
+    scale : Scale
+        A smoke run takes small images.
+
+    Returns
+    -------
+    list of Row
+        Of ``bench.peers``.
+    """
+    return _measure_peer("pyvale", scale)
 
 
-def _peer(name: str) -> Sequence[Row]:
-    rows: Sequence[Row] = importlib.import_module("peers").measure(name)
-    return rows
+def _measure_peer(name: str, scale: Scale) -> list[Row]:
+    """Rows of a peer; without its environment a smoke run measures with ddic alone."""
+    if not scale.smoke:
+        return peers.measure(name)
+    if peers_are_there():
+        return list(peers.rows(name, ("tiny",), 1))
+    run = peers.measure_ddic(peers.warm_up_pair(), peers.WAVELENGTH, 1, peers.METHODS[name])
+    return [Row(f"{name}: ddic alone", "runs", f"{run.seconds:.2f} CPU s, RMS error {run.error:.5f} px", True)]
 
 
-def _no_worse(noise: int, wavelength: int) -> Row:
-    folder = images("sinusoidal", "--size", f"{reference.SIZE}x{reference.SIZE}", "--noise", str(noise),
-                    folder=DATA / f"reference_field_noise{noise}")
-    errors = {}
-    for degree in (3, 5):
-        name = f"lc{wavelength}_degree{degree}"
-        summary = ddic_run(reference.case(folder, wavelength, degree), folder, 2, name)
-        errors[degree] = reference.error_rms(folder, name, folder / "truth.json")
-        append_result("accuracy_runs", {"noise": noise, "cut_off_wavelength": wavelength, "spline_degree": degree,
-                                        "rms_error_px": errors[degree], **summary})
-    before, bound = BEFORE[noise, wavelength], reference.BOUNDS[noise, wavelength]
-    what = f"l_c = {wavelength} px" if wavelength else "no regularization"
-    return Row(f"reference field, 2112 x 2112, 8 bit, 16-px Q4, noise {noise} grey levels, {what}: RMS error",
+def measure_accuracy(scale: Scale) -> list[Row]:
+    """Compare the reference field's errors, quintic and cubic, with what they were before and with their bounds.
+
+    Parameters
+    ----------
+    scale : Scale
+        A smoke run takes small images and one row.
+
+    Returns
+    -------
+    list of Row
+        One for each noise and cut-off wavelength.
+    """
+    fields = [Field(*key) for key in BEFORE]
+    return [_compare_errors(field, scale) for field in (fields[-1:] if scale.smoke else fields)]
+
+
+def _compare_errors(field: Field, scale: Scale) -> Row:
+    errors = measure_errors(field, scale)
+    before, bound = BEFORE[field.noise, field.wavelength], BOUNDS[field.noise, field.wavelength]
+    return Row(f"reference field, 2112 x 2112, 8 bit, 16-px Q4, {field.what}: RMS error",
                f"no worse than before, to {LAST_DIGIT:.0e} px: quintic {before[5]:.5f}, cubic {before[3]:.5f} px; "
                f"quintic at most {bound} px",
                f"quintic {errors[5]:.6f} px, cubic {errors[3]:.6f} px",
                errors[5] <= bound and all(errors[d] <= before[d] + LAST_DIGIT / 2 for d in errors))
 
 
+CHECKS: dict[str, Check] = {
+    "paper": measure_paper,
+    "kernels": measure_kernels,
+    "speedup": measure_speedup,
+    "pyxel": measure_pyxel,
+    "pyvale": measure_pyvale,
+    "accuracy": measure_accuracy,
+}
+
 if __name__ == "__main__":
-    sys.exit(accept("performance", sys.argv[1:], CHECKS, lambda name: CHECKS[name]()))
+    sys.exit(run_table("performance", CHECKS))

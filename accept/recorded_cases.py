@@ -23,8 +23,9 @@ HIDDEN_BOUND_PX = 1e-8
 that of all pixels or of the visible ones, and decides where the iteration ends."""
 
 HIDDEN_CUT_OFF_BOUND_PX = 1e-3
-"""The same where eta follows from M by a cut-off wavelength: 2.5 % of the pixels, as many as are hidden here, change eta
-by as much and the field by 2.6e-4 px, which is below the tolerance of Gauss-Newton (|dq|/|q| <= 1e-3 by default)."""
+"""The same where eta follows from M by a cut-off wavelength: 2.5 % of the pixels, as many as are hidden here, change
+eta by as much and the field by 2.6e-4 px, which is below the tolerance of Gauss-Newton (|dq|/|q| <= 1e-3 by
+default)."""
 
 GREY = 128
 """Grey level of a part without texture."""

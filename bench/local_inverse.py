@@ -1,7 +1,7 @@
 """Memory and time of the two-level set-up of one subdomain, with a dense and with a sparse inverse of S_s.
 
-Usage: python -m bench.local_inverse [ELEMENTS_PER_SIDE ...]; 20 50 100 200 300 by default. The subdomain has neighbours on all
-sides and a rank of its own, every measurement a process of its own.
+Usage: python -m bench.local_inverse [ELEMENTS_PER_SIDE ...]; 20 50 100 200 300 by default. The subdomain has
+neighbours on all sides and a rank of its own, every measurement a process of its own.
 """
 
 from __future__ import annotations

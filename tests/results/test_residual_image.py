@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from ddic.images.window import Window
 from ddic.io.image_chunks import ChunkGrid
-from ddic.results import residual_image
 from ddic.parallel.distribution import owners
 from ddic.parallel.team import Team
+from ddic.results import residual_image
 from ddic.results.residual_image import PackedChunk, Patch, packed_chunks, share_chunks, to_root
 
 RANKS = [1, 2, 3, 4]

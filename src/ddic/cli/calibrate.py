@@ -34,8 +34,8 @@ def calibrate(far: Path, near: Path, ratio: float, model: Kind, distortion: bool
     The near field must lie in the far image, turned by 5 degrees at most.
     """
     # Imported here because they bring numba, SciPy and OpenCV, which --help does not need.
-    from ddic.io.image_file import find_not_finite, open_image
     from ddic.calibration import calibrate as calibration
+    from ddic.io.image_file import find_not_finite, open_image
 
     try:
         with warnings.catch_warnings(record=True) as warned:
