@@ -13,7 +13,7 @@ JOBS ?= 2
 SIZE ?= 22000
 
 .PHONY: help setup demo test lint docs bench bench-iterations bench-interface bench-paper bench-peers bench-big bench-scaling \
-	bench-threads accept-core accept-solver accept-performance accept-near-far clean
+	bench-threads accept-core accept-solver accept-performance accept-near-far accept-house smoke clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -51,37 +51,43 @@ bench: setup ## run every benchmark; results go to bench/results
 	@bash scripts/run_bench.sh
 
 bench-iterations: setup ## iterations of the interface problem over the grid l_c/H x subdomains
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/iterations.py --jobs $(JOBS)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m bench.iterations --jobs $(JOBS)
 
 bench-interface: setup ## time and memory of the interface solvers, direct solvers and multigrid; takes hours
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/interface_solvers.py
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m bench.interface_solvers
 
 bench-paper: $(BENCH_STAMP) ## the 29-megapixel case on 2 ranks: time by phase, memory, error, rates (ARGS="beam_8 --repeats 1")
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/paper.py $(ARGS)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m bench.paper $(ARGS)
 
 bench-peers: setup ## CPU time and error beside other programs, which are installed into bench/data
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/peers.py $(ARGS)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m bench.peers $(ARGS)
 
 bench-big: setup ## a SIZE x SIZE px pair on 2 ranks, 22,000 by default: time by phase, memory
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/big.py --size $(SIZE)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m bench.big --size $(SIZE)
 
 bench-scaling: setup ## work by rank, messages and bytes on 4 to 64 oversubscribed ranks
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/scaling.py $(ARGS)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m bench.scaling $(ARGS)
 
 bench-threads: setup ## one thread against two on one rank, phase by phase
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/threads.py $(ARGS)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m bench.threads $(ARGS)
 
 accept-core: setup ## measure the acceptance table (CHECK=NAME: one check); non-zero exit where a bound is missed
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/accept_core.py $(CHECK)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.core $(CHECK)
 
 accept-solver: setup ## measure the interface solver's acceptance table (CHECK=NAME: one check)
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/accept_solver.py --jobs $(JOBS) $(CHECK)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.solver --jobs $(JOBS) $(CHECK)
 
 accept-performance: $(BENCH_STAMP) ## measure the performance acceptance table (CHECK=NAME: one check)
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/accept_performance.py $(CHECK)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.performance $(CHECK)
 
 accept-near-far: setup ## measure the acceptance table of near-field and far-field images (CHECK=NAME: one check)
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/accept_near_far.py $(CHECK)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.near_far $(CHECK)
+
+accept-house: setup ## measure the table of the house: the other four tables, fields and rates as before (CHECK=NAME: one check)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.house $(CHECK)
+
+smoke: setup ## run every check of every acceptance table on tiny cases: minutes, no bound is judged
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.smoke
 
 clean: ## remove the environments and caches
 	rm -rf site .venv .venv-numpy2 .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -13,6 +13,7 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
+from accept.support.near_far_oracle import State, saddle_point
 from ddic.case.loader import load_case
 from ddic.case.schema import Case
 from ddic.mesh.mesh import Mesh
@@ -25,10 +26,6 @@ from ddic.problem.linear_solver import linear_solver
 from ddic.problem.mesh_source import build_mesh
 from ddic.problem.near_far_parts import cut_by_camera, in_unknowns, moving, own_views
 from ddic.synth.near_far_truth import load_near_far_truth
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from support.near_far_oracle import State, saddle_point
 
 OFF = 1e-2
 """Distance of the beginning from the exact solution, far px: that of a start."""

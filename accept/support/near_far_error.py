@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from accept.support.near_far_case import Fields, rms
 from ddic.mesh.mesh import Mesh
-from support.near_far_case import Fields, rms
 
 Exact = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 

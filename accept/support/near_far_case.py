@@ -9,6 +9,7 @@ from pathlib import Path
 
 import meshio
 import numpy as np
+from bench.support.runs import ddic_run, images
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -16,13 +17,60 @@ from ddic.images.camera import CameraMapping, identity
 from ddic.io.result_reader import Result, read_result
 from ddic.mesh.mesh import Mesh
 from ddic.synth.near_far_truth import NearFarTruth, load_near_far_truth
-from support.harness import DATA, ddic_run, images
 
-SIZE = (1392, 1040)
-RATIO = 5.0
-ALPHA = (3.7, -2.2)
 EDGE = 47.5
+<<<<<<< HEAD:bench/support/near_far_case.py
+=======
+"""Edge of the far image without elements, far px."""
+
+VTK_NAMES = {VTK_TRIANGLE: "triangle", VTK_QUAD: "quad"}
+>>>>>>> refs/heads/accept:accept/support/near_far_case.py
 SAME_NODE = 1e-6
+"""Distance within which nodes of two files are one, pixels."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Synthetic far and near images and the mesh on them.
+
+    Attributes
+    ----------
+    width, height : int
+        Of either image, pixels.
+    ratio : float
+        Near px per far px.
+    alpha : tuple of float
+        Translation of the near set-up, far px.
+    element_size : float
+        Side of the elements, far px.
+    folder : Path
+        Where images go, a folder for each noise.
+    """
+
+    width: int
+    height: int
+    ratio: float
+    alpha: tuple[float, float]
+    element_size: float
+    folder: Path
+
+    def plate(self, truth_file: Path) -> str:
+        """Give the mesh section of the plate with a hole over the far image.
+
+        Parameters
+        ----------
+        truth_file : Path
+            What ``ddic synth`` wrote.
+
+        Returns
+        -------
+        str
+            TOML text.
+        """
+        hole = json.loads(truth_file.read_text(encoding="utf-8"))["hole"]
+        region = [EDGE, EDGE, self.width - 1 - EDGE, self.height - 1 - EDGE]
+        return (f"[mesh.structured]\nregion = {region}\nelement_size = {self.element_size:g}\n"
+                f"circles = [{{ center = {hole['center']}, radius = {hole['radius']} }}]\n")
 
 
 @dataclass(frozen=True)
@@ -67,23 +115,32 @@ class Fields:
     alpha: NDArray[np.float64]
 
 
-def synthetic(noise: float, seed: int = 0) -> tuple[Pair, Pair, NearFarTruth]:
-    """The pair of the acceptance table: far and near images and the truth; noise: grey levels."""
-    folder = images("near-far", "--size", f"{SIZE[0]}x{SIZE[1]}", "--ratio", str(RATIO), "--alpha", str(ALPHA[0]),
-                    str(ALPHA[1]), "--noise", str(noise), "--seed", str(seed),
-                    folder=DATA / f"near_far_noise{noise:g}_seed{seed}")
+def render_scene(scene: Scene, noise: float, seed: int = 0) -> tuple[Pair, Pair, NearFarTruth]:
+    """Render the images of a scene, where they are missing.
+
+    Parameters
+    ----------
+    scene : Scene
+        Sizes.
+    noise : float
+        Standard deviation, grey levels.
+    seed : int
+        Of speckles and noise.
+
+    Returns
+    -------
+    far, near : Pair
+        The images.
+    truth : NearFarTruth
+        The exact field.
+    """
+    folder = images("near-far", "--size", f"{scene.width}x{scene.height}", "--ratio", str(scene.ratio), "--alpha",
+                    *map(str, scene.alpha), "--noise", str(noise), "--seed", str(seed),
+                    folder=scene.folder / f"noise{noise:g}_seed{seed}")
     truth = load_near_far_truth(folder / "truth.json")
     far, near = (Pair(folder / f"{name}_reference.tif", folder / f"{name}_deformed.tif", mapping)
                  for name, mapping in (("far", identity()), ("near", truth.mapping)))
     return far, near, truth
-
-
-def plate(truth_file: Path, element_size: float) -> str:
-    """Mesh section of the plate with a hole over the far image."""
-    hole = json.loads(truth_file.read_text(encoding="utf-8"))["hole"]
-    return (f"[mesh.structured]\nregion = [{EDGE}, {EDGE}, {SIZE[0] - 1 - EDGE}, {SIZE[1] - 1 - EDGE}]\n"
-            f"element_size = {element_size:g}\n"
-            f"circles = [{{ center = {hole['center']}, radius = {hole['radius']} }}]\n")
 
 
 def joint_case(far: Pair, near: Pair, mesh: str, rest: str) -> str:

@@ -1,49 +1,51 @@
 """The acceptance table of near and far images: every check measured here and now; exit 1 where one falls short.
 
-Usage: accept_near_far.py [NAME ...], with the names of CHECKS; all by default. Synthetic images are those of
-``ddic synth near-far``: ratio 5, 1392 x 1040 px each, 8 bit, alpha = (3.7, -2.2) far px; meshes are of 16-px elements
-with the hole left out. What a check ran goes to bench/results/accept_near_far_runs.jsonl, its row to
-accept_near-far.jsonl; the noise check draws docs/pictures/near_far.png.
+``make accept-near-far``, a check alone with CHECK=NAME. Synthetic images are those of ``ddic synth near-far``: ratio 5,
+1392 x 1040 px each, 8 bit, alpha = (3.7, -2.2) far px; meshes are of 16-px elements with the hole left out. The noise
+check draws docs/pictures/near_far.png.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import json
 import re
 import subprocess
 import sys
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from support.harness import DATA, ROOT, Row, accept, append_result, ddic_run, images, mpirun, real_data
-from support.near_far_case import (
-    ALPHA,
-    RATIO,
+from bench.support.rows import Row, append_result
+from bench.support.runs import ROOT, ddic_command, ddic_run, real_data, run_job
+
+from accept.support.near_far_case import (
     Pair,
+    Scene,
     alpha_of,
     continuous,
     independent,
     joint_case,
     measured_alone,
-    plate,
+    render_scene,
     rms,
-    synthetic,
 )
-from support.near_far_error import error_rms, errors, interface_error, largest_jump, oscillation
-from support.near_far_picture import draw_panels
-
+from accept.support.near_far_error import error_rms, errors, interface_error, largest_jump, oscillation
+from accept.support.near_far_picture import draw_panels
+from accept.table import Check, Scale, run_table, runs_name
 from ddic.images.camera import CameraMapping, identity, similarity
 from ddic.io.result_reader import Result, read_result
 
-RUNS = "accept_near_far_runs"
-FOLDER = DATA / "accept_near_far"
+TABLE = "near-far"
+RUNS = runs_name(TABLE)
 PICTURE = ROOT / "docs" / "pictures" / "near_far.png"
-JOB = Path(__file__).parent / "support" / "near_far_job.py"
+JOB = "accept.support.near_far_job"
 N_RANKS, N_SUBDOMAINS = 2, 6
-ELEMENT, WAVELENGTH, NOISE = 16.0, 96, 2.0
+WAVELENGTH, NOISE = 96, 2.0
+WITHOUT_NEAR = 0.43
+"""Share of the far image's width, from the left, that does not show the near field."""
+
 QUINTIC = "[correlation]\nspline_degree = 5\n"
 GAP = f'[regularization]\ncut_off_wavelength = {WAVELENGTH}\nnot_controlled = ["left", "right", "top", "bottom"]\n'
 VARIANTS = {"continuous": "", "regularized": GAP}
@@ -58,16 +60,36 @@ FOAM_FIELD_BOUND, FOAM_ALPHA_BOUND, CALIBRATION_BOUND = 0.05, 0.05, 0.1
 ROUGH_RATIOS = (3.6, 4.4)
 
 
-def exact() -> list[Row]:
-    """Alpha, error and jump on images without noise but their rounding to whole grey levels."""
-    far, near, truth = synthetic(0)
+def _scene(scale: Scale) -> Scene:
+    """The images of the table, small ones in a smoke run."""
+    folder = scale.folder("near_far")
+    if scale.smoke:
+        return Scene(480, 400, 3.0, (1.7, -1.2), 12.0, folder)
+    return Scene(1392, 1040, 5.0, (3.7, -2.2), 16.0, folder)
+
+
+def measure_exact(scale: Scale) -> list[Row]:
+    """Measure alpha, error and jump on images without noise but their rounding to whole grey levels.
+
+    Parameters
+    ----------
+    scale : Scale
+        A smoke run takes small images.
+
+    Returns
+    -------
+    list of Row
+        Without and with regularization.
+    """
+    scene = _scene(scale)
+    far, near, truth = render_scene(scene, 0)
     rows = []
     for name, gap in VARIANTS.items():
         solver = f"[solver]\nsubdomains = {N_SUBDOMAINS}\ninexact = false\ntolerance = {EXACT_TOLERANCE}\n"
-        case = joint_case(far, near, plate(_truth_file(far), ELEMENT), QUINTIC + solver + gap)
-        result = _run(case, f"exact_{name}")
+        case = joint_case(far, near, scene.plate(_truth_file(far)), QUINTIC + solver + gap)
+        result = _run(case, scene.folder, f"exact_{name}")
         fields = continuous(result)
-        off = float(np.abs(fields.alpha - ALPHA).max())
+        off = float(np.abs(fields.alpha - scene.alpha).max())
         error = error_rms(fields, truth.displacement)
         jump = float(result.attributes["case"]["largest_jump_px"])
         rows.append(Row(
@@ -79,15 +101,28 @@ def exact() -> list[Row]:
     return rows
 
 
-def noise() -> list[Row]:
-    """Error and oscillation of independent, continuous and regularized fields, on the same noisy images."""
-    far, near, truth = synthetic(NOISE)
+def measure_noise(scale: Scale) -> list[Row]:
+    """Measure error and oscillation of independent, continuous and regularized fields, on the same noisy images.
+
+    Parameters
+    ----------
+    scale : Scale
+        A smoke run takes small images.
+
+    Returns
+    -------
+    list of Row
+        One row.
+    """
+    scene = _scene(scale)
+    far, near, truth = render_scene(scene, NOISE)
     results = {}
     for name, gap in VARIANTS.items():
-        case = joint_case(far, near, plate(_truth_file(far), ELEMENT),
+        case = joint_case(far, near, scene.plate(_truth_file(far)),
                           f"{QUINTIC}[solver]\nsubdomains = {N_SUBDOMAINS}\n{gap}")
-        results[name] = _run(case, f"noise_{name}")
-    alone = [measured_alone(results["continuous"], k, pair, FOLDER, QUINTIC) for k, pair in enumerate((far, near))]
+        results[name] = _run(case, scene.folder, f"noise_{name}")
+    alone = [measured_alone(results["continuous"], k, pair, scene.folder, QUINTIC)
+             for k, pair in enumerate((far, near))]
     fields = {"independent": independent(results["continuous"], alone),
               **{name: continuous(result) for name, result in results.items()}}
     table = []
@@ -97,35 +132,47 @@ def noise() -> list[Row]:
                   "far_rms_error_px": by_camera[0], "near_rms_error_px": by_camera[1],
                   "interface_rms_error_px": interface_error(field, truth.displacement),
                   "oscillation_px": oscillation(field, truth.displacement),
-                  "largest_jump_px": largest_jump(field), "alpha_error_px": (field.alpha - ALPHA).tolist()}
+                  "largest_jump_px": largest_jump(field), "alpha_error_px": (field.alpha - scene.alpha).tolist()}
         append_result(RUNS, {"check": "noise", **record})
         table.append(record)
-    draw_panels(fields, PICTURE)
+    picture = scene.folder / PICTURE.name if scale.smoke else PICTURE
+    draw_panels(fields, picture)
     falls = all(b[key] < a[key] for a, b in pairwise(table)
                 for key in ("rms_error_px", "oscillation_px"))
     return [Row(f"the same with noise of {NOISE:g} grey levels: independent, continuous (Eq. 21), regularized "
                 f"(Eq. 23, l_c = {WAVELENGTH} px); oscillation: RMS second difference of the error along the mesh "
                 "lines through the interface's nodes", "RMS error and interface oscillation fall in that order",
                 "; ".join(f"{r['variant']} {r['rms_error_px']:.5f}, {r['oscillation_px']:.5f} px" for r in table)
-                + f"; picture {PICTURE.relative_to(ROOT)}", falls)]
+                + f"; picture {picture.relative_to(ROOT)}", falls)]
 
 
-def dual() -> list[Row]:
-    """The dual step on 1 to 4 ranks against Eq. 23 assembled as one saddle point and solved by a sparse LU."""
-    far, near, _ = synthetic(NOISE)
+def measure_dual(scale: Scale) -> list[Row]:
+    """Compare the dual step on 1 to 4 ranks with Eq. 23 assembled as one saddle point and solved by a sparse LU.
+
+    Parameters
+    ----------
+    scale : Scale
+        A smoke run takes small images and two ranks.
+
+    Returns
+    -------
+    list of Row
+        One row.
+    """
+    scene = _scene(scale)
+    far, near, _ = render_scene(scene, NOISE)
     far, near = (dataclasses.replace(pair, noise=NOISE) for pair in (far, near))
-    FOLDER.mkdir(parents=True, exist_ok=True)
     cases = []
     for name, gap in VARIANTS.items():
         for n_subdomains in CUTS:
             solver = f"[solver]\nsubdomains = {n_subdomains}\ntolerance = {EXACT_TOLERANCE}\n"
-            cases.append(FOLDER / f"dual_{name}_{n_subdomains}.toml")
-            cases[-1].write_text(joint_case(far, near, plate(_truth_file(far), ELEMENT), solver + gap),
+            cases.append(scene.folder / f"dual_{name}_{n_subdomains}.toml")
+            cases[-1].write_text(joint_case(far, near, scene.plate(_truth_file(far)), solver + gap),
                                  encoding="utf-8")
-    found = []
-    for n_ranks in RANKS:
-        printed = mpirun(n_ranks, sys.executable, "-m", "mpi4py", str(JOB), str(_truth_file(far)), *map(str, cases))
-        found += [json.loads(line) for line in printed.splitlines()]
+    found: list[dict[str, Any]] = []
+    ranks = RANKS[1:2] if scale.smoke else RANKS
+    for n_ranks in ranks:
+        found += run_job(n_ranks, JOB, str(_truth_file(far)), *map(str, cases))
     for record in found:
         append_result(RUNS, {"check": "dual", **record})
     largest = max(r["relative_difference"] for r in found)
@@ -133,19 +180,32 @@ def dual() -> list[Row]:
     return [Row(f"dual step, {_listed(CUTS)} subdomains on {_listed(RANKS)} ranks, without and with regularization, "
                 "against the saddle point of Eq. 23 solved directly", f"relative difference <= {DUAL_BOUND:.0e}",
                 f"largest of {len(found)}: displacement {largest:.1e}, alpha {alpha:.1e}",
-                len(found) == len(RANKS) * len(cases) and max(largest, alpha) <= DUAL_BOUND)]
+                len(found) == len(ranks) * len(cases) and max(largest, alpha) <= DUAL_BOUND)]
 
 
-def foam() -> list[Row]:
-    """Real images: the joint field against the near images measured alone, which are the full-resolution ones there."""
+def measure_foam(scale: Scale) -> list[Row]:
+    """Compare the joint field on real images with the near images measured alone, the full-resolution ones there.
+
+    Parameters
+    ----------
+    scale : Scale
+        A smoke run takes one mesh.
+
+    Returns
+    -------
+    list of Row
+        One for each mesh, and the calibration.
+    """
     far, near = _foam_pairs()
+    folder = scale.folder("near_far")
     rows = []
-    for size in FOAM_ELEMENTS:
+    for size in FOAM_ELEMENTS[-1:] if scale.smoke else FOAM_ELEMENTS:
         holes = ", ".join(f"{{ center = [{x}, {y}], radius = {r} }}" for x, y, r in FOAM_HOLES)
         mesh = (f"[mesh.structured]\nregion = {list(FOAM_REGION)}\nelement_size = {size}\n"
                 f"circles = [{holes}]\n")
-        joint = _run(joint_case(far, near, mesh, f"{QUINTIC}[solver]\nsubdomains = {N_SUBDOMAINS}\n"), f"foam_{size}")
-        alone = measured_alone(joint, 1, near, FOLDER, QUINTIC)
+        case = joint_case(far, near, mesh, f"{QUINTIC}[solver]\nsubdomains = {N_SUBDOMAINS}\n")
+        joint = _run(case, folder, f"foam_{size}")
+        alone = measured_alone(joint, 1, near, folder, QUINTIC)
         difference = FOAM_RATIO * (joint.displacement[alone.nodes] - alone.seen)
         alpha = alpha_of(joint)
         spread = np.sqrt(np.diag(joint.attributes["near_1"]["covariance"]))
@@ -162,28 +222,42 @@ def foam() -> list[Row]:
     return [*rows, _calibration(far, near)]
 
 
-def wrong_inputs() -> list[Row]:
-    """Wrong inputs of ddic calibrate and ddic run: exit code 2 and one line that says what is wrong."""
+def measure_wrong_inputs(scale: Scale) -> list[Row]:
+    """Give wrong inputs to ddic calibrate and ddic run: exit code 2 and one line that says what is wrong.
+
+    Parameters
+    ----------
+    scale : Scale
+        A smoke run takes small images.
+
+    Returns
+    -------
+    list of Row
+        One row.
+    """
     import tifffile
 
-    far, near, _ = synthetic(0)
-    other = images("near-far", "--seed", "5", folder=DATA / "near_far_other") / "near_reference.tif"
-    FOLDER.mkdir(parents=True, exist_ok=True)
-    cut = FOLDER / "far_without_near.tif"
-    tifffile.imwrite(cut, tifffile.imread(far.reference)[:, :600])
-    away = similarity(RATIO, 0.0, (2000.0, float(near.mapping.homography[1, 2])))
-    twice = _similarity_about_centre(near, 2 * RATIO)
+    scene = _scene(scale)
+    far, near, _ = render_scene(scene, 0)
+    other = render_scene(scene, 0, seed=5)[1].reference
+    cut, ratio = scene.folder / "far_without_near.tif", scene.ratio
+    tifffile.imwrite(cut, tifffile.imread(far.reference)[:, :round(WITHOUT_NEAR * scene.width)])
+    away = similarity(ratio, 0.0, (2000.0, float(near.mapping.homography[1, 2])))
+    twice = _similarity_about_centre(near, 2 * ratio)
     stranger = dataclasses.replace(near, reference=other)
+    give_ratio = rf"give --ratio {ratio:g}\b"
     not_found, no_such_thing = r"was not found|lies outside", r"does not show what the far-field image"
+    misplaced = dataclasses.replace(near, mapping=away)
+    too_large = dataclasses.replace(near, mapping=twice)
     asked = {
-        "calibrate: near image outside the far one": (_calibrate(cut, near.reference, RATIO), not_found),
-        "run: near image outside the far one": (_refused(far, dataclasses.replace(near, mapping=away), "outside"),
+        "calibrate: near image outside the far one": (_calibrate(cut, near.reference, ratio), not_found),
+        "run: near image outside the far one": (_refused(scene, far, misplaced, "outside"),
                                                 r"lies outside the far-field image"),
-        "calibrate: ratio too large by 2": (_calibrate(far.reference, near.reference, 2 * RATIO), r"give --ratio 5\b"),
-        "calibrate: ratio too small by 2": (_calibrate(far.reference, near.reference, RATIO / 2), r"give --ratio 5\b"),
-        "run: ratio too large by 2": (_refused(far, dataclasses.replace(near, mapping=twice), "ratio"), no_such_thing),
-        "calibrate: no common texture": (_calibrate(far.reference, other, RATIO), r"no common texture"),
-        "run: no common texture": (_refused(far, stranger, "texture"), no_such_thing),
+        "calibrate: ratio too large by 2": (_calibrate(far.reference, near.reference, 2 * ratio), give_ratio),
+        "calibrate: ratio too small by 2": (_calibrate(far.reference, near.reference, ratio / 2), give_ratio),
+        "run: ratio too large by 2": (_refused(scene, far, too_large, "ratio"), no_such_thing),
+        "calibrate: no common texture": (_calibrate(far.reference, other, ratio), r"no common texture"),
+        "run: no common texture": (_refused(scene, far, stranger, "texture"), no_such_thing),
     }
     failed = []
     for what, (command, expected) in asked.items():
@@ -196,13 +270,14 @@ def wrong_inputs() -> list[Row]:
                 f"{len(asked) - len(failed)} of {len(asked)} so" + "".join(f"; {f}" for f in failed), not failed)]
 
 
-CHECKS = {"exact": exact, "noise": noise, "dual": dual, "foam": foam, "errors": wrong_inputs}
+CHECKS: dict[str, Check] = {"exact": measure_exact, "noise": measure_noise, "dual": measure_dual, "foam": measure_foam,
+                            "errors": measure_wrong_inputs}
 
 
-def _run(case: str, name: str) -> Result:
-    summary = ddic_run(case, FOLDER, N_RANKS, name)
+def _run(case: str, folder: Path, name: str) -> Result:
+    summary = ddic_run(case, folder, N_RANKS, name)
     append_result(RUNS, {"run": name, **summary})
-    return read_result(FOLDER / f"{name}.vtkhdf")
+    return read_result(folder / f"{name}.vtkhdf")
 
 
 def _truth_file(far: Pair) -> Path:
@@ -264,14 +339,14 @@ def _similarity_about_centre(near: Pair, ratio: float) -> CameraMapping:
 
 
 def _calibrate(far: Path, near: Path, ratio: float) -> list[str]:
-    return [str(Path(sys.executable).with_name("ddic")), "calibrate", str(far), str(near), "--ratio", str(ratio)]
+    return [ddic_command(), "calibrate", str(far), str(near), "--ratio", str(ratio)]
 
 
-def _refused(far: Pair, near: Pair, name: str) -> list[str]:
+def _refused(scene: Scene, far: Pair, near: Pair, name: str) -> list[str]:
     """The command that runs a case that should be refused."""
-    path = FOLDER / f"wrong_{name}.toml"
-    path.write_text(joint_case(far, near, plate(_truth_file(far), ELEMENT), ""), encoding="utf-8")
-    return [str(Path(sys.executable).with_name("ddic")), "run", str(path)]
+    path = scene.folder / f"wrong_{name}.toml"
+    path.write_text(joint_case(far, near, scene.plate(_truth_file(far)), ""), encoding="utf-8")
+    return [ddic_command(), "run", str(path)]
 
 
 def _listed(values: Sequence[int]) -> str:
@@ -279,4 +354,4 @@ def _listed(values: Sequence[int]) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(accept("near-far", sys.argv[1:], CHECKS, lambda name: CHECKS[name](), RUNS))
+    sys.exit(run_table(TABLE, CHECKS))
