@@ -82,8 +82,8 @@ def write_result() -> Callable[..., Path]:
     def write(path: Path, *, flip_y: bool = False, length_unit: str | None = None, residual: bool = True,
               reference: str = "", curves: bool = True) -> Path:
         pieces = pieces_of(small_mesh(), length_unit)
-        with ResultWriter(path, sizes_of(pieces), schema.point_fields(length_unit), schema.cell_fields(),
-                          flip_y=flip_y) as writer:
+        with ResultWriter(path, flip_y=flip_y) as writer:
+            writer.create_pieces(sizes_of(pieces), schema.point_fields(length_unit), schema.cell_fields())
             for index in (1, 0):
                 writer.write_pieces(range(index, index + 1), pieces[index])
             if residual:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections import defaultdict
 
 import numpy as np
+from ddic.partition.connectivity import build_subdomains, node_sharing
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import find_boundary_nodes
-from ddic.partition.connectivity import build_subdomains, node_sharing
 from ddic.partition.incidence import signed_incidence
 from ddic.partition.subdomain import Interface, Subdomain
 from support.random_meshes import PARTITIONS, SEEDS, delaunay_meshes, grid_mesh, grid_meshes, random_partition

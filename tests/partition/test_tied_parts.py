@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from ddic.partition.connectivity import build_subdomains
+from ddic.partition.tied_parts import LEAST, with_told_masters
 from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import build_structured_mesh
 from ddic.partition.by_camera import kept_apart
-from ddic.partition.connectivity import build_subdomains
 from ddic.partition.split import split_by_metis
-from ddic.partition.tied_parts import LEAST, with_told_masters
 from ddic.partition.ties import Tying, tied_mesh
 
 FAR = build_structured_mesh((20, 20, 116, 116), 8)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from ddic.partition.connectivity import build_subdomains, node_sharing
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -17,7 +18,6 @@ from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_areas
 from ddic.mesh.structured import build_structured_mesh
 from ddic.mesh.topology import find_boundary_nodes
-from ddic.partition.connectivity import build_subdomains, node_sharing
 from ddic.partition.ties import Tying, tied_mesh
 
 FAR = build_structured_mesh((20, 20, 116, 116), 8)

@@ -6,43 +6,40 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from ddic.functionals.elasticity import Material, integrate_cell_stiffness
-from ddic.kinematics.cell_interpolation import CellInterpolation, interpolate_cells
-from ddic.kinematics.tie import Tie
+from ddic.functionals.elasticity import Material, assemble_stiffness, integrate_cell_stiffness
+from ddic.kinematics.cell_interpolation import interpolate_cells
+from ddic.kinematics.kinematics import Kinematics
 from ddic.mesh.mesh import Mesh
 
 PHASES = (0.0, np.pi / 2)
 """Phases of the plane waves, radians: cosine and sine, of which one at least does not vanish on the nodes."""
 
 _CHUNK_CELLS = 2_000
-"""Cells whose stiffness is held at once; a larger value takes more memory."""
+"""Cells whose stiffness is held at once; a larger value takes more memory and no less time."""
 
 
-def controlled_stiffness(mesh: Mesh, interpolation: CellInterpolation, material: Material,
-                         row_weights: NDArray[np.float64], tie: Tie | None = None) -> sparse.csr_matrix:
-    """Assemble Kbar = diag(row_weights) K; weight 0 drops a row (P of Eq. (11) of [BP17]).
+def controlled_stiffness(kinematics: Kinematics, material: Material,
+                         row_weights: NDArray[np.float64]) -> sparse.csr_matrix:
+    """Assemble Kbar = diag(row_weights) T^T K T, weight 0 dropping a row (P of Eq. 11 of [BP17]).
+
+    K acts on the nodes; T^T K T are the forces on the unknowns: those on tied nodes are then their masters', as much as
+    these move them.
 
     Parameters
     ----------
-    mesh : Mesh
-        Lengths in pixels.
-    interpolation : CellInterpolation
-        Of the mesh.
+    kinematics : Kinematics
+        From unknowns to the displacement of the mesh's nodes, specimen's frame.
     material : Material
         The same in all cells.
     row_weights : (n_unknowns,) array
         Weights of the rows.
-    tie : Tie, optional
-        From unknown to mesh nodes; forces on slaves are then their masters', as much as these move them.
 
     Returns
     -------
     (n_unknowns, n_unknowns) csr_matrix
         Kbar.
     """
-    stiffness = interpolation.assemble_matrix(integrate_cell_stiffness(mesh, material))
-    if tie is not None:
-        stiffness = tie.matrix.T @ stiffness @ tie.matrix
+    stiffness = kinematics.project_matrix(assemble_stiffness(kinematics.mesh, material))
     return (sparse.diags(row_weights) @ stiffness).tocsr()
 
 
@@ -90,7 +87,7 @@ def measure_gap_energies(mesh: Mesh, material: Material, interior_nodes: NDArray
     Returns
     -------
     (n_waves,) array
-        Square pixels, one for each column of ``evaluate_plane_waves``.
+        Square pixels, one for each column of ``plane_waves``.
     """
     waves = evaluate_plane_waves(mesh.nodes, wavelength)
     forces = np.zeros_like(waves)
@@ -121,7 +118,7 @@ def measure_texture_energies(nodes: NDArray[np.float64], hessian: sparse.csr_mat
     Returns
     -------
     (n_waves,) array
-        Grey levels squared, one for each column of ``evaluate_plane_waves``.
+        Grey levels squared, one for each column of ``plane_waves``.
     """
     waves = evaluate_plane_waves(nodes, wavelength)
     rows = np.repeat(interior_nodes, nodes.shape[1])
@@ -136,7 +133,7 @@ def find_cut_off_weight(texture: NDArray[np.float64], gap: NDArray[np.float64]) 
     Parameters
     ----------
     texture, gap : (n_waves,) arrays
-        ``measure_texture_energies`` and ``measure_gap_energies`` on the same nodes.
+        ``texture_energies`` and ``gap_energies`` on the same nodes.
 
     Returns
     -------

@@ -48,7 +48,31 @@ def _name(section: MeshSection) -> str:
 
 
 def _mesh_of(section: MeshSection, name: str, width: int, height: int) -> Mesh:
-    raw = _raw_mesh(section, width, height)
+    return accept_mesh(_raw_mesh(section, width, height), name, width, height)
+
+
+def accept_mesh(raw: Mesh, name: str, width: int, height: int) -> Mesh:
+    """Repair a mesh and check that it lies in the image.
+
+    Parameters
+    ----------
+    raw : Mesh
+        As it was read or made, pixels.
+    name : str
+        What messages call it.
+    width, height : int
+        Size of the images, pixels.
+
+    Returns
+    -------
+    Mesh
+        Fit for measuring.
+
+    Raises
+    ------
+    InputError
+        On all that ``repair`` and ``check_inside`` refuse.
+    """
     try:
         mesh = repair(raw)
         check_inside(mesh, width, height)
