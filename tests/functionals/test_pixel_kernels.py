@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from ddic.functionals.correlation import Correlation, read_correlation
 from ddic.functionals.pixel_kernels import BATCH
 from ddic.images.sub_image import DeformedSubImage
-from ddic.mesh.mesh import VTK_QUAD, Mesh
+from ddic.mesh.cell_type import Q4
+from ddic.mesh.mesh import Mesh
 from support.pictures import source
 from support.random_meshes import SEEDS, Cells, grid_mesh
 from support.slow_correlation import SlowSums, cell_pixels, slow_sums
@@ -117,7 +118,7 @@ def test_local_coordinates_of_distorted_cells(corner: tuple[float, float]) -> No
     """A quadrangle whose fourth corner approaches the diagonal: both ways to xi and eta, and the one near det J = 0."""
     x, y = corner
     mesh = Mesh(np.array([[20.2, 20.3], [53.1, 21.4], [x, y], [21.6, 52.3]]), np.arange(4), np.array([0, 4]),
-                np.array([VTK_QUAD], dtype=np.uint8))
+                np.array([Q4.vtk], dtype=np.uint8))
     part = read_correlation(mesh, source(noise(1)), 3)
     S = part.compute_cell_hessians()[0].reshape(4, 2, 4, 2)
     # Shapes sum to 1 and sum_a N_a x_a = x, whatever xi and eta: sums of x^2 over pixels need no inverse.
