@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from ddic.functionals.correlation import Residual, read_correlation
-from ddic.functionals.grey_levels import GreySums
+from ddic.functionals.grey_statistics import GreySums
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize

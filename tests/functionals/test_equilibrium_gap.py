@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from ddic.kinematics.cell_interpolation import interpolate_cells
+from ddic.partition.connectivity import build_subdomains
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -20,10 +22,8 @@ from ddic.functionals.equilibrium_gap import (
     texture_energies,
 )
 from ddic.images.sub_image import MaskedSource
-from ddic.kinematics.finite_element import finite_element_kinematics
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import boundary_nodes
-from ddic.partition.connectivity import build_subdomains
 from support.pictures import source
 from support.random_meshes import PARTITIONS, SEEDS, grid_mesh, random_partition
 
@@ -40,7 +40,7 @@ def interior(mesh: Mesh) -> NDArray[np.bool_]:
 
 
 def dense_stiffness(mesh: Mesh) -> NDArray[np.float64]:
-    return np.asarray(finite_element_kinematics(mesh).assemble_matrix(stiffness_cells(mesh, Material())).toarray())
+    return np.asarray(interpolate_cells(mesh).assemble_matrix(stiffness_cells(mesh, Material())).toarray())
 
 
 def region() -> Mesh:
@@ -50,7 +50,7 @@ def region() -> Mesh:
 def test_rows_that_are_not_controlled_are_dropped() -> None:
     mesh = region()
     weights = np.random.default_rng(0).choice([0.0, 1.0, np.sqrt(2.0)], mesh.n_dofs)
-    kbar = controlled_stiffness(mesh, finite_element_kinematics(mesh), Material(), weights).toarray()
+    kbar = controlled_stiffness(mesh, interpolate_cells(mesh), Material(), weights).toarray()
     np.testing.assert_allclose(kbar, weights[:, None] * dense_stiffness(mesh), atol=1e-14)
     assert (kbar[weights == 0] == 0).all()
 

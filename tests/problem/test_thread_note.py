@@ -15,9 +15,9 @@ from ddic.functionals import correlation
 from ddic.images import spline
 from ddic.images.threads import Threads
 from ddic.io.result_schema import CELL_DATA, POINT_DATA, RESIDUAL_IMAGE
-from ddic.problem import assembly
 from ddic.methods.run import run_case
 from ddic.parallel.team import Team
+from ddic.problem import assembly
 from ddic.problem.thread_note import own_cores, thread_note
 from support.cases import Ears, case_text, contents, write_case, write_images
 

@@ -6,18 +6,18 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from ddic.partition.connectivity import build_subdomains
 from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError, is_on_all_ranks
 from ddic.functionals.correlation import read_correlation
-from ddic.functionals.grey_levels import GreyCorrection
+from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.functionals.view import View
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.partition.connectivity import build_subdomains
 from ddic.solvers.gauss_newton import (
     IterationRecord,
     OwnedPart,

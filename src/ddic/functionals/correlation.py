@@ -14,12 +14,12 @@ from scipy import sparse
 
 from ddic.errors import InputError
 from ddic.functionals import pixel_kernels as kernels
-from ddic.functionals.grey_levels import GreySums
+from ddic.functionals.grey_statistics import GreySums
 from ddic.images.spline import HALO, PADDING, GradientImage, SplineImage
 from ddic.images.sub_image import DeformedSubImage, MaskedSource, read_reference
 from ddic.images.threads import ONE_THREAD, Threads
 from ddic.images.window import Window, shared_windows
-from ddic.kinematics.finite_element import FiniteElementKinematics, finite_element_kinematics
+from ddic.kinematics.cell_interpolation import CellInterpolation, interpolate_cells
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import Raster, rasterize
 
@@ -68,7 +68,7 @@ class Correlation:
     ----------
     mesh : Mesh
         The subdomain, in the image's pixels.
-    interpolation : FiniteElementKinematics
+    interpolation : CellInterpolation
         From nodal displacements to those of the cells' pixels, and back to nodal forces.
     raster : Raster
         Every cell's pixels.
@@ -83,7 +83,7 @@ class Correlation:
     """
 
     mesh: Mesh
-    interpolation: FiniteElementKinematics
+    interpolation: CellInterpolation
     raster: Raster
     reference: GradientImage
     extent: Window
@@ -398,7 +398,7 @@ def _correlation(mesh: Mesh, raster: Raster, image: GradientImage, extent: Windo
     """Put the cells in order."""
     x, y = mesh.centroids.T
     order = np.lexsort((x, y // BAND)).astype(np.int64)
-    return Correlation(mesh, finite_element_kinematics(mesh), raster, image, extent, order, threads)
+    return Correlation(mesh, interpolate_cells(mesh), raster, image, extent, order, threads)
 
 
 def _flatten(image: NDArray[Any]) -> NDArray[Any]:
