@@ -1,40 +1,37 @@
 """Pixel kernels of this checkout against those of another: rates and bits, one core.
 
-Usage: kernel_rates.py [--before DIRECTORY] [PROBLEM ...]. Without a directory, the commit BEFORE is put into
-bench/data. Both checkouts run in a process of their own; their calls take turns, so that a change of the machine's
-speed meets both. Rates are medians of CPU time.
+Usage: kernel_rates.py [--before DIRECTORY] [PROBLEM ...]. Without a directory, the code before the
+restructuring is checked out into bench/data. Both checkouts run in a process of their own; their calls take turns, before, after, after, before, so that
+a change of the machine's speed meets both. A ratio of rates is the median of those of neighbours, in CPU time.
 """
 
 from __future__ import annotations
 
 import argparse
-import io
 import json
 import os
 import subprocess
 import sys
-import tarfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from support.harness import DATA, ROOT, Row, append_result
-from support.unstructured_mesh import write_unstructured_mesh
 
+from bench.support.before import checkout_before
+from bench.support.rows import Row, append_result, show
+from bench.support.runs import DATA, ROOT
+from bench.support.unstructured_mesh import write_unstructured_mesh
 from ddic.io.mesh_file import read_mesh
 from ddic.mesh.mesh import Mesh, Similarity
 from ddic.mesh.structured import build_structured_mesh
 
-BEFORE = "a354d27"
-"""The commit whose kernels took their arguments one by one."""
-
 LEAST_RATIO = 0.97
 """Rate relative to that before that is good enough: what is left of the noise."""
 
-ROUNDS = 25
-"""Measurements of each call; the median of fewer moves by more than LEAST_RATIO allows."""
+ROUNDS = 40
+"""Pairs of measurements of each call; the median of fewer moves by more than LEAST_RATIO allows."""
 
 MARGIN = 32
 """Pixels between the mesh and the image's edge."""
@@ -138,13 +135,14 @@ def both_checkouts(before: Path, problem: Problem) -> Iterator[dict[str, Checkou
             checkout.close()
 
 
-def alternated(checkouts: dict[str, Checkout], call: str) -> dict[str, float]:
-    """Median CPU seconds of a call in each checkout, in turn."""
-    seconds: dict[str, list[float]] = {name: [] for name in checkouts}
-    for _ in range(ROUNDS):
-        for name, checkout in checkouts.items():
-            seconds[name].append(checkout.seconds(call))
-    return {name: float(np.median(values)) for name, values in seconds.items()}
+def ratio_of_rates(checkouts: dict[str, Checkout], call: str) -> float:
+    """Rate of a call after, relative to that before."""
+    ratios = []
+    for k in range(ROUNDS):
+        turns = list(checkouts) if k % 2 == 0 else list(checkouts)[::-1]
+        seconds = {name: checkouts[name].seconds(call) for name in turns}
+        ratios.append(seconds["before"] / seconds["after"])
+    return float(np.median(ratios))
 
 
 def measure_problem(name: str, before: Path) -> Row:
@@ -154,24 +152,12 @@ def measure_problem(name: str, before: Path) -> Row:
     with both_checkouts(before, problem) as checkouts:
         expected, found = checkouts["before"].digests, checkouts["after"].digests
         for call in expected:
-            seconds = alternated(checkouts, call)
-            ratios.append(seconds["before"] / seconds["after"])
-            bits = "" if found[call] == expected[call] else " (other bits)"
-            parts.append(f"{call} {ratios[-1]:.3f}{bits}")
-            append_result("kernel_rates", {"problem": name, "call": call, "ratio": ratios[-1],
-                                           "same_bits": found[call] == expected[call], **seconds})
+            same = found[call] == expected[call]
+            ratios.append(ratio_of_rates(checkouts, call))
+            parts.append(f"{call} {ratios[-1]:.3f}" + ("" if same else " (other bits)"))
+            append_result("kernel_rates", {"problem": name, "call": call, "ratio": ratios[-1], "same_bits": same})
     return Row(f"rates of pixel kernels, after to before, {name}", f">= {LEAST_RATIO} each", ", ".join(parts),
                min(ratios) >= LEAST_RATIO)
-
-
-def checkout_before() -> Path:
-    """The tree of the commit BEFORE, in bench/data."""
-    directory = DATA / f"checkout_{BEFORE}"
-    if not directory.is_dir():
-        archive = subprocess.run(["git", "archive", BEFORE], cwd=ROOT, check=True, capture_output=True).stdout
-        with tarfile.open(fileobj=io.BytesIO(archive)) as files:
-            files.extractall(directory, filter="data")
-    return directory
 
 
 def measure(before: Path | None = None, names: Sequence[str] = ()) -> Iterator[Row]:
@@ -190,7 +176,7 @@ def main() -> int:
     held = True
     for row in measure(arguments.before, arguments.problems):
         held &= row.holds
-        print(f"{'holds' if row.holds else 'FAILS'}  {row.check}\n       {row.measured}", flush=True)
+        show(row)
     return 0 if held else 1
 
 
