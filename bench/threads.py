@@ -20,7 +20,7 @@ import h5py
 import numpy as np
 from support.harness import DATA, Row, append_result, ddic_run, images, main
 
-from ddic.functionals.correlation import correlations
+from ddic.functionals.correlation import read_correlations
 from ddic.images.spline import read_gradient, read_spline
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.images.threads import Threads
@@ -50,7 +50,7 @@ def pixel_calls(folder: Path, size: int, n_threads: int) -> dict[str, Callable[[
     reference, deformed = (MaskedSource(open_image(folder / f"{name}.tif")) for name in ("reference", "deformed"))
     threads = Threads(n_threads)
     mesh = structured_mesh((MARGIN, MARGIN, size - MARGIN, size - MARGIN), ELEMENT)
-    part = correlations([mesh], reference, 3, threads)[0][0]
+    part = read_correlations([mesh], reference, 3, threads)[0][0]
     q = load_truth(folder / "truth.json").displacement(mesh.nodes).ravel()
     image = DeformedSubImage(deformed, 3, threads)
     window = image.covering(part.displaced_window(q)).window
@@ -58,8 +58,8 @@ def pixel_calls(folder: Path, size: int, n_threads: int) -> dict[str, Callable[[
         "f and its gradient": lambda: read_gradient(reference.image, part.reference.window, 3, None, threads),
         "spline of g": lambda: read_spline(deformed.image, window, 3, None, threads),
         "M, sums of cells": part.hessian_cells,
-        "residual": lambda: part.residual(image, q),
-        "residual image": lambda: part.residual_image(image, q),
+        "residual": lambda: part.compute_residual(image, q),
+        "residual image": lambda: part.compute_residual_image(image, q),
         "file read alone": lambda: reference.image.read(Window(0, 0, size, size)),
     }
 

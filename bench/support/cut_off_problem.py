@@ -16,8 +16,8 @@ from scipy import sparse
 from ddic.case.schema import Case, RegularizationSection
 from ddic.functionals.equilibrium_gap import (
     controlled_stiffness,
-    cut_off_weight,
-    texture_energies,
+    find_cut_off_weight,
+    measure_texture_energies,
 )
 from ddic.kinematics.cell_interpolation import interpolate_cells
 from ddic.mesh.mesh import Mesh
@@ -60,9 +60,9 @@ def from_images(case: Case) -> TexturedMesh:
     hessians, right = [], []
     for subdomain in subdomains:
         part = own_parts([subdomain], pair, case.correlation.spline_degree)[0]
-        residual = part.correlation.residual(part.deformed, np.zeros(subdomain.mesh.n_dofs))
-        hessians.append(part.correlation.hessian())
-        right.append(part.correlation.right_hand_side(residual))
+        residual = part.correlation.compute_residual(part.deformed, np.zeros(subdomain.mesh.n_dofs))
+        hessians.append(part.correlation.assemble_hessian())
+        right.append(part.correlation.assemble_right_hand_side(residual))
     return TexturedMesh(subdomains, hessians, right, local_stiffnesses(subdomains, case.regularization), mesh,
                         mesh.n_dofs)
 
@@ -87,14 +87,14 @@ def assembly_at(team: Team, problem: TexturedMesh, section: RegularizationSectio
     """The local systems with eta of the section's cut-off wavelength; collective."""
     assert section.cut_off_wavelength is not None
     wavelength = section.cut_off_wavelength
-    texture = team.ordered_sum([texture_energies(s.mesh.nodes, m, s.interior, wavelength)
+    texture = team.ordered_sum([measure_texture_energies(s.mesh.nodes, m, s.interior, wavelength)
                                 for s, m in zip(problem.subdomains, problem.hessians, strict=True)])
 
     def weight() -> float:
         assert problem.whole is not None
         energies = region_gap_energies(section, problem.whole)
         assert energies is not None
-        return cut_off_weight(texture, energies)
+        return find_cut_off_weight(texture, energies)
 
     eta = team.on_root(weight)
     systems = [LocalSystem(s, m, k, _weights(s), eta) for s, m, k

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ddic.io.plots.camera_fields import CellPanel, panels_figure
 from ddic.io.plots.canvas import mesh_bounds, save_figure
-from ddic.kinematics.strain import cell_strain
+from ddic.kinematics.strain import compute_strain
 from support.near_far_case import Fields
 
 AROUND = 0.35
@@ -35,4 +35,4 @@ def _panel(title: str, fields: Fields, cameras: list[int]) -> CellPanel:
 
 def _strain(fields: Fields, camera: int) -> NDArray[np.float64]:
     part, _ = fields.mesh.submesh(np.flatnonzero(fields.cells == camera))
-    return cell_strain(part, fields.u[camera].ravel()).infinitesimal[:, 1]
+    return compute_strain(part, fields.u[camera].ravel()).infinitesimal[:, 1]

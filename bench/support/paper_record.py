@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ddic.io.result_reader import Result, read_result
-from ddic.mesh.topology import boundary_nodes
+from ddic.mesh.topology import find_boundary_nodes
 from support.harness import ddic_run, mpirun
 from support.paper_case import BenchCase
 
@@ -71,7 +71,7 @@ def errors(case: BenchCase, result: Result) -> tuple[float, float]:
     """RMS error per component, pixels: at nodes more than one element from the mesh's boundary, and at all nodes."""
     nodes = result.mesh.nodes
     error = result.displacement - case.field.displacement(nodes)
-    distance, _ = cKDTree(nodes[boundary_nodes(result.mesh)]).query(nodes)
+    distance, _ = cKDTree(nodes[find_boundary_nodes(result.mesh)]).query(nodes)
     inner = distance > 1.01 * case.element_size
     return _rms(error[inner]), _rms(error)
 

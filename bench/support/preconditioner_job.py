@@ -30,8 +30,8 @@ def main(case_json: str) -> None:
     base = json.loads(case_json)
     pair, whole = whole_problem(Case.model_validate(base))
     q = np.zeros(whole.mesh.n_dofs)
-    residual = whole.part.correlation.residual(whole.part.deformed, q)
-    b = whole.part.correlation.right_hand_side(residual)
+    residual = whole.part.correlation.compute_residual(whole.part.deformed, q)
+    b = whole.part.correlation.assemble_right_hand_side(residual)
     for kind in KINDS:
         case = Case.model_validate(base)
         solver = SolverSection(subdomains=case.solver.subdomains, preconditioner=kind, tolerance=1e-8,

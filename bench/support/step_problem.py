@@ -71,7 +71,7 @@ def monolithic_correction(whole: Whole, regularization: RegularizationSection | 
     system = whole.assembly.systems[0]
     if multiplicity is not None and regularization is not None:
         weights = system.row_weights / np.sqrt(multiplicity)
-        kbar = controlled_stiffness(whole.mesh, whole.part.correlation.kinematics, material(regularization), weights)
+        kbar = controlled_stiffness(whole.mesh, whole.part.correlation.interpolation, material(regularization), weights)
         system = LocalSystem(system.subdomain, system.hessian, kbar, weights, system.eta)
     operator = LocalOperator(system.operator, smallest_eigenvalue=0.0, where="the whole mesh")
     try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 
 import numpy as np
+from ddic.partition.connectivity import build_subdomains
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -12,7 +13,6 @@ from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import controlled_stiffness
 from ddic.kinematics.cell_interpolation import interpolate_cells
 from ddic.mesh.mesh import Mesh
-from ddic.partition.connectivity import build_subdomains
 from ddic.partition.subdomain import interface_weights
 from support.random_meshes import PARTITIONS, SEEDS, grid_mesh, grid_meshes, random_partition
 
