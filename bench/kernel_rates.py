@@ -25,7 +25,7 @@ from support.unstructured_mesh import write_unstructured_mesh
 
 from ddic.io.mesh_file import read_mesh
 from ddic.mesh.mesh import Mesh, Similarity
-from ddic.mesh.structured import structured_mesh
+from ddic.mesh.structured import build_structured_mesh
 
 BEFORE = "a354d27"
 """The commit whose kernels took their arguments one by one."""
@@ -58,7 +58,7 @@ class Problem:
 
 def square_mesh(side: int) -> Mesh:
     """Q4 of 16 px on a square region."""
-    return structured_mesh((MARGIN, MARGIN, MARGIN + side, MARGIN + side), 16)
+    return build_structured_mesh((MARGIN, MARGIN, MARGIN + side, MARGIN + side), 16)
 
 
 def mixed_mesh(side: int) -> Mesh:

@@ -18,15 +18,20 @@ from typing import Any
 
 import h5py
 import numpy as np
-from support.harness import DATA, Row, append_result, ddic_run, images, main
 
+<<<<<<< HEAD
 from ddic.functionals.correlation import read_correlations
+=======
+from bench.support.rows import Row, append_result, main
+from bench.support.runs import DATA, ddic_run, images
+from ddic.functionals.correlation import read_correlations
+>>>>>>> refs/heads/accept
 from ddic.images.spline import read_gradient, read_spline
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.images.threads import Threads
 from ddic.images.window import Window
 from ddic.io.image_file import open_image
-from ddic.mesh.structured import structured_mesh
+from ddic.mesh.structured import build_structured_mesh
 from ddic.synth.truth import load_truth
 
 MARGIN, ELEMENT = 32, 16
@@ -49,7 +54,7 @@ def pixel_calls(folder: Path, size: int, n_threads: int) -> dict[str, Callable[[
     """What a rank does with the pixels of one subdomain, by name."""
     reference, deformed = (MaskedSource(open_image(folder / f"{name}.tif")) for name in ("reference", "deformed"))
     threads = Threads(n_threads)
-    mesh = structured_mesh((MARGIN, MARGIN, size - MARGIN, size - MARGIN), ELEMENT)
+    mesh = build_structured_mesh((MARGIN, MARGIN, size - MARGIN, size - MARGIN), ELEMENT)
     part = read_correlations([mesh], reference, 3, threads)[0][0]
     q = load_truth(folder / "truth.json").displacement(mesh.nodes).ravel()
     image = DeformedSubImage(deformed, 3, threads)

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.support.runs import DATA
 from ddic.functionals.correlation import Correlation
 from ddic.images.spline import SplineImage
-from support.harness import DATA
 
 SOURCE = Path(__file__).with_name("rhs_kernel.c")
 FLAGS = {
