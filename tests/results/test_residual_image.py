@@ -99,7 +99,7 @@ def test_patches_are_asked_for_one_by_one_and_chunks_let_go_when_complete() -> N
             yield patch
 
     everything = patches(range(N_PARTS))
-    for number, _ in residual_image._completed(GRID, [p.window for p in everything], told()):
+    for number, _ in residual_image._complete_chunks(GRID, [p.window for p in everything], told()):
         events.append(number)
     # The windows of the first four stripes reach the upper left chunk, that of the fifth does not.
     assert events.index(0) < events.index("patch 4")
