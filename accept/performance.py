@@ -11,6 +11,7 @@ import sys
 from bench import kernels as pixel_kernels
 from bench import paper as megapixels
 from bench import peers
+from bench.support.paper_case import MEASURED
 from bench.support.peer_environment import peers_are_there
 from bench.support.rows import Row
 
@@ -46,7 +47,7 @@ def measure_paper(scale: Scale) -> list[Row]:
     """
     if scale.smoke:
         return megapixels.measure_case(SMOKE_CASE, repeats=1, with_kernels=False)[:1]
-    return [row for name in megapixels.MEASURED for row in megapixels.measure_case(name)[:1]]
+    return [row for name in MEASURED for row in megapixels.measure_case(name)[:1]]
 
 
 def measure_speedup(scale: Scale) -> list[Row]:

@@ -34,6 +34,15 @@ Found = tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]
 
 
 def main(truth_file: Path, cases: list[Path]) -> None:
+    """Compare the dual step of every case with the saddle point.
+
+    Parameters
+    ----------
+    truth_file : Path
+        What ``ddic synth near-far`` wrote.
+    cases : list of Path
+        Case files.
+    """
     team = Team(MPI.COMM_WORLD)
     truth = load_near_far_truth(truth_file)
     rng = np.random.default_rng(0)
@@ -53,8 +62,8 @@ def main(truth_file: Path, cases: list[Path]) -> None:
 
 
 def _weights(cameras: tuple[Camera, ...]) -> list[float]:
-    assert cameras[0].noise is not None
-    return [(cameras[0].noise / c.noise) ** 2 for c in cameras if c.noise is not None]
+    noise = [camera.noise for camera in cameras if camera.noise is not None]
+    return [(noise[0] / sigma) ** 2 for sigma in noise]
 
 
 def _dual(team: Team, case: Case, cameras: tuple[Camera, ...], mesh: Mesh,
@@ -69,7 +78,7 @@ def _dual(team: Team, case: Case, cameras: tuple[Camera, ...], mesh: Mesh,
     q = [np.concatenate([at.u[s.dofs], at.alpha]) if s.camera else at.u[s.dofs] for s in subdomains]
     hessians = [in_unknowns(p, m) for p, m in zip(parts, matrices, strict=True)]
     assembly = assemble(team, parts, hessians, region, case.solver, case.regularization)
-    b = [sum(v.right_hand_side(v.residual(q_s)) for v in p.views) for p, q_s in zip(parts, q, strict=True)]
+    b = [np.sum([v.right_hand_side(v.residual(q_s)) for v in p.views], axis=0) for p, q_s in zip(parts, q, strict=True)]
     with linear_solver(team, case, assembly, PhaseClock()) as (step, n_interface):
         result = step.solve(q, b)
     found = team.gather_lists([(s.dofs, x[:s.mesh.n_dofs], x[s.mesh.n_dofs:])

@@ -58,14 +58,15 @@ def saddle_point(case: Case, mesh: Mesh, cameras: Sequence[Camera], labels: NDAr
     gap = control @ sparse.hstack(gaps)
     operator = sparse.block_diag(matrices) + eta * gap.T @ gap
     right = np.concatenate(forces) - eta * gap.T @ (control @ gap_now)
-    _, in_far, in_near = np.intersect1d(*dofs, return_indices=True)
+    far_dofs, near_dofs = dofs
+    _, in_far, in_near = np.intersect1d(far_dofs, near_dofs, return_indices=True)
     n, n_far, size = len(right), len(dofs[0]), float(operator.diagonal().mean())
-    number = np.arange(len(in_far))
-    jumps = sparse.csr_matrix((np.repeat([1.0, -1.0], len(number)),
-                               (np.tile(number, 2), np.concatenate([n_far + in_near, in_far]))), shape=(len(number), n))
-    columns = sparse.csr_matrix((np.full(len(number), -1.0), (number, dofs[1][in_near] % 2)), shape=(len(number), 2))
+    row = np.arange(len(in_far))
+    jumps = sparse.csr_matrix((np.repeat([1.0, -1.0], len(row)),
+                               (np.tile(row, 2), np.concatenate([n_far + in_near, in_far]))), shape=(len(row), n))
+    columns = sparse.csr_matrix((np.full(len(row), -1.0), (row, dofs[1][in_near] % 2)), shape=(len(row), 2))
     whole = sparse.bmat([[operator / size, None, jumps.T], [None, None, columns.T], [jumps, columns, None]]).tocsc()
-    solution = splu(whole).solve(np.concatenate([right / size, np.zeros(2 + len(number))]))
+    solution = splu(whole).solve(np.concatenate([right / size, np.zeros(2 + len(row))]))
     alpha = solution[n:n + 2]
     du = np.zeros(mesh.n_dofs)
     du[dofs[1]] = solution[n_far:n] - np.tile(alpha, len(dofs[1]) // 2)

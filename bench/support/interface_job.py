@@ -75,7 +75,7 @@ def method(team: Team, problem: TiledProblem, solver: str, per_subdomain: int | 
     """One linear step as ddic's own method solves it, dual on METIS subdomains or assembled."""
     count = team.size if per_subdomain is None else max(round((problem.n / per_subdomain) ** 2), 2)
 
-    def split() -> tuple[list[Any], np.ndarray]:
+    def split() -> tuple[list[Any], NDArray[np.float64]]:
         mesh = problem.rows_of_cells(0, problem.n)
         # Equal cells, split evenly: equal costs.
         return build_subdomains(mesh, split_by_metis(mesh, count), problem.controlled(mesh)), np.ones(count)
@@ -165,7 +165,7 @@ def compared(team: Team, problem: TiledProblem, field: Field, reference: Path, *
     """Relative distance from the field kept in a file by a direct solver; ``keep``: write the file instead."""
     if keep:
         pieces = team.comm.gather(field, root=0)
-        if team.is_root:
+        if pieces is not None:
             whole = np.empty(problem.n_dofs)
             for dofs, values in ((d, v) for piece in pieces for d, v in zip(*piece, strict=True)):
                 whole[dofs] = values

@@ -43,7 +43,7 @@ def resident() -> int:
 def nine_parts(mesh: Mesh, elements: int, ring: int) -> NDArray[np.int64]:
     """Subdomain of each cell: 0 in the middle, 1 to 8 around it."""
     band = np.repeat([1, 0, 2], [ring, elements, ring])
-    return (3 * band[:, None] + band).ravel()
+    return np.asarray(3 * band[:, None] + band, dtype=np.int64).ravel()
 
 
 def assembled(case: Case, elements: int, ring: int) -> Assembly:

@@ -97,7 +97,7 @@ def pixel_record(case: BenchCase, iterations: int, repeats: int) -> dict[str, An
     for _ in range(repeats):
         for n_ranks, records in found.items():
             files = (str(case.folder / f"{case.name}{suffix}") for suffix in (".toml", ".vtkhdf"))
-            records += run_job(n_ranks, JOB, *files, "1")
+            records.extend(run_job(n_ranks, JOB, *files, "1"))
     kinds = (*PIXEL_KINDS, "gradient")
     one, two = ({kind: {clock: median(r[kind][clock] for r in records) for clock in ("wall", "cpu", "busiest")}
                  for kind in kinds} for records in found.values())

@@ -86,7 +86,7 @@ class CountingComm(MPI.Intracomm):
         LEDGER.add("allgather", n_bytes=_size(found))
         return found
 
-    def allreduce(self, sendobj: Any, op: MPI.Op = MPI.SUM) -> Any:
+    def allreduce(self, sendobj: Any, op: MPI.Op | Callable[[Any, Any], Any] = MPI.SUM) -> Any:
         """A reduction of one small object."""
         LEDGER.add("allreduce", n_bytes=_size(sendobj))
         return super().allreduce(sendobj, op)
@@ -204,8 +204,9 @@ def book_coarse() -> None:
         correct(self, residual, result)
         LEDGER.add("coarse correction", cpu=time.process_time() - begin)
 
-    CoarseSpace._factorize = staticmethod(factorize)
-    CoarseSpace.correct = timed
+    # setattr, because a method is replaced on purpose.
+    setattr(CoarseSpace, "_factorize", staticmethod(factorize))  # noqa: B010
+    setattr(CoarseSpace, "correct", timed)  # noqa: B010
 
 
 def main(case_files: list[str]) -> None:
