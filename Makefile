@@ -6,12 +6,13 @@ SHELL := /bin/bash
 PYTHON := .venv/bin/python
 STAMP := .venv/.ddic-setup
 BENCH_STAMP := .venv/.ddic-bench
+DOCS_STAMP := .venv/.ddic-docs
 # Processes at a time of the benchmarks that count and do not time.
 JOBS ?= 2
 # Side of the images of bench-big, pixels.
 SIZE ?= 22000
 
-.PHONY: help setup demo test lint bench bench-iterations bench-interface bench-paper bench-peers bench-big bench-scaling \
+.PHONY: help setup demo test lint docs bench bench-iterations bench-interface bench-paper bench-peers bench-big bench-scaling \
 	bench-threads accept-core accept-solver accept-performance accept-near-far accept-house smoke clean
 
 help: ## list the targets
@@ -26,6 +27,10 @@ $(BENCH_STAMP): $(STAMP)
 	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --only-binary=petsc,petsc4py --no-build-isolation --editable '.[bench]'
 	@touch $@
 
+$(DOCS_STAMP): $(STAMP)
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --only-binary=petsc,petsc4py --no-build-isolation --editable '.[docs]'
+	@touch $@
+
 demo: setup ## render a plate with a hole in tension, measure it on two ranks, print the error
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; bash examples/demo/run.sh
 
@@ -37,6 +42,10 @@ lint: setup ## ruff, mypy, the import contracts, and the import under numpy 2
 	$(PYTHON) -m mypy
 	$(PYTHON) -c "from importlinter.cli import lint_imports_command as run; run()"
 	bash scripts/check_numpy2.sh
+
+docs: $(DOCS_STAMP) ## build the documentation into site/, without a warning
+	$(PYTHON) -m mkdocs build --strict --quiet
+	@echo "site/index.html"
 
 bench: setup ## run every benchmark; results go to bench/results
 	@bash scripts/run_bench.sh
@@ -81,5 +90,5 @@ smoke: setup ## run every check of every acceptance table on tiny cases: minutes
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.smoke
 
 clean: ## remove the environments and caches
-	rm -rf .venv .venv-numpy2 .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf site .venv .venv-numpy2 .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +

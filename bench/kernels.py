@@ -16,18 +16,22 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+<<<<<<< HEAD
+from ddic.functionals.correlation import Correlation, read_correlations
+=======
 from bench.support.c_kernel import FLAGS, compiled, right_hand_side, triad
 from bench.support.rows import Row, append_result, main
 from bench.support.runs import DATA
 from bench.support.unstructured_mesh import write_unstructured_mesh
-from ddic.functionals.correlation import Correlation, correlations
+from ddic.functionals.correlation import Correlation, read_correlations
+>>>>>>> refs/heads/accept
 from ddic.images.binned import ArraySource
 from ddic.images.spline import read_gradient, read_spline
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.images.window import Window
 from ddic.io.mesh_file import read_mesh
 from ddic.mesh.mesh import Mesh, Similarity
-from ddic.mesh.structured import structured_mesh
+from ddic.mesh.structured import build_structured_mesh
 from ddic.partition.split import split_by_metis
 
 SIZE, SMALL = 4096, 512
@@ -114,7 +118,7 @@ def build_problem(kind: Kind, size: int) -> Problem:
     source = MaskedSource(ArraySource(Path("memory"), pixels, 255.0))
     labels = split_by_metis(mesh, n_parts) if n_parts > 1 else np.zeros(mesh.n_cells, dtype=np.int64)
     meshes = [mesh.submesh(np.flatnonzero(labels == s))[0] for s in range(n_parts)]
-    groups = correlations(meshes, source, degree)
+    groups = read_correlations(meshes, source, degree)
     parts, q = [part for group in groups for part in group], [field(m.nodes) for m in meshes]
     deformed = [image for group in groups for image in [DeformedSubImage(source, degree)] * len(group)]
     windows = [reduce(Window.union, (part.reference.window for part in group)) for group in groups]
@@ -144,9 +148,9 @@ def c_calls(p: Problem) -> dict[str, Callable[[], object]]:
         library = compiled(flags)
         runs = []
         for part, deformed, q in zip(p.parts, p.deformed, p.q, strict=True):
-            ours = part.residual(deformed, q)
+            ours = part.compute_residual(deformed, q)
             run = right_hand_side(library, part, deformed.covering(part.displaced_window(q)),
-                                  part.kinematics.monomial_coefficients(q))
+                                  part.interpolation.monomial_coefficients(q))
             moments, sums = run()
             for a, b in ((moments, ours.moments[:, 0]), (sums, ours.cell_sums.values)):
                 if not np.abs(a - b).max() <= 1e-11 * np.abs(b).max():
@@ -159,8 +163,8 @@ def c_calls(p: Problem) -> dict[str, Callable[[], object]]:
 def our_calls(p: Problem) -> dict[str, Callable[[], object]]:
     """Phases of a part's work, each on all parts."""
     return {
-        "rhs": lambda: [part.residual(g, q) for part, g, q in zip(p.parts, p.deformed, p.q, strict=True)],
-        "hessian": lambda: [part.hessian_cells() for part in p.parts],
+        "rhs": lambda: [part.compute_residual(g, q) for part, g, q in zip(p.parts, p.deformed, p.q, strict=True)],
+        "hessian": lambda: [part.compute_cell_hessians() for part in p.parts],
         "gradient": lambda: [read_gradient(p.source.image, w, p.degree) for w in p.windows],
         "prefilter": lambda: [read_spline(p.source.image, w, p.degree) for w in p.windows],
     }
@@ -196,6 +200,11 @@ def rows_of(p: Problem) -> list[Row]:
                 rate["rhs"] >= RHS_BOUND and fraction >= C_BOUND), left]
 
 
+<<<<<<< HEAD
+def square_mesh() -> Mesh:
+    """Q4 of 16 px."""
+    return build_structured_mesh((MARGIN, MARGIN, SIZE - MARGIN, SIZE - MARGIN), 16)
+=======
 def square_mesh(size: int) -> Mesh:
     """Make Q4 of 16 px.
 
@@ -209,7 +218,8 @@ def square_mesh(size: int) -> Mesh:
     Mesh
         All but a margin.
     """
-    return structured_mesh((MARGIN, MARGIN, size - MARGIN, size - MARGIN), 16)
+    return build_structured_mesh((MARGIN, MARGIN, size - MARGIN, size - MARGIN), 16)
+>>>>>>> refs/heads/accept
 
 
 @dataclass(frozen=True)

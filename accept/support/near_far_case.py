@@ -15,13 +15,16 @@ from scipy.spatial import cKDTree
 
 from ddic.images.camera import CameraMapping, identity
 from ddic.io.result_reader import Result, read_result
-from ddic.mesh.mesh import VTK_QUAD, VTK_TRIANGLE, Mesh
+from ddic.mesh.mesh import Mesh
 from ddic.synth.near_far_truth import NearFarTruth, load_near_far_truth
 
 EDGE = 47.5
+<<<<<<< HEAD:bench/support/near_far_case.py
+=======
 """Edge of the far image without elements, far px."""
 
 VTK_NAMES = {VTK_TRIANGLE: "triangle", VTK_QUAD: "quad"}
+>>>>>>> refs/heads/accept:accept/support/near_far_case.py
 SAME_NODE = 1e-6
 """Distance within which nodes of two files are one, pixels."""
 
@@ -153,8 +156,7 @@ def measured_alone(joint: Result, camera: int, pair: Pair, folder: Path, rest: s
     nodes = pair.mapping.to_image(part.nodes)
     name = f"alone_{camera}"
     folder.mkdir(parents=True, exist_ok=True)
-    cells = [(VTK_NAMES[int(kind)], part.cells[part.types == kind][:, :3 if kind == VTK_TRIANGLE else 4])
-             for kind in np.unique(part.types)]
+    cells = [(block.type.meshio_name, block.nodes) for block in part.cell_blocks]
     meshio.write(folder / f"{name}.vtk", meshio.Mesh(np.pad(nodes, ((0, 0), (0, 1))), cells), file_format="vtk")
     summary = ddic_run(f'[images]\nreference = "{pair.reference}"\ndeformed = "{pair.deformed}"\n'
                        f'[mesh]\nfile = "{name}.vtk"\n{rest}', folder, 1, name)

@@ -73,7 +73,7 @@ def _dual(team: Team, case: Case, cameras: tuple[Camera, ...], mesh: Mesh,
     subdomains, region = hand_out(team, cut.whole if team.is_root else None)
     still = [at.u[s.dofs] + (np.tile(at.alpha, s.mesh.n_nodes) if s.camera else 0.0) for s in subdomains]
     parts = seen_parts(own_views(case, cameras, subdomains), still)
-    matrices = [[view.correlation.hessian() for view in part.views] for part in parts]
+    matrices = [[view.correlation.assemble_hessian() for view in part.views] for part in parts]
     parts = [moving(part, cameras, _weights(cameras)) for part in parts]
     q = [np.concatenate([at.u[s.dofs], at.alpha]) if s.camera else at.u[s.dofs] for s in subdomains]
     hessians = [in_unknowns(p, m) for p, m in zip(parts, matrices, strict=True)]

@@ -15,10 +15,10 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from ddic.case.schema import Case
-from ddic.functionals.correlation import correlations
+from ddic.functionals.correlation import read_correlations
 from ddic.functionals.equilibrium_gap import controlled_stiffness
 from ddic.images.sub_image import DeformedSubImage
-from ddic.kinematics.finite_element import finite_element_kinematics
+from ddic.kinematics.cell_interpolation import interpolate_cells
 from ddic.mesh.mesh import Mesh
 from ddic.problem.cameras import Camera
 from ddic.problem.inputs import controlled_dofs, material
@@ -79,12 +79,13 @@ def _texture(case: Case, camera: Camera, part: Mesh, displacement: Array) -> tup
     mapping, degree = camera.rig.mapping, case.correlation.spline_degree
     seen = Mesh(mapping.to_image(part.nodes), part.connectivity, part.offsets, part.types)
     deformed = DeformedSubImage(camera.pair.deformed, degree)
-    (whole,), = correlations([seen], camera.pair.reference, degree)
-    visible = whole.seen_from(deformed, displacement)
-    return visible.hessian(), visible.right_hand_side(visible.residual(deformed, displacement))
+    (whole,), = read_correlations([seen], camera.pair.reference, degree)
+    visible = whole.without_hidden(deformed, displacement)
+    residual = visible.compute_residual(deformed, displacement)
+    return visible.assemble_hessian(), visible.assemble_right_hand_side(residual)
 
 
 def _stiffness(case: Case, part: Mesh) -> sparse.csr_matrix:
     assert case.regularization is not None
-    return controlled_stiffness(part, finite_element_kinematics(part), material(case.regularization),
+    return controlled_stiffness(part, interpolate_cells(part), material(case.regularization),
                                 np.ones(part.n_dofs))

@@ -11,7 +11,12 @@ from numpy.typing import NDArray
 from accept.support.near_far_case import Fields
 from ddic.io.plots.camera_fields import CellPanel, panels_figure
 from ddic.io.plots.canvas import mesh_bounds, save_figure
-from ddic.kinematics.strain import cell_strain
+<<<<<<< HEAD:bench/support/near_far_picture.py
+from ddic.kinematics.strain import compute_strain
+from support.near_far_case import Fields
+=======
+from ddic.kinematics.strain import compute_strain
+>>>>>>> refs/heads/accept:accept/support/near_far_picture.py
 
 AROUND = 0.35
 
@@ -35,4 +40,4 @@ def _panel(title: str, fields: Fields, cameras: list[int]) -> CellPanel:
 
 def _strain(fields: Fields, camera: int) -> NDArray[np.float64]:
     part, _ = fields.mesh.submesh(np.flatnonzero(fields.cells == camera))
-    return cell_strain(part, fields.u[camera].ravel()).infinitesimal[:, 1]
+    return compute_strain(part, fields.u[camera].ravel()).infinitesimal[:, 1]

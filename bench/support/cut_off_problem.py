@@ -17,10 +17,10 @@ from bench.support.step_problem import ALONE
 from ddic.case.schema import Case, RegularizationSection
 from ddic.functionals.equilibrium_gap import (
     controlled_stiffness,
-    cut_off_weight,
-    texture_energies,
+    find_cut_off_weight,
+    measure_texture_energies,
 )
-from ddic.kinematics.finite_element import finite_element_kinematics
+from ddic.kinematics.cell_interpolation import interpolate_cells
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain, interface_weights
@@ -59,16 +59,23 @@ def from_images(case: Case) -> TexturedMesh:
     subdomains, _ = share_out(ALONE, case, mesh)
     hessians, right = [], []
     for subdomain in subdomains:
+<<<<<<< HEAD
+        part = own_parts([subdomain], pair, case.correlation.spline_degree)[0]
+        residual = part.correlation.compute_residual(part.deformed, np.zeros(subdomain.mesh.n_dofs))
+        hessians.append(part.correlation.assemble_hessian())
+        right.append(part.correlation.assemble_right_hand_side(residual))
+=======
         view = own_parts([subdomain], pair, case.correlation.spline_degree)[0].view
         hessians.append(view.hessian())
         right.append(view.right_hand_side(view.residual(np.zeros(subdomain.mesh.n_dofs))))
+>>>>>>> refs/heads/accept
     return TexturedMesh(subdomains, hessians, right, local_stiffnesses(subdomains, case.regularization), mesh,
                         mesh.n_dofs)
 
 
 def local_stiffnesses(subdomains: Sequence[Subdomain], section: RegularizationSection) -> list[sparse.csr_matrix]:
     """Kbar_s of some subdomains with consistent interface weights."""
-    return [controlled_stiffness(s.mesh, finite_element_kinematics(s.mesh), material(section), _weights(s))
+    return [controlled_stiffness(s.mesh, interpolate_cells(s.mesh), material(section), _weights(s))
             for s in subdomains]
 
 
@@ -86,14 +93,14 @@ def assembly_at(team: Team, problem: TexturedMesh, section: RegularizationSectio
     """The local systems with eta of the section's cut-off wavelength; collective."""
     assert section.cut_off_wavelength is not None
     wavelength = section.cut_off_wavelength
-    texture = team.ordered_sum([texture_energies(s.mesh.nodes, m, s.interior, wavelength)
+    texture = team.ordered_sum([measure_texture_energies(s.mesh.nodes, m, s.interior, wavelength)
                                 for s, m in zip(problem.subdomains, problem.hessians, strict=True)])
 
     def weight() -> float:
         assert problem.whole is not None
         energies = region_gap_energies(section, problem.whole)
         assert energies is not None
-        return cut_off_weight(texture, energies)
+        return find_cut_off_weight(texture, energies)
 
     eta = team.on_root(weight)
     systems = [LocalSystem(s, m, k, _weights(s), eta) for s, m, k
@@ -119,7 +126,7 @@ def one_domain(problem: TexturedMesh, section: RegularizationSection,
         right[dofs] += b
     places = (np.concatenate(rows), np.concatenate(columns))
     hessian = sparse.coo_matrix((np.concatenate(values), places), shape=(problem.n_dofs, problem.n_dofs)).tocsr()
-    kbar = controlled_stiffness(problem.whole, finite_element_kinematics(problem.whole), material(section), controlled)
+    kbar = controlled_stiffness(problem.whole, interpolate_cells(problem.whole), material(section), controlled)
     return (hessian + eta * (kbar.T @ kbar)).tocsr(), right
 
 

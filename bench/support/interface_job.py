@@ -22,7 +22,7 @@ from petsc4py import PETSc
 
 from bench.support.tiled_texture import TiledProblem
 from ddic.case.schema import SolverSection
-from ddic.parallel.distribution import distribute
+from ddic.parallel.distribution import scatter_subdomains
 from ddic.parallel.team import Team
 from ddic.partition.connectivity import build_subdomains
 from ddic.partition.split import split_by_metis
@@ -80,7 +80,7 @@ def method(team: Team, problem: TiledProblem, solver: str, per_subdomain: int | 
         # Equal cells, split evenly: equal costs.
         return build_subdomains(mesh, split_by_metis(mesh, count), problem.controlled(mesh)), np.ones(count)
 
-    subdomains = distribute(team, split)
+    subdomains = scatter_subdomains(team, split)
     eta, diagonal = problem.eta_and_diagonal
     systems, right = [], []
     for s in subdomains:

@@ -9,12 +9,17 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 
+<<<<<<< HEAD
+from ddic.synth.digitise import Digitiser
+=======
 from bench.support.paper_field import OpenHoleBeam
 from bench.support.paper_mesh import write_gmsh_mesh
 from bench.support.runs import DATA, images, source_version
+>>>>>>> refs/heads/accept
 from ddic.synth.fields import DisplacementField
-from ddic.synth.render import write_pair
-from ddic.synth.texture import SpeckleTexture
+from ddic.synth.picture import Picture
+from ddic.synth.render import Scene, write_pair
+from ddic.synth.speckle_texture import SpeckleTexture
 from ddic.synth.truth import load_truth
 
 WIDTH, HEIGHT = 6576, 4384
@@ -114,8 +119,8 @@ def _text(folder: Path, mesh: str, wavelength: float) -> str:
 
 
 def _render_beam(folder: Path, bits: int) -> None:
-    write_pair(folder / "reference.tif", folder / "deformed.tif", SpeckleTexture(), FIELD, WIDTH, HEIGHT,
-               bit_depth=bits)
+    paths = folder / "reference.tif", folder / "deformed.tif"
+    write_pair(paths, Scene(SpeckleTexture(), FIELD), Picture(WIDTH, HEIGHT, Digitiser(bits)))
 
 
 def _field_version() -> str:

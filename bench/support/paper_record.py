@@ -15,7 +15,13 @@ from scipy.spatial import cKDTree
 from bench.support.paper_case import BenchCase
 from bench.support.runs import ddic_run, run_job
 from ddic.io.result_reader import Result, read_result
-from ddic.mesh.topology import boundary_nodes
+<<<<<<< HEAD
+from ddic.mesh.topology import find_boundary_nodes
+from support.harness import ddic_run, mpirun
+from support.paper_case import BenchCase
+=======
+from ddic.mesh.topology import find_boundary_nodes
+>>>>>>> refs/heads/accept
 
 JOB = "bench.support.paper_pixels_job"
 RANKS = 2
@@ -69,7 +75,7 @@ def errors(case: BenchCase, result: Result) -> tuple[float, float]:
     """RMS error per component, pixels: at nodes more than one element from the mesh's boundary, and at all nodes."""
     nodes = result.mesh.nodes
     error = result.displacement - case.field.displacement(nodes)
-    distance, _ = cKDTree(nodes[boundary_nodes(result.mesh)]).query(nodes)
+    distance, _ = cKDTree(nodes[find_boundary_nodes(result.mesh)]).query(nodes)
     inner = distance > 1.01 * case.element_size
     return _rms(error[inner]), _rms(error)
 

@@ -22,6 +22,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from ddic.methods.run import run_case
+from ddic.parallel.phases import Phase
 from ddic.parallel.team import Team
 from ddic.results.listener import Setting
 from ddic.solvers.dual.coarse_space import CoarseSpace
@@ -58,9 +59,9 @@ LEDGER = Ledger()
 class CountingListener:
     """Books into the phase that a run is in."""
 
-    def phase(self, name: str) -> None:
+    def phase(self, phase: Phase) -> None:
         """The phase that begins."""
-        LEDGER.phase = name
+        LEDGER.phase = phase
 
     def note(self, line: str) -> None:
         """Nothing."""
@@ -179,7 +180,7 @@ def book_exchange(name: str) -> None:
 
 def _foreign(exchange: Exchange) -> tuple[int, int]:
     """How many ranks own ghosts of this one, and how many ghosts they own."""
-    vector = exchange.new_vector()
+    vector = exchange.create_vector()
     ranges = np.asarray(vector.getOwnershipRanges())
     mine = int(vector.getComm().getRank())
     vector.destroy()
@@ -211,10 +212,10 @@ def book_coarse() -> None:
 
 def main(case_files: list[str]) -> None:
     book_argument("together", "together")
-    book_argument("_attempt_on_root", "on rank 0")
+    book_argument("build_on_root", "on rank 0")
     book_cpu(LocalDual, "apply", "S_s")
     book_cpu(LocalPreconditioner, "apply", "P_s")
-    book_exchange("to_ghosts")
+    book_exchange("fetch_ghosts")
     book_exchange("add_to_owners")
     book_coarse()
     team = Team(CountingComm(MPI.COMM_WORLD))

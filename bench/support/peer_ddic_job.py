@@ -15,7 +15,7 @@ from ddic.methods.dd_dic import dd_dic
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.results.listener import Silence
-from ddic.results.phase_times import phase_times
+from ddic.results.phase_times import gather_phase_times
 from ddic.results.publish import publish
 
 
@@ -29,7 +29,7 @@ def measured_seconds(team: Team, loaded: LoadedCase) -> tuple[float, dict[str, f
     start = time.process_time()
     measurement = dd_dic(team, loaded.case, Silence(), clock)
     seconds = time.process_time() - start
-    publish(team, loaded, measurement, phase_times(team, clock))
+    publish(team, loaded, measurement, gather_phase_times(team, clock))
     by_rank = team.gather_lists([clock.cpu])
     phases = {name: sum(cpu.get(name, 0.0) for cpu in by_rank) for name in clock.cpu}
     return sum(team.gather_lists([seconds])), phases, len(measurement.records)

@@ -220,8 +220,12 @@ def correct_monolithically(whole: Whole, regularization: RegularizationSection |
     system = whole.assembly.systems[0]
     if multiplicity is not None and regularization is not None:
         weights = system.row_weights / np.sqrt(multiplicity)
+<<<<<<< HEAD
+        kbar = controlled_stiffness(whole.mesh, whole.part.correlation.interpolation, material(regularization), weights)
+=======
         kinematics = finite_element_kinematics(whole.mesh)
         kbar = controlled_stiffness(whole.mesh, kinematics, material(regularization), weights)
+>>>>>>> refs/heads/accept
         system = LocalSystem(system.subdomain, system.hessian, kbar, weights, system.eta)
     operator = LocalOperator(system.operator, smallest_eigenvalue=0.0, where="the whole mesh")
     try:

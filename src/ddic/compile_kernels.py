@@ -57,12 +57,14 @@ def _write_images(folder: Path, bit_depth: int) -> None:
     import numpy as np
     import tifffile
 
+    from ddic.synth.digitise import Digitiser
     from ddic.synth.fields import Sinusoidal
-    from ddic.synth.render import render_pair
-    from ddic.synth.texture import SpeckleTexture
+    from ddic.synth.picture import Picture
+    from ddic.synth.render import Scene, render_pair
+    from ddic.synth.speckle_texture import SpeckleTexture
 
     field = Sinusoidal((0.3, -0.2), (0.5, 0.4), (256.0, 320.0), (320.0, 256.0))
-    pair = render_pair(SpeckleTexture(3), field, SIDE, SIDE, bit_depth=bit_depth)
+    pair = render_pair(Scene(SpeckleTexture(3), field), Picture(SIDE, SIDE, Digitiser(bit_depth)))
     mask = np.ones((SIDE, SIDE), np.uint8)
     mask[60:64, 60:64] = 0
     for name, values in (("reference", pair.reference), ("deformed", pair.deformed), ("mask", mask)):

@@ -11,31 +11,33 @@ import time
 import numpy as np
 import pytest
 
-from ddic.cli.console import PHASES, RunConsole, on_terminal
-from ddic.results.listener import Setting
+from ddic.cli.console import RunConsole, on_terminal
+from ddic.parallel.phases import REPEATED, Phase
+from ddic.results.listener import ProblemSize
 from ddic.results.summary import Summary
-from ddic.solvers.gauss_newton import GreyState, IterationRecord
+from ddic.solvers.gauss_newton import CorrectionSize, GreyState, IterationRecord
 
-SETTING = Setting(n_dofs=200, n_cells=81, n_pixels=20736, n_subdomains=4, n_ranks=2, n_interface=60,
-                  dynamic_range=200.0, eta=12.5)
+SIZE = ProblemSize(n_unknowns=200, n_cells=81, n_pixels=20736, n_subdomains=4, n_ranks=2, n_interface=60,
+                   dynamic_range=200.0, eta=12.5)
 SUMMARY = Summary(converged=True, iterations=2, residual_std_grey=1.5, residual_percent_of_range=0.75, n_dofs=200,
-                  n_subdomains=4, n_ranks=2, krylov_iterations=[11, 7], seconds={"read": 0.5, "write": 0.25},
-                  cpu_seconds={"read": 1.0}, peak_memory_bytes=[2**27, 2**28], largest_jump_px=2e-9,
+                  n_subdomains=4, n_ranks=2, krylov_iterations=[11, 7], seconds={Phase.READ: 0.5, Phase.WRITE: 0.25},
+                  cpu_seconds={Phase.READ: 1.0}, peak_memory_bytes=[2**27, 2**28], largest_jump_px=2e-9,
                   linear_error_px=3e-6, n_pixels=20000, n_pixels_outside=0, grey_correction="global",
                   result_file="/a/[b]/result.vtkhdf")
 
 
 def _record(number: int, seconds: float) -> IterationRecord:
-    return IterationRecord(number, 10.0**-number, 0.5 / number, (GreyState(2.0, 2.1, 20736, 1.0, 0.0),), 12 - number,
-                           np.zeros(2), 3e-6, {"residual": seconds, "linear step": 2 * seconds})
+    size = CorrectionSize(relative=10.0**-number, rms=0.5 / number, largest=1.0)
+    return IterationRecord(number, size, (GreyState(2.0, 2.1, 20736, 1.0, 0.0),), 12 - number, np.zeros(2), 3e-6,
+                           {Phase.RESIDUAL: seconds, Phase.LINEAR_STEP: 2 * seconds})
 
 
 def _speak(summary: Summary = SUMMARY) -> None:
     with RunConsole() as console:
-        for phase in PHASES:
+        for phase in Phase:
             console.phase(phase)
         console.note("start: a note with [brackets]")
-        console.setting(SETTING)
+        console.problem_size(SIZE)
         console.iteration(_record(1, 1.0))
         console.iteration(_record(2, 1.5))
         console.finish(summary)
@@ -50,8 +52,8 @@ def test_a_log_has_plain_lines(capsys: pytest.CaptureFixture[str]) -> None:
     assert "start: a note with [brackets]" in lines
     assert any(line.startswith("200 unknowns, 81 elements, 20736 pixels; 4 subdomains on 2 ranks, "
                                "60 interface unknowns, eta = 12.5") for line in lines)
-    assert [p for p in PHASES if any(line.startswith(f"{p}: ") and line.endswith(" s") for line in lines)] == [
-        p for p in PHASES if p not in ("residual", "linear step")]
+    assert [p for p in Phase if any(line.startswith(f"{p}: ") and line.endswith(" s") for line in lines)] == [
+        p for p in Phase if p not in REPEATED]
     assert "result: /a/[b]/result.vtkhdf" in lines
     assert "largest jump left at an interface node: 2.0e-09 px" in lines
     assert "estimated displacement error left by the linear solver: 3.0e-06 px RMS" in lines
@@ -97,7 +99,7 @@ def test_a_terminal_gets_a_bar(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(sys, "stdout", screen)
         assert on_terminal()
         with RunConsole() as console:
-            console.phase("assemble")
+            console.phase(Phase.ASSEMBLE)
             console.note("a note")
             time.sleep(0.5)  # the bar is drawn ten times a second
         screen.flush()

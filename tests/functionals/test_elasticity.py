@@ -10,10 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from ddic.functionals.elasticity import Material, stiffness_cells
-from ddic.kinematics.finite_element import finite_element_kinematics
+from ddic.functionals.elasticity import Material, assemble_stiffness
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.topology import boundary_nodes
+from ddic.mesh.topology import find_boundary_nodes
 from support.random_meshes import Cells, grid_mesh, grid_meshes
 
 Plane = Literal["stress", "strain"]
@@ -21,13 +20,12 @@ PLANES = pytest.mark.parametrize("plane", ["stress", "strain"])
 
 
 def stiffness(mesh: Mesh, material: Material | None = None) -> NDArray[np.float64]:
-    cells = stiffness_cells(mesh, material or Material())
-    return np.asarray(finite_element_kinematics(mesh).assemble_matrix(cells).toarray())
+    return np.asarray(assemble_stiffness(mesh, material or Material()).toarray())
 
 
 def inner_dofs(mesh: Mesh) -> NDArray[np.bool_]:
     inside = np.ones(mesh.n_nodes, dtype=bool)
-    inside[boundary_nodes(mesh)] = False
+    inside[find_boundary_nodes(mesh)] = False
     return np.repeat(inside, 2)
 
 

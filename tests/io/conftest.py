@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from ddic.io import result_schema as schema
 from ddic.io.image_chunks import ChunkGrid, packed
 from ddic.io.result_writer import Piece, PieceSize, ResultWriter
-from ddic.mesh.mesh import VTK_QUAD, VTK_TRIANGLE, Mesh, mesh_from_cells
+from ddic.mesh.cell_type import Q4, T3
+from ddic.mesh.mesh import Mesh, build_mesh
 
 COLUMNS, ROWS, SIDE = 4, 3, 10.0
 
@@ -23,8 +24,8 @@ def small_mesh() -> Mesh:
     a = j * (COLUMNS + 1) + i
     squares = np.stack([a, a + 1, a + COLUMNS + 2, a + COLUMNS + 1], axis=1)
     cut = squares[i == COLUMNS - 1]
-    return mesh_from_cells(nodes, {VTK_QUAD: squares[i < COLUMNS - 1],
-                                   VTK_TRIANGLE: np.concatenate([cut[:, :3], cut[:, [2, 3, 0]]])})
+    return build_mesh(nodes, {Q4: squares[i < COLUMNS - 1],
+                                   T3: np.concatenate([cut[:, :3], cut[:, [2, 3, 0]]])})
 
 
 def quadratic(points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -81,8 +82,8 @@ def write_result() -> Callable[..., Path]:
     def write(path: Path, *, flip_y: bool = False, length_unit: str | None = None, residual: bool = True,
               reference: str = "", curves: bool = True) -> Path:
         pieces = pieces_of(small_mesh(), length_unit)
-        with ResultWriter(path, sizes_of(pieces), schema.point_fields(length_unit), schema.cell_fields(),
-                          flip_y=flip_y) as writer:
+        with ResultWriter(path, flip_y=flip_y) as writer:
+            writer.create_pieces(sizes_of(pieces), schema.point_fields(length_unit), schema.cell_fields())
             for index in (1, 0):
                 writer.write_pieces(range(index, index + 1), pieces[index])
             if residual:

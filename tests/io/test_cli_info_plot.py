@@ -2,7 +2,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -12,7 +11,6 @@ from click.testing import CliRunner
 
 from ddic.cli.info import info
 from ddic.cli.plot import plot
-from ddic.io.image_report import image_report
 
 Write = Callable[..., Path]
 
@@ -27,21 +25,6 @@ def test_info_of_an_image(tmp_path: Path) -> None:
     assert "uint16, 16 bit" in outcome.output
     assert "0 to 493 grey levels" in outcome.output
     assert "25 (grey level / px)^2" in outcome.output
-
-
-def test_image_report_does_not_depend_on_the_bands(monkeypatch: pytest.MonkeyPatch) -> None:
-    pixels = np.random.default_rng(5).integers(0, 256, (37, 20), dtype=np.uint8)
-    pixels[4, :5] = 255
-    source = SimpleNamespace(path=Path("memory"), width=20, height=37, saturation=255.0,
-                             read=lambda w: pixels[w.y0:w.y1, w.x0:w.x1])
-    whole = image_report(source)
-    monkeypatch.setattr("ddic.io.image_report.BAND_PIXELS", 80)
-    banded = image_report(source)
-    assert whole.n_saturated == banded.n_saturated == np.count_nonzero(pixels == 255)
-    # Sums in another order: a few roundings of float64.
-    assert banded.gradient_energy == pytest.approx(whole.gradient_energy, rel=1e-13)
-    assert banded.mean == pytest.approx(pixels.mean(), rel=1e-13)
-    assert (banded.lowest, banded.highest) == (pixels.min(), 255)
 
 
 def test_info_warns_of_colour_on_standard_error(tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ import hashlib
 import os
 import warnings
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.images.window import Window
-from ddic.io.image_file import find_not_finite, open_image, sha256_of_file
+from ddic.io.image_file import open_image, sha256_of_file
 
 WIDTH, HEIGHT = 83, 61
 WHOLE = Window(0, 0, WIDTH, HEIGHT)
@@ -197,31 +196,6 @@ def test_windows_must_lie_in_the_image(tmp_path: Path, window: Window) -> None:
     tifffile.imwrite(tmp_path / "a.tif", pattern("uint8"))
     with pytest.raises(ValueError, match="leaves the image"):
         open_image(tmp_path / "a.tif").read(window)
-
-
-def test_not_finite_pixels_are_counted_and_located_unless_masked(tmp_path: Path) -> None:
-    pixels = pattern("float32")
-    pixels[10, 20], pixels[30, 40], pixels[30, 41] = np.nan, np.inf, -np.inf
-    tifffile.imwrite(tmp_path / "f.tif", pixels)
-    image = open_image(tmp_path / "f.tif")
-    with pytest.raises(InputError, match=r"f\.tif: 3 pixel.*\(20, 10\)"):
-        find_not_finite(image)
-    mask = np.ones((HEIGHT, WIDTH), bool)
-    mask[10, 20] = False
-    with pytest.raises(InputError, match=r"2 pixel.*\(40, 30\)"):
-        find_not_finite(image, mask)
-    mask[30, 40:42] = False
-    find_not_finite(image, mask)
-
-
-def test_not_finite_pixels_are_found_in_later_bands(monkeypatch: pytest.MonkeyPatch) -> None:
-    pixels = np.zeros((9, 4))
-    pixels[7, 2] = np.nan
-    source = SimpleNamespace(path=Path("memory"), width=4, height=9, saturation=None,
-                             read=lambda w: pixels[w.y0:w.y1, w.x0:w.x1])
-    monkeypatch.setattr("ddic.io.image_file.BAND_PIXELS", 8)
-    with pytest.raises(InputError, match=r"1 pixel.*\(2, 7\)"):
-        find_not_finite(source)
 
 
 def test_checksum_is_that_of_the_bytes(tmp_path: Path) -> None:

@@ -1,9 +1,12 @@
 from __future__ import annotations
 
+import dataclasses
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import h5py
+import meshio
 import numpy as np
 import pytest
 from hypothesis import given
@@ -61,6 +64,73 @@ def test_displacement_between_nodes_is_interpolated_and_outside_the_nearest(
     np.testing.assert_allclose(displacement_at(result, inside), field(inside), atol=0.06)
     outside = np.array([[-100.0, 7.0]])
     np.testing.assert_array_equal(displacement_at(result, outside), field(mesh.nodes[:1]))
+
+
+def test_fields_are_arrays_by_name(tmp_path: Path, write_result: Write, mesh: Mesh, field: Field) -> None:
+    result = read_result(write_result(tmp_path / "r.vtkhdf"))
+    np.testing.assert_array_equal(result.fields["displacement"], field(mesh.nodes))
+    assert result.fields["strain_infinitesimal"].shape == (mesh.n_cells, 6)
+    assert result.fields["residual_rms"].shape == (mesh.n_cells,)
+    assert set(result.fields) == {*result.point_data, *result.cell_data}
+
+
+@pytest.mark.parametrize("flip_y", [False, True])
+def test_displacement_at_points_is_that_of_the_shape_functions(tmp_path: Path, write_result: Write, mesh: Mesh,
+                                                               field: Field, flip_y: bool) -> None:
+    result = read_result(write_result(tmp_path / "r.vtkhdf", flip_y=flip_y))
+    np.testing.assert_allclose(result.at(mesh.nodes), field(mesh.nodes), rtol=0, atol=1e-12)
+    # The middle of a Q4, and of a T3: means of the nodes'.
+    quad = mesh.cells[0]
+    triangle = next(cell[:3] for cell in mesh.cells if cell[3] < 0)
+    middles = np.array([mesh.nodes[quad].mean(axis=0), mesh.nodes[triangle].mean(axis=0)])
+    expected = [field(mesh.nodes[quad]).mean(axis=0), field(mesh.nodes[triangle]).mean(axis=0)]
+    np.testing.assert_allclose(result.at(middles), expected, rtol=0, atol=1e-12)
+
+
+def test_there_is_no_displacement_outside_the_mesh_and_in_its_holes(tmp_path: Path, write_result: Write) -> None:
+    result = read_result(write_result(tmp_path / "r.vtkhdf"))
+    inner = np.flatnonzero((np.abs(result.mesh.centroids - (20.0, 22.0)) < 1).all(axis=1))
+    assert len(inner) == 1
+    kept = np.delete(np.arange(result.mesh.n_cells), inner)
+    holed, nodes = result.mesh.submesh(kept)
+    result = dataclasses.replace(result, mesh=holed, displacement=result.displacement[nodes])
+    found = result.at(np.array([[20.0, 22.0], [-3.0, 8.0], [10.0, 12.0]]))
+    np.testing.assert_array_equal(np.isnan(found), [[True, True], [True, True], [False, False]])
+
+
+def test_meshio_gets_the_mesh_and_all_fields(tmp_path: Path, write_result: Write, mesh: Mesh) -> None:
+    result = read_result(write_result(tmp_path / "r.vtkhdf"))
+    result.to_meshio().write(tmp_path / "r.vtu")
+    back = meshio.read(tmp_path / "r.vtu")
+    np.testing.assert_array_equal(back.points[:, :2], mesh.nodes)
+    assert {block.type: len(block.data) for block in back.cells} == {"quad": 9, "triangle": 6}
+    np.testing.assert_array_equal(back.point_data["displacement"], result.point_data["displacement"])
+    for block, numbers, strain in zip(back.cells, back.cell_data["GlobalCellId"],
+                                      back.cell_data["strain_infinitesimal"], strict=True):
+        np.testing.assert_array_equal(block.data, mesh.cells[numbers][:, :block.data.shape[1]])
+        np.testing.assert_array_equal(strain, result.cell_data["strain_infinitesimal"][numbers])
+    assert set(back.point_data) | set(back.cell_data) == set(result.fields)
+
+
+def test_pyvista_gets_the_mesh_and_all_fields(tmp_path: Path, write_result: Write, mesh: Mesh) -> None:
+    pytest.importorskip("pyvista")
+    result = read_result(write_result(tmp_path / "r.vtkhdf"))
+    grid = result.to_pyvista()
+    np.testing.assert_array_equal(grid.points[:, :2], mesh.nodes)
+    np.testing.assert_array_equal(grid.celltypes, mesh.types)
+    np.testing.assert_array_equal(grid.cell_connectivity, mesh.connectivity)
+    np.testing.assert_allclose(grid.cell_centers().points[:, :2], mesh.centroids, rtol=0, atol=1e-12)
+    for name, values in {**result.point_data, **result.cell_data}.items():
+        np.testing.assert_array_equal(grid[name], values)
+
+
+def test_a_missing_pyvista_is_named_with_its_remedy(tmp_path: Path, write_result: Write,
+                                                    monkeypatch: pytest.MonkeyPatch) -> None:
+    result = read_result(write_result(tmp_path / "r.vtkhdf"))
+    # None makes ``import pyvista`` fail.
+    monkeypatch.setitem(sys.modules, "pyvista", None)
+    with pytest.raises(InputError, match="pip install pyvista"):
+        result.to_pyvista()
 
 
 @given(st.lists(st.floats(-1e3, 1e3), min_size=6, max_size=6))

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -139,8 +140,11 @@ def test_joined_pieces_make_the_same_file(tmp_path: Path, pieces: list[Piece], s
         np.testing.assert_array_equal(values, everything[name], err_msg=name)
 
 
-def opened(path: Path, sizes: list[PieceSize]) -> ResultWriter:
-    return ResultWriter(path, sizes, schema.point_fields(None), schema.cell_fields(), flip_y=False)
+@contextmanager
+def opened(path: Path, sizes: list[PieceSize]) -> Iterator[ResultWriter]:
+    with ResultWriter(path) as writer:
+        writer.create_pieces(sizes, schema.point_fields(None), schema.cell_fields())
+        yield writer
 
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, SystemExit])

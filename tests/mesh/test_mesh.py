@@ -6,21 +6,22 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ddic.mesh.mesh import VTK_QUAD, VTK_TRIANGLE, Mesh, Similarity, mesh_from_cells
+from ddic.mesh.cell_type import Q4, T3
+from ddic.mesh.mesh import Mesh, Similarity, build_mesh
 from support.random_meshes import SEEDS, grid_mesh, grid_meshes
 
 NODES = np.array([[0.0, 0.0], [2.0, 0.0], [4.0, 0.0], [0.0, 2.0], [2.0, 2.0], [4.0, 2.0]])
 
 
 def small_mesh() -> Mesh:
-    blocks = {VTK_QUAD: np.array([[0, 1, 4, 3]]), VTK_TRIANGLE: np.array([[1, 2, 5], [1, 5, 4]])}
-    return mesh_from_cells(NODES, blocks, {"left": np.array([0, 3]), "right": np.array([2, 5])})
+    blocks = {Q4: np.array([[0, 1, 4, 3]]), T3: np.array([[1, 2, 5], [1, 5, 4]])}
+    return build_mesh(NODES, blocks, {"left": np.array([0, 3]), "right": np.array([2, 5])})
 
 
 def test_sizes_and_padded_cells() -> None:
     mesh = small_mesh()
     assert (mesh.dim, mesh.n_nodes, mesh.n_cells, mesh.n_dofs) == (2, 6, 3, 12)
-    assert mesh.types.tolist() == [VTK_QUAD, VTK_TRIANGLE, VTK_TRIANGLE]
+    assert mesh.types.tolist() == [Q4.vtk, T3.vtk, T3.vtk]
     assert mesh.offsets.tolist() == [0, 4, 7, 10]
     assert mesh.cells.tolist() == [[0, 1, 4, 3], [1, 2, 5, -1], [1, 5, 4, -1]]
 

@@ -10,7 +10,8 @@ import pytest
 
 from ddic.errors import InputError
 from ddic.io.mesh_file import read_mesh
-from ddic.mesh.mesh import VTK_QUAD, VTK_TRIANGLE, Similarity
+from ddic.mesh.cell_type import Q4, T3
+from ddic.mesh.mesh import Similarity
 from ddic.mesh.repair import repair
 
 POINTS = np.array([[0, 0, 2], [1, 0, 2], [2, 0, 2], [2, 1, 2], [1, 1, 2], [0, 1, 2], [9, 9, 7]], dtype=float)
@@ -30,7 +31,7 @@ def _write(path: Path) -> Path:
 
 def test_mixed_cells_keep_the_order_of_the_file(tmp_path: Path) -> None:
     mesh = read_mesh(_write(tmp_path / "a.vtu"), Similarity())
-    assert mesh.types.tolist() == [VTK_TRIANGLE, VTK_QUAD, VTK_TRIANGLE]
+    assert mesh.types.tolist() == [T3.vtk, Q4.vtk, T3.vtk]
     assert mesh.cells.tolist() == [[1, 2, 3, -1], [0, 1, 4, 5], [1, 3, 4, -1]]
     assert mesh.nodes.shape == (7, 2)
     assert repair(mesh).n_nodes == 6
@@ -120,6 +121,6 @@ def test_missing_file_is_refused(tmp_path: Path) -> None:
 def test_open_hole_mesh(real_data: Path) -> None:
     mesh = repair(read_mesh(real_data / "openhole" / "mesh_q4_pixels.msh", Similarity()))
     assert (mesh.n_nodes, mesh.n_cells) == (1500, 1404)
-    assert set(mesh.types) == {VTK_QUAD}
+    assert set(mesh.types) == {Q4.vtk}
     # 32 lines on two clamped edges have 34 nodes.
     assert {name: len(nodes) for name, nodes in mesh.node_sets.items()} == {"loaded_ends": 34}

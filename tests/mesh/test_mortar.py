@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from ddic.mesh.mortar import Mortar, Overlaps, Sides, mortar, overlaps
+from ddic.mesh.mortar import Mortar, Overlaps, Sides, find_overlaps, integrate_mortar
 from support.random_meshes import SEEDS
 
 Array = NDArray[np.float64]
@@ -43,8 +43,8 @@ def line(corners: Array, counts: list[int], seed: int) -> tuple[Array, NDArray[n
 
 def tied(far: tuple[Array, NDArray[np.int64]], near: tuple[Array, NDArray[np.int64]]) -> tuple[Mortar, Overlaps]:
     sides = Sides(*far, *near, 1e-6)
-    pieces = overlaps(sides)
-    return mortar(sides, pieces), pieces
+    pieces = find_overlaps(sides)
+    return integrate_mortar(sides, pieces), pieces
 
 
 @settings(max_examples=100)
@@ -130,5 +130,5 @@ def test_edges_that_cross_or_run_beside_do_not_overlap() -> None:
     far = np.array([[5.0, -3.0], [5.0, 3.0], [0.0, 1e-3], [10.0, 1e-3], [10.0, 0.0], [20.0, 0.0], [2.0, 0.0],
                     [2.0, 9.0]])
     edges = np.arange(8).reshape(4, 2)
-    found = overlaps(Sides(far, edges, near, np.array([[0, 1]]), 1e-4))
+    found = find_overlaps(Sides(far, edges, near, np.array([[0, 1]]), 1e-4))
     assert len(found.near) == 0

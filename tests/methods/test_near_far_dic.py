@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tifffile
+from ddic.methods.near_far_dic import near_far_dic
 from mpi4py import MPI
 from numpy.typing import NDArray
 
@@ -14,7 +15,6 @@ from ddic.case.loader import load_case
 from ddic.errors import InputError, is_on_all_ranks
 from ddic.io.mapping_file import MappingFile, write_mapping
 from ddic.methods.dd_dic import Measurement
-from ddic.methods.near_far_dic import near_far_dic
 from ddic.methods.run import run_case
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
@@ -22,7 +22,7 @@ from ddic.results.listener import Silence
 from ddic.synth.fields import DisplacementField
 from ddic.synth.hole import Hole
 from ddic.synth.kirsch import Kirsch
-from ddic.synth.near_far import SetUpMotion
+from ddic.synth.near_far_scene import SetUpMotion
 from support.cases import Ears
 from support.near_far_cases import (
     ALPHA,

@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tifffile
+from ddic.problem.check_cameras import check_inputs
+from ddic.problem.near_far_parts import cut_by_camera
 from mpi4py import MPI
 
 from ddic.case.loader import load_case
@@ -15,10 +17,8 @@ from ddic.io.result_reader import read_result
 from ddic.methods.run import run_case
 from ddic.parallel.team import Team
 from ddic.problem.cameras import measured_by, open_cameras
-from ddic.problem.check_cameras import check_inputs
 from ddic.problem.mesh_source import build_meshes
-from ddic.problem.near_far_parts import cut_by_camera
-from ddic.synth.texture import SpeckleTexture
+from ddic.synth.speckle_texture import SpeckleTexture
 from support.cases import Ears
 
 RATIO, OFFSET = 3.0, (-160.0, -130.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NoReturn
 
 import numpy as np
@@ -9,8 +10,8 @@ import pytest
 from mpi4py import MPI
 
 from ddic.errors import InputError, SingularSubdomainError, is_on_all_ranks
-from ddic.parallel.distribution import owners
-from ddic.parallel.team import Team
+from ddic.parallel.distribution import split_evenly
+from ddic.parallel.team import Team, held
 
 RANKS = [1, 2, 3, 4]
 
@@ -111,7 +112,7 @@ def test_ordered_sum_is_the_same_to_the_last_bit_however_subdomains_are_spread(t
     # Terms of very different sizes: any other order of the sum would round differently.
     rng = np.random.default_rng(0)
     terms = [rng.normal(size=3) * 10.0 ** rng.integers(-8, 8) for _ in range(11)]
-    mine = [terms[s] for s in owners(np.ones(11), team.size)[team.rank]]
+    mine = [terms[s] for s in split_evenly(np.ones(11), team.size)[team.rank]]
     total = team.ordered_sum(mine)
     alone = Team(MPI.COMM_SELF).ordered_sum(terms)
     np.testing.assert_array_equal(total, alone)
@@ -126,7 +127,83 @@ def test_lists_are_gathered_in_the_order_of_ranks(team: Team) -> None:
 
 
 @pytest.mark.parallel(RANKS)
-def test_what_the_root_hands_over_is_the_other_ranks_alone(team: Team) -> None:
+def test_what_the_root_sends_is_the_other_ranks_alone(team: Team) -> None:
     for to in range(team.size):
-        found = team.hand_over({"to": to} if team.is_root else None, to)
+        found = team.send_from_root({"to": to} if team.is_root else None, to)
         assert found == ({"to": to} if team.rank == to else None)
+
+
+@pytest.mark.parallel(RANKS)
+def test_what_is_built_on_the_root_stays_there_and_its_error_does_not(team: Team) -> None:
+    built = team.build_on_root(lambda: "a large thing")
+    assert built == ("a large thing" if team.is_root else None)
+    assert team.on_root(lambda: held(built).upper()) == "A LARGE THING"
+    with pytest.raises(InputError, match="no thing") as caught:
+        team.build_on_root(lambda: _fail(InputError("no thing")))
+    assert is_on_all_ranks(caught.value)
+
+
+def test_a_rank_that_holds_nothing_is_told_so() -> None:
+    assert held(0) == 0
+    with pytest.raises(RuntimeError, match="holds nothing"):
+        held(None)
+
+
+@pytest.mark.parallel(RANKS)
+def test_items_go_to_one_rank_from_one_rank_and_from_each_to_each(team: Team) -> None:
+    last = team.size - 1
+    gathered = team.gather_to(10 * team.rank, last)
+    assert gathered == ([10 * rank for rank in range(team.size)] if team.rank == last else None)
+    assert team.broadcast("the last rank's" if team.rank == last else None, last) == "the last rank's"
+    sent = [(team.rank, to) for to in range(team.size)]
+    assert team.all_to_all(sent) == [(source, team.rank) for source in range(team.size)]
+
+
+@pytest.mark.parallel(RANKS)
+def test_sums_largest_and_offsets_over_ranks(team: Team) -> None:
+    assert team.sum(team.rank + 1) == team.size * (team.size + 1) // 2
+    assert team.maximum(float(team.rank)) == team.size - 1
+    assert team.offset(team.rank + 2) == sum(rank + 2 for rank in range(team.rank))
+    # Neither in C's order nor contiguous.
+    mine = np.arange(12.0).reshape(4, 3).T[:, ::2] + team.rank
+    first = np.arange(12.0).reshape(4, 3).T[:, ::2]
+    np.testing.assert_array_equal(team.sum(mine), team.size * first + sum(range(team.size)))
+    np.testing.assert_array_equal(team.maximum(mine), first + team.size - 1)
+
+
+@pytest.mark.parallel(RANKS)
+def test_root_takes_a_stream_item_by_item_in_the_order_of_ranks(team: Team) -> None:
+    made = []
+
+    def items() -> Iterator[tuple[int, int]]:
+        # The second rank has none.
+        for k in range(0 if team.rank == 1 else 3):
+            made.append(k)
+            yield team.rank, k
+
+    stream = team.stream_to_root(items())
+    if not team.is_root:
+        assert len(made) == (0 if team.rank == 1 else 3)
+        assert list(stream) == []
+        return
+    assert made == []
+    expected = [(rank, k) for rank in range(team.size) for k in range(0 if rank == 1 else 3)]
+    assert next(stream) == (0, 0)
+    assert made == [0]
+    assert [(0, 0), *stream] == expected
+
+
+@pytest.mark.parallel(RANKS)
+def test_sends_that_were_begun_arrive_in_their_order(team: Team) -> None:
+    to, source = (team.rank + 1) % team.size, (team.rank - 1) % team.size
+    requests = [team.begin_send((team.rank, k), to) for k in range(3)]
+    assert [team.receive(source) for _ in range(3)] == [(source, k) for k in range(3)]
+    team.finish_sends(requests)
+
+
+@pytest.mark.parallel(RANKS)
+def test_ranks_of_a_node_are_a_team_whose_waiting_counts(team: Team) -> None:
+    with team.of_this_node() as node:
+        assert node.gather_lists([team.rank]) == list(range(team.size))
+        assert node.waiting is team.waiting
+    assert node.comm == MPI.COMM_NULL

@@ -6,6 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
+from ddic.partition.connectivity import build_subdomains
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -13,7 +14,6 @@ from numpy.typing import NDArray
 from ddic.errors import InputError
 from ddic.mesh.mesh import Mesh
 from ddic.partition.by_camera import camera_of_cells, cameras_at_nodes, kept_apart, split_by_camera, with_cameras
-from ddic.partition.connectivity import build_subdomains
 from support.random_meshes import PARTITIONS, SEEDS, delaunay_meshes, grid_mesh, grid_meshes, random_partition
 
 MESHES = st.one_of(grid_meshes(), delaunay_meshes())

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from ddic.partition.connectivity import build_subdomains
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from ddic.mesh.mesh import Mesh
-from ddic.partition.connectivity import build_subdomains
 from ddic.partition.incidence import copies_of, rows_of, scaled_incidence, signed_incidence
 from ddic.partition.subdomain import Interface, Subdomain
 from support.random_meshes import PARTITIONS, SEEDS, grid_mesh, grid_meshes, random_partition

@@ -7,9 +7,9 @@ import time
 import pytest
 from mpi4py import MPI
 
-from ddic.parallel.phases import PhaseClock
+from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
-from ddic.results.phase_times import phase_times
+from ddic.results.phase_times import gather_phase_times
 
 RANKS = [1, 2, 3, 4]
 WORK = 0.15
@@ -26,24 +26,24 @@ def _work(seconds: float) -> None:
 def test_a_rank_that_waits_is_not_busy() -> None:
     team = Team(MPI.COMM_WORLD)
     clock = PhaseClock(waiting=team.waiting)
-    with clock.phase("even"):
+    with clock.phase(Phase.READ):
         team.together(lambda: _work(WORK))
-    with clock.phase("one rank's"):
+    with clock.phase(Phase.MESH):
         team.on_root(lambda: _work(WORK))
-    with clock.phase("the last rank's"):
+    with clock.phase(Phase.ASSEMBLE):
         team.together(lambda: _work(WORK if team.rank == team.size - 1 else 0.0))
-    with clock.phase("handed over"):
+    with clock.phase(Phase.START):
         if team.is_root:
             _work(WORK)
-        team.hand_over("a thing" if team.is_root else None, team.size - 1)
-    times = phase_times(team, clock)
+        team.send_from_root("a thing" if team.is_root else None, team.size - 1)
+    times = gather_phase_times(team, clock)
     assert team.gather_lists([times]) == [times] * team.size
-    assert list(times.seconds) == ["even", "one rank's", "the last rank's", "handed over"]
+    assert list(times.seconds) == [Phase.READ, Phase.MESH, Phase.ASSEMBLE, Phase.START]
     # 10 %: what MPI's own work and the clock's steps may add to 0.15 s.
-    assert times.imbalance["even"] <= 1.1
-    for name in ("one rank's", "the last rank's", "handed over"):
+    assert times.imbalance[Phase.READ] <= 1.1
+    for name in (Phase.MESH, Phase.ASSEMBLE, Phase.START):
         assert 0.9 * team.size <= times.imbalance[name] <= team.size * (1 + 1e-12)
-    assert times.cpu_seconds["even"] >= team.size * WORK
+    assert times.cpu_seconds[Phase.READ] >= team.size * WORK
     assert all(wall >= WORK for wall in times.seconds.values())
 
 
@@ -52,10 +52,10 @@ def test_a_phase_that_only_one_rank_had_counts_as_nothing_elsewhere() -> None:
     team = Team(MPI.COMM_WORLD)
     clock = PhaseClock(waiting=team.waiting)
     if team.is_root:
-        with clock.phase("alone"):
+        with clock.phase(Phase.FINISH):
             _work(WORK)
-    names = team.comm.bcast(list(clock.wall))
-    for name in names:
-        with clock.phase(name):
+    phases = team.broadcast(list(clock.wall))
+    for phase in phases:
+        with clock.phase(phase):
             pass
-    assert phase_times(team, clock).imbalance["alone"] == pytest.approx(2.0, rel=0.05)
+    assert gather_phase_times(team, clock).imbalance[Phase.FINISH] == pytest.approx(2.0, rel=0.05)

@@ -8,6 +8,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from ddic.results.publish import publish
 from mpi4py import MPI
 
 from ddic.case.loader import load_case
@@ -18,8 +19,7 @@ from ddic.methods.dd_dic import dd_dic
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.results.listener import Silence
-from ddic.results.phase_times import phase_times
-from ddic.results.publish import publish
+from ddic.results.phase_times import gather_phase_times
 from support.cases import WAVES, contents, largest_difference, write_case, write_images
 
 RANKS = [1, 2, 3, 4]
@@ -42,7 +42,7 @@ OF_THE_RUN = ("provenance@date", "provenance@n_ranks", "case@toml", "case@json")
 def _publish(team: Team, path: Path) -> Path:
     loaded = load_case(path)
     clock = PhaseClock(waiting=team.waiting)
-    publish(team, loaded, dd_dic(team, loaded.case, Silence(), clock), phase_times(team, clock))
+    publish(team, loaded, dd_dic(team, loaded.case, Silence(), clock), gather_phase_times(team, clock))
     return loaded.case.output.file
 
 
@@ -165,4 +165,4 @@ def test_a_folder_that_has_gone_is_an_input_error(shared_path: Path) -> None:
     loaded = load_case(_write(shared_path, '[output]\nfile = "gone/field.vtkhdf"\n'))
     measured = dd_dic(team, loaded.case, Silence(), PhaseClock())
     with pytest.raises(InputError, match="does not exist or cannot be written to"):
-        publish(team, loaded, measured, phase_times(team, PhaseClock()))
+        publish(team, loaded, measured, gather_phase_times(team, PhaseClock()))

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from ddic.images.window import Window
 from ddic.io.image_chunks import ChunkGrid
-from ddic.parallel.distribution import owners
+from ddic.parallel.distribution import split_evenly
 from ddic.parallel.team import Team
 from ddic.results import residual_image
-from ddic.results.residual_image import PackedChunk, Patch, packed_chunks, share_chunks, to_root
+from ddic.results.residual_image import PackedChunk, Patch, packed_chunks, share_chunks, stream_chunks
 
 RANKS = [1, 2, 3, 4]
 WIDTH, HEIGHT = 900, 700
@@ -57,9 +57,9 @@ def test_root_gets_every_pixel_once_compressed(monkeypatch: pytest.MonkeyPatch) 
     # Two a message: several messages from each rank.
     monkeypatch.setattr(residual_image, "CHUNKS_A_MESSAGE", 2)
     team = Team(MPI.COMM_WORLD)
-    mine = patches(owners(np.ones(N_PARTS), team.size)[team.rank])
+    mine = patches(split_evenly(np.ones(N_PARTS), team.size)[team.rank])
     held = packed_chunks(team, GRID, [p.window for p in mine], iter(mine))
-    everything = list(to_root(team, held))
+    everything = list(stream_chunks(team, held))
     image = np.full((HEIGHT, WIDTH), np.nan, np.float32)
     for chunk in everything:
         place = GRID.window(chunk.number)
@@ -80,7 +80,7 @@ def test_root_gets_every_pixel_once_compressed(monkeypatch: pytest.MonkeyPatch) 
 @pytest.mark.parallel(RANKS)
 def test_ranks_agree_on_owners_and_share_the_work() -> None:
     team = Team(MPI.COMM_WORLD)
-    windows = [p.window for p in patches(owners(np.ones(N_PARTS), team.size)[team.rank])]
+    windows = [p.window for p in patches(split_evenly(np.ones(N_PARTS), team.size)[team.rank])]
     shares = share_chunks(team, GRID, windows)
     assert team.gather_lists([shares]) == [shares] * team.size
     assert set(shares.owner) == set(shares.sharers) == {n for w in team.gather_lists(windows) for n in GRID.touching(w)}

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from ddic.errors import InputError
-from ddic.results.summary import Summary, summary_path, write_summary
+from ddic.io.result_schema import summary_path
+from ddic.results.summary import Summary, write_summary
 
 
 def summary() -> Summary:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from mpi4py import MPI
 from petsc4py import PETSc
 
 from ddic.errors import FactorizationError, SingularSubdomainError, is_on_all_ranks
@@ -32,8 +31,8 @@ def test_assembled_equals_monolithic(weighting: Weighting, kind: str, n_subdomai
     problem = linear_step(wavelength=wavelength)
     parts = split(problem.mesh, kind, n_subdomains)
     reference = one_domain_solution(problem, parts, weighting)
-    with Decomposed(MPI.COMM_WORLD, problem, parts, weighting) as cut:
-        step = AssembledStep(Team(cut.comm), cut.systems, 0.0)
+    with Decomposed(Team.world(), problem, parts, weighting) as cut:
+        step = AssembledStep(cut.team, cut.systems, 0.0)
         result = cut.solve(step)
         step.destroy()
         error = cut.relative_error(result.dq, reference)
@@ -44,12 +43,12 @@ def test_assembled_equals_monolithic(weighting: Weighting, kind: str, n_subdomai
 @pytest.mark.parallel(RANKS)
 def test_copies_that_differ_become_the_field_of_the_dual_step() -> None:
     problem = linear_step(wavelength=WAVELENGTH)
-    with Decomposed(MPI.COMM_WORLD, problem, split(problem.mesh, "blocks", 9), "consistent") as cut:
+    with Decomposed(Team.world(), problem, split(problem.mesh, "blocks", 9), "consistent") as cut:
         rngs = [np.random.default_rng(s.index) for s in cut.subdomains]
-        q = [r.normal(size=len(d)) for r, d in zip(rngs, cut.dofs, strict=True)]
-        b = [problem.b[d] / s.dof_multiplicity for d, s in zip(cut.dofs, cut.subdomains, strict=True)]
+        q = [r.normal(size=len(d)) for r, d in zip(rngs, cut.numbers, strict=True)]
+        b = [problem.b[d] / s.multiplicity for d, s in zip(cut.numbers, cut.subdomains, strict=True)]
         dual = cut.step(DualSettings("scaled", 1e-12, 3000)).solve(q, b)
-        step = AssembledStep(Team(cut.comm), cut.systems, 0.0)
+        step = AssembledStep(cut.team, cut.systems, 0.0)
         assembled = step.solve(q, b)
         step.destroy()
     largest = max(float(np.abs(x - y).max()) for x, y in zip(assembled.dq, dual.dq, strict=True))
@@ -60,10 +59,10 @@ def test_copies_that_differ_become_the_field_of_the_dual_step() -> None:
 @pytest.mark.parametrize("wavelength", [None, WAVELENGTH])
 def test_a_region_that_nothing_holds_is_named(wavelength: float | None) -> None:
     problem = linear_step(wavelength=wavelength)
-    with Decomposed(MPI.COMM_WORLD, problem, split(problem.mesh, "blocks", 9), "consistent") as cut:
+    with Decomposed(Team.world(), problem, split(problem.mesh, "blocks", 9), "consistent") as cut:
         systems = without_texture(cut, corner)
         with pytest.raises(SingularSubdomainError, match=r"column 1\d\d, row 1\d\d.*too little") as e:
-            AssembledStep(Team(cut.comm), systems, 1e-9 * problem.mean_diagonal)
+            AssembledStep(cut.team, systems, 1e-9 * problem.mean_diagonal)
     assert is_on_all_ranks(e.value)
 
 
@@ -74,9 +73,9 @@ def test_want_of_memory_is_not_taken_for_want_of_texture() -> None:
     # One MiB a rank for MUMPS: the 4802 unknowns have 2 MB of entries before any fill.
     options.setValue("assembled_mat_mumps_icntl_23", "1")
     try:
-        with (Decomposed(MPI.COMM_WORLD, problem, split(problem.mesh, "blocks", 4), "consistent") as cut,
+        with (Decomposed(Team.world(), problem, split(problem.mesh, "blocks", 4), "consistent") as cut,
               pytest.raises(FactorizationError, match="memory") as e):
-            AssembledStep(Team(cut.comm), cut.systems, 0.0)
+            AssembledStep(cut.team, cut.systems, 0.0)
     finally:
         options.delValue("assembled_mat_mumps_icntl_23")
     assert is_on_all_ranks(e.value)

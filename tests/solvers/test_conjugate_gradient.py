@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from mpi4py import MPI
 from petsc4py import PETSc
 
 from ddic.errors import ConvergenceError, SingularSubdomainError, is_on_all_ranks
@@ -12,7 +11,7 @@ from ddic.parallel.team import Team
 from ddic.partition.subdomain import Weighting
 from ddic.solvers.assembled import AssembledStep
 from ddic.solvers.conjugate_gradient import OF_ALLOWED, ConjugateGradientStep
-from ddic.solvers.linear_step import Leave
+from ddic.solvers.linear_step import AllowedError
 from support.linear import Decomposed, linear_step, one_domain_solution, split
 from support.textureless import corner, without_texture
 
@@ -23,7 +22,7 @@ TIGHT, SAME = 1e-10, 1e-9
 
 
 def _step(cut: Decomposed, tolerance: float = TIGHT, most: int = 2000) -> ConjugateGradientStep:
-    return ConjugateGradientStep(Team(cut.comm), cut.systems, tolerance, most)
+    return ConjugateGradientStep(cut.team, cut.systems, tolerance, most)
 
 
 @pytest.mark.parallel(RANKS)
@@ -34,7 +33,7 @@ def test_equals_monolithic(weighting: Weighting, kind: str, n_subdomains: int, w
     problem = linear_step(wavelength=wavelength)
     parts = split(problem.mesh, kind, n_subdomains)
     reference = one_domain_solution(problem, parts, weighting)
-    with Decomposed(MPI.COMM_WORLD, problem, parts, weighting) as cut:
+    with Decomposed(Team.world(), problem, parts, weighting) as cut:
         step = _step(cut)
         result = cut.solve(step)
         step.destroy()
@@ -47,10 +46,10 @@ def test_equals_monolithic(weighting: Weighting, kind: str, n_subdomains: int, w
 @pytest.mark.parallel(RANKS)
 def test_the_product_is_that_of_the_assembled_operator() -> None:
     problem = linear_step(wavelength=WAVELENGTH)
-    with Decomposed(MPI.COMM_WORLD, problem, split(problem.mesh, "blocks", 9), "consistent") as cut:
-        assembled, step = AssembledStep(Team(cut.comm), cut.systems, 0.0), _step(cut)
+    with Decomposed(Team.world(), problem, split(problem.mesh, "blocks", 9), "consistent") as cut:
+        assembled, step = AssembledStep(cut.team, cut.systems, 0.0), _step(cut)
         x = step._left.duplicate()
-        x.setArray(np.random.default_rng(cut.comm.rank).normal(size=x.getLocalSize()))
+        x.setArray(np.random.default_rng(cut.team.rank).normal(size=x.getLocalSize()))
         expected, found = x.duplicate(), x.duplicate()
         assembled._matrix.mult(x, expected)
         step._matrix.mult(x, found)
@@ -67,10 +66,10 @@ def test_the_estimate_of_the_error_is_near_it() -> None:
     parts = split(problem.mesh, "metis", 9)
     reference = one_domain_solution(problem, parts, "consistent")
     ratios, iterations = [], []
-    with Decomposed(MPI.COMM_WORLD, problem, parts, "consistent") as cut:
+    with Decomposed(Team.world(), problem, parts, "consistent") as cut:
         for allowed in (1e-1, 1e-3, 1e-5):
             step = _step(cut)
-            result = cut.solve(step, leave=Leave(allowed))
+            result = cut.solve(step, allowed=AllowedError(allowed))
             step.destroy()
             assert result.error <= OF_ALLOWED * allowed
             ratios.append(cut.rms_error(result.dq, reference) / result.error)
@@ -87,13 +86,13 @@ def test_a_step_is_taken_up_where_it_was_left() -> None:
     problem = linear_step(wavelength=WAVELENGTH)
     parts = split(problem.mesh, "blocks", 9)
     reference = one_domain_solution(problem, parts, "consistent")
-    with Decomposed(MPI.COMM_WORLD, problem, parts, "consistent") as cut:
+    with Decomposed(Team.world(), problem, parts, "consistent") as cut:
         step = _step(cut)
         whole = cut.solve(step).krylov_iterations
         again = cut.solve(step)
         step.destroy()
         step = _step(cut)
-        first = cut.solve(step, leave=Leave(1e-3))
+        first = cut.solve(step, allowed=AllowedError(1e-3))
         second = cut.solve(step)
         step.destroy()
         error = cut.relative_error(second.dq, reference)
@@ -107,16 +106,16 @@ def test_a_step_is_taken_up_where_it_was_left() -> None:
 @pytest.mark.parallel([1, 2])
 def test_failures_say_what_to_do() -> None:
     problem = linear_step(wavelength=WAVELENGTH)
-    with Decomposed(MPI.COMM_WORLD, problem, split(problem.mesh, "blocks", 4), "consistent") as cut:
+    with Decomposed(Team.world(), problem, split(problem.mesh, "blocks", 4), "consistent") as cut:
         step = _step(cut, most=5)
         with pytest.raises(ConvergenceError, match=r"5 iterations.*solver\.method = \"dual\"") as failed:
             cut.solve(step)
         step.destroy()
     assert is_on_all_ranks(failed.value)
     problem = linear_step()
-    with (Decomposed(MPI.COMM_WORLD, problem, split(problem.mesh, "blocks", 4), "consistent") as cut,
+    with (Decomposed(Team.world(), problem, split(problem.mesh, "blocks", 4), "consistent") as cut,
           pytest.raises(SingularSubdomainError, match=r"column 1\d\d, row 1\d\d.*too little") as held):
-        ConjugateGradientStep(Team(cut.comm), without_texture(cut, corner), TIGHT, 100)
+        ConjugateGradientStep(cut.team, without_texture(cut, corner), TIGHT, 100)
     assert is_on_all_ranks(held.value)
 
 
@@ -126,7 +125,7 @@ def test_options_come_last() -> None:
     options = PETSc.Options()
     options.setValue("cg_ksp_type", "minres")
     try:
-        with Decomposed(MPI.COMM_WORLD, problem, split(problem.mesh, "blocks", 4), "consistent") as cut:
+        with Decomposed(Team.world(), problem, split(problem.mesh, "blocks", 4), "consistent") as cut:
             step = _step(cut)
             kind = step._ksp.getType()
             step.destroy()

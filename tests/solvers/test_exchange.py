@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from mpi4py import MPI
 from numpy.typing import NDArray
 
+from ddic.parallel.team import Team
 from ddic.solvers.exchange import Exchange
 
 RANKS = [1, 2, 3, 4]
@@ -22,31 +22,31 @@ def _needed(n: int, rank: int) -> list[NDArray[np.int64]]:
 
 @pytest.mark.parallel(RANKS)
 def test_ghosts_see_the_owners_values() -> None:
-    comm = MPI.COMM_WORLD
-    n = sum(OWNED[: comm.size])
-    needed = _needed(n, comm.rank)
-    exchange = Exchange(comm, OWNED[comm.rank], needed)
-    owned = exchange.new_vector()
+    team = Team.world()
+    n = sum(OWNED[: team.size])
+    needed = _needed(n, team.rank)
+    exchange = Exchange(team, OWNED[team.rank], needed)
+    owned = exchange.create_vector()
     begin, end = owned.getOwnershipRange()
     owned.setArray(100.0 + np.arange(begin, end))
-    ghosts = exchange.to_ghosts(owned)
+    ghosts = exchange.fetch_ghosts(owned)
     assert exchange.n_global == n
-    assert end - begin == OWNED[comm.rank]
+    assert end - begin == OWNED[team.rank]
     np.testing.assert_array_equal(exchange.ghosts, np.unique(np.concatenate(needed)))
     np.testing.assert_array_equal(ghosts, 100.0 + exchange.ghosts)
 
 
 @pytest.mark.parallel(RANKS)
 def test_contributions_add_up_at_the_owner_and_replace_what_was_there() -> None:
-    comm = MPI.COMM_WORLD
-    n = sum(OWNED[: comm.size])
-    exchange = Exchange(comm, OWNED[comm.rank], _needed(n, comm.rank))
-    owned = exchange.new_vector()
+    team = Team.world()
+    n = sum(OWNED[: team.size])
+    exchange = Exchange(team, OWNED[team.rank], _needed(n, team.rank))
+    owned = exchange.create_vector()
     owned.set(1e6)
-    exchange.add_to_owners((comm.rank + 1.0) * (1.0 + exchange.ghosts), owned)
+    exchange.add_to_owners((team.rank + 1.0) * (1.0 + exchange.ghosts), owned)
     begin, end = owned.getOwnershipRange()
     expected = np.zeros(n)
-    for rank in range(comm.size):
+    for rank in range(team.size):
         ghosts = np.unique(np.concatenate(_needed(n, rank)))
         expected[ghosts] += (rank + 1.0) * (1.0 + ghosts)
     # Sums of small integers are exact.
@@ -55,23 +55,23 @@ def test_contributions_add_up_at_the_owner_and_replace_what_was_there() -> None:
 
 @pytest.mark.parallel(RANKS)
 def test_the_two_directions_are_adjoint() -> None:
-    comm = MPI.COMM_WORLD
-    n = sum(OWNED[: comm.size])
-    exchange = Exchange(comm, OWNED[comm.rank], _needed(n, comm.rank))
-    rng = np.random.default_rng(10 + comm.rank)
-    x, y = exchange.new_vector(), exchange.new_vector()
-    x.setArray(rng.normal(size=OWNED[comm.rank]))
+    team = Team.world()
+    n = sum(OWNED[: team.size])
+    exchange = Exchange(team, OWNED[team.rank], _needed(n, team.rank))
+    rng = np.random.default_rng(10 + team.rank)
+    x, y = exchange.create_vector(), exchange.create_vector()
+    x.setArray(rng.normal(size=OWNED[team.rank]))
     w = rng.normal(size=len(exchange.ghosts))
     exchange.add_to_owners(w, y)
-    on_ghosts = comm.allreduce(float(w @ exchange.to_ghosts(x)))
+    on_ghosts = team.sum(float(w @ exchange.fetch_ghosts(x)))
     # A few dozen terms of order 1.
     assert on_ghosts == pytest.approx(y.dot(x), abs=1e-12)
 
 
 @pytest.mark.parallel(RANKS)
 def test_nothing_to_exchange() -> None:
-    exchange = Exchange(MPI.COMM_WORLD, 0, [])
-    owned = exchange.new_vector()
+    exchange = Exchange(Team.world(), 0, [])
+    owned = exchange.create_vector()
     exchange.add_to_owners(np.zeros(0), owned)
     assert exchange.n_global == 0
-    assert len(exchange.to_ghosts(owned)) == 0
+    assert len(exchange.fetch_ghosts(owned)) == 0

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from mpi4py import MPI
 
+from ddic.parallel.team import Team
 from ddic.solvers.monolithic import MonolithicStep
 from support.linear import Decomposed, dense, linear_step
 
@@ -14,7 +14,7 @@ from support.linear import Decomposed, dense, linear_step
 def test_solves_equation_11(wavelength: float | None) -> None:
     problem = linear_step(8, wavelength)
     whole = np.zeros(problem.mesh.n_cells, dtype=np.int64)
-    with Decomposed(MPI.COMM_SELF, problem, whole, "consistent") as cut:
+    with Decomposed(Team.alone(), problem, whole, "consistent") as cut:
         system = cut.systems[0]
         result = MonolithicStep(system, cut.operators[0]).solve([problem.q], [problem.b])
         matrix, right = dense(system.hessian), problem.b
@@ -34,7 +34,7 @@ def test_regularization_acts_on_the_controlled_rows_alone() -> None:
     problem = linear_step(8, 32.0)
     whole = np.zeros(problem.mesh.n_cells, dtype=np.int64)
     affine = (problem.mesh.nodes @ np.array([[0.01, -0.02], [0.03, 0.005]])).ravel()
-    with Decomposed(MPI.COMM_SELF, problem, whole, "consistent") as cut:
+    with Decomposed(Team.alone(), problem, whole, "consistent") as cut:
         right = cut.systems[0].right_hand_side(problem.b, affine)
     # The patch test: a linear displacement leaves interior nodes without force, to rounding.
     np.testing.assert_allclose(right, problem.b, rtol=0, atol=1e-9 * np.abs(problem.b).max())

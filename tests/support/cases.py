@@ -10,7 +10,8 @@ import h5py
 import numpy as np
 import tifffile
 
-from ddic.results.listener import Setting
+from ddic.parallel.phases import Phase
+from ddic.results.listener import ProblemSize
 from ddic.solvers.gauss_newton import IterationRecord
 from ddic.synth.fields import DisplacementField, Sinusoidal
 from support.pictures import pair_of
@@ -45,17 +46,17 @@ class Ears:
 
     phases: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-    settings: list[Setting] = field(default_factory=list)
+    sizes: list[ProblemSize] = field(default_factory=list)
     records: list[IterationRecord] = field(default_factory=list)
 
-    def phase(self, name: str) -> None:
-        self.phases.append(name)
+    def phase(self, phase: Phase) -> None:
+        self.phases.append(phase)
 
     def note(self, line: str) -> None:
         self.notes.append(line)
 
-    def setting(self, setting: Setting) -> None:
-        self.settings.append(setting)
+    def problem_size(self, size: ProblemSize) -> None:
+        self.sizes.append(size)
 
     def iteration(self, record: IterationRecord) -> None:
         self.records.append(record)

@@ -9,7 +9,8 @@ from ddic.images.camera import CameraMapping
 from ddic.synth.digitise import Digitiser
 from ddic.synth.fields import Affine, DisplacementField
 from ddic.synth.hole import Hole
-from ddic.synth.near_far import Frame, SetUpMotion, near_far_scene, near_mapping, write_near_far
+from ddic.synth.near_far_scene import NearCamera, SetUpMotion, near_far_scene, near_mapping, write_near_far
+from ddic.synth.picture import Picture
 from ddic.synth.two_scale_texture import two_scale_texture
 
 RATIO = 4.0
@@ -36,7 +37,7 @@ class NearField:
     @property
     def mapping(self) -> CameraMapping:
         """phi."""
-        return near_mapping(RATIO, self.focus, Frame(WIDTH, HEIGHT, Digitiser()), tilt=self.tilt)
+        return near_mapping(RATIO, self.focus, Picture(WIDTH, HEIGHT), tilt=self.tilt)
 
     @property
     def offset(self) -> list[float]:
@@ -50,10 +51,10 @@ PLAIN = NearField()
 def write_pairs(folder: Path, near: NearField = PLAIN, field: DisplacementField = STRETCHED, hole: Hole = NO_HOLE,
                 noise: tuple[float, float] = (0.0, 0.0)) -> None:
     """Write the four images, grey levels not rounded; noise: of the far and of the near images, grey levels."""
-    far, of_near = (Frame(WIDTH, HEIGHT, Digitiser(32, level, 3)) for level in noise)
+    far, of_near = (Picture(WIDTH, HEIGHT, Digitiser(32, level, 3)) for level in noise)
     folder.mkdir(exist_ok=True)
-    write_near_far(folder, near_far_scene(field, hole, two_scale_texture(RATIO, 3), near.mapping, near.motion, far,
-                                          of_near))
+    camera = NearCamera(near.mapping, near.motion, of_near)
+    write_near_far(folder, near_far_scene(two_scale_texture(RATIO, 3), field, hole, far, camera))
 
 
 def near_section(near: NearField = PLAIN, more: str = "", folder: str = "") -> str:

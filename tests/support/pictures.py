@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 from ddic.images.binned import ArraySource
 from ddic.images.sub_image import MaskedSource
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.structured import structured_mesh
+from ddic.mesh.structured import build_structured_mesh
+from ddic.synth.digitise import Digitiser
 from ddic.synth.fields import DisplacementField
-from ddic.synth.render import ImagePair, render_pair
-from ddic.synth.texture import SpeckleTexture
+from ddic.synth.picture import Picture
+from ddic.synth.render import ImagePair, Scene, render_pair
+from ddic.synth.speckle_texture import SpeckleTexture
 
 SATURATION = 255.0
 
@@ -22,7 +24,7 @@ SATURATION = 255.0
 @cache
 def pair_of(field: DisplacementField, side: int = 192, bit_depth: int = 32) -> ImagePair:
     """Square speckle images moved by ``field``; 32 bit means no rounding of grey levels."""
-    return render_pair(SpeckleTexture(3), field, side, side, bit_depth=bit_depth)
+    return render_pair(Scene(SpeckleTexture(3), field), Picture(side, side, Digitiser(bit_depth)))
 
 
 def source(values: NDArray[np.float32], mask: NDArray[np.bool_] | None = None, *,
@@ -35,7 +37,7 @@ def source(values: NDArray[np.float32], mask: NDArray[np.bool_] | None = None, *
 
 def square_mesh(low: float, high: float, element: float = 16.0) -> Mesh:
     """Q4 cells on the square from (low, low) to (high, high), pixels."""
-    return structured_mesh((low, low, high, high), element)
+    return build_structured_mesh((low, low, high, high), element)
 
 
 def rms_error(q: NDArray[np.float64], nodes: NDArray[np.float64], field: DisplacementField) -> float:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from ddic.functionals.correlation import Correlation
-from ddic.mesh.mesh import VTK_QUAD
+from ddic.mesh.cell_type import Q4
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class SlowSums:
 
 def shape_functions(kind: int, local: NDArray[np.float64]) -> NDArray[np.float64]:
     xi, eta = local.T
-    if kind == VTK_QUAD:
+    if kind == Q4.vtk:
         return np.stack([(1 - xi) * (1 - eta), (1 + xi) * (1 - eta), (1 + xi) * (1 + eta), (1 - xi) * (1 + eta)],
                         axis=1) / 4
     return np.stack([1 - xi - eta, xi, eta], axis=1)
@@ -49,7 +49,7 @@ def shape_functions(kind: int, local: NDArray[np.float64]) -> NDArray[np.float64
 
 def local_points(kind: int, corners: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Invert x = sum_a N_a x_a at points (n, 2) by Newton's method with differences for derivatives."""
-    local = np.full(points.shape, 0.0 if kind == VTK_QUAD else 1 / 3)
+    local = np.full(points.shape, 0.0 if kind == Q4.vtk else 1 / 3)
     step = 1e-4  # exact but for rounding: N is linear in each coordinate
     for _ in range(60):
         gap = points - shape_functions(kind, local) @ corners

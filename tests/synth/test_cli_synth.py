@@ -7,11 +7,13 @@ import tifffile
 from click.testing import CliRunner
 
 from ddic.cli.synth import synth
+from ddic.synth.digitise import Digitiser
 from ddic.synth.fields import Affine, Bending, Sinusoidal, Sum, Translation
 from ddic.synth.hole import Hole
 from ddic.synth.kirsch import Kirsch
-from ddic.synth.render import render_pair
-from ddic.synth.texture import SpeckleTexture
+from ddic.synth.picture import Picture
+from ddic.synth.render import Scene, render_pair
+from ddic.synth.speckle_texture import SpeckleTexture
 from ddic.synth.truth import load_truth
 
 
@@ -43,15 +45,15 @@ def test_the_files_are_the_pair_asked_for(tmp_path, bit_depth):
                  "--speckle-size", 1.2, "--strain", 0.01, "--output", tmp_path)
     assert result.exit_code == 0, result.output
     field = load_truth(tmp_path / "truth.json")
-    pair = render_pair(SpeckleTexture(5, 1.2), field, 90, 60, bit_depth=bit_depth, noise=2.0, seed=5,
-                       hole=Hole(field.center, field.radius))
+    scene = Scene(SpeckleTexture(5, 1.2), field, Hole(field.center, field.radius))
+    pair = render_pair(scene, Picture(90, 60, Digitiser(bit_depth, noise=2.0, seed=5)))
     np.testing.assert_array_equal(tifffile.imread(tmp_path / "reference.tif"), pair.reference)
     np.testing.assert_array_equal(tifffile.imread(tmp_path / "deformed.tif"), pair.deformed)
 
 
 def test_the_hole_can_be_left_unpainted(tmp_path):
     assert run("kirsch", "--size", "90x60", "--no-paint-hole", "--output", tmp_path).exit_code == 0
-    pair = render_pair(SpeckleTexture(), load_truth(tmp_path / "truth.json"), 90, 60)
+    pair = render_pair(Scene(SpeckleTexture(), load_truth(tmp_path / "truth.json")), Picture(90, 60))
     np.testing.assert_array_equal(tifffile.imread(tmp_path / "reference.tif"), pair.reference)
 
 

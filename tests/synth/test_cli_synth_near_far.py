@@ -9,10 +9,10 @@ import tifffile
 from click.testing import CliRunner
 
 from ddic.cli.synth import synth
-from ddic.synth.digitise import Digitiser
 from ddic.synth.kirsch import Kirsch
-from ddic.synth.near_far import Frame, SetUpMotion, near_mapping
+from ddic.synth.near_far_scene import SetUpMotion, near_mapping
 from ddic.synth.near_far_truth import load_near_far_truth
+from ddic.synth.picture import Picture
 from ddic.synth.two_scale_texture import two_scale_texture
 
 SMALL = ("--size-far", "140x110", "--size-near", "160x120")
@@ -43,7 +43,7 @@ def test_every_option_reaches_the_images(tmp_path):
     truth = load_near_far_truth(tmp_path / "truth.json")
     assert truth.field == Kirsch((60.0, 50.0), 9.0, 0.01, 0.2, (0.3, 0.4))
     assert truth.motion == SetUpMotion((1.0, 0.5), 2.0, (90.0, 50.0))
-    near = near_mapping(4.0, (90.0, 50.0), Frame(160, 120, Digitiser()), 3.0, (0.01, 0.02))
+    near = near_mapping(4.0, (90.0, 50.0), Picture(160, 120), 3.0, (0.01, 0.02))
     np.testing.assert_array_equal(truth.mapping.homography, near.homography)
     texture = json.loads((tmp_path / "truth.json").read_text())["near"]["texture"]
     assert texture == dataclasses.asdict(two_scale_texture(4.0, 8, 2.0, 0.3))
@@ -83,5 +83,5 @@ def test_bad_input_is_one_line_and_exit_2(tmp_path, arguments, message):
 
 def test_importing_the_command_loads_no_heavy_library():
     code = ("import sys, ddic.cli.synth_near_far; "
-            "sys.exit(bool({'numpy', 'numba', 'tifffile', 'ddic.synth.near_far'} & set(sys.modules)))")
+            "sys.exit(bool({'numpy', 'numba', 'tifffile', 'ddic.synth.near_far_scene'} & set(sys.modules)))")
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

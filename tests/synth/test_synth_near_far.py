@@ -11,15 +11,16 @@ from ddic.synth.digitise import Digitiser
 from ddic.synth.fields import Translation
 from ddic.synth.hole import Hole
 from ddic.synth.kirsch import Kirsch
-from ddic.synth.near_far import (
-    Frame,
+from ddic.synth.near_far_scene import (
+    NearCamera,
     SetUpMotion,
     beside_the_hole,
     near_far_scene,
     near_mapping,
     write_near_far,
 )
-from ddic.synth.texture import SpeckleTexture
+from ddic.synth.picture import Picture
+from ddic.synth.speckle_texture import SpeckleTexture
 from ddic.synth.two_scale_texture import TwoScaleTexture, two_scale_texture
 
 RATIO = 5.0
@@ -27,15 +28,15 @@ FIELD = Kirsch((70.0, 55.0), 20.0, 0.02, translation=(0.4, -0.3))
 FOCUS = (100.0, 55.0)
 
 
-def frame(width=140, height=110, bit_depth=32, noise=0.0, seed=3):
-    return Frame(width, height, Digitiser(bit_depth, noise, seed))
+def picture(width=140, height=110, bit_depth=32, noise=0.0, seed=3):
+    return Picture(width, height, Digitiser(bit_depth, noise, seed))
 
 
 def build(*, field=FIELD, alpha=(3.7, -2.2), rotation=0.0, angle=0.0, tilt=(0.0, 0.0), seed=3, **near):
-    near_frame = frame(**{"width": 280, "height": 150, "seed": seed, **near})
-    return near_far_scene(field, Hole((70.0, 55.0), 20.0), two_scale_texture(RATIO, seed),
-                          near_mapping(RATIO, FOCUS, near_frame, angle, tilt),
-                          SetUpMotion(alpha, rotation, FOCUS), frame(seed=seed), near_frame)
+    near_picture = picture(**{"width": 280, "height": 150, "seed": seed, **near})
+    camera = NearCamera(near_mapping(RATIO, FOCUS, near_picture, angle, tilt), SetUpMotion(alpha, rotation, FOCUS),
+                        near_picture)
+    return near_far_scene(two_scale_texture(RATIO, seed), field, Hole((70.0, 55.0), 20.0), picture(seed=seed), camera)
 
 
 CAMERAS = pytest.mark.parametrize("options", [
@@ -50,8 +51,8 @@ def test_grey_levels_are_conserved_in_both_cameras(options):
     moved = points + FIELD.displacement(points)
     # Slopes below 0.5 of full scale per far px times the 1e-12 px left by the inversion.
     np.testing.assert_allclose(scene.far.deformed_grey(moved), scene.far.reference_grey(points), rtol=0, atol=3e-12)
-    near = scene.near
-    seen, seen_moved = near.mapping.to_image(points), near.mapping.to_image(near.motion.moved(moved))
+    near, camera = scene.near, scene.near.camera
+    seen, seen_moved = camera.mapping.to_image(points), camera.mapping.to_image(camera.motion.moved(moved))
     # Slopes are five times as steep in the specimen's frame.
     np.testing.assert_allclose(near.deformed_grey(seen_moved), near.reference_grey(seen), rtol=0, atol=1.5e-11)
     np.testing.assert_allclose(seen + near.displacement(seen), seen_moved, rtol=0, atol=1e-10)
@@ -70,7 +71,7 @@ def test_the_motion_and_its_inverse(alpha, degrees):
 
 
 def test_the_mapping_is_upright_by_default_and_centres_the_near_field():
-    near = frame(280, 150)
+    near = picture(280, 150)
     mapping = near_mapping(RATIO, FOCUS, near)
     np.testing.assert_allclose(mapping.homography, [[5, 0, 139.5 - 500], [0, 5, 74.5 - 275], [0, 0, 1]], rtol=1e-15)
     tilted = near_mapping(RATIO, FOCUS, near, 4.0, (0.02, -0.03))
@@ -81,7 +82,7 @@ def test_the_mapping_is_upright_by_default_and_centres_the_near_field():
 
 
 def test_a_tilted_camera_is_farther_from_the_right_edge():
-    near = frame(280, 150)
+    near = picture(280, 150)
     right, left = near_mapping(RATIO, FOCUS, near, tilt=(0.02, 0.0)).to_image(
         np.array([[100.0 + 28, 55.0], [100.0 - 28, 55.0]]))
     # 28 far px from the centre, half the near field's width: 140 near px without tilt.
@@ -93,13 +94,13 @@ def test_the_near_picture_holds_the_far_ones_spots_and_finer_ones():
     scene = build()
     points = np.random.default_rng(1).uniform((100, 10), (130, 100), (20000, 2))
     far = scene.far.reference_grey(points) - 0.5
-    near = scene.near.reference_grey(scene.near.mapping.to_image(points)) - 0.5
+    near = scene.near.reference_grey(scene.near.camera.mapping.to_image(points)) - 0.5
     fine = near - 0.6 * far
     np.testing.assert_allclose(far, -0.45 * np.tanh(SpeckleTexture(3).evaluate(*points.T)), atol=1e-6)
     # 20000 points on 2700 px^2 of spots of 5 px: about 300 independent ones.
     assert abs(np.corrcoef(far, fine)[0, 1]) < 0.2
     step = np.array([[1.0, 0.0]])
-    slope = np.abs(np.diff([scene.near.reference_grey(scene.near.mapping.to_image(points) + k * step)
+    slope = np.abs(np.diff([scene.near.reference_grey(scene.near.camera.mapping.to_image(points) + k * step)
                             for k in (0, 1)], axis=0)).mean()
     coarse_slope = 0.6 * np.abs(scene.far.reference_grey(points + step / RATIO) - far - 0.5).mean()
     # The fine spots are five times as steep at 0.4 to 0.6 of the contrast.
@@ -120,7 +121,7 @@ def test_the_fine_spots_average_out_over_some_far_pixels():
     centres = rng.uniform((100, 20), (125, 90), (50, 2))
     points = (centres[:, None] + rng.uniform(-4, 4, (3000, 2))[None]).reshape(-1, 2)
     coarse = 0.6 * scene.far.reference_grey(points)
-    fine = scene.near.reference_grey(scene.near.mapping.to_image(points)) - coarse
+    fine = scene.near.reference_grey(scene.near.camera.mapping.to_image(points)) - coarse
     # A Gaussian spot correlates over 4 pi sigma^2: 1.06 px^2 of the 64 px^2 for fine spots, so 0.13 of the deviation
     # is left, and 26 px^2 for coarse ones, which keep 0.6.
     left = [part.reshape(50, -1).mean(axis=1).std() / part.std() for part in (fine, coarse)]
@@ -131,11 +132,11 @@ def test_the_fine_spots_average_out_over_some_far_pixels():
 def test_the_holes_edge_is_as_sharp_in_near_pixels_as_in_far_ones():
     scene = build(field=Translation())
     rim = np.array([[90.0, 55.0]])
-    for view, edge in ((scene.far, rim), (scene.near, scene.near.mapping.to_image(rim))):
+    for view, edge in ((scene.far, rim), (scene.near, scene.near.camera.mapping.to_image(rim))):
         plain = view.texture if view is scene.far else view.surface.texture
         for offset in (-3.0, 0.0, 3.0):
             at = edge + np.array([offset, 0.0])
-            specimen = at if view is scene.far else view.mapping.to_specimen(at)
+            specimen = at if view is scene.far else view.camera.mapping.to_specimen(at)
             matter = (view.reference_grey(at) - 0.05) / (plain.grey(*specimen.T) - 0.05)
             assert matter[0] == pytest.approx((1 + math.tanh(offset)) / 2, abs=1e-9)
 
@@ -171,9 +172,10 @@ def test_noise_is_independent_in_the_four_images(tmp_path):
     size = {"width": 140, "height": 110}
     clean, noisy = [], []
     for level, images in ((0.0, clean), (2.0, noisy)):
-        scene = near_far_scene(FIELD, Hole((70.0, 55.0), 20.0), two_scale_texture(RATIO),
-                               near_mapping(RATIO, FOCUS, frame(**size)), SetUpMotion((1.0, 0.0), 0.0, FOCUS),
-                               frame(noise=2 * level), frame(**size, noise=level))
+        near = picture(**size, noise=level)
+        camera = NearCamera(near_mapping(RATIO, FOCUS, near), SetUpMotion((1.0, 0.0), 0.0, FOCUS), near)
+        scene = near_far_scene(two_scale_texture(RATIO), FIELD, Hole((70.0, 55.0), 20.0), picture(noise=2 * level),
+                               camera)
         images += [tifffile.imread(path).astype(float) for path in write_near_far(tmp_path, scene)]
     noise = [(b - a).ravel() for a, b in zip(clean, noisy, strict=True)]
     n = noise[0].size
@@ -184,7 +186,7 @@ def test_noise_is_independent_in_the_four_images(tmp_path):
 
 
 def test_the_default_near_field_shows_the_holes_edge_and_plain_material():
-    near = frame(1392, 1040)
+    near = picture(1392, 1040)
     centre = beside_the_hole((695.5, 519.5), 104.0, RATIO, near)
     x, y = near_mapping(RATIO, centre, near).to_image(np.array([[799.5, 519.5]]))[0]
     assert x == pytest.approx(near.middle[0] - 1392 / 4)
@@ -197,7 +199,7 @@ def test_the_default_near_field_shows_the_holes_edge_and_plain_material():
     ({"tilt": (1.0, 0.0)}, "horizon")])
 def test_impossible_cameras_are_refused(options, message):
     with pytest.raises(InputError, match=message):
-        near_mapping(options.get("ratio", RATIO), options.get("centre", FOCUS), frame(280, 150),
+        near_mapping(options.get("ratio", RATIO), options.get("centre", FOCUS), picture(280, 150),
                      options.get("angle", 0.0), options.get("tilt", (0.0, 0.0)))
 
 

@@ -8,10 +8,11 @@ from ddic.synth.digitise import Digitiser
 from ddic.synth.fields import Translation
 from ddic.synth.hole import Hole
 from ddic.synth.kirsch import Kirsch
-from ddic.synth.near_far import Frame, SetUpMotion, near_far_scene, near_mapping
+from ddic.synth.near_far_scene import NearCamera, SetUpMotion, near_far_scene, near_mapping
 from ddic.synth.near_far_truth import load_near_far_truth, save_near_far_truth
+from ddic.synth.picture import Picture
 from ddic.synth.render import Scene
-from ddic.synth.texture import SpeckleTexture
+from ddic.synth.speckle_texture import SpeckleTexture
 from ddic.synth.truth import load_truth, save_truth
 from ddic.synth.two_scale_texture import two_scale_texture
 
@@ -22,10 +23,10 @@ MOTION = SetUpMotion((3.7, -2.2), 0.5, FOCUS)
 
 @pytest.fixture
 def scene():
-    near = Frame(280, 150, Digitiser(16, 1.0, 7))
-    return near_far_scene(FIELD, Hole((70.0, 55.0), 20.0), two_scale_texture(5.0, 7, 1.5),
-                          near_mapping(5.0, FOCUS, near, 3.0, (0.01, -0.02)), MOTION,
-                          Frame(140, 110, Digitiser(8, 2.0, 7)), near)
+    near = Picture(280, 150, Digitiser(16, 1.0, 7))
+    camera = NearCamera(near_mapping(5.0, FOCUS, near, 3.0, (0.01, -0.02)), MOTION, near)
+    far = Picture(140, 110, Digitiser(8, 2.0, 7))
+    return near_far_scene(two_scale_texture(5.0, 7, 1.5), FIELD, Hole((70.0, 55.0), 20.0), far, camera)
 
 
 @pytest.fixture
@@ -39,7 +40,7 @@ def test_field_mapping_and_motion_are_rebuilt_exactly(path, scene):
     assert truth.field == FIELD
     assert truth.motion == MOTION
     assert truth.near_size == (280, 150)
-    np.testing.assert_array_equal(truth.mapping.homography, scene.near.mapping.homography)
+    np.testing.assert_array_equal(truth.mapping.homography, scene.near.camera.mapping.homography)
     assert load_truth(path) == FIELD
 
 
@@ -48,7 +49,7 @@ def test_the_rebuilt_displacements_are_those_of_the_images(path, scene):
     points = np.random.default_rng(0).uniform((75, 42), (125, 68), (500, 2))
     np.testing.assert_array_equal(truth.displacement(points), FIELD.displacement(points))
     np.testing.assert_array_equal(truth.gradient(points), FIELD.gradient(points))
-    seen, u = scene.near.mapping.to_image(points), truth.near_displacement(points)
+    seen, u = scene.near.camera.mapping.to_image(points), truth.near_displacement(points)
     np.testing.assert_allclose(u, scene.near.displacement(seen), rtol=0, atol=1e-10)
     # Alpha alone is 18.5 and -11 near px.
     assert np.abs(u - [18.5, -11.0]).max() < 10
@@ -98,6 +99,6 @@ def test_wrong_values_are_named(path, keys, value, message):
 
 def test_the_truth_of_a_single_pair_is_refused(tmp_path):
     path = tmp_path / "truth.json"
-    save_truth(path, Scene(SpeckleTexture(), Translation()), Digitiser(), 30, 20)
+    save_truth(path, Scene(SpeckleTexture(), Translation()), Picture(30, 20))
     with pytest.raises(InputError, match="near: is missing"):
         load_near_far_truth(path)

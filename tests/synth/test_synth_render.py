@@ -5,13 +5,21 @@ import pytest
 import tifffile
 
 from ddic.errors import InputError
+from ddic.synth.digitise import Digitiser
 from ddic.synth.fields import Affine, Bending, Sinusoidal, Translation
 from ddic.synth.hole import Hole
 from ddic.synth.kirsch import Kirsch
+from ddic.synth.picture import Picture
 from ddic.synth.render import Scene, render_pair, write_pair
-from ddic.synth.texture import SpeckleTexture
+from ddic.synth.speckle_texture import SpeckleTexture
 
 TEXTURE = SpeckleTexture(seed=9)
+
+
+def render(field, width, height, hole=None, **digitiser):
+    return render_pair(Scene(TEXTURE, field, hole), Picture(width, height, Digitiser(**digitiser)))
+
+
 STILL = Translation()
 SIZE = (300, 280)  # more than one square of 256 px each way, and not a multiple of it
 
@@ -19,11 +27,11 @@ SIZE = (300, 280)  # more than one square of 256 px each way, and not a multiple
 @pytest.fixture(scope="module")
 def exact():
     """The still image without rounding, as float32."""
-    return render_pair(TEXTURE, STILL, *SIZE, bit_depth=32)
+    return render(STILL, *SIZE, bit_depth=32)
 
 
 def test_reference_is_the_texture_at_pixel_centres():
-    pair = render_pair(TEXTURE, STILL, *SIZE)
+    pair = render(STILL, *SIZE)
     x, y = np.meshgrid(np.arange(300), np.arange(280))
     assert pair.reference.shape == (280, 300)
     np.testing.assert_array_equal(pair.reference, np.rint(255 * TEXTURE.grey(x, y)).astype(np.uint8))
@@ -31,7 +39,7 @@ def test_reference_is_the_texture_at_pixel_centres():
 
 
 def test_whole_pixel_translation_shifts_the_picture():
-    pair = render_pair(TEXTURE, Translation((3.0, -2.0)), *SIZE, bit_depth=16)
+    pair = render(Translation((3.0, -2.0)), *SIZE, bit_depth=16)
     # f(x, y) = g(x + 3, y - 2): whole numbers add without rounding, so the values are the same bits.
     np.testing.assert_array_equal(pair.deformed[:-2, 3:], pair.reference[2:, :-3])
     assert np.mean(pair.deformed == pair.reference) < 0.01
@@ -51,7 +59,7 @@ def test_grey_levels_are_conserved_off_the_grid(field):
 def test_deformed_image_is_the_scene_at_pixel_centres():
     field = Kirsch((150.0, 140.0), 25.0, 0.02)
     hole = Hole(field.center, field.radius)
-    pair = render_pair(TEXTURE, field, *SIZE, bit_depth=32, hole=hole)
+    pair = render(field, *SIZE, bit_depth=32, hole=hole)
     pixels = np.array([[0.0, 0.0], [299.0, 0.0], [255.0, 256.0], [256.0, 255.0], [299.0, 279.0]])
     grey = 255 * Scene(TEXTURE, field, hole).deformed_grey(pixels)
     columns, rows = pixels.astype(int).T
@@ -60,7 +68,7 @@ def test_deformed_image_is_the_scene_at_pixel_centres():
 
 @pytest.mark.parametrize(("bit_depth", "dtype", "full_scale"), [(8, np.uint8, 255), (16, np.uint16, 65535)])
 def test_bit_depths_round_one_picture(exact, bit_depth, dtype, full_scale):
-    stored = render_pair(TEXTURE, STILL, *SIZE, bit_depth=bit_depth).reference
+    stored = render(STILL, *SIZE, bit_depth=bit_depth).reference
     assert stored.dtype == dtype
     levels = exact.reference * (full_scale / 255)
     # Half a level, and the rounding of float32 at 255 (1.5e-5, times 257 for 16 bit).
@@ -76,7 +84,7 @@ def test_float_image_spans_0_to_255(exact):
 
 
 def test_noise_is_gaussian_and_independent_in_both_images(exact):
-    pair = render_pair(TEXTURE, STILL, *SIZE, bit_depth=32, noise=2.0, seed=4)
+    pair = render(STILL, *SIZE, bit_depth=32, noise=2.0, seed=4)
     noise = [(image - exact.reference).astype(float) for image in (pair.reference, pair.deformed)]
     n = exact.reference.size
     for sample in noise:
@@ -91,19 +99,19 @@ def test_noise_is_gaussian_and_independent_in_both_images(exact):
 
 
 def test_noise_is_given_in_8_bit_levels_whatever_the_depth(exact):
-    noisy = render_pair(TEXTURE, STILL, *SIZE, bit_depth=16, noise=2.0).reference
+    noisy = render(STILL, *SIZE, bit_depth=16, noise=2.0).reference
     sample = noisy / 257.0 - exact.reference
     assert sample.std() == pytest.approx(2.0, abs=5 * 2 / math.sqrt(2 * sample.size))
 
 
 def test_noise_is_clipped_to_the_range_and_does_not_wrap():
-    image = render_pair(TEXTURE, STILL, 100, 100, noise=60.0).reference
+    image = render(STILL, 100, 100, noise=60.0).reference
     assert np.mean(image == 0) > 0.01
     assert np.mean(image == 255) > 0.01
 
 
 def test_seed_decides_the_noise():
-    first, again, other = (render_pair(TEXTURE, STILL, 60, 50, noise=2.0, seed=seed) for seed in (1, 1, 2))
+    first, again, other = (render(STILL, 60, 50, noise=2.0, seed=seed) for seed in (1, 1, 2))
     np.testing.assert_array_equal(first.reference, again.reference)
     np.testing.assert_array_equal(first.deformed, again.deformed)
     assert np.mean(first.reference != other.reference) > 0.5
@@ -111,9 +119,9 @@ def test_seed_decides_the_noise():
 
 def test_hole_is_flat_and_dark_and_moves_with_the_plate():
     field = Translation((5.0, 0.0))
-    pair = render_pair(TEXTURE, field, 120, 100, bit_depth=32, hole=Hole((60.0, 50.0), 20.0))
+    pair = render(field, 120, 100, bit_depth=32, hole=Hole((60.0, 50.0), 20.0))
     x, y = np.meshgrid(np.arange(120), np.arange(100))
-    plain = render_pair(TEXTURE, field, 120, 100, bit_depth=32)
+    plain = render(field, 120, 100, bit_depth=32)
     for image, untouched, column in ((pair.reference, plain.reference, 60),
                                      (pair.deformed, plain.deformed, 65)):
         distance = np.hypot(x - column, y - 50) - 20
@@ -127,10 +135,10 @@ def test_hole_is_flat_and_dark_and_moves_with_the_plate():
 @pytest.mark.parametrize("bit_depth", [8, 16, 32])
 def test_files_hold_the_same_pair(tmp_path, bit_depth):
     paths = tmp_path / "f.tif", tmp_path / "g.tif"
-    options = {"bit_depth": bit_depth, "noise": 1.5, "seed": 3, "hole": Hole((100.0, 90.0), 30.0)}
-    width, height = 270, 600
-    write_pair(*paths, TEXTURE, Sinusoidal(), width, height, **options)
-    pair = render_pair(TEXTURE, Sinusoidal(), width, height, **options)
+    scene = Scene(TEXTURE, Sinusoidal(), Hole((100.0, 90.0), 30.0))
+    picture = Picture(270, 600, Digitiser(bit_depth, noise=1.5, seed=3))
+    write_pair(paths, scene, picture)
+    pair = render_pair(scene, picture)
     for path, image in zip(paths, (pair.reference, pair.deformed), strict=True):
         stored = tifffile.imread(path)
         assert stored.dtype == image.dtype
@@ -143,13 +151,13 @@ def test_files_hold_the_same_pair(tmp_path, bit_depth):
 def test_a_failure_leaves_no_half_written_image(tmp_path):
     folded = Sinusoidal(amplitude=(60.0, 0.0), wavelength_x=(100.0, 100.0))
     with pytest.raises(InputError, match="folds"):
-        write_pair(tmp_path / "f.tif", tmp_path / "g.tif", TEXTURE, folded, 300, 300)
+        write_pair((tmp_path / "f.tif", tmp_path / "g.tif"), Scene(TEXTURE, folded), Picture(300, 300))
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_folder_that_is_missing_is_named(tmp_path):
     with pytest.raises(InputError, match="nowhere"):
-        write_pair(tmp_path / "nowhere" / "f.tif", tmp_path / "g.tif", TEXTURE, STILL, 30, 30)
+        write_pair((tmp_path / "nowhere" / "f.tif", tmp_path / "g.tif"), Scene(TEXTURE, STILL), Picture(30, 30))
 
 
 @pytest.mark.parametrize(("options", "key"), [
@@ -158,7 +166,7 @@ def test_a_folder_that_is_missing_is_named(tmp_path):
 def test_impossible_images_are_refused(options, key):
     size = {"width": options.pop("width", 20), "height": options.pop("height", 20)}
     with pytest.raises(InputError, match=key):
-        render_pair(TEXTURE, STILL, **size, **options)
+        render(STILL, **size, **options)
 
 
 @pytest.mark.parametrize(("arguments", "key"), [

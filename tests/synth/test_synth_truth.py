@@ -9,8 +9,9 @@ from ddic.synth.digitise import Digitiser
 from ddic.synth.fields import Affine, Bending, Sinusoidal, Sum, Translation
 from ddic.synth.hole import Hole
 from ddic.synth.kirsch import Kirsch
+from ddic.synth.picture import Picture
 from ddic.synth.render import Scene
-from ddic.synth.texture import SpeckleTexture
+from ddic.synth.speckle_texture import SpeckleTexture
 from ddic.synth.truth import load_truth, save_truth
 
 
@@ -25,7 +26,7 @@ class Unnamed:
 
 def save(path, field):
     scene = Scene(SpeckleTexture(7, 1.5), field, Hole((10.0, 20.0), 5.0))
-    save_truth(path, scene, Digitiser(16, 2.0, 7), 640, 480)
+    save_truth(path, scene, Picture(640, 480, Digitiser(16, 2.0, 7)))
 
 
 @pytest.mark.parametrize("field", [

@@ -21,7 +21,14 @@ Model = TypeVar("Model", bound=BaseModel)
 class LoadedCase:
     """A validated case.
 
-    case: its values, all paths absolute. path: the file. text: the file's content, as it was read.
+    Attributes
+    ----------
+    case : Case
+        Its values, all paths absolute.
+    path : Path
+        The file.
+    text : str
+        The file's content, as it was read.
     """
 
     case: Case
@@ -32,8 +39,21 @@ class LoadedCase:
 def load_case(path: Path) -> LoadedCase:
     """Read a TOML case file; relative paths in it are relative to its folder.
 
-    Raises InputError with one line per problem (unreadable file, syntax, unknown or missing key, wrong
-    type, impossible value), each with the file, the key, the value and what is expected.
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    LoadedCase
+        With all paths absolute.
+
+    Raises
+    ------
+    InputError
+        With one line per problem (unreadable file, syntax, unknown or missing key, wrong type, impossible value),
+        each with the file, the key, the value and what is expected.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -46,7 +66,25 @@ def load_case(path: Path) -> LoadedCase:
 
 
 def parse_case(text: str, path: Path) -> Case:
-    """Validate the text of a case file; path names it in messages. Raises InputError as load_case does."""
+    """Validate the text of a case file.
+
+    Parameters
+    ----------
+    text : str
+        TOML.
+    path : Path
+        Names the file in messages.
+
+    Returns
+    -------
+    Case
+        With paths as they are written.
+
+    Raises
+    ------
+    InputError
+        As ``load_case`` does.
+    """
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -64,11 +102,13 @@ def _no_json_type(value: object) -> list[list[object]]:
 
 
 def _absolute(model: Model, folder: Path) -> Model:
+    """The same section with absolute paths."""
     changes = {name: _absolute_value(getattr(model, name), folder) for name in type(model).model_fields}
     return model.model_copy(update=changes)
 
 
 def _absolute_value(value: Any, folder: Path) -> Any:
+    """The same value with absolute paths in it, at any depth."""
     if isinstance(value, Path):
         return (folder / value).resolve()
     if isinstance(value, BaseModel):

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
-from typing import Any, get_args
+from typing import Any
 
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from ddic.case.schema import Case
-
-Location = tuple[int | str, ...]
+from ddic.case.sections import Location, find_section
 
 EXPECTED = {
     "string_type": "a text in quotes",
@@ -34,13 +33,29 @@ EXPECTED = {
 
 
 def describe(error: ValidationError, data: Mapping[str, Any]) -> list[str]:
-    """One line per problem: key, value given, what is expected; data: the parsed case file."""
+    """Say what is wrong with a case file: key, value given, what is expected.
+
+    Parameters
+    ----------
+    error : ValidationError
+        What pydantic found.
+    data : dict
+        The parsed case file.
+
+    Returns
+    -------
+    list of str
+        A line per problem.
+    """
     return [_line(problem, data) for problem in error.errors(include_url=False)]
 
 
 def _line(problem: ErrorDetails, data: Mapping[str, Any]) -> str:
-    location, kind = problem["loc"], problem["type"]
-    key, context = _dotted(location), problem.get("ctx", {})
+    """One problem in one line."""
+    location = problem["loc"]
+    kind = problem["type"]
+    key = _dotted(location)
+    context = problem.get("ctx", {})
     if kind == "extra_forbidden":
         return f"{key}: unknown key; {_nearest_key(location)}"
     if kind == "missing":
@@ -55,14 +70,16 @@ def _line(problem: ErrorDetails, data: Mapping[str, Any]) -> str:
 
 
 def _missing(location: Location, data: Mapping[str, Any]) -> str:
+    """What is said of a key, a section or an item of a list that is missing."""
     if isinstance(location[-1], int):
         return f"the list is too short: {_shown(_value_at(data, location[:-1]))}"
-    kind = "section" if _is_section(location) else "key"
+    kind = "section" if find_section(location) is not None else "key"
     return f"this {kind} is missing; it has no default"
 
 
 def _nearest_key(location: Location) -> str:
-    key, section = str(location[-1]), _section(location[:-1])
+    """What to do about an unknown key."""
+    key, section = str(location[-1]), find_section(location[:-1])
     if section is None:
         return "leave it out"
     near = get_close_matches(key.lower(), list(section.model_fields), n=1)
@@ -76,37 +93,16 @@ def _nearest_key(location: Location) -> str:
 
 def _home_of(key: str) -> str:
     """The sections of the first level that have such a key."""
-    names = [name for name in Case.model_fields
-             if (section := _section((name,))) is not None and key in section.model_fields]
-    return " or ".join(f"[{name}]" for name in names)
-
-
-def _section(location: Location) -> type[BaseModel] | None:
-    """The schema's section at a location, or None where there is none."""
-    section: type[BaseModel] = Case
-    for step in location:
-        if isinstance(step, int):
-            continue
-        field = section.model_fields.get(step)
-        inner = None if field is None else _model_in(field.annotation)
-        if inner is None:
-            return None
-        section = inner
-    return section
-
-
-def _model_in(annotation: Any) -> type[BaseModel] | None:
-    """The section inside an annotation such as ``tuple[Circle, ...]`` or ``Section | None``."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    return next((found for part in get_args(annotation) if (found := _model_in(part))), None)
-
-
-def _is_section(location: Location) -> bool:
-    return _section(location) is not None
+    names = []
+    for name in Case.model_fields:
+        section = find_section((name,))
+        if section is not None and key in section.model_fields:
+            names.append(f"[{name}]")
+    return " or ".join(names)
 
 
 def _value_at(data: Any, location: Location) -> Any:
+    """The value that the case file gives at a location."""
     for step in location:
         data = data[step]
     return data

@@ -1,4 +1,9 @@
-"""The case file's schema: every key, its type, its default and its unit."""
+"""The case file's schema: every key, its type, its default, its unit and what it means.
+
+``json_schema_extra`` holds what the type does not tell: "unit", where a key has one; "shape", how a list is written;
+"default", where the value that stands for it is not the one that counts. docs/case-file.md is written from it
+(scripts/write_case_reference.py).
+"""
 
 from __future__ import annotations
 
@@ -22,19 +27,59 @@ class Section(BaseModel):
 class ImagesSection(Section):
     """The image pair; paths are relative to the case file."""
 
-    reference: Path
-    deformed: Path
-    reference_mask: Path | None = None
-    deformed_mask: Path | None = None
-    exclude_saturated: bool = False
-    pixel_size: Positive | None = None
-    length_unit: str = "px"
-    reference_time: Finite = 0.0
-    deformed_time: Finite = 1.0
-    noise: Positive | None = None
+    reference: Path = Field(
+        description=(
+            "The image f before loading: TIFF (8 or 16 bit, floating point), PNG or BMP. TIFF is read window by "
+            "window; the others are decoded once a node, which then holds one whole copy (1 byte a pixel of 8 bit, 2 "
+            "of 16 bit), and for a moment a second one. Colour is turned to grey, with a warning."
+        ),
+    )
+    deformed: Path = Field(
+        description="The image g after loading, of the same size.",
+    )
+    reference_mask: Path | None = Field(
+        default=None,
+        description="Image of the same size as the reference; pixels that are 0 in it are left out.",
+    )
+    deformed_mask: Path | None = Field(
+        default=None,
+        description="The same for the deformed image, in its own coordinates.",
+    )
+    exclude_saturated: bool = Field(
+        default=False,
+        description="Leave out pixels at the largest grey level of the integer type.",
+    )
+    pixel_size: Positive | None = Field(
+        default=None,
+        description="Physical size of a pixel; needs `length_unit`.",
+        json_schema_extra={"unit": "length_unit per px"},
+    )
+    length_unit: str = Field(
+        default="px",
+        description='Unit of lengths in the outputs, such as `"mm"`; needs `pixel_size`.',
+    )
+    reference_time: Finite = Field(
+        default=0.0,
+        description="Time stamp of the reference image.",
+        json_schema_extra={"unit": "chosen by you"},
+    )
+    deformed_time: Finite = Field(
+        default=1.0,
+        description="Time stamp of the deformed image.",
+        json_schema_extra={"unit": "chosen by you"},
+    )
+    noise: Positive | None = Field(
+        default=None,
+        description=(
+            "Standard deviation of a picture's noise, which weighs this camera against those of `[[near]]`; estimated "
+            "from the residual where left out."
+        ),
+        json_schema_extra={"unit": "grey levels"},
+    )
 
     @model_validator(mode="after")
     def _unit_needs_size(self) -> ImagesSection:
+        """Refuse one of pixel_size and length_unit without the other."""
         if (self.pixel_size is None) != (self.length_unit == "px"):
             raise ValueError("pixel_size and length_unit go together: give both, or neither")
         return self
@@ -43,28 +88,59 @@ class ImagesSection(Section):
 class Circle(Section):
     """A circular hole, pixels."""
 
-    center: tuple[Finite, Finite]
-    radius: Positive
+    center: tuple[Finite, Finite] = Field(
+        description="Centre.",
+        json_schema_extra={"unit": "px", "shape": "[x, y]"},
+    )
+    radius: Positive = Field(
+        description="Radius.",
+        json_schema_extra={"unit": "px"},
+    )
 
 
 class Polygon(Section):
     """A polygonal hole, vertices in pixels."""
 
-    vertices: Annotated[tuple[tuple[Finite, Finite], ...], Field(min_length=3)]
+    vertices: Annotated[tuple[tuple[Finite, Finite], ...], Field(min_length=3)] = Field(
+        description="At least three vertices, in either sense; the polygon is closed by itself.",
+        json_schema_extra={"unit": "px", "shape": "list of [x, y]"},
+    )
 
 
 class StructuredSection(Section):
     """A built-in mesh of square cells on a region of interest, pixels."""
 
-    region: Box
-    element_size: Positive
-    cell: Literal["Q4", "T3"] = "Q4"
-    circles: tuple[Circle, ...] = ()
-    polygons: tuple[Polygon, ...] = ()
-    mask: Path | None = None
+    region: Box = Field(
+        description="The rectangle; it must hold at least one cell and lie in the image.",
+        json_schema_extra={"unit": "px", "shape": "[x0, y0, x1, y1]"},
+    )
+    element_size: Positive = Field(
+        description="Side of the cells.",
+        json_schema_extra={"unit": "px"},
+    )
+    cell: Literal["Q4", "T3"] = Field(
+        default="Q4",
+        description="Quadrilaterals, or triangles with alternating diagonals.",
+    )
+    circles: tuple[Circle, ...] = Field(
+        default=(),
+        description="Circular holes, see below.",
+    )
+    polygons: tuple[Polygon, ...] = Field(
+        default=(),
+        description="Polygonal holes, see below.",
+    )
+    mask: Path | None = Field(
+        default=None,
+        description=(
+            "Image of the same size as the reference, not 0 where cells may be; a cell is kept if at least half of "
+            "its pixels are."
+        ),
+    )
 
     @model_validator(mode="after")
     def _region_is_not_empty(self) -> StructuredSection:
+        """Refuse a region smaller than an element."""
         x0, y0, x1, y1 = self.region
         if x1 - x0 < self.element_size or y1 - y0 < self.element_size:
             raise ValueError("region = [x0, y0, x1, y1] must hold at least one element of element_size")
@@ -74,20 +150,49 @@ class StructuredSection(Section):
 class MappingSection(Section):
     """Similarity from mesh units to pixels: x_px = scale R(rotation) x_mesh + translation."""
 
-    scale: Positive = 1.0
-    rotation_degrees: Finite = 0.0
-    translation: tuple[Finite, Finite] = (0.0, 0.0)
+    scale: Positive = Field(
+        default=1.0,
+        description="Magnification.",
+        json_schema_extra={"unit": "px per mesh unit"},
+    )
+    rotation_degrees: Finite = Field(
+        default=0.0,
+        description="Positive from +x to +y, which is clockwise on the screen.",
+        json_schema_extra={"unit": "degrees"},
+    )
+    translation: tuple[Finite, Finite] = Field(
+        default=(0.0, 0.0),
+        description="Where the mesh's origin lies in the image.",
+        json_schema_extra={"unit": "px", "shape": "[x, y]"},
+    )
 
 
 class MeshSection(Section):
     """A mesh file that meshio reads, or a built-in structured mesh."""
 
-    file: Path | None = None
-    structured: StructuredSection | None = None
-    mapping: MappingSection = MappingSection()
+    file: Path | None = Field(
+        default=None,
+        description=(
+            "A mesh that meshio reads (Gmsh, Abaqus, VTU, ...), with linear triangles (T3) and quadrilaterals (Q4), "
+            "mixed or not. Named groups of lines and vertices, and point sets, become node sets. Orientation is "
+            "repaired and unused nodes are dropped; a third coordinate must be constant. Cells that are flat, "
+            "crossed, not convex, repeated or without a pixel are refused by number."
+        ),
+        json_schema_extra={"unit": "mesh units"},
+    )
+    structured: StructuredSection | None = Field(
+        default=None,
+        description="A built-in mesh, see `[mesh.structured]`.",
+    )
+    mapping: MappingSection = Field(
+        default=MappingSection(),
+        description="From the file's units to pixels, see `[mesh.mapping]`.",
+        json_schema_extra={"default": "identity"},
+    )
 
     @model_validator(mode="after")
     def _one_source(self) -> MeshSection:
+        """Refuse both sources of a mesh, or none."""
         if (self.file is None) == (self.structured is None):
             raise ValueError("give either mesh.file or [mesh.structured]")
         if self.structured is not None and self.mapping != MappingSection():
@@ -101,24 +206,83 @@ class NearSection(Section):
     x_near = ratio R(rotation) x_far + offset, or what ``ddic calibrate`` wrote.
     """
 
-    reference: Path
-    deformed: Path
-    reference_mask: Path | None = None
-    deformed_mask: Path | None = None
-    exclude_saturated: bool = False
-    mapping_file: Path | None = None
-    ratio: Positive | None = None
-    rotation_degrees: Finite = 0.0
-    offset: tuple[Finite, Finite] | None = None
-    motion: Literal["translation", "rigid"] = "translation"
-    region: Box | None = None
-    mesh: MeshSection | None = None
-    margin: NonNegative = 8.0
-    noise: Positive | None = None
-    use_far: bool = False
+    reference: Path = Field(
+        description="The near image before loading.",
+    )
+    deformed: Path = Field(
+        description="The near image after loading, of the same size.",
+    )
+    reference_mask: Path | None = Field(
+        default=None,
+        description="As in `[images]`.",
+    )
+    deformed_mask: Path | None = Field(
+        default=None,
+        description="As in `[images]`.",
+    )
+    exclude_saturated: bool = Field(
+        default=False,
+        description="As in `[images]`.",
+    )
+    mapping_file: Path | None = Field(
+        default=None,
+        description=(
+            "Where the near image lies in the far one, as `ddic calibrate` writes it; else give `ratio` and `offset`."
+        ),
+    )
+    ratio: Positive | None = Field(
+        default=None,
+        description="x_near = ratio R(rotation) x_far + offset.",
+        json_schema_extra={"unit": "near px per far px"},
+    )
+    rotation_degrees: Finite = Field(
+        default=0.0,
+        description="R, from x towards y.",
+        json_schema_extra={"unit": "degrees"},
+    )
+    offset: tuple[Finite, Finite] | None = Field(
+        default=None,
+        description="Near pixel that shows the far image's pixel (0, 0).",
+        json_schema_extra={"unit": "near px", "shape": "[x, y]"},
+    )
+    motion: Literal["translation", "rigid"] = Field(
+        default="translation",
+        description=(
+            "How the near set-up may have moved between its two pictures, solved for: a translation, or with a "
+            "rotation."
+        ),
+    )
+    region: Box | None = Field(
+        default=None,
+        description="Only elements in this box are measured by the near images.",
+        json_schema_extra={"unit": "far px", "shape": "[x0, y0, x1, y1]"},
+    )
+    mesh: MeshSection | None = Field(
+        default=None,
+        description=(
+            "Elements of the near field's own, described like `[mesh]`, in place of the far ones under them ([Meshes "
+            "that do not match](near-far.md#meshes-that-do-not-match)); not together with `region`."
+        ),
+        json_schema_extra={"unit": "far px"},
+    )
+    margin: NonNegative = Field(
+        default=8.0,
+        description="Edge of the near image that is not used.",
+        json_schema_extra={"unit": "near px"},
+    )
+    noise: Positive | None = Field(
+        default=None,
+        description="Standard deviation of a near picture's noise; estimated from the residual where left out.",
+        json_schema_extra={"unit": "grey levels"},
+    )
+    use_far: bool = Field(
+        default=False,
+        description="Use the far image under these elements too, as additional information ([BP17], Remark 5).",
+    )
 
     @model_validator(mode="after")
     def _one_mapping(self) -> NearSection:
+        """Refuse both ways to give the mapping, or none."""
         given = (self.ratio is not None, self.offset is not None)
         if given not in ((False, False), (True, True)) or (self.mapping_file is None) != all(given):
             raise ValueError("give either near.mapping_file, as ddic calibrate writes it, or near.ratio and "
@@ -129,6 +293,7 @@ class NearSection(Section):
 
     @model_validator(mode="after")
     def _one_choice_of_elements(self) -> NearSection:
+        """Refuse a region beside a mesh."""
         if self.mesh is not None and self.region is not None:
             raise ValueError("near.region chooses elements of [mesh]; a near field with near.mesh measures all of "
                              "its own")
@@ -138,22 +303,60 @@ class NearSection(Section):
 class CorrelationSection(Section):
     """How grey levels are interpolated and compared."""
 
-    spline_degree: Literal[3, 5] = 3
-    grey_correction: Literal["none", "global", "element"] = "none"
+    spline_degree: Literal[3, 5] = Field(
+        default=3,
+        description=(
+            "Degree of the interpolating B-spline. On fine speckle the cubic's bias is 1.4e-3 px at quarter-pixel "
+            "shifts, the quintic's 2.3e-4 px."
+        ),
+    )
+    grey_correction: Literal["none", "global", "element"] = Field(
+        default="none",
+        description="Correction of brightness and contrast: none, one for the whole image, or one per element.",
+    )
 
 
 class RegularizationSection(Section):
     """Equilibrium gap; weight given as eta or as a cut-off wavelength in pixels."""
 
-    cut_off_wavelength: Positive | None = None
-    eta: Positive | None = None
-    not_controlled: tuple[str, ...] = ("boundary",)
-    boxes: tuple[Box, ...] = ()
-    poisson_ratio: Annotated[float, Field(gt=-1, lt=0.5)] = 0.3
-    plane: Literal["stress", "strain"] = "stress"
+    cut_off_wavelength: Positive | None = Field(
+        default=None,
+        description=(
+            "Wavelength below which the displacement is ruled by mechanical equilibrium, above which by the images; "
+            "eta follows from it."
+        ),
+        json_schema_extra={"unit": "px"},
+    )
+    eta: Positive | None = Field(
+        default=None,
+        description="Weight of the equilibrium gap, given directly.",
+        json_schema_extra={"unit": "(grey levels / px)²"},
+    )
+    not_controlled: tuple[str, ...] = Field(
+        default=("boundary",),
+        description=(
+            'Node sets whose equilibrium is not imposed (loaded and clamped edges). `"boundary"` is the whole '
+            "boundary of the mesh, whatever the mesh's own sets; `[]` controls all nodes."
+        ),
+        json_schema_extra={"shape": "list of texts"},
+    )
+    boxes: tuple[Box, ...] = Field(
+        default=(),
+        description="The nodes in these boxes are not controlled either; each must hold a node.",
+        json_schema_extra={"unit": "px", "shape": "list of [x0, y0, x1, y1]"},
+    )
+    poisson_ratio: Annotated[float, Field(gt=-1, lt=0.5)] = Field(
+        default=0.3,
+        description="Poisson's ratio; Young's modulus is 1.",
+    )
+    plane: Literal["stress", "strain"] = Field(
+        default="stress",
+        description="Plane stress or plane strain.",
+    )
 
     @model_validator(mode="after")
     def _one_weight(self) -> RegularizationSection:
+        """Refuse both ways to give the weight, or none."""
         if (self.eta is None) == (self.cut_off_wavelength is None):
             raise ValueError("give either regularization.cut_off_wavelength or regularization.eta")
         return self
@@ -162,22 +365,93 @@ class RegularizationSection(Section):
 class SolverSection(Section):
     """The linear step of Gauss-Newton."""
 
-    method: Literal["dual", "assembled", "conjugate_gradient", "monolithic"] = "dual"
-    subdomains: Annotated[int, Field(ge=1)] | None = None
-    partition: Literal["metis", "blocks", "file"] = "metis"
-    blocks: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]] | None = None
-    partition_file: Path | None = None
-    weighting: Literal["consistent", "paper"] = "consistent"
-    preconditioner: Literal["auto", "two_level", "scaled", "paper", "none"] = "auto"
-    tolerance: Annotated[float, Field(gt=0, lt=1)] = 1e-6
-    max_iterations: Annotated[int, Field(ge=1)] = 1000
-    inexact: bool = True
-    recycle: bool = True
-    local_inverse: Literal["auto", "dense", "sparse"] = "auto"
-    threads: Annotated[int, Field(ge=1)] = 1
+    method: Literal["dual", "assembled", "conjugate_gradient", "monolithic"] = Field(
+        default="dual",
+        description=(
+            "Dual domain decomposition; the operator of the whole mesh, spread over ranks and factorised together "
+            "(MUMPS); conjugate gradients on it, without a factor; or the whole problem on one rank (CHOLMOD). All "
+            "give the same field ([solver.md](solver.md#which-method))."
+        ),
+    )
+    subdomains: Annotated[int, Field(ge=1)] | None = Field(
+        default=None,
+        description='Number of subdomains for `partition = "metis"`.',
+        json_schema_extra={"default": "the number of ranks"},
+    )
+    partition: Literal["metis", "blocks", "file"] = Field(
+        default="metis",
+        description=(
+            "How the mesh is split. METIS balances work: a cell's pixels plus 1000 for each node (one a Q4, half a "
+            "one a T3; `bench/cell_costs.py`). Whatever the split, subdomains are dealt to ranks in contiguous ranges "
+            "whose largest work is the least possible."
+        ),
+    )
+    blocks: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]] | None = Field(
+        default=None,
+        description="For `partition = \"blocks\"`: a regular array of blocks of the mesh's bounding box.",
+        json_schema_extra={"shape": "[columns, rows]"},
+    )
+    partition_file: Path | None = Field(
+        default=None,
+        description=(
+            'For `partition = "file"`: a text file with the subdomain of each cell, from 0 without gaps, in the '
+            "mesh's order; # begins a comment."
+        ),
+    )
+    weighting: Literal["consistent", "paper"] = Field(
+        default="consistent",
+        description=(
+            "Interface rows of the equilibrium gap: weighted so that the solution is that of the whole problem, or as "
+            "in Bouclier & Passieux (2017)."
+        ),
+    )
+    preconditioner: Literal["auto", "two_level", "scaled", "paper", "none"] = Field(
+        default="auto",
+        description=(
+            'Preconditioner of the interface problem ([solver.md](solver.md)). `"auto"` takes `"two_level"` where the '
+            "cut-off wavelength is at least four times the side of a subdomain and there are at least eight "
+            'subdomains, else `"scaled"`.'
+        ),
+    )
+    tolerance: Annotated[float, Field(gt=0, lt=1)] = Field(
+        default=1e-6,
+        description="Relative residual at which the Krylov iteration stops at the latest.",
+    )
+    max_iterations: Annotated[int, Field(ge=1)] = Field(
+        default=1000,
+        description="Krylov iterations after which the run fails.",
+    )
+    inexact: bool = Field(
+        default=True,
+        description=(
+            "Solve each linear step only as far as the progress of Gauss-Newton asks, the last one to an estimated "
+            "RMS error of `gauss_newton.rms_tolerance` / 20; false: always to `tolerance`."
+        ),
+    )
+    recycle: bool = Field(
+        default=True,
+        description="Keep what the Krylov solver learnt in one iteration for the next ones.",
+    )
+    local_inverse: Literal["auto", "dense", "sparse"] = Field(
+        default="auto",
+        description=(
+            "How the preconditioner inverts a subdomain's interface operator: as an array, fast while the interface "
+            'is small, or by a sparse factorisation, which saves memory; `"auto"` decides for each subdomain by the '
+            "array's memory."
+        ),
+    )
+    threads: Annotated[int, Field(ge=1)] = Field(
+        default=1,
+        description=(
+            "Threads of each rank for work on pixels: prefilter and gradient, M, residuals and the residual image; "
+            "all else is done by one ([scaling.md](scaling.md#threads-inside-a-rank)). No digit of the result depends "
+            "on it. A note says where a node's ranks have more threads than cores."
+        ),
+    )
 
     @model_validator(mode="after")
     def _partition_is_complete(self) -> SolverSection:
+        """Refuse keys of another kind of partition, or lacking ones."""
         if (self.partition == "blocks") != (self.blocks is not None):
             raise ValueError('solver.blocks = [columns, rows] goes with solver.partition = "blocks"')
         if (self.partition == "file") != (self.partition_file is not None):
@@ -190,32 +464,66 @@ class SolverSection(Section):
 class GaussNewtonSection(Section):
     """When Gauss-Newton stops: |dq|/|q| <= tolerance or RMS dq <= rms_tolerance pixels."""
 
-    tolerance: Annotated[float, Field(gt=0, lt=1)] = 1e-3
-    rms_tolerance: NonNegative = 1e-4
-    max_iterations: Annotated[int, Field(ge=1)] = 50
+    tolerance: Annotated[float, Field(gt=0, lt=1)] = Field(
+        default=1e-3,
+        description="Relative correction.",
+    )
+    rms_tolerance: NonNegative = Field(
+        default=1e-4,
+        description="Absolute correction; identical images stop by it at once.",
+        json_schema_extra={"unit": "px"},
+    )
+    max_iterations: Annotated[int, Field(ge=1)] = Field(
+        default=50,
+        description="Iterations after which the run fails.",
+    )
 
 
 class StartSection(Section):
     """Initial displacement: each stage can be switched off; a result file replaces the first two."""
 
-    rigid: bool = True
-    pyramid: bool = True
-    independent: bool = True
-    from_result: Path | None = None
+    rigid: bool = Field(
+        default=True,
+        description="Start from a translation found by FFT correlation.",
+    )
+    pyramid: bool = Field(
+        default=True,
+        description="Solve on coarse-grained images first.",
+    )
+    independent: bool = Field(
+        default=True,
+        description="With the dual method, solve each subdomain alone, without regularisation, before coupling them.",
+    )
+    from_result: Path | None = Field(
+        default=None,
+        description="An earlier result file, on the same or another mesh; it replaces `rigid` and `pyramid`.",
+    )
 
 
 class OutputSection(Section):
     """What is written, relative to the case file."""
 
-    file: Path = Path("result.vtkhdf")
-    residual_image: bool = True
-    flip_y: bool = False
+    file: Path = Field(
+        default=Path("result.vtkhdf"),
+        description="The result; its folder must exist. The summary, with the suffix `.json`, stands beside it.",
+    )
+    residual_image: bool = Field(
+        default=True,
+        description="Also write the residual f(x) - g(x + u) of each pixel.",
+    )
+    flip_y: bool = Field(
+        default=False,
+        description="Write coordinates and vectors with y pointing up.",
+    )
 
 
 class Case(Section):
     """A whole measurement."""
 
-    title: str = ""
+    title: str = Field(
+        default="",
+        description="Copied to the result and to the pictures.",
+    )
     images: ImagesSection
     near: tuple[NearSection, ...] = ()
     mesh: MeshSection
@@ -228,6 +536,7 @@ class Case(Section):
 
     @model_validator(mode="after")
     def _near_needs_an_interface(self) -> Case:
+        """Refuse near fields where the solver has no place for them."""
         if self.near and self.solver.method == "monolithic":
             raise ValueError('solver.method = "monolithic" knows one camera; with [[near]] use "assembled", which '
                              "factorises the same system")

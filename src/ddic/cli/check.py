@@ -24,7 +24,7 @@ def check(case_file: Path) -> None:
     """
     # Imported here because they bring numba, meshio and OpenCV, which --help does not need.
     from ddic.case.loader import load_case
-    from ddic.problem.check_cameras import check_inputs
+    from ddic.problem.check_inputs import check_inputs
 
     try:
         with warnings.catch_warnings(record=True) as warned:
@@ -41,6 +41,7 @@ def check(case_file: Path) -> None:
 
 
 def _lines(report: CheckReport) -> list[tuple[str, str]]:
+    """Names and values of what is printed."""
     width, height = report.image_size
     kind = "floating point" if report.bits is None else f"{report.bits} bit"
     cells = ", ".join(f"{count} {name}" for name, count in report.cell_counts.items())

@@ -12,20 +12,17 @@ from typing import Protocol, Self
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
-from ddic.results.listener import Setting
+from ddic.parallel.phases import REPEATED, Phase
+from ddic.results.listener import ProblemSize
 from ddic.results.summary import Summary
 from ddic.solvers.gauss_newton import IterationRecord
-
-PHASES = ("mesh", "start", "read", "assemble", "independent start", "factorize", "interface set-up", "residual",
-          "linear step", "finish", "write")
-"""Phases of a run in order; residual and linear step repeat."""
 
 _COLUMNS = ("iter", "|dq|/|q|", "RMS dq [px]", "residual [grey]", "[% range]", "Krylov", "its error [px]",
             "residual [s]", "step [s]")
 
 
 class _Bar(Protocol):
-    def phase(self, name: str) -> None: ...
+    def phase(self, phase: Phase) -> None: ...
     def settle(self) -> None: ...
     def stop(self) -> None: ...
 
@@ -38,7 +35,7 @@ class RunConsole:
         terminal = on_terminal()
         self._bar: _Bar = _ProgressBar(self._console) if terminal else _PhaseLines(self._console)
         self._range = 1.0
-        self._seconds: dict[str, float] = {}
+        self._seconds: dict[Phase, float] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -47,36 +44,67 @@ class RunConsole:
                  trace: TracebackType | None) -> None:
         self._bar.stop()
 
-    def phase(self, name: str) -> None:
-        """Show the phase that begins."""
-        self._bar.phase(name)
+    def phase(self, phase: Phase) -> None:
+        """Show the phase that begins.
+
+        Parameters
+        ----------
+        phase : Phase
+            Of the run.
+        """
+        self._bar.phase(phase)
 
     def note(self, line: str) -> None:
-        """Print a line."""
+        """Print a line.
+
+        Parameters
+        ----------
+        line : str
+            Without its end.
+        """
         self._print(line)
 
-    def setting(self, setting: Setting) -> None:
-        """Print the sizes and the head of the iteration table."""
+    def problem_size(self, size: ProblemSize) -> None:
+        """Print the sizes and the head of the iteration table.
+
+        Parameters
+        ----------
+        size : ProblemSize
+            Of what is about to be solved.
+        """
         self._bar.settle()
-        self._range = setting.dynamic_range or 1.0
-        weight = f", eta = {setting.eta:.4g}" if setting.eta else ""
-        self._print(f"{setting.n_dofs} unknowns, {setting.n_cells} elements, {setting.n_pixels} pixels; "
-                    f"{_count(setting.n_subdomains, 'subdomain')} on {_count(setting.n_ranks, 'rank')}, "
-                    f"{setting.n_interface} interface unknowns{weight}")
+        self._range = size.dynamic_range or 1.0
+        weight = f", eta = {size.eta:.4g}" if size.eta else ""
+        self._print(f"{size.n_unknowns} unknowns, {size.n_cells} elements, {size.n_pixels} pixels; "
+                    f"{_count(size.n_subdomains, 'subdomain')} on {_count(size.n_ranks, 'rank')}, "
+                    f"{size.n_interface} interface unknowns{weight}")
         self._print("  ".join(f"{name:>{max(len(name), 9)}}" for name in _COLUMNS))
 
     def iteration(self, record: IterationRecord) -> None:
-        """Print a line of the iteration table; the residual is that before the correction."""
-        spent = {name: record.seconds[name] - self._seconds.get(name, 0.0) for name in ("residual", "linear step")}
+        """Print a line of the iteration table; the residual is that before the correction.
+
+        Parameters
+        ----------
+        record : IterationRecord
+            Of the iteration that has ended.
+        """
+        spent = {phase: record.seconds[phase] - self._seconds.get(phase, 0.0) for phase in REPEATED}
         self._seconds = record.seconds
-        cells = (f"{record.number}", f"{record.relative:.2e}", f"{record.rms:.2e}",
+        cells = (f"{record.number}", f"{record.size.relative:.2e}", f"{record.size.rms:.2e}",
                  " ".join(f"{camera.residual_std:.3f}" for camera in record.cameras),
                  f"{100 * record.grey.residual_std / self._range:.2f}", f"{record.krylov_iterations}",
-                 f"{record.linear_error:.1e}", f"{spent['residual']:.2f}", f"{spent['linear step']:.2f}")
+                 f"{record.linear_error:.1e}", f"{spent[Phase.RESIDUAL]:.2f}",
+                 f"{spent[Phase.LINEAR_STEP]:.2f}")
         self._print("  ".join(f"{cell:>{max(len(name), 9)}}" for cell, name in zip(cells, _COLUMNS, strict=True)))
 
     def finish(self, summary: Summary) -> None:
-        """Print what was found."""
+        """Print what was found.
+
+        Parameters
+        ----------
+        summary : Summary
+            Of the run.
+        """
         self._bar.stop()
         seconds = ", ".join(f"{name} {value:.2f}" for name, value in summary.seconds.items())
         memory = ", ".join(f"{value / 2**20:.0f}" for value in summary.peak_memory_bytes)
@@ -100,11 +128,13 @@ class RunConsole:
         self._print(f"result: {summary.result_file}")
 
     def _print(self, line: str) -> None:
+        """Print a line as it is, at once."""
         self._console.print(line, markup=False)
         sys.stdout.flush()
 
 
 def _count(number: int, noun: str) -> str:
+    """A number and its noun."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
@@ -112,11 +142,11 @@ class _ProgressBar:
     def __init__(self, console: Console) -> None:
         self._progress = Progress(SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(),
                                   console=console, transient=True)
-        self._task: TaskID = self._progress.add_task("start", total=len(PHASES))
+        self._task: TaskID = self._progress.add_task("start", total=len(Phase))
         self._progress.start()
 
-    def phase(self, name: str) -> None:
-        self._progress.update(self._task, description=name, completed=PHASES.index(name))
+    def phase(self, phase: Phase) -> None:
+        self._progress.update(self._task, description=phase, completed=list(Phase).index(phase))
 
     def settle(self) -> None:
         pass
@@ -128,16 +158,14 @@ class _ProgressBar:
 class _PhaseLines:
     """A plain line for each phase that takes long enough to be waited for."""
 
-    SILENT = ("residual", "linear step")
-
     def __init__(self, console: Console) -> None:
         self._console = console
-        self._name: str | None = None
+        self._phase: Phase | None = None
         self._began = time.perf_counter()
 
-    def phase(self, name: str) -> None:
+    def phase(self, phase: Phase) -> None:
         self._close()
-        self._name, self._began = name, time.perf_counter()
+        self._phase, self._began = phase, time.perf_counter()
 
     def settle(self) -> None:
         # So that the line of the phase before does not land in the iteration table.
@@ -147,13 +175,19 @@ class _PhaseLines:
         self._close()
 
     def _close(self) -> None:
-        if self._name is not None and self._name not in self.SILENT:
-            self._console.print(f"{self._name}: {time.perf_counter() - self._began:.2f} s", markup=False)
-        self._name = None
+        if self._phase is not None and self._phase not in REPEATED:
+            self._console.print(f"{self._phase}: {time.perf_counter() - self._began:.2f} s", markup=False)
+        self._phase = None
 
 
 def on_terminal() -> bool:
-    """Whether a person watches; under mpirun, which gives ranks a terminal of its own, mpirun's output counts."""
+    """Tell whether a person watches; under mpirun, which gives ranks a terminal of its own, mpirun's output counts.
+
+    Returns
+    -------
+    bool
+        Whether the output is a terminal's.
+    """
     if not sys.stdout.isatty():
         return False
     launched = any(name in os.environ for name in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_RANK"))

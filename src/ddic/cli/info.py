@@ -37,6 +37,7 @@ def info(file: Path) -> None:
 
 def _describe(file: Path) -> Lines:
     # Imported here because HDF5 and OpenCV are not needed by --help.
+    """Names and values of what a file holds."""
     import h5py
 
     from ddic.io.result_reader import read_result
@@ -49,11 +50,12 @@ def _describe(file: Path) -> Lines:
 
 
 def _image_lines(file: Path) -> Lines:
+    """Of an image."""
+    from ddic.images.grey_levels import measure_grey_levels
     from ddic.io.image_file import open_image
-    from ddic.io.image_report import image_report
 
     image = open_image(file)
-    report = image_report(image)
+    report = measure_grey_levels(image)
     n_pixels = image.width * image.height
     saturated = "none possible (floating point)"
     if image.saturation is not None:
@@ -70,6 +72,7 @@ def _image_lines(file: Path) -> Lines:
 
 
 def _result_lines(result: Result) -> Lines:
+    """Of a result."""
     import numpy as np
 
     low, high = result.displacement.min(axis=0), result.displacement.max(axis=0)

@@ -28,7 +28,23 @@ class OneLineErrors(click.Group):
     """A group of commands whose errors are one line each, without the usage text."""
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the chosen command."""
+        """Run the chosen command.
+
+        Parameters
+        ----------
+        ctx : Context
+            Of click.
+
+        Returns
+        -------
+        object
+            What the command returns.
+
+        Raises
+        ------
+        ClickException
+            In place of any error made for the user, shown as one line.
+        """
         try:
             return super().invoke(ctx)
         except click.UsageError as error:
@@ -140,6 +156,7 @@ def bending(curvature: float, center: Pair | None, poisson_ratio: float, transla
 
 
 def _middle(image: ImageOptions) -> Pair:
+    """Position of the image's centre, pixels."""
     width, height = image["size"]
     return (width - 1) / 2, (height - 1) / 2
 
@@ -147,18 +164,21 @@ def _middle(image: ImageOptions) -> Pair:
 def _generate(field: DisplacementField, hole: Hole | None, image: ImageOptions) -> None:
     """Write the two images, then the truth: where truth.json is, the pair is whole."""
     from ddic.synth.digitise import Digitiser
+    from ddic.synth.picture import Picture
     from ddic.synth.render import Scene, write_pair
-    from ddic.synth.texture import SpeckleTexture
+    from ddic.synth.speckle_texture import SpeckleTexture
     from ddic.synth.truth import save_truth
 
     width, height = image["size"]
-    camera = Digitiser(int(image["bit_depth"]), image["noise"], image["seed"])
+    digitiser = Digitiser(int(image["bit_depth"]), image["noise"], image["seed"])
+    picture = Picture(width, height, digitiser)
     texture = SpeckleTexture(image["seed"], image["speckle_size"])
+    scene = Scene(texture, field, hole)
     folder = image["output"]
-    reference, deformed, truth = folder / "reference.tif", folder / "deformed.tif", folder / "truth.json"
+    pair = folder / "reference.tif", folder / "deformed.tif"
+    truth = folder / "truth.json"
     prepare_folder(folder, truth)
-    write_pair(reference, deformed, texture, field, width, height, bit_depth=camera.bit_depth,
-               noise=camera.noise, seed=camera.seed, hole=hole)
-    save_truth(truth, Scene(texture, field, hole), camera, width, height)
-    for path in (reference, deformed, truth):
+    write_pair(pair, scene, picture)
+    save_truth(truth, scene, picture)
+    for path in (*pair, truth):
         click.echo(path)

@@ -9,7 +9,8 @@ import click
 from ddic.cli.synth_options import ImageOptions, Size, image_options, parse_size, prepare_folder
 
 if TYPE_CHECKING:
-    from ddic.synth.near_far import Frame, NearFarScene
+    from ddic.synth.near_far_scene import NearFarScene
+    from ddic.synth.picture import Picture
 
 Pair = tuple[float, float]
 _FILES = "far_reference.tif, far_deformed.tif, near_reference.tif, near_deformed.tif and truth.json"
@@ -55,33 +56,35 @@ def near_far(ratio: float, near_center: Pair | None, near_angle: float, tilt: Pa
     """
     from ddic.synth.hole import Hole
     from ddic.synth.kirsch import Kirsch
-    from ddic.synth.near_far import SetUpMotion, beside_the_hole, near_far_scene, near_mapping
+    from ddic.synth.near_far_scene import NearCamera, SetUpMotion, beside_the_hole, near_far_scene, near_mapping
     from ddic.synth.two_scale_texture import two_scale_texture
 
-    far = _frame(image, size_far, noise_far)
-    near = _frame(image, size_near, noise_near)
+    far = _picture(image, size_far, noise_far)
+    near = _picture(image, size_near, noise_near)
     center = center or far.middle
     radius = min(far.width, far.height) / 10 if radius is None else radius
     field = Kirsch(center, radius, strain, poisson_ratio, translation)
     focus = near_center or beside_the_hole(center, radius, ratio, near)
     mapping = near_mapping(ratio, focus, near, near_angle, tilt)
+    camera = NearCamera(mapping, SetUpMotion(alpha, rotation, focus), near)
     texture = two_scale_texture(ratio, image["seed"], image["speckle_size"], fine_share)
-    _write(image, near_far_scene(field, Hole(center, radius), texture, mapping, SetUpMotion(alpha, rotation, focus),
-                                 far, near))
+    _write(image, near_far_scene(texture, field, Hole(center, radius), far, camera))
 
 
-def _frame(image: ImageOptions, size: Size | None, noise: float | None) -> Frame:
+def _picture(image: ImageOptions, size: Size | None, noise: float | None) -> Picture:
+    """A camera's picture; size, noise: its own, or None for those of both cameras."""
     from ddic.synth.digitise import Digitiser
-    from ddic.synth.near_far import Frame
+    from ddic.synth.picture import Picture
 
     width, height = size or image["size"]
     level = image["noise"] if noise is None else noise
-    return Frame(width, height, Digitiser(int(image["bit_depth"]), level, image["seed"]))
+    digitiser = Digitiser(int(image["bit_depth"]), level, image["seed"])
+    return Picture(width, height, digitiser)
 
 
 def _write(image: ImageOptions, scene: NearFarScene) -> None:
     """Write the images, then the truth: where truth.json is, the images are whole."""
-    from ddic.synth.near_far import write_near_far
+    from ddic.synth.near_far_scene import write_near_far
     from ddic.synth.near_far_truth import save_near_far_truth
 
     truth = image["output"] / "truth.json"

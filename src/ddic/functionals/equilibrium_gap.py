@@ -6,68 +6,150 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from ddic.functionals.elasticity import Material, stiffness_cells
-from ddic.kinematics.finite_element import FiniteElementKinematics, finite_element_kinematics
-from ddic.kinematics.tie import Tie
+from ddic.functionals.elasticity import Material, assemble_stiffness, integrate_cell_stiffness
+from ddic.kinematics.cell_interpolation import interpolate_cells
+from ddic.kinematics.kinematics import Kinematics
 from ddic.mesh.mesh import Mesh
 
+PHASES = (0.0, np.pi / 2)
+"""Phases of the plane waves, radians: cosine and sine, of which one at least does not vanish on the nodes."""
+
 _CHUNK_CELLS = 2_000
+"""Cells whose stiffness is held at once; a larger value takes more memory and no less time."""
 
 
-def controlled_stiffness(mesh: Mesh, kinematics: FiniteElementKinematics, material: Material,
-                         row_weights: NDArray[np.float64], tie: Tie | None = None) -> sparse.csr_matrix:
-    """Kbar = diag(row_weights) K, (n_dofs, n_dofs); weight 0 drops a row (P of Eq. 11 of [BP17]).
+def controlled_stiffness(kinematics: Kinematics, material: Material,
+                         row_weights: NDArray[np.float64]) -> sparse.csr_matrix:
+    """Assemble Kbar = diag(row_weights) T^T K T, weight 0 dropping a row (P of Eq. 11 of [BP17]).
 
-    tie: from unknown to mesh nodes; forces on slaves are then their masters', as much as these move them.
+    K acts on the nodes; T^T K T are the forces on the unknowns: those on tied nodes are then their masters', as much as
+    these move them.
+
+    Parameters
+    ----------
+    kinematics : Kinematics
+        From unknowns to the displacement of the mesh's nodes, specimen's frame.
+    material : Material
+        The same in all cells.
+    row_weights : (n_unknowns,) array
+        Weights of the rows.
+
+    Returns
+    -------
+    (n_unknowns, n_unknowns) csr_matrix
+        Kbar.
     """
-    stiffness = kinematics.assemble_matrix(stiffness_cells(mesh, material))
-    if tie is not None:
-        stiffness = tie.matrix.T @ stiffness @ tie.matrix
+    stiffness = kinematics.project_matrix(assemble_stiffness(kinematics.mesh, material))
     return (sparse.diags(row_weights) @ stiffness).tocsr()
 
 
-def plane_waves(nodes: NDArray[np.float64], wavelength: float) -> NDArray[np.float64]:
-    """Waves v = e_a cos(2 pi x_b / l_c + phi), phi in {0, pi/2}, on nodes (n, dim); returns (n dim, 2 dim^2)."""
+def evaluate_plane_waves(nodes: NDArray[np.float64], wavelength: float) -> NDArray[np.float64]:
+    """Evaluate the waves v = e_a cos(2 pi x_b / l_c + phi) for all axes a, b and phi in {0, pi/2}.
+
+    Parameters
+    ----------
+    nodes : (n, dim) array
+        Pixels.
+    wavelength : float
+        l_c, pixels.
+
+    Returns
+    -------
+    (n dim, 2 dim^2) array
+        One wave a column, node-major; the phase varies fastest, then b.
+    """
     n, dim = nodes.shape
     waves = []
     for a in range(dim):
         for b in range(dim):
-            for phi in (0.0, np.pi / 2):
+            for phi in PHASES:
                 v = np.zeros((n, dim))
                 v[:, a] = np.cos(2 * np.pi * nodes[:, b] / wavelength + phi)
                 waves.append(v.ravel())
     return np.stack(waves, axis=1)
 
 
-def gap_energies(mesh: Mesh, material: Material, interior_nodes: NDArray[np.bool_],
+def measure_gap_energies(mesh: Mesh, material: Material, interior_nodes: NDArray[np.bool_],
                  wavelength: float) -> NDArray[np.float64]:
-    """|K v|^2 of every plane wave on the interior nodes' rows, a batch of cells at a time, K never assembled."""
-    waves = plane_waves(mesh.nodes, wavelength)
+    """Measure |K v|^2 of every plane wave on the interior nodes' rows, K never assembled.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        The whole region's.
+    material : Material
+        The same in all cells.
+    interior_nodes : (n_nodes,) bool array
+        Nodes whose rows count.
+    wavelength : float
+        l_c, pixels.
+
+    Returns
+    -------
+    (n_waves,) array
+        Square pixels, one for each column of ``plane_waves``.
+    """
+    waves = evaluate_plane_waves(mesh.nodes, wavelength)
     forces = np.zeros_like(waves)
     for begin in range(0, mesh.n_cells, _CHUNK_CELLS):
-        part, nodes = mesh.submesh(np.arange(begin, min(begin + _CHUNK_CELLS, mesh.n_cells)))
-        dofs = (nodes[:, None] * mesh.dim + np.arange(mesh.dim)).ravel()
-        cell_dofs = finite_element_kinematics(part).cell_dofs
-        by_cell = stiffness_cells(part, material) @ waves[dofs][cell_dofs]
-        for wave in range(waves.shape[1]):
-            forces[dofs, wave] += np.bincount(cell_dofs.ravel(), by_cell[..., wave].ravel(), minlength=len(dofs))
+        cells = np.arange(begin, min(begin + _CHUNK_CELLS, mesh.n_cells))
+        part, node_ids = mesh.submesh(cells)
+        dofs = (node_ids[:, None] * mesh.dim + np.arange(mesh.dim)).ravel()
+        forces[dofs] += _wave_forces(part, material, waves[dofs])
     rows = np.repeat(interior_nodes, mesh.dim)
     return np.asarray((forces[rows] ** 2).sum(axis=0))
 
 
-def texture_energies(nodes: NDArray[np.float64], hessian: sparse.csr_matrix,
+def measure_texture_energies(nodes: NDArray[np.float64], hessian: sparse.csr_matrix,
                      interior_nodes: NDArray[np.bool_], wavelength: float) -> NDArray[np.float64]:
-    """v^T M v of every plane wave on the interior nodes' rows; adds up over subdomains."""
-    waves = plane_waves(nodes, wavelength)
+    """Measure v^T M v of every plane wave on the interior nodes' rows; adds up over subdomains.
+
+    Parameters
+    ----------
+    nodes : (n, dim) array
+        Nodes whose displacements M is between, pixels.
+    hessian : (n dim, n dim) csr_matrix
+        M of a subdomain, node-major, grey levels squared per square pixel.
+    interior_nodes : (n,) bool array
+        Nodes whose rows count.
+    wavelength : float
+        l_c, pixels.
+
+    Returns
+    -------
+    (n_waves,) array
+        Grey levels squared, one for each column of ``plane_waves``.
+    """
+    waves = evaluate_plane_waves(nodes, wavelength)
     rows = np.repeat(interior_nodes, nodes.shape[1])
     return np.asarray((waves * (hessian @ waves))[rows].sum(axis=0))
 
 
-def cut_off_weight(texture: NDArray[np.float64], gap: NDArray[np.float64]) -> float:
-    """Weight eta at which texture and mechanics count alike at l_c: mean of |v^T M v| / |K v|^2 [LPHR11].
+def find_cut_off_weight(texture: NDArray[np.float64], gap: NDArray[np.float64]) -> float:
+    """Choose the weight eta at which texture and mechanics count alike at l_c: mean of |v^T M v| / |K v|^2 [LPHR11].
 
-    texture, gap: of every plane wave of ``plane_waves``, on the same nodes. The two phases of a wave are
-    added up before the ratio, for a wave may vanish on all nodes; the mean is over a and b.
+    The two phases of a wave are added up before the ratio, for one may vanish on all nodes; the mean is over a and b.
+
+    Parameters
+    ----------
+    texture, gap : (n_waves,) arrays
+        ``texture_energies`` and ``gap_energies`` on the same nodes.
+
+    Returns
+    -------
+    float
+        eta, grey levels squared per square pixel.
     """
-    by_wave = np.abs(texture).reshape(-1, 2).sum(axis=1) / gap.reshape(-1, 2).sum(axis=1)
-    return float(by_wave.mean())
+    n_phases = len(PHASES)
+    texture_by_wave = np.abs(texture).reshape(-1, n_phases).sum(axis=1)
+    gap_by_wave = gap.reshape(-1, n_phases).sum(axis=1)
+    return float((texture_by_wave / gap_by_wave).mean())
+
+
+def _wave_forces(mesh: Mesh, material: Material, waves: NDArray[np.float64]) -> NDArray[np.float64]:
+    """K v, (n_dofs, n_waves), of displacements v, the columns of waves."""
+    cell_dofs = interpolate_cells(mesh).cell_dofs
+    by_cell = integrate_cell_stiffness(mesh, material) @ waves[cell_dofs]
+    columns = [np.bincount(cell_dofs.ravel(), by_cell[..., wave].ravel(), minlength=mesh.n_dofs)
+               for wave in range(waves.shape[1])]
+    return np.stack(columns, axis=1)

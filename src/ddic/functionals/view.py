@@ -11,57 +11,196 @@ from scipy import sparse
 from ddic.functionals.correlation import Correlation, Residual
 from ddic.images.sub_image import DeformedSubImage
 from ddic.images.window import Window
-from ddic.kinematics.pose import Pose
+from ddic.kinematics.kinematics import Kinematics
+
+Correction = NDArray[np.float64] | float
+"""Gain or offset of the grey levels: one number, or one per cell (n_cells,)."""
 
 
 @dataclass(frozen=True)
 class View:
-    """A camera's pixels of a subdomain.
+    """A camera's pixels of a subdomain in the reference image.
 
-    correlation: reference image on the mesh in the camera's pixels; deformed: window of the deformed image.
-    camera: its number, 0 the first. pose: from unknowns to displacements in the image; None where the unknowns are
-    displacements in this camera's pixels and its squared grey levels weigh 1.
+    Attributes
+    ----------
+    correlation : Correlation
+        Reference image on the mesh in the camera's pixels.
+    kinematics : Kinematics
+        From the subdomain's unknowns to displacements in the camera's pixels.
+    camera : int
+        Number of the camera, 0 the first.
+    group : int
+        Number of the window that the view looks into, among those of its camera on this rank.
+    weight : float
+        Of this camera's squared grey levels in the functional, no unit.
     """
 
     correlation: Correlation
-    deformed: DeformedSubImage
+    kinematics: Kinematics
     camera: int = 0
-    pose: Pose | None = None
+    group: int = 0
+    weight: float = 1.0
 
-    def displacement(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Displacement of the nodes in the image (n_dofs,), pixels, from unknowns q (n_unknowns,)."""
-        return q if self.pose is None else self.pose.displacement(q)
+    @property
+    def n_pixels(self) -> int:
+        """Number of pixels that the reference image does not exclude."""
+        return self.correlation.n_usable_pixels
+
+    def count_pixels(self) -> NDArray[np.int64]:
+        """Count the pixels of each cell that the reference image does not exclude.
+
+        Returns
+        -------
+        (n_cells,) array of int64
+            Pixels.
+        """
+        raster, reference = self.correlation.raster, self.correlation.reference
+        if reference.usable is None:
+            return raster.pixel_counts
+        return raster.counts_in(reference.usable, reference.window.x0, reference.window.y0)
+
+    def assemble_hessian(self) -> sparse.csr_matrix:
+        """Assemble M of this camera on displacements of nodes in its image, Eq. 5 of [BP17].
+
+        Returns
+        -------
+        (n_dofs, n_dofs) csr_matrix
+            M, grey levels squared per pixel squared.
+        """
+        return self.correlation.assemble_hessian()
+
+    def project(self, hessian: sparse.csr_matrix) -> sparse.csr_matrix:
+        """Take M of this camera to the subdomain's unknowns, w T^T M T.
+
+        Parameters
+        ----------
+        hessian : (n_dofs, n_dofs) csr_matrix
+            M on displacements of nodes in the image.
+
+        Returns
+        -------
+        (n_unknowns, n_unknowns) csr_matrix
+            The camera's part of M_s.
+        """
+        projected = self.kinematics.project_matrix(hessian)
+        return projected if self.weight == 1.0 else (self.weight * projected).tocsr()
+
+    def hold_still(self) -> View:
+        """Give the same for a set-up that does not move, with weight 1.
+
+        Returns
+        -------
+        View
+            With the field's unknowns only.
+        """
+        return replace(self, kinematics=self.kinematics.hold_still(), weight=1.0)
+
+
+@dataclass(frozen=True)
+class FrameView:
+    """A camera's pixels of a subdomain in one frame.
+
+    Attributes
+    ----------
+    view : View
+        The same in the reference image.
+    deformed : DeformedSubImage
+        Window of the deformed image.
+    """
+
+    view: View
+    deformed: DeformedSubImage
+
+    @property
+    def camera(self) -> int:
+        """Number of the camera, 0 the first."""
+        return self.view.camera
 
     def displaced_window(self, q: NDArray[np.float64]) -> Window:
-        """Window of the deformed image that unknowns q need."""
-        return self.correlation.displaced_window(self.displacement(q))
+        """Find the window of the deformed image that unknowns need.
 
-    def seen_from(self, q: NDArray[np.float64]) -> View:
-        """The same without the pixels that q hides in the deformed image."""
-        return replace(self, correlation=self.correlation.seen_from(self.deformed, self.displacement(q)))
+        Parameters
+        ----------
+        q : (n_unknowns,) array
+            The subdomain's unknowns.
 
-    def hessian(self) -> sparse.csr_matrix:
-        """M of this camera, (n_unknowns, n_unknowns)."""
-        return self.in_unknowns(self.correlation.hessian())
+        Returns
+        -------
+        Window
+            Pixels of the deformed image.
+        """
+        return self.view.correlation.displaced_window(self._displacement(q))
 
-    def in_unknowns(self, matrix: sparse.csr_matrix) -> sparse.csr_matrix:
-        """M in the unknowns, weighted, from that in displacements in the image (n_dofs, n_dofs)."""
-        if self.pose is None:
-            return matrix
-        t = self.pose.tangent
-        return (self.pose.weight * (t.T @ matrix @ t)).tocsr()
+    def compute_residual(self, q: NDArray[np.float64], *, all_kinds: bool = False) -> Residual:
+        """Pass over all pixels once.
 
-    def residual(self, q: NDArray[np.float64], *, all_kinds: bool = False) -> Residual:
-        """One pass over all pixels with unknowns q; all_kinds: also what a grey correction needs."""
-        return self.correlation.residual(self.deformed, self.displacement(q), all_kinds=all_kinds)
+        Parameters
+        ----------
+        q : (n_unknowns,) array
+            The subdomain's unknowns.
+        all_kinds : bool
+            Whether to sum up also what a correction of grey levels needs.
 
-    def right_hand_side(self, residual: Residual, gain: NDArray[np.float64] | float = 1.0,
-                        offset: NDArray[np.float64] | float = 0.0) -> NDArray[np.float64]:
-        """Right-hand side b of this camera, (n_unknowns,)."""
-        b = self.correlation.right_hand_side(residual, gain, offset)
-        return b if self.pose is None else np.asarray(self.pose.weight * (self.pose.tangent.T @ b))
+        Returns
+        -------
+        Residual
+            Moments and sums of f - g(x + u).
+        """
+        return self.view.correlation.compute_residual(self.deformed, self._displacement(q), all_kinds=all_kinds)
 
-    def residual_image(self, q: NDArray[np.float64], gain: NDArray[np.float64] | float = 1.0,
-                       offset: NDArray[np.float64] | float = 0.0) -> NDArray[np.float32]:
-        """Residual f - gain g(x + u) - offset on the reference window, NaN on pixels that do not count."""
-        return self.correlation.residual_image(self.deformed, self.displacement(q), gain, offset)
+    def assemble_right_hand_side(self, residual: Residual, gain: Correction = 1.0,
+                                 offset: Correction = 0.0) -> NDArray[np.float64]:
+        """Assemble b of this camera in the subdomain's unknowns, w T^T b, Eq. 5 of [BP17].
+
+        Parameters
+        ----------
+        residual : Residual
+            Of `compute_residual`.
+        gain, offset : float or (n_cells,) array
+            Of f = gain g + offset; no unit, and grey levels.
+
+        Returns
+        -------
+        (n_unknowns,) array
+            The camera's part of b_s, grey levels squared per pixel.
+        """
+        b = self.view.correlation.assemble_right_hand_side(residual, gain, offset)
+        projected = self.view.kinematics.project_vector(b)
+        return projected if self.view.weight == 1.0 else self.view.weight * projected
+
+    def compute_residual_image(self, q: NDArray[np.float64], gain: Correction = 1.0,
+                               offset: Correction = 0.0) -> NDArray[np.float32]:
+        """Compute the residual f - gain g(x + u) - offset pixel by pixel.
+
+        Parameters
+        ----------
+        q : (n_unknowns,) array
+            The subdomain's unknowns.
+        gain, offset : float or (n_cells,) array
+            Of f = gain g + offset; no unit, and grey levels.
+
+        Returns
+        -------
+        (height, width) array
+            Grey levels on the reference window, nan on pixels that do not count.
+        """
+        return self.view.correlation.compute_residual_image(self.deformed, self._displacement(q), gain, offset)
+
+    def without_hidden(self, q: NDArray[np.float64]) -> View:
+        """Leave out the pixels that unknowns hide: outside the deformed image, or on excluded pixels of it.
+
+        Parameters
+        ----------
+        q : (n_unknowns,) array
+            The subdomain's unknowns.
+
+        Returns
+        -------
+        View
+            The reference's view with the pixels that are left.
+        """
+        correlation = self.view.correlation.without_hidden(self.deformed, self._displacement(q))
+        return replace(self.view, correlation=correlation)
+
+    def _displacement(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+        return self.view.kinematics.displacement(q)

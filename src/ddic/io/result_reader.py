@@ -14,19 +14,38 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
+from ddic.io.mesh_export import to_meshio, to_pyvista
+from ddic.mesh.interpolation import interpolate
 from ddic.mesh.mesh import Mesh
 
 SAME_NODE_PX = 1e-9
+"""Distance, pixels, from a node below which a point is that node: rounding of coordinates."""
 
 
 @dataclass(frozen=True)
 class Result:
     """A measured field; pixels, y down.
 
-    mesh: nodes by global node number, cells by global cell number.
-    displacement: (n_nodes, 2) pixels. point_data, cell_data: all fields, vectors (n, 3), tensors (n, 6).
-    subdomain_ids: (n_cells,). gauss_newton: the table's columns. krylov: residual history of each iteration.
-    attributes: of the groups case, provenance, time and units. flipped: the file itself has y up.
+    Attributes
+    ----------
+    path : Path
+        The file.
+    mesh : Mesh
+        Nodes by global node number, cells by global cell number; pixels.
+    displacement : (n_nodes, 2) array
+        Pixels.
+    point_data, cell_data : dict
+        All fields as the file holds them: (n,) scalars, (n, 3) vectors, (n, 6) symmetric tensors XX YY ZZ XY YZ XZ.
+    subdomain_ids : (n_cells,) array
+        Subdomain of each cell.
+    gauss_newton : dict
+        Columns of the table of iterations.
+    krylov : tuple of (n,) array
+        Relative residuals of the interface problem, of each iteration of Gauss-Newton.
+    attributes : dict of dict
+        Of the groups case, provenance, time, units and near_1, near_2, ...
+    flipped : bool
+        The file itself has y up.
     """
 
     path: Path
@@ -45,33 +64,108 @@ class Result:
         """Number of subdomains."""
         return len(np.unique(self.subdomain_ids))
 
+    @property
+    def fields(self) -> Mapping[str, NDArray[Any]]:
+        """All fields by name, those at the nodes first: (n,) scalars, (n, 2) vectors, (n, 6) symmetric tensors."""
+        fields = {**self.point_data, **self.cell_data}
+        for name, values in fields.items():
+            if values.ndim == 2 and values.shape[1] == schema.VECTOR:
+                fields[name] = values[:, :self.mesh.dim]
+        return fields
+
+    def at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Interpolate the displacement by the shape functions of the cell that holds a point.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels of the reference image.
+
+        Returns
+        -------
+        (n, 2) array
+            Pixels; nan outside the mesh and in its holes.
+        """
+        return interpolate(self.mesh, self.displacement, np.asarray(points, np.float64))
+
+    def to_meshio(self) -> Any:
+        """Make a meshio mesh with all fields.
+
+        Returns
+        -------
+        meshio.Mesh
+            Pixels, y down; vectors of three components; a block of cells for each cell type.
+        """
+        return to_meshio(self.mesh, self.point_data, self.cell_data)
+
+    def to_pyvista(self) -> Any:
+        """Make a PyVista grid with all fields.
+
+        Returns
+        -------
+        pyvista.UnstructuredGrid
+            Pixels, y down; vectors of three components.
+
+        Raises
+        ------
+        InputError
+            Where PyVista is not installed.
+        """
+        return to_pyvista(self.mesh, self.point_data, self.cell_data)
+
     @cached_property
     def residual_image(self) -> NDArray[np.float32] | None:
         """The residual image (height, width), grey levels, read at first use; None if it was not written."""
         with h5py.File(self.path, "r") as file:
-            if schema.RESIDUAL_IMAGE not in file:
-                return None
-            return np.asarray(file[schema.RESIDUAL_IMAGE][schema.RESIDUAL], np.float32)
+            return _read_residual_image(file)
 
 
 def read_result(path: Path | str) -> Result:
-    """Read a result file; raises InputError if it is missing, foreign, damaged or of a newer major schema."""
+    """Read a result file.
+
+    Parameters
+    ----------
+    path : Path or str
+        The file.
+
+    Returns
+    -------
+    Result
+        One mesh and its fields, y down.
+
+    Raises
+    ------
+    InputError
+        Where it is missing, foreign, damaged or of a newer major schema.
+    """
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such result file; check the path")
     try:
         with h5py.File(path, "r") as file:
             _check_schema(path, file)
-            return _read(path, file)
+            return read_open_file(path, file)
     except (OSError, KeyError, ValueError, IndexError) as error:
         raise InputError(f"{path}: not a readable ddic result file ({error}); run ddic again") from error
 
 
 def displacement_at(result: Result, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Displacement of a result at points of the reference image, to start another run from it.
+    """Guess the displacement of a result anywhere, to start another run from it.
 
-    points: (n, 2) pixels. Returns (n, 2) pixels: the nodal value where a node lies within 1e-9 px,
-    else linear interpolation between the nodes (Delaunay), and the nearest node outside their hull.
+    ``Result.at`` is the displacement that was measured; this is a number everywhere, in holes and outside too.
+
+    Parameters
+    ----------
+    result : Result
+        The earlier result.
+    points : (n, 2) array
+        Pixels of the reference image.
+
+    Returns
+    -------
+    (n, 2) array
+        Pixels: the nodal value where a node lies within 1e-9 px, else linear interpolation between the nodes
+        (Delaunay), and the nearest node outside their hull.
     """
     from scipy.interpolate import LinearNDInterpolator
     from scipy.spatial import cKDTree
@@ -87,6 +181,7 @@ def displacement_at(result: Result, points: NDArray[np.float64]) -> NDArray[np.f
 
 
 def _check_schema(path: Path, file: Any) -> None:
+    """Refuse what is no result, or one that this program would misread."""
     version = str(file.attrs.get("ddic_schema", ""))
     if not version or schema.VTKHDF not in file:
         raise InputError(f"{path}: an HDF5 file, but not a ddic result; give a file written by ddic run")
@@ -98,19 +193,34 @@ def _check_schema(path: Path, file: Any) -> None:
                          "use the ddic version that wrote it")
 
 
-def _read(path: Path, file: Any) -> Result:
+def read_open_file(path: Path, file: Any) -> Result:
+    """Join the pieces of an open file.
+
+    Parameters
+    ----------
+    path : Path
+        Its name; an empty one for a file in memory, whose residual image is read at once.
+    file : h5py.File
+        Open for reading.
+
+    Returns
+    -------
+    Result
+        The measured field.
+    """
     flipped = str(file.attrs["y_axis"]) == "up"
     points = _unflipped(file[schema.VTKHDF]["Points"][...], flipped)
     point_data = _fields(file[schema.POINT_DATA], flipped)
     cell_data = _fields(file[schema.CELL_DATA], flipped)
-    first_copy = np.unique(point_data[schema.GLOBAL_NODE_ID], return_index=True)[1]
+    global_ids = point_data[schema.GLOBAL_NODE_ID]
+    # Interface nodes stand in every piece that has them, all copies with the same values.
+    first_copy = np.unique(global_ids, return_index=True)[1]
+    node_ids = np.searchsorted(global_ids[first_copy], global_ids)
     order = np.argsort(cell_data[schema.GLOBAL_CELL_ID], kind="stable")
-    node_ids = np.searchsorted(point_data[schema.GLOBAL_NODE_ID][first_copy],
-                               point_data[schema.GLOBAL_NODE_ID])
     mesh = _merged_mesh(file[schema.VTKHDF], points[first_copy, :2], node_ids, order)
     at_nodes = {name: values[first_copy] for name, values in point_data.items()}
     on_cells = {name: values[order] for name, values in cell_data.items()}
-    return Result(
+    result = Result(
         path=path,
         mesh=mesh,
         displacement=np.ascontiguousarray(at_nodes[schema.DISPLACEMENT][:, :2]),
@@ -119,10 +229,20 @@ def _read(path: Path, file: Any) -> Result:
         subdomain_ids=on_cells[schema.SUBDOMAIN_ID].astype(np.int64),
         gauss_newton=_arrays(file, schema.GAUSS_NEWTON),
         krylov=tuple(_arrays(file, schema.KRYLOV).values()),
-        attributes={name: dict(file[name].attrs) for name in file
-                    if name in schema.ATTRIBUTE_GROUPS or name.startswith(schema.near_group(0)[:-1])},
+        attributes={name: dict(file[name].attrs) for name in file if schema.has_attributes(name)},
         flipped=flipped,
     )
+    if path == Path():
+        # What is computed at first use may also be put in place, whatever the class is frozen for.
+        result.__dict__["residual_image"] = _read_residual_image(file)
+    return result
+
+
+def _read_residual_image(file: Any) -> NDArray[np.float32] | None:
+    """The first residual image of an open file; None if there is none."""
+    if schema.RESIDUAL_IMAGE not in file:
+        return None
+    return np.asarray(file[schema.RESIDUAL_IMAGE][schema.RESIDUAL], np.float32)
 
 
 def _merged_mesh(group: Any, nodes: NDArray[np.float64], node_ids: NDArray[np.int64],
@@ -144,12 +264,17 @@ def _merged_mesh(group: Any, nodes: NDArray[np.float64], node_ids: NDArray[np.in
 
 
 def _fields(group: Any, flipped: bool) -> dict[str, NDArray[Any]]:
+    """All datasets of a group, y down."""
     return {name: _unflipped(data[...], flipped) for name, data in group.items()}
 
 
 def _unflipped(values: NDArray[Any], flipped: bool) -> NDArray[Any]:
+    """Values with y down; flipped: the file has it up."""
     return schema.flip_components(values) if flipped else values
 
 
 def _arrays(file: Any, group: str) -> dict[str, NDArray[Any]]:
-    return {name: data[...] for name, data in file[group].items()} if group in file else {}
+    """All datasets of a group; none where there is no such group."""
+    if group not in file:
+        return {}
+    return {name: data[...] for name, data in file[group].items()}

@@ -24,6 +24,7 @@ CASE = "case"
 PROVENANCE = "provenance"
 TIME = "time"
 UNITS = "units"
+NEAR_PREFIX = "near_"
 ATTRIBUTE_GROUPS = (CASE, PROVENANCE, TIME, UNITS)
 
 DISPLACEMENT = "displacement"
@@ -46,7 +47,16 @@ TENSOR_COMPONENTS = ("XX", "YY", "ZZ", "XY", "YZ", "XZ")
 class FieldSpec:
     """A field at nodes or on cells.
 
-    n_components: 1, 3 (vector) or 6 (symmetric tensor XX YY ZZ XY YZ XZ); unit and description are stored.
+    Attributes
+    ----------
+    name : str
+        Of the dataset.
+    n_components : int
+        1, 3 (vector) or 6 (symmetric tensor XX YY ZZ XY YZ XZ).
+    dtype : dtype
+        Of a component.
+    unit, description : str
+        Stored beside the values.
     """
 
     name: str
@@ -57,7 +67,18 @@ class FieldSpec:
 
 
 def point_fields(length_unit: str | None) -> tuple[FieldSpec, ...]:
-    """Fields at the nodes; length_unit: unit of the pixel size, None if it is not known."""
+    """List the fields at the nodes.
+
+    Parameters
+    ----------
+    length_unit : str or None
+        Unit of the pixel size, None if it is not known.
+
+    Returns
+    -------
+    tuple of FieldSpec
+        In the order of the file.
+    """
     fields = (
         FieldSpec(DISPLACEMENT, VECTOR, np.float64, "px", "displacement in pixels, mean of interface copies"),
         FieldSpec(DISPLACEMENT_MESH_UNITS, VECTOR, np.float64, "mesh unit",
@@ -71,7 +92,18 @@ def point_fields(length_unit: str | None) -> tuple[FieldSpec, ...]:
 
 
 def cell_fields(n_cameras: int = 1) -> tuple[FieldSpec, ...]:
-    """Fields on the cells."""
+    """List the fields on the cells.
+
+    Parameters
+    ----------
+    n_cameras : int, optional
+        Of the measurement; with several, each cell has the number of its camera.
+
+    Returns
+    -------
+    tuple of FieldSpec
+        In the order of the file.
+    """
     fields = (
         FieldSpec(STRAIN_INFINITESIMAL, SYMMETRIC_TENSOR, np.float64, "1", "infinitesimal strain, cell mean"),
         FieldSpec(STRAIN_GREEN_LAGRANGE, SYMMETRIC_TENSOR, np.float64, "1",
@@ -87,27 +119,105 @@ def cell_fields(n_cameras: int = 1) -> tuple[FieldSpec, ...]:
 
 
 def near_group(camera: int) -> str:
-    """The group with what is known of a near-field set-up, from 1."""
-    return f"near_{camera}"
+    """Name the group with what is known of a near-field set-up.
+
+    Parameters
+    ----------
+    camera : int
+        Its number, from 1.
+
+    Returns
+    -------
+    str
+        ``near_1``, ``near_2``, ...
+    """
+    return f"{NEAR_PREFIX}{camera}"
+
+
+def has_attributes(group: str) -> bool:
+    """Tell whether a group's attributes are part of the result.
+
+    Parameters
+    ----------
+    group : str
+        A group of the root.
+
+    Returns
+    -------
+    bool
+        Whether it is one of ATTRIBUTE_GROUPS or of a near-field set-up.
+    """
+    return group in ATTRIBUTE_GROUPS or group.startswith(NEAR_PREFIX)
 
 
 def residual_group(camera: int) -> str:
-    """The group of a camera's residual image: the far camera's, or the only one's, is number 0."""
+    """Name the group of a camera's residual image.
+
+    Parameters
+    ----------
+    camera : int
+        0 for the far camera, or the only one; then the near ones.
+
+    Returns
+    -------
+    str
+        ``residual_image``, ``residual_image_near_1``, ...
+    """
     return RESIDUAL_IMAGE if camera == 0 else f"{RESIDUAL_IMAGE}_near_{camera}"
 
 
+def summary_path(result: Path) -> Path:
+    """Name the summary beside a result file: NAME.json.
+
+    Parameters
+    ----------
+    result : Path
+        The result file.
+
+    Returns
+    -------
+    Path
+        In the same folder.
+    """
+    return result.with_suffix(".json")
+
+
 def sidecar_path(path: Path, camera: int = 0) -> Path:
-    """The ImageData file that shows a residual image of a result: NAME.residual.vtkhdf, NAME.near_1.residual.vtkhdf."""
+    """Name the ImageData file that shows a residual image of a result.
+
+    Parameters
+    ----------
+    path : Path
+        The result file.
+    camera : int, optional
+        0 for the far camera, or the only one; then the near ones.
+
+    Returns
+    -------
+    Path
+        In the same folder, NAME.residual.vtkhdf or NAME.near_1.residual.vtkhdf.
+    """
     near = "" if camera == 0 else f".near_{camera}"
     return path.with_name(f"{path.stem}{near}.residual.vtkhdf")
 
 
 def flip_components(values: NDArray[Any]) -> NDArray[Any]:
-    """Mirror vectors (n, 3) or symmetric tensors (n, 6) in y; scalars stay as they are.
+    """Mirror vectors or symmetric tensors in y; it is its own inverse.
 
-    The components with one y change sign: Y of a vector, XY and YZ of a tensor. Its own inverse.
+    The components with one y change sign: Y of a vector, XY and YZ of a tensor. Scalars stay as they are.
+
+    Parameters
+    ----------
+    values : (n,) or (n, 3) or (n, 6) array
+        Scalars, vectors or symmetric tensors.
+
+    Returns
+    -------
+    array
+        A copy of the same shape.
     """
-    columns = {VECTOR: [1], SYMMETRIC_TENSOR: [3, 4]}.get(values.shape[1] if values.ndim == 2 else 1, [])
+    n_components = values.shape[1] if values.ndim == 2 else 1
+    columns = {VECTOR: [1], SYMMETRIC_TENSOR: [3, 4]}.get(n_components, [])
     flipped = values.copy()
     for column in columns:
         flipped[:, column] = -flipped[:, column]

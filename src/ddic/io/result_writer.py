@@ -17,6 +17,7 @@ from ddic.io import result_schema as schema
 from ddic.io.image_chunks import ChunkGrid
 from ddic.io.replace_on_exit import replaced_on_exit
 from ddic.io.residual_sidecar import write_sidecar
+from ddic.io.result_reader import Result, read_open_file
 from ddic.io.result_schema import FieldSpec
 
 CHUNK_ROWS = 16384
@@ -25,7 +26,15 @@ CHUNK_CACHE_BYTES = 64 << 20
 
 @dataclass(frozen=True)
 class PieceSize:
-    """Sizes of a subdomain's piece; n_connectivity: sum of the nodes per cell."""
+    """Sizes of a subdomain's piece.
+
+    Attributes
+    ----------
+    n_points, n_cells : int
+        Nodes and cells.
+    n_connectivity : int
+        Sum of the nodes per cell.
+    """
 
     n_points: int
     n_cells: int
@@ -36,9 +45,18 @@ class PieceSize:
 class Piece:
     """A subdomain's mesh and fields, or those of several subdomains that follow each other.
 
-    points: (n_points, dim) pixels, y down. connectivity: (n_connectivity,) numbers of the piece's own points.
-    offsets: (n_cells + 1,) of each piece. types: (n_cells,) VTK cell types.
-    point_data, cell_data: name -> (n,) scalars, (n, dim) or (n, 3) vectors, (n, 6) symmetric tensors.
+    Attributes
+    ----------
+    points : (n_points, dim) array
+        Pixels, y down.
+    connectivity : (n_connectivity,) array
+        Numbers of the piece's own points.
+    offsets : (n_cells + 1,) array
+        Of each piece.
+    types : (n_cells,) array
+        VTK cell types.
+    point_data, cell_data : dict
+        Name -> (n,) scalars, (n, dim) or (n, 3) vectors, (n, 6) symmetric tensors.
     """
 
     points: NDArray[np.float64]
@@ -49,31 +67,44 @@ class Piece:
     cell_data: Mapping[str, NDArray[Any]]
 
 
+@dataclass(frozen=True)
+class _Pieces:
+    """The pieces announced: sizes, where each begins in (points, cells, connectivity), and their fields."""
+
+    sizes: tuple[PieceSize, ...]
+    starts: NDArray[np.int64]
+    point_fields: tuple[FieldSpec, ...]
+    cell_fields: tuple[FieldSpec, ...]
+
+
 class ResultWriter:
     """A result file under construction; use it in a ``with`` statement.
 
-    path: final name, taken only when all pieces are written and the block ends without an exception.
-    sizes: of all pieces. point_fields, cell_fields: what every piece brings. flip_y: write y upwards.
+    What a measurement is made of is up to it: pieces of a mesh with fields (``create_pieces``, ``write_pieces``),
+    images, tables, curves, attributes.
+
+    Parameters
+    ----------
+    path : Path or None
+        Final name, taken only when all pieces announced are written and the block ends without an exception; None
+        for a file in memory, which ``read_back`` reads.
+    flip_y : bool
+        Write y upwards.
     """
 
-    def __init__(self, path: Path, sizes: Sequence[PieceSize], point_fields: Sequence[FieldSpec],
-                 cell_fields: Sequence[FieldSpec], *, flip_y: bool) -> None:
-        self._path = Path(path)
-        self._sizes = tuple(sizes)
-        counts = np.array([(s.n_points, s.n_cells, s.n_connectivity) for s in sizes], np.int64).reshape(-1, 3)
-        self._starts = np.concatenate([np.zeros((1, 3), np.int64), np.cumsum(counts, axis=0)])
-        self._point_fields = tuple(point_fields)
-        self._cell_fields = tuple(cell_fields)
+    def __init__(self, path: Path | None, *, flip_y: bool = False) -> None:
+        self._path = path
         self._flip_y = flip_y
+        self._pieces: _Pieces | None = None
         self._written: set[int] = set()
         self._grids: list[ChunkGrid] = []
         self._stack = ExitStack()
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
-            temporary = stack.enter_context(replaced_on_exit(self._path))
-            self._file = stack.enter_context(h5py.File(temporary, "w", rdcc_nbytes=CHUNK_CACHE_BYTES))
-            self._create_grid()
+            self._file = stack.enter_context(self._open(stack))
+            self._file.attrs["ddic_schema"] = schema.SCHEMA_VERSION
+            self._file.attrs["y_axis"] = "up" if self._flip_y else "down"
             self._stack = stack.pop_all()
         return self
 
@@ -83,24 +114,64 @@ class ResultWriter:
             self._stack.__exit__(kind, error, trace)
             return
         with self._stack:
-            missing = sorted(set(range(len(self._sizes))) - self._written)
-            if missing:
-                raise ValueError(f"{self._path}: pieces {missing} were not written")
+            self._refuse_missing_pieces()
+        if self._path is None:
+            return
         if not self._grids:
             # One of an earlier run would point to an image that is no longer there.
             schema.sidecar_path(self._path).unlink(missing_ok=True)
         for camera, grid in enumerate(self._grids):
             write_sidecar(self._path, camera, width=grid.width, height=grid.height, flip_y=self._flip_y)
 
-    def write_pieces(self, indices: range, pieces: Piece) -> None:
-        """Write the mesh and fields of some pieces that follow each other, joined to one (``joined``).
+    def read_back(self) -> Result:
+        """Read what was written, with the residual image, while the file is open.
 
-        Raises ValueError if one was written before, or if the arrays do not have the announced shapes.
+        Returns
+        -------
+        Result
+            In memory.
         """
+        self._refuse_missing_pieces()
+        return read_open_file(Path() if self._path is None else self._path, self._file)
+
+    def create_pieces(self, sizes: Sequence[PieceSize], point_fields: Sequence[FieldSpec],
+                      cell_fields: Sequence[FieldSpec]) -> None:
+        """Make room for a mesh in pieces, and its fields.
+
+        Parameters
+        ----------
+        sizes : sequence of PieceSize
+            Of all pieces.
+        point_fields, cell_fields : sequence of FieldSpec
+            What every piece brings.
+        """
+        counts = np.array([(s.n_points, s.n_cells, s.n_connectivity) for s in sizes], np.int64).reshape(-1, 3)
+        starts = np.concatenate([np.zeros((1, 3), np.int64), np.cumsum(counts, axis=0)])
+        self._pieces = _Pieces(tuple(sizes), starts, tuple(point_fields), tuple(cell_fields))
+        self._create_grid(self._pieces)
+
+    def write_pieces(self, indices: range, pieces: Piece) -> None:
+        """Write the mesh and fields of some pieces that follow each other.
+
+        Parameters
+        ----------
+        indices : range
+            Numbers of the pieces.
+        pieces : Piece
+            These, joined to one (``joined``).
+
+        Raises
+        ------
+        ValueError
+            If one was written before, or if the arrays do not have the announced shapes.
+        """
+        if self._pieces is None:
+            raise ValueError("create_pieces comes before write_pieces")
         again = sorted(self._written.intersection(indices))
         if again:
             raise ValueError(f"pieces {again} were written before")
-        start, stop = self._start(indices.start), self._start(indices.stop)
+        announced = self._pieces
+        start, stop = _start_of(announced, indices.start), _start_of(announced, indices.stop)
         n_points, n_cells = stop.n_points - start.n_points, stop.n_cells - start.n_cells
         for what, found, expected in (("points", len(pieces.points), n_points),
                                       ("types", len(pieces.types), n_cells),
@@ -115,12 +186,18 @@ class ResultWriter:
         _put(group["Connectivity"], start.n_connectivity, pieces.connectivity)
         _put(group["Offsets"], start.n_cells + indices.start, pieces.offsets)
         _put(group["Types"], start.n_cells, pieces.types)
-        self._write_fields(schema.POINT_DATA, self._point_fields, pieces.point_data, start.n_points, n_points)
-        self._write_fields(schema.CELL_DATA, self._cell_fields, pieces.cell_data, start.n_cells, n_cells)
+        self._write_fields(schema.POINT_DATA, announced.point_fields, pieces.point_data, start.n_points, n_points)
+        self._write_fields(schema.CELL_DATA, announced.cell_fields, pieces.cell_data, start.n_cells, n_cells)
         self._written.update(indices)
 
     def create_residual_image(self, grid: ChunkGrid) -> None:
-        """Make room for the next camera's residual image; it is NaN where no chunk is written."""
+        """Make room for the next camera's residual image; it is NaN where no chunk is written.
+
+        Parameters
+        ----------
+        grid : ChunkGrid
+            Its chunks.
+        """
         group = schema.residual_group(len(self._grids))
         data = self._file.create_dataset(f"{group}/{schema.RESIDUAL}", (grid.height, grid.width),
                                          "<f4", chunks=grid.shape, compression="gzip", compression_opts=1,
@@ -132,14 +209,40 @@ class ResultWriter:
         self._residual = data.id
 
     def write_residual_chunk(self, number: int, data: bytes) -> None:
-        """Write one chunk of the last residual image; data: as ``packed`` makes it. It is not unpacked here."""
+        """Write one chunk of the last residual image; it is not unpacked here.
+
+        Parameters
+        ----------
+        number : int
+            Of the chunk.
+        data : bytes
+            As ``packed`` makes it.
+
+        Raises
+        ------
+        ValueError
+            If there is no residual image yet.
+        """
         if not self._grids:
             raise ValueError("create_residual_image comes before write_residual_chunk")
         window = self._grids[-1].window(number)
         self._residual.write_direct_chunk((window.y0, window.x0), data)
 
     def write_table(self, group: str, columns: Mapping[str, Sequence[Any] | NDArray[Any]]) -> None:
-        """Write a table, one dataset per column of numbers or texts; all columns have the same length."""
+        """Write a table, one dataset per column of numbers or texts.
+
+        Parameters
+        ----------
+        group : str
+            Name of the table.
+        columns : dict
+            Name -> (n_rows,) values.
+
+        Raises
+        ------
+        ValueError
+            If columns have different lengths.
+        """
         arrays = {name: np.asarray(column) for name, column in columns.items()}
         if len({len(array) for array in arrays.values()}) > 1:
             raise ValueError(f"{group}: columns of different lengths")
@@ -148,50 +251,85 @@ class ResultWriter:
             target[name] = array.astype(h5py.string_dtype()) if array.dtype.kind == "U" else array
 
     def write_curves(self, group: str, curves: Sequence[Sequence[float] | NDArray[np.float64]]) -> None:
-        """Write arrays of different lengths as datasets 0000, 0001, ..."""
+        """Write arrays of different lengths as datasets 0000, 0001, ...
+
+        Parameters
+        ----------
+        group : str
+            Name of the group.
+        curves : sequence of (n,) array
+            Of any lengths.
+        """
         target = self._file.require_group(group)
         for number, curve in enumerate(curves):
             target[f"{number:04d}"] = np.asarray(curve, np.float64)
 
     def write_attributes(self, group: str, values: Mapping[str, Any]) -> None:
-        """Write texts, numbers and lists of them as attributes of a group."""
+        """Write attributes of a group.
+
+        Parameters
+        ----------
+        group : str
+            Name of the group, which is made where there is none.
+        values : dict
+            Name -> text, number or list of them.
+        """
         target = self._file.require_group(group)
         for name, value in values.items():
             target.attrs[name] = value
 
-    def _start(self, index: int) -> PieceSize:
-        """Where a piece begins."""
-        return PieceSize(*(int(n) for n in self._starts[index]))
+    def _open(self, stack: ExitStack) -> h5py.File:
+        """The file under its temporary name, or in memory."""
+        if self._path is None:
+            return h5py.File("in memory", "w", driver="core", backing_store=False)
+        temporary = stack.enter_context(replaced_on_exit(self._path))
+        return h5py.File(temporary, "w", rdcc_nbytes=CHUNK_CACHE_BYTES)
+
+    def _refuse_missing_pieces(self) -> None:
+        """Raise where an announced piece has not been written."""
+        announced = 0 if self._pieces is None else len(self._pieces.sizes)
+        missing = sorted(set(range(announced)) - self._written)
+        if missing:
+            raise ValueError(f"{self._path}: pieces {missing} were not written")
 
     def _oriented(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Vectors and tensors as the file has them."""
         return schema.flip_components(values) if self._flip_y else values
 
-    def _create_grid(self) -> None:
-        total = self._start(len(self._sizes))
-        self._file.attrs["ddic_schema"] = schema.SCHEMA_VERSION
-        self._file.attrs["y_axis"] = "up" if self._flip_y else "down"
+    def _create_grid(self, pieces: _Pieces) -> None:
+        """Make room for the mesh and its fields."""
+        sizes = pieces.sizes
+        total = _start_of(pieces, len(sizes))
         group = self._file.create_group(schema.VTKHDF)
         group.attrs["Version"] = np.array(schema.VTKHDF_VERSION, np.int64)
         # VTK's reader wants fixed-length ASCII here, not h5py's variable-length UTF-8.
         group.attrs.create("Type", np.bytes_("UnstructuredGrid"))
-        for name, counts in (("NumberOfPoints", [s.n_points for s in self._sizes]),
-                             ("NumberOfCells", [s.n_cells for s in self._sizes]),
-                             ("NumberOfConnectivityIds", [s.n_connectivity for s in self._sizes])):
+        counts_by_name = {
+            "NumberOfPoints": [s.n_points for s in sizes],
+            "NumberOfCells": [s.n_cells for s in sizes],
+            "NumberOfConnectivityIds": [s.n_connectivity for s in sizes],
+        }
+        for name, counts in counts_by_name.items():
             _create(group, name, len(counts), 1, np.int64)[...] = counts
         _create(group, "Points", total.n_points, 3, np.float64).attrs["unit"] = "px"
         _create(group, "Connectivity", total.n_connectivity, 1, np.int64)
-        _create(group, "Offsets", total.n_cells + len(self._sizes), 1, np.int64)
+        # Each piece has one offset more than cells.
+        _create(group, "Offsets", total.n_cells + len(sizes), 1, np.int64)
         _create(group, "Types", total.n_cells, 1, np.uint8)
-        for name, fields, length in ((schema.POINT_DATA, self._point_fields, total.n_points),
-                                     (schema.CELL_DATA, self._cell_fields, total.n_cells)):
-            data = self._file.create_group(name)
-            for field in fields:
-                created = _create(data, field.name, length, field.n_components, field.dtype)
-                created.attrs["unit"] = field.unit
-                created.attrs["description"] = field.description
+        self._create_fields(schema.POINT_DATA, pieces.point_fields, total.n_points)
+        self._create_fields(schema.CELL_DATA, pieces.cell_fields, total.n_cells)
+
+    def _create_fields(self, name: str, fields: Sequence[FieldSpec], length: int) -> None:
+        """Make room for the fields of a group."""
+        group = self._file.create_group(name)
+        for field in fields:
+            created = _create(group, field.name, length, field.n_components, field.dtype)
+            created.attrs["unit"] = field.unit
+            created.attrs["description"] = field.description
 
     def _write_fields(self, group: str, fields: Sequence[FieldSpec], arrays: Mapping[str, NDArray[Any]],
                       start: int, length: int) -> None:
+        """Write the fields of a group, rows from ``start`` on; they must be those announced."""
         names = {field.name for field in fields}
         if names != set(arrays):
             raise ValueError(f"{group}: fields {sorted(arrays)}, {sorted(names)} announced")
@@ -205,8 +343,24 @@ class ResultWriter:
             _put(self._file[group][field.name], start, self._oriented(values))
 
 
+def _start_of(pieces: _Pieces, index: int) -> PieceSize:
+    """Where a piece begins."""
+    return PieceSize(*(int(n) for n in pieces.starts[index]))
+
+
 def joined(pieces: Sequence[Piece]) -> Piece:
-    """Pieces one after the other, as the file holds them: every piece still numbers its own points from 0."""
+    """Join pieces, one after the other, as the file holds them.
+
+    Parameters
+    ----------
+    pieces : sequence of Piece
+        At least one.
+
+    Returns
+    -------
+    Piece
+        In which every piece still numbers its own points from 0.
+    """
     if len(pieces) == 1:
         return pieces[0]
 
@@ -226,10 +380,12 @@ def _create(group: Any, name: str, length: int, n_components: int, dtype: DTypeL
 
 
 def _put(dataset: Any, start: int, values: NDArray[Any]) -> None:
+    """Write values to the rows from ``start`` on."""
     dataset[start:start + len(values)] = values
 
 
 def _three_components(vectors: NDArray[Any]) -> NDArray[Any]:
+    """Vectors with zeros for the components that they do not have, (n, 3)."""
     if vectors.ndim != 2 or vectors.shape[1] > 3:
         raise ValueError(f"vectors of shape {vectors.shape}, (n, dim) expected")
     return np.pad(vectors, ((0, 0), (0, 3 - vectors.shape[1])))

@@ -1,1 +1,1 @@
-"""From unknowns to displacements at points."""
+"""From unknowns to displacements of nodes, and strain."""

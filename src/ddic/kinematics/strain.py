@@ -3,49 +3,83 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.shapes import CENTRES, shape_gradients
+from ddic.mesh.shapes import compute_shape_gradients
 
 
 @dataclass(frozen=True)
 class Strain:
-    """Symmetric tensors (exx, eyy, exy) per cell, each (n_cells, 3), no unit.
+    """Symmetric tensors of every cell, no unit: in the plane (exx, eyy, exy).
 
-    infinitesimal: (grad u + grad u^T) / 2; green_lagrange: that plus grad u^T grad u / 2.
+    Attributes
+    ----------
+    infinitesimal : (n_cells, dim (dim + 1) / 2) array
+        (grad u + grad u^T) / 2.
+    green_lagrange : (n_cells, dim (dim + 1) / 2) array
+        That plus grad u^T grad u / 2.
     """
 
     infinitesimal: NDArray[np.float64]
     green_lagrange: NDArray[np.float64]
 
 
-def cell_strain(mesh: Mesh, q: NDArray[np.float64]) -> Strain:
-    """Strain at the centre of every cell from nodal displacement q (n_dofs,), pixels."""
-    gradient = _cell_gradient(mesh, q)
+def compute_strain(mesh: Mesh, q: NDArray[np.float64]) -> Strain:
+    """Compute the strain at the centre of every cell.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Any.
+    q : (n_dofs,) array
+        Nodal displacement, pixels.
+
+    Returns
+    -------
+    Strain
+        Of every cell.
+    """
+    gradient = _cell_gradients(mesh, q)
     small = 0.5 * (gradient + gradient.transpose(0, 2, 1))
     large = small + 0.5 * np.einsum("eki,ekj->eij", gradient, gradient)
-    return Strain(_voigt(small), _voigt(large))
+    return Strain(_independent_components(small), _independent_components(large))
 
 
-def inverted_cells(mesh: Mesh, q: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Numbers of the cells that q (n_dofs,), pixels, turns inside out at their centre: det(I + grad u) <= 0."""
-    return np.flatnonzero(np.linalg.det(np.eye(2) + _cell_gradient(mesh, q)) <= 0).astype(np.int64)
+def find_inverted_cells(mesh: Mesh, q: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Find the cells that a displacement turns inside out at their centre: det(I + grad u) <= 0.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Any.
+    q : (n_dofs,) array
+        Nodal displacement, pixels.
+
+    Returns
+    -------
+    (n,) int64 array
+        Their sorted numbers.
+    """
+    deformation = np.eye(mesh.dim) + _cell_gradients(mesh, q)
+    return np.flatnonzero(np.linalg.det(deformation) <= 0).astype(np.int64)
 
 
-def _cell_gradient(mesh: Mesh, q: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Displacement gradient du_c/dx_j at the centre of every cell, (n_cells, 2, 2)."""
-    gradient = np.empty((mesh.n_cells, 2, 2))
+def _cell_gradients(mesh: Mesh, q: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Displacement gradient du_c/dx_j at the centre of every cell, (n_cells, dim, dim)."""
+    gradient = np.empty((mesh.n_cells, mesh.dim, mesh.dim))
     u = q.reshape(mesh.nodes.shape)
-    for cell_type in np.unique(mesh.types):
-        members = np.flatnonzero(mesh.types == cell_type)
-        slopes, _ = shape_gradients(mesh, members, CENTRES[int(cell_type)])
-        nodal = u[mesh.cells[members][:, : slopes.shape[2]]]
-        gradient[members] = np.einsum("ekc,ekj->ecj", nodal, slopes[:, 0])
+    for block in mesh.cell_blocks:
+        slopes, _ = compute_shape_gradients(mesh, block, block.type.centre[None])
+        gradient[block.cells] = np.einsum("eac,eaj->ecj", u[block.nodes], slopes[:, 0])
     return gradient
 
 
-def _voigt(tensor: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.stack([tensor[:, 0, 0], tensor[:, 1, 1], tensor[:, 0, 1]], axis=1)
+def _independent_components(tensor: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The diagonal of symmetric tensors (n, dim, dim), then what is above it."""
+    dim = tensor.shape[-1]
+    places = [(i, i) for i in range(dim)] + list(combinations(range(dim), 2))
+    return np.stack([tensor[:, i, j] for i, j in places], axis=1)

@@ -10,28 +10,80 @@ from numpy.typing import NDArray
 
 
 class Hole(Protocol):
-    """A closed outline; points are (n, 2), pixels."""
+    """A closed outline in the plane."""
 
     def distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Distance to the outline, (n,), pixels, negative inside."""
+        """Measure the distance to the outline.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n,) array
+            Pixels, negative inside.
+        """
 
     def nearest(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Nearest point of the outline, (n, 2), pixels."""
+        """Find the nearest point of the outline.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n, 2) array
+            Pixels.
+        """
 
 
 @dataclass(frozen=True)
 class CircularHole:
-    """A circle; centre and radius in pixels."""
+    """A circle.
+
+    Attributes
+    ----------
+    center : tuple of float
+        Pixels.
+    radius : float
+        Pixels.
+    """
 
     center: tuple[float, float]
     radius: float
 
     def distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Distance to the circle, (n,), pixels, negative inside."""
+        """Measure the distance to the circle.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n,) array
+            Pixels, negative inside.
+        """
         return np.asarray(np.linalg.norm(points - np.array(self.center), axis=1) - self.radius)
 
     def nearest(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Nearest point of the circle, (n, 2), pixels; the centre itself stays where it is."""
+        """Find the nearest point of the circle; the centre itself stays where it is.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n, 2) array
+            Pixels.
+        """
         offset = points - np.array(self.center)
         length = np.linalg.norm(offset, axis=1, keepdims=True)
         factor = np.divide(self.radius, length, out=np.zeros_like(length), where=length > 0)
@@ -40,22 +92,52 @@ class CircularHole:
 
 @dataclass(frozen=True)
 class PolygonalHole:
-    """A closed polygon; vertices (n, 2) in pixels, either sense, inside by the even-odd rule."""
+    """A closed polygon in either sense; inside is what the even-odd rule calls so.
+
+    Attributes
+    ----------
+    vertices : (n, 2) array
+        Pixels.
+    """
 
     vertices: NDArray[np.float64]
 
     def distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Distance to the polygon, (n,), pixels, negative inside."""
+        """Measure the distance to the polygon.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n,) array
+            Pixels, negative inside.
+        """
         away = np.linalg.norm(self.nearest(points) - points, axis=1)
         return np.where(self._inside(points), -away, away)
 
     def nearest(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Nearest point of the polygon, (n, 2), pixels."""
+        """Find the nearest point of the polygon.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n, 2) array
+            Pixels.
+        """
         best = np.array(points, dtype=np.float64)
         smallest = np.full(len(points), np.inf)
         for start, end in self._edges():
             edge = end - start
-            along = np.clip((points - start) @ edge / max(edge @ edge, np.finfo(float).tiny), 0.0, 1.0)
+            # An edge of no length has its start as its nearest point.
+            square = max(edge @ edge, np.finfo(float).tiny)
+            along = np.clip((points - start) @ edge / square, 0.0, 1.0)
             candidate = start + along[:, None] * edge
             away = np.linalg.norm(candidate - points, axis=1)
             closer = away < smallest
@@ -63,13 +145,16 @@ class PolygonalHole:
         return best
 
     def _inside(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Whether a ray to the right crosses the polygon an odd number of times, (n,)."""
+        x, y = points.T
         inside = np.zeros(len(points), dtype=bool)
         for (xa, ya), (xb, yb) in self._edges():
-            crosses = (ya > points[:, 1]) != (yb > points[:, 1])
+            spans = (ya > y) != (yb > y)
             height = yb - ya if yb != ya else 1.0
-            inside ^= crosses & (points[:, 0] < xa + (points[:, 1] - ya) * (xb - xa) / height)
+            inside ^= spans & (x < xa + (y - ya) * (xb - xa) / height)
         return inside
 
     def _edges(self) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+        """Start and end of each edge, pixels."""
         corners = np.asarray(self.vertices, dtype=np.float64)
         return list(zip(corners, np.roll(corners, -1, axis=0), strict=True))

@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-VTK_TRIANGLE = 5
-VTK_QUAD = 9
-NODES_PER_CELL = {VTK_TRIANGLE: 3, VTK_QUAD: 4}
-CELL_NAMES = {VTK_TRIANGLE: "T3", VTK_QUAD: "Q4"}
+from ddic.mesh.cell_type import CELL_TYPES, CellType
 
 
 @dataclass(frozen=True)
 class Similarity:
     """Mapping from mesh units to pixels, x_px = scale R(angle) x_mesh + translation.
 
-    scale: pixels per mesh unit; angle: radians, positive from +x to +y; translation: pixels.
+    Attributes
+    ----------
+    scale : float
+        Pixels per mesh unit.
+    angle : float
+        Radians, positive from +x to +y.
+    translation : tuple of float
+        Pixels.
     """
 
     scale: float = 1.0
@@ -28,29 +32,78 @@ class Similarity:
 
     @property
     def rotation(self) -> NDArray[np.float64]:
-        """Rotation matrix R, shape (2, 2)."""
+        """Rotation matrix R, (2, 2)."""
         c, s = np.cos(self.angle), np.sin(self.angle)
         return np.array([[c, -s], [s, c]])
 
     def to_pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Map points of shape (n, 2) from mesh units to pixels."""
+        """Map points to pixels.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Mesh units.
+
+        Returns
+        -------
+        (n, 2) array
+            Pixels.
+        """
         return np.asarray(self.scale * points @ self.rotation.T + np.asarray(self.translation))
 
     def vector_to_mesh_units(self, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Map displacement vectors of shape (n, 2) from pixels to mesh units."""
+        """Map displacements to mesh units.
+
+        Parameters
+        ----------
+        vectors : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n, 2) array
+            Mesh units.
+        """
         return vectors @ self.rotation / self.scale
+
+
+@dataclass(frozen=True, eq=False)
+class CellBlock:
+    """The cells of one type in a mesh.
+
+    Attributes
+    ----------
+    type : CellType
+        Of all these cells.
+    cells : (n,) int64 array
+        Their numbers in the mesh, sorted.
+    nodes : (n, type.n_nodes) int64 array
+        Their nodes.
+    """
+
+    type: CellType
+    cells: NDArray[np.int64]
+    nodes: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class Mesh:
     """Nodes and cells in pixel coordinates (x = column, y = row, pixel centres at integers).
 
-    nodes: (n_nodes, dim) float64, pixels.
-    connectivity: (sum of nodes per cell,) int64, the cells' nodes one after the other.
-    offsets: (n_cells + 1,) int64, cell e owns connectivity[offsets[e]:offsets[e + 1]].
-    types: (n_cells,) uint8, VTK cell types (5 = T3, 9 = Q4).
-    node_sets: name -> sorted node numbers.
-    mapping: from the mesh file's units to pixels.
+    Attributes
+    ----------
+    nodes : (n_nodes, dim) float64 array
+        Pixels.
+    connectivity : (sum of nodes per cell,) int64 array
+        The cells' nodes, one cell after the other.
+    offsets : (n_cells + 1,) int64 array
+        Cell e owns connectivity[offsets[e]:offsets[e + 1]].
+    types : (n_cells,) uint8 array
+        VTK numbers of the cells' types, keys of ``CELL_TYPES``.
+    node_sets : mapping of str to int64 arrays
+        Sorted node numbers by name.
+    mapping : Similarity
+        From the mesh file's units to pixels.
     """
 
     nodes: NDArray[np.float64]
@@ -77,12 +130,12 @@ class Mesh:
 
     @property
     def n_dofs(self) -> int:
-        """Number of displacement unknowns, node-major: dof = dim * node + component."""
+        """Number of the nodes' displacement components, node-major: dof = dim * node + component."""
         return self.nodes.size
 
     @cached_property
     def cells(self) -> NDArray[np.int64]:
-        """Nodes of each cell, shape (n_cells, widest cell), padded with -1."""
+        """Nodes of each cell, (n_cells, widest cell), padded with -1."""
         counts = np.diff(self.offsets)
         width = int(counts.max(initial=0))
         padded = np.full((self.n_cells, width), -1, dtype=np.int64)
@@ -90,40 +143,87 @@ class Mesh:
         return padded
 
     @cached_property
+    def cell_blocks(self) -> tuple[CellBlock, ...]:
+        """The cells by type, in order of the types' VTK numbers."""
+        blocks = []
+        for number in np.unique(self.types):
+            kind = CELL_TYPES[int(number)]
+            members = np.flatnonzero(self.types == number).astype(np.int64)
+            blocks.append(CellBlock(kind, members, self.cells[members, :kind.n_nodes]))
+        return tuple(blocks)
+
+    @cached_property
     def centroids(self) -> NDArray[np.float64]:
-        """Mean of each cell's nodes, shape (n_cells, dim), pixels."""
+        """Mean of each cell's nodes, (n_cells, dim), pixels."""
         sums = np.add.reduceat(self.nodes[self.connectivity], self.offsets[:-1], axis=0)
         return np.asarray(sums / np.diff(self.offsets)[:, None])
 
     def submesh(self, cells: NDArray[np.int64]) -> tuple[Mesh, NDArray[np.int64]]:
-        """Restrict to the given cells; returns the mesh and its nodes' numbers in this one (sorted)."""
+        """Restrict the mesh to some of its cells and to their nodes.
+
+        Parameters
+        ----------
+        cells : (n,) int64 array
+            Numbers of the cells to keep, in their new order.
+
+        Returns
+        -------
+        mesh : Mesh
+            Of these cells, with the node sets that are left.
+        node_ids : (mesh.n_nodes,) int64 array
+            Sorted numbers of its nodes in this mesh.
+        """
         padded = self.cells[cells]
         used = padded >= 0
         node_ids, local = np.unique(padded[used], return_inverse=True)
-        counts = used.sum(axis=1)
-        offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
         sets = {name: _restrict(node_ids, members) for name, members in self.node_sets.items()}
-        mesh = Mesh(self.nodes[node_ids], local.reshape(-1).astype(np.int64), offsets,
+        mesh = Mesh(self.nodes[node_ids], local.reshape(-1).astype(np.int64), _offsets(used.sum(axis=1)),
                     self.types[cells], sets, self.mapping)
         return mesh, node_ids
 
 
-def _restrict(node_ids: NDArray[np.int64], members: NDArray[np.int64]) -> NDArray[np.int64]:
-    return np.flatnonzero(np.isin(node_ids, members)).astype(np.int64)
-
-
-def mesh_from_cells(nodes: NDArray[np.float64], blocks: Mapping[int, NDArray[np.int64]],
+def build_mesh(nodes: NDArray[np.float64],
+                    blocks: Mapping[CellType, NDArray[np.int64]] | Iterable[tuple[CellType, NDArray[np.int64]]],
                     node_sets: Mapping[str, NDArray[np.int64]] | None = None,
                     mapping: Similarity | None = None) -> Mesh:
-    """Build a mesh from arrays of cells by VTK type; nodes (n, dim) in pixels, blocks[type] (n_cells, k)."""
-    flat = [np.asarray(block, dtype=np.int64) for block in blocks.values()]
-    counts = np.concatenate([np.full(len(b), b.shape[1]) for b in flat]) if flat else np.zeros(0, int)
-    types = np.concatenate([np.full(len(b), t) for t, b in blocks.items()]) if flat else np.zeros(0)
+    """Build a mesh from arrays of cells by type.
+
+    Parameters
+    ----------
+    nodes : (n_nodes, dim) array
+        Pixels.
+    blocks : mapping of CellType to (n, type.n_nodes) arrays, or such pairs
+        Nodes of the cells; the mesh's cells are in this order.
+    node_sets : mapping of str to int64 arrays, optional
+        Sorted node numbers by name.
+    mapping : Similarity, optional
+        From the mesh file's units to pixels.
+
+    Returns
+    -------
+    Mesh
+        Of these nodes and cells.
+    """
+    connectivity, counts, types = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0, np.uint8)]
+    for kind, block in blocks.items() if isinstance(blocks, Mapping) else blocks:
+        connectivity.append(np.asarray(block, dtype=np.int64).ravel())
+        counts.append(np.full(len(block), kind.n_nodes, dtype=np.int64))
+        types.append(np.full(len(block), kind.vtk, dtype=np.uint8))
     return Mesh(
         np.ascontiguousarray(nodes, dtype=np.float64),
-        np.concatenate([b.ravel() for b in flat]) if flat else np.zeros(0, np.int64),
-        np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
-        types.astype(np.uint8),
+        np.concatenate(connectivity),
+        _offsets(np.concatenate(counts)),
+        np.concatenate(types),
         dict(node_sets or {}),
         mapping or Similarity(),
     )
+
+
+def _offsets(counts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Where each cell's nodes begin, from their numbers."""
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+
+
+def _restrict(node_ids: NDArray[np.int64], members: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Places in node_ids of the members that it holds."""
+    return np.flatnonzero(np.isin(node_ids, members)).astype(np.int64)

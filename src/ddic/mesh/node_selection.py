@@ -12,10 +12,25 @@ from ddic.errors import InputError
 from ddic.mesh.mesh import Mesh
 
 
-def named_nodes(mesh: Mesh, name: str) -> NDArray[np.int64]:
-    """Sorted numbers of the nodes of a node set.
+def find_named_nodes(mesh: Mesh, name: str) -> NDArray[np.int64]:
+    """Look up a node set.
 
-    Raises InputError where the mesh has no such set, with the nearest name, or where the set is empty.
+    Parameters
+    ----------
+    mesh : Mesh
+        Any.
+    name : str
+        Of the set.
+
+    Returns
+    -------
+    (n,) int64 array
+        Sorted numbers of its nodes.
+
+    Raises
+    ------
+    InputError
+        Where the mesh has no such set, with the nearest name, or where the set is empty.
     """
     if name not in mesh.node_sets:
         near = get_close_matches(name, list(mesh.node_sets), n=1)
@@ -27,13 +42,28 @@ def named_nodes(mesh: Mesh, name: str) -> NDArray[np.int64]:
     return mesh.node_sets[name]
 
 
-def nodes_in_box(mesh: Mesh, box: Sequence[float]) -> NDArray[np.int64]:
-    """Sorted numbers of the nodes in a closed box, given as its lowest then its highest corner, pixels.
+def find_nodes_in_box(mesh: Mesh, box: Sequence[float]) -> NDArray[np.int64]:
+    """Find the nodes in a closed box.
 
-    Raises InputError where the box holds no node.
+    Parameters
+    ----------
+    mesh : Mesh
+        Any.
+    box : sequence of 2 dim floats
+        Its lowest corner, then its highest, pixels.
+
+    Returns
+    -------
+    (n,) int64 array
+        Their sorted numbers.
+
+    Raises
+    ------
+    InputError
+        Where the box holds no node.
     """
     low, high = np.array(box[:mesh.dim]), np.array(box[mesh.dim:])
-    inside = np.flatnonzero(((mesh.nodes >= low) & (mesh.nodes <= high)).all(axis=1))
-    if len(inside) == 0:
+    within = ((mesh.nodes >= low) & (mesh.nodes <= high)).all(axis=1)
+    if not within.any():
         raise InputError(f"the box {list(box)} (x0, y0, x1, y1 in pixels) holds no node of the mesh")
-    return inside.astype(np.int64)
+    return np.flatnonzero(within).astype(np.int64)

@@ -1,4 +1,4 @@
-"""Whether points lie in a mesh, and in which of its cells."""
+"""Whether points lie inside a mesh's outline, and which cells cover any of them."""
 
 from __future__ import annotations
 
@@ -6,38 +6,82 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.topology import boundary_facets
+from ddic.mesh.topology import find_boundary_facets
 
 _CHUNK = 1 << 22
+"""Pairs of a point and an edge that are compared at once; a larger value takes more memory."""
 
 
-def inside_outline(points: NDArray[np.float64], mesh: Mesh) -> NDArray[np.bool_]:
-    """Whether points (n, 2) lie inside a mesh's outline, (n,): a ray to the right crosses it an odd number of times."""
-    ends = mesh.nodes[boundary_facets(mesh)[:, :2]]
+def lie_inside_outline(points: NDArray[np.float64], mesh: Mesh) -> NDArray[np.bool_]:
+    """Tell whether points lie inside a mesh's outline: a ray to the right crosses it an odd number of times.
+
+    Parameters
+    ----------
+    points : (n, 2) array
+        Pixels.
+    mesh : Mesh
+        Of plane cells.
+
+    Returns
+    -------
+    (n,) bool array
+        False in its holes.
+    """
+    edges = mesh.nodes[find_boundary_facets(mesh)[:, :2]]
     low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
+    in_box = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
     inside = np.zeros(len(points), dtype=bool)
-    near = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
-    (x0, y0), (x1, y1) = ends[:, 0].T, ends[:, 1].T
-    step = max(1, _CHUNK // max(len(ends), 1))
-    for begin in range(0, len(near), step):
-        x, y = points[near[begin: begin + step]].T[..., None]
-        spans = (y0 > y) != (y1 > y)
-        crossing = x0 + (y - y0) * (x1 - x0) / np.where(y1 == y0, 1.0, y1 - y0)
-        inside[near[begin: begin + step]] = (spans & (crossing > x)).sum(axis=1) % 2 == 1
+    step = max(1, _CHUNK // max(len(edges), 1))
+    for begin in range(0, len(in_box), step):
+        chunk = in_box[begin: begin + step]
+        inside[chunk] = _count_crossings(points[chunk], edges) % 2 == 1
     return inside
 
 
-def cells_with_points(mesh: Mesh, points: NDArray[np.float64], margin: float) -> NDArray[np.int64]:
-    """Cells that hold any of points (n, 2) farther than ``margin`` from their edges; cells run positively."""
-    found = np.zeros(mesh.n_cells, dtype=bool)
+def find_cells_with_points(mesh: Mesh, points: NDArray[np.float64], margin: float) -> NDArray[np.int64]:
+    """Find the cells that hold any of some points well inside.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Of convex plane cells that run positively.
+    points : (n, 2) array
+        Pixels.
+    margin : float
+        Distance from a cell's edges beyond which a point counts, pixels.
+
+    Returns
+    -------
+    (n,) int64 array
+        Their sorted numbers.
+    """
+    corners = mesh.nodes[mesh.connectivity]
+    lowest = np.minimum.reduceat(corners, mesh.offsets[:-1], axis=0)
+    highest = np.maximum.reduceat(corners, mesh.offsets[:-1], axis=0)
     low, high = points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
-    lowest = np.minimum.reduceat(mesh.nodes[mesh.connectivity], mesh.offsets[:-1], axis=0)
-    highest = np.maximum.reduceat(mesh.nodes[mesh.connectivity], mesh.offsets[:-1], axis=0)
-    for cell in np.flatnonzero(((lowest < high) & (highest > low)).all(axis=1)):
-        corner = mesh.nodes[mesh.connectivity[mesh.offsets[cell]: mesh.offsets[cell + 1]]]
-        candidates = points[((points > lowest[cell]) & (points < highest[cell])).all(axis=1)]
-        along = np.roll(corner, -1, axis=0) - corner
-        apart = candidates[:, None] - corner
-        height = (along[:, 0] * apart[..., 1] - along[:, 1] * apart[..., 0]) / np.linalg.norm(along, axis=1)
-        found[cell] = (height > margin).all(axis=1).any()
+    near = ((lowest < high) & (highest > low)).all(axis=1)
+    found = np.zeros(mesh.n_cells, dtype=bool)
+    for cell in np.flatnonzero(near):
+        in_box = ((points > lowest[cell]) & (points < highest[cell])).all(axis=1)
+        own = corners[mesh.offsets[cell]: mesh.offsets[cell + 1]]
+        found[cell] = (_edge_distances(points[in_box], own) > margin).all(axis=1).any()
     return np.flatnonzero(found).astype(np.int64)
+
+
+def _count_crossings(points: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArray[np.int64]:
+    """How many edges (m, 2 ends, 2) the rays from points (n, 2) to the right cross, (n,)."""
+    (x0, y0), (x1, y1) = edges[:, 0].T, edges[:, 1].T
+    x, y = points.T[..., None]
+    # Half-open, so that a ray through a common end crosses one of two edges that go on, and none or both at a tip.
+    spans = (y0 > y) != (y1 > y)
+    height = np.where(y1 == y0, 1.0, y1 - y0)
+    crossing = x0 + (y - y0) * (x1 - x0) / height
+    return np.asarray((spans & (crossing > x)).sum(axis=1))
+
+
+def _edge_distances(points: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Signed distances (n, m) of points (n, 2) from the lines through a polygon's edges, positive inside."""
+    along = np.roll(corners, -1, axis=0) - corners
+    apart = points[:, None] - corners
+    across = along[:, 0] * apart[..., 1] - along[:, 1] * apart[..., 0]
+    return np.asarray(across / np.linalg.norm(along, axis=1))

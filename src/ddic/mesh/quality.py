@@ -1,4 +1,4 @@
-"""Area and shape of plane cells."""
+"""Area and shape of plane cells, whose nodes are the corners of a polygon."""
 
 from __future__ import annotations
 
@@ -8,16 +8,38 @@ from numpy.typing import NDArray
 from ddic.mesh.mesh import Mesh
 
 
-def areas(mesh: Mesh) -> NDArray[np.float64]:
-    """Signed area of each cell by the shoelace formula in (x, y), shape (n_cells,), square pixels."""
+def measure_areas(mesh: Mesh) -> NDArray[np.float64]:
+    """Measure the cells by the shoelace formula in (x, y).
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Of plane cells.
+
+    Returns
+    -------
+    (n_cells,) array
+        Signed areas, square pixels.
+    """
     points = _corners(mesh)
     # Relative to the first corner, so that far from the origin no digits are lost.
     local = points - points[:, :1]
     return np.asarray(0.5 * _cross(local, _next_corner(local)).sum(axis=1))
 
 
-def shape_quality(mesh: Mesh) -> NDArray[np.float64]:
-    """Smallest sine of a cell's corner angles, shape (n_cells,): 1 for a rectangle, <= 0 if not convex."""
+def measure_shape_quality(mesh: Mesh) -> NDArray[np.float64]:
+    """Find the smallest sine of each cell's corner angles.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Of plane cells.
+
+    Returns
+    -------
+    (n_cells,) array
+        1 for a rectangle, <= 0 for a cell that is not convex or runs negatively.
+    """
     points = _corners(mesh)
     ahead = _next_corner(points) - points
     behind = _previous_corner(mesh, points) - points
@@ -29,21 +51,26 @@ def shape_quality(mesh: Mesh) -> NDArray[np.float64]:
 
 def _corners(mesh: Mesh) -> NDArray[np.float64]:
     """Coordinates of the cells' nodes, (n_cells, widest cell, 2); padding repeats the first corner."""
-    cells = np.where(mesh.cells < 0, mesh.cells[:, :1], mesh.cells)
+    first = mesh.cells[:, :1]
+    cells = np.where(mesh.cells < 0, first, mesh.cells)
     return np.asarray(mesh.nodes[cells])
 
 
 def _next_corner(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The corner after each one."""
     # The last corner is followed by padding, which repeats the first, or by the first itself.
     return np.roll(points, -1, axis=1)
 
 
 def _previous_corner(mesh: Mesh, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The corner before each one."""
     counts = np.diff(mesh.offsets)
     previous = np.roll(points, 1, axis=1)
+    # Before the first corner comes the last, not the padding.
     previous[:, 0] = points[np.arange(len(points)), counts - 1]
     return previous
 
 
 def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Product a x b of plane vectors (..., 2)."""
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])

@@ -9,6 +9,7 @@ the same floating-point number, hence share no pixel and leave none.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numba
 import numpy as np
@@ -16,20 +17,25 @@ from numpy.typing import NDArray
 
 from ddic.images.window import Window
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.shapes import padded_cells
+from ddic.mesh.shapes import pad_cells
 
 SNAP = float(2**20)
-"""Crossings are rounded to multiples of 1/SNAP px, so that rounding errors where two edges meet
-cannot fall on different sides of a pixel centre."""
+"""Crossings are rounded to multiples of 1/SNAP px, so that rounding errors where two edges meet cannot fall on
+different sides of a pixel centre; a larger value rounds less and forgives less."""
 
 
 @dataclass(frozen=True)
 class Raster:
     """Runs of pixels of every cell, row by row.
 
-    first_row: (n_cells,) int64, row of the first run.
-    row_ptr: (n_cells + 1,) int64, cell e owns runs row_ptr[e]:row_ptr[e + 1], one per row.
-    starts, stops: (n_runs,) int32, half-open columns of each run (may be empty).
+    Attributes
+    ----------
+    first_row : (n_cells,) int64 array
+        Image row of each cell's first run.
+    row_ptr : (n_cells + 1,) int64 array
+        Cell e owns runs row_ptr[e]:row_ptr[e + 1], one per row.
+    starts, stops : (n_runs,) int32 arrays
+        Half-open columns of each run (may be empty).
     """
 
     first_row: NDArray[np.int64]
@@ -40,35 +46,14 @@ class Raster:
     @property
     def pixel_counts(self) -> NDArray[np.int64]:
         """Number of pixels of each cell, (n_cells,)."""
-        lengths = np.concatenate([[0], np.cumsum(self.stops - self.starts, dtype=np.int64)])
-        return np.asarray(lengths[self.row_ptr[1:]] - lengths[self.row_ptr[:-1]])
+        return self._sum_by_cell(self.stops - self.starts)
 
     @property
     def rows(self) -> NDArray[np.int64]:
         """Image row of each run, (n_runs,)."""
         n_rows = np.diff(self.row_ptr)
-        return np.asarray(np.repeat(self.first_row - self.row_ptr[:-1], n_rows) + np.arange(len(self.starts)))
-
-    def coverage(self, width: int, height: int) -> NDArray[np.uint8]:
-        """1 on the pixels of an image (height, width) that belong to a cell, 0 elsewhere."""
-        steps = np.zeros((height, width + 1), dtype=np.int32)
-        rows = self.rows
-        inside = (rows >= 0) & (rows < height)
-        np.add.at(steps, (rows[inside], np.clip(self.starts, 0, width)[inside]), 1)
-        np.add.at(steps, (rows[inside], np.clip(self.stops, 0, width)[inside]), -1)
-        return np.asarray(np.cumsum(steps, axis=1)[:, :width] > 0, dtype=np.uint8)
-
-    def counts_in(self, image: NDArray[np.uint8], x0: int = 0, y0: int = 0) -> NDArray[np.int64]:
-        """Sum of an image (height, width), whose first pixel is (x0, y0), over each cell's pixels, (n_cells,)."""
-        height, width = image.shape
-        up_to = np.zeros((height, width + 1), dtype=np.int64)
-        np.cumsum(image, axis=1, out=up_to[:, 1:])
-        rows = self.rows - y0
-        safe = np.clip(rows, 0, height - 1)
-        run = up_to[safe, np.clip(self.stops - x0, 0, width)] - up_to[safe, np.clip(self.starts - x0, 0, width)]
-        run[(rows < 0) | (rows >= height)] = 0
-        ends = np.concatenate([[0], np.cumsum(run)])
-        return np.asarray(ends[self.row_ptr[1:]] - ends[self.row_ptr[:-1]])
+        shift = np.repeat(self.first_row - self.row_ptr[:-1], n_rows)
+        return np.asarray(shift + np.arange(len(self.starts)))
 
     @property
     def window(self) -> Window:
@@ -80,11 +65,74 @@ class Raster:
         return Window(int(self.starts[filled].min()), int(rows.min()),
                       int(self.stops[filled].max()), int(rows.max()) + 1)
 
+    def coverage(self, width: int, height: int) -> NDArray[np.uint8]:
+        """Draw the pixels that belong to a cell.
+
+        Parameters
+        ----------
+        width, height : int
+            Size of the image, pixels.
+
+        Returns
+        -------
+        (height, width) uint8 array
+            1 on these pixels, 0 elsewhere.
+        """
+        # One step up where a run starts, one down where it stops: their sum along a row counts the runs.
+        steps = np.zeros((height, width + 1), dtype=np.int32)
+        rows = self.rows
+        inside = (rows >= 0) & (rows < height)
+        np.add.at(steps, (rows[inside], np.clip(self.starts, 0, width)[inside]), 1)
+        np.add.at(steps, (rows[inside], np.clip(self.stops, 0, width)[inside]), -1)
+        return np.asarray(np.cumsum(steps, axis=1)[:, :width] > 0, dtype=np.uint8)
+
+    def counts_in(self, image: NDArray[np.uint8], x0: int = 0, y0: int = 0) -> NDArray[np.int64]:
+        """Add up an image over each cell's pixels.
+
+        Parameters
+        ----------
+        image : (height, width) uint8 array
+            What is added up; nothing outside of it is.
+        x0, y0 : int
+            Column and row of its first pixel.
+
+        Returns
+        -------
+        (n_cells,) int64 array
+            Sums.
+        """
+        height, width = image.shape
+        up_to = np.zeros((height, width + 1), dtype=np.int64)
+        np.cumsum(image, axis=1, out=up_to[:, 1:])
+        rows = self.rows - y0
+        outside = (rows < 0) | (rows >= height)
+        safe = np.clip(rows, 0, height - 1)
+        starts = np.clip(self.starts - x0, 0, width)
+        stops = np.clip(self.stops - x0, 0, width)
+        by_run = up_to[safe, stops] - up_to[safe, starts]
+        by_run[outside] = 0
+        return self._sum_by_cell(by_run)
+
+    def _sum_by_cell(self, by_run: NDArray[np.integer[Any]]) -> NDArray[np.int64]:
+        """Sums over the cells' runs, (n_cells,)."""
+        up_to = np.concatenate([[0], np.cumsum(by_run, dtype=np.int64)])
+        return np.asarray(up_to[self.row_ptr[1:]] - up_to[self.row_ptr[:-1]])
+
 
 def rasterize(mesh: Mesh) -> Raster:
-    """Find the pixels of every cell of a mesh of convex T3 and Q4."""
-    cells = padded_cells(mesh)
-    y = mesh.nodes[cells, 1]
+    """Find the pixels of every cell.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Of convex plane cells with straight edges.
+
+    Returns
+    -------
+    Raster
+        Their pixels.
+    """
+    y = mesh.nodes[pad_cells(mesh), 1]
     first_row = np.ceil(y.min(axis=1)).astype(np.int64)
     n_rows = np.maximum(np.ceil(y.max(axis=1)).astype(np.int64) - first_row, 0)
     row_ptr = np.concatenate([[0], np.cumsum(n_rows)])
@@ -96,6 +144,7 @@ def rasterize(mesh: Mesh) -> Raster:
 
 @numba.njit(cache=True)
 def _fill_runs(nodes, connectivity, offsets, first_row, row_ptr, starts, stops):  # type: ignore[no-untyped-def]
+    """Cut every row of every cell by its edges."""
     for e in range(len(offsets) - 1):
         begin, end = offsets[e], offsets[e + 1]
         n_rows = row_ptr[e + 1] - row_ptr[e]

@@ -7,12 +7,20 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.mesh.cell_type import Q4, T3
 from ddic.mesh.holes import Hole
-from ddic.mesh.mesh import VTK_QUAD, VTK_TRIANGLE, mesh_from_cells
-from ddic.mesh.quality import shape_quality
+from ddic.mesh.mesh import build_mesh
+from ddic.mesh.quality import measure_shape_quality
 
 SMALLEST_SINE = 0.2
-"""Sine of the sharpest or flattest corner (12 or 168 degrees) that moving a node may cause."""
+"""Sine of the sharpest or flattest corner (12 or 168 degrees) that moving a node may cause. A larger value keeps better
+cells and a rougher outline."""
+
+SMALLEST_FRACTION = 0.25
+"""Share of its way to the outline below which a node that is held back stays where it was."""
+
+BISECTIONS = 50
+"""Steps that find where a side meets an outline, each of which halves the error: 50 reach a double's rounding."""
 
 Cells = NDArray[np.int64]
 
@@ -21,26 +29,46 @@ def chop_corners(quads: Cells, members: Sequence[Cells], nodes: NDArray[np.float
                  holes: Sequence[Hole]) -> tuple[Cells, Cells]:
     """Cut off the corners that stick out into a hole: such a rectangle becomes a triangle.
 
-    quads: (n, 4) cells left. members[k]: nodes of these that removed cells of hole k share.
-    Returns (quads, triangles (n, 3)). A node that belongs to one cell only and lies on a hole, as do both
-    its neighbours in the cell, would become a corner of 180 degrees or more once they lie on the outline.
+    A node that belongs to one cell only and lies on a hole, as do both its neighbours in the cell, would become a
+    corner of 180 degrees or more once they lie on the outline.
+
+    Parameters
+    ----------
+    quads : (n, 4) int64 array
+        Cells that are left.
+    members : sequence of int64 arrays
+        For each hole, the nodes of these that its removed cells share.
+    nodes : (n_nodes, 2) array
+        Pixels.
+    holes : sequence of Hole
+        The holes.
+
+    Returns
+    -------
+    quads : (n, 4) int64 array
+        Those that stay.
+    triangles : (n, 3) int64 array
+        What is left of the others.
     """
-    uses = np.bincount(quads.ravel(), minlength=len(nodes))
-    triangles = []
+    n_cells_of_node = np.bincount(quads.ravel(), minlength=len(nodes))
+    triangles = [np.zeros((0, 3), np.int64)]
     for member, hole in zip(members, holes, strict=True):
         on_hole = np.zeros(len(nodes), dtype=bool)
         on_hole[member] = True
         touching = on_hole[quads]
-        tips = (touching & (uses[quads] == 1) & np.roll(touching, 1, axis=1) & np.roll(touching, -1, axis=1))
+        alone = n_cells_of_node[quads] == 1
+        tips = touching & alone & np.roll(touching, 1, axis=1) & np.roll(touching, -1, axis=1)
         # A cell with all four nodes on the hole has no side left to keep.
         chosen = np.flatnonzero((tips.sum(axis=1) == 1) & (touching.sum(axis=1) == 3))
         tip = tips[chosen].argmax(axis=1)
-        inner = nodes[quads[chosen, (tip + 2) % 4]]
-        chosen, tip = chosen[hole.distance(inner) > 0], tip[hole.distance(inner) > 0]
-        around = (tip[:, None] + np.arange(1, 4)) % 4
-        triangles.append(quads[chosen[:, None], around])
+        # The corner across from the tip must be outside the hole.
+        across = nodes[quads[chosen, (tip + 2) % 4]]
+        outside = hole.distance(across) > 0
+        chosen, tip = chosen[outside], tip[outside]
+        others = (tip[:, None] + np.arange(1, 4)) % 4
+        triangles.append(quads[chosen[:, None], others])
         quads = np.delete(quads, chosen, axis=0)
-    return quads, np.concatenate([np.zeros((0, 3), np.int64), *triangles])
+    return quads, np.concatenate(triangles)
 
 
 def snap_to_holes(nodes: NDArray[np.float64], quads: Cells, triangles: Cells, members: Sequence[Cells],
@@ -48,16 +76,37 @@ def snap_to_holes(nodes: NDArray[np.float64], quads: Cells, triangles: Cells, me
                   ) -> tuple[NDArray[np.float64], list[Cells]]:
     """Move the nodes around each hole onto its outline where the cells stay convex and well shaped.
 
-    Returns the moved nodes (n, 2), pixels, and for each hole its nodes, moved or not. Nodes on a side of
-    the region slide along it; its four corners stay. Where a cell would become too flat, its moved nodes
-    go back half of their way, and in the end all of it.
+    Nodes on a side of the region slide along it; its four corners stay. Where a cell would become too flat, its moved
+    nodes go back half of their way, and in the end all of it.
+
+    Parameters
+    ----------
+    nodes : (n_nodes, 2) array
+        Pixels.
+    quads : (n, 4) int64 array
+        Cells of four nodes.
+    triangles : (n, 3) int64 array
+        Cells of three nodes.
+    members : sequence of int64 arrays
+        For each hole, the nodes that its removed cells share with others.
+    holes : sequence of Hole
+        The holes.
+    region : (x0, y0, x1, y1)
+        Pixels.
+
+    Returns
+    -------
+    nodes : (n_nodes, 2) array
+        Where they are now, pixels.
+    on_holes : list of int64 arrays
+        For each hole its nodes, moved or not.
     """
     used = np.unique(np.concatenate([quads.ravel(), triangles.ravel()]))
-    owned = _nearest_hole([np.intersect1d(member, used) for member in members], nodes, holes)
+    on_holes = _nearest_hole([np.intersect1d(member, used) for member in members], nodes, holes)
     target = nodes.copy()
-    for member, hole in zip(owned, holes, strict=True):
+    for member, hole in zip(on_holes, holes, strict=True):
         target[member] = _on_outline(nodes[member], hole, region)
-    return _careful_move(nodes, target, quads, triangles), owned
+    return _move_carefully(nodes, target, quads, triangles), on_holes
 
 
 def _nearest_hole(members: list[Cells], nodes: NDArray[np.float64], holes: Sequence[Hole]) -> list[Cells]:
@@ -77,42 +126,44 @@ def _on_outline(points: NDArray[np.float64], hole: Hole, region: Sequence[float]
     moved = hole.nearest(points)
     on_vertical = np.isin(points[:, 0], (x0, x1))
     on_horizontal = np.isin(points[:, 1], (y0, y1))
-    for fixed, axis in ((on_vertical, 0), (on_horizontal, 1)):
-        moved[fixed] = _along_axis(points[fixed], hole, 1 - axis)
-    moved[on_vertical & on_horizontal] = points[on_vertical & on_horizontal]
+    corner = on_vertical & on_horizontal
+    moved[on_vertical] = _along_axis(points[on_vertical], hole, 1)
+    moved[on_horizontal] = _along_axis(points[on_horizontal], hole, 0)
+    moved[corner] = points[corner]
     return np.clip(moved, [x0, y0], [x1, y1])
 
 
 def _along_axis(points: NDArray[np.float64], hole: Hole, axis: int) -> NDArray[np.float64]:
     """Slide points along an axis onto the outline, by bisection; those that cannot get there stay."""
-    step = np.zeros(2)
-    step[axis] = 1.0
-    reach = 2.0 * np.abs(hole.distance(points))
-    before, after = points - reach[:, None] * step, points + reach[:, None] * step
+    direction = np.zeros(2)
+    direction[axis] = 1.0
     here = hole.distance(points)
+    reach = (2.0 * np.abs(here))[:, None] * direction
+    before, after = points - reach, points + reach
     # The outline lies on the side where the sign of the distance changes.
-    other = np.where((hole.distance(after) * here < 0)[:, None], after, before)
+    lies_after = hole.distance(after) * here < 0
+    other = np.where(lies_after[:, None], after, before)
     bracketed = hole.distance(other) * here < 0
     low, high = points.copy(), other
-    for _ in range(50):
+    for _ in range(BISECTIONS):
         middle = (low + high) / 2
-        same = (hole.distance(middle) * here > 0)[:, None]
-        low, high = np.where(same, middle, low), np.where(same, high, middle)
+        same_side = (hole.distance(middle) * here > 0)[:, None]
+        low, high = np.where(same_side, middle, low), np.where(same_side, high, middle)
     return np.where(bracketed[:, None], (low + high) / 2, points)
 
 
-def _careful_move(nodes: NDArray[np.float64], target: NDArray[np.float64], quads: Cells, triangles: Cells,
-                  ) -> NDArray[np.float64]:
+def _move_carefully(nodes: NDArray[np.float64], target: NDArray[np.float64], quads: Cells,
+                    triangles: Cells) -> NDArray[np.float64]:
     """Move nodes towards their targets as far as all cells keep their shape."""
-    mesh = mesh_from_cells(nodes, {VTK_QUAD: quads, VTK_TRIANGLE: triangles})
     fraction = np.ones(len(nodes))
     fraction[(target == nodes).all(axis=1)] = 0.0
     while True:
         moved = nodes + fraction[:, None] * (target - nodes)
-        cells = mesh_from_cells(moved, {VTK_QUAD: quads, VTK_TRIANGLE: triangles})
-        bad = mesh.cells[shape_quality(cells) < SMALLEST_SINE]
+        mesh = build_mesh(moved, {Q4: quads, T3: triangles})
+        bad = mesh.cells[measure_shape_quality(mesh) < SMALLEST_SINE]
         blamed = np.unique(bad[bad >= 0])
         blamed = blamed[fraction[blamed] > 0]
         if len(blamed) == 0:
             return moved
-        fraction[blamed] = np.where(fraction[blamed] > 0.25, fraction[blamed] / 2, 0.0)
+        can_halve = fraction[blamed] > SMALLEST_FRACTION
+        fraction[blamed] = np.where(can_halve, fraction[blamed] / 2, 0.0)

@@ -1,141 +1,139 @@
-"""FE-DIC and R-DIC by dual domain decomposition: the algorithm box of [BP17]."""
+"""FE-DIC and R-DIC by dual domain decomposition: the algorithm box of [BP17], for any number of cameras and frames.
+
+``prepare`` does what the reference images alone determine; ``Session.measure`` measures a frame.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ddic.case.schema import Case
-from ddic.errors import ConvergenceError, first_of, on_all_ranks
-from ddic.functionals.correlation import Residual
-from ddic.kinematics.strain import inverted_cells
-from ddic.mesh.mesh import Mesh
-from ddic.parallel.phases import PhaseClock
+from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.assembly import SINGULAR, assemble, correlate, own_parts, seen_parts
-from ddic.problem.blank_subdomains import Correlated, with_texture
-from ddic.problem.inputs import ImagePair, Region, cut, hand_out, open_shared_pair
-from ddic.problem.linear_solver import linear_solver
-from ddic.problem.mesh_source import build_mesh
-from ddic.problem.setup_motion import SetupMotion
-from ddic.problem.thread_note import thread_note
-from ddic.results.listener import Listener, Setting
-from ddic.solvers.dual.continuity import ContinuousField, average_copies
-from ddic.solvers.gauss_newton import (
-    GreyState,
-    IterationRecord,
-    OwnedPart,
-    Tolerances,
-    evaluate,
-    gauss_newton,
-)
-from ddic.start.coarse_field import coarse_field, coarse_task, refine_independently
+from ddic.problem.cameras import Frame
+from ddic.problem.inputs import Inputs
+from ddic.problem.reference_problem import build_whole_mesh, prepare_reference
+from ddic.problem.residual_model import ResidualModel
+from ddic.problem.views import open_frame_views
+from ddic.problem.weighted_problem import WeightedProblem
+from ddic.results.listener import Listener
+from ddic.results.measurement import Measurement, finish_measurement
+from ddic.results.problem_size import measure_problem_size
+from ddic.solvers.gauss_newton import Progress, Tolerances, gauss_newton
+from ddic.start.coarse_field import prepare_search
+from ddic.start.frame_start import FrameStart, find_start
 
 
-@dataclass(frozen=True)
-class Measurement:
-    """A measured field, spread over ranks, and how it was measured.
+class Session:
+    """A prepared measurement, for any number of frames; use it in a ``with`` statement, which frees PETSc's objects.
 
-    parts: owned subdomains; field: their displacement, one value per interface node (Eq. 41 of [BP17]).
-    pairs: of each camera; unknowns: of each owned subdomain, (n_unknowns,). residuals (of each view), grey (of each
-    camera): grey levels at the solution; setting: sizes and weights; records: iterations. motions: of near-field
-    set-ups; noise: of each camera, grey levels (empty with one camera).
+    M, the partition, the factors and the coarse space come from the reference images. Where a frame hides more than a
+    share of a subdomain's pixels, that subdomain's M and factor are renewed, and the log says so.
     """
 
-    region: Region
-    pairs: tuple[ImagePair, ...]
-    parts: list[OwnedPart]
-    field: ContinuousField
-    unknowns: list[NDArray[np.float64]]
-    residuals: list[tuple[Residual, ...]]
-    grey: tuple[GreyState, ...]
-    setting: Setting
-    records: list[IterationRecord]
-    notes: tuple[str, ...]
-    motions: tuple[SetupMotion, ...] = ()
-    noise: tuple[float, ...] = ()
+    def __init__(self, team: Team, inputs: Inputs, listener: Listener, clock: PhaseClock,
+                 first_frame: Frame | None = None) -> None:
+        """Prepare; collective.
+
+        Parameters
+        ----------
+        team : Team
+            All ranks.
+        inputs : Inputs
+            Reference images, mesh and settings.
+        listener : Listener
+            Told what happens.
+        clock : PhaseClock
+            Of the phases.
+        first_frame : Frame, optional
+            Where it is known already, its coarse field is sought while rank 0 splits the mesh.
+
+        Raises
+        ------
+        InputError, SingularSubdomainError, FactorizationError
+            On all ranks.
+        """
+        self._team, self._inputs, self._listener, self._clock = team, inputs, listener, clock
+        with clock.phase(Phase.MESH):
+            region_mesh = build_whole_mesh(team, inputs)
+        with clock.phase(Phase.START):
+            meshes = None if region_mesh is None else [cells.seen for cells in region_mesh.measured]
+            self._search = prepare_search(team, inputs.cameras, inputs.case.start,
+                                          inputs.case.correlation.grey_correction, meshes)
+            is_sought = first_frame is not None and inputs.case.start.from_result is None
+            meanwhile = self._search.prepare(first_frame) if is_sought and first_frame is not None else lambda: None
+        self.reference, found = prepare_reference(team, inputs, region_mesh, clock, meanwhile)
+        self._found_first = self._search.share(found) if is_sought else None
+        self._problem = WeightedProblem(team, self.reference, clock)
+        for line in self.reference.notes:
+            listener.note(line)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self.close()
+
+    @property
+    def problem(self) -> WeightedProblem:
+        """The systems, weighted and factorised, and how often."""
+        return self._problem
+
+    def measure(self, frame: Frame, start: Measurement | None = None) -> Measurement:
+        """Measure the displacement between the reference images and a frame; collective.
+
+        Parameters
+        ----------
+        frame : Frame
+            One deformed image of each camera.
+        start : Measurement, optional
+            Of an earlier frame of this session, to start from; by default as the case says.
+
+        Returns
+        -------
+        Measurement
+            Spread over ranks.
+
+        Raises
+        ------
+        InputError, SingularSubdomainError, ConvergenceError
+            On all ranks; the session can measure other frames afterwards.
+        """
+        inputs, clock, problem = self._inputs, self._clock, self._problem
+        views = open_frame_views(inputs.case, frame, self.reference.references)
+        found, self._found_first = self._found_first, None
+        begun = find_start(FrameStart(self._team, self._search, problem, clock), frame, views, found, _unknowns(start))
+        for line in begun.notes:
+            self._listener.note(line)
+        views = problem.weigh(views)
+        with clock.phase(Phase.ASSEMBLE):
+            renewal = problem.renew(views, begun.q)
+        if renewal:
+            self._listener.note(renewal)
+        correction = inputs.case.correlation.grey_correction
+        model = ResidualModel(self._team, views, correction, len(inputs.cameras))
+        size = measure_problem_size(problem)
+        self._listener.problem_size(size)
+        progress = Progress(clock, self._listener.iteration)
+        solution = gauss_newton(model, begun.q, problem.solver.step, _tolerances(inputs.case), progress)
+        with clock.phase(Phase.FINISH):
+            notes = (*self.reference.notes, *begun.notes, *([renewal] if renewal else []))
+            return finish_measurement(problem, model, frame, solution, (size, notes))
+
+    def close(self) -> None:
+        """Free PETSc's objects."""
+        self._problem.destroy()
 
 
-def dd_dic(team: Team, case: Case, listener: Listener, clock: PhaseClock) -> Measurement:
-    """Measure the displacement between the images of a case on all ranks of ``team``.
-
-    Raises InputError, SingularSubdomainError, ConvergenceError on all ranks.
-    """
-    correction = case.correlation.grey_correction
-    with clock.phase("mesh"):
-        pair = open_shared_pair(team, case)
-        mesh = _whole_mesh(team, case, pair)
-    with clock.phase("start"):
-        find_coarse = coarse_task(team, case, pair, mesh)
-        # Rank 0 splits the mesh while the last rank looks for the coarse field.
-        whole, found = team.together(lambda: (None if mesh is None else cut(case, mesh, team.size), find_coarse()))
-        subdomains, region = hand_out(team, whole)
-        start = coarse_field(team, case, found, [s.mesh.nodes for s in subdomains])
-    with clock.phase("read"):
-        parts = team.together(lambda: own_parts(subdomains, pair, case.correlation.spline_degree, case.solver.threads))
-        n_pixels = sum(team.gather_lists([part.view.correlation.n_usable_pixels for part in parts]))
-        parts = team.together(lambda: seen_parts(parts, start.q))
-    with clock.phase("assemble"):
-        correlated = Correlated(parts, correlate(team, parts), region, start)
-        if case.solver.method == "dual":
-            correlated = with_texture(team, case, pair, mesh, correlated)
-        parts, region, start = correlated.parts, correlated.region, correlated.start
-        assembly = assemble(team, parts, correlated.hessians, region, case.solver, case.regularization)
-    with clock.phase("independent start"):
-        start = refine_independently(team, case, parts, assembly.systems, start, SINGULAR * assembly.mean_diagonal)
-    notes = (*start.notes, *thread_note(team, case.solver.threads))
-    for line in notes:
-        listener.note(line)
-    with linear_solver(team, case, assembly, clock) as (step, n_interface):
-        setting = setting_of(team, region, parts, n_pixels, n_interface, assembly.eta)
-        listener.setting(setting)
-        solution = gauss_newton(team, parts, start.q, step, correction, tolerances_of(case), listener.iteration, clock)
-    with clock.phase("finish"):
-        field = average_copies(team.comm, [part.subdomain for part in parts], solution.q)
-        refuse_inverted_cells(team, parts, field)
-        residuals, grey = evaluate(team, parts, field.q, correction)
-    return Measurement(region, (pair,), list(parts), field, field.q, residuals, grey, setting, solution.records,
-                       notes)
-
-
-def _whole_mesh(team: Team, case: Case, pair: ImagePair) -> Mesh | None:
-    """The whole mesh on rank 0, nothing elsewhere; an error there is raised on all ranks."""
-    held: list[Mesh] = []
-    image = pair.reference.image
-    team.on_root(lambda: held.append(build_mesh(case, image.width, image.height)))
-    return held[0] if held else None
-
-
-def tolerances_of(case: Case) -> Tolerances:
-    """When Gauss-Newton stops."""
+def _tolerances(case: Case) -> Tolerances:
     section = case.gauss_newton
     return Tolerances(section.tolerance, section.rms_tolerance, section.max_iterations, case.solver.inexact)
 
 
-def refuse_inverted_cells(team: Team, parts: Sequence[OwnedPart], field: ContinuousField) -> None:
-    """Raise ConvergenceError on all ranks where a field turns cells inside out, however small the last correction.
-
-    Such a field is no displacement of matter.
-    """
-    found = team.gather_lists([part.subdomain.cell_ids[inverted_cells(part.subdomain.mesh, q)]
-                               for part, q in zip(parts, field.q, strict=True)])
-    cells = np.sort(np.concatenate(found))
-    if len(cells):
-        raise on_all_ranks(ConvergenceError(
-            f"the measured field turns {len(cells)} elements inside out (numbers {first_of(cells)}): the images do not "
-            "determine it; use larger elements or a longer regularization.cut_off_wavelength"))
-
-
-def setting_of(team: Team, region: Region, parts: Sequence[OwnedPart], n_pixels: int, n_interface: int,
-               eta: float) -> Setting:
-    """Sizes and weights of what is about to be solved; collective."""
-    def range_of(part: OwnedPart) -> tuple[float, float]:
-        values = part.view.correlation.reference.values
-        return float(values.min()), float(values.max())
-
-    lows, highs = zip(*team.gather_lists([range_of(part) for part in parts]), strict=True)
-    return Setting(region.n_dofs, region.n_cells, n_pixels, region.n_subdomains, team.size, n_interface,
-                   max(highs) - min(lows), eta)
+def _unknowns(start: Measurement | None) -> list[NDArray[np.float64]] | None:
+    return None if start is None else start.q

@@ -3,32 +3,61 @@
 from __future__ import annotations
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ddic.case.schema import Case, SolverSection
+from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.assembly import assemble, correlate, factorize, own_parts
-from ddic.problem.inputs import open_pair, share_out
-from ddic.problem.mesh_source import build_mesh
+from ddic.problem.cameras import open_cameras, open_in_headers
+from ddic.problem.inputs import Inputs
+from ddic.problem.linear_solver import LinearSolver
+from ddic.problem.mesh_source import build_meshes
+from ddic.problem.reference_problem import build_whole_mesh, prepare_reference
+from ddic.problem.weighted_problem import WeightedProblem
+from ddic.solvers.monolithic import MonolithicStep
 from ddic.solvers.noise_floor import expected_noise_rms
 
 
 def expected_noise(case: Case, sigma: float, nodes: NDArray[np.bool_]) -> float:
-    """RMS displacement noise per component over chosen nodes, pixels, on one rank.
+    """Predict the RMS displacement noise per component over chosen nodes, on one rank.
 
-    sigma: standard deviation of the camera noise of both images, grey levels; nodes: (n_nodes,) of the mesh.
     Covariance 2 sigma^2 A^-1 M A^-1 with A = M + eta Kbar^T Kbar of the whole region.
+
+    Parameters
+    ----------
+    case : Case
+        With absolute paths and one camera.
+    sigma : float
+        Standard deviation of the camera noise of both images, grey levels.
+    nodes : (n_nodes,) array of bool
+        Chosen nodes of the mesh.
+
+    Returns
+    -------
+    float
+        Pixels.
+
+    Raises
+    ------
+    InputError, SingularSubdomainError
+        Where the case cannot be set up.
     """
-    alone = Team(MPI.COMM_SELF)
+    team, clock = Team.alone(), PhaseClock()
     case = case.model_copy(update={"solver": SolverSection(method="monolithic")})
-    pair = open_pair(case)
-    mesh = build_mesh(case, pair.reference.image.width, pair.reference.image.height)
-    subdomains, region = share_out(alone, case, mesh)
-    parts = own_parts(subdomains, pair, case.correlation.spline_degree)
-    assembly = assemble(alone, parts, correlate(alone, parts), region, case.solver, case.regularization)
-    operator = factorize(alone, assembly.systems, assembly.mean_diagonal)[0]
+    cameras = open_cameras(case, open_in_headers)
+    image = cameras[0].reference.image
+    inputs = Inputs(case, cameras, lambda: build_meshes(case, image.width, image.height))
+    reference, _ = prepare_reference(team, inputs, build_whole_mesh(team, inputs), clock, lambda: None)
+    problem = WeightedProblem(team, reference, clock)
     try:
-        return expected_noise_rms(assembly.systems[0], operator, sigma, np.repeat(nodes, mesh.dim))
+        dim = reference.subdomains[0].mesh.dim
+        return _noise_rms(problem.solver, sigma, np.repeat(nodes, dim))
     finally:
-        operator.destroy()
+        problem.destroy()
+
+
+def _noise_rms(solver: LinearSolver, sigma: float, dofs: NDArray[np.bool_]) -> float:
+    step = solver.step
+    if not isinstance(step, MonolithicStep):
+        raise TypeError("the noise is predicted from the factor of the whole region")
+    return expected_noise_rms(solver.assembly.systems[0], step.operator, sigma, dofs)

@@ -12,14 +12,31 @@ from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 
 HALVINGS = 60
-"""Of the interval that holds the smallest possible largest load: to the last bit of a float."""
+"""Halvings of the interval that holds the smallest possible largest cost: enough for the last bit of a float, and more
+change nothing."""
 
 
-def owners(costs: NDArray[np.float64], n_ranks: int) -> list[range]:
-    """Contiguous ranges of subdomains, one per rank, whose largest cost is the least possible.
+def split_evenly(costs: NDArray[np.float64], n_ranks: int) -> list[range]:
+    """Split subdomains into contiguous ranges, one a rank, whose largest cost is the least possible.
 
-    costs: work of each subdomain, (n_subdomains,). Within that, ranges are as equal as they can be from the first on.
-    Raises InputError where a rank gets none.
+    Within that, ranges are as equal as they can be from the first on.
+
+    Parameters
+    ----------
+    costs : (n_subdomains,) array
+        Work of each subdomain, in any unit.
+    n_ranks : int
+        Number of ranks.
+
+    Returns
+    -------
+    list of range
+        Each rank's subdomains.
+
+    Raises
+    ------
+    InputError
+        Where a rank would get none.
     """
     n = len(costs)
     if n_ranks > n:
@@ -36,21 +53,22 @@ def owners(costs: NDArray[np.float64], n_ranks: int) -> list[range]:
         # The rest must fit on the ranks left, and give each of them one.
         latest = min(int(furthest[begin]), n - (left - 1))
         earliest = max(int(np.searchsorted(-ranks_needed, -(left - 1))), begin + 1)
-        goal = before[begin] + (before[n] - before[begin]) / left
-        end = min(max(int(np.abs(before - goal).argmin()), earliest), latest)
+        even_share = (before[n] - before[begin]) / left
+        nearest = int(np.abs(before - (before[begin] + even_share)).argmin())
+        end = min(max(nearest, earliest), latest)
         ranges.append(range(begin, end))
         begin = end
     return ranges
 
 
 def _furthest(before: NDArray[np.float64], limit: float) -> NDArray[np.int64]:
-    """Where a range that begins at each subdomain ends at the latest, (n_subdomains,)."""
+    """Return where a range that begins at each subdomain ends at the latest, (n_subdomains,)."""
     ends = np.searchsorted(before, before[:-1] + limit, side="right") - 1
     return np.asarray(np.maximum(ends, np.arange(1, len(before))), dtype=np.int64)
 
 
 def _smallest_limit(before: NDArray[np.float64], low: float, n_ranks: int) -> float:
-    """Smallest largest cost of n_ranks ranges; low: cost of the largest subdomain, which is never more."""
+    """Return the smallest largest cost of n_ranks ranges; low: cost of the largest subdomain, which is never more."""
     high = float(before[-1])
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
@@ -64,10 +82,29 @@ def _smallest_limit(before: NDArray[np.float64], low: float, n_ranks: int) -> fl
     return high
 
 
-def distribute(team: Team, build: Callable[[], tuple[list[Subdomain], NDArray[np.float64]]]) -> list[Subdomain]:
-    """Build all subdomains and their costs (n_subdomains,) on rank 0 and give each rank its own."""
+def scatter_subdomains(team: Team, build: Callable[[], tuple[list[Subdomain], NDArray[np.float64]]],
+                       ) -> list[Subdomain]:
+    """Build all subdomains on rank 0 and give each rank its own; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    build : callable
+        Runs on rank 0 alone; returns all subdomains and the work of each, (n_subdomains,).
+
+    Returns
+    -------
+    list of Subdomain
+        This rank's, in their order.
+
+    Raises
+    ------
+    InputError
+        On all ranks, where there are fewer subdomains than ranks; and what ``build`` raises.
+    """
     def share() -> list[list[Subdomain]]:
         subdomains, costs = build()
-        return [[subdomains[s] for s in part] for part in owners(costs, team.size)]
+        return [[subdomains[s] for s in part] for part in split_evenly(costs, team.size)]
 
     return team.scatter_from_root(share)

@@ -6,34 +6,72 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from enum import StrEnum
 
 from ddic.parallel.team import Waiting
 
 
+class Phase(StrEnum):
+    """The phases of a run in their order, by the name that the progress bar, the summary and the result file give."""
+
+    MESH = "mesh"
+    START = "start"
+    READ = "read"
+    ASSEMBLE = "assemble"
+    INDEPENDENT_START = "independent start"
+    FACTORIZE = "factorize"
+    INTERFACE_SET_UP = "interface set-up"
+    RESIDUAL = "residual"
+    LINEAR_STEP = "linear step"
+    FINISH = "finish"
+    WRITE = "write"
+
+
+REPEATED = (Phase.RESIDUAL, Phase.LINEAR_STEP)
+"""Phases that every iteration of Gauss-Newton has."""
+
+
 @dataclass
 class PhaseClock:
-    """Adds up wall and CPU seconds by phase; each layer is handed the clock it writes to.
+    """Adds up wall and CPU seconds by phase; each layer is given the clock that it writes to.
 
-    wall, cpu, busy: seconds by phase name, busy being CPU seconds without those that ``waiting`` counts;
-    entered: told the name of each phase that begins.
+    Attributes
+    ----------
+    wall, cpu : dict
+        Seconds by phase, in the order in which phases began.
+    busy : dict
+        CPU seconds by phase without those that ``waiting`` counts.
+    entered : callable or None
+        Told each phase that begins.
+    waiting : Waiting
+        Of the team whose communication is no work; by default nothing counts as waiting.
     """
 
-    wall: dict[str, float] = field(default_factory=dict)
-    cpu: dict[str, float] = field(default_factory=dict)
-    busy: dict[str, float] = field(default_factory=dict)
-    entered: Callable[[str], None] | None = None
+    wall: dict[Phase, float] = field(default_factory=dict)
+    cpu: dict[Phase, float] = field(default_factory=dict)
+    busy: dict[Phase, float] = field(default_factory=dict)
+    entered: Callable[[Phase], None] | None = None
     waiting: Waiting = field(default_factory=Waiting)
 
     @contextmanager
-    def phase(self, name: str) -> Iterator[None]:
-        """Charge the time spent inside to ``name``."""
+    def phase(self, phase: Phase) -> Iterator[None]:
+        """Charge the time spent inside to a phase.
+
+        Parameters
+        ----------
+        phase : Phase
+            What begins; what is spent in it before counts too.
+        """
         if self.entered is not None:
-            self.entered(name)
-        wall, cpu, waited = time.perf_counter(), time.process_time(), self.waiting.seconds
+            self.entered(phase)
+        wall_before = time.perf_counter()
+        cpu_before = time.process_time()
+        waited_before = self.waiting.seconds
         try:
             yield
         finally:
-            spent = time.process_time() - cpu
-            self.wall[name] = self.wall.get(name, 0.0) + time.perf_counter() - wall
-            self.cpu[name] = self.cpu.get(name, 0.0) + spent
-            self.busy[name] = self.busy.get(name, 0.0) + spent - (self.waiting.seconds - waited)
+            cpu = time.process_time() - cpu_before
+            waited = self.waiting.seconds - waited_before
+            self.wall[phase] = self.wall.get(phase, 0.0) + time.perf_counter() - wall_before
+            self.cpu[phase] = self.cpu.get(phase, 0.0) + cpu
+            self.busy[phase] = self.busy.get(phase, 0.0) + cpu - waited

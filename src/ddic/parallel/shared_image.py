@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.images.binned import ArraySource
 from ddic.images.source import ImageSource
-from ddic.parallel.team import Team
+from ddic.parallel.team import Team, held
 
 
 @dataclass(frozen=True)
@@ -40,19 +39,15 @@ def open_once_a_node(team: Team, opened: Callable[[], tuple[ImageSource, NDArray
     """
     # A map of a file and no MPI window: where shared memory is short, MPI_Win_allocate_shared fails on one rank
     # alone and leaves the others waiting (Open MPI 4.1), and a window could only be freed by all ranks together.
-    node = Team(team.comm.Split_type(MPI.COMM_TYPE_SHARED))
-    try:
+    with team.of_this_node() as node:
         own = team.together(lambda: _offer(*opened(), alone=node.size == 1) if node.is_root else None)
         # Pixels that nobody else needs are not copied through MPI.
-        offer: _Offer | None = own if node.size == 1 else node.comm.bcast(own)
-        assert offer is not None
+        offer = held(own) if node.size == 1 else node.broadcast(own)
         try:
             return team.together(partial(_accepted, offer))
         finally:
             if node.is_root and offer.file is not None:
                 offer.file.unlink(missing_ok=True)
-    finally:
-        node.comm.Free()
 
 
 def _offer(source: ImageSource, pixels: NDArray[Any] | None, *, alone: bool) -> _Offer:

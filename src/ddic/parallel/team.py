@@ -1,11 +1,11 @@
-"""What all ranks do together: sums in a fixed order, shared decisions, shared errors."""
+"""What all ranks do together: sums in a fixed order, shared decisions, shared errors, items sent on."""
 
 from __future__ import annotations
 
 import pickle
 import time
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
@@ -17,11 +17,21 @@ from numpy.typing import NDArray
 from ddic.errors import DdicError, on_all_ranks
 
 T = TypeVar("T")
+Summable = TypeVar("Summable", int, float, NDArray[np.float64])
+
+_STREAM, _SENT = 1, 2
+"""Tags that keep a stream's items apart from items sent one by one."""
 
 
 @dataclass
 class Waiting:
-    """CPU seconds that this rank has spent in a team's communication: MPI turns in a loop while it waits."""
+    """CPU seconds that this rank has spent in a team's communication: MPI turns in a loop while it waits.
+
+    Attributes
+    ----------
+    seconds : float
+        So far.
+    """
 
     seconds: float = 0.0
 
@@ -37,13 +47,32 @@ class Waiting:
 
 @dataclass(frozen=True)
 class Team:
-    """A communicator and the collective operations that ddic allows itself outside PETSc.
+    """A communicator and all operations of several ranks that ddic allows itself outside PETSc.
 
-    waiting: what this rank has spent in them, by which a busy rank is told from one that waits for it.
+    Every operation is collective unless it says otherwise: all ranks call it, in the same order. Work that a rank does
+    inside one (``on_root``, ``build_on_root``, ``scatter_from_root``, ``together``) is free of communication; an error
+    there is raised on all ranks, so that none is left waiting.
+
+    Attributes
+    ----------
+    comm : MPI.Comm
+        For PETSc's constructors; its own methods are called here alone.
+    waiting : Waiting
+        What this rank has spent in the operations, by which a busy rank is told from one that waits for it.
     """
 
     comm: MPI.Comm
     waiting: Waiting = field(default_factory=Waiting, compare=False, repr=False)
+
+    @classmethod
+    def world(cls) -> Team:
+        """Return the team of all ranks that were started together."""
+        return cls(MPI.COMM_WORLD)
+
+    @classmethod
+    def alone(cls) -> Team:
+        """Return the team of this rank alone."""
+        return cls(MPI.COMM_SELF)
 
     @property
     def rank(self) -> int:
@@ -60,49 +89,46 @@ class Team:
         """Whether this is rank 0, which decides and reports."""
         return self.rank == 0
 
+    # ------------------------------------------------------------------------------------------------ work and errors
+
     def on_root(self, work: Callable[[], T]) -> T:
-        """Run ``work`` on rank 0 and give every rank its result; an error there is raised on all ranks."""
-        outcome = self._attempt_on_root(work)
-        with self.waiting.counted():
-            result: T = self.comm.bcast(outcome, root=0)
-        return result
+        """Run work on rank 0 and give every rank its result.
 
-    def scatter_from_root(self, work: Callable[[], Sequence[T]]) -> T:
-        """Run ``work`` on rank 0, which returns one item per rank, and give each rank its own."""
-        items = self._attempt_on_root(work)
-        with self.waiting.counted():
-            item: T = self.comm.scatter(items, root=0)
-        return item
+        Parameters
+        ----------
+        work : callable
+            Runs on rank 0 alone; its result is pickled.
 
-    def together(self, work: Callable[[], T]) -> T:
-        """Run ``work`` (free of communication) on every rank; an error on one rank is raised on all."""
-        result: Any = None
-        error: Exception | None = None
-        try:
-            result = work()
-        except Exception as caught:
-            error = _portable(caught, self.rank)
-        with self.waiting.counted():
-            failed = self.comm.allreduce(self.rank if error is not None else self.size, op=MPI.MIN)
-        if failed < self.size:
-            error = self.comm.bcast(error, root=failed)
-            assert error is not None
-            raise on_all_ranks(error)
-        final: T = result
-        return final
+        Returns
+        -------
+        T
+            The result, on all ranks.
 
-    def hand_over(self, item: T | None, to: int) -> T | None:
-        """Give what rank 0 holds to another rank; None elsewhere."""
-        if to == 0:
-            return item
-        with self.waiting.counted():
-            if self.is_root:
-                self.comm.send(item, dest=to)
-            result: T | None = self.comm.recv(source=0) if self.rank == to else None
-        return result
+        Raises
+        ------
+        Exception
+            What the work raises, on all ranks.
+        """
+        return self.broadcast(self.build_on_root(work))
 
-    def _attempt_on_root(self, work: Callable[[], T]) -> T | None:
-        """Run ``work`` on rank 0 alone; its result there, None elsewhere, its error on all ranks."""
+    def build_on_root(self, work: Callable[[], T]) -> T | None:
+        """Run work on rank 0 and leave its result there.
+
+        Parameters
+        ----------
+        work : callable
+            Runs on rank 0 alone.
+
+        Returns
+        -------
+        T or None
+            The result on rank 0, None elsewhere; ``held`` takes the None away where only rank 0 looks.
+
+        Raises
+        ------
+        Exception
+            What the work raises, on all ranks.
+        """
         outcome: T | None = None
         error: Exception | None = None
         if self.is_root:
@@ -110,31 +136,367 @@ class Team:
                 outcome = work()
             except Exception as caught:
                 error = _portable(caught, self.rank)
-        with self.waiting.counted():
-            error = self.comm.bcast(error, root=0)
+        error = self.broadcast(error)
         if error is not None:
             raise on_all_ranks(error)
         return outcome
 
+    def scatter_from_root(self, work: Callable[[], Sequence[T]]) -> T:
+        """Run work on rank 0 and give each rank its item of the result.
+
+        Parameters
+        ----------
+        work : callable
+            Runs on rank 0 alone; returns one item per rank.
+
+        Returns
+        -------
+        T
+            This rank's item.
+
+        Raises
+        ------
+        Exception
+            What the work raises, on all ranks.
+        """
+        items = self.build_on_root(work)
+        with self.waiting.counted():
+            item: T = self.comm.scatter(items, root=0)
+        return item
+
+    def together(self, work: Callable[[], T]) -> T:
+        """Run work on every rank.
+
+        Parameters
+        ----------
+        work : callable
+            Runs on every rank, free of communication.
+
+        Returns
+        -------
+        T
+            This rank's own result.
+
+        Raises
+        ------
+        Exception
+            What the work of the lowest rank that fails raises, on all ranks.
+        """
+        result: Any = None
+        error: Exception | None = None
+        try:
+            result = work()
+        except Exception as caught:
+            error = _portable(caught, self.rank)
+        with self.waiting.counted():
+            failed = self.comm.allreduce(self.size if error is None else self.rank, op=MPI.MIN)
+        if failed < self.size:
+            raise on_all_ranks(self.broadcast(error, failed))
+        final: T = result
+        return final
+
+    def abort(self, code: int) -> None:
+        """End the program on all ranks; not collective.
+
+        Parameters
+        ----------
+        code : int
+            The exit code.
+        """
+        self.comm.Abort(code)
+
+    # --------------------------------------------------------------------------------------------------- sums, numbers
+
     def ordered_sum(self, values: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
         """Sum one array per owned subdomain over all subdomains, in their order.
 
-        The result does not depend on how subdomains are spread over ranks, to the last bit.
+        Parameters
+        ----------
+        values : sequence of arrays
+            One of each owned subdomain, all of one shape.
+
+        Returns
+        -------
+        array
+            The sum on all ranks, which to the last bit does not depend on how subdomains are spread over ranks.
         """
-        with self.waiting.counted():
-            parts = self.comm.allgather([np.asarray(v, dtype=np.float64) for v in values])
-        everything = [v for part in parts for v in part]
+        everything = self.gather_lists([np.asarray(v, dtype=np.float64) for v in values])
         return np.asarray(np.sum(np.stack(everything), axis=0))
 
-    def gather_lists(self, values: Sequence[T]) -> list[T]:
-        """All ranks' items, in the order of ranks, on every rank."""
+    def sum(self, value: Summable) -> Summable:
+        """Sum a number or an array over ranks.
+
+        Parameters
+        ----------
+        value : int, float or array
+            This rank's; an array has the same shape on all ranks.
+
+        Returns
+        -------
+        int, float or array
+            The sum, the same on all ranks; how it is rounded depends on their number (``ordered_sum`` does not).
+        """
+        return self._reduce(value, MPI.SUM)
+
+    def maximum(self, value: Summable) -> Summable:
+        """Find the largest number over ranks, entry by entry of an array.
+
+        Parameters
+        ----------
+        value : int, float or array
+            This rank's; an array has the same shape on all ranks.
+
+        Returns
+        -------
+        int, float or array
+            The largest, the same on all ranks.
+        """
+        return self._reduce(value, MPI.MAX)
+
+    def offset(self, count: int) -> int:
+        """Sum a count over the ranks below this one: where this rank's numbers begin.
+
+        Parameters
+        ----------
+        count : int
+            How many numbers this rank owns.
+
+        Returns
+        -------
+        int
+            How many the lower ranks own.
+        """
+        counts = self.gather_lists([count])
+        return sum(counts[: self.rank])
+
+    def _reduce(self, value: Summable, operation: MPI.Op) -> Summable:
         with self.waiting.counted():
-            gathered = self.comm.allgather(list(values))
-        return [v for part in gathered for v in part]
+            if not isinstance(value, np.ndarray):
+                result: Summable = self.comm.allreduce(value, op=operation)
+                return result
+            total = np.empty_like(value, order="C")
+            self.comm.Allreduce(np.ascontiguousarray(value), total, op=operation)
+            return total
+
+    # --------------------------------------------------------------------------------------- items from rank to rank
+
+    def broadcast(self, item: T | None, root: int = 0) -> T:
+        """Give every rank what one of them holds.
+
+        Parameters
+        ----------
+        item : T or None
+            Looked at on the root alone; pickled.
+        root : int
+            The rank that holds it.
+
+        Returns
+        -------
+        T
+            The item, on all ranks.
+        """
+        with self.waiting.counted():
+            result: T = self.comm.bcast(item, root=root)
+        return result
+
+    def gather_lists(self, items: Iterable[T]) -> list[T]:
+        """Join the lists of all ranks.
+
+        Parameters
+        ----------
+        items : iterable
+            This rank's.
+
+        Returns
+        -------
+        list
+            All ranks' items in the order of ranks, on every rank.
+        """
+        with self.waiting.counted():
+            gathered = self.comm.allgather(list(items))
+        return [item for part in gathered for item in part]
+
+    def gather_to(self, item: T, rank: int = 0) -> list[T] | None:
+        """Collect an item of every rank on one of them.
+
+        Parameters
+        ----------
+        item : T
+            This rank's.
+        rank : int
+            Where they go.
+
+        Returns
+        -------
+        list or None
+            All ranks' items in the order of ranks, on that rank; None elsewhere.
+        """
+        with self.waiting.counted():
+            items: list[T] | None = self.comm.gather(item, root=rank)
+        return items
+
+    def all_to_all(self, items: Sequence[T]) -> list[T]:
+        """Exchange an item with every rank.
+
+        Parameters
+        ----------
+        items : sequence
+            One for each rank.
+
+        Returns
+        -------
+        list
+            One from each rank.
+        """
+        with self.waiting.counted():
+            received: list[T] = self.comm.alltoall(items)
+        return received
+
+    def send_from_root(self, item: T | None, to: int) -> T | None:
+        """Move what rank 0 holds to another rank.
+
+        Parameters
+        ----------
+        item : T or None
+            Looked at on rank 0 alone.
+        to : int
+            The other rank, or 0.
+
+        Returns
+        -------
+        T or None
+            The item on that rank, None elsewhere.
+        """
+        if to == 0:
+            return item
+        with self.waiting.counted():
+            if self.is_root:
+                self.comm.send(item, dest=to, tag=_SENT)
+            result: T | None = self.comm.recv(source=0, tag=_SENT) if self.rank == to else None
+        return result
+
+    def stream_to_root(self, items: Iterator[T]) -> Iterator[T]:
+        """Bring all ranks' items to rank 0 one at a time, so that it never holds all of them.
+
+        Elsewhere the items are made and sent during the call; rank 0 must take all that it is given.
+
+        Parameters
+        ----------
+        items : iterator
+            This rank's, each made when it is asked for.
+
+        Returns
+        -------
+        iterator
+            On rank 0 its own items, then those of the others in the order of ranks; elsewhere nothing.
+        """
+        if self.is_root:
+            return self._receive_stream(items)
+        for item in items:
+            with self.waiting.counted():
+                self.comm.send([item], dest=0, tag=_STREAM)
+        with self.waiting.counted():
+            self.comm.send([], dest=0, tag=_STREAM)
+        return iter(())
+
+    def _receive_stream(self, own: Iterator[T]) -> Iterator[T]:
+        yield from own
+        for rank in range(1, self.size):
+            # An empty message ends a rank's stream.
+            while message := self._receive(rank, _STREAM):
+                yield message[0]
+
+    def begin_send(self, item: object, to: int) -> MPI.Request:
+        """Send an item to a rank without waiting until it arrives; not collective.
+
+        Parameters
+        ----------
+        item : object
+            Pickled at once, hence free to change.
+        to : int
+            The rank, which calls ``receive``.
+
+        Returns
+        -------
+        MPI.Request
+            For ``finish_sends``.
+        """
+        return self.comm.isend(item, dest=to, tag=_SENT)
+
+    def finish_sends(self, requests: Iterable[MPI.Request]) -> None:
+        """Wait until items have left; not collective.
+
+        Parameters
+        ----------
+        requests : iterable
+            What ``begin_send`` returned.
+        """
+        with self.waiting.counted():
+            for request in requests:
+                request.wait()
+
+    def receive(self, source: int) -> Any:
+        """Wait for the next item that a rank sends to this one; not collective.
+
+        Parameters
+        ----------
+        source : int
+            The rank that calls ``begin_send``.
+
+        Returns
+        -------
+        object
+            The item.
+        """
+        return self._receive(source, _SENT)
+
+    def _receive(self, source: int, tag: int) -> Any:
+        with self.waiting.counted():
+            return self.comm.recv(source=source, tag=tag)
+
+    def wait_for_all(self) -> None:
+        """Wait until every rank has come here."""
+        with self.waiting.counted():
+            self.comm.Barrier()
+
+    # -------------------------------------------------------------------------------------------------- smaller teams
+
+    @contextmanager
+    def of_this_node(self) -> Iterator[Team]:
+        """Give the team of the ranks that share this rank's memory, and end it; its waiting counts as this team's."""
+        with self.waiting.counted():
+            comm = self.comm.Split_type(MPI.COMM_TYPE_SHARED)
+        try:
+            yield Team(comm, self.waiting)
+        finally:
+            comm.Free()
+
+
+def held(item: T | None) -> T:
+    """Return what this rank holds, for work on the rank that ``build_on_root``, ``gather_to``... gave it to.
+
+    Parameters
+    ----------
+    item : T or None
+        None on ranks that do not hold it.
+
+    Returns
+    -------
+    T
+        The item.
+
+    Raises
+    ------
+    RuntimeError
+        On a rank that does not hold it.
+    """
+    if item is None:
+        raise RuntimeError("this rank holds nothing: another rank was given it")
+    return item
 
 
 def _portable(error: Exception, rank: int) -> Exception:
-    """The error as other ranks can receive it; an unexpected one brings its traceback along as a note."""
+    """Return the error as other ranks can receive it; an unexpected one brings its traceback along as a note."""
     if isinstance(error, DdicError):
         return error
     error.add_note(f"on rank {rank}:\n{''.join(traceback.format_exception(error))}")

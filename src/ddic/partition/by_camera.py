@@ -12,16 +12,26 @@ from scipy import sparse
 from ddic.errors import InputError
 from ddic.mesh.mesh import Mesh
 from ddic.partition.split import renumber
-from ddic.partition.subdomain import Shifts, Subdomain
+from ddic.partition.subdomain import MotionUnknowns, Subdomain
 
 SplitInto = Callable[[NDArray[np.int64], int], NDArray[np.int64]]
 """From the cells of a camera and a number of subdomains to the subdomain of each of these cells."""
 
 
-def camera_of_cells(mesh: Mesh, seen: Sequence[NDArray[np.bool_]]) -> NDArray[np.int64]:
-    """Number of the camera that measures each cell, (n_cells,): the first near one that sees all its nodes, else 0.
+def assign_cameras(mesh: Mesh, seen: Sequence[NDArray[np.bool_]]) -> NDArray[np.int64]:
+    """Assign each cell to the first near camera that sees all its nodes, else to the first of all cameras.
 
-    seen: for each near camera, (n_nodes,), whether it sees each node.
+    Parameters
+    ----------
+    mesh : Mesh
+        The whole mesh.
+    seen : sequence of (n_nodes,) array of bool
+        For each near camera whether it sees each node.
+
+    Returns
+    -------
+    (n_cells,) array of int64
+        Number of the camera that measures each cell, 0 the first.
     """
     labels = np.zeros(mesh.n_cells, dtype=np.int64)
     for number in reversed(range(len(seen))):
@@ -30,30 +40,66 @@ def camera_of_cells(mesh: Mesh, seen: Sequence[NDArray[np.bool_]]) -> NDArray[np
     return labels
 
 
-def cameras_at_nodes(mesh: Mesh, labels: NDArray[np.int64], n_cameras: int,
-                     weights: sparse.csr_matrix | None = None) -> NDArray[np.bool_]:
-    """Whether a camera measures a cell at each node, (n_nodes, n_cameras); labels: of ``camera_of_cells``.
+def find_cameras_at_nodes(mesh: Mesh, labels: NDArray[np.int64], n_cameras: int,
+                          weights: sparse.csr_matrix | None = None) -> NDArray[np.bool_]:
+    """Find the cameras that measure a cell at each node.
 
-    weights: (n_nodes, n_unknown_nodes), where some nodes are tied to others: then of the unknown nodes, at which the
-    cells of nodes tied to them are as well.
+    Parameters
+    ----------
+    mesh : Mesh
+        The whole mesh.
+    labels : (n_cells,) array of int64
+        Camera of each cell.
+    n_cameras : int
+        Number of cameras.
+    weights : (n_nodes, n_unknown_nodes) csr_matrix, optional
+        Where some nodes are tied to others: then the cells of a node are also those of the nodes that are tied to it.
+
+    Returns
+    -------
+    (n_nodes, n_cameras) array of bool
+        Whether a camera measures a cell at a node; with weights of the unknown nodes, (n_unknown_nodes, n_cameras).
     """
     present = np.zeros((mesh.n_nodes, n_cameras), dtype=bool)
     present[mesh.connectivity, np.repeat(labels, np.diff(mesh.offsets))] = True
-    return present if weights is None else np.asarray((weights != 0).T @ present.astype(np.int64) > 0)
+    if weights is None:
+        return present
+    n_tied = (weights != 0).T @ present.astype(np.int64)
+    return np.asarray(n_tied > 0)
 
 
 def split_by_camera(labels: NDArray[np.int64], costs: NDArray[np.float64], n_subdomains: int,
                     split: SplitInto) -> NDArray[np.int64]:
-    """Split each camera's cells by themselves, into subdomains of about equal cost; the far camera's come first.
+    """Split each camera's cells by themselves, into subdomains of about equal cost; the first camera's come first.
 
-    labels, costs: camera and work of each cell, (n_cells,). Raises InputError where cameras outnumber subdomains.
+    Parameters
+    ----------
+    labels : (n_cells,) array of int64
+        Camera of each cell.
+    costs : (n_cells,) array
+        Work of each cell, pixels.
+    n_subdomains : int
+        Number of subdomains in all.
+    split : callable
+        From cells and a number of subdomains to the subdomain of each of these cells.
+
+    Returns
+    -------
+    (n_cells,) array of int64
+        Subdomain of each cell.
+
+    Raises
+    ------
+    InputError
+        Where cameras outnumber subdomains.
     """
     cameras = np.unique(labels)
     if n_subdomains < len(cameras):
         raise InputError(f"solver.subdomains = {n_subdomains}: {len(cameras)} cameras measure elements, and each needs "
                          f"a subdomain of its own; ask for at least {len(cameras)}")
     work = np.array([costs[labels == camera].sum() for camera in cameras])
-    counts = _apportioned(work, n_subdomains, [int((labels == camera).sum()) for camera in cameras])
+    n_cells = [int((labels == camera).sum()) for camera in cameras]
+    counts = _apportion(work, n_subdomains, n_cells)
     parts = np.zeros(len(labels), dtype=np.int64)
     first = 0
     for camera, count in zip(cameras, counts, strict=True):
@@ -63,32 +109,61 @@ def split_by_camera(labels: NDArray[np.int64], costs: NDArray[np.float64], n_sub
     return parts
 
 
-def kept_apart(parts: NDArray[np.int64], labels: NDArray[np.int64]) -> NDArray[np.int64]:
-    """A given partition whose subdomains are cut where the camera changes, numbered by camera, (n_cells,)."""
+def keep_cameras_apart(parts: NDArray[np.int64], labels: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Cut the subdomains of a given partition where the camera changes.
+
+    Parameters
+    ----------
+    parts : (n_cells,) array of int64
+        Subdomain of each cell.
+    labels : (n_cells,) array of int64
+        Camera of each cell.
+
+    Returns
+    -------
+    (n_cells,) array of int64
+        New subdomain of each cell, numbered by camera without gaps.
+    """
     return renumber(labels * (int(parts.max()) + 1) + parts, 0)
 
 
-def with_cameras(subdomains: Sequence[Subdomain], labels: NDArray[np.int64], n_shifts: Sequence[int],
-                 far_inside: NDArray[np.bool_], n_dofs: int) -> list[Subdomain]:
-    """Subdomains that know their camera and number the unknowns of its motion.
+def add_motions(subdomains: Sequence[Subdomain], cameras: Sequence[int], n_motion_unknowns: Sequence[int],
+                n_field: int) -> list[Subdomain]:
+    """Give subdomains their camera and the unknowns of its motion, numbered after those of the field.
 
-    labels: (n_cells,); n_shifts: unknowns of each camera's motion; far_inside: (n_nodes,) whether only far cells lie
-    around a node inside the mesh, by which texture is weighed against mechanics; n_dofs: of the mesh.
+    Parameters
+    ----------
+    subdomains : sequence of Subdomain
+        All of them, by number.
+    cameras : sequence of int
+        Camera of each.
+    n_motion_unknowns : sequence of int
+        Unknowns of each camera's motion.
+    n_field : int
+        Number of unknowns of the whole field.
+
+    Returns
+    -------
+    list of Subdomain
+        The same; the last owns the interface rows of all motions.
     """
-    cameras = [int(labels[s.cell_ids[0]]) for s in subdomains]
-    n_rows, last = sum(s.n_owned_rows for s in subdomains), len(subdomains) - 1
-    first = np.concatenate([[0], np.cumsum(n_shifts)]).astype(np.int64)
+    n_chain_rows = sum(s.n_owned_rows for s in subdomains)
+    first = np.concatenate([[0], np.cumsum(n_motion_unknowns)]).astype(np.int64)
+    last = len(subdomains) - 1
     out = []
     for k, (subdomain, camera) in enumerate(zip(subdomains, cameras, strict=True)):
-        numbers = np.arange(first[camera], first[camera + 1])
-        shifts = Shifts(n_dofs + numbers, n_rows + numbers, cameras.count(camera), cameras.index(camera) == k)
-        out.append(replace(subdomain, camera=camera, shifts=shifts if len(numbers) else None,
-                           interior=far_inside[subdomain.node_ids],
-                           n_owned_rows=subdomain.n_owned_rows + (int(first[-1]) if k == last else 0)))
+        of_camera = np.arange(first[camera], first[camera + 1])
+        motion = None
+        if len(of_camera):
+            is_lowest = list(cameras).index(camera) == k
+            motion = MotionUnknowns(n_field + of_camera, n_chain_rows + of_camera, list(cameras).count(camera),
+                                    is_lowest)
+        n_rows = subdomain.n_owned_rows + (int(first[-1]) if k == last else 0)
+        out.append(replace(subdomain, camera=camera, motion=motion, n_owned_rows=n_rows))
     return out
 
 
-def _apportioned(work: NDArray[np.float64], total: int, most: Sequence[int]) -> list[int]:
+def _apportion(work: NDArray[np.float64], total: int, most: Sequence[int]) -> list[int]:
     """Whole numbers from 1 to ``most`` that add up to ``total``, so that the largest work a piece is least."""
     counts = [1] * len(work)
     for _ in range(total - len(work)):

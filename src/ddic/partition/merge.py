@@ -7,45 +7,71 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
+Adjacency = tuple[NDArray[np.int64], NDArray[np.int64]]
+"""Cells that share a facet, as compressed rows (indptr, indices): ``find_adjacent_cells``."""
 
-def connected_pieces(adjacency: tuple[NDArray[np.int64], NDArray[np.int64]]) -> NDArray[np.int64]:
-    """Piece of each cell (n_cells,), from 0: cells that facets connect; adjacency: as ``cell_adjacency`` gives it.
+
+def find_connected_pieces(adjacency: Adjacency) -> NDArray[np.int64]:
+    """Find the pieces of a mesh whose cells facets connect.
 
     A node alone is a hinge: mechanics do not hold one piece by another at it.
+
+    Parameters
+    ----------
+    adjacency : (indptr, indices)
+        Cells that share a facet, as ``find_adjacent_cells`` gives it.
+
+    Returns
+    -------
+    (n_cells,) int64 array
+        Piece of each cell, from 0.
     """
     indptr, indices = adjacency
-    shape = (len(indptr) - 1, len(indptr) - 1)
-    graph = sparse.csr_matrix((np.ones(len(indices), dtype=np.int64), indices, indptr), shape=shape)
-    return np.asarray(csgraph.connected_components(graph, directed=False)[1], dtype=np.int64)
+    n_cells = len(indptr) - 1
+    graph = sparse.csr_matrix((np.ones(len(indices), dtype=np.int64), indices, indptr), shape=(n_cells, n_cells))
+    _, pieces = csgraph.connected_components(graph, directed=False)
+    return np.asarray(pieces, dtype=np.int64)
 
 
-def merge_blank(pieces: NDArray[np.int64], owner: NDArray[np.int64],
-                adjacency: tuple[NDArray[np.int64], NDArray[np.int64]], blank: NDArray[np.bool_]) -> NDArray[np.int64]:
+def merge_blank(pieces: NDArray[np.int64], owner: NDArray[np.int64], adjacency: Adjacency,
+                blank: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Join every connected group of blank pieces with the textured one that shares most facets with it.
 
     A group without a textured neighbour (a piece of the mesh by itself) stays as it is. Of neighbours with equally
     many facets the lowest is taken. Load is no criterion: pixels without texture cost a residual pass but no
     iteration, and a part of the mesh that nothing holds but its neighbour must be with it, however large it is.
 
-    pieces: (n_cells,) connected piece of each cell; owner: (n_pieces,) subdomain of each piece; adjacency: (indptr,
-    indices) of the cells that share a facet (``cell_adjacency``); blank: (n_pieces,). Returns the new subdomain of
-    each cell (n_cells,), from 0 without gaps, in the old order.
+    Parameters
+    ----------
+    pieces : (n_cells,) int64 array
+        Connected piece of each cell.
+    owner : (n_pieces,) int64 array
+        Subdomain of each piece.
+    adjacency : (indptr, indices)
+        Cells that share a facet, as ``find_adjacent_cells`` gives it.
+    blank : (n_pieces,) bool array
+        Pieces that cannot stand alone.
+
+    Returns
+    -------
+    (n_cells,) int64 array
+        New subdomain of each cell, from 0 without gaps, in the old order.
     """
-    shared = _shared_facets(pieces, adjacency, len(blank))
+    shared = _count_shared_facets(pieces, adjacency, len(blank))
     host = np.arange(len(blank))
-    numbers = np.flatnonzero(blank)
-    n_groups, group = csgraph.connected_components(shared[numbers][:, numbers], directed=False)
+    blank_pieces = np.flatnonzero(blank)
+    among_blank = shared[blank_pieces][:, blank_pieces]
+    n_groups, group = csgraph.connected_components(among_blank, directed=False)
     for g in range(n_groups):
-        members = numbers[group == g]
-        facets = np.asarray(shared[members].sum(axis=0)).ravel() * ~blank
-        if facets.any():
-            host[members] = int(facets.argmax())
-    new = np.unique(owner[host][pieces], return_inverse=True)[1]
+        members = blank_pieces[group == g]
+        with_textured = np.asarray(shared[members].sum(axis=0)).ravel() * ~blank
+        if with_textured.any():
+            host[members] = int(with_textured.argmax())
+    _, new = np.unique(owner[host][pieces], return_inverse=True)
     return np.asarray(new.reshape(-1), dtype=np.int64)
 
 
-def _shared_facets(pieces: NDArray[np.int64], adjacency: tuple[NDArray[np.int64], NDArray[np.int64]],
-                   n_pieces: int) -> sparse.csr_matrix:
+def _count_shared_facets(pieces: NDArray[np.int64], adjacency: Adjacency, n_pieces: int) -> sparse.csr_matrix:
     """Number of facets that each two different pieces share, (n_pieces, n_pieces)."""
     indptr, indices = adjacency
     one, other = np.repeat(pieces, np.diff(indptr)), pieces[indices]

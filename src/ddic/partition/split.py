@@ -8,56 +8,121 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.topology import cell_adjacency
+from ddic.mesh.topology import find_adjacent_cells
 
 MEAN_WEIGHT = 1000.0
+"""Mean of the whole numbers that METIS gets for weights; a larger value rounds them less."""
+
 LARGEST_SUM = 2.0**30
+"""Largest sum of these numbers, which METIS adds up in 32 bits with a sign."""
+
+N_CUTS, N_PASSES = 8, 50
+"""METIS's tries, of which the best is kept, and passes of refinement: ragged interfaces cost Krylov iterations in every
+step. Larger values take longer."""
+
+MOST_BISECTED = 8
+"""Most subdomains that are found by repeated halving, as METIS's manual advises for few parts; more are cut at once."""
 
 
 def split_by_metis(mesh: Mesh, n_subdomains: int, weights: NDArray[np.float64] | None = None) -> NDArray[np.int64]:
-    """Split by METIS on the graph of cells that share a facet; weights (n_cells,), of any scale, are balanced.
+    """Split by METIS on the graph of cells that share a facet.
 
-    Returns the subdomain of each cell (n_cells,). Raises InputError where a subdomain would be empty.
+    Parameters
+    ----------
+    mesh : Mesh
+        Any.
+    n_subdomains : int
+        How many.
+    weights : (n_cells,) array, optional
+        What is balanced, of any scale; by default the number of cells.
+
+    Returns
+    -------
+    (n_cells,) int64 array
+        Subdomain of each cell.
+
+    Raises
+    ------
+    InputError
+        Where a subdomain would be empty.
     """
     if n_subdomains == 1:
         return np.zeros(mesh.n_cells, dtype=np.int64)
     if n_subdomains > mesh.n_cells:
         raise InputError(f"solver.subdomains: {n_subdomains} asked for, but the mesh has only "
                          f"{mesh.n_cells} cells; ask for fewer")
-    indptr, indices = cell_adjacency(mesh)
-    # Several tries and passes: ragged interfaces cost Krylov iterations in every step.
-    options = pymetis.Options(seed=1, ncuts=8, niter=50)
+    indptr, indices = find_adjacent_cells(mesh)
     _, parts = pymetis.part_graph(
-        n_subdomains, adjacency=pymetis.CSRAdjacency(indptr, indices), recursive=n_subdomains <= 8, options=options,
+        n_subdomains,
+        adjacency=pymetis.CSRAdjacency(indptr, indices),
+        recursive=n_subdomains <= MOST_BISECTED,
+        options=pymetis.Options(seed=1, ncuts=N_CUTS, niter=N_PASSES),
         vweights=None if weights is None else _whole_weights(weights).tolist(),
     )
     return renumber(np.asarray(parts, dtype=np.int64), n_subdomains)
 
 
-def _whole_weights(weights: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Weights as whole numbers of at least 1: METIS knows no others, and adds them up in 32 bits."""
-    unit = max(float(np.mean(weights)) / MEAN_WEIGHT, float(np.sum(weights)) / LARGEST_SUM)
-    return np.maximum(np.rint(weights / unit), 1).astype(np.int64) if unit > 0 else np.ones(len(weights), np.int64)
-
-
 def split_by_blocks(mesh: Mesh, blocks: tuple[int, ...]) -> NDArray[np.int64]:
-    """Split into a regular array of blocks (columns, rows) of the bounding box, by the cells' centroids.
+    """Split into a regular array of blocks of the bounding box, by the cells' centroids.
 
-    Blocks that hold no cell are dropped. Returns the subdomain of each cell (n_cells,).
+    Parameters
+    ----------
+    mesh : Mesh
+        Any.
+    blocks : tuple of dim ints
+        Number of blocks along each axis; those that hold no cell are dropped.
+
+    Returns
+    -------
+    (n_cells,) int64 array
+        Subdomain of each cell.
     """
     low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
     counts = np.asarray(blocks)
     place = np.floor((mesh.centroids - low) / (high - low) * counts).astype(np.int64)
     place = np.clip(place, 0, counts - 1)
+    # The first axis varies fastest.
     number = np.zeros(mesh.n_cells, dtype=np.int64)
     for axis in reversed(range(mesh.dim)):
         number = number * counts[axis] + place[:, axis]
-    return np.unique(number, return_inverse=True)[1].reshape(-1).astype(np.int64)
+    return _number_without_gaps(number)
 
 
 def renumber(parts: NDArray[np.int64], n_expected: int) -> NDArray[np.int64]:
-    """Number the subdomains 0, 1, ... without gaps; raises InputError where there are fewer than expected."""
-    present, parts = np.unique(parts, return_inverse=True)
-    if len(present) < n_expected:
-        raise InputError(f"solver.subdomains: only {len(present)} of {n_expected} subdomains got cells; ask for fewer")
-    return parts.reshape(-1).astype(np.int64)
+    """Number the subdomains 0, 1, ... without gaps.
+
+    Parameters
+    ----------
+    parts : (n_cells,) int64 array
+        Subdomain of each cell.
+    n_expected : int
+        How many there should be at least.
+
+    Returns
+    -------
+    (n_cells,) int64 array
+        Subdomain of each cell, in the old order.
+
+    Raises
+    ------
+    InputError
+        Where there are fewer than expected.
+    """
+    n_present = len(np.unique(parts))
+    if n_present < n_expected:
+        raise InputError(f"solver.subdomains: only {n_present} of {n_expected} subdomains got cells; ask for fewer")
+    return _number_without_gaps(parts)
+
+
+def _whole_weights(weights: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Weights as whole numbers of at least 1: METIS knows no others."""
+    unit = max(float(np.mean(weights)) / MEAN_WEIGHT, float(np.sum(weights)) / LARGEST_SUM)
+    if unit <= 0:
+        return np.ones(len(weights), np.int64)
+    return np.asarray(np.maximum(np.rint(weights / unit), 1), dtype=np.int64)
+
+
+def _number_without_gaps(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The place of each number among the distinct ones, in order."""
+    _, places = np.unique(numbers, return_inverse=True)
+    return np.asarray(places, dtype=np.int64).reshape(-1)

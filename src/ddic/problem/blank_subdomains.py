@@ -3,74 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from ddic.case.schema import Case
 from ddic.errors import InputError, first_of
-from ddic.functionals.correlation import restricted
-from ddic.functionals.texture_strength import Texture, blank_subdomains, texture
-from ddic.mesh.mesh import Mesh
-from ddic.mesh.topology import cell_adjacency
-from ddic.parallel.team import Team
-from ddic.partition.merge import connected_pieces, merge_blank
-from ddic.partition.subdomain import Subdomain
-from ddic.problem.assembly import correlate, own_parts, seen_parts
-from ddic.problem.inputs import ImagePair, Region, deal_out
-from ddic.solvers.gauss_newton import OwnedPart
-from ddic.start.coarse_field import StartField
+from ddic.functionals.correlation import restrict_to_cells
+from ddic.functionals.texture_strength import Texture, find_blank_subdomains, measure_texture
+from ddic.mesh.topology import find_adjacent_cells
+from ddic.parallel.team import Team, held
+from ddic.partition.merge import find_connected_pieces, merge_blank
+from ddic.problem.region_mesh import RegionMesh
+from ddic.problem.views import ReferenceViews
 
 
 @dataclass(frozen=True)
-class Correlated:
-    """Owned subdomains and their M_s, what all ranks know of the region, and the displacement that they start from.
+class Joining:
+    """A partition in which no subdomain is blank.
 
-    parts: without the pixels that the start hides, for these hold nothing either.
+    Attributes
+    ----------
+    parts : (n_cells,) array of int64 or None
+        New subdomain of each cell, on rank 0.
+    note : str
+        What the user should know.
     """
 
-    parts: list[OwnedPart]
-    hessians: list[sparse.csr_matrix]
-    region: Region
-    start: StartField
-
-
-def with_texture(team: Team, case: Case, pair: ImagePair, mesh: Mesh | None, given: Correlated) -> Correlated:
-    """Merge subdomains, or loose pieces of them, without texture with neighbours and share out again; collective.
-
-    mesh: on rank 0. The start moves along and gains a note. All is returned unchanged where no subdomain is blank, and
-    without regularization: there the blank part is singular whatever the partition, and the factorization says where.
-    Raises InputError where fewer subdomains than ranks are left.
-    """
-    parts, region, start = given.parts, given.region, given.start
-    if case.regularization is None or region.n_subdomains == 1:
-        return given
-    pieces = team.together(lambda: [_pieces(part, m) for part, m in zip(parts, given.hessians, strict=True)])
-    # Everybody holds the same list of the same numbers, hence comes to the same decision.
-    owner = np.array(team.gather_lists([p.subdomain for piece in pieces for p in piece]))
-    blank = blank_subdomains(team.gather_lists([p.texture for piece in pieces for p in piece]))
-    if not blank.any() or blank.all():
-        return given
-    held: list[NDArray[np.int64]] = []
-    with team.waiting.counted():
-        cells = team.comm.gather([p.cells for piece in pieces for p in piece], root=0)
-
-    def merge() -> int:
-        assert mesh is not None
-        assert cells is not None
-        held.append(_merged(mesh, [c for rank in cells for c in rank], owner, blank))
-        return _count(held[0], region.n_subdomains, team.size)
-
-    n_left = team.on_root(merge)
-    subdomains = deal_out(team, case, mesh, lambda whole: held[0])
-    q = _moved(team, region, parts, start.q, subdomains)
-    degree, n_threads = case.correlation.spline_degree, case.solver.threads
-    parts = team.together(lambda: seen_parts(own_parts(subdomains, pair, degree, n_threads), q))
-    note = _note(owner, blank, region.n_subdomains, n_left)
-    return Correlated(parts, correlate(team, parts), replace(region, n_subdomains=n_left),
-                      StartField(q, (note, *start.notes)))
+    parts: NDArray[np.int64] | None
+    note: str
 
 
 @dataclass(frozen=True)
@@ -78,65 +40,126 @@ class _Piece:
     """A connected piece of a subdomain; cells: their numbers in the whole mesh."""
 
     subdomain: int
+    camera: int
     cells: NDArray[np.int64]
     texture: Texture
 
 
-def _pieces(part: OwnedPart, hessian: sparse.csr_matrix) -> list[_Piece]:
-    label = connected_pieces(cell_adjacency(part.subdomain.mesh))
-    index, degree = part.subdomain.index, part.view.deformed.degree
-    if label.max() == 0:
-        return [_Piece(index, part.subdomain.cell_ids, texture(part.view.correlation, hessian, degree))]
-    loose = [np.flatnonzero(label == k) for k in range(int(label.max()) + 1)]
-    correlations = [restricted(part.view.correlation, cells) for cells in loose]
-    return [_Piece(index, part.subdomain.cell_ids[cells], texture(alone, alone.hessian(), degree))
-            for cells, alone in zip(loose, correlations, strict=True)]
+def join_blank_subdomains(team: Team, region_mesh: RegionMesh | None, references: Sequence[ReferenceViews],
+                          hessians: Sequence[sparse.csr_matrix], degree: int) -> Joining | None:
+    """Merge subdomains, or loose pieces of them, without texture with neighbours of the same camera; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    region_mesh : RegionMesh or None
+        The whole mesh, on rank 0.
+    references : sequence of ReferenceViews
+        Owned subdomains.
+    hessians : sequence of (n_dofs, n_dofs) csr_matrix
+        M of each by its own camera, on displacements of nodes in the image.
+    degree : int
+        Of the spline.
+
+    Returns
+    -------
+    Joining or None
+        None where no subdomain is blank, and where all are.
+
+    Raises
+    ------
+    InputError
+        On all ranks, where fewer subdomains than ranks are left.
+    """
+    pieces = team.together(lambda: [
+        piece for reference, hessian in zip(references, hessians, strict=True)
+        for piece in _find_pieces(reference, hessian, degree)])
+    # Everybody holds the same list of the same numbers, hence comes to the same decision.
+    owner = np.array(team.gather_lists([piece.subdomain for piece in pieces]))
+    cameras = np.array(team.gather_lists([piece.camera for piece in pieces]))
+    textures = team.gather_lists([piece.texture for piece in pieces])
+    blank = _find_blank(textures, cameras)
+    if not blank.any():
+        return None
+    cells = team.gather_to([piece.cells for piece in pieces])
+
+    def merge() -> NDArray[np.int64]:
+        by_piece = [c for of_rank in held(cells) for c in of_rank]
+        parts = _merge(held(region_mesh), by_piece, owner, blank)
+        _refuse_too_few(parts, len(np.unique(owner)), team.size)
+        return parts
+
+    parts = team.build_on_root(merge)
+    n_left = team.on_root(lambda: int(held(parts).max()) + 1)
+    return Joining(parts, _describe(owner, blank, n_left))
 
 
-def _merged(mesh: Mesh, cells: Sequence[NDArray[np.int64]], owner: NDArray[np.int64],
-            blank: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """New subdomain of each cell, (n_cells,)."""
+def _find_pieces(reference: ReferenceViews, hessian: sparse.csr_matrix, degree: int) -> list[_Piece]:
+    subdomain, correlation = reference.subdomain, reference.own.correlation
+    labels = find_connected_pieces(find_adjacent_cells(subdomain.mesh))
+    n_pieces = int(labels.max()) + 1
+    if n_pieces == 1:
+        whole = measure_texture(correlation, hessian, degree)
+        return [_Piece(subdomain.index, subdomain.camera, subdomain.cell_ids, whole)]
+    pieces = []
+    for k in range(n_pieces):
+        cells = np.flatnonzero(labels == k)
+        alone = restrict_to_cells(correlation, cells)
+        of_piece = measure_texture(alone, alone.assemble_hessian(), degree)
+        pieces.append(_Piece(subdomain.index, subdomain.camera, subdomain.cell_ids[cells], of_piece))
+    return pieces
+
+
+def _find_blank(textures: Sequence[Texture], cameras: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which pieces are blank, (n_pieces,), by comparison with those of the same camera; none where all of one are."""
+    blank = np.zeros(len(textures), dtype=bool)
+    for camera in np.unique(cameras):
+        places = np.flatnonzero(cameras == camera)
+        found = find_blank_subdomains([textures[k] for k in places])
+        # Where all are blank, there is no neighbour to join: the factorisation says where.
+        blank[places] = found & ~found.all()
+    return blank
+
+
+def _merge(region_mesh: RegionMesh, cells: Sequence[NDArray[np.int64]], owner: NDArray[np.int64],
+           blank: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """New subdomain of each cell, (n_cells,); cells: of each piece."""
+    mesh = region_mesh.mesh
     pieces = np.empty(mesh.n_cells, dtype=np.int64)
     for number, members in enumerate(cells):
         pieces[members] = number
-    return merge_blank(pieces, owner, cell_adjacency(mesh), blank)
+    return merge_blank(pieces, owner, _adjacency_within_cameras(region_mesh), blank)
 
 
-def _count(merged: NDArray[np.int64], n_before: int, n_ranks: int) -> int:
-    n_left = int(merged.max()) + 1
+def _adjacency_within_cameras(region_mesh: RegionMesh) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Cells that share a facet, of one camera, as ``cell_adjacency`` gives them."""
+    indptr, indices = find_adjacent_cells(region_mesh.mesh)
+    cameras = region_mesh.cameras
+    row = np.repeat(np.arange(len(indptr) - 1), np.diff(indptr))
+    same = cameras[row] == cameras[indices]
+    counts = np.bincount(row[same], minlength=len(indptr) - 1)
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64), indices[same]
+
+
+def _refuse_too_few(parts: NDArray[np.int64], n_before: int, n_ranks: int) -> None:
+    n_left = int(parts.max()) + 1
     if n_left < n_ranks:
         raise InputError(
             f"{n_before - n_left} of {n_before} subdomains hold no texture and join a neighbour, which leaves {n_left} "
             f"for {n_ranks} MPI ranks, but every rank needs at least one; start at most {n_left} ranks or ask for more "
             "subdomains (solver.subdomains)")
-    return n_left
 
 
-def _moved(team: Team, region: Region, parts: Sequence[OwnedPart], q: Sequence[NDArray[np.float64]],
-           subdomains: Sequence[Subdomain]) -> list[NDArray[np.float64]]:
-    """The displacement q of the old parts on the new subdomains; copies of a node hold the same value."""
-    with team.waiting.counted():
-        old = team.comm.gather([(p.subdomain.node_ids, q_s) for p, q_s in zip(parts, q, strict=True)], root=0)
-        new = team.comm.gather([s.node_ids for s in subdomains], root=0)
-
-    def pick() -> list[list[NDArray[np.float64]]]:
-        assert old is not None
-        assert new is not None
-        whole = np.empty((region.n_nodes, region.n_dofs // region.n_nodes))
-        for nodes, values in (item for rank in old for item in rank):
-            whole[nodes] = values.reshape(len(nodes), -1)
-        return [[whole[nodes].ravel() for nodes in rank] for rank in new]
-
-    return team.scatter_from_root(pick)
-
-
-def _note(owner: NDArray[np.int64], blank: NDArray[np.bool_], n_before: int, n_left: int) -> str:
-    textured = np.isin(owner, owner[~blank])
-    whole, loose = np.unique(owner[~textured]), int((blank & textured).sum())
+def _describe(owner: NDArray[np.int64], blank: NDArray[np.bool_], n_left: int) -> str:
+    n_before = len(np.unique(owner))
+    has_texture = np.isin(owner, owner[~blank])
+    whole = np.unique(owner[~has_texture])
+    n_loose = int((blank & has_texture).sum())
     lines = []
     if len(whole):
         lines.append(f"{len(whole)} of {n_before} subdomains without texture ({first_of(whole)}); "
                      f"{n_before - n_left} joined a neighbour, {n_left} are left")
-    if loose:
-        lines.append(f"{loose} loose pieces of subdomains without texture, joined with a neighbour")
+    if n_loose:
+        lines.append(f"{n_loose} loose pieces of subdomains without texture, joined with a neighbour")
     return "partition: " + "; ".join(lines)

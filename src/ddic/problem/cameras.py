@@ -1,67 +1,259 @@
-"""The cameras of a case: their images, where they look, and which elements each of them measures."""
+"""The cameras of a case: their reference images, where they look, and which cells each of them measures."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.case.schema import Case, NearSection
+from ddic.case.schema import Case, ImagesSection, NearSection
 from ddic.errors import InputError
 from ddic.images.camera import CameraMapping, identity, similarity
 from ddic.images.source import ImageSource
+from ddic.images.sub_image import MaskedSource
 from ddic.io.image_file import open_decoded, open_image
 from ddic.io.mapping_file import read_mapping
-from ddic.kinematics.pose import Motion, Rig
+from ddic.kinematics.camera_kinematics import CameraSetup, MotionKind, see_mesh
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.shared_image import open_once_a_node
 from ddic.parallel.team import Team
-from ddic.partition.by_camera import camera_of_cells
+from ddic.partition.by_camera import assign_cameras
 from ddic.partition.ties import Tying
-from ddic.problem.inputs import ImagePair, pair_of
+
+Opener = Callable[[Path], ImageSource]
+"""Opens an image file."""
+
+Frame = tuple[MaskedSource, ...]
+"""The deformed images of one instant, one of each camera."""
+
+
+@dataclass(frozen=True)
+class FieldOfView:
+    """Which cells a near camera measures, of those that it sees whole.
+
+    Attributes
+    ----------
+    region : (x0, y0, x1, y1) or None
+        Cells outside are left to the first camera, specimen's frame; None where all are measured.
+    margin : float
+        Width of the image's edge that does not count, the camera's pixels.
+    has_own_mesh : bool
+        Whether the camera measures the cells of a mesh of its own, and no others.
+    """
+
+    region: tuple[float, float, float, float] | None
+    margin: float
+    has_own_mesh: bool
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera: its images, where it looks, and what the case says of its noise.
+    """A camera: its reference image, where it looks, and what the case says of it.
 
-    noise: standard deviation of a picture's grey levels, None if it is to be estimated.
+    Attributes
+    ----------
+    number : int
+        0 the first, whose pixels are the specimen's frame.
+    reference : MaskedSource
+        Its reference image.
+    setup : CameraSetup
+        Where it looks, and how its set-up may move.
+    noise : float or None
+        Standard deviation of a picture's noise, grey levels; None if it is to be estimated.
+    field_of_view : FieldOfView or None
+        Which cells it measures; None for the first camera, which measures what is left.
+    use_far : bool
+        Whether the first camera measures its cells as well.
     """
 
-    pair: ImagePair
-    rig: Rig
+    number: int
+    reference: MaskedSource
+    setup: CameraSetup
     noise: float | None
+    field_of_view: FieldOfView | None = None
+    use_far: bool = False
+
+    @property
+    def label(self) -> str:
+        """What the log calls it."""
+        return "far field" if self.number == 0 else f"near field {self.number}"
+
+    @property
+    def entry(self) -> str:
+        """What messages about the case file call a near camera."""
+        return f"near, entry {self.number}"
 
 
-def open_cameras(case: Case) -> tuple[Camera, ...]:
-    """The far camera and the near ones (headers only); raises InputError."""
-    return _cameras(case, open_image)
+def open_in_headers(path: Path) -> ImageSource:
+    """Open an image file by its header only.
 
+    Parameters
+    ----------
+    path : Path
+        The file.
 
-def open_shared_cameras(team: Team, case: Case) -> tuple[Camera, ...]:
-    """``open_cameras`` on all ranks: an image that can only be decoded whole is decoded once a node; collective."""
-    return _cameras(case, lambda path: open_once_a_node(team, lambda: open_decoded(path)))
-
-
-def measured_by(case: Case, cameras: tuple[Camera, ...], mesh: Mesh, tying: Tying | None = None) -> NDArray[np.int64]:
-    """Number of the camera that measures each cell, (n_cells,).
-
-    tying: of near fields' own meshes in the whole one, None without. Raises InputError where a near camera sees no
-    whole element, or leaves none to the far one, or does not see its own mesh.
+    Returns
+    -------
+    ImageSource
+        Read window by window.
     """
-    seen = [_sees(section, camera, mesh.nodes) for section, camera in zip(case.near, cameras[1:], strict=True)]
+    return open_image(path)
+
+
+def open_on_all_ranks(team: Team) -> Opener:
+    """Give what opens images on all ranks: one that can only be decoded whole is decoded once a node.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks, which open the same images in the same order.
+
+    Returns
+    -------
+    Opener
+        Collective.
+    """
+    return lambda path: open_once_a_node(team, lambda: open_decoded(path))
+
+
+def open_cameras(case: Case, opener: Opener) -> tuple[Camera, ...]:
+    """Open the reference images of a case.
+
+    Parameters
+    ----------
+    case : Case
+        With absolute paths.
+    opener : Opener
+        Opens image files.
+
+    Returns
+    -------
+    tuple of Camera
+        The far camera, then the near ones.
+
+    Raises
+    ------
+    InputError
+        Where a file or a mapping cannot be read, or a mapping is none.
+    """
+    far = _open_reference(case.images, opener)
+    cameras = [Camera(0, far, make_setup(identity(), far, "none"), case.images.noise)]
+    for number, section in enumerate(case.near, start=1):
+        reference = _open_reference(section, opener)
+        try:
+            setup = make_setup(_mapping(section), reference, section.motion)
+        except ValueError as error:
+            raise InputError(f"near, entry {number}: {error}; check its mapping (ddic calibrate)") from error
+        field_of_view = FieldOfView(section.region, section.margin, section.mesh is not None)
+        cameras.append(Camera(number, reference, setup, section.noise, field_of_view, section.use_far))
+    return tuple(cameras)
+
+
+def open_frame(case: Case, opener: Opener) -> Frame:
+    """Open the deformed images of a case.
+
+    Parameters
+    ----------
+    case : Case
+        With absolute paths.
+    opener : Opener
+        Opens image files.
+
+    Returns
+    -------
+    Frame
+        One image of each camera.
+
+    Raises
+    ------
+    InputError
+        Where a file cannot be read.
+    """
+    sections: list[ImagesSection | NearSection] = [case.images, *case.near]
+    return tuple(_masked(opener, section.deformed, section.deformed_mask, section.exclude_saturated)
+                 for section in sections)
+
+
+def _open_reference(section: ImagesSection | NearSection, opener: Opener) -> MaskedSource:
+    return _masked(opener, section.reference, section.reference_mask, section.exclude_saturated)
+
+
+def _masked(opener: Opener, image: Path, mask: Path | None, exclude_saturated: bool) -> MaskedSource:
+    return MaskedSource(opener(image), None if mask is None else opener(mask), exclude_saturated)
+
+
+def make_setup(mapping: CameraMapping, reference: MaskedSource, motion: MotionKind) -> CameraSetup:
+    """Describe a camera's set-up by its mapping and the size of its image.
+
+    Parameters
+    ----------
+    mapping : CameraMapping
+        From the specimen's frame to the camera's pixels.
+    reference : MaskedSource
+        Its reference image.
+    motion : MotionKind
+        How the set-up may move.
+
+    Returns
+    -------
+    CameraSetup
+        Which turns about the middle of what the camera sees.
+    """
+    width, height = reference.image.width, reference.image.height
+    corners = np.array([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]], dtype=np.float64)
+    seen = mapping.to_specimen(corners)
+    centre = mapping.to_specimen(corners.mean(axis=0, keepdims=True))[0]
+    farthest = float(np.linalg.norm(seen - centre, axis=1).max())
+    return CameraSetup(mapping, motion, centre, farthest)
+
+
+def _mapping(section: NearSection) -> CameraMapping:
+    if section.mapping_file is not None:
+        return read_mapping(section.mapping_file)
+    if section.ratio is None or section.offset is None:
+        # The schema lets no such section through.
+        raise ValueError("neither near.mapping_file nor near.ratio and near.offset are given")
+    return similarity(section.ratio, section.rotation_degrees, section.offset)
+
+
+def assign_cells(cameras: Sequence[Camera], mesh: Mesh, tying: Tying | None = None) -> NDArray[np.int64]:
+    """Assign each cell to the camera that measures it.
+
+    Parameters
+    ----------
+    cameras : sequence of Camera
+        All of them.
+    mesh : Mesh
+        The whole mesh.
+    tying : Tying, optional
+        Of near fields' own meshes in the whole one; None by default.
+
+    Returns
+    -------
+    (n_cells,) array of int64
+        Number of the camera.
+
+    Raises
+    ------
+    InputError
+        Where a near camera sees no whole element, or leaves none to the far one, or does not see its own mesh.
+    """
+    near = cameras[1:]
+    seen = [_sees(camera, mesh.nodes) for camera in near]
     if tying is not None:
-        _check_own_meshes(mesh, tying, seen)
-        seen = [s & (section.mesh is None) for section, s in zip(case.near, seen, strict=True)]
-    labels = camera_of_cells(mesh, seen)
+        for camera, sees in zip(near, seen, strict=True):
+            _check_own_mesh(camera, mesh, tying, sees)
+        seen = [np.zeros_like(sees) if _has_own_mesh(camera) else sees
+                for camera, sees in zip(near, seen, strict=True)]
+    labels = assign_cameras(mesh, seen)
     if tying is not None:
         labels = np.where(tying.cameras > 0, tying.cameras, labels)
-    for number in range(1, len(cameras)):
-        if not (labels == number).any():
-            raise InputError(f"{name_of(number)}: its images see no whole element of the mesh; check its mapping "
+    for camera in near:
+        if not (labels == camera.number).any():
+            raise InputError(f"{camera.entry}: its images see no whole element of the mesh; check its mapping "
                              f"(ddic calibrate), near.region and near.margin, or use smaller elements")
     if not (labels == 0).any():
         raise InputError("near: the near-field images see every element, which leaves none to the far-field images; "
@@ -69,60 +261,79 @@ def measured_by(case: Case, cameras: tuple[Camera, ...], mesh: Mesh, tying: Tyin
     return labels
 
 
-def _check_own_meshes(mesh: Mesh, tying: Tying, seen: list[NDArray[np.bool_]]) -> None:
-    """Raise InputError where a near camera does not see all of its own mesh; seen: of its camera, each (n_nodes,)."""
-    for number, sees in enumerate(seen, start=1):
-        part, nodes = mesh.submesh(np.flatnonzero(tying.cameras == number))
-        hidden = part.nodes[~sees[nodes]]
-        if len(hidden):
-            raise InputError(f"{name_of(number)}: its images do not show all of near.mesh, for instance column "
-                             f"{hidden[0, 0]:.0f}, row {hidden[0, 1]:.0f}; use a smaller mesh, or a smaller margin")
+def _has_own_mesh(camera: Camera) -> bool:
+    return camera.field_of_view is not None and camera.field_of_view.has_own_mesh
 
 
-def _cameras(case: Case, opened: Callable[[Path], ImageSource]) -> tuple[Camera, ...]:
-    far = pair_of(case.images, opened)
-    cameras = [Camera(far, _rig(identity(), far, "none"), case.images.noise)]
-    for number, section in enumerate(case.near, start=1):
-        pair = pair_of(section, opened)
-        try:
-            rig = _rig(_mapping(section), pair, section.motion)
-        except ValueError as error:
-            raise InputError(f"{name_of(number)}: {error}; check its mapping (ddic calibrate)") from error
-        cameras.append(Camera(pair, rig, section.noise))
-    return tuple(cameras)
+def _check_own_mesh(camera: Camera, mesh: Mesh, tying: Tying, sees: NDArray[np.bool_]) -> None:
+    """Raise InputError where a near camera does not see all of its own mesh; sees: (n_nodes,)."""
+    part, nodes = mesh.submesh(np.flatnonzero(tying.cameras == camera.number))
+    hidden = part.nodes[~sees[nodes]]
+    if len(hidden):
+        raise InputError(f"{camera.entry}: its images do not show all of near.mesh, for instance column "
+                         f"{hidden[0, 0]:.0f}, row {hidden[0, 1]:.0f}; use a smaller mesh, or a smaller margin")
 
 
-def name_of(number: int) -> str:
-    """What messages call a near camera, from 1."""
-    return f"near, entry {number}"
-
-
-def _mapping(section: NearSection) -> CameraMapping:
-    if section.mapping_file is not None:
-        return read_mapping(section.mapping_file)
-    assert section.ratio is not None
-    assert section.offset is not None
-    return similarity(section.ratio, section.rotation_degrees, section.offset)
-
-
-def _rig(mapping: CameraMapping, pair: ImagePair, motion: Motion) -> Rig:
-    width, height = pair.reference.image.width, pair.reference.image.height
-    corners = np.array([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]], dtype=np.float64)
-    seen = mapping.to_specimen(corners)
-    centre = mapping.to_specimen(corners.mean(axis=0, keepdims=True))[0]
-    return Rig(mapping, motion, centre, float(np.linalg.norm(seen - centre, axis=1).max()))
-
-
-def _sees(section: NearSection, camera: Camera, nodes: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _sees(camera: Camera, nodes: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Whether nodes (n, 2), specimen's frame, lie in a near image, its margin left out, and in its region."""
-    image = camera.pair.reference.image
+    image, field_of_view = camera.reference.image, camera.field_of_view
+    if field_of_view is None:
+        return np.ones(len(nodes), dtype=bool)
     try:
-        seen = camera.rig.mapping.to_image(nodes)
+        seen = camera.setup.mapping.to_image(nodes)
     except ValueError:
+        # Beyond the horizon of the mapping.
         return np.zeros(len(nodes), dtype=bool)
-    low, high = section.margin, np.array([image.width - 1, image.height - 1]) - section.margin
+    low = field_of_view.margin
+    high = np.array([image.width - 1, image.height - 1]) - field_of_view.margin
     inside = ((seen >= low) & (seen <= high)).all(axis=1)
-    if section.region is not None:
-        x0, y0, x1, y1 = section.region
+    if field_of_view.region is not None:
+        x0, y0, x1, y1 = field_of_view.region
         inside &= ((nodes >= (x0, y0)) & (nodes <= (x1, y1))).all(axis=1)
     return np.asarray(inside)
+
+
+@dataclass(frozen=True)
+class MeasuredCells:
+    """The cells that one camera measures.
+
+    Attributes
+    ----------
+    cells : (n,) array of int64
+        Their numbers in the whole mesh.
+    mesh : Mesh
+        Their mesh, specimen's frame.
+    seen : Mesh
+        The same in the camera's pixels.
+    """
+
+    cells: NDArray[np.int64]
+    mesh: Mesh
+    seen: Mesh
+
+
+def collect_cells(cameras: Sequence[Camera], mesh: Mesh, labels: NDArray[np.int64]) -> list[MeasuredCells]:
+    """Collect the cells of each camera.
+
+    Parameters
+    ----------
+    cameras : sequence of Camera
+        All of them.
+    mesh : Mesh
+        The whole mesh.
+    labels : (n_cells,) array of int64
+        Camera of each cell.
+
+    Returns
+    -------
+    list of MeasuredCells
+        By camera.
+    """
+    if len(cameras) == 1:
+        return [MeasuredCells(np.arange(mesh.n_cells), mesh, mesh)]
+    collected = []
+    for camera in cameras:
+        cells = np.flatnonzero(labels == camera.number)
+        part, _ = mesh.submesh(cells)
+        collected.append(MeasuredCells(cells, part, see_mesh(part, camera.setup)))
+    return collected

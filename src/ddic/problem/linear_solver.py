@@ -1,83 +1,210 @@
-"""The linear step that a case asks for."""
+"""The linear step that a case asks for, with its factors; renewed where M_s changes."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from dataclasses import replace
+from types import TracebackType
+from typing import Self
 
 import numpy as np
+from scipy import sparse
 
 from ddic.case.schema import Case, SolverSection
-from ddic.parallel.phases import PhaseClock
+from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.assembly import SINGULAR, Assembly, factorize
+from ddic.partition.subdomain import Subdomain
+from ddic.problem.assembly import Assembly
 from ddic.solvers.assembled import AssembledStep
 from ddic.solvers.conjugate_gradient import ConjugateGradientStep
-from ddic.solvers.dual.dual_step import DualSettings, DualStep, Preconditioner
-from ddic.solvers.linear_step import Step
+from ddic.solvers.dual.build_preconditioner import Preconditioner
+from ddic.solvers.dual.dual_step import DualSettings, DualStep
+from ddic.solvers.linear_step import LinearStep
 from ddic.solvers.local_operator import LocalOperator
+from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.monolithic import MonolithicStep
 
 LOCAL_FACTORS = ("dual", "monolithic")
 """Methods that factorise each subdomain's own operator."""
 
 MANY_SUBDOMAINS = 8
+"""Subdomains below which one level of preconditioning is always enough."""
+
 LONG_WAVELENGTH = 4.0
-"""Cut-off wavelength over the side of a subdomain from which the set-up of a coarse space is less than it saves."""
+"""Cut-off wavelength over the side of a subdomain from which the set-up of a coarse space is less than it saves; a
+larger value keeps one level for longer."""
 
 
-@contextmanager
-def linear_solver(team: Team, case: Case, assembly: Assembly, clock: PhaseClock) -> Iterator[tuple[Step, int]]:
-    """The factorised step of a case and its number of interface unknowns, freed at the end; collective."""
-    operators: list[LocalOperator] = []
-    steps: list[Step] = []
-    try:
-        if case.solver.method in LOCAL_FACTORS:
-            with clock.phase("factorize"):
-                operators += factorize(team, assembly.systems, assembly.mean_diagonal)
-        with clock.phase("interface set-up" if case.solver.method == "dual" else "factorize"):
-            step, n_interface = linear_step(team, case.solver, assembly, operators, _wavelength(case))
-            steps.append(step)
-        yield step, n_interface
-    finally:
-        for held in steps:
-            held.destroy()
-        for operator in operators:
-            operator.destroy()
+class LinearSolver:
+    """The factorised linear step of a case; use it in a ``with`` statement, which frees what PETSc holds.
 
-
-def linear_step(team: Team, solver: SolverSection, assembly: Assembly, operators: Sequence[LocalOperator],
-                wavelength: float = 0.0) -> tuple[Step, int]:
-    """The step of Gauss-Newton that a case asks for, and its number of interface unknowns.
-
-    operators: local factors, none for methods outside LOCAL_FACTORS; wavelength: cut-off wavelength, pixels (0 without
-    regularization, infinite where eta is given), which ``preconditioner = "auto"`` looks at.
+    Attributes
+    ----------
+    assembly : Assembly
+        The systems that it solves.
+    n_factorized : int
+        Operators of this rank's subdomains factorised so far.
     """
+
+    def __init__(self, team: Team, case: Case, assembly: Assembly, clock: PhaseClock) -> None:
+        """Factorise; collective.
+
+        Parameters
+        ----------
+        team : Team
+            All ranks.
+        case : Case
+            Says the method.
+        assembly : Assembly
+            Of the reference images.
+        clock : PhaseClock
+            Of the phases "factorize" and "interface set-up".
+
+        Raises
+        ------
+        SingularSubdomainError, FactorizationError
+            On all ranks.
+        """
+        self.assembly = assembly
+        self.n_factorized = 0
+        self._team, self._case, self._clock = team, case, clock
+        self._operators: list[LocalOperator] = []
+        self._step: LinearStep | None = None
+        try:
+            self._set_up([True] * len(assembly.systems))
+        except BaseException:
+            self.destroy()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self.destroy()
+
+    @property
+    def step(self) -> LinearStep:
+        """The step."""
+        if self._step is None:
+            raise RuntimeError("the linear solver was freed")
+        return self._step
+
+    @property
+    def n_interface(self) -> int:
+        """Number of interface unknowns."""
+        return self._step.n_interface if isinstance(self._step, DualStep) else 0
+
+    def renew(self, hessians: Sequence[sparse.csr_matrix | None]) -> None:
+        """Put new M_s in place of some subdomains' and factorise these again; collective.
+
+        Parameters
+        ----------
+        hessians : sequence of (n_unknowns, n_unknowns) csr_matrix or None
+            New M_s of owned subdomains, None where it stays.
+
+        Raises
+        ------
+        SingularSubdomainError, FactorizationError
+            On all ranks.
+        """
+        systems = [system if hessian is None else replace(system, hessian=hessian)
+                   for system, hessian in zip(self.assembly.systems, hessians, strict=True)]
+        self.assembly = replace(self.assembly, systems=systems)
+        # The interface operators refer to the factors: they go first.
+        self._free_step()
+        self._set_up([hessian is not None for hessian in hessians])
+
+    def destroy(self) -> None:
+        """Free PETSc's objects."""
+        self._free_step()
+        for operator in self._operators:
+            operator.destroy()
+        self._operators = []
+
+    def _free_step(self) -> None:
+        if self._step is not None:
+            self._step.destroy()
+        self._step = None
+
+    def _set_up(self, changed: Sequence[bool]) -> None:
+        method = self._case.solver.method
+        if method in LOCAL_FACTORS:
+            with self._clock.phase(Phase.FACTORIZE):
+                self._factorize(changed)
+        else:
+            self.n_factorized += sum(changed)
+        with self._clock.phase(Phase.INTERFACE_SET_UP if method == "dual" else Phase.FACTORIZE):
+            self._step = _make_step(self._team, self._case, self.assembly, self._operators)
+
+    def _factorize(self, changed: Sequence[bool]) -> None:
+        """Factorise A_s where it changed; old factors are freed before new ones need their memory."""
+        old: list[LocalOperator | None] = list(self._operators) or [None] * len(changed)
+        for operator, is_new in zip(old, changed, strict=True):
+            if is_new and operator is not None:
+                operator.destroy()
+        self._operators = [operator for operator, is_new in zip(old, changed, strict=True)
+                           if operator is not None and not is_new]
+        kept = iter(list(self._operators))
+
+        def factorize() -> list[LocalOperator]:
+            made: list[LocalOperator] = []
+            try:
+                for system, is_new in zip(self.assembly.systems, changed, strict=True):
+                    made.append(self._factor(system) if is_new else next(kept))
+            except BaseException:
+                for operator in made:
+                    operator.destroy()
+                self._operators = []
+                raise
+            return made
+
+        self._operators = self._team.together(factorize)
+
+    def _factor(self, system: LocalSystem) -> LocalOperator:
+        self.n_factorized += 1
+        return LocalOperator(system.without_motion.operator, smallest_eigenvalue=self.assembly.smallest_eigenvalue,
+                             where=_describe(system.subdomain))
+
+
+def _make_step(team: Team, case: Case, assembly: Assembly, operators: Sequence[LocalOperator]) -> LinearStep:
+    """The step of Gauss-Newton that a case asks for; operators: local factors, none outside LOCAL_FACTORS."""
+    solver = case.solver
     if solver.method == "monolithic":
-        return MonolithicStep(assembly.systems[0], operators[0]), 0
+        return MonolithicStep(assembly.systems[0], operators[0])
     if solver.method == "assembled":
-        return AssembledStep(team, assembly.systems, SINGULAR * assembly.mean_diagonal), 0
+        return AssembledStep(team, assembly.systems, assembly.smallest_eigenvalue)
     if solver.method == "conjugate_gradient":
-        return ConjugateGradientStep(team, assembly.systems, solver.tolerance, solver.max_iterations), 0
-    preconditioner = solver.preconditioner
-    if preconditioner == "auto":
-        preconditioner = _preconditioner(team, assembly, wavelength)
-    settings = DualSettings(preconditioner, solver.tolerance, solver.max_iterations, solver.recycle,
-                            solver.local_inverse)
-    step = DualStep(team, assembly.systems, operators, assembly.reaction_scale, settings)
-    return step, step.n_interface
+        return ConjugateGradientStep(team, assembly.systems, solver.tolerance, solver.max_iterations)
+    settings = DualSettings(_choose_preconditioner(team, solver, assembly, _wavelength(case)), solver.tolerance,
+                            solver.max_iterations, solver.recycle, solver.local_inverse)
+    return DualStep(team, assembly.systems, operators, assembly.reaction_scale, settings)
 
 
-def _preconditioner(team: Team, assembly: Assembly, wavelength: float) -> Preconditioner:
+def _choose_preconditioner(team: Team, solver: SolverSection, assembly: Assembly, wavelength: float) -> Preconditioner:
     """A coarse space where one level would slow down: many subdomains, and smooth fields longer than they are."""
-    sides = team.gather_lists([float(np.prod(np.ptp(s.subdomain.mesh.nodes, axis=0)) ** (1 / s.subdomain.mesh.dim))
-                               for s in assembly.systems])
-    slow = len(sides) >= MANY_SUBDOMAINS and wavelength >= LONG_WAVELENGTH * float(np.mean(sides))
-    return "two_level" if slow else "scaled"
+    if solver.preconditioner != "auto":
+        return solver.preconditioner
+    sides = team.gather_lists([_side(system.subdomain) for system in assembly.systems])
+    is_slow = len(sides) >= MANY_SUBDOMAINS and wavelength >= LONG_WAVELENGTH * float(np.mean(sides))
+    return "two_level" if is_slow else "scaled"
+
+
+def _side(subdomain: Subdomain) -> float:
+    """Side of a square or cube as large as the subdomain's box, pixels."""
+    extent = np.ptp(subdomain.mesh.nodes, axis=0)
+    return float(np.prod(extent) ** (1 / subdomain.mesh.dim))
 
 
 def _wavelength(case: Case) -> float:
+    """Cut-off wavelength, pixels: 0 without regularization, infinite where eta is given."""
     section = case.regularization
     if section is None:
         return 0.0
     return np.inf if section.cut_off_wavelength is None else section.cut_off_wavelength
+
+
+def _describe(subdomain: Subdomain) -> str:
+    low, high = subdomain.mesh.nodes.min(axis=0), subdomain.mesh.nodes.max(axis=0)
+    return (f"subdomain {subdomain.index} (columns {low[0]:.0f} to {high[0]:.0f}, "
+            f"rows {low[1]:.0f} to {high[1]:.0f})")

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 
-from mpi4py import MPI
-
 from ddic.parallel.team import Team
 
 
@@ -16,12 +14,8 @@ def thread_note(team: Team, n_threads: int) -> tuple[str, ...]:
     """
     if n_threads == 1:
         return ()
-    node = team.comm.Split_type(MPI.COMM_TYPE_SHARED)
-    try:
-        with team.waiting.counted():
-            cores: list[frozenset[int]] = node.allgather(own_cores())
-    finally:
-        node.Free()
+    with team.of_this_node() as node:
+        cores = node.gather_lists([own_cores()])
     nodes = team.gather_lists([(len(cores), len(frozenset[int]().union(*cores)))])
     n_ranks, n_cores = max(nodes, key=lambda found: found[0] / found[1])
     if n_ranks * n_threads <= n_cores:

@@ -5,19 +5,31 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+from ddic.parallel.phases import Phase
 from ddic.solvers.gauss_newton import IterationRecord
 
 
 @dataclass(frozen=True)
-class Setting:
+class ProblemSize:
     """What is about to be solved.
 
-    n_dofs, n_cells, n_subdomains, n_ranks, n_interface: sizes; n_pixels: pixels of the mesh that the
-    reference image does not exclude; dynamic_range: max f - min f over the region, grey levels;
-    eta: weight of the equilibrium gap, 0 without.
+    Attributes
+    ----------
+    n_unknowns : int
+        Of the whole field.
+    n_cells : int
+        Cells of the mesh.
+    n_pixels : int
+        Pixels of the mesh that the reference images do not exclude.
+    n_subdomains, n_ranks, n_interface : int
+        Subdomains, MPI ranks, interface unknowns.
+    dynamic_range : float
+        max f - min f over the region, grey levels.
+    eta : float
+        Weight of the equilibrium gap, grey levels squared per pixel squared; 0 without.
     """
 
-    n_dofs: int
+    n_unknowns: int
     n_cells: int
     n_pixels: int
     n_subdomains: int
@@ -30,7 +42,7 @@ class Setting:
 class Listener(Protocol):
     """Told on every rank; only rank 0's may speak."""
 
-    def phase(self, name: str) -> None:
+    def phase(self, phase: Phase) -> None:
         """Take note of a phase that begins."""
         ...
 
@@ -38,7 +50,7 @@ class Listener(Protocol):
         """Take note of something worth a line."""
         ...
 
-    def setting(self, setting: Setting) -> None:
+    def problem_size(self, size: ProblemSize) -> None:
         """Take note of what is about to be solved."""
         ...
 
@@ -50,13 +62,13 @@ class Listener(Protocol):
 class Silence:
     """Says nothing."""
 
-    def phase(self, name: str) -> None:
+    def phase(self, phase: Phase) -> None:
         """Ignore."""
 
     def note(self, line: str) -> None:
         """Ignore."""
 
-    def setting(self, setting: Setting) -> None:
+    def problem_size(self, size: ProblemSize) -> None:
         """Ignore."""
 
     def iteration(self, record: IterationRecord) -> None:

@@ -1,39 +1,69 @@
-"""What the result file says of a near-field set-up."""
+"""What the result file and the summary say of a near-field set-up."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ddic.methods.dd_dic import Measurement
-from ddic.problem.setup_motion import SetupMotion
 from ddic.results.provenance import image_attributes
+from ddic.results.setup_motion import SetupMotion
 from ddic.results.summary import NearSummary
 
+if TYPE_CHECKING:
+    from ddic.results.measurement import Measurement
 
-def near_attributes(measurement: Measurement, motion: SetupMotion) -> dict[str, Any]:
-    """Motion, mapping, noise and images of a near field; lengths are pixels of the far field."""
-    rig, pair, grey = motion.rig, measurement.pairs[motion.camera], measurement.grey[motion.camera]
+
+def describe_near_field(measurement: Measurement, motion: SetupMotion) -> dict[str, Any]:
+    """Describe motion, mapping, noise and images of a near field; lengths are pixels of the far field.
+
+    Parameters
+    ----------
+    measurement : Measurement
+        What was measured.
+    motion : SetupMotion
+        Of the near field.
+
+    Returns
+    -------
+    dict
+        Attributes by name.
+    """
+    setup, number = motion.setup, motion.camera
+    grey = measurement.evaluation.grey[number]
+    reference, deformed = measurement.cameras[number].reference.image, measurement.frame[number].image
     return {
         "alpha_px": motion.alpha, "theta_rad": motion.theta, "covariance": motion.covariance,
-        "centre_px": rig.centre, "lever_px": rig.length, "motion": rig.motion,
-        "homography": rig.mapping.homography, "distortion_centre_px": rig.mapping.centre,
-        "distortion_radius_px": rig.mapping.radius, "radial": rig.mapping.radial,
-        "noise_grey": measurement.noise[motion.camera], "far_noise_grey": measurement.noise[0],
+        "centre_px": setup.centre, "lever_px": setup.length, "motion": setup.motion,
+        "homography": setup.mapping.homography, "distortion_centre_px": setup.mapping.centre,
+        "distortion_radius_px": setup.mapping.radius, "radial": setup.mapping.radial,
+        "noise_grey": measurement.noise[number], "far_noise_grey": measurement.noise[0],
         "residual_std_grey": grey.residual_std, "gain": grey.gain, "offset": grey.offset,
-        **image_attributes("reference", pair.reference.image), **image_attributes("deformed", pair.deformed.image),
+        **image_attributes("reference", reference), **image_attributes("deformed", deformed),
     }
 
 
-def near_summary(measurement: Measurement, motion: SetupMotion) -> NearSummary:
-    """The same for scripts and people, in short."""
+def summarize_near_field(measurement: Measurement, motion: SetupMotion) -> NearSummary:
+    """Say the same to scripts and people, in short.
+
+    Parameters
+    ----------
+    measurement : Measurement
+        What was measured.
+    motion : SetupMotion
+        Of the near field.
+
+    Returns
+    -------
+    NearSummary
+        With standard deviations.
+    """
     deviations = np.sqrt(np.diag(motion.covariance))
     return NearSummary(
         alpha_px=(float(motion.alpha[0]), float(motion.alpha[1])),
         alpha_std_px=(float(deviations[0]), float(deviations[1])),
         theta_rad=motion.theta,
         theta_std_rad=float(deviations[2]) if len(deviations) == 3 else 0.0,
-        residual_std_grey=measurement.grey[motion.camera].residual_std,
+        residual_std_grey=measurement.evaluation.grey[motion.camera].residual_std,
         noise_grey=measurement.noise[motion.camera],
     )

@@ -2,25 +2,38 @@
 
 from __future__ import annotations
 
+import hashlib
 import platform
 import sys
 from datetime import UTC, datetime
 from importlib import metadata
 
 import mpi4py.MPI
+import numpy as np
 import petsc4py.PETSc
 
 import ddic
 from ddic.images.source import ImageSource
+from ddic.images.window import Window
 from ddic.io.image_file import sha256_of_file
 from ddic.io.source_tree import source_commit
 
 _LIBRARIES = ("numpy", "scipy", "numba", "h5py", "mpi4py", "petsc4py")
 
 
-def provenance(reference: ImageSource, deformed: ImageSource, *, n_ranks: int,
-               n_subdomains: int) -> dict[str, str | int]:
-    """Facts that let a reader repeat the measurement; called on rank 0."""
+def collect_provenance(origin: dict[str, str | int]) -> dict[str, str | int]:
+    """Collect the facts that let a reader repeat a measurement; on rank 0.
+
+    Parameters
+    ----------
+    origin : dict
+        What it was measured from.
+
+    Returns
+    -------
+    dict
+        Date, command, versions, then what was given.
+    """
     facts: dict[str, str | int] = {
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": " ".join(sys.argv),
@@ -29,15 +42,31 @@ def provenance(reference: ImageSource, deformed: ImageSource, *, n_ranks: int,
         "python": platform.python_version(),
         "petsc": ".".join(str(n) for n in petsc4py.PETSc.Sys.getVersion()),
         "mpi": mpi4py.MPI.Get_library_version().splitlines()[0].strip("\0 "),
-        "n_ranks": n_ranks,
-        "n_subdomains": n_subdomains,
     }
     for library in _LIBRARIES:
         facts[library] = metadata.version(library)
-    return {**facts, **image_attributes("reference", reference), **image_attributes("deformed", deformed)}
+    return {**facts, **origin}
 
 
 def image_attributes(name: str, image: ImageSource) -> dict[str, str | int]:
-    """An image's path, size and checksum under NAME_path, NAME_size and NAME_sha256."""
+    """Describe an image by its path, size and checksum.
+
+    Parameters
+    ----------
+    name : str
+        What the image is.
+    image : ImageSource
+        From a file, or in memory.
+
+    Returns
+    -------
+    dict
+        NAME_path, NAME_size and NAME_sha256: of the file's bytes, or of the pixels in memory.
+    """
+    if image.path.is_file():
+        checksum = sha256_of_file(image.path)
+    else:
+        pixels = image.read(Window(0, 0, image.width, image.height))
+        checksum = hashlib.sha256(np.ascontiguousarray(pixels).tobytes()).hexdigest()
     return {f"{name}_path": str(image.path), f"{name}_size": f"{image.width}x{image.height}",
-            f"{name}_sha256": sha256_of_file(image.path)}
+            f"{name}_sha256": checksum}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -17,8 +18,6 @@ CHUNKS_A_MESSAGE = 16
 
 LARGE = 0.5
 """Share of a chunk's largest part from which on a rank may own it; of these the one with the fewest chunks does."""
-
-_PART, _PACKED = 2, 3
 
 
 @dataclass(frozen=True)
@@ -81,42 +80,41 @@ def packed_chunks(team: Team, grid: ChunkGrid, windows: list[Window], patches: I
     sent = []
     for number, chunk in _completed(grid, windows, patches):
         if shares.owner[number] != team.rank:
-            sent.append(team.comm.isend((number, chunk), dest=shares.owner[number], tag=_PART))
+            sent.append(team.begin_send((number, chunk), shares.owner[number]))
         elif len(shares.sharers[number]) > 1:
             kept[number] = chunk
         else:
             done += _packed(number, chunk)
     for rank, n_chunks in awaited.items():
         for _ in range(n_chunks):
-            with team.waiting.counted():
-                number, chunk = team.comm.recv(source=rank, tag=_PART)
+            number, chunk = team.receive(rank)
             np.copyto(kept[number], chunk, where=~np.isnan(chunk))
     for number, chunk in kept.items():
         done += _packed(number, chunk)
-    with team.waiting.counted():
-        for request in sent:
-            request.wait()
+    team.finish_sends(sent)
     return done
 
 
-def to_root(team: Team, chunks: list[PackedChunk]) -> Iterator[PackedChunk]:
-    """All ranks' chunks on rank 0, a few in each message; nothing elsewhere. Collective."""
-    if team.is_root:
-        yield from chunks
-        for rank in range(1, team.size):
-            while batch := _received(team, rank):
-                yield from batch
-        return
-    with team.waiting.counted():
-        for begin in range(0, len(chunks), CHUNKS_A_MESSAGE):
-            team.comm.send(chunks[begin:begin + CHUNKS_A_MESSAGE], dest=0, tag=_PACKED)
-        team.comm.send([], dest=0, tag=_PACKED)
+def stream_chunks(team: Team, chunks: list[PackedChunk]) -> Iterator[PackedChunk]:
+    """Bring all ranks' chunks to rank 0, a few in each message.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    chunks : list of PackedChunk
+        This rank's.
+
+    Returns
+    -------
+    iterator of PackedChunk
+        On rank 0, which must take them all; nothing elsewhere, where they are sent during the call.
+    """
+    batches = (chunks[begin:begin + CHUNKS_A_MESSAGE] for begin in range(0, len(chunks), CHUNKS_A_MESSAGE))
+    return itertools.chain.from_iterable(team.stream_to_root(batches))
 
 
-def _received(team: Team, rank: int) -> list[PackedChunk]:
-    with team.waiting.counted():
-        batch: list[PackedChunk] = team.comm.recv(source=rank, tag=_PACKED)
-    return batch
+to_root = stream_chunks
 
 
 def _completed(grid: ChunkGrid, windows: list[Window],

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ddic.io.replace_on_exit import replaced_on_exit
+from ddic.parallel.phases import Phase
 
 
 @dataclass(frozen=True)
@@ -52,8 +53,8 @@ class Summary:
     n_subdomains: int
     n_ranks: int
     krylov_iterations: Sequence[int]
-    seconds: Mapping[str, float]
-    cpu_seconds: Mapping[str, float]
+    seconds: Mapping[Phase, float]
+    cpu_seconds: Mapping[Phase, float]
     peak_memory_bytes: Sequence[int]
     largest_jump_px: float
     linear_error_px: float
@@ -64,13 +65,8 @@ class Summary:
     eta: float | None = None
     cut_off_wavelength: float | None = None
     notes: Sequence[str] = field(default_factory=tuple)
-    imbalance: Mapping[str, float] = field(default_factory=dict)
+    imbalance: Mapping[Phase, float] = field(default_factory=dict)
     near: Sequence[NearSummary] = field(default_factory=tuple)
-
-
-def summary_path(result: Path) -> Path:
-    """The summary's file beside a result file: the same name, ending in .json."""
-    return result.with_suffix(".json")
 
 
 def write_summary(path: Path, summary: Summary) -> None:

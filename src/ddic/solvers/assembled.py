@@ -1,21 +1,21 @@
-"""The linear step on the whole mesh by one sparse Cholesky spread over ranks."""
+"""The linear step on the whole region by one sparse Cholesky spread over ranks."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from ddic.errors import FactorizationError, on_all_ranks
 from ddic.parallel.team import Team
-from ddic.solvers.linear_step import Leave, StepResult
+from ddic.solvers.linear_step import AllowedError, StepResult
 from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.parallel_entries import ParallelEntries
-from ddic.solvers.petsc_defaults import ASSEMBLED, configured_ksp
-from ddic.solvers.singularity import lowest_eigenvalue_estimate
+from ddic.solvers.petsc_defaults import ASSEMBLED, create_ksp
+from ddic.solvers.petsc_stack import PetscStack
+from ddic.solvers.singularity import bound_lowest_eigenvalue
 from ddic.solvers.whole_system import WholeSystem
 
 ZERO_PIVOT = -10
@@ -26,52 +26,78 @@ class AssembledStep:
     """Solves Eq. 11 of [BP17] for all subdomains at once, by a factor of A.
 
     PETSc options (prefix ``assembled_``): Cholesky by MUMPS.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks; they make it together.
+    systems : sequence of LocalSystem
+        This rank's subdomains.
+    smallest_eigenvalue : float
+        Below it A counts as singular, grey levels squared per pixel squared.
+
+    Raises
+    ------
+    SingularSubdomainError, FactorizationError
+        On all ranks.
     """
 
     def __init__(self, team: Team, systems: Sequence[LocalSystem], smallest_eigenvalue: float) -> None:
-        """Assemble and factorise; collective.
-
-        systems: this rank's subdomains; smallest_eigenvalue: below it A counts as singular.
-        Raises SingularSubdomainError and FactorizationError on all ranks.
-        """
-        self._whole = WholeSystem(team, systems)
-        self._matrix = _operator(team.comm, self._whole)
-        self._left, self._right = self._matrix.createVecs()
-        self._ksp = configured_ksp(team.comm, ASSEMBLED)
-        try:
+        with PetscStack() as stack:
+            self._whole = stack.keep(WholeSystem(team, systems))
+            self._matrix = stack.keep(_assemble(team, self._whole))
+            self._left = stack.keep(self._whole.create_vector())
+            self._right = stack.keep(self._whole.create_vector())
+            self._ksp = stack.keep(create_ksp(team.comm, ASSEMBLED))
             self._factorize(team.rank, smallest_eigenvalue)
-        except BaseException:
-            self.destroy()
-            raise
+            self._objects = stack.pop_all()
 
     def solve(self, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]],
-              leave: Leave | None = None) -> StepResult:
-        """Solve for dq_s; where copies of a node differ in q, q + dq is one field, as of the dual step."""
-        mean = self._whole.mean_of_copies(q)
+              allowed: AllowedError | None = None) -> StepResult:
+        """Solve for dq_s; where copies of an unknown differ in q, q + dq is one field, as of the dual step.
+
+        Parameters
+        ----------
+        q : sequence of (n_unknowns,) arrays
+            q_s of each owned subdomain, pixels.
+        b : sequence of (n_unknowns,) arrays
+            Its b_s, grey levels squared per pixel.
+        allowed : AllowedError, optional
+            Does not matter: the step is direct.
+
+        Returns
+        -------
+        StepResult
+            Without an error.
+        """
+        mean = self._whole.average_copies(q)
         self._whole.set_right_hand_side(self._right, q, b, mean)
         self._ksp.solve(self._right, self._left)
-        return StepResult(self._whole.corrections(self._left, q, mean), 0, np.zeros(0), 0.0)
+        return StepResult(self._whole.find_corrections(self._left, q, mean), 0, np.zeros(0), 0.0)
 
     def destroy(self) -> None:
         """Free PETSc's objects; must be called before the interpreter ends."""
-        for thing in (self._ksp, self._matrix, self._left, self._right, self._whole):
-            thing.destroy()
+        self._objects.close()
 
     def _factorize(self, seed: int, smallest_eigenvalue: float) -> None:
+        """Factorise A and refuse it where it is singular."""
         # Not left to MUMPS, which says no more than that a pivot is zero.
-        self._whole.refuse_unheld(self._matrix)
+        self._whole.check_diagonal(self._matrix)
         self._ksp.setOperators(self._matrix)
         self._ksp.setFromOptions()
         self._ksp.setUp()
-        factor = self._ksp.getPC().getFactorMatrix()
-        self._refuse_want_of_memory(factor)
-        self._left.setArray(np.random.default_rng(seed).standard_normal(self._left.getLocalSize()))
+        with PetscStack() as stack:
+            factor = stack.keep(self._ksp.getPC().getFactorMatrix())
+            self._check_memory(factor)
+            self._left.setArray(np.random.default_rng(seed).standard_normal(self._left.getLocalSize()))
+            lowest = bound_lowest_eigenvalue(factor, self._left)
         # A factor that broke down at a zero pivot solves to infinity, hence counts as singular too.
-        if not lowest_eigenvalue_estimate(factor, self._left) > smallest_eigenvalue:
+        if not lowest > smallest_eigenvalue:
             self._left.abs()
-            raise self._whole.singular_at(self._left.max()[0])
+            raise self._whole.describe_singular(self._left.max()[0])
 
-    def _refuse_want_of_memory(self, factor: PETSc.Mat) -> None:
+    def _check_memory(self, factor: PETSc.Mat) -> None:
+        """Raise where MUMPS failed for another reason than a zero pivot."""
         if self._ksp.getPC().getFactorSolverType() != "mumps":
             return
         code = factor.getMumpsInfog(1)
@@ -82,15 +108,16 @@ class AssembledStep:
                 'solver.method = "dual"'))
 
 
-def _operator(comm: MPI.Comm, whole: WholeSystem) -> PETSc.Mat:
-    """A of Eq. 11: rows of Kbar are complete before they are squared."""
-    rows, entries = (ParallelEntries(comm, whole.n_owned, whole.n_owned) for _ in range(2))
-    for system, kbar, n in zip(whole.systems, whole.kbars, whole.numbers, strict=True):
-        entries.add_sparse(n, n, system.hessian)
-        rows.add_sparse(n, n, kbar)
-    gap = rows.owned_rows()
-    everything = np.arange(gap.shape[1])
-    entries.add_sparse(everything, everything, whole.systems[0].eta * (gap.T @ gap))
-    matrix = entries.matrix()
+def _assemble(team: Team, whole: WholeSystem) -> PETSc.Mat:
+    """Assemble A of Eq. 11: rows of Kbar are complete before they are squared."""
+    rows = ParallelEntries(team, whole.n_owned, whole.n_owned)
+    entries = ParallelEntries(team, whole.n_owned, whole.n_owned)
+    for system, kbar, numbers in zip(whole.systems, whole.kbars, whole.numbers, strict=True):
+        entries.add_sparse(numbers, numbers, system.hessian)
+        rows.add_sparse(numbers, numbers, kbar)
+    kbar_rows = rows.sum_owned_rows()
+    everything = np.arange(kbar_rows.shape[1])
+    entries.add_sparse(everything, everything, whole.systems[0].eta * (kbar_rows.T @ kbar_rows))
+    matrix = entries.create_matrix()
     matrix.setOption(PETSc.Mat.Option.SPD, True)
     return matrix

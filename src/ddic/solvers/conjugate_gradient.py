@@ -1,4 +1,4 @@
-"""The linear step on the whole mesh by conjugate gradients, A never formed."""
+"""The linear step on the whole region by conjugate gradients, A never formed."""
 
 from __future__ import annotations
 
@@ -10,16 +10,19 @@ from petsc4py import PETSc
 
 from ddic.errors import ConvergenceError, on_all_ranks
 from ddic.parallel.team import Team
-from ddic.solvers.linear_step import Leave, StepResult
+from ddic.solvers.displacement_size import measure_unit_size
+from ddic.solvers.linear_step import AllowedError, StepResult
 from ddic.solvers.local_system import LocalSystem
-from ddic.solvers.petsc_defaults import CONJUGATE_GRADIENT, configured_ksp
+from ddic.solvers.petsc_defaults import CONJUGATE_GRADIENT, create_ksp
+from ddic.solvers.petsc_stack import PetscStack
 from ddic.solvers.whole_system import WholeSystem
 
 LOOK_EVERY = 4
-"""Iterations between two estimates of the extreme eigenvalues."""
+"""Iterations between two estimates of the extreme eigenvalues: fewer estimate more often, more may iterate too long."""
 
 OF_ALLOWED = 0.1
-"""Share of the allowed error that is left: ten more iterations cost less than one more pass over the pixels."""
+"""Share of the allowed error that is left: ten more iterations cost less than one more pass over the pixels. A larger
+share iterates less and leaves more error."""
 
 
 class ConjugateGradientStep:
@@ -27,88 +30,123 @@ class ConjugateGradientStep:
 
     Nothing is factorised: two products with Kbar_s and one with M_s an iteration, whose number grows with the cut-off
     wavelength. PETSc options (prefix ``cg_``): ``-cg_ksp_monitor``, ``-cg_ksp_type``...
+
+    Parameters
+    ----------
+    team : Team
+        All ranks; they make it together.
+    systems : sequence of LocalSystem
+        This rank's subdomains.
+    tolerance : float
+        On the relative error, by |e|/|dq| <= cond(D^-1 A) |z|/|z_0| with z = D^-1 times the residual.
+    max_iterations : int
+        Most iterations of one step.
+
+    Raises
+    ------
+    SingularSubdomainError
+        On all ranks, where an unknown is held by nothing.
     """
 
     def __init__(self, team: Team, systems: Sequence[LocalSystem], tolerance: float, max_iterations: int) -> None:
-        """Set up; collective.
-
-        systems: this rank's subdomains; tolerance: on the relative error, by |e|/|dq| <= cond(D^-1 A) |z|/|z_0| with
-        z = D^-1 times the residual. Raises SingularSubdomainError on all ranks where a dof is held by nothing.
-        """
         self._tolerance = tolerance
-        self._whole = WholeSystem(team, systems)
-        size = (self._whole.n_owned, PETSc.DETERMINE)
-        self._matrix = PETSc.Mat().createPython((size, size), _Product(self._whole), comm=team.comm)
-        self._matrix.setOption(PETSc.Mat.Option.SPD, True)
-        self._matrix.setUp()
-        self._left, self._right, self._residual = (self._whole.new_vector() for _ in range(3))
-        self._root_n_nodes = float(np.sqrt(self._left.getSize() / systems[0].subdomain.mesh.dim))
+        # Bounds of the eigenvalues of D^-1 A, from all iterations so far.
         self._largest, self._lowest = 1.0, 1.0
-        self._ksp = configured_ksp(team.comm, CONJUGATE_GRADIENT)
-        try:
+        self._unit_size = measure_unit_size(team, [system.subdomain for system in systems])
+        with PetscStack() as stack:
+            self._whole = stack.keep(WholeSystem(team, systems))
+            size = (self._whole.n_owned, PETSc.DETERMINE)
+            self._matrix = stack.keep(PETSc.Mat())
+            self._matrix.createPython((size, size), _Product(self._whole), comm=team.comm)
+            self._matrix.setOption(PETSc.Mat.Option.SPD, True)
+            self._matrix.setUp()
+            self._left = stack.keep(self._whole.create_vector())
+            self._right = stack.keep(self._whole.create_vector())
+            self._residual = stack.keep(self._whole.create_vector())
+            self._preconditioned = stack.keep(self._whole.create_vector())
+            self._ksp = stack.keep(create_ksp(team.comm, CONJUGATE_GRADIENT))
             self._configure(max_iterations)
-        except BaseException:
-            self.destroy()
-            raise
+            self._objects = stack.pop_all()
 
     def solve(self, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]],
-              leave: Leave | None = None) -> StepResult:
-        """Solve for dq_s; where copies of a node differ in q, q + dq is one field. Raises ConvergenceError.
+              allowed: AllowedError | None = None) -> StepResult:
+        """Solve for dq_s; where copies of an unknown differ in q, q + dq is one field.
 
         The last solution is taken up again where that helps, as it does when one step is asked for more exactly.
+
+        Parameters
+        ----------
+        q : sequence of (n_unknowns,) arrays
+            q_s of each owned subdomain, pixels.
+        b : sequence of (n_unknowns,) arrays
+            Its b_s, grey levels squared per pixel.
+        allowed : AllowedError, optional
+            Error that may be left; None: what the tolerance allows.
+
+        Returns
+        -------
+        StepResult
+            With an estimate of its error.
+
+        Raises
+        ------
+        ConvergenceError
+            On all ranks, where ``max_iterations`` are not enough.
         """
-        mean = self._whole.mean_of_copies(q)
+        mean = self._whole.average_copies(q)
         self._whole.set_right_hand_side(self._right, q, b, mean)
         size = self._preconditioned_norm(self._right)
         begun = self._preconditioned_norm(self._residual_of_last())
         if not begun < size:
             self._left.set(0.0)
             begun = size
-        self._ksp.setConvergenceTest(self._stop(size, begun, leave))
+        self._ksp.setConvergenceTest(self._make_test(size, begun, allowed))
         self._ksp.setConvergenceHistory(reset=True)
         self._ksp.solve(self._right, self._left)
+        iterations = int(self._ksp.getIterationNumber())
+        norm = float(self._ksp.getResidualNorm())
         if self._ksp.getConvergedReason() < 0:
             raise on_all_ranks(ConvergenceError(
-                f"conjugate gradients did not converge in {self._ksp.getIterationNumber()} iterations (relative "
-                f"residual {self._ksp.getResidualNorm() / (size or 1.0):.1e}): the cut-off wavelength is too long for "
+                f"conjugate gradients did not converge in {iterations} iterations (relative "
+                f"residual {norm / (size or 1.0):.1e}): the cut-off wavelength is too long for "
                 'them, or nothing holds a part of the region; use solver.method = "dual", or raise '
                 "solver.max_iterations"))
-        return StepResult(self._whole.corrections(self._left, q, mean), int(self._ksp.getIterationNumber()),
-                          np.array(self._ksp.getConvergenceHistory()) / (size or 1.0),
-                          self._error(self._ksp.getResidualNorm()))
+        history = np.array(self._ksp.getConvergenceHistory()) / (size or 1.0)
+        return StepResult(self._whole.find_corrections(self._left, q, mean), iterations, history,
+                          self._estimate_error(norm))
 
     def destroy(self) -> None:
         """Free PETSc's objects; must be called before the interpreter ends."""
-        for thing in (self._ksp, self._matrix, self._left, self._right, self._residual, self._whole):
-            thing.destroy()
+        self._objects.close()
 
     def _configure(self, max_iterations: int) -> None:
+        """Set up the Krylov solver."""
         self._ksp.setOperators(self._matrix)
         self._ksp.setTolerances(max_it=max_iterations)
         self._ksp.setInitialGuessNonzero(True)
         self._ksp.setComputeSingularValues(True)
         self._ksp.setConvergenceHistory(length=max_iterations + 2, reset=True)
         self._ksp.setFromOptions()
-        self._whole.refuse_unheld(self._matrix)
+        self._whole.check_diagonal(self._matrix)
         self._ksp.setUp()
 
     def _residual_of_last(self) -> PETSc.Vec:
+        """Residual that the last solution leaves of the present right-hand side."""
         self._matrix.mult(self._left, self._residual)
         self._residual.aypx(-1.0, self._right)
         return self._residual
 
     def _preconditioned_norm(self, vector: PETSc.Vec) -> float:
-        out = vector.duplicate()
-        self._ksp.getPC().apply(vector, out)
-        norm = float(out.norm())
-        out.destroy()
-        return norm
+        """|D^-1 vector|."""
+        self._ksp.getPC().apply(vector, self._preconditioned)
+        return float(self._preconditioned.norm())
 
-    def _error(self, norm: float) -> float:
+    def _estimate_error(self, norm: float) -> float:
         """RMS over nodes of dq's error, pixels, from |D^-1 r|: A e = r, hence over the lowest eigenvalue of D^-1 A."""
-        return norm / (self._lowest * self._root_n_nodes)
+        return norm / self._lowest * self._unit_size
 
-    def _stop(self, size: float, begun: float, leave: Leave | None) -> Callable[[PETSc.KSP, int, float], int]:
+    def _make_test(self, size: float, begun: float,
+                   allowed: AllowedError | None) -> Callable[[PETSc.KSP, int, float], int]:
         """PETSc's test of convergence; size, begun: |D^-1 r| of the right-hand side and of the first guess."""
 
         def test(ksp: PETSc.KSP, iteration: int, norm: float) -> int:
@@ -118,13 +156,15 @@ class ConjugateGradientStep:
                 return 0
             if iteration:
                 largest, lowest = ksp.computeExtremeSingularValues()
-                self._largest, self._lowest = max(self._largest, largest), min(self._lowest, lowest)
-            if norm <= self._tolerance * size * self._lowest / self._largest:
+                self._largest = max(self._largest, largest)
+                self._lowest = min(self._lowest, lowest)
+            condition = self._largest / self._lowest
+            if norm <= self._tolerance * size / condition:
                 return int(PETSc.KSP.ConvergedReason.CONVERGED_RTOL)
-            if leave is None or iteration == 0:
+            if allowed is None or iteration == 0:
                 return 0
-            allowed = OF_ALLOWED * max(leave.error, leave.share * self._error(begun))
-            return int(PETSc.KSP.ConvergedReason.CONVERGED_ATOL) if self._error(norm) <= allowed else 0
+            error = OF_ALLOWED * max(allowed.rms, allowed.share * self._estimate_error(begun))
+            return int(PETSc.KSP.ConvergedReason.CONVERGED_ATOL) if self._estimate_error(norm) <= error else 0
 
         return test
 
@@ -138,11 +178,13 @@ class _Product:
     def mult(self, _: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """PETSc's callback for y = A x."""
         exchange = self._whole.exchange
-        exchange.add_to_owners(self._whole.apply(exchange.to_ghosts(x)), y)
+        exchange.add_to_owners(self._whole.apply(exchange.fetch_ghosts(x)), y)
 
     def getDiagonal(self, _: PETSc.Mat, diagonal: PETSc.Vec) -> None:
         """PETSc's callback for D; rows of Kbar on interfaces are squared one by one, for it only preconditions."""
         whole = self._whole
-        parts = [s.hessian.diagonal() + s.eta * np.asarray(kbar.power(2).sum(axis=0)).ravel()
-                 for s, kbar in zip(whole.systems, whole.kbars, strict=True)]
-        whole.exchange.add_to_owners(whole.added(parts), diagonal)
+        parts = []
+        for system, kbar in zip(whole.systems, whole.kbars, strict=True):
+            sums_of_squares = np.asarray(kbar.power(2).sum(axis=0)).ravel()
+            parts.append(system.hessian.diagonal() + system.eta * sums_of_squares)
+        whole.exchange.add_to_owners(whole.add_up(parts), diagonal)

@@ -11,29 +11,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError, on_all_ranks
-from ddic.functionals.correlation import GreyCorrection, GreySums, Residual
-from ddic.functionals.view import View
-from ddic.parallel.phases import PhaseClock
+from ddic.functionals.grey_statistics import GreyState
+from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
-from ddic.partition.subdomain import Subdomain
-from ddic.solvers.linear_step import Leave, Step, StepResult
+from ddic.solvers.linear_step import AllowedError, LinearStep, StepResult
+
+Array = NDArray[np.float64]
 
 SHARE = 0.05
 """Share of the RMS of dq that a linear step may leave as its error, and of the error before its first Krylov
-iteration that is tried first: Gauss-Newton with a constant gradient gains about one digit an iteration anyway."""
+iteration that is tried first: Gauss-Newton with a constant gradient gains about one digit an iteration anyway. A larger
+share saves Krylov iterations and may cost Gauss-Newton ones."""
 
 GAIN = 0.2
 """RMS dq that the next iteration is expected to have, relative to the last: a guess, made good where it was wrong."""
 
 LAST_SHARE = 0.05
-"""Share of the tolerance on RMS dq that the last linear step may leave."""
+"""Share of the tolerance on RMS dq that the last linear step may leave; a larger one leaves more in the result."""
 
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Stops at |dq|/|q| <= relative or RMS dq <= rms pixels, whichever comes first.
+    """When Gauss-Newton stops: |dq|/|q| <= relative or RMS dq <= rms, whichever comes first.
 
-    inexact: linear steps are solved only as far as Gauss-Newton's progress asks, the last one to rms / 20.
+    Attributes
+    ----------
+    relative : float
+        On |dq|/|q|, no unit.
+    rms : float
+        On the RMS of dq over nodes, pixels.
+    max_iterations : int
+        Iterations after which it gives up.
+    inexact : bool
+        Whether linear steps are solved only as far as Gauss-Newton's progress asks, the last one to rms / 20.
     """
 
     relative: float = 1e-3
@@ -43,55 +53,90 @@ class Tolerances:
 
 
 @dataclass(frozen=True)
-class OwnedPart:
-    """An owned subdomain with its pixels; views: of its own camera first, then of others that see it as well."""
+class CorrectionSize:
+    """How large a correction is, on displacements of the mesh's nodes, every node counted once.
 
-    subdomain: Subdomain
-    views: tuple[View, ...]
-
-    @property
-    def view(self) -> View:
-        """What its own camera says."""
-        return self.views[0]
-
-    @property
-    def n_dofs(self) -> int:
-        """Number of nodal displacements, which come before the other unknowns."""
-        return self.subdomain.n_dofs
-
-
-@dataclass(frozen=True)
-class GreyState:
-    """Grey-level statistics of one camera's pixels of the whole region at one displacement.
-
-    residual_std, residual_rms: grey levels; n_pixels: pixels that count; gain, offset: of f = a g + b
-    (the global correction; 1 and 0 without it, and with the correction per element).
+    Attributes
+    ----------
+    relative : float
+        |dq|/|q + dq|, no unit.
+    rms : float
+        RMS over nodes, pixels.
+    largest : float
+        Largest at any node, pixels.
     """
 
-    residual_std: float
-    residual_rms: float
-    n_pixels: int
-    gain: float
-    offset: float
+    relative: float
+    rms: float
+    largest: float
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether all are finite."""
+        return bool(np.isfinite([self.rms, self.largest]).all())
+
+    def is_below(self, tolerances: Tolerances) -> bool:
+        """Tell whether Gauss-Newton may stop after this correction.
+
+        Parameters
+        ----------
+        tolerances : Tolerances
+            Of which one is enough.
+
+        Returns
+        -------
+        bool
+            Whether it may.
+        """
+        return self.relative <= tolerances.relative or self.rms <= tolerances.rms
+
+
+class Model(Protocol):
+    """What Gauss-Newton asks of the images."""
+
+    @property
+    def team(self) -> Team:
+        """All ranks."""
+        ...
+
+    def linearize(self, q: Sequence[Array]) -> tuple[list[Array], tuple[GreyState, ...]]:
+        """Pass over all pixels: b_s of owned subdomains, and each camera's statistics; collective."""
+        ...
+
+    def measure_correction(self, dq: Sequence[Array], q: Sequence[Array]) -> CorrectionSize:
+        """Measure a correction dq of unknowns q on displacements of nodes; collective."""
+        ...
 
 
 @dataclass(frozen=True)
 class IterationRecord:
     """One line of the Gauss-Newton table.
 
-    number: from 1; relative: |dq|/|q|; rms: RMS dq, pixels; cameras: statistics before the correction, by camera;
-    krylov_iterations, krylov_history, linear_error: of its linear step (``StepResult``); seconds: wall seconds so
-    far by phase.
+    Attributes
+    ----------
+    number : int
+        From 1.
+    size : CorrectionSize
+        Of the correction.
+    cameras : tuple of GreyState
+        Statistics before the correction, by camera.
+    krylov_iterations : int
+        Of its linear step.
+    krylov_history : (krylov_iterations + 1,) array
+        Residuals of its linear step, relative.
+    linear_error : float
+        Estimated RMS error of dq that its linear step left, pixels.
+    seconds : dict
+        Wall seconds so far, by phase.
     """
 
     number: int
-    relative: float
-    rms: float
+    size: CorrectionSize
     cameras: tuple[GreyState, ...]
     krylov_iterations: int
-    krylov_history: NDArray[np.float64]
+    krylov_history: Array
     linear_error: float
-    seconds: dict[str, float]
+    seconds: dict[Phase, float]
 
     @property
     def grey(self) -> GreyState:
@@ -99,159 +144,138 @@ class IterationRecord:
         return self.cameras[0]
 
 
-class Report(Protocol):
-    """Told of every iteration on every rank; only rank 0's may speak."""
+Report = Callable[[IterationRecord], None]
+"""Told of every iteration on every rank; only rank 0's may speak."""
 
-    def __call__(self, record: IterationRecord) -> None:
-        """Take note of one iteration."""
-        ...
+
+@dataclass(frozen=True)
+class Progress:
+    """Where Gauss-Newton writes what it does.
+
+    Attributes
+    ----------
+    clock : PhaseClock
+        Of the phases "residual" and "linear step".
+    report : callable
+        Told of every iteration.
+    """
+
+    clock: PhaseClock
+    report: Report
+
+
+def stay_silent(record: IterationRecord) -> None:
+    """Report nothing.
+
+    Parameters
+    ----------
+    record : IterationRecord
+        Of one iteration.
+    """
 
 
 @dataclass(frozen=True)
 class Solution:
-    """Unknowns q_s of each owned subdomain (n_unknowns,), pixels, and how they came about."""
+    """What Gauss-Newton found.
 
-    q: list[NDArray[np.float64]]
+    Attributes
+    ----------
+    q : list of (n_unknowns,) array
+        Unknowns of each owned subdomain.
+    records : list of IterationRecord
+        How they came about.
+    """
+
+    q: list[Array]
     records: list[IterationRecord]
 
 
-def evaluate(team: Team, parts: Sequence[OwnedPart], q: Sequence[NDArray[np.float64]], correction: GreyCorrection,
-             n_cameras: int = 1) -> tuple[list[tuple[Residual, ...]], tuple[GreyState, ...]]:
-    """Residuals of all views of owned subdomains, and each camera's grey-level statistics; raises ConvergenceError."""
-    residuals = team.together(lambda: [
-        tuple(view.residual(q_s, all_kinds=correction != "none") for view in part.views)
-        for part, q_s in zip(parts, q, strict=True)
-    ])
-    grey = team.ordered_sum([_by_camera(part, r, n_cameras, lambda r: r.sums.values)
-                             for part, r in zip(parts, residuals, strict=True)])
-    moments = team.ordered_sum([
-        _by_camera(part, r, n_cameras, lambda r: np.stack(
-            [sums.sum() for sums in r.cell_sums.residual(*r.cell_sums.gain_and_offset())]))
-        for part, r in zip(parts, residuals, strict=True)]) if correction == "element" else None
-    return residuals, tuple(
-        _grey_state(GreySums(grey[k]), correction, None if moments is None else moments[k]) for k in range(n_cameras))
+def gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, tolerances: Tolerances,
+                 progress: Progress) -> Solution:
+    """Iterate q <- q + dq until the correction is small.
 
+    Parameters
+    ----------
+    model : Model
+        Gives b from the images.
+    q : sequence of (n_unknowns,) array
+        Start, of each owned subdomain.
+    step : LinearStep
+        Solves Eq. 11 of [BP17] for dq.
+    tolerances : Tolerances
+        When to stop.
+    progress : Progress
+        Where to write.
 
-def _by_camera(part: OwnedPart, residuals: Sequence[Residual], n_cameras: int,
-               of: Callable[[Residual], NDArray[np.float64]]) -> NDArray[np.float64]:
-    """A subdomain's sums in its cameras' rows, (n_cameras, n)."""
-    values = [of(residual) for residual in residuals]
-    rows = np.zeros((n_cameras, len(values[0])))
-    for view, value in zip(part.views, values, strict=True):
-        rows[view.camera] += value
-    return rows
+    Returns
+    -------
+    Solution
+        Unknowns and the table of iterations.
 
-
-def _grey_state(total: GreySums, correction: GreyCorrection, moments: NDArray[np.float64] | None) -> GreyState:
-    """Statistics from the sums over a camera's pixels; moments: of the residual corrected by cell, (2,)."""
-    gain, offset = total.gain_and_offset() if correction == "global" else (np.ones(()), np.zeros(()))
-    first, second = total.residual(gain, offset) if moments is None else (moments[0], moments[1])
-    n = float(total.n_pixels)
-    if n == 0:
-        raise on_all_ranks(ConvergenceError(
-            "no pixel is left: every pixel of the mesh is masked or mapped outside the deformed image; "
-            "check the start of the displacement and the masks"))
-    mean = float(first) / n
-    return GreyState(float(np.sqrt(max(second / n - mean**2, 0.0))), float(np.sqrt(second / n)), int(n),
-                     float(gain), float(offset))
-
-
-def right_hand_sides(parts: Sequence[OwnedPart], residuals: Sequence[tuple[Residual, ...]],
-                     states: Sequence[GreyState], correction: GreyCorrection) -> list[NDArray[np.float64]]:
-    """b_s of all owned subdomains, Eq. 5 of [BP17], with the grey-level correction of choice."""
-    return [np.sum([view.right_hand_side(residual, *gain_and_offset(residual, states[view.camera], correction))
-                    for view, residual in zip(part.views, r, strict=True)], axis=0)
-            for part, r in zip(parts, residuals, strict=True)]
-
-
-def gain_and_offset(residual: Residual, state: GreyState,
-                    correction: GreyCorrection) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Gain and offset of f = a g + b, one number, or one per cell (n_cells,); state: of the view's camera."""
-    if correction == "element":
-        return residual.cell_sums.gain_and_offset()
-    return np.array(state.gain), np.array(state.offset)
-
-
-def gauss_newton(team: Team, parts: Sequence[OwnedPart], q: Sequence[NDArray[np.float64]], step: Step,
-                 correction: GreyCorrection, tolerances: Tolerances, report: Report, clock: PhaseClock,
-                 n_cameras: int = 1) -> Solution:
-    """Iterate q <- q + dq until the correction is small; raises ConvergenceError.
-
-    q: start of each owned subdomain (n_unknowns,), pixels.
+    Raises
+    ------
+    ConvergenceError
+        On all ranks, where the correction does not become small or is not finite.
     """
     current = [np.array(q_s) for q_s in q]
     records: list[IterationRecord] = []
+    clock = progress.clock
     for number in range(1, tolerances.max_iterations + 1):
-        with clock.phase("residual"):
-            residuals, grey = evaluate(team, parts, current, correction, n_cameras)
-            b = right_hand_sides(parts, residuals, grey, correction)
-        with clock.phase("linear step"):
-            result, relative, rms = _linear_step(team, parts, step, current, b, tolerances, records)
+        with clock.phase(Phase.RESIDUAL):
+            b, grey = model.linearize(current)
+        with clock.phase(Phase.LINEAR_STEP):
+            last_rms = records[-1].size.rms if records else None
+            result, size = _solve_as_far_as_it_pays(model, step, (current, b), tolerances, last_rms)
         current = [q_s + dq for q_s, dq in zip(current, result.dq, strict=True)]
-        records.append(IterationRecord(number, relative, rms, grey, result.krylov_iterations,
-                                       result.krylov_history, result.error, dict(clock.wall)))
-        report(records[-1])
-        if team.on_root(partial(_decide, relative, rms, tolerances)):
+        records.append(IterationRecord(number, size, grey, result.krylov_iterations, result.krylov_history,
+                                       result.error, dict(clock.wall)))
+        progress.report(records[-1])
+        if model.team.on_root(partial(_decide, size, tolerances)):
             return Solution(current, records)
-    last = records[-1]
-    raise on_all_ranks(ConvergenceError(
-        f"Gauss-Newton did not converge in {tolerances.max_iterations} iterations "
-        f"(last |dq|/|q| = {last.relative:.1e}, RMS dq = {last.rms:.1e} px, "
-        f"residual {last.grey.residual_std:.2f} grey levels); look at the images and the start, raise "
-        "gauss_newton.max_iterations or loosen gauss_newton.tolerance, or give a longer "
-        "regularization.cut_off_wavelength"))
+    raise on_all_ranks(ConvergenceError(_not_converged(records[-1], tolerances)))
 
 
-def _linear_step(team: Team, parts: Sequence[OwnedPart], step: Step, q: Sequence[NDArray[np.float64]],
-                 b: Sequence[NDArray[np.float64]], tolerances: Tolerances,
-                 records: Sequence[IterationRecord]) -> tuple[StepResult, float, float]:
-    """Solve for dq as far as it pays; returns the step, |dq|/|q + dq| and RMS dq in pixels."""
-    last = LAST_SHARE * tolerances.rms
-    guess = Leave(max(last, SHARE * GAIN * records[-1].rms)) if records else Leave(last, SHARE)
-    result = step.solve(q, b, guess if tolerances.inexact else None)
-    relative, rms = _sizes(team, parts, result.dq, q)
-    while tolerances.inexact:
-        allowed = last if _small(relative, rms, tolerances) else max(last, SHARE * rms)
+def _solve_as_far_as_it_pays(model: Model, step: LinearStep, system: tuple[Sequence[Array], Sequence[Array]],
+                             tolerances: Tolerances, last_rms: float | None) -> tuple[StepResult, CorrectionSize]:
+    """Solve for dq, system = (q, b), to a share of dq that is known only afterwards: guess, then tighten."""
+    q, b = system
+    at_last = LAST_SHARE * tolerances.rms
+    if not tolerances.inexact:
+        result = step.solve(q, b, None)
+        return result, model.measure_correction(result.dq, q)
+    if last_rms is None:
+        guess = AllowedError(at_last, SHARE)
+    else:
+        guess = AllowedError(max(at_last, SHARE * GAIN * last_rms))
+    result = step.solve(q, b, guess)
+    size = model.measure_correction(result.dq, q)
+    while True:
+        allowed = at_last if size.is_below(tolerances) else max(at_last, SHARE * size.rms)
         if not result.error > allowed:
-            break
-        tighter = step.solve(q, b, Leave(allowed))
-        result = _joined(result, tighter)
-        relative, rms = _sizes(team, parts, result.dq, q)
+            return result, size
+        tighter = step.solve(q, b, AllowedError(allowed))
+        result = _join(result, tighter)
+        size = model.measure_correction(result.dq, q)
         if tighter.krylov_iterations == 0:
-            break
-    return result, relative, rms
+            return result, size
 
 
-def _joined(loose: StepResult, tight: StepResult) -> StepResult:
+def _join(loose: StepResult, tight: StepResult) -> StepResult:
     """The tighter of two solutions of one linear step, with the iterations of both."""
-    return StepResult(tight.dq, loose.krylov_iterations + tight.krylov_iterations,
-                      np.concatenate([loose.krylov_history, tight.krylov_history[1:]]), tight.error)
+    history = np.concatenate([loose.krylov_history, tight.krylov_history[1:]])
+    return StepResult(tight.dq, loose.krylov_iterations + tight.krylov_iterations, history, tight.error)
 
 
-def _sizes(team: Team, parts: Sequence[OwnedPart], dq: Sequence[NDArray[np.float64]],
-           q: Sequence[NDArray[np.float64]]) -> tuple[float, float]:
-    """|dq|/|q + dq| and RMS dq in pixels, every node counted once."""
-    sums = team.ordered_sum([
-        np.array([(dq_s[:p.n_dofs]**2 / m).sum(), ((q_s + dq_s)[:p.n_dofs]**2 / m).sum(), (1.0 / m).sum()])
-        for dq_s, q_s, p, m in zip(dq, q, parts, (p.subdomain.dof_multiplicity for p in parts), strict=True)
-    ])
-    dim = parts[0].subdomain.mesh.dim
-    if not np.isfinite(sums).all():
-        return np.inf, np.inf
-    relative = float(np.sqrt(sums[0] / sums[1])) if sums[1] > 0 else (0.0 if sums[0] == 0 else np.inf)
-    return relative, float(np.sqrt(sums[0] / (sums[2] / dim)))
-
-
-def _decide(relative: float, rms: float, tolerances: Tolerances) -> bool:
-    if not np.isfinite(rms):
+def _decide(size: CorrectionSize, tolerances: Tolerances) -> bool:
+    if not size.is_finite:
         raise ConvergenceError("Gauss-Newton diverged: the correction is not finite; check the start of the "
                                "displacement and the texture, or give regularization.cut_off_wavelength")
-    return _small(relative, rms, tolerances)
+    return size.is_below(tolerances)
 
 
-def _small(relative: float, rms: float, tolerances: Tolerances) -> bool:
-    return relative <= tolerances.relative or rms <= tolerances.rms
-
-
-def silent(record: IterationRecord) -> None:
-    """Report nothing."""
+def _not_converged(last: IterationRecord, tolerances: Tolerances) -> str:
+    return (f"Gauss-Newton did not converge in {tolerances.max_iterations} iterations "
+            f"(last |dq|/|q| = {last.size.relative:.1e}, RMS dq = {last.size.rms:.1e} px, "
+            f"residual {last.grey.residual_std:.2f} grey levels); look at the images and the start, raise "
+            "gauss_newton.max_iterations or loosen gauss_newton.tolerance, or give a longer "
+            "regularization.cut_off_wavelength")

@@ -11,13 +11,18 @@ from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
-class Leave:
-    """How large an RMS error of dq an iterative linear step may leave, pixels.
+class AllowedError:
+    """How large an RMS error of dq an iterative linear step may leave: the larger of two.
 
-    error: this much, or, where larger, ``share`` of the error before the first iteration.
+    Attributes
+    ----------
+    rms : float
+        This much, pixels.
+    share : float
+        This share of the error before the first iteration.
     """
 
-    error: float
+    rms: float
     share: float = 0.0
 
 
@@ -25,9 +30,16 @@ class Leave:
 class StepResult:
     """Solution of one linear step.
 
-    dq: correction of each owned subdomain, (n_dofs,), pixels; krylov_iterations: interface iterations;
-    krylov_history: residuals of the interface problem relative to its right-hand side (empty if direct);
-    error: estimated RMS error of dq that the linear solver left, pixels (0 if direct, nan if it cannot tell).
+    Attributes
+    ----------
+    dq : list of (n_unknowns,) arrays
+        Correction of each owned subdomain, pixels.
+    krylov_iterations : int
+        Iterations of the Krylov solver.
+    krylov_history : (n,) array
+        Its residuals relative to its right-hand side; empty if direct.
+    error : float
+        Estimated RMS error of dq that the linear solver left, pixels; 0 if direct, nan if it cannot tell.
     """
 
     dq: list[NDArray[np.float64]]
@@ -36,14 +48,31 @@ class StepResult:
     error: float
 
 
-class Step(Protocol):
+class LinearStep(Protocol):
     """Solves (M + eta Kbar^T Kbar) dq = b - eta Kbar^T Kbar q, Eq. 11 of [BP17], in its own way."""
 
     def solve(self, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]],
-              leave: Leave | None = None) -> StepResult:
-        """Correction dq_s of this rank's subdomains from their q_s and b_s; collective.
+              allowed: AllowedError | None = None) -> StepResult:
+        """Solve for the correction dq_s of this rank's subdomains; collective.
 
-        leave: error allowed, never less than the step's own tolerance allows; None: that tolerance.
+        Parameters
+        ----------
+        q : sequence of (n_unknowns,) arrays
+            Unknowns q_s of each owned subdomain, pixels.
+        b : sequence of (n_unknowns,) arrays
+            Its b_s, grey levels squared per pixel.
+        allowed : AllowedError, optional
+            Error that may be left, never less than the step's own tolerance allows; None: that tolerance.
+
+        Returns
+        -------
+        StepResult
+            With dq_s by which q_s + dq_s is one field.
+
+        Raises
+        ------
+        ConvergenceError
+            On all ranks, where an iterative solver does not converge.
         """
         ...
 

@@ -8,50 +8,79 @@ from petsc4py import PETSc
 from scipy import sparse
 
 from ddic.errors import SingularSubdomainError
-from ddic.solvers.petsc_defaults import LOCAL, configured_ksp
-from ddic.solvers.singularity import lowest_eigenvalue_estimate, singular
+from ddic.solvers.petsc_defaults import LOCAL, create_ksp
+from ddic.solvers.petsc_stack import PetscStack
+from ddic.solvers.singularity import bound_lowest_eigenvalue, describe_singular
 
 _BLOCK_COLUMNS = 256
+"""Most columns that are solved for at a time: more gain no speed."""
+
 _BLOCK_BYTES = 2**24
+"""Most memory of such a block, bytes."""
 
 
 class LocalOperator:
-    """Sparse Cholesky of one symmetric positive definite matrix through PETSc.
+    """Sparse Cholesky of one symmetric positive definite matrix through PETSc; free of communication.
 
     PETSc options (prefix ``local_``): ``-local_pc_factor_mat_solver_type`` cholmod (default), mumps, petsc.
+
+    Parameters
+    ----------
+    matrix : (n, n) csr_matrix
+        Symmetric.
+    smallest_eigenvalue : float
+        Below it the matrix counts as singular, in its own unit.
+    where : str
+        What to call it in the error.
+
+    Attributes
+    ----------
+    n : int
+        Number of unknowns.
+
+    Raises
+    ------
+    SingularSubdomainError
+        Where the matrix is not positive definite, or singular to that extent.
     """
 
     def __init__(self, matrix: sparse.csr_matrix, *, smallest_eigenvalue: float, where: str) -> None:
-        """Factorise.
-
-        matrix: (n, n) symmetric; smallest_eigenvalue: below it the matrix counts as singular;
-        where: what to call it in the error. Raises SingularSubdomainError.
-        """
         # Not left to the factorisation, which writes lines of its own about a matrix that holds nothing.
         if not (matrix.diagonal() > 0).all():
-            raise SingularSubdomainError(singular(where))
+            raise SingularSubdomainError(describe_singular(where))
         self.n = int(matrix.shape[0])
-        index = PETSc.IntType
-        self._matrix = PETSc.Mat().createAIJ(
-            matrix.shape, csr=(matrix.indptr.astype(index), matrix.indices.astype(index), matrix.data),
-            comm=PETSc.COMM_SELF,
-        )
-        self._matrix.setOption(PETSc.Mat.Option.SPD, True)
-        self._ksp = configured_ksp(PETSc.COMM_SELF, LOCAL)
-        self._ksp.setOperators(self._matrix)
-        self._ksp.setFromOptions()
-        try:
-            self._ksp.setUp()
-        except PETSc.Error as error:
-            raise SingularSubdomainError(singular(where)) from error
-        self._factor = self._ksp.getPC().getFactorMatrix()
-        self._left, self._right = self._matrix.createVecs()
-        self._right.setArray(np.random.default_rng(0).standard_normal(self.n))
-        if not lowest_eigenvalue_estimate(self._factor, self._right) > smallest_eigenvalue:
-            raise SingularSubdomainError(singular(where))
+        csr = (matrix.indptr.astype(PETSc.IntType), matrix.indices.astype(PETSc.IntType), matrix.data)
+        with PetscStack() as stack:
+            petsc_matrix = stack.keep(PETSc.Mat().createAIJ(matrix.shape, csr=csr, comm=PETSc.COMM_SELF))
+            petsc_matrix.setOption(PETSc.Mat.Option.SPD, True)
+            self._ksp = stack.keep(create_ksp(PETSc.COMM_SELF, LOCAL))
+            self._ksp.setOperators(petsc_matrix)
+            self._ksp.setFromOptions()
+            try:
+                self._ksp.setUp()
+            except PETSc.Error as error:
+                raise SingularSubdomainError(describe_singular(where)) from error
+            self._factor = stack.keep(self._ksp.getPC().getFactorMatrix())
+            self._left = stack.keep(petsc_matrix.createVecLeft())
+            self._right = stack.keep(petsc_matrix.createVecRight())
+            self._right.setArray(np.random.default_rng(0).standard_normal(self.n))
+            if not bound_lowest_eigenvalue(self._factor, self._right) > smallest_eigenvalue:
+                raise SingularSubdomainError(describe_singular(where))
+            self._objects = stack.pop_all()
 
     def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Solve A x = right for one vector (n,)."""
+        """Solve A x = right.
+
+        Parameters
+        ----------
+        right : (n,) array
+            The right-hand side.
+
+        Returns
+        -------
+        (n,) array
+            x.
+        """
         self._right.setArray(right)
         self._factor.solve(self._right, self._left)
         return np.array(self._left.getArray(readonly=1))
@@ -62,22 +91,31 @@ class LocalOperator:
         return max(1, min(_BLOCK_COLUMNS, _BLOCK_BYTES // (8 * self.n)))
 
     def solve_many(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Solve A X = right for the columns of an array (n, k), a block at a time."""
+        """Solve A X = right, a block of columns at a time.
+
+        Parameters
+        ----------
+        right : (n, k) array
+            Right-hand sides.
+
+        Returns
+        -------
+        (n, k) array
+            X, in Fortran's order.
+        """
         solution = np.empty((self.n, right.shape[1]), order="F")
         for begin in range(0, right.shape[1], self.block):
             columns = np.asfortranarray(right[:, begin: begin + self.block])
             # Whole columns in Fortran's order are contiguous: PETSc writes into the result itself.
             target = solution[:, begin: begin + self.block]
-            b = PETSc.Mat().createDense(columns.shape, array=columns, comm=PETSc.COMM_SELF)
-            x = PETSc.Mat().createDense(columns.shape, array=target, comm=PETSc.COMM_SELF)
-            b.assemble()
-            x.assemble()
-            self._factor.matSolve(b, x)
-            b.destroy()
-            x.destroy()
+            with PetscStack() as stack:
+                b = stack.keep(PETSc.Mat().createDense(columns.shape, array=columns, comm=PETSc.COMM_SELF))
+                x = stack.keep(PETSc.Mat().createDense(columns.shape, array=target, comm=PETSc.COMM_SELF))
+                b.assemble()
+                x.assemble()
+                self._factor.matSolve(b, x)
         return solution
 
     def destroy(self) -> None:
         """Free the factor."""
-        for thing in (self._factor, self._ksp, self._matrix, self._left, self._right):
-            thing.destroy()
+        self._objects.close()

@@ -15,9 +15,18 @@ from ddic.partition.subdomain import Subdomain
 class LocalSystem:
     """What a subdomain brings to the linear step.
 
-    subdomain: its mesh and interfaces; hessian: M_s, (n_unknowns, n_unknowns), of the nodal displacements and the
-    motion of its camera; controlled_stiffness: Kbar_s with weighted interface rows, (n_dofs, n_unknowns), which a
-    motion leaves zero, None without regularization; row_weights: w (n_dofs,); eta: weight of the equilibrium gap.
+    Attributes
+    ----------
+    subdomain : Subdomain
+        Its unknowns and interfaces.
+    hessian : (n_unknowns, n_unknowns) csr_matrix
+        M_s, of the unknowns of the field and then of its camera's motion, grey levels squared per pixel squared.
+    controlled_stiffness : (n_field, n_unknowns) csr_matrix or None
+        Kbar_s with weighted interface rows; its columns of a motion are zero. None without regularization.
+    row_weights : (n_field,) array
+        Weights w of the rows of Kbar_s, no unit.
+    eta : float
+        Weight of the equilibrium gap.
     """
 
     subdomain: Subdomain
@@ -28,7 +37,7 @@ class LocalSystem:
 
     @property
     def operator(self) -> sparse.csr_matrix:
-        """A_s = M_s + eta Kbar_s^T Kbar_s."""
+        """A_s = M_s + eta Kbar_s^T Kbar_s, (n_unknowns, n_unknowns)."""
         if self.controlled_stiffness is None:
             return self.hessian
         kbar = self.controlled_stiffness
@@ -36,37 +45,50 @@ class LocalSystem:
 
     @property
     def diagonal(self) -> NDArray[np.float64]:
-        """Diagonal of A_s, (n_dofs,), without the product Kbar_s^T Kbar_s."""
-        diagonal = self.hessian.diagonal()
+        """Diagonal of A_s, (n_unknowns,), without the product Kbar_s^T Kbar_s."""
+        of_hessian = np.asarray(self.hessian.diagonal())
         if self.controlled_stiffness is None:
-            return np.asarray(diagonal)
-        squares = self.controlled_stiffness.power(2).sum(axis=0)
-        return np.asarray(diagonal + self.eta * np.asarray(squares).ravel())
+            return of_hessian
+        sums_of_squares = np.asarray(self.controlled_stiffness.power(2).sum(axis=0)).ravel()
+        return np.asarray(of_hessian + self.eta * sums_of_squares)
 
     @property
-    def displacements(self) -> LocalSystem:
-        """The same with the camera's motion held."""
-        n = self.subdomain.n_dofs
-        if n == self.hessian.shape[0]:
+    def without_motion(self) -> LocalSystem:
+        """The same with the camera's motion held: the unknowns of the field alone."""
+        if self.subdomain.motion is None:
             return self
-        kbar = self.controlled_stiffness
-        return LocalSystem(self.subdomain, self.hessian[:n, :n].tocsr(), None if kbar is None else kbar[:, :n].tocsr(),
-                           self.row_weights, self.eta)
+        n = self.subdomain.n_field
+        hessian = self.hessian[:n, :n].tocsr()
+        kbar = None if self.controlled_stiffness is None else self.controlled_stiffness[:, :n].tocsr()
+        return LocalSystem(self.subdomain, hessian, kbar, self.row_weights, self.eta)
 
     @property
-    def shift_columns(self) -> NDArray[np.float64]:
-        """M_s R_s: what the camera's motion does to the displacements' equations, (n_dofs, n_shifts)."""
-        n = self.subdomain.n_dofs
+    def motion_columns(self) -> NDArray[np.float64]:
+        """N_s = M_s R_s: what the camera's motion does to the field's equations, (n_field, n_motion)."""
+        n = self.subdomain.n_field
         return np.asarray(self.hessian[:n, n:].toarray())
 
     @property
-    def shift_block(self) -> NDArray[np.float64]:
-        """R_s^T M_s R_s of the camera's motion, (n_shifts, n_shifts)."""
-        n = self.subdomain.n_dofs
+    def motion_block(self) -> NDArray[np.float64]:
+        """R_s^T M_s R_s of the camera's motion, (n_motion, n_motion)."""
+        n = self.subdomain.n_field
         return np.asarray(self.hessian[n:, n:].toarray())
 
     def right_hand_side(self, b: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float64]:
-        """b_s - eta Kbar_s^T Kbar_s q_s, Eq. 24a of [BP17]."""
+        """Return b_s - eta Kbar_s^T Kbar_s q_s, Eq. 24a of [BP17].
+
+        Parameters
+        ----------
+        b : (n_unknowns,) array
+            b_s, grey levels squared per pixel.
+        q : (n_unknowns,) array
+            q_s, pixels.
+
+        Returns
+        -------
+        (n_unknowns,) array
+            Grey levels squared per pixel.
+        """
         if self.controlled_stiffness is None:
             return b
         kbar = self.controlled_stiffness

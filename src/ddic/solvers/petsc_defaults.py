@@ -60,10 +60,22 @@ DEFAULTS: dict[str, dict[str, str]] = {
 }
 
 
-def configured_ksp(comm: PETSc.Comm, prefix: str) -> PETSc.KSP:
-    """Create a KSP with a prefix and its defaults, where the user's options say nothing else.
+def create_ksp(comm: PETSc.Comm, prefix: str) -> PETSc.KSP:
+    """Create a Krylov solver or factor with an option prefix and its defaults, where the user says nothing else.
 
     The caller sets operators and tolerances, then calls ``setFromOptions`` last.
+
+    Parameters
+    ----------
+    comm : PETSc.Comm
+        Its ranks.
+    prefix : str
+        A key of ``DEFAULTS``.
+
+    Returns
+    -------
+    PETSc.KSP
+        The caller's to destroy.
     """
     options = PETSc.Options()
     for name, value in DEFAULTS[prefix].items():

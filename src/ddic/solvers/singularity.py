@@ -5,31 +5,54 @@ from __future__ import annotations
 import numpy as np
 from petsc4py import PETSc
 
+from ddic.solvers.petsc_stack import PetscStack
+
 _PROBES = 3
+"""Inverse iterations: each brings the bound nearer to the lowest eigenvalue and costs a solve."""
 
 
-def lowest_eigenvalue_estimate(factor: PETSc.Mat, probe: PETSc.Vec) -> float:
-    """Upper bound of the lowest eigenvalue by a few inverse iterations; 0 where they break down.
+def bound_lowest_eigenvalue(factor: PETSc.Mat, probe: PETSc.Vec) -> float:
+    """Bound the lowest eigenvalue from above by a few inverse iterations.
 
-    factor: of a symmetric positive definite matrix; probe: random, becomes the last iterate.
+    Parameters
+    ----------
+    factor : PETSc.Mat
+        Of a symmetric positive definite matrix.
+    probe : PETSc.Vec
+        Random; becomes the last iterate.
+
+    Returns
+    -------
+    float
+        The bound, in the matrix's unit; 0 where the iterations break down.
     """
-    estimate = np.inf
-    solution = probe.duplicate()
-    for _ in range(_PROBES):
-        probe.normalize()
-        factor.solve(probe, solution)
-        size = solution.norm()
-        if not np.isfinite(size):
-            estimate = 0.0
-            break
-        estimate = 1.0 / size
-        solution.copy(probe)
-    solution.destroy()
-    return float(estimate)
+    with PetscStack() as stack:
+        solution = stack.keep(probe.duplicate())
+        bound = np.inf
+        for _ in range(_PROBES):
+            probe.normalize()
+            factor.solve(probe, solution)
+            size = solution.norm()
+            if not np.isfinite(size):
+                return 0.0
+            bound = 1.0 / size
+            solution.copy(probe)
+        return float(bound)
 
 
-def singular(where: str) -> str:
-    """The message that an operator is singular; where: what it belongs to."""
+def describe_singular(where: str) -> str:
+    """Write the message that an operator is singular.
+
+    Parameters
+    ----------
+    where : str
+        What it belongs to.
+
+    Returns
+    -------
+    str
+        With causes and remedies.
+    """
     return (f"{where}: the operator is singular, which means that the reference image has too little texture "
             "there, or too few pixels that are neither masked nor mapped outside the deformed image; use larger "
             "elements, leave the blank part out of the mesh, or give a longer regularization.cut_off_wavelength")

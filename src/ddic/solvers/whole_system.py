@@ -1,11 +1,10 @@
-"""Eq. 11 of [BP17] for the whole mesh, from the subdomains' parts: sums over subdomains, A never formed."""
+"""Eq. 11 of [BP17] for the whole region, from the subdomains' parts: sums over subdomains, A never formed."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 from scipy import sparse
@@ -15,143 +14,273 @@ from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.solvers.exchange import Exchange
 from ddic.solvers.local_system import LocalSystem
-from ddic.solvers.singularity import singular
+from ddic.solvers.petsc_stack import PetscStack
+from ddic.solvers.singularity import describe_singular
 
 
 class WholeSystem:
     """A = sum_s R_s^T M_s R_s + eta Kbar^T Kbar with Kbar = sum_s R_s^T Kbar_s R_s.
 
-    R_s takes a subdomain's unknowns (displacements, and the motion of its camera) from those of the whole problem,
-    which are numbered rank by rank; vectors of values "here" are on all that this rank's subdomains have.
+    R_s takes a subdomain's unknowns (of the field, and of its camera's motion) from those of the whole problem, which
+    are numbered rank by rank. Vectors of values "here" are on all unknowns that this rank's subdomains have, (n_here,).
+
+    Parameters
+    ----------
+    team : Team
+        All ranks; they make it together.
+    systems : sequence of LocalSystem
+        This rank's subdomains.
+
+    Attributes
+    ----------
+    numbers : list of (n_unknowns,) arrays of int64
+        Numbers of each subdomain's unknowns, rank by rank.
+    n_owned : int
+        How many of them this rank owns.
+    exchange : Exchange
+        Of values by these numbers.
+    kbars : list of (n_unknowns, n_unknowns) csr_matrix
+        Kbar_s whose rows add up to those of Kbar.
     """
 
     def __init__(self, team: Team, systems: Sequence[LocalSystem]) -> None:
-        """Number the dofs and set up the exchange; systems: this rank's subdomains. Collective."""
-        self._team = team
         self.systems = systems
-        self.numbers, self.n_owned = _numbers(team.comm, [s.subdomain for s in systems])
-        self.exchange = Exchange(team.comm, self.n_owned, self.numbers)
-        self._places = [np.searchsorted(self.exchange.ghosts, n) for n in self.numbers]
-        self.kbars = [_unweighted(system) for system in systems]
-        self._multiplicity = self.gathered([np.ones(len(n)) for n in self.numbers])
+        self._team = team
+        with PetscStack() as stack:
+            self.numbers, self.n_owned = _number_by_rank(team, [s.subdomain for s in systems])
+            self.exchange = stack.keep(Exchange(team, self.n_owned, self.numbers))
+            self._places = [np.searchsorted(self.exchange.ghosts, n) for n in self.numbers]
+            self.kbars = [_remove_weights(system) for system in systems]
+            self._multiplicity = self.sum_over_subdomains([np.ones(len(n)) for n in self.numbers])
+            self._objects = stack.pop_all()
 
-    def mean_of_copies(self, values: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Mean of what subdomains say (n_dofs,) of each dof, here; collective."""
-        return np.asarray(self.gathered(values) / self._multiplicity)
+    def average_copies(self, values: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+        """Average what subdomains say of each unknown; collective.
 
-    def of_subdomains(self, here: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """Values of each owned subdomain's dofs, from values here."""
-        return [here[at] for at in self._places]
+        Parameters
+        ----------
+        values : sequence of (n_unknowns,) arrays
+            Of each owned subdomain.
 
-    def added(self, values: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Sum over this rank's subdomains, here."""
+        Returns
+        -------
+        (n_here,) array
+            Means, here.
+        """
+        return np.asarray(self.sum_over_subdomains(values) / self._multiplicity)
+
+    def restrict(self, here: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+        """Give each owned subdomain the values of its unknowns.
+
+        Parameters
+        ----------
+        here : (n_here,) array
+            Values here.
+
+        Returns
+        -------
+        list of (n_unknowns,) arrays
+            Of each owned subdomain.
+        """
+        return [here[places] for places in self._places]
+
+    def add_up(self, values: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+        """Add up over this rank's subdomains.
+
+        Parameters
+        ----------
+        values : sequence of (n_unknowns,) arrays
+            Of each owned subdomain.
+
+        Returns
+        -------
+        (n_here,) array
+            Sums over this rank's subdomains, here.
+        """
         total = np.zeros(len(self.exchange.ghosts))
-        for at, v in zip(self._places, values, strict=True):
-            total[at] += v
+        for places, values_s in zip(self._places, values, strict=True):
+            total[places] += values_s
         return total
 
-    def gathered(self, values: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Sum over the subdomains of all ranks, here; collective."""
-        owned = self.exchange.new_vector()
-        self.exchange.add_to_owners(self.added(values), owned)
-        result = self.exchange.to_ghosts(owned)
-        owned.destroy()
-        return result
+    def sum_over_subdomains(self, values: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+        """Add up over the subdomains of all ranks; collective.
+
+        Parameters
+        ----------
+        values : sequence of (n_unknowns,) arrays
+            Of each owned subdomain.
+
+        Returns
+        -------
+        (n_here,) array
+            Sums over all subdomains, here.
+        """
+        return self.exchange.sum_over_ranks(self.add_up(values))
 
     def apply(self, here: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Part of this rank in A x, to be added up by the owners; collective."""
-        x = self.of_subdomains(here)
-        gap = self._gap(x)
-        return self.added([s.hessian @ x_s + s.eta * (kbar.T @ g)
-                           for s, kbar, x_s, g in zip(self.systems, self.kbars, x, gap, strict=True)])
+        """Apply this rank's part of A; collective.
+
+        Parameters
+        ----------
+        here : (n_here,) array
+            x.
+
+        Returns
+        -------
+        (n_here,) array
+            This rank's part of A x, to be added up by the owners.
+        """
+        x = self.restrict(here)
+        gap = self._find_gap(x)
+        products = [system.hessian @ x_s + system.eta * (kbar.T @ gap_s)
+                    for system, kbar, x_s, gap_s in zip(self.systems, self.kbars, x, gap, strict=True)]
+        return self.add_up(products)
 
     def set_right_hand_side(self, right: PETSc.Vec, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]],
                             mean: NDArray[np.float64]) -> None:
-        """Let ``right`` be sum_s R_s^T (b_s + M_s (q_s - qbar_s)) - eta Kbar^T Kbar qbar; collective.
+        """Set a vector to sum_s R_s^T (b_s + M_s (q_s - qbar_s)) - eta Kbar^T Kbar qbar; collective.
 
-        mean: qbar, here, the one field that takes the place of copies that differ.
+        Parameters
+        ----------
+        right : PETSc.Vec
+            Overwritten.
+        q : sequence of (n_unknowns,) arrays
+            q_s of each owned subdomain.
+        b : sequence of (n_unknowns,) arrays
+            b_s of each owned subdomain.
+        mean : (n_here,) array
+            qbar, the one field that takes the place of copies that differ, here.
         """
-        q_mean = self.of_subdomains(mean)
-        gap = self._gap(q_mean)
-        self.exchange.add_to_owners(self.added(
-            [b_s + s.hessian @ (q_s - m) - s.eta * (kbar.T @ g) for s, kbar, b_s, q_s, m, g
-             in zip(self.systems, self.kbars, b, q, q_mean, gap, strict=True)]), right)
+        q_mean = self.restrict(mean)
+        gap = self._find_gap(q_mean)
+        parts = [b_s + system.hessian @ (q_s - mean_s) - system.eta * (kbar.T @ gap_s)
+                 for system, kbar, b_s, q_s, mean_s, gap_s
+                 in zip(self.systems, self.kbars, b, q, q_mean, gap, strict=True)]
+        self.exchange.add_to_owners(self.add_up(parts), right)
 
-    def corrections(self, solution: PETSc.Vec, q: Sequence[NDArray[np.float64]], mean: NDArray[np.float64],
-                    ) -> list[NDArray[np.float64]]:
-        """dq_s of each owned subdomain, by which q + dq is ``mean`` (here) plus the solution everywhere; collective."""
-        found = self.of_subdomains(mean + self.exchange.to_ghosts(solution))
-        return [new - q_s for new, q_s in zip(found, q, strict=True)]
+    def find_corrections(self, solution: PETSc.Vec, q: Sequence[NDArray[np.float64]],
+                         mean: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+        """Find dq_s by which q_s + dq_s is the mean plus the solution everywhere; collective.
 
-    def refuse_unheld(self, operator: PETSc.Mat) -> None:
-        """Raise SingularSubdomainError on all ranks where the diagonal of A is not positive; collective.
+        Parameters
+        ----------
+        solution : PETSc.Vec
+            Of the whole system.
+        q : sequence of (n_unknowns,) arrays
+            q_s of each owned subdomain.
+        mean : (n_here,) array
+            qbar of ``set_right_hand_side``, here.
 
-        operator: A, or what gives its diagonal.
+        Returns
+        -------
+        list of (n_unknowns,) arrays
+            dq_s of each owned subdomain.
         """
-        diagonal = self.new_vector()
-        operator.getDiagonal(diagonal)
-        where, lowest = diagonal.min()
-        diagonal.destroy()
+        found = self.restrict(mean + self.exchange.fetch_ghosts(solution))
+        return [found_s - q_s for found_s, q_s in zip(found, q, strict=True)]
+
+    def check_diagonal(self, operator: PETSc.Mat) -> None:
+        """Check that something holds every unknown: that the diagonal of A is positive; collective.
+
+        Parameters
+        ----------
+        operator : PETSc.Mat
+            A, or what gives its diagonal.
+
+        Raises
+        ------
+        SingularSubdomainError
+            On all ranks, where the diagonal is not positive.
+        """
+        with PetscStack() as stack:
+            diagonal = stack.keep(self.create_vector())
+            operator.getDiagonal(diagonal)
+            number, lowest = diagonal.min()
         if not lowest > 0:
-            raise self.singular_at(where)
+            raise self.describe_singular(number)
 
-    def singular_at(self, number: int) -> SingularSubdomainError:
-        """The error that names the node of a dof, from its number; collective."""
-        # A camera's motion that nothing holds is said to be where its first subdomain begins.
-        nodes = [system.subdomain.nodes[int(local) // system.subdomain.mesh.dim % len(system.subdomain.nodes)]
+    def describe_singular(self, number: int) -> SingularSubdomainError:
+        """Describe that nothing holds an unknown, by the node that it displaces most; collective.
+
+        Parameters
+        ----------
+        number : int
+            Of the unknown, rank by rank.
+
+        Returns
+        -------
+        SingularSubdomainError
+            To be raised on all ranks.
+        """
+        nodes = [_find_node(system.subdomain, int(unknown))
                  for system, numbers in zip(self.systems, self.numbers, strict=True)
-                 for local in np.flatnonzero(numbers == number)]
+                 for unknown in np.flatnonzero(numbers == number)]
         x, y = self._team.gather_lists(nodes)[0][:2]
-        return on_all_ranks(SingularSubdomainError(singular(f"the region around column {x:.0f}, row {y:.0f}")))
+        return on_all_ranks(SingularSubdomainError(describe_singular(f"the region around column {x:.0f}, row {y:.0f}")))
 
-    def new_vector(self) -> PETSc.Vec:
-        """A zero vector of owned dofs over all ranks."""
-        return self.exchange.new_vector()
+    def create_vector(self) -> PETSc.Vec:
+        """Create a zero vector of owned unknowns over all ranks.
+
+        Returns
+        -------
+        PETSc.Vec
+            The caller's to destroy.
+        """
+        return self.exchange.create_vector()
 
     def destroy(self) -> None:
         """Free PETSc's objects."""
-        self.exchange.destroy()
+        self._objects.close()
 
-    def _gap(self, x: Sequence[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
-        """Kbar x on each owned subdomain's dofs, rows of interfaces complete."""
-        if all(s.controlled_stiffness is None for s in self.systems):
+    def _find_gap(self, x: Sequence[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
+        """Kbar x on each owned subdomain's unknowns, rows of interfaces complete."""
+        if all(system.controlled_stiffness is None for system in self.systems):
             return [np.zeros(len(x_s)) for x_s in x]
-        return self.of_subdomains(self.gathered([kbar @ x_s for kbar, x_s in zip(self.kbars, x, strict=True)]))
+        forces = [kbar @ x_s for kbar, x_s in zip(self.kbars, x, strict=True)]
+        return self.restrict(self.sum_over_subdomains(forces))
 
 
-def _numbers(comm: MPI.Comm, subdomains: Sequence[Subdomain]) -> tuple[list[NDArray[np.int64]], int]:
-    """Number the dofs rank by rank, so that little but the interface is sent.
+def _number_by_rank(team: Team, subdomains: Sequence[Subdomain]) -> tuple[list[NDArray[np.int64]], int]:
+    """Number the unknowns rank by rank, so that little but the interface is sent.
 
-    A dof belongs to its lowest subdomain. Returns each subdomain's numbers (n_dofs,) and how many this rank owns.
+    An unknown belongs to its lowest subdomain. Returns each subdomain's numbers (n_unknowns,) and how many this rank
+    owns.
     """
-    dofs = [s.unknowns for s in subdomains]
-    mine = [s.owned_unknowns for s in subdomains]
-    n_owned = sum(int(m.sum()) for m in mine)
-    first = sum(comm.allgather(n_owned)[: comm.Get_rank()])
-    n_dofs = comm.allreduce(n_owned)
-    share = len(range(comm.Get_rank(), n_dofs, comm.Get_size()))
-    by_mesh = Exchange(comm, share, dofs)
-    given = np.zeros(len(by_mesh.ghosts))
-    given[np.searchsorted(by_mesh.ghosts, np.concatenate([d[m] for d, m in zip(dofs, mine, strict=True)]))] = (
-        first + np.arange(n_owned))
-    numbers = by_mesh.new_vector()
-    by_mesh.add_to_owners(given, numbers)
-    everybodys = by_mesh.to_ghosts(numbers).astype(np.int64)
-    numbers.destroy()
-    result = [everybodys[np.searchsorted(by_mesh.ghosts, d)] for d in dofs]
-    by_mesh.destroy()
-    return result, n_owned
+    numbers = [s.numbers for s in subdomains]
+    is_owned = [s.owned for s in subdomains]
+    n_owned = sum(int(owned.sum()) for owned in is_owned)
+    first = team.offset(n_owned)
+    # Of the numbers in the whole problem every rank owns an equal share, only to pass the new ones on.
+    n_share = len(range(team.rank, team.sum(n_owned), team.size))
+    with PetscStack() as stack:
+        exchange = stack.keep(Exchange(team, n_share, numbers))
+        owned_numbers = np.concatenate([n[owned] for n, owned in zip(numbers, is_owned, strict=True)])
+        given = np.zeros(len(exchange.ghosts))
+        given[np.searchsorted(exchange.ghosts, owned_numbers)] = first + np.arange(n_owned)
+        everybodys = exchange.sum_over_ranks(given).astype(np.int64)
+        return [everybodys[np.searchsorted(exchange.ghosts, n)] for n in numbers], n_owned
 
 
-def _unweighted(system: LocalSystem) -> sparse.csr_matrix:
+def _find_node(subdomain: Subdomain, unknown: int) -> NDArray[np.float64]:
+    """The node that an unknown of a subdomain displaces most, (dim,), pixels; the first for a camera's motion."""
+    nodes: NDArray[np.float64] = subdomain.mesh.nodes
+    if unknown >= subdomain.n_field:
+        return np.asarray(nodes[0])
+    column = subdomain.kinematics.tangent[:, [unknown]].toarray().reshape(nodes.shape)
+    return np.asarray(nodes[int(np.linalg.norm(column, axis=1).argmax())])
+
+
+def _remove_weights(system: LocalSystem) -> sparse.csr_matrix:
     """Kbar_s whose rows add up over subdomains to Kbar.
 
-    The coupled subdomains minimise (1/m) |sum_s (Kbar_s q_s)_i|^2 at a dof of m of them: consistent weights sqrt(m)
-    make that the row of the whole mesh, the paper's weight 1 leaves the row of the whole mesh over sqrt(m).
+    The coupled subdomains minimise (1/m) |sum_s (Kbar_s q_s)_i|^2 at an unknown of m of them: consistent weights
+    sqrt(m) make that the row of the whole region, the paper's weight 1 leaves that row over sqrt(m).
     """
-    n_unknowns = system.hessian.shape[0]
+    subdomain = system.subdomain
+    n = subdomain.n_unknowns
     if system.controlled_stiffness is None:
-        return sparse.csr_matrix((n_unknowns, n_unknowns))
-    kbar = sparse.diags(1.0 / np.sqrt(system.subdomain.dof_multiplicity)) @ system.controlled_stiffness
-    # A row for every unknown: a camera's motion is no displacement of matter, hence in no equilibrium.
-    return sparse.vstack([kbar, sparse.csr_matrix((n_unknowns - kbar.shape[0], n_unknowns))]).tocsr()
+        return sparse.csr_matrix((n, n))
+    kbar = sparse.diags(1.0 / np.sqrt(subdomain.multiplicity)) @ system.controlled_stiffness
+    # A row for every unknown: a camera's motion displaces no matter, hence is in no equilibrium.
+    no_equilibrium = sparse.csr_matrix((subdomain.n_motion, n))
+    return sparse.vstack([kbar, no_equilibrium]).tocsr()

@@ -1,4 +1,4 @@
-"""The displacement that Gauss-Newton starts from [BP17, Fig. 5]."""
+"""The displacement that Gauss-Newton starts from [BP17, Fig. 5]: coarse fields of the cameras, or an earlier result."""
 
 from __future__ import annotations
 
@@ -10,111 +10,242 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.case.schema import Case
-from ddic.errors import first_of
+from ddic.case.schema import StartSection
+from ddic.errors import InputError
+from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.images.binned import bin_rows, binned_source
 from ddic.images.grid_field import uniform_field
+from ddic.images.sub_image import MaskedSource
 from ddic.io.result_reader import displacement_at, read_result
+from ddic.io.result_schema import near_group
+from ddic.kinematics.camera_kinematics import CameraSetup
 from ddic.mesh.mesh import Mesh
-from ddic.parallel.team import Team
-from ddic.problem.inputs import ImagePair
-from ddic.solvers.gauss_newton import OwnedPart
-from ddic.solvers.local_system import LocalSystem
-from ddic.start.independent import independent_start
+from ddic.parallel.team import Team, held
+from ddic.problem.cameras import Camera, Frame
+from ddic.problem.views import ReferenceViews
 from ddic.start.multilevel import MultilevelStart, finest_block, multilevel_start
 from ddic.start.pyramid_level import BinnedPair
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class StartField:
-    """Displacement of each owned subdomain (n_dofs,), pixels, and what the user should know about it."""
+    """Where the independent measurements start.
 
-    q: list[NDArray[np.float64]]
+    Attributes
+    ----------
+    q : list of (n_field,) array
+        Field of each owned subdomain, as if no set-up had moved.
+    notes : tuple of str
+        How it was found.
+    """
+
+    q: list[Array]
     notes: tuple[str, ...]
 
 
-def coarse_task(team: Team, case: Case, pair: ImagePair, mesh: Mesh | None,
-                ) -> Callable[[], MultilevelStart | None]:
-    """What this rank has to do for rigid correlation and the pyramid, free of communication; collective.
+@dataclass(frozen=True)
+class CoarseSearch:
+    """The search for a coarse field of each camera: rigid FFT correlation and a pyramid, on the last rank.
 
-    All ranks bin the images; the last one receives the blocks, and the mesh from rank 0, so that rank 0 may split the
-    mesh at the same time. Elsewhere there is nothing to do, nor anywhere if the start is an earlier result, or zero.
+    Attributes
+    ----------
+    team : Team
+        All ranks.
+    cameras : tuple of Camera
+        With their reference images.
+    section : StartSection
+        Which stages the case asks for.
+    correction : GreyCorrection
+        Of grey levels.
+    meshes : list of Mesh or None
+        Cells of each camera in its pixels, on the last rank.
     """
-    if case.start.from_result is not None:
-        return lambda: None
-    if not (case.start.rigid or case.start.pyramid):
-        zero = MultilevelStart(uniform_field((0.0, 0.0)), None, (), ())
-        return lambda: zero
-    last = team.size - 1
-    blocks = _binned_together(team, pair)
-    whole = team.hand_over(mesh, last)
-    if blocks is None:
-        return lambda: None
-    assert whole is not None
-    return partial(multilevel_start, blocks, whole, rigid=case.start.rigid, pyramid=case.start.pyramid,
-                   correction=case.correlation.grey_correction)
+
+    team: Team
+    cameras: tuple[Camera, ...]
+    section: StartSection
+    correction: GreyCorrection
+    meshes: list[Mesh] | None
+
+    def prepare(self, frame: Frame) -> Callable[[], list[MultilevelStart] | None]:
+        """Bin the images on all ranks; collective.
+
+        Parameters
+        ----------
+        frame : Frame
+            One deformed image of each camera.
+
+        Returns
+        -------
+        callable
+            What this rank has to do next, free of communication: the search itself on the last rank.
+        """
+        if not (self.section.rigid or self.section.pyramid):
+            zero = MultilevelStart(uniform_field((0.0, 0.0)), None, (), ())
+            return lambda: [zero] * len(self.cameras)
+        pairs = [_bin_together(self.team, camera.reference, deformed)
+                 for camera, deformed in zip(self.cameras, frame, strict=True)]
+        return partial(self._search, pairs)
+
+    def share(self, found: list[MultilevelStart] | None) -> list[MultilevelStart]:
+        """Give all ranks what the last one found; collective.
+
+        Parameters
+        ----------
+        found : list of MultilevelStart or None
+            By camera, on the last rank.
+
+        Returns
+        -------
+        list of MultilevelStart
+            By camera.
+        """
+        return self.team.broadcast(found, root=self.team.size - 1)
+
+    def _search(self, pairs: Sequence[BinnedPair | None]) -> list[MultilevelStart] | None:
+        if self.meshes is None:
+            return None
+        return [multilevel_start(held(pair), mesh, rigid=self.section.rigid, pyramid=self.section.pyramid,
+                                 correction=self.correction)
+                for pair, mesh in zip(pairs, self.meshes, strict=True)]
 
 
-def coarse_field(team: Team, case: Case, found: MultilevelStart | None,
-                 nodes: Sequence[NDArray[np.float64]]) -> StartField:
-    """Start from an earlier result, or from what the last rank found; collective.
+def prepare_search(team: Team, cameras: tuple[Camera, ...], section: StartSection, correction: GreyCorrection,
+                   meshes: list[Mesh] | None) -> CoarseSearch:
+    """Give the last rank the meshes that rank 0 holds, so that rank 0 may split them meanwhile; collective.
 
-    nodes: of each owned subdomain, (n_nodes, 2) pixels.
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    cameras : tuple of Camera
+        With their reference images.
+    section : StartSection
+        Of the case.
+    correction : GreyCorrection
+        Of grey levels.
+    meshes : list of Mesh or None
+        Cells of each camera in its pixels, on rank 0.
+
+    Returns
+    -------
+    CoarseSearch
+        For any number of frames.
     """
-    if case.start.from_result is not None:
-        return _from_result(team, case.start.from_result, nodes)
-    with team.waiting.counted():
-        start: MultilevelStart = team.comm.bcast(found, root=team.size - 1)
-    notes = list(start.warnings)
+    return CoarseSearch(team, cameras, section, correction, team.send_from_root(meshes, team.size - 1))
+
+
+def fit_coarse_fields(cameras: Sequence[Camera], references: Sequence[ReferenceViews],
+                      found: Sequence[MultilevelStart]) -> StartField:
+    """Start each subdomain from its camera's coarse field; free of communication.
+
+    Parameters
+    ----------
+    cameras : sequence of Camera
+        All of them.
+    references : sequence of ReferenceViews
+        Owned subdomains.
+    found : sequence of MultilevelStart
+        By camera.
+
+    Returns
+    -------
+    StartField
+        Unknowns and notes.
+    """
+    q = []
+    for reference in references:
+        still = reference.own.hold_still().kinematics
+        in_image = found[reference.subdomain.camera].field.at(still.mesh.nodes)
+        q.append(still.fit(in_image.ravel()))
+    notes: list[str] = []
+    for camera, start in zip(cameras, found, strict=True):
+        prefix = "" if len(cameras) == 1 else f"{camera.label}, "
+        notes += [prefix + line for line in _describe(start)]
+    return StartField(q, tuple(notes))
+
+
+def _describe(start: MultilevelStart) -> list[str]:
+    lines = list(start.warnings)
     if start.rigid is not None:
         x, y = start.rigid.shift
-        notes.insert(0, f"start: rigid shift ({x:.2f}, {y:.2f}) px, correlation coefficient "
+        lines.insert(0, f"start: rigid shift ({x:.2f}, {y:.2f}) px, correlation coefficient "
                         f"{start.rigid.coefficient:.3f}")
     if start.levels:
         blocks = ", ".join(str(level) for level in start.levels)
-        notes.append(f"start: pyramid on blocks of {blocks} px")
-    return StartField([start.field.at(n).ravel() for n in nodes], tuple(notes))
+        lines.append(f"start: pyramid on blocks of {blocks} px")
+    return lines
 
 
-def _binned_together(team: Team, pair: ImagePair) -> BinnedPair | None:
+def _bin_together(team: Team, reference: MaskedSource, deformed: MaskedSource) -> BinnedPair | None:
     """Both images in the smallest blocks that the start looks at, on the last rank; each rank bins a band of rows."""
-    image = pair.reference.image
+    image = reference.image
     factor = finest_block(image.width * image.height)
     edges = np.linspace(0, image.height // factor, team.size + 1).astype(int)
     mine = range(int(edges[team.rank]), int(edges[team.rank + 1]))
-    sources = (pair.reference, pair.deformed)
-    own = team.together(lambda: [bin_rows(s, factor, mine) for s in sources])
-    with team.waiting.counted():
-        bands = team.comm.gather(own, root=team.size - 1)
+    sources = (reference, deformed)
+    own = team.together(lambda: [bin_rows(source, factor, mine) for source in sources])
+    bands = team.gather_to(own, team.size - 1)
     if bands is None:
         return None
-    reference, deformed = (binned_source(s, [rank[k] for rank in bands]) for k, s in enumerate(sources))
-    return BinnedPair(reference, deformed, factor)
+    binned = [binned_source(source, [of_rank[k] for of_rank in bands]) for k, source in enumerate(sources)]
+    return BinnedPair(binned[0], binned[1], factor)
 
 
-def refine_independently(team: Team, case: Case, parts: Sequence[OwnedPart], systems: Sequence[LocalSystem],
-                         coarse: StartField, smallest_eigenvalue: float) -> StartField:
-    """Independent FE-DIC per subdomain, where the case asks for it and the dual method couples several."""
-    alone = team.size == 1 and len(parts) == 1
-    # Else the whole region's Gauss-Newton starts as cheaply: its factor is there, or none is needed.
-    if alone or case.solver.method != "dual" or not case.start.independent:
-        return coarse
-    refined = team.together(lambda: independent_start(parts, systems, coarse.q, smallest_eigenvalue,
-                                                      case.correlation.grey_correction))
-    kept = team.gather_lists(refined.kept)
-    note = "start: independent FE-DIC on every subdomain"
-    if kept:
-        note += f"; {len(kept)} kept the coarse field for want of texture or convergence ({first_of(kept)})"
-    return StartField(refined.q, (*coarse.notes, note))
+def read_earlier_fields(team: Team, path: Path, cameras: Sequence[Camera],
+                        references: Sequence[ReferenceViews]) -> StartField:
+    """Start each subdomain from an earlier result; collective.
 
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    path : Path
+        The result file.
+    cameras : sequence of Camera
+        All of them.
+    references : sequence of ReferenceViews
+        Owned subdomains.
 
-def _from_result(team: Team, path: Path, nodes: Sequence[NDArray[np.float64]]) -> StartField:
-    with team.waiting.counted():
-        wanted = team.comm.gather(list(nodes), root=0)
+    Returns
+    -------
+    StartField
+        The result's displacement, moved as the set-ups did, so that no set-up has moved.
 
-    def read() -> list[list[NDArray[np.float64]]]:
-        assert wanted is not None
+    Raises
+    ------
+    InputError
+        On all ranks, where the file is no result, or holds no motion of a near field.
+    """
+    wanted = team.gather_to([reference.subdomain.mesh.nodes for reference in references])
+
+    def read() -> list[list[Array]]:
         result = read_result(path)
-        return [[displacement_at(result, n).ravel() for n in rank] for rank in wanted]
+        return [[displacement_at(result, nodes) for nodes in of_rank] for of_rank in held(wanted)]
 
-    return StartField(team.scatter_from_root(read), (f"start: displacement of {path}",))
+    displacements = team.scatter_from_root(read)
+    motions = team.on_root(lambda: [_stored_motion(path, camera) for camera in cameras])
+    q = []
+    for reference, u in zip(references, displacements, strict=True):
+        subdomain = reference.subdomain
+        nodes = subdomain.mesh.nodes
+        moved = cameras[subdomain.camera].setup.move(nodes + u, motions[subdomain.camera])
+        q.append(subdomain.kinematics.fit((moved - nodes).ravel()))
+    labels = [""] if len(cameras) == 1 else [f"{camera.label}, " for camera in cameras]
+    return StartField(q, tuple(f"{label}start: displacement of {path}" for label in labels))
+
+
+def _stored_motion(path: Path, camera: Camera) -> Array:
+    """Unknowns of a set-up's motion in an earlier result, (n_motion_unknowns,)."""
+    setup: CameraSetup = camera.setup
+    if camera.number == 0:
+        return np.zeros(0)
+    stored = read_result(path).attributes.get(near_group(camera.number), {})
+    if "alpha_px" not in stored:
+        raise InputError(f"start.from_result: {path} holds no motion of near field {camera.number}; give a "
+                         "result of the same near-field images")
+    alpha = stored["alpha_px"]
+    theta = float(stored["theta_rad"])
+    return np.array([alpha[0], alpha[1], theta * setup.length])[:setup.n_motion_unknowns]

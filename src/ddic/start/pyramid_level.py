@@ -6,28 +6,34 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
+from scipy import sparse
 
 from ddic.errors import ConvergenceError, SingularSubdomainError
-from ddic.functionals.correlation import GreyCorrection, correlation
+from ddic.functionals.correlation import read_correlation
 from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import (
     controlled_stiffness,
-    cut_off_weight,
-    gap_energies,
-    texture_energies,
+    find_cut_off_weight,
+    measure_gap_energies,
+    measure_texture_energies,
 )
-from ddic.functionals.view import View
+from ddic.functionals.grey_statistics import GreyCorrection
+from ddic.functionals.view import FrameView, View
 from ddic.images.binned import ArraySource
 from ddic.images.grid_field import GridField, fill_absent
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
-from ddic.mesh.mesh import VTK_QUAD, Mesh, mesh_from_cells
+from ddic.kinematics.nodal import NodalRegion
+from ddic.mesh.cell_type import Q4
+from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.raster import Raster, rasterize
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.partition.connectivity import build_subdomains
-from ddic.solvers.gauss_newton import OwnedPart, Tolerances, evaluate, gauss_newton, silent
+from ddic.partition.build_subdomains import build_subdomains
+from ddic.partition.subdomain import Subdomain
+from ddic.problem.residual_model import ResidualModel
+from ddic.problem.views import FrameViews, ReferenceViews
+from ddic.solvers.gauss_newton import Progress, Tolerances, gauss_newton, stay_silent
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.monolithic import MonolithicStep
@@ -114,33 +120,44 @@ def _solve(pair: BinnedPair, grid: Mesh, active: NDArray[np.uint8], starts: Sequ
            correction: GreyCorrection) -> NDArray[np.float64]:
     """R-DIC with cut-off wavelength CUT_OFF on one domain; lengths are blocks."""
     everywhere = np.ones(grid.n_dofs, dtype=bool)
-    subdomain = build_subdomains(grid, np.zeros(grid.n_cells, dtype=np.int64), everywhere)[0]
+    one_domain = np.zeros(grid.n_cells, dtype=np.int64)
+    subdomain = build_subdomains(NodalRegion(grid), one_domain, everywhere)[0]
     region = MaskedSource(pair.reference.image, ArraySource(pair.reference.image.path, active.astype(np.float32)))
-    view = View(correlation(grid, region, 3), DeformedSubImage(pair.deformed, 3))
-    part = OwnedPart(subdomain, (view,))
-    q = min(starts, key=lambda start: _residual(part, start, correction)) if len(starts) > 1 else starts[0]
-    hessian = view.hessian()
-    rows = np.repeat(np.where(subdomain.interior, 1.0, FREE_EDGE), grid.dim)
-    kbar = controlled_stiffness(grid, view.correlation.kinematics, Material(), rows)
-    eta = 0.0
-    if subdomain.interior.any():
-        texture = texture_energies(grid.nodes, hessian, subdomain.interior, CUT_OFF)
-        eta = cut_off_weight(texture, gap_energies(grid, Material(), subdomain.interior, CUT_OFF))
-    system = LocalSystem(subdomain, hessian, kbar, rows, eta)
-    operator = LocalOperator(system.operator, smallest_eigenvalue=SINGULAR * float(hessian.diagonal().mean()),
+    view = View(read_correlation(grid, region, 3), subdomain.kinematics)
+    reference = ReferenceViews(subdomain, (view,))
+    frame_view = FrameView(view, DeformedSubImage(pair.deformed, 3))
+    model = ResidualModel(Team.alone(), [FrameViews(reference, (frame_view,))], correction)
+    q = starts[0]
+    if len(starts) > 1:
+        q = min(starts, key=lambda start: _residual_rms(model, start))
+    system = _regularize(subdomain, view.assemble_hessian())
+    operator = LocalOperator(system.operator,
+                             smallest_eigenvalue=SINGULAR * float(system.hessian.diagonal().mean()),
                              where=f"pyramid level with blocks of {pair.factor} px")
     try:
-        solution = gauss_newton(Team(MPI.COMM_SELF), [part], [q], MonolithicStep(system, operator), correction,
-                                TOLERANCES, silent, PhaseClock())
+        solution = gauss_newton(model, [q], MonolithicStep(system, operator), TOLERANCES,
+                                Progress(PhaseClock(), stay_silent))
     finally:
         operator.destroy()
     return solution.q[0]
 
 
-def _residual(part: OwnedPart, q: NDArray[np.float64], correction: GreyCorrection) -> float:
+def _regularize(subdomain: Subdomain, hessian: sparse.csr_matrix) -> LocalSystem:
+    """M and Kbar of the grid, with the weight of CUT_OFF; the edge counts little."""
+    grid, interior = subdomain.mesh, subdomain.interior
+    row_weights = np.repeat(np.where(interior, 1.0, FREE_EDGE), grid.dim)
+    kbar = controlled_stiffness(subdomain.kinematics, Material(), row_weights)
+    eta = 0.0
+    if interior.any():
+        texture = measure_texture_energies(grid.nodes, hessian, interior, CUT_OFF)
+        eta = find_cut_off_weight(texture, measure_gap_energies(grid, Material(), interior, CUT_OFF))
+    return LocalSystem(subdomain, hessian, kbar, row_weights, eta)
+
+
+def _residual_rms(model: ResidualModel, q: NDArray[np.float64]) -> float:
     """Root mean square of a start's residual, grey levels; infinite where it leaves no pixel."""
     try:
-        return evaluate(Team(MPI.COMM_SELF), [part], [q], correction)[1][0].residual_rms
+        return model.evaluate([q]).grey[0].residual_rms
     except ConvergenceError:
         return np.inf
 
@@ -152,7 +169,7 @@ def _grid(mesh: Mesh, active: NDArray[np.uint8]) -> Grid:
     nodes = np.stack([a.ravel() for a in np.meshgrid(xs, ys)], axis=1)
     columns = counts[0] + 1
     corner = (np.arange(counts[1])[:, None] * columns + np.arange(counts[0])).ravel()
-    full = mesh_from_cells(nodes, {VTK_QUAD: np.stack(
+    full = build_mesh(nodes, {Q4: np.stack(
         [corner, corner + 1, corner + columns + 1, corner + columns], axis=1)})
     part, numbers = full.submesh(np.flatnonzero(rasterize(full).counts_in(active) > 0))
     return Grid(part, numbers, (int(counts[1]) + 1, int(columns)), low, (high - low) / counts)

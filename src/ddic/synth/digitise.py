@@ -22,10 +22,19 @@ _DTYPES: dict[int, np.dtype[Any]] = {
 class Digitiser:
     """Camera model: full scale, additive Gaussian noise, rounding.
 
-    bit_depth: 8 (0..255), 16 (0..65535), or 32 for float32 values on the scale 0..255, not rounded.
-    noise: standard deviation in grey levels of an 8-bit image, whatever the bit depth.
-    seed: of the noise, at least 0.
-    Raises InputError for another bit depth, a negative noise or a negative seed.
+    Attributes
+    ----------
+    bit_depth : int
+        8 (0..255), 16 (0..65535), or 32 for float32 values on the scale 0..255, not rounded.
+    noise : float
+        Standard deviation in grey levels of an 8-bit image, whatever the bit depth.
+    seed : int
+        Of the noise, at least 0.
+
+    Raises
+    ------
+    InputError
+        For another bit depth, a negative noise or a negative seed.
     """
 
     bit_depth: int = 8
@@ -46,9 +55,19 @@ class Digitiser:
         return _DTYPES[self.bit_depth]
 
     def store(self, grey: NDArray[np.float64], stream: tuple[int, ...]) -> Stored:
-        """Turn grey levels, fractions of full scale of any shape, into stored values of the same shape.
+        """Turn grey levels into stored values.
 
-        stream: numbers that, with the seed, fix the noise; different streams are independent.
+        Parameters
+        ----------
+        grey : array
+            Of any shape, fractions of full scale.
+        stream : tuple of int
+            Numbers that, with the seed, fix the noise; different streams are independent.
+
+        Returns
+        -------
+        array
+            Of the same shape and of type ``dtype``.
         """
         full_scale = _FULL_SCALE[self.bit_depth]
         levels = grey * full_scale

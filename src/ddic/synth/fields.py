@@ -17,30 +17,84 @@ class DisplacementField(Protocol):
     """A displacement known at every point of the plane, in the reference configuration."""
 
     def displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Displacement u at points (n, 2), pixels; returns (n, 2), pixels."""
+        """Evaluate the displacement u.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n, 2) array
+            Pixels.
+        """
         ...
 
     def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Gradient du_i/dx_j at points (n, 2), pixels; returns (n, 2, 2), no unit."""
+        """Evaluate the gradient du_i/dx_j.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n, 2, 2) array
+            No unit.
+        """
         ...
 
 
 def require_finite(field: str, **values: float | tuple[float, ...]) -> None:
-    """Raise InputError, naming field and parameter, if a parameter is not a finite number."""
+    """Check that parameters are finite numbers.
+
+    Parameters
+    ----------
+    field : str
+        Name of what has the parameters, for the error.
+    **values : float or tuple of float
+        The parameters by name.
+
+    Raises
+    ------
+    InputError
+        Where one is not finite; it names field and parameter.
+    """
     for key, value in values.items():
         if not np.isfinite(value).all():
             raise InputError(f"{field}: {key} = {value}: must be finite")
 
 
 def require_poisson_ratio(field: str, value: float) -> None:
-    """Raise InputError if a Poisson ratio is outside -1 < nu <= 0.5."""
+    """Check that a Poisson ratio lies in -1 < nu <= 0.5.
+
+    Parameters
+    ----------
+    field : str
+        Name of what has it, for the error.
+    value : float
+        The ratio.
+
+    Raises
+    ------
+    InputError
+        Where it does not.
+    """
     if not -1.0 < value <= 0.5:
         raise InputError(f"{field}: poisson_ratio = {value}: must be above -1 and at most 0.5")
 
 
 @dataclass(frozen=True)
 class Translation:
-    """Uniform displacement; vector: (u_x, u_y), pixels."""
+    """Uniform displacement.
+
+    Attributes
+    ----------
+    vector : (float, float)
+        (u_x, u_y), pixels.
+    """
 
     vector: Pair = (0.0, 0.0)
 
@@ -48,11 +102,33 @@ class Translation:
         require_finite("translation", vector=self.vector)
 
     def displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Displacement at points (n, 2), pixels."""
+        """Evaluate the displacement u.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n, 2) array
+            Pixels.
+        """
         return np.broadcast_to(np.array(self.vector, dtype=np.float64), points.shape).copy()
 
     def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Gradient at points (n, 2), shape (n, 2, 2)."""
+        """Evaluate the gradient du_i/dx_j.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n, 2, 2) array
+            No unit.
+        """
         return np.zeros((len(points), 2, 2))
 
 
@@ -60,7 +136,14 @@ class Translation:
 class Affine:
     """Uniform gradient: u = vector + matrix (x - center).
 
-    matrix: ((du_x/dx, du_x/dy), (du_y/dx, du_y/dy)), no unit; vector, center: pixels.
+    Attributes
+    ----------
+    matrix : ((float, float), (float, float))
+        ((du_x/dx, du_x/dy), (du_y/dx, du_y/dy)), no unit.
+    vector : (float, float)
+        Displacement of the centre, pixels.
+    center : (float, float)
+        Pixels.
     """
 
     matrix: tuple[Pair, Pair] = ((0.0, 0.0), (0.0, 0.0))
@@ -72,26 +155,53 @@ class Affine:
                        center=self.center)
 
     def displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Displacement at points (n, 2), pixels."""
+        """Evaluate the displacement u.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n, 2) array
+            Pixels.
+        """
         return np.asarray((points - np.array(self.center)) @ np.array(self.matrix).T + np.array(self.vector))
 
     def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Gradient at points (n, 2), shape (n, 2, 2)."""
+        """Evaluate the gradient du_i/dx_j.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n, 2, 2) array
+            No unit.
+        """
         return np.broadcast_to(np.array(self.matrix, dtype=np.float64), (len(points), 2, 2)).copy()
 
 
 @dataclass(frozen=True)
 class Sinusoidal:
-    """Waves in both directions; the default values are the reference field of the design notes.
+    """Waves in both directions; the default values are the field that all accuracy figures are measured with.
 
     u_x = offset_x + amplitude_x sin(2 pi x / wavelength_x[0] + phase_x[0])
                                  cos(2 pi y / wavelength_x[1] + phase_x[1])
     u_y = offset_y + amplitude_y cos(2 pi x / wavelength_y[0] + phase_y[0])
                                  sin(2 pi y / wavelength_y[1] + phase_y[1])
 
-    offset, amplitude: (x component, y component), pixels.
-    wavelength_x, wavelength_y: of u_x and of u_y, each (along x, along y), pixels.
-    phase_x, phase_y: likewise, radians.
+    Attributes
+    ----------
+    offset, amplitude : (float, float)
+        Of u_x and of u_y, pixels.
+    wavelength_x, wavelength_y : (float, float)
+        Of u_x and of u_y, each along x and along y, pixels.
+    phase_x, phase_y : (float, float)
+        Likewise, radians.
     """
 
     offset: Pair = (0.35, -0.25)
@@ -109,7 +219,18 @@ class Sinusoidal:
                 raise InputError(f"sinusoidal: {key} = {getattr(self, key)}: must be positive")
 
     def displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Displacement at points (n, 2), pixels."""
+        """Evaluate the displacement u.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n, 2) array
+            Pixels.
+        """
         u = np.empty_like(points)
         angle_x, angle_y = _angles(points, self.wavelength_x, self.phase_x)
         u[:, 0] = self.offset[0] + self.amplitude[0] * np.sin(angle_x) * np.cos(angle_y)
@@ -118,7 +239,18 @@ class Sinusoidal:
         return u
 
     def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Gradient at points (n, 2), shape (n, 2, 2)."""
+        """Evaluate the gradient du_i/dx_j.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n, 2, 2) array
+            No unit.
+        """
         grad = np.empty((len(points), 2, 2))
         a, b = _angles(points, self.wavelength_x, self.phase_x)
         factor = 2 * np.pi * self.amplitude[0] / np.array(self.wavelength_x)
@@ -133,8 +265,10 @@ class Sinusoidal:
 
 def _angles(points: NDArray[np.float64], wavelength: Pair,
             phase: Pair) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    return (points[:, 0] * (2 * np.pi / wavelength[0]) + phase[0],
-            points[:, 1] * (2 * np.pi / wavelength[1]) + phase[1])
+    """Arguments of the waves along x and along y at points (n, 2), each (n,), radians."""
+    along_x = points[:, 0] * (2 * np.pi / wavelength[0]) + phase[0]
+    along_y = points[:, 1] * (2 * np.pi / wavelength[1]) + phase[1]
+    return along_x, along_y
 
 
 @dataclass(frozen=True)
@@ -143,8 +277,16 @@ class Bending:
 
     u_x = -curvature X Y, u_y = curvature (X^2 + nu Y^2) / 2, with (X, Y) = (x, y) - center.
 
-    curvature: of the neutral axis y = center[1], 1/px; center: pixels; poisson_ratio: no unit.
     Source: exact plane-stress solution with the strains (-curvature Y, nu curvature Y, 0).
+
+    Attributes
+    ----------
+    curvature : float
+        Of the neutral axis y = center[1], 1/px.
+    center : (float, float)
+        Pixels.
+    poisson_ratio : float
+        No unit.
     """
 
     curvature: float = 1e-5
@@ -156,20 +298,49 @@ class Bending:
         require_poisson_ratio("bending", self.poisson_ratio)
 
     def displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Displacement at points (n, 2), pixels."""
+        """Evaluate the displacement u.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n, 2) array
+            Pixels.
+        """
         x, y = (points - np.array(self.center)).T
         return self.curvature * np.column_stack([-x * y, 0.5 * (x**2 + self.poisson_ratio * y**2)])
 
     def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Gradient at points (n, 2), shape (n, 2, 2)."""
+        """Evaluate the gradient du_i/dx_j.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n, 2, 2) array
+            No unit.
+        """
         x, y = (points - np.array(self.center)).T
+        # Entries (i, j) of du_i/dx_j over the curvature, points last.
         rows = np.array([[-y, -x], [x, self.poisson_ratio * y]])
         return self.curvature * np.moveaxis(rows, 2, 0)
 
 
 @dataclass(frozen=True)
 class Sum:
-    """Sum of displacement fields; terms: at least one."""
+    """Sum of displacement fields.
+
+    Attributes
+    ----------
+    terms : tuple of DisplacementField
+        At least one.
+    """
 
     terms: tuple[DisplacementField, ...]
 
@@ -178,9 +349,31 @@ class Sum:
             raise InputError("sum: terms: give at least one displacement field")
 
     def displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Displacement at points (n, 2), pixels."""
+        """Evaluate the displacement u.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n, 2) array
+            Pixels.
+        """
         return np.asarray(sum(term.displacement(points) for term in self.terms))
 
     def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Gradient at points (n, 2), shape (n, 2, 2)."""
+        """Evaluate the gradient du_i/dx_j.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n, 2, 2) array
+            No unit.
+        """
         return np.asarray(sum(term.gradient(points) for term in self.terms))

@@ -15,9 +15,21 @@ from ddic.errors import InputError
 class Hole:
     """A flat dark disc with a smooth edge, in reference coordinates.
 
-    center, radius: pixels; level: grey level inside, as a fraction of full scale; edge: half-width of the
-    edge (1 + tanh(distance / edge)) / 2, pixels.
-    Raises InputError for a radius or edge that is not positive, or a level outside 0..1.
+    Attributes
+    ----------
+    center : (float, float)
+        Pixels.
+    radius : float
+        Pixels.
+    level : float
+        Grey level inside, as a fraction of full scale.
+    edge : float
+        Half-width of the edge (1 + tanh(distance / edge)) / 2, pixels.
+
+    Raises
+    ------
+    InputError
+        For a radius or edge that is not positive, or a level outside 0..1.
     """
 
     center: tuple[float, float]
@@ -35,7 +47,20 @@ class Hole:
             raise InputError(f"hole: level = {self.level}: must lie between 0 and 1")
 
     def cut(self, grey: NDArray[np.float64], x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
-        """Grey levels (fractions, any shape) at reference points x, y (pixels) with the hole cut out."""
+        """Cut the hole out of grey levels.
+
+        Parameters
+        ----------
+        grey : array
+            Of any shape, fractions of full scale.
+        x, y : array_like
+            Reference points where they were taken, pixels.
+
+        Returns
+        -------
+        array
+            Of the shape of ``grey``, fractions of full scale.
+        """
         distance = np.hypot(np.asarray(x) - self.center[0], np.asarray(y) - self.center[1]) - self.radius
         matter = 0.5 * (1 + np.tanh(distance / self.edge))
         return np.asarray(self.level + matter * (grey - self.level))

@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 from ddic.errors import ConvergenceError, InputError
 from ddic.synth.fields import DisplacementField
 
+# Distance of u(y - v) from v at which the iteration stops, px; a larger one blurs the truth of a pair.
 _TOLERANCE = 1e-12
+# The same relative to the largest displacement, which rounding keeps from being met better.
 _ROUNDING = 4 * float(np.finfo(np.float64).eps)
 _MAX_ITERATIONS = 50
 # The gradient is kept from one iteration to the next as long as each gains two digits.
@@ -16,12 +18,29 @@ _FAST = 0.01
 
 
 def reference_points(field: DisplacementField, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Solve x + u(x) = y for x at deformed points y (n, 2), pixels; returns (n, 2), pixels.
+    """Solve x + u(x) = y for x at deformed points y.
 
     Newton's method on the displacement v = y - x, stopped when |u(y - v) - v| <= 1e-12 px (or four roundings
     of the largest displacement, where that is more) at all points.
-    Raises InputError where the field folds the plane (det(I + grad u) <= 0), ConvergenceError if 50
-    iterations are not enough.
+
+    Parameters
+    ----------
+    field : DisplacementField
+        u.
+    points : (n, 2) array
+        The y, pixels.
+
+    Returns
+    -------
+    (n, 2) array
+        The x, pixels.
+
+    Raises
+    ------
+    InputError
+        Where the field folds the plane (det(I + grad u) <= 0).
+    ConvergenceError
+        If 50 iterations are not enough.
     """
     v = field.displacement(points)
     inverse = None
@@ -30,7 +49,8 @@ def reference_points(field: DisplacementField, points: NDArray[np.float64]) -> N
         x = points - v
         residual = field.displacement(x) - v
         largest = float(np.abs(residual).max(initial=0.0))
-        if largest <= max(_TOLERANCE, _ROUNDING * float(np.abs(v).max(initial=0.0))):
+        rounding = _ROUNDING * float(np.abs(v).max(initial=0.0))
+        if largest <= max(_TOLERANCE, rounding):
             return x
         if inverse is None or largest > _FAST * previous:
             inverse = _inverse_of_motion(field.gradient(x), x)

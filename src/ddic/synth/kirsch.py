@@ -20,12 +20,22 @@ _CONTINUED_BELOW = 0.9
 class Kirsch:
     """Infinite plate with a circular hole, in plane stress, pulled along y.
 
-    center: of the hole, pixels; radius: of the hole, pixels.
-    strain: far-field stress over Young's modulus, no unit; poisson_ratio: no unit.
-    translation: rigid displacement added, pixels.
     Exact for r >= 0.9 radius; nearer the centre a continuation with a continuous gradient, at most 6 strain.
 
     Source: Kirsch's solution; Cartesian displacements as in Timoshenko & Goodier, Theory of Elasticity.
+
+    Attributes
+    ----------
+    center : (float, float)
+        Of the hole, pixels.
+    radius : float
+        Of the hole, pixels.
+    strain : float
+        Far-field stress over Young's modulus, no unit.
+    poisson_ratio : float
+        No unit.
+    translation : (float, float)
+        Rigid displacement added, pixels.
     """
 
     center: Pair = (0.0, 0.0)
@@ -41,21 +51,45 @@ class Kirsch:
             raise InputError(f"kirsch: radius = {self.radius}: must be positive")
 
     def displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Displacement at points (n, 2), pixels."""
+        """Evaluate the displacement u.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n, 2) array
+            Pixels.
+        """
         across, along = (points - np.array(self.center)).T / self.radius
         h, _, w, _ = _decaying_terms(across**2 + along**2)
         kappa, scale = self._constants()
         p, q = _cubics(along, across)
+        # The plate without hole, what decays like 1 / r, and what decays like 1 / r - 1 / r^3.
         u_along = along * ((kappa + 1) + 2 * (1 + kappa) * h) + 2 * p * w
         u_across = across * ((kappa - 3) + 2 * (1 - kappa) * h) + 2 * q * w
         return np.asarray(scale * np.column_stack([u_across, u_along]) + np.array(self.translation))
 
     def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Gradient at points (n, 2), shape (n, 2, 2)."""
+        """Evaluate the gradient du_i/dx_j.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n, 2, 2) array
+            No unit.
+        """
         across, along = (points - np.array(self.center)).T / self.radius
         h, dh, w, dw = _decaying_terms(across**2 + along**2)
         kappa, scale = self._constants()
         p, q = _cubics(along, across)
+        # Slopes of p and q, times 2 w.
         square = 6 * (along**2 - across**2) * w
         product = 12 * along * across * w
         # Derivatives with respect to r^2, whose own derivative along a direction is twice the coordinate.
@@ -71,13 +105,17 @@ class Kirsch:
     def _constants(self) -> tuple[float, float]:
         """Kolosov's constant in plane stress and the displacement scale stress * radius / (8 mu), pixels."""
         nu = self.poisson_ratio
-        return (3 - nu) / (1 + nu), self.strain * self.radius * (1 + nu) / 4
+        kappa = (3 - nu) / (1 + nu)
+        scale = self.strain * self.radius * (1 + nu) / 4
+        return kappa, scale
 
 
 def _cubics(along: NDArray[np.float64],
             across: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """r^3 cos(3 theta) and r^3 sin(3 theta), theta measured from the direction of the load."""
-    return along * (along**2 - 3 * across**2), across * (3 * along**2 - across**2)
+    p = along * (along**2 - 3 * across**2)
+    q = across * (3 * along**2 - across**2)
+    return p, q
 
 
 def _decaying_terms(s: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
@@ -87,8 +125,13 @@ def _decaying_terms(s: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
     slope at the limit, flat at the centre.
     """
     limit = _CONTINUED_BELOW**2
-    outer, inner = np.maximum(s, limit), np.minimum(s, limit)
-    lever, fade = (inner**2 - limit**2) / (2 * limit), inner / limit
-    h, w = 1 / outer, 1 / outer**2 - 1 / outer**3
-    dh, dw = -1 / outer**2, 3 / outer**4 - 2 / outer**3
+    outer = np.maximum(s, limit)
+    inner = np.minimum(s, limit)
+    # Both leave a function as it is beyond the limit, where inner is the limit.
+    lever = (inner**2 - limit**2) / (2 * limit)
+    fade = inner / limit
+    h = 1 / outer
+    dh = -1 / outer**2
+    w = 1 / outer**2 - 1 / outer**3
+    dw = 3 / outer**4 - 2 / outer**3
     return h + dh * lever, dh * fade, w + dw * lever, dw * fade

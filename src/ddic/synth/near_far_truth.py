@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ddic.errors import InputError
 from ddic.images.camera import CameraMapping
 from ddic.synth.fields import DisplacementField
-from ddic.synth.near_far import NearFarScene, SetUpMotion
+from ddic.synth.near_far_scene import NearFarScene, SetUpMotion
 from ddic.synth.truth import as_tuples, describe_pair, load_truth, read_record, write_record
 
 Built = TypeVar("Built")
@@ -25,8 +25,16 @@ _REMEDY = "give the truth.json that ddic synth near-far wrote"
 class NearFarTruth:
     """What a near-field and far-field measurement should find.
 
-    field: u, specimen's frame, which is the far camera's pixels; mapping: phi, from there to the near camera's pixels;
-    motion: T, of the near set-up between its two pictures; near_size: width and height of the near image, pixels.
+    Attributes
+    ----------
+    field : DisplacementField
+        u, specimen's frame, which is the far camera's pixels.
+    mapping : CameraMapping
+        phi, from there to the near camera's pixels.
+    motion : SetUpMotion
+        T, of the near set-up between its two pictures.
+    near_size : (int, int)
+        Width and height of the near image, pixels.
     """
 
     field: DisplacementField
@@ -35,22 +43,67 @@ class NearFarTruth:
     near_size: tuple[int, int]
 
     def displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Displacement u at points (n, 2) of the specimen's frame, far pixels (n, 2)."""
+        """Evaluate the displacement u.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            X, pixels of the specimen's frame.
+
+        Returns
+        -------
+        (n, 2) array
+            Far pixels.
+        """
         return self.field.displacement(points)
 
     def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Gradient du_i/dX_j at points (n, 2) of the specimen's frame, (n, 2, 2), no unit."""
+        """Evaluate the gradient du_i/dX_j.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            X, pixels of the specimen's frame.
+
+        Returns
+        -------
+        (n, 2, 2) array
+            No unit.
+        """
         return self.field.gradient(points)
 
     def near_displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """phi(T(X + u(X))) - phi(X) at points X (n, 2) of the specimen's frame, near pixels (n, 2)."""
+        """Evaluate phi(T(X + u(X))) - phi(X).
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            X, pixels of the specimen's frame.
+
+        Returns
+        -------
+        (n, 2) array
+            Near pixels.
+        """
         moved = self.motion.moved(points + self.field.displacement(points))
         return np.asarray(self.mapping.to_image(moved) - self.mapping.to_image(points))
 
     def in_near_field(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Whether the near reference image shows the points (n, 2) of the specimen's frame; (n,)."""
+        """Find which points the near reference image shows.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            X, pixels of the specimen's frame.
+
+        Returns
+        -------
+        (n,) array of bool
+            True where it does.
+        """
         seen = self.mapping.to_image(points)
-        return np.asarray(((seen >= 0) & (seen <= np.array(self.near_size) - 1)).all(axis=1))
+        largest = np.array(self.near_size) - 1
+        return np.asarray(((seen >= 0) & (seen <= largest)).all(axis=1))
 
 
 def save_near_far_truth(path: Path, scene: NearFarScene) -> None:
@@ -58,25 +111,57 @@ def save_near_far_truth(path: Path, scene: NearFarScene) -> None:
 
     The far pair is described as ``save_truth`` describes a pair, the near pair likewise under ``near``, where
     ``mapping`` is phi and ``motion`` is T; the displacement of both is the one of the specimen's frame.
-    Raises InputError if the field is not one of this package's, or the file cannot be written.
+
+    Parameters
+    ----------
+    path : Path
+        The truth file.
+    scene : NearFarScene
+        What was rendered.
+
+    Raises
+    ------
+    InputError
+        If the field is not one of this package's, or the file cannot be written.
     """
-    far, near = scene.far_frame, scene.near_frame
-    record = describe_pair(scene.far, far.digitiser, far.width, far.height)
-    of_near = describe_pair(scene.near.surface, near.digitiser, near.width, near.height)
-    mapping = scene.near.mapping
+    camera = scene.near.camera
+    record = describe_pair(scene.far, scene.far_picture)
+    of_near = describe_pair(scene.near.surface, camera.picture)
     record["near"] = {
         **{key: of_near[key] for key in ("texture", "hole", "image")},
-        "mapping": {"homography": mapping.homography.tolist(), "centre": mapping.centre.tolist(),
-                    "radius": mapping.radius, "radial": mapping.radial.tolist()},
-        "motion": dataclasses.asdict(scene.near.motion),
+        "mapping": _describe_mapping(camera.mapping),
+        "motion": dataclasses.asdict(camera.motion),
     }
     write_record(path, record)
+
+
+def _describe_mapping(mapping: CameraMapping) -> dict[str, Any]:
+    """Arguments of CameraMapping as values that JSON holds."""
+    return {
+        "homography": mapping.homography.tolist(),
+        "centre": mapping.centre.tolist(),
+        "radius": mapping.radius,
+        "radial": mapping.radial.tolist(),
+    }
 
 
 def load_near_far_truth(path: Path) -> NearFarTruth:
     """Rebuild the exact fields that a truth file of ``ddic synth near-far`` describes.
 
-    Raises InputError, naming file and key, if the file is missing, foreign, or has an impossible value.
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    NearFarTruth
+        Exactly what made the images.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, foreign, or has an impossible value; it names file and key.
     """
     field = load_truth(path)
     near = read_record(path).get("near")
@@ -89,6 +174,7 @@ def load_near_far_truth(path: Path) -> NearFarTruth:
 
 
 def _rebuild(path: Path, near: dict[str, Any], key: str, kind: Callable[..., Built]) -> Built:
+    """Make an object of the values under a key of the near part; path: for errors."""
     values = near.get(key)
     if not isinstance(values, dict):
         raise InputError(f"{path}: near.{key}: is missing; {_REMEDY}")

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.images.window import Window
-from ddic.synth.digitise import Digitiser, Stored
+from ddic.synth.digitise import Stored
 from ddic.synth.fields import DisplacementField
 from ddic.synth.hole import Hole
 from ddic.synth.inverse import reference_points
-from ddic.synth.texture import SpeckleTexture
+from ddic.synth.picture import Picture
+from ddic.synth.speckle_texture import SpeckleTexture
 from ddic.synth.two_scale_texture import TwoScaleTexture
 
 # Images are made square by square: temporary arrays stay in cache and memory does not grow with the image.
@@ -26,7 +27,13 @@ _SQUARE = 256
 
 @dataclass(frozen=True)
 class ImagePair:
-    """Reference and deformed image, each (height, width), of type uint8, uint16 or float32."""
+    """Reference and deformed image.
+
+    Attributes
+    ----------
+    reference, deformed : (height, width) array
+        Stored grey levels: uint8, uint16 or float32.
+    """
 
     reference: Stored
     deformed: Stored
@@ -36,83 +43,155 @@ class Pictured(Protocol):
     """What a camera sees before and after the motion, at any point of its picture."""
 
     def reference_grey(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Grey level f at points (n, 2), pixels, as fractions of full scale (n,)."""
+        """Evaluate the grey level f before the motion.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n,) array
+            Fractions of full scale.
+        """
         ...
 
     def deformed_grey(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Grey level g at points (n, 2), pixels, as fractions of full scale (n,)."""
+        """Evaluate the grey level g after the motion.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n,) array
+            Fractions of full scale.
+        """
         ...
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What the camera looks at: a textured plane, its motion, and a hole or none."""
+    """What the camera looks at.
+
+    Attributes
+    ----------
+    texture : SpeckleTexture or TwoScaleTexture
+        Paint of the plane.
+    field : DisplacementField
+        Its motion.
+    hole : Hole, optional
+        Cut out of the paint.
+    """
 
     texture: SpeckleTexture | TwoScaleTexture
     field: DisplacementField
     hole: Hole | None = None
 
     def reference_grey(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Grey level f at points (n, 2), pixels, before the motion, as fractions of full scale (n,)."""
+        """Evaluate the grey level f before the motion.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n,) array
+            Fractions of full scale.
+        """
         x, y = points.T
         grey = self.texture.grey(x, y)
         return grey if self.hole is None else self.hole.cut(grey, x, y)
 
     def deformed_grey(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Grey level g at points y (n, 2) after the motion: f at the solution x of x + u(x) = y."""
+        """Evaluate the grey level g after the motion: f at the solution x of x + u(x) = y.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            The y, pixels.
+
+        Returns
+        -------
+        (n,) array
+            Fractions of full scale.
+        """
         return self.reference_grey(reference_points(self.field, points))
 
 
-def render_pair(texture: SpeckleTexture, field: DisplacementField, width: int, height: int, *,
-                bit_depth: int = 8, noise: float = 0.0, seed: int = 0,
-                hole: Hole | None = None) -> ImagePair:
+def render_pair(scene: Pictured, picture: Picture, stream: int = 0) -> ImagePair:
     """Render f and g in memory so that f(x) = g(x + u(x)) holds without any interpolation.
 
-    width, height: pixels; bit_depth: 8, 16 or 32 (float on 0..255); noise: standard deviation in 8-bit grey
-    levels, independent in the two images; seed: of the noise; hole: cut out of the texture, or None.
-    Raises InputError for impossible values or a field that folds the plane, ConvergenceError if the motion
-    cannot be inverted to 1e-12 px.
+    Parameters
+    ----------
+    scene : Pictured
+        What the camera sees.
+    picture : Picture
+        Size, bit depth and noise of both images; the noise is independent in the two.
+    stream : int, optional
+        Of the reference image's noise; the deformed image's is the next.
+
+    Returns
+    -------
+    ImagePair
+        The images.
+
+    Raises
+    ------
+    InputError
+        For a field that folds the plane.
+    ConvergenceError
+        Where the motion cannot be inverted to 1e-12 px.
     """
-    bands = _bands(Scene(texture, field, hole), Digitiser(bit_depth, noise, seed), width, height)
-    pairs = list(bands)
-    return ImagePair(np.concatenate([pair.reference for pair in pairs]),
-                     np.concatenate([pair.deformed for pair in pairs]))
+    bands = list(_bands(scene, picture, stream))
+    reference = np.concatenate([band.reference for band in bands])
+    deformed = np.concatenate([band.deformed for band in bands])
+    return ImagePair(reference, deformed)
 
 
-def write_pair(path_reference: Path, path_deformed: Path, texture: SpeckleTexture,
-               field: DisplacementField, width: int, height: int, *, bit_depth: int = 8,
-               noise: float = 0.0, seed: int = 0, hole: Hole | None = None) -> None:
+def write_pair(paths: tuple[Path, Path], scene: Pictured, picture: Picture, stream: int = 0) -> None:
     """Write the images of ``render_pair`` to two uncompressed TIFF files, holding one band in memory.
 
-    Arguments and errors as for ``render_pair``; also InputError if a file cannot be written.
+    Parameters
+    ----------
+    paths : (Path, Path)
+        Of the reference and of the deformed image.
+    scene : Pictured
+        What the camera sees.
+    picture : Picture
+        Size, bit depth and noise of both images.
+    stream : int, optional
+        Of the reference image's noise; the deformed image's is the next.
+
+    Raises
+    ------
+    InputError
+        For a field that folds the plane, or a file that cannot be written; no half-written file stays.
+    ConvergenceError
+        Where the motion cannot be inverted to 1e-12 px.
     """
-    write_images(path_reference, path_deformed, Scene(texture, field, hole), Digitiser(bit_depth, noise, seed),
-                 width, height)
-
-
-def write_images(path_reference: Path, path_deformed: Path, scene: Pictured, digitiser: Digitiser, width: int,
-                 height: int, stream: int = 0) -> None:
-    """Write what a camera sees of a scene to two uncompressed TIFF files, holding one band in memory.
-
-    width, height: pixels; stream: of the reference image's noise, the deformed image's being the next.
-    Raises InputError for impossible values, a field that folds the plane or a file that cannot be written.
-    """
-    bands = _bands(scene, digitiser, width, height, stream)
+    path_reference, path_deformed = paths
     try:
-        reference = _EmptyTiff.create(path_reference, width, height, digitiser)
-        deformed = _EmptyTiff.create(path_deformed, width, height, digitiser)
-        for row, pair in zip(range(0, height, _SQUARE), bands, strict=True):
-            reference.fill(row, pair.reference)
-            deformed.fill(row, pair.deformed)
+        reference = _create_tiff(path_reference, picture)
+        deformed = _create_tiff(path_deformed, picture)
+        first_rows = range(0, picture.height, _SQUARE)
+        for row, band in zip(first_rows, _bands(scene, picture, stream), strict=True):
+            reference.fill(row, band.reference)
+            deformed.fill(row, band.deformed)
     except BaseException as error:
-        _remove(path_reference, path_deformed)
+        _remove(paths)
         if isinstance(error, OSError):
             raise InputError(f"{error.filename or path_reference}: cannot be written: {error.strerror}; "
                              "choose a folder with write access and enough space") from error
         raise
 
 
-def _remove(*paths: Path) -> None:
+def _remove(paths: tuple[Path, ...]) -> None:
     """Remove files that would otherwise stay half written."""
     for path in paths:
         if path.is_file():
@@ -126,38 +205,41 @@ class _EmptyTiff:
     path: Path
     offset: int
 
-    @staticmethod
-    def create(path: Path, width: int, height: int, digitiser: Digitiser) -> _EmptyTiff:
-        import tifffile
-
-        pixels = tifffile.memmap(path, shape=(height, width), dtype=digitiser.dtype,
-                                 photometric="minisblack", metadata=None)
-        return _EmptyTiff(path, int(pixels.offset))
-
     def fill(self, row: int, band: Stored) -> None:
+        """Write whole rows, the first of which is ``row``."""
         with self.path.open("r+b") as file:
             file.seek(self.offset + row * band[0].nbytes)
             file.write(band.tobytes())
 
 
-def _bands(scene: Pictured, digitiser: Digitiser, width: int, height: int, stream: int = 0) -> Iterator[ImagePair]:
+def _create_tiff(path: Path, picture: Picture) -> _EmptyTiff:
+    """Make a file of the picture's size and type."""
+    import tifffile
+
+    shape = (picture.height, picture.width)
+    pixels = tifffile.memmap(path, shape=shape, dtype=picture.digitiser.dtype, photometric="minisblack", metadata=None)
+    return _EmptyTiff(path, int(pixels.offset))
+
+
+def _bands(scene: Pictured, picture: Picture, stream: int) -> Iterator[ImagePair]:
     """Bands of both images from top to bottom, each a row of squares."""
-    if width < 1 or height < 1:
-        raise InputError(f"image: size = {width}x{height}: must be at least 1x1 pixels")
-    return (_band(scene, digitiser, width, y0, min(y0 + _SQUARE, height), stream)
-            for y0 in range(0, height, _SQUARE))
+    for y0 in range(0, picture.height, _SQUARE):
+        y1 = min(y0 + _SQUARE, picture.height)
+        squares = []
+        for x0 in range(0, picture.width, _SQUARE):
+            window = Window(x0, y0, min(x0 + _SQUARE, picture.width), y1)
+            squares.append(_render_square(scene, picture, window, stream))
+        reference = np.concatenate([square.reference for square in squares], axis=1)
+        deformed = np.concatenate([square.deformed for square in squares], axis=1)
+        yield ImagePair(reference, deformed)
 
 
-def _band(scene: Pictured, digitiser: Digitiser, width: int, y0: int, y1: int, stream: int) -> ImagePair:
-    windows = [Window(x0, y0, min(x0 + _SQUARE, width), y1) for x0 in range(0, width, _SQUARE)]
-    pairs = [_square(scene, digitiser, window, stream) for window in windows]
-    return ImagePair(np.concatenate([pair.reference for pair in pairs], axis=1),
-                     np.concatenate([pair.deformed for pair in pairs], axis=1))
-
-
-def _square(scene: Pictured, digitiser: Digitiser, window: Window, stream: int) -> ImagePair:
+def _render_square(scene: Pictured, picture: Picture, window: Window, stream: int) -> ImagePair:
+    """Both images in a window."""
     x, y = np.meshgrid(np.arange(window.x0, window.x1), np.arange(window.y0, window.y1))
     points = np.column_stack([x.ravel(), y.ravel()]).astype(np.float64)
-    stored = [digitiser.store(grey.reshape(x.shape), (image, window.x0, window.y0))
-              for image, grey in enumerate((scene.reference_grey(points), scene.deformed_grey(points)), stream)]
-    return ImagePair(*stored)
+    reference = scene.reference_grey(points).reshape(x.shape)
+    deformed = scene.deformed_grey(points).reshape(x.shape)
+    store = picture.digitiser.store
+    return ImagePair(store(reference, (stream, window.x0, window.y0)),
+                     store(deformed, (stream + 1, window.x0, window.y0)))

@@ -8,13 +8,17 @@ Lengths here are in texture units: pixels divided by the texture's size factor.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
+# Lengths in texture units; any other number draws another texture from the same seed.
 CELL_SIZE = 4.0
+# Speckles per unit of area.
 DENSITY = 0.08
+# Standard deviations of a speckle.
 SIGMA_MIN, SIGMA_MAX = 1.3, 1.6
 AMPLITUDE_MIN, AMPLITUDE_MAX = 0.5, 1.0
 # A speckle ends six standard deviations from its centre, where exp(-18) of its amplitude is left: the sum of
@@ -23,6 +27,8 @@ TAIL_EXPONENT = 18.0
 REACH = 6.0 * SIGMA_MAX
 
 _MEAN_COUNT = DENSITY * CELL_SIZE**2
+# Points that are summed at once, a whole number of vector registers, and how far they may lie apart: more points share
+# the speckles of one neighbourhood, of which fewer reach each.
 _GROUP = 16
 _GROUP_EXTENT = 16.0
 _TO_UNIT = 2.0**-53
@@ -31,6 +37,23 @@ _COLUMN_STRIDE = np.uint64(0xD1B54A32D192ED03)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX_2 = np.uint64(0x94D049BB133111EB)
 _SHIFT_30, _SHIFT_27, _SHIFT_31, _SHIFT_11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11)
+
+
+class CellBlock(NamedTuple):
+    """A rectangle of cells.
+
+    Attributes
+    ----------
+    row0, column0 : int
+        Its first cell.
+    n_rows, n_columns : int
+        Its size, cells.
+    """
+
+    row0: int
+    column0: int
+    n_rows: int
+    n_columns: int
 
 
 def _mix_py(z: np.uint64) -> np.uint64:
@@ -75,14 +98,13 @@ def _poisson_py(u: float) -> int:
 _poisson = numba.njit(cache=True, inline="always")(_poisson_py)
 
 
-def _count_speckles_py(seed: np.uint64, row0: int, column0: int, n_rows: int,
-                       n_columns: int) -> NDArray[np.int64]:
-    """First speckle of each cell of a block of cells, row by row, and the total at the end."""
-    starts = np.zeros(n_rows * n_columns + 1, dtype=np.int64)
-    for row in range(n_rows):
-        for column in range(n_columns):
-            cell = row * n_columns + column
-            key = _cell_key(seed, row0 + row, column0 + column)
+def _count_speckles_py(seed: np.uint64, cells: CellBlock) -> NDArray[np.int64]:
+    """First speckle of each cell of a block, row by row, and the total at the end."""
+    starts = np.zeros(cells.n_rows * cells.n_columns + 1, dtype=np.int64)
+    for row in range(cells.n_rows):
+        for column in range(cells.n_columns):
+            cell = row * cells.n_columns + column
+            key = _cell_key(seed, cells.row0 + row, cells.column0 + column)
             starts[cell + 1] = starts[cell] + _poisson(_uniform(key, 0))
     return starts
 
@@ -90,13 +112,12 @@ def _count_speckles_py(seed: np.uint64, row0: int, column0: int, n_rows: int,
 count_speckles = numba.njit(cache=True)(_count_speckles_py)
 
 
-def _draw_speckles_py(seed: np.uint64, row0: int, column0: int, n_columns: int,
-                      starts: NDArray[np.int64]) -> NDArray[np.float64]:
+def _draw_speckles_py(seed: np.uint64, cells: CellBlock, starts: NDArray[np.int64]) -> NDArray[np.float64]:
     """Columns x, y, amplitude and 1 / (2 sigma^2) of the speckles that ``starts`` counts, shape (n, 4)."""
     speckles = np.empty((starts[-1], 4))
     for cell in range(len(starts) - 1):
-        row = row0 + cell // n_columns
-        column = column0 + cell % n_columns
+        row = cells.row0 + cell // cells.n_columns
+        column = cells.column0 + cell % cells.n_columns
         key = _cell_key(seed, row, column)
         for s in range(starts[cell], starts[cell + 1]):
             first = 1 + 4 * (s - starts[cell])
@@ -160,9 +181,8 @@ def _add_speckles_py(speckles: NDArray[np.float64], px: NDArray[np.float64], py:
 _add_speckles = numba.njit(cache=True, fastmath={"contract"})(_add_speckles_py)
 
 
-def _sum_speckles_py(x: NDArray[np.float64], y: NDArray[np.float64], speckles: NDArray[np.float64],
-                     starts: NDArray[np.int64], row0: int, column0: int,
-                     n_columns: int) -> NDArray[np.float64]:
+def _sum_speckles_py(x: NDArray[np.float64], y: NDArray[np.float64], cells: CellBlock, starts: NDArray[np.int64],
+                     speckles: NDArray[np.float64]) -> NDArray[np.float64]:
     """Sum of the speckles at points x, y (n,), all at least REACH inside the block of cells."""
     out = np.empty(len(x))
     px, py, total = np.empty(_GROUP), np.empty(_GROUP), np.empty(_GROUP)
@@ -173,12 +193,14 @@ def _sum_speckles_py(x: NDArray[np.float64], y: NDArray[np.float64], speckles: N
             px[k] = x[min(first + k, end - 1)]
             py[k] = y[min(first + k, end - 1)]
             total[k] = 0.0
-        left = math.floor((px.min() - REACH) / CELL_SIZE) - column0
-        right = math.floor((px.max() + REACH) / CELL_SIZE) - column0
-        top = math.floor((py.min() - REACH) / CELL_SIZE) - row0
-        bottom = math.floor((py.max() + REACH) / CELL_SIZE) - row0
+        left = math.floor((px.min() - REACH) / CELL_SIZE) - cells.column0
+        right = math.floor((px.max() + REACH) / CELL_SIZE) - cells.column0
+        top = math.floor((py.min() - REACH) / CELL_SIZE) - cells.row0
+        bottom = math.floor((py.max() + REACH) / CELL_SIZE) - cells.row0
         for row in range(top, bottom + 1):
-            begin, stop = starts[row * n_columns + left], starts[row * n_columns + right + 1]
+            # The speckles of the cells of a row lie one after the other.
+            begin = starts[row * cells.n_columns + left]
+            stop = starts[row * cells.n_columns + right + 1]
             _add_speckles(speckles[begin:stop], px, py, total)
         out[first:end] = total[: end - first]
         first = end

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from ddic.errors import InputError
-from ddic.synth.digitise import Digitiser
 from ddic.synth.fields import Affine, Bending, DisplacementField, Sinusoidal, Sum, Translation
 from ddic.synth.kirsch import Kirsch
+from ddic.synth.picture import Picture
 from ddic.synth.render import Scene
 
 _FORMAT = "ddic-truth"
@@ -21,31 +21,72 @@ _FIELDS: dict[str, type[Any]] = {
 _NAMES = {kind: name for name, kind in _FIELDS.items()}
 
 
-def save_truth(path: Path, scene: Scene, digitiser: Digitiser, width: int, height: int) -> None:
-    """Write field, texture, hole and camera of a generated pair as JSON; width, height: pixels.
+def save_truth(path: Path, scene: Scene, picture: Picture) -> None:
+    """Write field, texture, hole and camera of a generated pair as JSON.
 
-    Raises InputError if the field is not one of this package's, or the file cannot be written.
+    Parameters
+    ----------
+    path : Path
+        The truth file.
+    scene : Scene
+        What was rendered.
+    picture : Picture
+        Size, bit depth and noise of the images.
+
+    Raises
+    ------
+    InputError
+        If the field is not one of this package's, or the file cannot be written.
     """
-    write_record(path, describe_pair(scene, digitiser, width, height))
+    write_record(path, describe_pair(scene, picture))
 
 
-def describe_pair(scene: Scene, digitiser: Digitiser, width: int, height: int) -> dict[str, Any]:
-    """Everything that made a pair, as values that JSON holds; width, height: pixels.
+def describe_pair(scene: Scene, picture: Picture) -> dict[str, Any]:
+    """Describe everything that made a pair, as values that JSON holds.
 
-    Raises InputError if the field is not one of this package's.
+    Parameters
+    ----------
+    scene : Scene
+        What was rendered.
+    picture : Picture
+        Size, bit depth and noise of the images.
+
+    Returns
+    -------
+    dict
+        A truth file's record.
+
+    Raises
+    ------
+    InputError
+        If the field is not one of this package's.
     """
+    size = {"width": picture.width, "height": picture.height}
     return {
         "format": _FORMAT,
         "version": _VERSION,
         "field": _describe(scene.field),
         "texture": dataclasses.asdict(scene.texture),
         "hole": None if scene.hole is None else dataclasses.asdict(scene.hole),
-        "image": {"width": width, "height": height, **dataclasses.asdict(digitiser)},
+        "image": {**size, **dataclasses.asdict(picture.digitiser)},
     }
 
 
 def write_record(path: Path, record: dict[str, Any]) -> None:
-    """Write a truth file; raises InputError if it cannot be written."""
+    """Write a truth file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    record : dict
+        Values that JSON holds.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written.
+    """
     try:
         path.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
     except OSError as error:
@@ -55,13 +96,42 @@ def write_record(path: Path, record: dict[str, Any]) -> None:
 def load_truth(path: Path) -> DisplacementField:
     """Rebuild the displacement field that a truth file describes.
 
-    Raises InputError, naming file and key, if the file is missing, foreign, or has an impossible value.
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    DisplacementField
+        Exactly the one that made the images.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, foreign, or has an impossible value; it names file and key.
     """
     return _rebuild(path, read_record(path).get("field"))
 
 
 def read_record(path: Path) -> dict[str, Any]:
-    """Read the values of a truth file; raises InputError if the file is missing or foreign."""
+    """Read the values of a truth file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    dict
+        As it was written.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or foreign.
+    """
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
@@ -75,6 +145,7 @@ def read_record(path: Path) -> dict[str, Any]:
 
 
 def _describe(field: DisplacementField) -> dict[str, Any]:
+    """Name and parameters of a field."""
     name = _NAMES.get(type(field))
     if name is None:
         raise InputError(f"{type(field).__name__}: has no name in a truth file; use one of {list(_FIELDS)}")
@@ -85,6 +156,7 @@ def _describe(field: DisplacementField) -> dict[str, Any]:
 
 
 def _rebuild(path: Path, description: object) -> DisplacementField:
+    """Inverse of ``_describe``; path: for errors."""
     name = description.get("name") if isinstance(description, dict) else None
     if not isinstance(description, dict) or not isinstance(name, str) or name not in _FIELDS:
         raise InputError(f"{path}: field.name: is not one of {', '.join(_FIELDS)}")
@@ -105,5 +177,16 @@ def _rebuild(path: Path, description: object) -> DisplacementField:
 
 
 def as_tuples(value: Any) -> Any:
-    """The value with tuples in place of the lists that JSON has instead of them."""
+    """Turn lists into tuples, which JSON does not have.
+
+    Parameters
+    ----------
+    value : object
+        As JSON gives it.
+
+    Returns
+    -------
+    object
+        The same with tuples in place of lists, at any depth.
+    """
     return tuple(as_tuples(item) for item in value) if isinstance(value, list) else value

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from mpi4py import MPI
 from scipy import linalg, sparse
 
 from ddic.parallel.team import Team
 from ddic.partition.incidence import scaled_incidence
-from ddic.solvers.dual.coarse_space import CoarseSpace, coarse_columns
+from ddic.solvers.dual.coarse_space import CoarsePart, CoarseSpace, build_coarse_columns
 from ddic.solvers.dual.dual_step import DualSettings
-from ddic.solvers.dual.local_modes import _softened, low_energy_modes
+from ddic.solvers.dual.local_modes import _soften, find_low_energy_modes
 from ddic.solvers.dual.preconditioner import (
     DenseInverse,
     DualPreconditioner,
     LocalPreconditioner,
-    block_inverse,
-    local_schur,
+    assemble_schur,
+    invert_by_blocks,
 )
 from ddic.solvers.dual.schur_operator import DualSchurOperator
 from ddic.solvers.dual.two_level import TwoLevelPreconditioner
@@ -30,10 +29,10 @@ RANKS = [1, 2, 3, 4]
 def test_modes_span_the_lowest_eigenvectors(wavelength: float | None) -> None:
     problem = linear_step(wavelength=wavelength)
     parts = split(problem.mesh, "metis", 4)
-    with Decomposed(MPI.COMM_SELF, problem, parts, "consistent") as cut:
+    with Decomposed(Team.alone(), problem, parts, "consistent") as cut:
         system, operator = cut.systems[0], cut.operators[0]
-        modes = low_energy_modes(system, operator)
-        softened = _softened(system).toarray()
+        modes = find_low_energy_modes(system, operator)
+        softened = _soften(system).toarray()
         values = linalg.eigh(softened, eigvals_only=True)
     n = modes.shape[1]
     energies = np.einsum("ik,ik->k", modes, softened @ modes)
@@ -47,10 +46,10 @@ def test_modes_span_the_lowest_eigenvectors(wavelength: float | None) -> None:
 
 def test_a_subdomain_smaller_than_the_number_of_modes_gives_what_it_has() -> None:
     problem = linear_step(n=4, wavelength=16.0)
-    with Decomposed(MPI.COMM_SELF, problem, split(problem.mesh, "blocks", 16), "consistent") as cut:
+    with Decomposed(Team.alone(), problem, split(problem.mesh, "blocks", 16), "consistent") as cut:
         system, operator = cut.systems[0], cut.operators[0]
-        modes = low_energy_modes(system, operator)
-        n_interface = len(system.subdomain.displacement.dofs)
+        modes = find_low_energy_modes(system, operator)
+        n_interface = len(system.subdomain.jumps.unknowns)
     assert modes.shape == (8, n_interface // 2)
 
 
@@ -59,40 +58,42 @@ def test_the_preconditioner_inverts_the_operator_on_the_coarse_space() -> None:
     # A-DEF2: (P - Q S P + Q) S z = P S z - Q S P S z + z, and with z in the range of Z the projected part
     # is free of coarse components: Z^T S (y - z) = 0 exactly.
     problem = linear_step(wavelength=64.0)
-    team = Team(MPI.COMM_WORLD)
-    with Decomposed(team.comm, problem, split(problem.mesh, "metis", 9), "consistent") as cut:
+    team = Team.world()
+    with Decomposed(team, problem, split(problem.mesh, "metis", 9), "consistent") as cut:
         exchange, locals_ = cut.interface()
         rows = exchange.ghosts
-        plain = np.ones(int(team.comm.allreduce(sum(s.n_owned_copies for s in cut.subdomains))))
+        plain = np.ones(team.sum(sum(s.n_owned_copies for s in cut.subdomains)))
         everything = np.arange(len(plain))
         assemblies = []
         for s in cut.subdomains:
-            both = [scaled_incidence(i, plain, everything, rows, len(rows)) for i in (s.displacement, s.reaction)]
+            both = [scaled_incidence(i, plain, everything, rows) for i in (s.jumps, s.reactions)]
             assemblies.append(_side_by_side(both))
-        schurs = [local_schur(local) for local in locals_]
-        columns = [coarse_columns(low_energy_modes(s, local.operator), local)
+        schurs = [assemble_schur(local) for local in locals_]
+        columns = [build_coarse_columns(find_low_energy_modes(s, local.operator), local)
                    for s, local in zip(cut.systems, locals_, strict=True)]
-        coarse = CoarseSpace(team, exchange, locals_, assemblies, [s.__matmul__ for s in schurs], columns)
+        parts = [CoarsePart(local, assembly, schur.__matmul__, columns_s) for local, assembly, schur, columns_s
+                 in zip(locals_, assemblies, schurs, columns, strict=True)]
+        coarse = CoarseSpace(team, exchange, parts)
         one_level = DualPreconditioner(exchange, [
-            LocalPreconditioner(e, DenseInverse(block_inverse(s, local.n_displacement)))
+            LocalPreconditioner(e, DenseInverse(invert_by_blocks(s, local.n_jumps)))
             for e, s, local in zip(assemblies, schurs, locals_, strict=True)])
         operator = DualSchurOperator(exchange, locals_)
         two_level = TwoLevelPreconditioner(operator, one_level, coarse)
-        matrix = operator.as_matrix()
-        x, y, image = exchange.new_vector(), exchange.new_vector(), exchange.new_vector()
+        matrix = operator.create_matrix()
+        x, y, image = exchange.create_vector(), exchange.create_vector(), exchange.create_vector()
         start, end = x.getOwnershipRange()
         x.setArray(np.random.default_rng(0).standard_normal(exchange.n_global)[start:end])
         two_level.apply(None, x, y)
         # What the preconditioner leaves, r - S y, has no component on the coarse space.
         matrix.mult(y, image)
         image.aypx(-1.0, x)
-        left = exchange.new_vector()
+        left = exchange.create_vector()
         coarse.correct(image, left)
-        before = exchange.new_vector()
+        before = exchange.create_vector()
         coarse.correct(x, before)
         ratio = left.norm() / before.norm()
         size = coarse.size
-        for thing in (matrix, x, y, image, left, before, coarse, exchange):
+        for thing in (matrix, x, y, image, left, before, coarse):
             thing.destroy()
     assert size > 0
     # Rounding, magnified by the coarse matrix's conditioning on nearly dependent vectors (SHIFT).
@@ -109,7 +110,7 @@ def test_iterations_hardly_grow_with_the_cut_off_wavelength() -> None:
     for wavelength in (32.0, 256.0):
         problem = linear_step(wavelength=wavelength)
         parts = split(problem.mesh, "metis", 16)
-        with Decomposed(MPI.COMM_WORLD, problem, parts, "consistent") as cut:
+        with Decomposed(Team.world(), problem, parts, "consistent") as cut:
             iterations[wavelength] = {
                 kind: cut.solve(cut.step(DualSettings(kind, 1e-6, 500))).krylov_iterations
                 for kind in ("scaled", "two_level")

@@ -6,18 +6,19 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from ddic.parallel.distribution import owners
-from ddic.partition.connectivity import build_subdomains
+from ddic.parallel.distribution import split_evenly
+from ddic.parallel.team import Team
+from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.subdomain import Subdomain
 from ddic.solvers.dual.continuity import average_copies
-from support.linear import LinearStep, linear_step, split
+from support.linear import StepProblem, linear_step, split
 
 RANKS = [1, 2, 3, 4]
 
 
-def _own(problem: LinearStep, everything: list[Subdomain]) -> list[Subdomain]:
-    comm = MPI.COMM_WORLD
-    return [everything[s] for s in owners(np.ones(len(everything)), comm.size)[comm.rank]]
+def _own(problem: StepProblem, everything: list[Subdomain]) -> list[Subdomain]:
+    team = Team.world()
+    return [everything[s] for s in split_evenly(np.ones(len(everything)), team.size)[team.rank]]
 
 
 @pytest.mark.parallel(RANKS)
@@ -25,7 +26,7 @@ def _own(problem: LinearStep, everything: list[Subdomain]) -> list[Subdomain]:
 @pytest.mark.parametrize("kind", ["blocks", "metis"])
 def test_mean_of_copies_and_largest_jump(kind: str, wavelength: float | None) -> None:
     problem = linear_step(wavelength=wavelength)
-    everything = build_subdomains(problem.mesh, split(problem.mesh, kind, 9), problem.controlled)
+    everything = build_subdomains(problem.region, split(problem.mesh, kind, 9), problem.controlled)
     # Every subdomain's own field, known on all ranks so that each can form the means by itself.
     rng = np.random.default_rng(0)
     fields = [rng.normal(size=s.mesh.n_dofs) for s in everything]
@@ -37,7 +38,7 @@ def test_mean_of_copies_and_largest_jump(kind: str, wavelength: float | None) ->
     mean = np.array([np.mean(values) for values in copies])
     jump = max(max(values) - min(values) for values in copies)
     mine = _own(problem, everything)
-    found = average_copies(MPI.COMM_WORLD, mine, [fields[s.index] for s in mine])
+    found = average_copies(Team.world(), mine, [fields[s.index] for s in mine])
     for s, q in zip(mine, found.q, strict=True):
         # The mean of at most 9 numbers of order 1.
         np.testing.assert_allclose(q, mean[dofs[s.index]], rtol=0, atol=1e-14)
@@ -47,11 +48,11 @@ def test_mean_of_copies_and_largest_jump(kind: str, wavelength: float | None) ->
 @pytest.mark.parallel(RANKS)
 def test_copies_agree_to_the_last_bit_and_a_continuous_field_has_no_jump() -> None:
     problem = linear_step()
-    everything = build_subdomains(problem.mesh, split(problem.mesh, "metis", 9), problem.controlled)
+    everything = build_subdomains(problem.region, split(problem.mesh, "metis", 9), problem.controlled)
     mine = _own(problem, everything)
     rng = np.random.default_rng(MPI.COMM_WORLD.rank)
-    once = average_copies(MPI.COMM_WORLD, mine, [rng.normal(size=s.mesh.n_dofs) for s in mine])
-    twice = average_copies(MPI.COMM_WORLD, mine, once.q)
+    once = average_copies(Team.world(), mine, [rng.normal(size=s.mesh.n_dofs) for s in mine])
+    twice = average_copies(Team.world(), mine, once.q)
     assert once.largest_jump > 0
     assert twice.largest_jump == 0.0
 
@@ -59,8 +60,8 @@ def test_copies_agree_to_the_last_bit_and_a_continuous_field_has_no_jump() -> No
 @pytest.mark.parallel(RANKS)
 def test_the_fields_that_went_in_are_left_alone() -> None:
     problem = linear_step()
-    everything = build_subdomains(problem.mesh, split(problem.mesh, "blocks", 4), problem.controlled)
+    everything = build_subdomains(problem.region, split(problem.mesh, "blocks", 4), problem.controlled)
     mine = _own(problem, everything)
     fields = [np.full(s.mesh.n_dofs, float(s.index)) for s in mine]
-    average_copies(MPI.COMM_WORLD, mine, fields)
+    average_copies(Team.world(), mine, fields)
     assert all((q == s.index).all() for q, s in zip(fields, mine, strict=True))

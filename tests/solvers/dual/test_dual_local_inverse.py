@@ -6,16 +6,18 @@ import dataclasses
 
 import numpy as np
 import pytest
-from mpi4py import MPI
 from scipy import sparse
 
 from ddic.errors import SingularSubdomainError, is_on_all_ranks
+from ddic.parallel.team import Team
 from ddic.partition.subdomain import Weighting
-from ddic.solvers.dual.dual_step import DualSettings, Preconditioner
+from ddic.solvers.dual.build_preconditioner import Preconditioner, build_preconditioner
+from ddic.solvers.dual.dual_step import DualSettings
 from ddic.solvers.dual.local_dual import LocalDual
-from ddic.solvers.dual.local_inverse import DENSE_ARRAYS, DENSE_LIMIT, LocalInverseKind, is_dense, schur_pair
-from ddic.solvers.dual.preconditioner import DenseInverse, block_inverse, local_schur
+from ddic.solvers.dual.local_inverse import DENSE_ARRAYS, DENSE_LIMIT, LocalInverseKind, build_schur_pair, is_dense
+from ddic.solvers.dual.preconditioner import DenseInverse, assemble_schur, invert_by_blocks
 from ddic.solvers.dual.sparse_inverse import SparseInverse
+from ddic.solvers.petsc_stack import PetscStack
 from support.linear import Decomposed, dense, linear_step, split
 
 KINDS: list[LocalInverseKind] = ["dense", "sparse"]
@@ -27,17 +29,17 @@ KINDS: list[LocalInverseKind] = ["dense", "sparse"]
 def test_both_ways_invert_the_same_operator(kind: str, wavelength: float | None, weighting: Weighting) -> None:
     problem = linear_step(10, wavelength)
     rng = np.random.default_rng(0)
-    with Decomposed(MPI.COMM_SELF, problem, split(problem.mesh, kind, 4), weighting) as cut:
+    with Decomposed(Team.alone(), problem, split(problem.mesh, kind, 4), weighting) as cut:
         _, locals_ = cut.interface()
         for system, local in zip(cut.systems, locals_, strict=True):
             block = rng.normal(size=(len(local.compliance), 3))
             found = []
             for way in KINDS:
-                pair = schur_pair(system, local, way)
+                pair = build_schur_pair(system, local, way)
                 x = np.stack([pair.inverse.apply(r) for r in block.T], axis=1)
                 # S_s S_s^-1 = I up to rounding times the condition number of S_s, 1e5 at most here.
-                np.testing.assert_allclose(pair.product(x), block, rtol=0, atol=1e-9)
-                found.append((x, pair.product(block)))
+                np.testing.assert_allclose(pair.multiply(x), block, rtol=0, atol=1e-9)
+                found.append((x, pair.multiply(block)))
                 pair.inverse.destroy()
             for by_array, by_factor in zip(*found, strict=True):
                 np.testing.assert_allclose(by_factor, by_array, rtol=0, atol=1e-9 * np.abs(by_array).max())
@@ -45,7 +47,7 @@ def test_both_ways_invert_the_same_operator(kind: str, wavelength: float | None,
 
 def test_a_solution_is_not_changed_by_the_next_one() -> None:
     problem = linear_step(8, 32.0)
-    with Decomposed(MPI.COMM_SELF, problem, split(problem.mesh, "blocks", 4), "consistent") as cut:
+    with Decomposed(Team.alone(), problem, split(problem.mesh, "blocks", 4), "consistent") as cut:
         local = cut.interface()[1][0]
         inverse = SparseInverse(cut.systems[0].operator, local)
         r = np.random.default_rng(0).normal(size=len(local.compliance))
@@ -63,13 +65,13 @@ def test_a_solution_is_not_changed_by_the_next_one() -> None:
 def test_schur_product_in_blocks_of_any_size(block: int, wavelength: float | None,
                                              monkeypatch: pytest.MonkeyPatch) -> None:
     problem = linear_step(8, wavelength)
-    with Decomposed(MPI.COMM_SELF, problem, split(problem.mesh, "blocks", 4), "consistent") as cut:
+    with Decomposed(Team.alone(), problem, split(problem.mesh, "blocks", 4), "consistent") as cut:
         local, system = cut.interface()[1][0], cut.systems[0]
         monkeypatch.setattr(type(local.operator), "block", block)
         t = dense(local.trace)
         expected = t @ np.linalg.solve(dense(system.operator), t.T) - np.diag(local.compliance)
         # Rounding times the condition number of A_s, about 1e3.
-        np.testing.assert_allclose(local_schur(local), expected, rtol=0, atol=1e-11 * np.abs(expected).max())
+        np.testing.assert_allclose(assemble_schur(local), expected, rtol=0, atol=1e-11 * np.abs(expected).max())
 
 
 def _with_trace(local: LocalDual, row: np.ndarray | None) -> LocalDual:
@@ -81,10 +83,10 @@ def _with_trace(local: LocalDual, row: np.ndarray | None) -> LocalDual:
 @pytest.mark.parametrize("defect", ["the same row twice", "an empty row", "no compliance"])
 @pytest.mark.parametrize("way", KINDS)
 def test_a_singular_or_wrongly_signed_operator_is_refused(way: LocalInverseKind, defect: str) -> None:
-    # The first two leave S_s a null vector; without D_s the block of the reactions is positive definite, which no
+    # The first two allowed S_s a null vector; without D_s the block of the reactions is positive definite, which no
     # factorisation minds and only the inertia tells.
     problem = linear_step(8, 32.0)
-    with Decomposed(MPI.COMM_SELF, problem, split(problem.mesh, "blocks", 4), "consistent") as cut:
+    with Decomposed(Team.alone(), problem, split(problem.mesh, "blocks", 4), "consistent") as cut:
         local, system = cut.interface()[1][0], cut.systems[0]
         broken = {
             "the same row twice": _with_trace(local, local.trace[0].toarray()),
@@ -92,7 +94,7 @@ def test_a_singular_or_wrongly_signed_operator_is_refused(way: LocalInverseKind,
             "no compliance": dataclasses.replace(local, compliance=0.0 * local.compliance),
         }[defect]
         with pytest.raises(SingularSubdomainError, match="interface problem of a subdomain is singular"):
-            schur_pair(system, broken, way)
+            build_schur_pair(system, broken, way)
 
 
 def test_the_choice_follows_the_memory_of_the_arrays() -> None:
@@ -104,18 +106,21 @@ def test_the_choice_follows_the_memory_of_the_arrays() -> None:
 
 
 def test_the_step_holds_what_was_chosen() -> None:
-    problem = linear_step(8, 32.0)
-    with Decomposed(MPI.COMM_SELF, problem, split(problem.mesh, "blocks", 4), "consistent") as cut:
-        held = {kind: {type(i) for i in cut.step(DualSettings(local_inverse=kind))._inverses}
-                for kind in ("auto", "dense", "sparse")}
+    step = linear_step(8, 32.0)
+    with Decomposed(Team.alone(), step, split(step.mesh, "blocks", 4), "consistent") as cut:
+        problem, held = cut.dual_problem(), {}
+        for kind in ("auto", "dense", "sparse"):
+            with PetscStack() as stack:
+                one_level = build_preconditioner(stack, problem, "scaled", kind).context
+                held[kind] = {type(term.inverse) for term in one_level._terms}
     assert held == {"auto": {DenseInverse}, "dense": {DenseInverse}, "sparse": {SparseInverse}}
 
 
 def test_dense_inverse_multiplies() -> None:
     problem = linear_step(8, 32.0)
-    with Decomposed(MPI.COMM_SELF, problem, split(problem.mesh, "blocks", 4), "consistent") as cut:
+    with Decomposed(Team.alone(), problem, split(problem.mesh, "blocks", 4), "consistent") as cut:
         local = cut.interface()[1][0]
-        matrix = block_inverse(local_schur(local), local.n_displacement)
+        matrix = invert_by_blocks(assemble_schur(local), local.n_jumps)
     np.testing.assert_array_equal(DenseInverse(matrix).apply(matrix[0]), matrix @ matrix[0])
 
 
@@ -124,12 +129,12 @@ def test_dense_inverse_multiplies() -> None:
 @pytest.mark.parametrize("preconditioner", ["paper", "scaled", "two_level"])
 def test_dense_and_sparse_give_the_same_field(preconditioner: Preconditioner, wavelength: float | None) -> None:
     problem = linear_step(wavelength=wavelength)
-    with Decomposed(MPI.COMM_WORLD, problem, split(problem.mesh, "metis", 9), "consistent") as cut:
+    with Decomposed(Team.world(), problem, split(problem.mesh, "metis", 9), "consistent") as cut:
         results = [cut.solve(cut.step(DualSettings(preconditioner, 1e-12, 3000, local_inverse=kind)))
                    for kind in KINDS]
         scale = max(float(np.abs(d).max()) for d in results[0].dq)
         difference = max(float(np.abs(a - b).max()) for a, b in zip(results[0].dq, results[1].dq, strict=True))
-        difference, scale = (cut.comm.allreduce(x, op=MPI.MAX) for x in (difference, scale))
+        difference, scale = (cut.team.maximum(x) for x in (difference, scale))
     # Both residuals are 1e-12 of the right-hand side and S_tot's condition number stays below 1e3.
     assert difference <= 1e-9 * scale
     # The same preconditioner but for rounding; one iteration of slack at the threshold.
@@ -139,10 +144,10 @@ def test_dense_and_sparse_give_the_same_field(preconditioner: Preconditioner, wa
 @pytest.mark.parallel([1, 2, 3, 4])
 def test_a_singular_inverse_of_one_rank_raises_on_all(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = linear_step(wavelength=32.0)
-    with Decomposed(MPI.COMM_WORLD, problem, split(problem.mesh, "metis", 9), "consistent") as cut:
-        healthy = SparseInverse._factorize
-        if cut.comm.rank == cut.comm.size - 1:
-            monkeypatch.setattr(SparseInverse, "_factorize", lambda self, n: healthy(self, n + 1))
+    with Decomposed(Team.world(), problem, split(problem.mesh, "metis", 9), "consistent") as cut:
+        healthy = SparseInverse._check_inertia
+        if cut.team.rank == cut.team.size - 1:
+            monkeypatch.setattr(SparseInverse, "_check_inertia", lambda self, n: healthy(self, n + 1))
         with pytest.raises(SingularSubdomainError) as caught:
             cut.step(DualSettings(local_inverse="sparse"))
     assert is_on_all_ranks(caught.value)

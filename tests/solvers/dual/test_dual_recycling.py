@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from ddic.solvers.dual.dual_step import DualSettings, Preconditioner
+from ddic.parallel.team import Team
+from ddic.solvers.dual.build_preconditioner import Preconditioner
+from ddic.solvers.dual.dual_step import DualSettings
 from ddic.solvers.dual.recycling import LARGEST, RecycledSpace
-from ddic.solvers.linear_step import Leave
+from ddic.solvers.linear_step import AllowedError
 from support.linear import Decomposed, linear_step, one_domain_solution, split
 
 RANKS = [1, 2, 3, 4]
@@ -25,7 +27,7 @@ def test_the_residual_over_kept_directions_is_least() -> None:
     matrix, right = random.standard_normal((40, 40)), random.standard_normal(40)
     directions = random.standard_normal((40, 7))
     directions[:, 6] = directions[:, :3].sum(axis=1)  # a dependent one must do no harm
-    space = RecycledSpace(MPI.COMM_WORLD, len(_mine(right)))
+    space = RecycledSpace(Team.world(), len(_mine(right)))
     for part in (directions[:, :4], directions[:, 4:]):
         space.learn(_mine(part), _mine(matrix @ part))
     residual, solution = _mine(right).copy(), np.zeros(len(_mine(right)))
@@ -41,7 +43,7 @@ def test_the_residual_over_kept_directions_is_least() -> None:
 @pytest.mark.parallel([1])
 def test_no_more_directions_are_kept_than_the_limit() -> None:
     n = LARGEST + 40
-    space = RecycledSpace(MPI.COMM_WORLD, n)
+    space = RecycledSpace(Team.world(), n)
     space.learn(np.eye(n)[:, :60], np.eye(n)[:, :60])
     space.learn(np.eye(n)[:, 60:], np.eye(n)[:, 60:])
     assert space.size == LARGEST
@@ -61,12 +63,12 @@ def test_recycling_saves_iterations_and_changes_nothing_else(preconditioner: Pre
     loads = [problem.b * (1 + 0.3 * random.standard_normal(len(problem.b))) for _ in range(3)]
     totals, errors = {}, {}
     for recycle in (False, True):
-        with Decomposed(MPI.COMM_WORLD, problem, parts, "consistent") as cut:
+        with Decomposed(Team.world(), problem, parts, "consistent") as cut:
             step = cut.step(DualSettings(preconditioner, 1e-10, 3000, recycle=recycle))
             results = [cut.solve(step, b) for b in loads]
         totals[recycle] = sum(r.krylov_iterations for r in results)
         errors[recycle] = max(float(np.abs(a - b).max()) for a, b in zip(results[-1].dq, results[0].dq, strict=True))
-    with Decomposed(MPI.COMM_WORLD, problem, parts, "consistent") as cut:
+    with Decomposed(Team.world(), problem, parts, "consistent") as cut:
         step = cut.step(DualSettings(preconditioner, 1e-10, 3000))
         for b in (*loads, problem.b):
             last = cut.solve(step, b)
@@ -83,10 +85,10 @@ def test_the_estimated_error_is_near_the_true_one(preconditioner: Preconditioner
     problem = linear_step(wavelength=64.0)
     parts = split(problem.mesh, "metis", 9)
     reference = one_domain_solution(problem, parts, "consistent")
-    with Decomposed(MPI.COMM_WORLD, problem, parts, "consistent") as cut:
+    with Decomposed(Team.world(), problem, parts, "consistent") as cut:
         for target in (1e-2, 1e-4):
             step = cut.step(DualSettings(preconditioner, 1e-12, 3000))
-            result = cut.solve(step, leave=Leave(target))
+            result = cut.solve(step, allowed=AllowedError(target))
             true = cut.rms_error(result.dq, reference)
             assert 0 < result.error <= 3 * target
             # P is spectrally near S_tot^-1: eigenvalues of P S_tot between 0.3 and 4 in the cases measured.
@@ -98,9 +100,10 @@ def test_a_looser_error_takes_fewer_iterations_and_the_tolerance_is_the_floor() 
     problem = linear_step(wavelength=64.0)
     parts = split(problem.mesh, "metis", 9)
     counts = []
-    for leave in (None, Leave(0.0), Leave(1e-5), Leave(1e-2), Leave(0.0, 0.1), Leave(1e9)):
-        with Decomposed(MPI.COMM_WORLD, problem, parts, "consistent") as cut:
-            counts.append(cut.solve(cut.step(DualSettings("scaled", 1e-8, 3000)), leave=leave).krylov_iterations)
+    exactly = [AllowedError(rms) for rms in (0.0, 1e-5, 1e-2)]
+    for allowed in (None, *exactly, AllowedError(0.0, 0.1), AllowedError(1e9)):
+        with Decomposed(Team.world(), problem, parts, "consistent") as cut:
+            counts.append(cut.solve(cut.step(DualSettings("scaled", 1e-8, 3000)), allowed=allowed).krylov_iterations)
     exact, floor, fine, coarse, share, nothing = counts
     assert exact == floor
     assert exact > fine > coarse > nothing == 0

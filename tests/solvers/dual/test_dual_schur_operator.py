@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-from ddic.partition.connectivity import build_subdomains
+from ddic.parallel.team import Team
+from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.subdomain import Interface, Weighting, interface_weights
 from ddic.solvers.dual.schur_operator import DualSchurOperator
 from ddic.solvers.exchange import Exchange
-from support.linear import Decomposed, LinearStep, dense, linear_step, split
+from support.linear import Decomposed, StepProblem, dense, linear_step, split
 
 RANKS = [1, 2, 3, 4]
 WAVELENGTH = 32.0
@@ -20,7 +20,7 @@ WAVELENGTH = 32.0
 
 def _random(exchange: Exchange, seed: int) -> PETSc.Vec:
     """The same random vector on any number of ranks."""
-    vector = exchange.new_vector()
+    vector = exchange.create_vector()
     begin, end = vector.getOwnershipRange()
     vector.setArray(np.random.default_rng(seed).normal(size=exchange.n_global)[begin:end])
     return vector
@@ -29,9 +29,9 @@ def _random(exchange: Exchange, seed: int) -> PETSc.Vec:
 def _displacement_rows(cut: Decomposed, exchange: Exchange) -> NDArray[np.bool_]:
     """Which of this rank's owned rows are jumps of displacement, from the chains of all ranks."""
     mine = [first + k for s in cut.subdomains for first, m in
-            zip(s.displacement.first_row, s.displacement.multiplicity, strict=True) for k in range(m - 1)]
-    everyone = np.unique(np.concatenate(cut.comm.allgather(np.array(mine, dtype=np.int64))))
-    vector = exchange.new_vector()
+            zip(s.jumps.first_row, s.jumps.multiplicity, strict=True) for k in range(m - 1)]
+    everyone = np.unique(np.array(cut.team.gather_lists(mine), dtype=np.int64))
+    vector = exchange.create_vector()
     begin, end = vector.getOwnershipRange()
     vector.destroy()
     return np.isin(np.arange(begin, end), everyone)
@@ -42,11 +42,11 @@ def _displacement_rows(cut: Decomposed, exchange: Exchange) -> NDArray[np.bool_]
 @pytest.mark.parametrize("kind", ["blocks", "metis"])
 def test_symmetric_and_quasi_definite(kind: str, weighting: Weighting) -> None:
     problem = linear_step(wavelength=WAVELENGTH)
-    with Decomposed(MPI.COMM_WORLD, problem, split(problem.mesh, kind, 9), weighting) as cut:
+    with Decomposed(Team.world(), problem, split(problem.mesh, kind, 9), weighting) as cut:
         exchange, locals_ = cut.interface()
-        matrix = DualSchurOperator(exchange, locals_).as_matrix()
+        matrix = DualSchurOperator(exchange, locals_).create_matrix()
         x, y = _random(exchange, 1), _random(exchange, 2)
-        sx, sy = exchange.new_vector(), exchange.new_vector()
+        sx, sy = exchange.create_vector(), exchange.create_vector()
         matrix.mult(x, sx)
         matrix.mult(y, sy)
         asymmetry = abs(x.dot(sy) - y.dot(sx)) / (x.norm() * sy.norm())
@@ -63,21 +63,21 @@ def test_symmetric_and_quasi_definite(kind: str, weighting: Weighting) -> None:
     assert energies[1] < 0
 
 
-def _definition(problem: LinearStep, parts: NDArray[np.int64],
+def _definition(problem: StepProblem, parts: NDArray[np.int64],
                 weighting: Weighting) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """S_tot from dense C_s, Cbar_s, Kbar_s, A_s; and which rows are jumps of displacement."""
-    subdomains = build_subdomains(problem.mesh, parts, problem.controlled)
+    subdomains = build_subdomains(problem.region, parts, problem.controlled)
     n_rows = sum(s.n_owned_rows for s in subdomains)
     owners = [set(s.node_ids.tolist()) for s in subdomains]
     total = np.zeros((n_rows, n_rows))
     is_jump = np.zeros(n_rows, dtype=bool)
     for number, part in enumerate(subdomains):
-        system = problem.system(part, interface_weights(part.dof_multiplicity, weighting))
+        system = problem.system(part, interface_weights(part.multiplicity, weighting))
         c, c_bar = (_signed(number, part.node_ids, interface, owners, n_rows)
-                    for interface in (part.displacement, part.reaction))
+                    for interface in (part.jumps, part.reactions))
         is_jump |= np.abs(c).sum(axis=1) > 0
-        # Row weights multiply both Cbar_s^T and Kbar_s: DESIGN.md, section 2, point 2.
-        c_bar = c_bar * (interface_weights(part.dof_multiplicity, weighting) * problem.scale)
+        # Row weights multiply both Cbar_s^T and Kbar_s: docs/solver.md, Weights of the interface rows.
+        c_bar = c_bar * (interface_weights(part.multiplicity, weighting) * problem.scale)
         weighted = dense(system.controlled_stiffness)
         a_inverse = np.linalg.inv(dense(system.hessian) + problem.eta * weighted.T @ weighted)
         g = c + problem.eta * c_bar @ weighted
@@ -89,7 +89,7 @@ def _signed(number: int, node_ids: NDArray[np.int64], interface: Interface, owne
             n_rows: int) -> NDArray[np.float64]:
     """C_s of one kind: row k of a chain is (copy k) - (copy k + 1), copies in the order of subdomains."""
     matrix = np.zeros((n_rows, 2 * len(node_ids)))
-    for dof, first in zip(interface.dofs, interface.first_row, strict=True):
+    for dof, first in zip(interface.unknowns, interface.first_row, strict=True):
         chain = [s for s, nodes in enumerate(owners) if int(node_ids[dof // 2]) in nodes]
         place = chain.index(number)
         if place + 1 < len(chain):
@@ -105,10 +105,10 @@ def test_equals_the_dense_matrix_of_the_definition(kind: str, weighting: Weighti
     problem = linear_step(6, WAVELENGTH)
     parts = split(problem.mesh, kind, 4)
     expected, is_jump = _definition(problem, parts, weighting)
-    with Decomposed(MPI.COMM_SELF, problem, parts, weighting) as cut:
+    with Decomposed(Team.alone(), problem, parts, weighting) as cut:
         exchange, locals_ = cut.interface()
-        matrix = DualSchurOperator(exchange, locals_).as_matrix()
-        x, y = exchange.new_vector(), exchange.new_vector()
+        matrix = DualSchurOperator(exchange, locals_).create_matrix()
+        x, y = exchange.create_vector(), exchange.create_vector()
         found = np.empty_like(expected)
         for column in range(exchange.n_global):
             x.set(0.0)
@@ -133,11 +133,11 @@ def test_product_does_not_depend_on_the_number_of_ranks() -> None:
     problem = linear_step(wavelength=WAVELENGTH)
     parts = split(problem.mesh, "metis", 9)
     products = []
-    for comm in (MPI.COMM_SELF, MPI.COMM_WORLD):
-        with Decomposed(comm, problem, parts, "consistent") as cut:
+    for team in (Team.alone(), Team.world()):
+        with Decomposed(team, problem, parts, "consistent") as cut:
             exchange, locals_ = cut.interface()
-            y = exchange.new_vector()
+            y = exchange.create_vector()
             DualSchurOperator(exchange, locals_).mult(PETSc.Mat(), _random(exchange, 4), y)
-            products.append(np.concatenate(comm.allgather(y.getArray())))
+            products.append(np.concatenate(team.gather_lists([np.array(y.getArray())])))
     # Only the order of the sums at shared rows differs.
     np.testing.assert_allclose(products[1], products[0], rtol=0, atol=1e-13 * np.abs(products[0]).max())

@@ -6,12 +6,13 @@ import dataclasses
 
 import numpy as np
 import pytest
-from mpi4py import MPI
 
 from ddic.errors import ConvergenceError, is_on_all_ranks
-from ddic.partition.connectivity import node_sharing
+from ddic.parallel.team import Team
+from ddic.partition.build_subdomains import share_nodes
 from ddic.partition.subdomain import Weighting
-from ddic.solvers.dual.dual_step import DualSettings, Preconditioner
+from ddic.solvers.dual.build_preconditioner import Preconditioner
+from ddic.solvers.dual.dual_step import DualSettings
 from support.linear import Decomposed, linear_step, one_domain_solution, split
 
 RANKS = [1, 2, 3, 4]
@@ -33,7 +34,7 @@ def test_dual_equals_monolithic(weighting: Weighting, kind: str, n_subdomains: i
     problem = linear_step(wavelength=WAVELENGTH)
     parts = split(problem.mesh, kind, n_subdomains)
     reference = one_domain_solution(problem, parts, weighting)
-    with Decomposed(MPI.COMM_WORLD, problem, parts, weighting) as cut:
+    with Decomposed(Team.world(), problem, parts, weighting) as cut:
         results = {p: cut.solve(cut.step(DualSettings(p, TIGHT, 3000))) for p in PRECONDITIONERS}
         errors = {p: cut.relative_error(result.dq, reference) for p, result in results.items()}
     assert max(errors.values()) <= SAME, errors
@@ -47,10 +48,10 @@ def test_dual_without_regularization_equals_monolithic(kind: str, n_subdomains: 
     problem = linear_step()
     parts = split(problem.mesh, kind, n_subdomains)
     reference = one_domain_solution(problem, parts, "consistent")
-    with Decomposed(MPI.COMM_WORLD, problem, parts, "consistent") as cut:
+    with Decomposed(Team.world(), problem, parts, "consistent") as cut:
         steps = {p: cut.step(DualSettings(p, TIGHT, 3000)) for p in PRECONDITIONERS}
         errors = {p: cut.relative_error(cut.solve(step).dq, reference) for p, step in steps.items()}
-        m = node_sharing(problem.mesh, parts).multiplicity
+        m = share_nodes(problem.mesh, parts).multiplicity
     assert max(errors.values()) <= SAME, errors
     # Lambda alone: m - 1 rows for each of the two components of a node with m copies, no LambdaBar.
     assert {step.n_interface for step in steps.values()} == {2 * int((m - 1).sum())}
@@ -71,7 +72,7 @@ def test_the_two_weightings_differ() -> None:
 def test_one_subdomain_needs_no_interface(wavelength: float | None) -> None:
     problem = linear_step(wavelength=wavelength)
     parts = np.zeros(problem.mesh.n_cells, dtype=np.int64)
-    with Decomposed(MPI.COMM_WORLD, problem, parts, "consistent") as cut:
+    with Decomposed(Team.world(), problem, parts, "consistent") as cut:
         step = cut.step(DualSettings())
         result = cut.solve(step)
         error = cut.relative_error(result.dq, one_domain_solution(problem, parts, "consistent"))
@@ -84,7 +85,7 @@ def test_one_subdomain_needs_no_interface(wavelength: float | None) -> None:
 @pytest.mark.parametrize("preconditioner", PRECONDITIONERS)
 def test_warm_start_with_the_same_data_takes_no_iteration(preconditioner: Preconditioner) -> None:
     problem = linear_step(wavelength=WAVELENGTH)
-    with Decomposed(MPI.COMM_WORLD, problem, split(problem.mesh, "blocks", 9), "consistent") as cut:
+    with Decomposed(Team.world(), problem, split(problem.mesh, "blocks", 9), "consistent") as cut:
         step = cut.step(DualSettings(preconditioner, 1e-8, 3000))
         first = cut.solve(step)
         second = cut.solve(step)
@@ -99,7 +100,7 @@ def test_warm_start_with_the_same_data_takes_no_iteration(preconditioner: Precon
 def test_stop_is_relative_to_the_right_hand_side_when_warm_started(preconditioner: Preconditioner) -> None:
     problem = linear_step(wavelength=WAVELENGTH)
     tolerance = 1e-6
-    with Decomposed(MPI.COMM_WORLD, problem, split(problem.mesh, "blocks", 9), "consistent") as cut:
+    with Decomposed(Team.world(), problem, split(problem.mesh, "blocks", 9), "consistent") as cut:
         step = cut.step(DualSettings(preconditioner, tolerance, 3000))
         first = cut.solve(step)
         changed = cut.solve(step, problem.b * 1.001)
@@ -117,7 +118,7 @@ def test_stop_is_relative_to_the_right_hand_side_when_warm_started(preconditione
 def test_history_holds_the_true_residual_not_the_preconditioned_one(preconditioner: Preconditioner) -> None:
     problem = linear_step(wavelength=WAVELENGTH)
     tolerance = 1e-5
-    with Decomposed(MPI.COMM_WORLD, problem, split(problem.mesh, "metis", 9), "consistent") as cut:
+    with Decomposed(Team.world(), problem, split(problem.mesh, "metis", 9), "consistent") as cut:
         step = cut.step(DualSettings(preconditioner, tolerance, 3000))
         result = cut.solve(step)
         # With the same data, what a solve finds before its first iteration is |t_tot - S v| / |t_tot|.
@@ -136,7 +137,7 @@ def test_unit_of_the_stiffness_changes_nothing(preconditioner: Preconditioner) -
     parts = split(problem.mesh, "blocks", 9)
     results = []
     for data in (problem, other):
-        with Decomposed(MPI.COMM_WORLD, data, parts, "consistent") as cut:
+        with Decomposed(Team.world(), data, parts, "consistent") as cut:
             results.append(cut.solve(cut.step(DualSettings(preconditioner, 1e-6, 3000))))
             error = cut.relative_error(results[-1].dq, one_domain_solution(problem, parts, "consistent"))
             assert error <= 1e-3
@@ -149,7 +150,7 @@ def test_unit_of_the_stiffness_changes_nothing(preconditioner: Preconditioner) -
 @pytest.mark.parallel(RANKS)
 def test_too_few_iterations_raise_on_all_ranks() -> None:
     problem = linear_step(wavelength=WAVELENGTH)
-    with Decomposed(MPI.COMM_WORLD, problem, split(problem.mesh, "blocks", 9), "consistent") as cut:
+    with Decomposed(Team.world(), problem, split(problem.mesh, "blocks", 9), "consistent") as cut:
         step = cut.step(DualSettings("none", 1e-12, 2))
         with pytest.raises(ConvergenceError, match=r"in 2 Krylov iterations.*max_iterations") as caught:
             cut.solve(step)
@@ -161,7 +162,7 @@ def test_a_right_hand_side_that_is_not_finite_raises() -> None:
     problem = linear_step(wavelength=WAVELENGTH)
     b = problem.b.copy()
     b[0] = np.nan
-    with Decomposed(MPI.COMM_WORLD, problem, split(problem.mesh, "blocks", 9), "consistent") as cut:
+    with Decomposed(Team.world(), problem, split(problem.mesh, "blocks", 9), "consistent") as cut:
         step = cut.step(DualSettings())
         with pytest.raises(ConvergenceError, match="interface problem"):
             cut.solve(step, b)
@@ -172,10 +173,10 @@ def test_preconditioners_need_fewer_iterations() -> None:
     problem = linear_step(wavelength=64.0)
     parts = split(problem.mesh, "blocks", 16)
     iterations = {}
-    with Decomposed(MPI.COMM_WORLD, problem, parts, "consistent") as cut:
+    with Decomposed(Team.world(), problem, parts, "consistent") as cut:
         for preconditioner in PRECONDITIONERS:
             step = cut.step(DualSettings(preconditioner, 1e-6, 3000))
             iterations[preconditioner] = cut.solve(step).krylov_iterations
-    # DESIGN.md, section 2, point 3: scaled beats paper; either beats none by a wide margin.
+    # Measured (docs/solver.md): scaled beats paper; either beats none by a wide margin.
     assert iterations["scaled"] < iterations["paper"] < iterations["none"]
     assert 3 * iterations["scaled"] <= iterations["none"]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 from scipy import linalg, sparse
@@ -14,30 +14,94 @@ from ddic.parallel.team import Team
 from ddic.solvers.dual.local_dual import LocalDual
 from ddic.solvers.exchange import Exchange
 from ddic.solvers.parallel_entries import ParallelEntries
-from ddic.solvers.petsc_defaults import COARSE, configured_ksp
+from ddic.solvers.petsc_defaults import COARSE, create_ksp
+from ddic.solvers.petsc_stack import PetscStack
 
 INDEPENDENT = 1e-8
-"""Singular value, relative to the largest, below which a subdomain's coarse vectors count as dependent."""
+"""Singular value, relative to the largest, below which a subdomain's coarse vectors count as dependent: a larger one
+gives a smaller coarse space."""
 
 SHIFT = 1e-13
-"""Share of the largest diagonal entry added to (subtracted from) the coarse matrix's displacement (reaction)
-diagonal. Coarse vectors of neighbours are dependent where they add up to a continuous field (exactly so for rigid
-modes); such a combination is no interface vector at all, and the shift keeps the factorisation from breaking on it."""
+"""Share of the largest diagonal entry added to (subtracted from) the diagonal of the coarse matrix for jumps
+(reactions). Coarse vectors of neighbours are dependent where they add up to a continuous field (exactly so for rigid
+modes); such a combination is no interface vector at all, and the shift keeps the factorisation from breaking on it. A
+larger one makes the coarse solution less exact."""
+
+SchurProduct = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+"""S_s X from X, both (n interface unknowns, k)."""
 
 
-def coarse_columns(modes: NDArray[np.float64], local: LocalDual) -> tuple[NDArray[np.float64], int]:
-    """A subdomain's coarse vectors on its own interface dofs, from its modes (n_dofs, k).
+@dataclass(frozen=True)
+class CoarseColumns:
+    """A subdomain's coarse vectors on its own interface unknowns.
 
-    Displacement traces and reactions of the modes make separate vectors, (C_s phi, 0) and (0, eta Cbar_s Kbar_s phi),
-    each set orthonormal. Returns (n interface dofs, n vectors) and how many of them are displacement vectors.
+    Attributes
+    ----------
+    vectors : (n interface unknowns, n vectors) array
+        (C_s phi, 0) of its modes phi, then (0, eta Cbar_s Kbar_s phi), each set orthonormal.
+    n_jumps : int
+        How many of them are of the first kind.
+    """
+
+    vectors: NDArray[np.float64]
+    n_jumps: int
+
+    @property
+    def n_columns(self) -> int:
+        """Number of vectors."""
+        return int(self.vectors.shape[1])
+
+    @property
+    def signs(self) -> NDArray[np.float64]:
+        """Sign of the coarse matrix's diagonal at each: 1 for jumps, -1 for reactions."""
+        return np.repeat([1.0, -1.0], [self.n_jumps, self.n_columns - self.n_jumps])
+
+
+@dataclass(frozen=True)
+class CoarsePart:
+    """What one subdomain brings to the coarse space.
+
+    Attributes
+    ----------
+    local : LocalDual
+        Its interface operators.
+    assembly : (n ghost rows, n interface unknowns) csr_matrix
+        E_s, scaled.
+    multiply_schur : callable
+        From X to S_s X.
+    columns : CoarseColumns
+        Its coarse vectors.
+    """
+
+    local: LocalDual
+    assembly: sparse.csr_matrix
+    multiply_schur: SchurProduct
+    columns: CoarseColumns
+
+
+def build_coarse_columns(modes: NDArray[np.float64], local: LocalDual) -> CoarseColumns:
+    """Build a subdomain's coarse vectors: traces and reactions of its modes make separate ones.
+
+    Parameters
+    ----------
+    modes : (n_field, k) array
+        Of ``find_low_energy_modes``.
+    local : LocalDual
+        Its interface operators.
+
+    Returns
+    -------
+    CoarseColumns
+        At most 2 k of them.
     """
     traces = local.trace @ modes
-    n = local.n_displacement
-    displacement, reaction = _independent(traces[:n]), _independent(traces[n:])
-    return np.asarray(linalg.block_diag(displacement, reaction)), displacement.shape[1]
+    of_jumps = _find_basis(traces[:local.n_jumps])
+    of_reactions = _find_basis(traces[local.n_jumps:])
+    return CoarseColumns(np.asarray(linalg.block_diag(of_jumps, of_reactions)), of_jumps.shape[1])
 
 
-def _independent(columns: NDArray[np.float64]) -> NDArray[np.float64]:
+def _find_basis(columns: NDArray[np.float64]) -> NDArray[np.float64]:
+    """An orthonormal basis of the columns' span."""
     if columns.size == 0:
         return np.zeros((len(columns), 0))
     left, values, _ = linalg.svd(columns, full_matrices=False)
@@ -48,28 +112,29 @@ class CoarseSpace:
     """Z and the factorised coarse matrix Z^T S_tot Z, sparse and spread over ranks.
 
     PETSc options (prefix ``coarse_``): the coarse matrix is factorised by MUMPS (LDL^T, symmetric indefinite).
+
+    Parameters
+    ----------
+    team : Team
+        All ranks; they make it together.
+    exchange : Exchange
+        Of interface rows.
+    parts : sequence of CoarsePart
+        This rank's subdomains.
     """
 
-    def __init__(self, team: Team, exchange: Exchange, locals_: Sequence[LocalDual],
-                 assemblies: Sequence[sparse.csr_matrix], schurs: Sequence[SchurProduct],
-                 columns: Sequence[tuple[NDArray[np.float64], int]]) -> None:
-        """Assemble and factorise.
-
-        assemblies: E_s, scaled; schurs: from X to S_s X; columns: of ``coarse_columns``, per owned subdomain.
-        """
-        comm = team.comm
-        counts = [vectors.shape[1] for vectors, _ in columns]
+    def __init__(self, team: Team, exchange: Exchange, parts: Sequence[CoarsePart]) -> None:
+        counts = [part.columns.n_columns for part in parts]
         n_owned = sum(counts)
-        first = sum(comm.allgather(n_owned)[: team.rank])
-        starts = first + np.concatenate([[0], np.cumsum(counts)])[:-1].astype(np.int64)
-        entries = ParallelEntries(comm, exchange.n_owned, n_owned)
-        for assembly, (vectors, _), start in zip(assemblies, columns, starts, strict=True):
-            touched = np.flatnonzero(np.diff(assembly.indptr))
-            entries.add(exchange.ghosts[touched], start + np.arange(vectors.shape[1]), assembly[touched] @ vectors)
-        self._z = entries.matrix()
-        self._ksp = self._factorize(comm, self._products(comm, exchange, locals_, schurs, n_owned),
-                                    first + np.arange(n_owned), columns)
-        self._right, self._left = self._ksp.getOperators()[0].createVecs()
+        first = team.offset(n_owned)
+        with PetscStack() as stack:
+            self._z = stack.keep(_assemble_z(team, exchange, parts, first))
+            products = self._multiply(team, exchange, parts, n_owned)
+            signs = np.concatenate([np.zeros(0), *(part.columns.signs for part in parts)])
+            self._ksp = stack.keep(self._factorize(team, products, signs))
+            self._right = stack.keep(self._z.createVecRight())
+            self._left = stack.keep(self._z.createVecRight())
+            self._objects = stack.pop_all()
 
     @property
     def size(self) -> int:
@@ -77,62 +142,73 @@ class CoarseSpace:
         return int(self._z.getSize()[1])
 
     def correct(self, residual: PETSc.Vec, result: PETSc.Vec) -> None:
-        """Add Z (Z^T S_tot Z)^-1 Z^T residual to ``result``."""
+        """Add Z (Z^T S_tot Z)^-1 Z^T r; collective.
+
+        Parameters
+        ----------
+        residual : PETSc.Vec
+            r, of interface rows.
+        result : PETSc.Vec
+            What it is added to, of interface rows.
+        """
         self._z.multTranspose(residual, self._right)
         self._ksp.solve(self._right, self._left)
         self._z.multAdd(self._left, result, result)
 
     def destroy(self) -> None:
         """Free PETSc's objects."""
-        matrix = self._ksp.getOperators()[0]
-        for thing in (self._ksp, matrix, self._z, self._right, self._left):
-            thing.destroy()
+        self._objects.close()
 
-    def _products(self, comm: MPI.Comm, exchange: Exchange, locals_: Sequence[LocalDual],
-                  schurs: Sequence[SchurProduct], n_owned: int) -> ParallelEntries:
+    def _multiply(self, team: Team, exchange: Exchange, parts: Sequence[CoarsePart], n_owned: int) -> ParallelEntries:
         """Z^T S_tot Z as the sum over subdomains of products with the columns that touch their interface."""
-        products = ParallelEntries(comm, n_owned, n_owned)
-        touched, z_ghost = _rows_of(self._z, exchange.ghosts)
-        for local, schur in zip(locals_, schurs, strict=True):
-            z_local = (local.incidence.T @ z_ghost).tocsc()
+        products = ParallelEntries(team, n_owned, n_owned)
+        touched, z_ghost = _fetch_rows(self._z, exchange.ghosts)
+        for part in parts:
+            z_local = (part.local.incidence.T @ z_ghost).tocsc()
             present = np.flatnonzero(np.diff(z_local.indptr))
-            dense = z_local[:, present].toarray()
-            products.add(touched[present], touched[present], dense.T @ schur(dense))
+            z_dense = z_local[:, present].toarray()
+            products.add(touched[present], touched[present], z_dense.T @ part.multiply_schur(z_dense))
         return products
 
     @staticmethod
-    def _factorize(comm: MPI.Comm, products: ParallelEntries, owned: NDArray[np.int64],
-                   columns: Sequence[tuple[NDArray[np.float64], int]]) -> PETSc.KSP:
-        matrix = products.matrix()
-        diagonal = matrix.getDiagonal()
-        size = diagonal.duplicate()
-        diagonal.copy(size)
-        size.abs()
-        signs = np.concatenate([np.zeros(0), *(np.repeat([1.0, -1.0], [n, vectors.shape[1] - n])
-                                               for vectors, n in columns)])
-        diagonal.setArray(diagonal.getArray() + SHIFT * size.max()[1] * signs)
-        matrix.setDiagonal(diagonal)
-        diagonal.destroy()
-        size.destroy()
-        matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        ksp = configured_ksp(comm, COARSE)
-        ksp.setOperators(matrix)
-        ksp.setFromOptions()
-        ksp.setUp()
-        return ksp
+    def _factorize(team: Team, products: ParallelEntries, signs: NDArray[np.float64]) -> PETSc.KSP:
+        """The coarse matrix, its diagonal shifted by the signs, factorised."""
+        with PetscStack() as temporary, PetscStack() as stack:
+            matrix = temporary.keep(products.create_matrix())
+            diagonal = temporary.keep(matrix.getDiagonal())
+            size = temporary.keep(diagonal.copy())
+            size.abs()
+            diagonal.setArray(diagonal.getArray() + SHIFT * size.max()[1] * signs)
+            matrix.setDiagonal(diagonal)
+            matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+            ksp = stack.keep(create_ksp(team.comm, COARSE))
+            # The solver holds the matrix from here on.
+            ksp.setOperators(matrix)
+            ksp.setFromOptions()
+            ksp.setUp()
+            stack.pop_all()
+            return ksp
 
 
-SchurProduct = Callable[[NDArray[np.float64]], NDArray[np.float64]]
-"""S_s X from X, both (n interface dofs, k)."""
+def _assemble_z(team: Team, exchange: Exchange, parts: Sequence[CoarsePart], first: int) -> PETSc.Mat:
+    """Z: all subdomains' coarse vectors on interface rows; first: number of this rank's first."""
+    n_owned = sum(part.columns.n_columns for part in parts)
+    entries = ParallelEntries(team, exchange.n_owned, n_owned)
+    for part in parts:
+        n_columns = part.columns.n_columns
+        touched = np.flatnonzero(np.diff(part.assembly.indptr))
+        block = part.assembly[touched] @ part.columns.vectors
+        entries.add(exchange.ghosts[touched], first + np.arange(n_columns), block)
+        first += n_columns
+    return entries.create_matrix()
 
-def _rows_of(matrix: PETSc.Mat, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], sparse.csr_matrix]:
+
+def _fetch_rows(matrix: PETSc.Mat, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], sparse.csr_matrix]:
     """Rows of a parallel matrix that this rank asks for: the columns that occur, and the rows on these columns."""
-    wanted = PETSc.IS().createGeneral(rows.astype(PETSc.IntType), comm=matrix.getComm())
-    part = matrix.createSubMatrix(wanted)
-    indptr, indices, values = part.getValuesCSR()
-    touched, compressed = np.unique(indices, return_inverse=True)
-    out = sparse.csr_matrix((np.array(values), compressed.reshape(-1), np.array(indptr)),
-                            shape=(len(rows), len(touched)))
-    part.destroy()
-    wanted.destroy()
-    return touched.astype(np.int64), out
+    with PetscStack() as stack:
+        wanted = stack.keep(PETSc.IS().createGeneral(rows.astype(PETSc.IntType), comm=matrix.getComm()))
+        part = stack.keep(matrix.createSubMatrix(wanted))
+        indptr, indices, values = (np.array(a) for a in part.getValuesCSR())
+    touched, columns = np.unique(indices, return_inverse=True)
+    fetched = sparse.csr_matrix((values, columns.reshape(-1), indptr), shape=(len(rows), len(touched)))
+    return touched.astype(np.int64), fetched

@@ -1,4 +1,4 @@
-"""One value per interface node from the subdomains' copies, Eq. 41 of [BP17]."""
+"""One value per interface unknown from the subdomains' copies, Eq. 41 of [BP17]."""
 
 from __future__ import annotations
 
@@ -6,52 +6,78 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 
+from ddic.parallel.team import Team
 from ddic.partition.incidence import copies_of
 from ddic.partition.subdomain import Interface, Subdomain
 from ddic.solvers.exchange import Exchange
+from ddic.solvers.petsc_stack import PetscStack
 
 
 @dataclass(frozen=True)
 class ContinuousField:
-    """Displacement of owned subdomains with interface copies averaged, and the largest jump before that.
+    """Unknowns of owned subdomains with interface copies averaged, and the largest jump before that.
 
-    q: (n_dofs,) per owned subdomain, pixels; largest_jump: largest difference between copies, pixels.
+    Attributes
+    ----------
+    q : list of (n_unknowns,) arrays
+        Of each owned subdomain, pixels.
+    largest_jump : float
+        Largest difference that the copies of an unknown make in a node's displacement, pixels.
     """
 
     q: list[NDArray[np.float64]]
     largest_jump: float
 
 
-def average_copies(comm: MPI.Comm, subdomains: Sequence[Subdomain],
+def average_copies(team: Team, subdomains: Sequence[Subdomain],
                    q: Sequence[NDArray[np.float64]]) -> ContinuousField:
-    """Mean of the copies at every interface dof."""
-    interfaces = [s.displacement for s in subdomains]
-    exchange = Exchange(comm, sum(s.n_owned_copies for s in subdomains), [copies_of(i) for i in interfaces])
-    mine = np.zeros(len(exchange.ghosts))
-    for interface, q_s in zip(interfaces, q, strict=True):
-        mine[np.searchsorted(exchange.ghosts, interface.first_copy + interface.position)] = q_s[interface.dofs]
-    owned = exchange.new_vector()
-    exchange.add_to_owners(mine, owned)
-    copies = exchange.to_ghosts(owned)
-    fields, largest = [], 0.0
-    for interface, q_s in zip(interfaces, q, strict=True):
-        mean, spread = _mean_and_spread(interface, exchange.ghosts, copies)
+    """Average the copies of every interface unknown, Eq. 41 of [BP17]; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    subdomains : sequence of Subdomain
+        This rank's.
+    q : sequence of (n_unknowns,) arrays
+        Of each of them, pixels; left as they are.
+
+    Returns
+    -------
+    ContinuousField
+        Equal on all subdomains that share an unknown, to the last bit.
+    """
+    interfaces = [s.jumps for s in subdomains]
+    with PetscStack() as stack:
+        n_owned = sum(s.n_owned_copies for s in subdomains)
+        exchange = stack.keep(Exchange(team, n_owned, [copies_of(i) for i in interfaces]))
+        numbers = exchange.ghosts
+        mine = np.zeros(len(numbers))
+        for interface, q_s in zip(interfaces, q, strict=True):
+            own_copies = interface.first_copy + interface.position
+            mine[np.searchsorted(numbers, own_copies)] = q_s[interface.unknowns]
+        copies = exchange.sum_over_ranks(mine)
+    fields = []
+    largest = 0.0
+    for subdomain, interface, q_s in zip(subdomains, interfaces, q, strict=True):
+        mean, spread = _mean_and_spread(interface, numbers, copies)
         averaged = np.array(q_s)
-        averaged[interface.dofs] = mean
+        averaged[interface.unknowns] = mean
         fields.append(averaged)
-        largest = max(largest, float(spread.max(initial=0.0)))
-    owned.destroy()
-    return ContinuousField(fields, float(comm.allreduce(largest, op=MPI.MAX)))
+        # By how many pixels an unknown of size one displaces the node that it displaces most.
+        reach = np.asarray(abs(subdomain.kinematics.tangent).max(axis=0).todense()).ravel()
+        largest = max(largest, float((spread * reach[interface.unknowns]).max(initial=0.0)))
+    return ContinuousField(fields, team.maximum(largest))
 
 
 def _mean_and_spread(interface: Interface, numbers: NDArray[np.int64],
                      copies: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    ptr = np.concatenate([[0], np.cumsum(interface.multiplicity)])
+    """Mean, and largest less smallest, of the copies of each of a subdomain's interface unknowns."""
     values = copies[np.searchsorted(numbers, copies_of(interface))]
     if len(values) == 0:
         return values, values
-    mean = np.add.reduceat(values, ptr[:-1]) / interface.multiplicity
-    return mean, np.maximum.reduceat(values, ptr[:-1]) - np.minimum.reduceat(values, ptr[:-1])
+    first = np.cumsum(interface.multiplicity) - interface.multiplicity
+    mean = np.add.reduceat(values, first) / interface.multiplicity
+    return mean, np.maximum.reduceat(values, first) - np.minimum.reduceat(values, first)

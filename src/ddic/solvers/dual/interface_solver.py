@@ -13,12 +13,26 @@ from ddic.solvers.dual.coarse_space import CoarseSpace
 from ddic.solvers.dual.recycling import RecycledSpace
 from ddic.solvers.dual.schur_operator import DualSchurOperator
 from ddic.solvers.dual.shell import Preconditioning
-from ddic.solvers.petsc_defaults import DUAL, configured_ksp
+from ddic.solvers.petsc_defaults import DUAL, create_ksp
+from ddic.solvers.petsc_stack import PetscStack
+
+UNREACHED = 1e-300
+"""Residual norm that no iteration reaches, where another test is to stop it, and that is not quite zero."""
 
 
 @dataclass(frozen=True)
 class InterfaceSettings:
-    """tolerance: on |t_tot - S_tot v| / |t_tot|; max_iterations: also GMRES's restart; recycle: keep directions."""
+    """How the Krylov solver works.
+
+    Attributes
+    ----------
+    tolerance : float
+        On |t_tot - S_tot v| / |t_tot|.
+    max_iterations : int
+        Most iterations of one solution, also GMRES's restart.
+    recycle : bool
+        Whether directions are kept for later solutions.
+    """
 
     tolerance: float
     max_iterations: int
@@ -28,25 +42,63 @@ class InterfaceSettings:
 class InterfaceSolver:
     """GMRES on S_tot, right-preconditioned, which remembers earlier right-hand sides.
 
-    ``multipliers`` hold the last solution, from which the next one starts; ``residual`` is t_tot - S_tot v.
     PETSc options (prefix ``dual_``): ``-dual_ksp_monitor``, ``-dual_ksp_type``, ``-dual_ksp_rtol``...
+
+    Parameters
+    ----------
+    operator : DualSchurOperator
+        S_tot.
+    preconditioner : Preconditioning or None
+        P.
+    coarse : CoarseSpace or None
+        Coarse space of the preconditioner, which wants residuals free of it.
+    settings : InterfaceSettings
+        Tolerance and so on.
+
+    Attributes
+    ----------
+    multipliers : PETSc.Vec
+        v, the last solution, from which the next one starts.
+    residual : PETSc.Vec
+        t_tot - S_tot v.
+    ksp : PETSc.KSP
+        PETSc's solver.
+    tolerance : float
+        On |t_tot - S_tot v| / |t_tot|, after options.
     """
 
     def __init__(self, operator: DualSchurOperator, preconditioner: Preconditioning | None,
                  coarse: CoarseSpace | None, settings: InterfaceSettings) -> None:
-        self._operator = operator
         self._coarse = coarse
-        self._schur = operator.as_matrix()
-        self.multipliers = self._schur.createVecRight()
-        self.residual = self.multipliers.duplicate()
-        self._change = self.multipliers.duplicate()
-        self._deflated = _Deflated(operator, self.multipliers.getLocalSize()) if settings.recycle else None
-        self._matrix = self._schur if self._deflated is None else operator.shell(self._deflated)
-        self.ksp = self._configure(preconditioner, settings)
+        self._deflated: _Deflated | None = None
+        with PetscStack() as stack:
+            self._schur = stack.keep(operator.create_matrix())
+            self.multipliers = stack.keep(operator.create_vector())
+            self.residual = stack.keep(operator.create_vector())
+            self._change = stack.keep(operator.create_vector())
+            matrix = self._schur
+            if settings.recycle:
+                self._deflated = _Deflated(operator, self.multipliers.getLocalSize())
+                matrix = stack.keep(operator.create_matrix(self._deflated))
+            self.ksp = stack.keep(create_ksp(operator.team.comm, DUAL))
+            self.ksp.setOperators(matrix)
+            self._configure(preconditioner, settings)
+            self._objects = stack.pop_all()
         self.tolerance = float(self.ksp.getTolerances()[0])
 
     def start(self, right: PETSc.Vec) -> float:
-        """Bring coarse space and kept directions to bear on the last solution; returns |t_tot - S_tot v|."""
+        """Bring coarse space and kept directions to bear on the last solution; collective.
+
+        Parameters
+        ----------
+        right : PETSc.Vec
+            t_tot.
+
+        Returns
+        -------
+        float
+            |t_tot - S_tot v|.
+        """
         self._renew_residual(right)
         norm = float(self.residual.norm())
         if self._coarse is not None and norm > self.tolerance * right.norm():
@@ -56,81 +108,104 @@ class InterfaceSolver:
         return self._use_kept()
 
     def solve(self, right: PETSc.Vec, stop: float) -> tuple[int, NDArray[np.float64]]:
-        """Iterate from ``start`` until the residual's norm is at most ``stop``.
+        """Iterate from ``start`` until the residual is small; collective.
 
-        Returns the number of iterations and the norms. Raises ConvergenceError on all ranks.
+        Parameters
+        ----------
+        right : PETSc.Vec
+            t_tot.
+        stop : float
+            Norm of the residual that is small enough.
+
+        Returns
+        -------
+        n_iterations : int
+            Number of iterations.
+        norms : (n,) array
+            Norms of the residual.
+
+        Raises
+        ------
+        ConvergenceError
+            On all ranks.
         """
         if not np.isfinite(stop):
             raise on_all_ranks(ConvergenceError(
                 "the right-hand side of the interface problem is not finite; check the start of the displacement and "
                 "the texture"))
         # The system is solved for the change of v, whose right-hand side is no measure of the residual: hence atol.
-        self.ksp.setTolerances(rtol=1e-50, atol=max(stop, 1e-300))
+        self.ksp.setTolerances(rtol=1e-50, atol=max(stop, UNREACHED))
         self.ksp.setConvergenceHistory(reset=True)
         self._change.set(0.0)
         self.ksp.solve(self.residual, self._change)
+        n_iterations = int(self.ksp.getIterationNumber())
         if self.ksp.getConvergedReason() < 0:
             raise on_all_ranks(ConvergenceError(
-                f"the interface problem did not converge in {self.ksp.getIterationNumber()} Krylov iterations "
+                f"the interface problem did not converge in {n_iterations} Krylov iterations "
                 f"(relative residual {self.ksp.getResidualNorm() / (right.norm() or 1.0):.1e}); raise "
                 'solver.max_iterations, or choose solver.preconditioner = "two_level" or fewer, larger subdomains'))
         self.multipliers.axpy(1.0, self._change)
-        iterations = int(self.ksp.getIterationNumber())
-        if iterations:
+        if n_iterations:
             self._renew_residual(right)
             self._use_kept()
         if self._deflated is not None:
             self._deflated.learn()
-        return iterations, np.array(self.ksp.getConvergenceHistory())
+        return n_iterations, np.array(self.ksp.getConvergenceHistory())
 
-    def preconditioned(self) -> PETSc.Vec:
-        """P applied to the residual: about the error that is left in the multipliers; the caller destroys it."""
+    def precondition_residual(self) -> PETSc.Vec:
+        """Apply P to the residual, which gives about the error that is left in the multipliers; collective.
+
+        Returns
+        -------
+        PETSc.Vec
+            The caller's to destroy.
+        """
         out = self.residual.duplicate()
         self.ksp.getPC().apply(self.residual, out)
         return out
 
     def destroy(self) -> None:
         """Free PETSc's objects."""
-        for thing in (self.ksp, self._matrix, self._schur, self.multipliers, self.residual, self._change):
-            thing.destroy()
+        self._objects.close()
 
     def _renew_residual(self, right: PETSc.Vec) -> None:
+        """Set the residual to t_tot - S_tot v."""
         self._schur.mult(self.multipliers, self.residual)
         self.residual.aypx(-1.0, right)
 
     def _use_kept(self) -> float:
+        """Take from the residual what kept directions can; returns its norm."""
         if self._deflated is not None:
             self._deflated.space.reduce(self.residual.getArray(), self.multipliers.getArray())
         return float(self.residual.norm())
 
-    def _configure(self, preconditioner: Preconditioning | None, settings: InterfaceSettings) -> PETSc.KSP:
-        ksp = configured_ksp(self._operator.comm, DUAL)
-        ksp.setOperators(self._matrix)
-        ksp.setTolerances(rtol=settings.tolerance, atol=1e-300, divtol=1e12, max_it=settings.max_iterations)
-        ksp.setType(PETSc.KSP.Type.GMRES)
-        ksp.setGMRESRestart(min(settings.max_iterations, max(self.multipliers.getSize(), 1)) + 1)
-        ksp.setConvergenceHistory(length=settings.max_iterations + 2, reset=True)
-        pc = ksp.getPC()
+    def _configure(self, preconditioner: Preconditioning | None, settings: InterfaceSettings) -> None:
+        """Set up the Krylov solver, the user's options last."""
+        n_rows = max(self.multipliers.getSize(), 1)
+        self.ksp.setTolerances(rtol=settings.tolerance, atol=UNREACHED, divtol=1e12, max_it=settings.max_iterations)
+        self.ksp.setType(PETSc.KSP.Type.GMRES)
+        self.ksp.setGMRESRestart(min(settings.max_iterations, n_rows) + 1)
+        self.ksp.setConvergenceHistory(length=settings.max_iterations + 2, reset=True)
+        pc = self.ksp.getPC()
         if preconditioner is None:
             pc.setType(PETSc.PC.Type.NONE)
         else:
             pc.setType(PETSc.PC.Type.PYTHON)
             pc.setPythonContext(preconditioner)
-        ksp.setFromOptions()
-        return ksp
+        self.ksp.setFromOptions()
 
 
 class _Deflated:
     """Context of the shell matrix (I - C C^T) S_tot, which notes the products asked of it until it learns them."""
 
     def __init__(self, operator: DualSchurOperator, n_owned: int) -> None:
-        self.space = RecycledSpace(operator.comm, n_owned)
+        self.space = RecycledSpace(operator.team, n_owned)
         self._operator = operator
         self._directions: list[NDArray[np.float64]] = []
         self._images: list[NDArray[np.float64]] = []
 
     def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """PETSc's callback for y = (I - C C^T) S_tot x."""
+        """Multiply by (I - C C^T) S_tot: PETSc's callback."""
         self._operator.mult(matrix, x, y)
         self._directions.append(np.array(x.getArray(readonly=1)))
         self._images.append(np.array(y.getArray(readonly=1)))

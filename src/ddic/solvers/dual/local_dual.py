@@ -19,15 +19,27 @@ class LocalDual:
 
     With v = (Lambda, LambdaBar / c), S_tot v = sum_s G_s A_s^-1 G_s^T v - H_s v, where
     G_s = [C_s ; c eta Cbar_s Kbar_s] = B_s T_s,  H_s = c^2 eta Cbar_s Cbar_s^T = B_s D_s B_s^T,
-    T_s and D_s act on the subdomain's own interface dofs, B_s is the signed incidence.
+    T_s and D_s act on the subdomain's own interface unknowns (those with jumps first, then those with reactions), B_s
+    is the signed incidence.
 
-    operator: A_s factorised.
-    incidence: B_s, (n ghost rows, n interface dofs), displacement dofs first, then reaction dofs.
-    trace: T_s, (n interface dofs, n_dofs).
-    compliance: diagonal of D_s, (n interface dofs,), zero on displacement dofs.
-    jump: G_s, (n ghost rows, n_dofs).
-    n_displacement: number of displacement interface dofs.
-    motion: the rows of the subdomain's camera's motion, None without.
+    Attributes
+    ----------
+    operator : LocalOperator
+        A_s factorised, the camera's motion held.
+    incidence : (n ghost rows, n interface unknowns) csr_matrix
+        B_s.
+    trace : (n interface unknowns, n_field) csr_matrix
+        T_s.
+    compliance : (n interface unknowns,) array
+        Diagonal of D_s, zero for jumps.
+    jump : (n ghost rows, n_field) csr_matrix
+        G_s.
+    jump_transposed : (n_field, n ghost rows) csr_matrix
+        G_s^T.
+    n_jumps : int
+        Number of interface unknowns with jumps.
+    motion : MotionRows, optional
+        The rows of the motion of the subdomain's camera.
     """
 
     operator: LocalOperator
@@ -36,21 +48,41 @@ class LocalDual:
     compliance: NDArray[np.float64]
     jump: sparse.csr_matrix
     jump_transposed: sparse.csr_matrix
-    n_displacement: int
+    n_jumps: int
     motion: MotionRows | None = None
 
     def apply(self, v: NDArray[np.float64]) -> NDArray[np.float64]:
-        """G_s A_s^-1 G_s^T v - H_s v on ghost rows, with one local solve."""
+        """Apply the subdomain's part of S_tot with one local solve, Eq. 30-31 of [BP17].
+
+        Parameters
+        ----------
+        v : (n ghost rows,) array
+            Multipliers.
+
+        Returns
+        -------
+        (n ghost rows,) array
+            G_s A_s^-1 G_s^T v - H_s v.
+        """
         y = self.operator.solve(self.jump_transposed @ v)
-        out = np.asarray(self.jump @ y - self.incidence @ (self.compliance * (self.incidence.T @ v)))
+        compliant = self.compliance * (self.incidence.T @ v)
+        out = np.asarray(self.jump @ y - self.incidence @ compliant)
         if self.motion is not None:
             out[self.motion.rows] -= self.motion.block @ v[self.motion.rows]
         return out
 
-    def schur_product(self, columns: NDArray[np.float64]) -> NDArray[np.float64]:
-        """S_s X = T_s A_s^-1 T_s^T X - D_s X, S_s not formed; columns: X, (n interface dofs, k).
+    def multiply_schur(self, columns: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Multiply by S_s = T_s A_s^-1 T_s^T - D_s, which is not formed.
 
-        A block of columns at a time, so that no array of (n_dofs, k) is held.
+        Parameters
+        ----------
+        columns : (n interface unknowns, k) array
+            X.
+
+        Returns
+        -------
+        (n interface unknowns, k) array
+            S_s X; a block of columns at a time, so that no array of (n_field, k) is held.
         """
         out = np.empty(columns.shape, order="F")
         step = self.operator.block
@@ -71,8 +103,16 @@ class MotionRows:
     C_s R_s are alpha's columns R of Eq. 20 of [BP17] (1 from near to far, 0 within one side), and the block's part
     of S_tot vanishes.
 
-    rows: (n_shifts,) ghost rows; columns: N_s / kappa, (n_dofs, n_shifts); block: (n_shifts, n_shifts);
-    scale: kappa, (n_shifts,), sum_s diag R_s^T M_s R_s, which makes the rows' residuals pixels.
+    Attributes
+    ----------
+    rows : (n_motion,) array of int64
+        Ghost rows.
+    columns : (n_field, n_motion) array
+        N_s / kappa.
+    block : (n_motion, n_motion) array
+        R_s^T M_s R_s / kappa^2.
+    scale : (n_motion,) array
+        kappa = sum_s diag R_s^T M_s R_s, which makes the rows' residuals pixels.
     """
 
     rows: NDArray[np.int64]
@@ -81,44 +121,76 @@ class MotionRows:
     scale: NDArray[np.float64]
 
 
-def with_motion(local: LocalDual, system: LocalSystem, ghosts: NDArray[np.int64],
-                scale: NDArray[np.float64]) -> LocalDual:
-    """The same with the rows of its camera's motion; scale: kappa of ``MotionRows``."""
-    shifts = system.subdomain.shifts
-    if shifts is None:
+def build_local_dual(system: LocalSystem, operator: LocalOperator, ghosts: NDArray[np.int64],
+                     scale: float) -> LocalDual:
+    """Build a subdomain's interface operators, of the field alone.
+
+    Parameters
+    ----------
+    system : LocalSystem
+        The subdomain, without the motion of its camera.
+    operator : LocalOperator
+        Its A_s factorised.
+    ghosts : (n ghost rows,) array of int64
+        Sorted numbers of the rows that this rank takes part in.
+    scale : float
+        c = 1 / sqrt(eta mean diag M), which gives both blocks of unknowns and of residuals one unit and keeps S_tot
+        symmetric.
+
+    Returns
+    -------
+    LocalDual
+        Without rows of a motion.
+    """
+    subdomain = system.subdomain
+    jumps = subdomain.jumps
+    trace = _select(jumps.unknowns, subdomain.n_field)
+    incidence = signed_incidence(jumps, ghosts)
+    compliance = np.zeros(len(jumps.unknowns))
+    if system.controlled_stiffness is not None:
+        reactions = subdomain.reactions
+        weights = system.row_weights[reactions.unknowns]
+        reaction_rows = system.controlled_stiffness[reactions.unknowns]
+        weighted_rows = sparse.diags(scale * system.eta * weights) @ reaction_rows
+        trace = sparse.vstack([trace, weighted_rows]).tocsr()
+        incidence = sparse.hstack([incidence, signed_incidence(reactions, ghosts)]).tocsr()
+        compliance = np.concatenate([compliance, scale**2 * system.eta * weights**2])
+    jump = (incidence @ trace).tocsr()
+    return LocalDual(operator, incidence, trace, compliance, jump, jump.T.tocsr(), len(jumps.unknowns))
+
+
+def add_motion_rows(local: LocalDual, system: LocalSystem, ghosts: NDArray[np.int64],
+                    scales: dict[int, NDArray[np.float64]]) -> LocalDual:
+    """Add the rows of the motion of the subdomain's camera, where that moves: Eq. 21 of [BP17].
+
+    Parameters
+    ----------
+    local : LocalDual
+        Of the field alone.
+    system : LocalSystem
+        The subdomain with the motion of its camera.
+    ghosts : (n ghost rows,) array of int64
+        Sorted numbers of the rows that this rank takes part in.
+    scales : dict
+        kappa of ``MotionRows`` by camera.
+
+    Returns
+    -------
+    LocalDual
+        With them.
+    """
+    unknowns = system.subdomain.motion
+    if unknowns is None:
         return local
-    rows = np.searchsorted(ghosts, shifts.rows)
-    motion = MotionRows(rows, system.shift_columns / scale, system.shift_block / np.outer(scale, scale), scale)
-    n_rows = local.jump.shape[0]
-    place = sparse.csr_matrix((np.ones(len(rows)), (rows, np.arange(len(rows)))), shape=(n_rows, len(rows)))
+    scale = scales[system.subdomain.camera]
+    rows = np.searchsorted(ghosts, unknowns.rows)
+    motion = MotionRows(rows, system.motion_columns / scale, system.motion_block / np.outer(scale, scale), scale)
+    place = _select(rows, len(ghosts)).T
     jump = (local.jump + place @ sparse.csr_matrix(motion.columns.T)).tocsr()
     return replace(local, jump=jump, jump_transposed=jump.T.tocsr(), motion=motion)
 
 
-def local_dual(system: LocalSystem, operator: LocalOperator, ghosts: NDArray[np.int64],
-               scale: float) -> LocalDual:
-    """Set up a subdomain's interface operators.
-
-    ghosts: sorted numbers of the rows this rank takes part in; scale: c, which gives both blocks of
-    unknowns and of residuals one unit (DESIGN: LambdaBar scaled symmetrically by 1 / sqrt(eta mean diag M)).
-    """
-    part = system.subdomain
-    n_dofs = part.n_dofs
-    jumps = part.displacement
-    trace = _selection(jumps.dofs, n_dofs)
-    incidence = signed_incidence(jumps, ghosts, len(ghosts))
-    compliance = np.zeros(len(jumps.dofs))
-    if system.controlled_stiffness is not None:
-        reactions = part.reaction
-        weights = system.row_weights[reactions.dofs]
-        rows = sparse.diags(scale * system.eta * weights) @ system.controlled_stiffness[reactions.dofs]
-        trace = sparse.vstack([trace, rows]).tocsr()
-        incidence = sparse.hstack([incidence, signed_incidence(reactions, ghosts, len(ghosts))]).tocsr()
-        compliance = np.concatenate([compliance, scale**2 * system.eta * weights**2])
-    jump = (incidence @ trace).tocsr()
-    return LocalDual(operator, incidence, trace, compliance, jump, jump.T.tocsr(), len(jumps.dofs))
-
-
-def _selection(dofs: NDArray[np.int64], n_dofs: int) -> sparse.csr_matrix:
-    n = len(dofs)
-    return sparse.csr_matrix((np.ones(n), (np.arange(n), dofs)), shape=(n, n_dofs))
+def _select(places: NDArray[np.int64], size: int) -> sparse.csr_matrix:
+    """The matrix that takes the entries at some places out of a vector, (n places, size)."""
+    n = len(places)
+    return sparse.csr_matrix((np.ones(n), (np.arange(n), places)), shape=(n, size))

@@ -8,74 +8,93 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
 
+from ddic.kinematics.kinematics import Kinematics
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
+from ddic.solvers.petsc_stack import PetscStack
 
 SOFTENING = 0.03
 """Weight of the interface rows of Kbar_s in the energy whose modes are sought. A reaction at the interface is balanced
 by the neighbours' in the coupled problem, so that A_s with its full rows counts as stiff what the whole finds soft."""
 
 FEW, MANY = 16, 40
-"""Modes a subdomain: few where texture alone holds the lowest modes (l_c below the subdomain's size), else many."""
+"""Modes a subdomain: few where texture alone holds the lowest modes (l_c below the subdomain's size), else many. More
+save iterations and make the coarse problem larger."""
 
 FLAT = 10.0
 """The spectrum counts as flat, hence held by texture, where the last of the few is below this many times the first."""
 
 _SWEEPS = 4
+"""Inverse iterations: more bring the block nearer to the eigenvectors, each for a solve with all its columns."""
+
 _EXTRA = 8
+"""Vectors beyond those wanted, which make the iteration converge faster."""
 
 
-def low_energy_modes(system: LocalSystem, operator: LocalOperator) -> NDArray[np.float64]:
-    """Lowest eigenvectors of A_s with softened interface rows, (n_dofs, FEW or MANY of them).
+def find_low_energy_modes(system: LocalSystem, operator: LocalOperator) -> NDArray[np.float64]:
+    """Find the lowest eigenvectors of A_s with softened interface rows, by block inverse iteration from polynomials.
 
-    system, operator: the subdomain and the factor of A_s. Block inverse iteration from polynomials, every sweep one
-    solve with a block of vectors. A few sweeps are enough: smooth fields are nearly the modes sought, and a coarse
-    space needs their span, not each of them.
+    A few sweeps are enough: smooth fields are nearly the modes sought, and a coarse space needs their span, not each
+    of them.
+
+    Parameters
+    ----------
+    system : LocalSystem
+        The subdomain, without the motion of its camera.
+    operator : LocalOperator
+        Its A_s factorised.
+
+    Returns
+    -------
+    (n_field, FEW or MANY, or fewer) array
+        Modes, orthonormal.
     """
-    nodes = system.subdomain.nodes
-    matrix = _softened(system)
-    factor = operator if system.controlled_stiffness is None else LocalOperator(
-        matrix, smallest_eigenvalue=0.0, where="softened subdomain")
-    # More modes than half the interface dofs would make the coarse problem the interface problem.
-    wanted = min(MANY, nodes.size, max(len(system.subdomain.displacement.dofs) // 2, 1))
-    block = _orthonormal(_start(nodes, min(wanted + _EXTRA, nodes.size)))
-    for _ in range(_SWEEPS):
-        block = _orthonormal(factor.solve_many(block))
-    if factor is not operator:
-        factor.destroy()
+    kinematics = system.subdomain.kinematics
+    # More modes than half the interface unknowns would make the coarse problem the interface problem.
+    n_useful = max(len(system.subdomain.jumps.unknowns) // 2, 1)
+    n_wanted = min(MANY, kinematics.n_unknowns, n_useful)
+    n_columns = min(n_wanted + _EXTRA, kinematics.n_unknowns)
+    matrix = _soften(system)
+    with PetscStack() as stack:
+        factor = operator
+        if system.controlled_stiffness is not None:
+            factor = stack.keep(LocalOperator(matrix, smallest_eigenvalue=0.0, where="softened subdomain"))
+        block = _orthonormalize(_make_start(kinematics, n_columns))
+        for _ in range(_SWEEPS):
+            block = _orthonormalize(factor.solve_many(block))
     energies, rotation = linalg.eigh(block.T @ (matrix @ block))
-    few = min(FEW, wanted)
-    kept = few if energies[few - 1] < FLAT * energies[0] else wanted
-    return np.asarray(block @ rotation[:, :kept])
+    n_few = min(FEW, n_wanted)
+    is_flat = energies[n_few - 1] < FLAT * energies[0]
+    n_kept = n_few if is_flat else n_wanted
+    return np.asarray(block @ rotation[:, :n_kept])
 
 
-def _softened(system: LocalSystem) -> sparse.csr_matrix:
+def _soften(system: LocalSystem) -> sparse.csr_matrix:
+    """A_s with the interface rows of Kbar_s weighted by SOFTENING, (n_field, n_field)."""
     if system.controlled_stiffness is None:
         return system.operator
     weights = np.ones(system.controlled_stiffness.shape[0])
-    weights[system.subdomain.reaction.dofs] = np.sqrt(SOFTENING)
+    weights[system.subdomain.reactions.unknowns] = np.sqrt(SOFTENING)
     softened = (sparse.diags(weights) @ system.controlled_stiffness).tocsr()
     return replace(system, controlled_stiffness=softened).operator
 
 
-def _start(nodes: NDArray[np.float64], size: int) -> NDArray[np.float64]:
-    """Polynomials of rising degree in each component, filled up with random vectors, (n_dofs, size)."""
+def _make_start(kinematics: Kinematics, n_columns: int) -> NDArray[np.float64]:
+    """Unknowns that fit polynomials of rising degree in each component, filled up with random vectors."""
+    nodes = kinematics.mesh.nodes
     centred = nodes - nodes.mean(axis=0)
     x = centred / max(float(np.abs(centred).max()), 1e-300)
-    start = np.random.default_rng(0).standard_normal((nodes.size, size))
-    column = 0
-    for exponents in _exponents(nodes.shape[1], size):
-        for component in range(nodes.shape[1]):
-            if column == size:
-                return start
-            field = np.zeros(nodes.shape)
-            field[:, component] = np.prod(x ** np.array(exponents), axis=1)
-            start[:, column] = field.ravel()
-            column += 1
+    dim = kinematics.mesh.dim
+    start = np.random.default_rng(0).standard_normal((kinematics.n_unknowns, n_columns))
+    fields = [(exponents, component) for exponents in _list_exponents(dim, n_columns) for component in range(dim)]
+    for column, (exponents, component) in enumerate(fields[:n_columns]):
+        field = np.zeros(nodes.shape)
+        field[:, component] = np.prod(x ** np.array(exponents), axis=1)
+        start[:, column] = kinematics.fit(field.ravel())
     return start
 
 
-def _exponents(dim: int, n: int) -> list[tuple[int, ...]]:
+def _list_exponents(dim: int, n: int) -> list[tuple[int, ...]]:
     """Exponents of at least n / dim monomials, lowest degree first."""
     found: list[tuple[int, ...]] = []
     degree = 0
@@ -85,5 +104,6 @@ def _exponents(dim: int, n: int) -> list[tuple[int, ...]]:
     return found
 
 
-def _orthonormal(block: NDArray[np.float64]) -> NDArray[np.float64]:
+def _orthonormalize(block: NDArray[np.float64]) -> NDArray[np.float64]:
+    """An orthonormal basis of the columns, (n, k)."""
     return np.asarray(linalg.qr(block, mode="economic")[0])

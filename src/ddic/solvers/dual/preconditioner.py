@@ -21,25 +21,53 @@ SINGULAR_PIVOT = 1e-14
 of the precision of a number."""
 
 
-def local_schur(local: LocalDual) -> NDArray[np.float64]:
-    """S_s = T_s A_s^-1 T_s^T - D_s of one subdomain, dense and symmetric."""
-    schur = local.schur_product(np.eye(len(local.compliance)))
+def assemble_schur(local: LocalDual) -> NDArray[np.float64]:
+    """Assemble S_s = T_s A_s^-1 T_s^T - D_s of one subdomain, Eq. 36 of [BP17].
+
+    Parameters
+    ----------
+    local : LocalDual
+        Its interface operators.
+
+    Returns
+    -------
+    (n interface unknowns, n interface unknowns) array
+        S_s, symmetric.
+    """
+    schur = local.multiply_schur(np.eye(len(local.compliance)))
     return np.asarray(0.5 * (schur + schur.T))
 
 
-def block_inverse(schur: NDArray[np.float64], n_displacement: int) -> NDArray[np.float64]:
+def invert_by_blocks(schur: NDArray[np.float64], n_jumps: int) -> NDArray[np.float64]:
     """Invert S_s by blocks, Eq. 37-40 of [BP17] with the misprints of Eq. 38 put right.
 
     With a = S^ll, b = S^l(lbar), d = S^(lbar)(lbar) - b^T a^-1 b the inverse is
     [[a^-1 + a^-1 b d^-1 b^T a^-1, -a^-1 b d^-1], [-d^-1 b^T a^-1, d^-1]]; a and -d are positive definite.
+
+    Parameters
+    ----------
+    schur : (n, n) array
+        S_s.
+    n_jumps : int
+        Size of its first block.
+
+    Returns
+    -------
+    (n, n) array
+        S_s^-1, symmetric.
+
+    Raises
+    ------
+    SingularSubdomainError
+        Where a or -d is not positive definite to rounding.
     """
-    n = n_displacement
-    a_inverse = _inverse(schur[:n, :n])
+    n = n_jumps
+    a_inverse = _invert_definite(schur[:n, :n])
     if n == len(schur):
         return a_inverse
     b = schur[:n, n:]
     ab = a_inverse @ b
-    d_inverse = -_inverse(b.T @ ab - schur[n:, n:])
+    d_inverse = -_invert_definite(b.T @ ab - schur[n:, n:])
     out = np.empty_like(schur)
     out[:n, n:] = -ab @ d_inverse
     out[n:, :n] = out[:n, n:].T
@@ -48,13 +76,15 @@ def block_inverse(schur: NDArray[np.float64], n_displacement: int) -> NDArray[np
     return out
 
 
-def _inverse(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+def _invert_definite(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The inverse of a symmetric positive definite matrix; raises SingularSubdomainError."""
     try:
         factor = linalg.cho_factor(matrix, lower=True)
     except linalg.LinAlgError as error:
         raise SingularSubdomainError(SINGULAR_INTERFACE) from error
     # Whether the pivot of a null vector comes out negative is rounding's choice.
-    if (factor[0].diagonal() ** 2 <= SINGULAR_PIVOT * matrix.diagonal()).any():
+    pivots = factor[0].diagonal() ** 2
+    if (pivots <= SINGULAR_PIVOT * matrix.diagonal()).any():
         raise SingularSubdomainError(SINGULAR_INTERFACE)
     inverse = linalg.cho_solve(factor, np.eye(len(matrix)))
     return np.asarray(0.5 * (inverse + inverse.T))
@@ -64,7 +94,18 @@ class LocalInverse(Protocol):
     """S_s^-1 of one subdomain, dense or factorised."""
 
     def apply(self, r: NDArray[np.float64]) -> NDArray[np.float64]:
-        """S_s^-1 r on the subdomain's own interface dofs, (n interface dofs,)."""
+        """Apply S_s^-1.
+
+        Parameters
+        ----------
+        r : (n interface unknowns,) array
+            r.
+
+        Returns
+        -------
+        (n interface unknowns,) array
+            S_s^-1 r.
+        """
         ...
 
     def destroy(self) -> None:
@@ -74,47 +115,97 @@ class LocalInverse(Protocol):
 
 @dataclass(frozen=True)
 class DenseInverse:
-    """S_s^-1 as an array, (n interface dofs, n interface dofs), of ``block_inverse``."""
+    """S_s^-1 as an array.
+
+    Attributes
+    ----------
+    matrix : (n interface unknowns, n interface unknowns) array
+        Of ``invert_by_blocks``.
+    """
 
     matrix: NDArray[np.float64]
 
     def apply(self, r: NDArray[np.float64]) -> NDArray[np.float64]:
-        """S_s^-1 r on the subdomain's own interface dofs, (n interface dofs,)."""
+        """Apply S_s^-1.
+
+        Parameters
+        ----------
+        r : (n interface unknowns,) array
+            r.
+
+        Returns
+        -------
+        (n interface unknowns,) array
+            S_s^-1 r.
+        """
         return np.asarray(self.matrix @ r)
 
     def destroy(self) -> None:
-        """Nothing: the array is Python's."""
+        """Nothing to free: the array is Python's."""
 
 
 @dataclass(frozen=True)
 class LocalPreconditioner:
     """One subdomain's term B S_s^-1 B^T.
 
-    assembly: B, (n ghost rows, n interface dofs): signed incidence, or its scaled version;
-    inverse: S_s^-1.
+    Attributes
+    ----------
+    assembly : (n ghost rows, n interface unknowns) csr_matrix
+        B: signed incidence, or its scaled version.
+    inverse : LocalInverse
+        S_s^-1.
     """
 
     assembly: sparse.csr_matrix
     inverse: LocalInverse
 
     def apply(self, r: NDArray[np.float64]) -> NDArray[np.float64]:
-        """B S_s^-1 B^T r on ghost rows."""
+        """Apply B S_s^-1 B^T.
+
+        Parameters
+        ----------
+        r : (n ghost rows,) array
+            Residuals.
+
+        Returns
+        -------
+        (n ghost rows,) array
+            B S_s^-1 B^T r.
+        """
         return np.asarray(self.assembly @ self.inverse.apply(self.assembly.T @ r))
 
 
 class DualPreconditioner:
-    """Context of PETSc's shell preconditioner: P r = sum_s B_s S_s^-1 B_s^T r, Eq. 37 of [BP17]."""
+    """Context of PETSc's shell preconditioner: P r = sum_s B_s S_s^-1 B_s^T r, Eq. 37 of [BP17].
 
-    def __init__(self, exchange: Exchange, locals_: Sequence[LocalPreconditioner]) -> None:
+    Parameters
+    ----------
+    exchange : Exchange
+        Of interface rows.
+    terms : sequence of LocalPreconditioner
+        This rank's subdomains.
+    """
+
+    def __init__(self, exchange: Exchange, terms: Sequence[LocalPreconditioner]) -> None:
         self._exchange = exchange
-        self._locals = locals_
+        self._terms = terms
 
-    def apply(self, _: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """PETSc's callback for y = P x."""
-        r = self._exchange.to_ghosts(x)
+    def apply(self, _: PETSc.PC | None, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Apply P: PETSc's callback.
+
+        Parameters
+        ----------
+        _ : PETSc.PC or None
+            Does not matter.
+        x : PETSc.Vec
+            Residuals r.
+        y : PETSc.Vec
+            Overwritten by P r.
+        """
+        r = self._exchange.fetch_ghosts(x)
         total = np.zeros_like(r)
-        for local in self._locals:
-            total += local.apply(r)
+        for term in self._terms:
+            total += term.apply(r)
         self._exchange.add_to_owners(total, y)
 
     applyTranspose = apply

@@ -3,26 +3,36 @@
 from __future__ import annotations
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 from scipy import linalg
 
+from ddic.parallel.team import Team
+
 LARGEST = 128
-"""Directions kept; the oldest go first. They cost two interface vectors each, far less than the local factors."""
+"""Directions kept; the oldest go first. They cost two interface vectors each, far less than the local factors. More
+save iterations and cost products with them in each."""
 
 _DEPENDENT = 1e-10
+"""Share of the largest eigenvalue of the new images' Gram matrix below which they count as dependent."""
 
 
 class RecycledSpace:
     """Pairs (U, C) with S_tot U = C and C^T C = I, spread over ranks by interface rows.
 
-    [BP17, Remark 9]: the operator is constant over Gauss-Newton, so what one Krylov solver learnt serves the next.
+    Remark 9 of [BP17]: the operator is constant over Gauss-Newton, so what one Krylov solver learnt serves the next.
     With r = t - S_tot v, the step v + U C^T r leaves the least residual over U; the Krylov solver then works on
     (I - C C^T) S_tot (as GCRO does), so that no direction is paid for twice.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    n_owned : int
+        How many interface rows this rank owns.
     """
 
-    def __init__(self, comm: MPI.Comm, n_owned: int) -> None:
-        self._comm = comm
+    def __init__(self, team: Team, n_owned: int) -> None:
+        self._team = team
         self._directions: NDArray[np.float64] = np.zeros((n_owned, 0))
         self._images: NDArray[np.float64] = np.zeros((n_owned, 0))
 
@@ -32,37 +42,58 @@ class RecycledSpace:
         return self._images.shape[1]
 
     def reduce(self, residual: NDArray[np.float64], solution: NDArray[np.float64]) -> None:
-        """Add U C^T r to ``solution`` and take C C^T r from ``residual``, in place; owned rows (n_owned,)."""
-        coefficients = self._coefficients(residual)
+        """Add U C^T r to a solution and take C C^T r from its residual, in place; collective.
+
+        Parameters
+        ----------
+        residual : (n_owned,) array
+            r, owned rows; overwritten.
+        solution : (n_owned,) array
+            v, owned rows; overwritten.
+        """
+        coefficients = self._find_coefficients(residual)
         solution += self._directions @ coefficients
         residual -= self._images @ coefficients
 
     def project(self, vector: NDArray[np.float64]) -> None:
-        """Take C C^T x from x in place; owned rows (n_owned,)."""
-        vector -= self._images @ self._coefficients(vector)
+        """Take C C^T x from x, in place; collective.
+
+        Parameters
+        ----------
+        vector : (n_owned,) array
+            x, owned rows; overwritten.
+        """
+        vector -= self._images @ self._find_coefficients(vector)
 
     def learn(self, directions: NDArray[np.float64], images: NDArray[np.float64]) -> None:
-        """Keep what is new in pairs y, S_tot y, each (n_owned, k)."""
+        """Keep what is new in some pairs; collective.
+
+        Parameters
+        ----------
+        directions : (n_owned, k) array
+            y, owned rows.
+        images : (n_owned, k) array
+            S_tot y, owned rows.
+        """
+        # Twice, for after once the new images are orthogonal to the old ones to a few digits only.
         for _ in range(2):
-            coefficients = self._sum(self._images.T @ images)
+            coefficients = self._team.sum(self._images.T @ images)
             directions = directions - self._directions @ coefficients
             images = images - self._images @ coefficients
-            directions, images = self._orthonormal(directions, images)
+            directions, images = self._orthonormalize(directions, images)
         self._directions = np.hstack([self._directions, directions])[:, -LARGEST:]
         self._images = np.hstack([self._images, images])[:, -LARGEST:]
 
-    def _orthonormal(self, directions: NDArray[np.float64],
-                     images: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        gram = self._sum(images.T @ images)
+    def _orthonormalize(self, directions: NDArray[np.float64],
+                        images: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Combine pairs so that their images are orthonormal; dependent ones go."""
+        gram = self._team.sum(images.T @ images)
         values, vectors = linalg.eigh(gram)
-        kept = values > _DEPENDENT * max(float(values.max(initial=0.0)), 1e-300)
-        change = vectors[:, kept] / np.sqrt(values[kept])
+        largest = max(float(values.max(initial=0.0)), 1e-300)
+        is_independent = values > _DEPENDENT * largest
+        change = vectors[:, is_independent] / np.sqrt(values[is_independent])
         return directions @ change, images @ change
 
-    def _coefficients(self, vector: NDArray[np.float64]) -> NDArray[np.float64]:
-        return self._sum(self._images.T @ vector)
-
-    def _sum(self, local: NDArray[np.float64]) -> NDArray[np.float64]:
-        total = np.empty_like(local)
-        self._comm.Allreduce(np.ascontiguousarray(local), total, op=MPI.SUM)
-        return total
+    def _find_coefficients(self, vector: NDArray[np.float64]) -> NDArray[np.float64]:
+        """C^T x."""
+        return self._team.sum(self._images.T @ vector)

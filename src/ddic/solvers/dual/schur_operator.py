@@ -7,40 +7,78 @@ from collections.abc import Sequence
 import numpy as np
 from petsc4py import PETSc
 
+from ddic.parallel.team import Team
 from ddic.solvers.dual.local_dual import LocalDual
 from ddic.solvers.dual.shell import Multiplying
 from ddic.solvers.exchange import Exchange
 
 
 class DualSchurOperator:
-    """Context of the shell matrix: S_tot v = sum_s G_s A_s^-1 G_s^T v - H_s v.
+    """Context of the shell matrix: S_tot v = sum_s G_s A_s^-1 G_s^T v - H_s v, Eq. 26 of [BP17].
 
     The matrix is symmetric and quasi-definite; one local solve per subdomain and product.
+
+    Parameters
+    ----------
+    exchange : Exchange
+        Of interface rows.
+    local_duals : sequence of LocalDual
+        This rank's subdomains.
     """
 
-    def __init__(self, exchange: Exchange, locals_: Sequence[LocalDual]) -> None:
+    def __init__(self, exchange: Exchange, local_duals: Sequence[LocalDual]) -> None:
         self._exchange = exchange
-        self._locals = locals_
-        self.comm = exchange.comm
+        self._local_duals = local_duals
+
+    @property
+    def team(self) -> Team:
+        """The ranks that the interface is spread over."""
+        return self._exchange.team
 
     def mult(self, _: PETSc.Mat | None, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """PETSc's callback for y = S_tot x."""
-        v = self._exchange.to_ghosts(x)
+        """Multiply by S_tot: PETSc's callback.
+
+        Parameters
+        ----------
+        _ : PETSc.Mat or None
+            Does not matter.
+        x : PETSc.Vec
+            Multipliers v.
+        y : PETSc.Vec
+            Overwritten by S_tot v.
+        """
+        v = self._exchange.fetch_ghosts(x)
         total = np.zeros_like(v)
-        for local in self._locals:
+        for local in self._local_duals:
             total += local.apply(v)
         self._exchange.add_to_owners(total, y)
 
     multTranspose = mult
 
-    def as_matrix(self) -> PETSc.Mat:
-        """S_tot as a shell matrix over all ranks."""
-        return self.shell(self)
+    def create_vector(self) -> PETSc.Vec:
+        """Create a zero vector of interface rows over all ranks.
 
-    def shell(self, context: Multiplying) -> PETSc.Mat:
-        """A shell matrix with the rows and columns of S_tot over all ranks."""
-        vector = self._exchange.new_vector()
-        matrix = PETSc.Mat().createPython((vector.getSizes(), vector.getSizes()), context, comm=vector.getComm())
+        Returns
+        -------
+        PETSc.Vec
+            The caller's to destroy.
+        """
+        return self._exchange.create_vector()
+
+    def create_matrix(self, context: Multiplying | None = None) -> PETSc.Mat:
+        """Create a shell matrix with the rows and columns of S_tot over all ranks.
+
+        Parameters
+        ----------
+        context : Multiplying, optional
+            What multiplies; S_tot itself by default.
+
+        Returns
+        -------
+        PETSc.Mat
+            The caller's to destroy.
+        """
+        size = (self._exchange.n_owned, self._exchange.n_global)
+        matrix = PETSc.Mat().createPython((size, size), context or self, comm=self.team.comm)
         matrix.setUp()
-        vector.destroy()
         return matrix

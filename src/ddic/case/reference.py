@@ -1,0 +1,137 @@
+"""The tables of docs/case-file.md, written from the schema.
+
+A table stands below a line ``<!-- keys: SECTION -->``; SECTION is the keys that lead to it joined by dots, or nothing
+for the top level. The text around is written by hand.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+from annotated_types import Ge, Gt, Lt
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from ddic.case.sections import find_section, section_in
+from ddic.errors import InputError
+
+HEAD = ("| key | type | default | unit | meaning |", "|---|---|---|---|---|")
+TABLE = re.compile(r"(?P<mark><!-- keys: ?(?P<section>[\w.]*) -->\n)(?:\|.*\n)*")
+COMPARISONS = {Gt: (">", "gt"), Ge: (">=", "ge"), Lt: ("<", "lt")}
+PLAIN_TYPES = {bool: "true or false", int: "whole number", float: "number", str: "text", Path: "path"}
+
+
+def write_tables(text: str) -> str:
+    """Replace the tables of a document by those of the schema.
+
+    Parameters
+    ----------
+    text : str
+        The document, with a mark before each table.
+
+    Returns
+    -------
+    str
+        The document with the tables of today; it is the same if they were right.
+
+    Raises
+    ------
+    InputError
+        Where a mark names no section of the schema.
+    """
+    return TABLE.sub(_marked_table, text)
+
+
+def table_of(section: type[BaseModel]) -> list[str]:
+    """Describe the keys of a section.
+
+    Parameters
+    ----------
+    section : type
+        Model of the section.
+
+    Returns
+    -------
+    list of str
+        Lines of a Markdown table: key, type, default, unit, meaning.
+    """
+    rows = [_row(name, field) for name, field in section.model_fields.items()]
+    return [*HEAD, *rows]
+
+
+def _marked_table(found: re.Match[str]) -> str:
+    """The mark and its table."""
+    name = found["section"]
+    section = find_section(tuple(name.split(".")) if name else ())
+    if section is None:
+        raise InputError(f'keys: {name}: no such section of a case file; give one such as "mesh.structured"')
+    lines = table_of(section)
+    if not name:
+        # The sections have chapters of their own.
+        fields = section.model_fields.items()
+        lines = [*HEAD, *(_row(key, field) for key, field in fields if section_in(field.annotation) is None)]
+    return found["mark"] + "\n".join(lines) + "\n"
+
+
+def _row(name: str, field: FieldInfo) -> str:
+    """A key's line."""
+    extra = _extra(field)
+    shape = extra.get("shape")
+    kind = _type_text(field.annotation, field.metadata) if shape is None else shape
+    default = extra.get("default") or _default_text(field)
+    unit = extra.get("unit", "")
+    cells = (f"`{name}`", kind, default, unit, field.description or "")
+    return "|" + "|".join(f" {cell} " if cell else " " for cell in cells) + "|"
+
+
+def _extra(field: FieldInfo) -> dict[str, str]:
+    """What the schema adds to a key's type."""
+    extra = field.json_schema_extra
+    return {key: str(value) for key, value in extra.items()} if isinstance(extra, dict) else {}
+
+
+def _type_text(annotation: Any, metadata: list[Any]) -> str:
+    """What a key takes, in words; metadata: bounds that pydantic took out of the annotation."""
+    origin = get_origin(annotation)
+    if origin is Annotated:
+        inner, *constraints = get_args(annotation)
+        bounds = [bound for item in constraints if isinstance(item, FieldInfo) for bound in item.metadata]
+        return _type_text(inner, bounds)
+    if origin in (Union, UnionType):
+        inner, _none = get_args(annotation)
+        return _type_text(inner, metadata)
+    if origin is Literal:
+        *first, last = (f"`{_toml(value)}`" if isinstance(value, str) else str(value) for value in get_args(annotation))
+        return f"{', '.join(first)} or {last}"
+    if section_in(annotation) is not None:
+        return "list of sections" if origin is tuple else "section"
+    if origin is tuple:
+        return f"list of {PLAIN_TYPES[get_args(annotation)[0]]}s"
+    bounds = [f"{COMPARISONS[type(bound)][0]} {getattr(bound, COMPARISONS[type(bound)][1]):g}" for bound in metadata
+              if type(bound) in COMPARISONS]
+    return f"{PLAIN_TYPES[annotation]} {' and '.join(bounds)}".rstrip()
+
+
+def _default_text(field: FieldInfo) -> str:
+    """The default as TOML, "required", or "none" where the key has no value if it is left out."""
+    if field.is_required():
+        return "required"
+    holds_sections = section_in(field.annotation) is not None
+    if field.default is None or (holds_sections and field.default == ()):
+        return "none"
+    return f"`{_toml(field.default)}`"
+
+
+def _toml(value: Any) -> str:
+    """A value as a case file writes it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str | Path):
+        return f'"{value}"'
+    if isinstance(value, tuple):
+        return "[" + ", ".join(_toml(item) for item in value) + "]"
+    # 1e-06 is written 1e-6.
+    return re.sub(r"e-0(\d)$", r"e-\1", repr(value))

@@ -1,0 +1,177 @@
+"""Kinematics given by a matrix: modes, components that are fixed or tied, or any basis of one's own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse import linalg
+
+from ddic.errors import InputError
+from ddic.kinematics.kinematics import Kinematics, RegionKinematics
+from ddic.kinematics.nodal import component_numbers
+from ddic.mesh.mesh import Mesh
+
+
+@dataclass(frozen=True, eq=False)
+class LinearKinematics(Kinematics):
+    """Displacement u = T q with a sparse matrix T.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        The subdomain's mesh.
+    numbers : (n_unknowns,) array of int64
+        Numbers of the unknowns in the whole problem.
+    matrix : (mesh.n_dofs, n_unknowns) csr_matrix
+        T, pixels per unit of an unknown.
+    """
+
+    mesh: Mesh
+    numbers: NDArray[np.int64]
+    matrix: sparse.csr_matrix
+
+    @property
+    def tangent(self) -> sparse.csr_matrix:
+        """T, (mesh.n_dofs, n_unknowns)."""
+        return self.matrix
+
+    def displacement(self, unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Displace the mesh's nodes by u = T q.
+
+        Parameters
+        ----------
+        unknowns : (n_unknowns,) array
+            Unknowns q.
+
+        Returns
+        -------
+        (mesh.n_dofs,) array
+            Displacement of the nodes, pixels.
+        """
+        return np.asarray(self.matrix @ unknowns)
+
+    def fit(self, displacement: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Find the unknowns that fit a displacement in least squares.
+
+        Parameters
+        ----------
+        displacement : (mesh.n_dofs,) array
+            Displacement of the nodes, pixels.
+
+        Returns
+        -------
+        (n_unknowns,) array
+            Unknowns.
+        """
+        return self._solve_normal_equations(self.matrix.T @ displacement)
+
+    @cached_property
+    def _solve_normal_equations(self) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+        """From r to q with T^T T q = r; regular where T has independent columns."""
+        factor = linalg.splu((self.matrix.T @ self.matrix).tocsc())
+        solve: Callable[[NDArray[np.float64]], NDArray[np.float64]] = factor.solve
+        return solve
+
+
+@dataclass(frozen=True, eq=False)
+class LinearRegion(RegionKinematics):
+    """Displacement u = T q of the whole mesh.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        The whole mesh.
+    matrix : (mesh.n_dofs, n_unknowns) csr_matrix
+        T, pixels per unit of an unknown; columns are independent, and as large as a displacement of about a pixel
+        should one unit of each unknown be.
+
+    Raises
+    ------
+    InputError
+        Where the shape is wrong, an entry is not finite, or an unknown displaces nothing.
+    """
+
+    mesh: Mesh
+    matrix: sparse.csr_matrix
+
+    def __post_init__(self) -> None:
+        matrix = sparse.csr_matrix(self.matrix, dtype=np.float64)
+        matrix.eliminate_zeros()
+        if matrix.shape[0] != self.mesh.n_dofs:
+            raise InputError(f"kinematics: the matrix has {matrix.shape[0]} rows, the mesh {self.mesh.n_dofs} "
+                             f"displacements ({self.mesh.n_nodes} nodes); give a row for each component of each node, "
+                             "node by node")
+        if not np.isfinite(matrix.data).all():
+            raise InputError("kinematics: the matrix has entries that are not finite")
+        idle = np.flatnonzero(np.diff(matrix.tocsc().indptr) == 0)
+        if len(idle):
+            raise InputError(f"kinematics: unknown {idle[0]} displaces no node; leave its column out")
+        object.__setattr__(self, "matrix", matrix)
+
+    @property
+    def n_unknowns(self) -> int:
+        """Number of unknowns."""
+        return int(self.matrix.shape[1])
+
+    def unknowns_at(self, nodes: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Find the unknowns that displace each of some nodes.
+
+        Parameters
+        ----------
+        nodes : (n,) array of int64
+            Numbers of nodes.
+
+        Returns
+        -------
+        unknowns : (sum of counts,) array of int64
+            Numbers of the unknowns, node after node.
+        counts : (n,) array of int64
+            How many of them stand at each node.
+        """
+        rows = self.matrix[component_numbers(nodes, self.mesh.dim)]
+        by_component = np.diff(rows.indptr).reshape(len(nodes), self.mesh.dim)
+        return rows.indices.astype(np.int64), by_component.sum(axis=1)
+
+    def controlled(self, nodes: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Tell which unknowns are controlled: those that displace controlled nodes only.
+
+        The generalised force of any other unknown has a part in the unknown forces of an edge.
+
+        Parameters
+        ----------
+        nodes : (mesh.n_nodes,) array of bool
+            Whether a node's equilibrium is controlled.
+
+        Returns
+        -------
+        (n_unknowns,) array of bool
+            Whether an unknown's is.
+        """
+        free_components = np.repeat(~nodes, self.mesh.dim)
+        touched = abs(self.matrix).T @ free_components.astype(np.float64)
+        return np.asarray(touched == 0)
+
+    def restrict(self, part: Mesh, node_ids: NDArray[np.int64], numbers: NDArray[np.int64]) -> LinearKinematics:
+        """Give a subdomain the rows and columns of T that concern it.
+
+        Parameters
+        ----------
+        part : Mesh
+            The subdomain's mesh.
+        node_ids : (part.n_nodes,) array of int64
+            Numbers of its nodes in the whole mesh.
+        numbers : (n,) array of int64
+            Numbers of the unknowns that displace these nodes.
+
+        Returns
+        -------
+        LinearKinematics
+            With these unknowns, in this order.
+        """
+        rows = self.matrix[component_numbers(node_ids, self.mesh.dim)]
+        return LinearKinematics(part, numbers, rows[:, numbers].tocsr())

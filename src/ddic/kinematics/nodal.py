@@ -1,0 +1,181 @@
+"""Finite element kinematics: the unknowns are the displacements of the nodes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from ddic.kinematics.kinematics import Kinematics, RegionKinematics
+from ddic.mesh.mesh import Mesh
+
+
+@dataclass(frozen=True, eq=False)
+class NodalKinematics(Kinematics):
+    """Unknowns that are the displacements of the mesh's nodes, node by node.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        The subdomain's mesh.
+    numbers : (mesh.n_dofs,) array of int64
+        Numbers of the unknowns in the whole problem.
+    """
+
+    mesh: Mesh
+    numbers: NDArray[np.int64]
+
+    @property
+    def tangent(self) -> sparse.csr_matrix:
+        """The identity, (mesh.n_dofs, mesh.n_dofs)."""
+        return sparse.identity(self.n_unknowns, format="csr")
+
+    def displacement(self, unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Give back the unknowns.
+
+        Parameters
+        ----------
+        unknowns : (n_unknowns,) array
+            Displacement of the nodes, pixels.
+
+        Returns
+        -------
+        (mesh.n_dofs,) array
+            The same.
+        """
+        return unknowns
+
+    def fit(self, displacement: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Give back the displacement.
+
+        Parameters
+        ----------
+        displacement : (mesh.n_dofs,) array
+            Displacement of the nodes, pixels.
+
+        Returns
+        -------
+        (n_unknowns,) array
+            The same.
+        """
+        return displacement
+
+    # T is the identity: a product with it would cost as much as the pixels of a small element.
+    def project_matrix(self, matrix: sparse.csr_matrix) -> sparse.csr_matrix:
+        """Give back the matrix, as `Kinematics.project_matrix` does for an identity.
+
+        Parameters
+        ----------
+        matrix : (mesh.n_dofs, mesh.n_dofs) csr_matrix
+            Matrix on displacements of the nodes.
+
+        Returns
+        -------
+        (n_unknowns, n_unknowns) csr_matrix
+            The same.
+        """
+        return matrix
+
+    def project_vector(self, vector: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Give back the vector, as `Kinematics.project_vector` does for an identity.
+
+        Parameters
+        ----------
+        vector : (mesh.n_dofs,) array
+            Forces on the nodes.
+
+        Returns
+        -------
+        (n_unknowns,) array
+            The same.
+        """
+        return vector
+
+
+@dataclass(frozen=True, eq=False)
+class NodalRegion(RegionKinematics):
+    """Unknowns that are the displacements of all nodes: component c of node n is unknown dim n + c.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        The whole mesh.
+    """
+
+    mesh: Mesh
+
+    @property
+    def n_unknowns(self) -> int:
+        """Number of unknowns."""
+        return self.mesh.n_dofs
+
+    def unknowns_at(self, nodes: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Find the components of some nodes' displacements.
+
+        Parameters
+        ----------
+        nodes : (n,) array of int64
+            Numbers of nodes.
+
+        Returns
+        -------
+        unknowns : (n dim,) array of int64
+            Numbers of the unknowns, node after node.
+        counts : (n,) array of int64
+            The number of dimensions, for each node.
+        """
+        return component_numbers(nodes, self.mesh.dim), np.full(len(nodes), self.mesh.dim)
+
+    def controlled(self, nodes: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Tell which unknowns are controlled: all components of controlled nodes.
+
+        Parameters
+        ----------
+        nodes : (mesh.n_nodes,) array of bool
+            Whether a node's equilibrium is controlled.
+
+        Returns
+        -------
+        (n_unknowns,) array of bool
+            Whether an unknown's is.
+        """
+        return np.repeat(nodes, self.mesh.dim)
+
+    def restrict(self, part: Mesh, node_ids: NDArray[np.int64], numbers: NDArray[np.int64]) -> NodalKinematics:
+        """Give a subdomain its kinematics.
+
+        Parameters
+        ----------
+        part : Mesh
+            The subdomain's mesh.
+        node_ids : (part.n_nodes,) array of int64
+            Numbers of its nodes in the whole mesh.
+        numbers : (part.n_dofs,) array of int64
+            Numbers of their displacements.
+
+        Returns
+        -------
+        NodalKinematics
+            On this mesh.
+        """
+        return NodalKinematics(part, numbers)
+
+
+def component_numbers(nodes: NDArray[np.int64], dim: int) -> NDArray[np.int64]:
+    """Number the components of nodes' displacements.
+
+    Parameters
+    ----------
+    nodes : (n,) array of int64
+        Numbers of nodes.
+    dim : int
+        Number of components.
+
+    Returns
+    -------
+    (n dim,) array of int64
+        Component c of node k is number dim k + c.
+    """
+    return np.asarray((nodes[:, None] * dim + np.arange(dim)).ravel(), dtype=np.int64)

@@ -1,0 +1,148 @@
+"""Cell types: all that the rest of the code asks of a kind of cell is in one object here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.mesh.monomials import differentiate_monomials, evaluate_monomials
+
+
+@dataclass(frozen=True, eq=False)
+class Quadrature:
+    """A rule of integration over a reference cell.
+
+    Attributes
+    ----------
+    points : (n_points, dim) array
+        Points of the reference cell.
+    weights : (n_points,) array
+        Their weights, whose sum is the reference cell's area.
+    """
+
+    points: NDArray[np.float64]
+    weights: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class CellType:
+    """A kind of cell; two are the same only if they are one object.
+
+    Attributes
+    ----------
+    name : str
+        As the case file and reports call it.
+    vtk : int
+        Number of VTK's cell type, by which meshes and result files know it.
+    meshio_name : str
+        As meshio calls it.
+    nodes : (n_nodes, dim) array
+        Nodes of the reference cell; the corners of a plane cell follow each other, from +xi to +eta.
+    shapes : (n_nodes, 4) array
+        Coefficients of the shape functions N_a on the monomials (1, xi, eta, xi eta).
+    quadrature : Quadrature
+        Rule that integrates the stiffness of an affine cell exactly.
+    facets : tuple of tuples of int
+        Nodes of each facet (edges of a plane cell) in the cell's own order.
+    triangles : tuple of tuples of int
+        Nodes of the triangles that together are the cell, for plots.
+    cells_around_node : float
+        Mean number of cells around an inner node, by which a node's work is shared among its cells.
+    """
+
+    name: str
+    vtk: int
+    meshio_name: str
+    nodes: NDArray[np.float64]
+    shapes: NDArray[np.float64]
+    quadrature: Quadrature
+    facets: tuple[tuple[int, ...], ...]
+    triangles: tuple[tuple[int, int, int], ...]
+    cells_around_node: float
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of nodes."""
+        return len(self.nodes)
+
+    @property
+    def dim(self) -> int:
+        """Number of space dimensions."""
+        return int(self.nodes.shape[1])
+
+    @property
+    def centre(self) -> NDArray[np.float64]:
+        """Centre of the reference cell, (dim,)."""
+        return np.asarray(self.nodes.mean(axis=0))
+
+    def evaluate_shapes(self, local: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Evaluate the shape functions.
+
+        Parameters
+        ----------
+        local : (n, dim) array
+            Points of the reference cell.
+
+        Returns
+        -------
+        (n, n_nodes) array
+            N_a at each point.
+        """
+        return evaluate_monomials(local) @ self.shapes.T
+
+    def differentiate_shapes(self, local: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Differentiate the shape functions by the reference cell's coordinates.
+
+        Parameters
+        ----------
+        local : (n, dim) array
+            Points of the reference cell.
+
+        Returns
+        -------
+        (n, n_nodes, dim) array
+            dN_a / dxi_j at each point.
+        """
+        return np.asarray(np.einsum("am,pmj->paj", self.shapes, differentiate_monomials(local)))
+
+
+T3 = CellType(
+    name="T3",
+    vtk=5,
+    meshio_name="triangle",
+    nodes=np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]),
+    shapes=np.array([
+        [1.0, -1.0, -1.0, 0.0],
+        [0.0, 1.0, 0.0, 0.0],
+        [0.0, 0.0, 1.0, 0.0],
+    ]),
+    quadrature=Quadrature(points=np.array([[1 / 3, 1 / 3]]), weights=np.array([0.5])),
+    facets=((0, 1), (1, 2), (2, 0)),
+    triangles=((0, 1, 2),),
+    cells_around_node=6.0,
+)
+"""Triangle of three nodes."""
+
+_SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+
+Q4 = CellType(
+    name="Q4",
+    vtk=9,
+    meshio_name="quad",
+    nodes=_SQUARE,
+    # N_a = (1 + xi_a xi) (1 + eta_a eta) / 4
+    shapes=0.25 * evaluate_monomials(_SQUARE),
+    # Gauss's four points: exact for squares of derivatives of a bilinear function.
+    quadrature=Quadrature(points=_SQUARE / np.sqrt(3.0), weights=np.ones(4)),
+    facets=((0, 1), (1, 2), (2, 3), (3, 0)),
+    triangles=((0, 1, 2), (2, 3, 0)),
+    cells_around_node=4.0,
+)
+"""Quadrilateral of four nodes."""
+
+CELL_TYPES: Mapping[int, CellType] = MappingProxyType({kind.vtk: kind for kind in (T3, Q4)})
+"""All cell types, by their VTK numbers."""

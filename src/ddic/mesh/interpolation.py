@@ -1,0 +1,225 @@
+"""Values at any point of a mesh, by the shape functions of the cell that holds it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.mesh.mesh import Mesh
+from ddic.mesh.shapes import compute_geometry
+
+EDGE = 1e-6
+"""Distance, pixels, by which a point may lie outside a cell and still be found in it: rounding of coordinates. A larger
+value extrapolates farther; holes narrower than twice this are bridged."""
+
+CELLS_A_BUCKET = 1.0
+"""Mean number of cells a bucket of the search grid holds, if all were alike; a larger value takes less memory, and
+longer a point."""
+
+
+@dataclass(frozen=True)
+class Located:
+    """Where points lie in a mesh.
+
+    Attributes
+    ----------
+    cells : (n,) int64 array
+        The cell that holds each point, -1 outside the mesh and in its holes.
+    local : (n, dim) array
+        The points in their reference cells, nan where there is no cell.
+    """
+
+    cells: NDArray[np.int64]
+    local: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _Buckets:
+    """A grid of squares over a mesh: cells whose bounding boxes touch each, in ascending order.
+
+    low: (2,) corner of the grid, pixels; size: of a square, pixels; counts: (columns, rows); bucket k, numbered row by
+    row, holds cells[first[k]:first[k + 1]].
+    """
+
+    low: NDArray[np.float64]
+    size: float
+    counts: tuple[int, int]
+    first: NDArray[np.int64]
+    cells: NDArray[np.int64]
+
+
+def interpolate(mesh: Mesh, values: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Interpolate nodal values at points, never across a hole.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Of convex plane cells that run positively, as ``repair`` leaves them.
+    values : (n_nodes, k) array
+        Values at the nodes.
+    points : (n, dim) array
+        Pixels.
+
+    Returns
+    -------
+    (n, k) array
+        Values at the points, nan outside the mesh and in its holes.
+    """
+    return interpolate_located(mesh, values, locate(mesh, points))
+
+
+def interpolate_located(mesh: Mesh, values: NDArray[np.float64], located: Located) -> NDArray[np.float64]:
+    """Interpolate nodal values at points whose cells are known, for many fields at the same points.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        In which the points were located.
+    values : (n_nodes, k) array
+        Values at the nodes.
+    located : Located
+        The points.
+
+    Returns
+    -------
+    (n, k) array
+        Values at the points, nan where they are in no cell.
+    """
+    found = np.full((len(located.cells), values.shape[1]), np.nan)
+    # Of a point without a cell the type is that of the last cell, and not asked for.
+    types = np.where(located.cells >= 0, mesh.types[located.cells], 0)
+    for block in mesh.cell_blocks:
+        members = np.flatnonzero(types == block.type.vtk)
+        shapes = block.type.evaluate_shapes(located.local[members])
+        nodes = mesh.cells[located.cells[members]]
+        total = np.zeros((len(members), values.shape[1]))
+        for a in range(block.type.n_nodes):
+            total += shapes[:, a, None] * values[nodes[:, a]]
+        found[members] = total
+    return found
+
+
+def locate(mesh: Mesh, points: NDArray[np.float64]) -> Located:
+    """Find the cells that hold points, and the points' places in them.
+
+    A point on an edge or a node belongs to one of the cells there, the first of those that hold it.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Of convex plane cells that run positively, as ``repair`` leaves them.
+    points : (n, dim) array
+        Pixels.
+
+    Returns
+    -------
+    Located
+        The points, in their order.
+    """
+    points = np.ascontiguousarray(points, dtype=np.float64)
+    cells = np.full(len(points), -1, dtype=np.int64)
+    local = np.full(points.shape, np.nan)
+    if mesh.n_cells:
+        grid = _sort_into_buckets(mesh)
+        _find_cells(points, mesh.nodes, mesh.connectivity, mesh.offsets, grid.low, grid.size, *grid.counts,
+                    grid.first, grid.cells, EDGE, cells)
+        _find_local_coordinates(points, cells, compute_geometry(mesh), local)
+    return Located(cells, local)
+
+
+def _sort_into_buckets(mesh: Mesh) -> _Buckets:
+    """Sort a mesh's cells into a grid of about as many squares."""
+    corners = mesh.nodes[mesh.connectivity]
+    lowest = np.minimum.reduceat(corners, mesh.offsets[:-1], axis=0) - EDGE
+    highest = np.maximum.reduceat(corners, mesh.offsets[:-1], axis=0) + EDGE
+    low, high = lowest.min(axis=0), highest.max(axis=0)
+    width, height = high - low
+    size = float(np.sqrt(width * height * CELLS_A_BUCKET / mesh.n_cells))
+    columns, rows = int(width / size) + 1, int(height / size) + 1
+    begin = np.floor((lowest - low) / size).astype(np.int64)
+    end = np.floor((highest - low) / size).astype(np.int64) + 1
+    first, cells = _fill_buckets(begin, end, columns, rows)
+    return _Buckets(low, size, (columns, rows), first, cells)
+
+
+@numba.njit(cache=True)
+def _fill_buckets(begin, end, columns, rows):  # type: ignore[no-untyped-def]
+    """Cells by bucket, from the half-open ranges of columns and rows that each cell's bounding box touches."""
+    first = np.zeros(columns * rows + 1, dtype=np.int64)
+    for e in range(len(begin)):
+        for row in range(begin[e, 1], end[e, 1]):
+            for column in range(begin[e, 0], end[e, 0]):
+                first[row * columns + column + 1] += 1
+    first = np.cumsum(first)
+    cells = np.empty(first[-1], dtype=np.int64)
+    place = first[:-1].copy()
+    for e in range(len(begin)):
+        for row in range(begin[e, 1], end[e, 1]):
+            for column in range(begin[e, 0], end[e, 0]):
+                bucket = row * columns + column
+                cells[place[bucket]] = e
+                place[bucket] += 1
+    return first, cells
+
+
+@numba.njit(cache=True)
+def _depth(x, y, e, nodes, connectivity, offsets):  # type: ignore[no-untyped-def]
+    """Least signed distance of a point from the lines through a convex cell's edges, positive inside."""
+    least = np.inf
+    begin, end = offsets[e], offsets[e + 1]
+    b = connectivity[end - 1]
+    for i in range(begin, end):
+        a, b = b, connectivity[i]
+        along_x, along_y = nodes[b, 0] - nodes[a, 0], nodes[b, 1] - nodes[a, 1]
+        across = along_x * (y - nodes[a, 1]) - along_y * (x - nodes[a, 0])
+        least = min(least, across / np.sqrt(along_x * along_x + along_y * along_y))
+    return least
+
+
+@numba.njit(cache=True)
+def _find_cells(points, nodes, connectivity, offsets, low, size, columns, rows,  # type: ignore[no-untyped-def]
+                first, bucket_cells, edge, cells):
+    """The first cell that holds each point, or else the nearest one within the distance ``edge``."""
+    for k in range(len(points)):
+        x, y = points[k, 0], points[k, 1]
+        # Compared before they are whole numbers, so that nan and infinity are nowhere.
+        column, row = (x - low[0]) / size, (y - low[1]) / size
+        if not (0.0 <= column < columns and 0.0 <= row < rows):
+            continue
+        bucket = int(row) * columns + int(column)
+        deepest = -edge
+        for i in range(first[bucket], first[bucket + 1]):
+            e = bucket_cells[i]
+            depth = _depth(x, y, e, nodes, connectivity, offsets)
+            if depth >= deepest:
+                cells[k] = e
+                deepest = depth
+            if depth >= 0.0:
+                break
+
+
+@numba.njit(cache=True)
+def _find_local_coordinates(points, cells, geometry, local):  # type: ignore[no-untyped-def]
+    """Invert x = X_0 + e xi + f eta + g xi eta of each point's cell; e, f, g: the rows of its geometry.
+
+    With h = x - X_0, the products of the equation with e + g eta and with f + g xi are quadratic in eta and in xi
+    alone. Both are divided by e x f, so that they read s = 1 in an affine cell, and solved for the root that stays
+    finite where the quadratic terms vanish.
+    """
+    for k in range(len(points)):
+        cell = cells[k]
+        if cell < 0:
+            continue
+        X, Y = geometry[cell, 0], geometry[cell, 1]
+        hx, hy = points[k, 0] - X[0], points[k, 1] - Y[0]
+        area = X[1] * Y[2] - Y[1] * X[2]
+        he = (hx * Y[1] - hy * X[1]) / area
+        hf = (hx * Y[2] - hy * X[2]) / area
+        hg = (hx * Y[3] - hy * X[3]) / area
+        gf = (X[3] * Y[2] - Y[3] * X[2]) / area
+        s = np.sqrt(max((1.0 + hg) * (1.0 + hg) - 4.0 * gf * he, 0.0))
+        local[k, 0] = 2.0 * hf / (1.0 - hg + s)
+        local[k, 1] = -2.0 * he / (1.0 + hg + s)

@@ -1,0 +1,215 @@
+"""Which subdomains share which unknowns, and the numbering of interface rows (C_s, Cbar_s)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.kinematics.kinematics import RegionKinematics
+from ddic.mesh.mesh import Mesh
+from ddic.mesh.topology import find_boundary_nodes
+from ddic.partition.subdomain import Interface, Subdomain
+
+JUMPS, REACTIONS = 0, 1
+"""The two kinds of chains: of C_s and of Cbar_s."""
+
+
+@dataclass(frozen=True)
+class Sharing:
+    """Copies of things (nodes, or unknowns) in subdomains, sorted by thing and then by subdomain.
+
+    Attributes
+    ----------
+    numbers : (n_copies,) array of int64
+        Number of the thing.
+    subdomains : (n_copies,) array of int64
+        Subdomain that has the copy.
+    multiplicity : (n_things,) array of int64
+        Number of subdomains at each thing.
+    """
+
+    numbers: NDArray[np.int64]
+    subdomains: NDArray[np.int64]
+    multiplicity: NDArray[np.int64]
+
+    @property
+    def position(self) -> NDArray[np.int64]:
+        """Place of each copy among those of its thing, from 0, (n_copies,)."""
+        first = np.cumsum(self.multiplicity) - self.multiplicity
+        return np.asarray(np.arange(len(self.numbers)) - first[self.numbers])
+
+    @property
+    def lowest(self) -> NDArray[np.int64]:
+        """Lowest subdomain of each thing, (n_things,)."""
+        lowest = np.zeros(len(self.multiplicity), dtype=np.int64)
+        is_first = self.position == 0
+        lowest[self.numbers[is_first]] = self.subdomains[is_first]
+        return lowest
+
+
+@dataclass(frozen=True)
+class Chains:
+    """Numbering of the chains of both kinds over the whole region.
+
+    Attributes
+    ----------
+    first_row, first_copy : (2, n_unknowns) array of int64
+        By kind and unknown; -1 where an unknown has no chain of that kind.
+    owned_rows, owned_copies : (n_subdomains,) array of int64
+        How many belong to each subdomain.
+    """
+
+    first_row: NDArray[np.int64]
+    first_copy: NDArray[np.int64]
+    owned_rows: NDArray[np.int64]
+    owned_copies: NDArray[np.int64]
+
+
+def share_nodes(mesh: Mesh, parts: NDArray[np.int64]) -> Sharing:
+    """Find which subdomains share each node.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        The whole mesh.
+    parts : (n_cells,) array of int64
+        Subdomain of each cell, from 0 without gaps.
+
+    Returns
+    -------
+    Sharing
+        Of the mesh's nodes.
+    """
+    owner = np.repeat(parts, np.diff(mesh.offsets))
+    return _share(mesh.connectivity, owner, mesh.n_nodes)
+
+
+def share_unknowns(nodes: Sharing, kinematics: RegionKinematics) -> Sharing:
+    """Find which subdomains share each unknown: those with a node that it displaces.
+
+    Parameters
+    ----------
+    nodes : Sharing
+        Of the mesh's nodes.
+    kinematics : RegionKinematics
+        Says which unknowns displace which nodes.
+
+    Returns
+    -------
+    Sharing
+        Of the unknowns.
+    """
+    unknowns, counts = kinematics.unknowns_at(nodes.numbers)
+    return _share(unknowns, np.repeat(nodes.subdomains, counts), kinematics.n_unknowns)
+
+
+def _share(numbers: NDArray[np.int64], subdomains: NDArray[np.int64], n_things: int) -> Sharing:
+    n_subdomains = int(subdomains.max()) + 1
+    pairs = np.unique(numbers * n_subdomains + subdomains)
+    things = pairs // n_subdomains
+    return Sharing(things, pairs % n_subdomains, np.bincount(things, minlength=n_things))
+
+
+def number_chains(sharing: Sharing, controlled: NDArray[np.bool_], n_subdomains: int) -> Chains:
+    """Number rows and copies by owner, kind and unknown.
+
+    Parameters
+    ----------
+    sharing : Sharing
+        Of the unknowns.
+    controlled : (n_unknowns,) array of bool
+        Rows kept by P.
+    n_subdomains : int
+        Number of subdomains.
+
+    Returns
+    -------
+    Chains
+        Of jumps and of reactions.
+    """
+    n_unknowns = len(controlled)
+    shared = sharing.multiplicity > 1
+    with_jump = np.flatnonzero(shared)
+    with_reaction = np.flatnonzero(shared & controlled)
+    unknown = np.concatenate([with_jump, with_reaction])
+    kind = np.repeat([JUMPS, REACTIONS], [len(with_jump), len(with_reaction)])
+    owner = sharing.lowest[unknown]
+
+    order = np.lexsort((unknown, kind, owner))
+    unknown, kind, owner = unknown[order], kind[order], owner[order]
+    n_copies = sharing.multiplicity[unknown]
+    n_rows = n_copies - 1
+    first_row = np.full((2, n_unknowns), -1, dtype=np.int64)
+    first_copy = np.full((2, n_unknowns), -1, dtype=np.int64)
+    first_row[kind, unknown] = np.cumsum(n_rows) - n_rows
+    first_copy[kind, unknown] = np.cumsum(n_copies) - n_copies
+    owned_rows = np.bincount(owner, weights=n_rows, minlength=n_subdomains)
+    owned_copies = np.bincount(owner, weights=n_copies, minlength=n_subdomains)
+    return Chains(first_row, first_copy, owned_rows.astype(np.int64), owned_copies.astype(np.int64))
+
+
+def build_subdomains(kinematics: RegionKinematics, parts: NDArray[np.int64], controlled: NDArray[np.bool_],
+                     interior: NDArray[np.bool_] | None = None) -> list[Subdomain]:
+    """Cut a mesh and its unknowns into self-contained subdomains.
+
+    Parameters
+    ----------
+    kinematics : RegionKinematics
+        The whole mesh and its unknowns.
+    parts : (n_cells,) array of int64
+        Subdomain of each cell, 0 to n - 1 without gaps.
+    controlled : (n_unknowns,) array of bool
+        Whether each unknown's equilibrium row is controlled (P of Eq. 11 of [BP17]).
+    interior : (n_nodes,) array of bool, optional
+        Nodes at which texture is weighed against mechanics; by default those that are not on the mesh's boundary.
+
+    Returns
+    -------
+    list of Subdomain
+        All of them, by number.
+    """
+    mesh = kinematics.mesh
+    n_subdomains = int(parts.max()) + 1
+    nodes = share_nodes(mesh, parts)
+    unknowns = share_unknowns(nodes, kinematics)
+    position = unknowns.position
+    chains = number_chains(unknowns, controlled, n_subdomains)
+    if interior is None:
+        interior = np.ones(mesh.n_nodes, dtype=bool)
+        interior[find_boundary_nodes(mesh)] = False
+    cells_of = _group_by(parts, n_subdomains)
+    copies_of = _group_by(unknowns.subdomains, n_subdomains)
+    subdomains = []
+    for s in range(n_subdomains):
+        part, node_ids = mesh.submesh(cells_of[s])
+        copies = copies_of[s]
+        numbers = unknowns.numbers[copies]
+        multiplicity = unknowns.multiplicity[numbers]
+        jumps, reactions = (_interface(kind, numbers, multiplicity, position[copies], chains)
+                            for kind in (JUMPS, REACTIONS))
+        subdomains.append(Subdomain(
+            index=s, mesh=part, node_ids=node_ids, cell_ids=cells_of[s],
+            kinematics=kinematics.restrict(part, node_ids, numbers),
+            controlled=controlled[numbers], interior=interior[node_ids],
+            node_multiplicity=nodes.multiplicity[node_ids], multiplicity=multiplicity,
+            jumps=jumps, reactions=reactions,
+            n_owned_rows=int(chains.owned_rows[s]), n_owned_copies=int(chains.owned_copies[s]),
+        ))
+    return subdomains
+
+
+def _group_by(labels: NDArray[np.int64], n_groups: int) -> list[NDArray[np.int64]]:
+    """Sorted places of each label, 0 to n_groups - 1."""
+    order = np.argsort(labels, kind="stable")
+    ends = np.cumsum(np.bincount(labels, minlength=n_groups))
+    return [np.asarray(places, dtype=np.int64) for places in np.split(order, ends[:-1])]
+
+
+def _interface(kind: int, numbers: NDArray[np.int64], multiplicity: NDArray[np.int64],
+               position: NDArray[np.int64], chains: Chains) -> Interface:
+    """The chains of one kind at a subdomain's unknowns, which are given by their numbers in the whole problem."""
+    first_row = chains.first_row[kind, numbers]
+    at = np.flatnonzero(first_row >= 0)
+    return Interface(at, multiplicity[at], position[at], first_row[at], chains.first_copy[kind, numbers[at]])

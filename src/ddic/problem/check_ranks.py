@@ -1,0 +1,34 @@
+"""Whether a case can run on the ranks that were started."""
+
+from __future__ import annotations
+
+from ddic.case.loader import LoadedCase
+from ddic.errors import InputError
+
+
+def check_ranks(loaded: LoadedCase, n_ranks: int) -> None:
+    """Refuse more ranks than a case has subdomains.
+
+    Parameters
+    ----------
+    loaded : LoadedCase
+        The case file.
+    n_ranks : int
+        MPI ranks that were started.
+
+    Raises
+    ------
+    InputError
+        Where a rank would have no subdomain.
+    """
+    solver = loaded.case.solver
+    if solver.method == "monolithic":
+        if n_ranks > 1:
+            raise InputError(f'{loaded.path}: solver.method = "monolithic" runs on one rank, {n_ranks} were started; '
+                             'start one rank or use "dual"')
+        return
+    largest = solver.subdomains if solver.blocks is None else solver.blocks[0] * solver.blocks[1]
+    if largest is not None and n_ranks > largest:
+        key = "solver.subdomains" if solver.blocks is None else "solver.blocks"
+        raise InputError(f"{loaded.path}: {key}: {largest} subdomains for {n_ranks} MPI ranks, but every rank needs at "
+                         f"least one; start at most {largest} ranks or ask for more subdomains")

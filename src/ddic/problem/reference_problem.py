@@ -1,0 +1,137 @@
+"""What the reference images alone give: the mesh cut, its pixels and M."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.parallel.phases import Phase, PhaseClock
+from ddic.parallel.team import Team
+from ddic.partition.subdomain import Subdomain
+from ddic.problem.assembly import Hessians, assemble_hessians
+from ddic.problem.blank_subdomains import join_blank_subdomains
+from ddic.problem.inputs import Inputs
+from ddic.problem.region_mesh import Region, RegionMesh, build_region_mesh, scatter_region, split_region
+from ddic.problem.thread_note import thread_note
+from ddic.problem.views import ReferenceViews, read_reference_views
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class ReferenceProblem:
+    """Owned subdomains with their pixels and M, from the reference images alone.
+
+    Attributes
+    ----------
+    inputs : Inputs
+        What it was made from.
+    region : Region
+        What is known of the whole mesh.
+    references : list of ReferenceViews
+        Owned subdomains, cameras not yet weighted.
+    hessians : list of list of (n_dofs, n_dofs) csr_matrix
+        M of each view, on displacements of nodes in its image.
+    n_pixels : int
+        Pixels of all views of the whole region that the reference images do not exclude.
+    notes : tuple of str
+        What the user should know.
+    """
+
+    inputs: Inputs
+    region: Region
+    references: list[ReferenceViews]
+    hessians: list[Hessians]
+    n_pixels: int
+    notes: tuple[str, ...]
+
+    @property
+    def subdomains(self) -> list[Subdomain]:
+        """Owned subdomains."""
+        return [reference.subdomain for reference in self.references]
+
+
+def build_whole_mesh(team: Team, inputs: Inputs) -> RegionMesh | None:
+    """Build the whole mesh on rank 0; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    inputs : Inputs
+        What the measurement is made from.
+
+    Returns
+    -------
+    RegionMesh or None
+        On rank 0.
+
+    Raises
+    ------
+    InputError
+        On all ranks, where the mesh is refused.
+    """
+    return team.build_on_root(lambda: build_region_mesh(inputs))
+
+
+def prepare_reference(team: Team, inputs: Inputs, region_mesh: RegionMesh | None, clock: PhaseClock,
+                      meanwhile: Callable[[], T]) -> tuple[ReferenceProblem, T]:
+    """Cut the mesh, read the reference images and assemble M; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    inputs : Inputs
+        What the measurement is made from.
+    region_mesh : RegionMesh or None
+        The whole mesh, on rank 0.
+    clock : PhaseClock
+        Of the phases.
+    meanwhile : callable
+        Work free of communication that other ranks do while rank 0 splits the mesh.
+
+    Returns
+    -------
+    problem : ReferenceProblem
+        Owned subdomains, none of them blank where the others can hold it.
+    found : T
+        What ``meanwhile`` found on this rank.
+
+    Raises
+    ------
+    InputError
+        On all ranks, where the mesh cannot be cut as asked, or leaves an image.
+    """
+    with clock.phase(Phase.START):
+        parts, found = team.together(lambda: (
+            None if region_mesh is None else split_region(region_mesh, team.size), meanwhile()))
+    problem = _read_and_assemble(team, inputs, region_mesh, parts, clock)
+    case = inputs.case
+    if case.solver.method != "dual" or case.regularization is None or problem.region.n_subdomains == 1:
+        # Without regularization a blank part is singular whatever the partition, and the factorisation says where.
+        return problem, found
+    with clock.phase(Phase.ASSEMBLE):
+        joining = join_blank_subdomains(team, region_mesh, problem.references, [m[0] for m in problem.hessians],
+                                        case.correlation.spline_degree)
+    if joining is None:
+        return problem, found
+    return _read_and_assemble(team, inputs, region_mesh, joining.parts, clock, (joining.note,)), found
+
+
+def _read_and_assemble(team: Team, inputs: Inputs, region_mesh: RegionMesh | None, parts: NDArray[np.int64] | None,
+                       clock: PhaseClock, notes: tuple[str, ...] = ()) -> ReferenceProblem:
+    case = inputs.case
+    with clock.phase(Phase.START):
+        subdomains, region = scatter_region(team, region_mesh, parts)
+    with clock.phase(Phase.READ):
+        references = team.together(lambda: read_reference_views(case, inputs.cameras, subdomains))
+        n_pixels = sum(team.gather_lists([view.n_pixels for r in references for view in r.views]))
+    with clock.phase(Phase.ASSEMBLE):
+        hessians = assemble_hessians(team, references)
+    notes = (*notes, *thread_note(team, case.solver.threads))
+    return ReferenceProblem(inputs, region, references, hessians, n_pixels, notes)

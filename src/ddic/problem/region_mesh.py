@@ -1,0 +1,307 @@
+"""The whole mesh on rank 0: its unknowns, which camera measures which cell, what cells cost, how it is cut."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.case.schema import RegularizationSection, SolverSection
+from ddic.errors import InputError
+from ddic.functionals.elasticity import Material
+from ddic.functionals.equilibrium_gap import measure_gap_energies
+from ddic.io.partition_file import read_partition
+from ddic.kinematics.kinematics import RegionKinematics
+from ddic.kinematics.nodal import NodalRegion
+from ddic.kinematics.tied import TiedRegion
+from ddic.mesh.control import find_not_controlled_nodes
+from ddic.mesh.mesh import Mesh, Similarity
+from ddic.mesh.raster import rasterize
+from ddic.mesh.topology import find_boundary_nodes
+from ddic.parallel.distribution import scatter_subdomains
+from ddic.parallel.team import Team, held
+from ddic.partition.build_subdomains import build_subdomains
+from ddic.partition.by_camera import add_motions, find_cameras_at_nodes, keep_cameras_apart, split_by_camera
+from ddic.partition.cost import estimate_cell_costs, sum_costs
+from ddic.partition.determined_masters import keep_masters_determined
+from ddic.partition.split import split_by_blocks, split_by_metis
+from ddic.partition.subdomain import Subdomain
+from ddic.partition.ties import Tying
+from ddic.problem.cameras import Camera, MeasuredCells, assign_cells, collect_cells
+from ddic.problem.inputs import Inputs
+
+
+@dataclass(frozen=True)
+class Region:
+    """What every rank knows of the whole mesh.
+
+    Attributes
+    ----------
+    n_nodes, n_cells : int
+        Of the mesh.
+    n_field : int
+        Unknowns of the whole field.
+    n_subdomains : int
+        Number of subdomains.
+    gap_energies : (n_waves,) array or None
+        |K v|^2 of the plane waves of the cut-off wavelength; None where eta is given or nothing is regularized.
+    mapping : Similarity
+        From mesh units to pixels.
+    """
+
+    n_nodes: int
+    n_cells: int
+    n_field: int
+    n_subdomains: int
+    gap_energies: NDArray[np.float64] | None
+    mapping: Similarity
+
+
+@dataclass(frozen=True)
+class RegionMesh:
+    """The whole mesh, on rank 0 only.
+
+    Attributes
+    ----------
+    inputs : Inputs
+        What it was made from.
+    kinematics : RegionKinematics
+        The mesh and its unknowns.
+    tying : Tying or None
+        How near fields' own meshes are tied in it.
+    cameras : (n_cells,) array of int64
+        Camera that measures each cell.
+    costs : (n_cells,) array
+        Work of each cell, pixels.
+    measured : list of MeasuredCells
+        Cells of each camera.
+    controlled : (n_unknowns,) array of bool
+        Whether the equilibrium row of each unknown is controlled: P of Eq. 11 of [BP17].
+    interior : (n_nodes,) array of bool
+        Nodes inside the mesh around which the first camera measures every cell: there texture is weighed against
+        mechanics.
+    """
+
+    inputs: Inputs
+    kinematics: RegionKinematics
+    tying: Tying | None
+    cameras: NDArray[np.int64]
+    costs: NDArray[np.float64]
+    measured: list[MeasuredCells]
+    controlled: NDArray[np.bool_]
+    interior: NDArray[np.bool_]
+
+    @property
+    def mesh(self) -> Mesh:
+        """The whole mesh."""
+        return self.kinematics.mesh
+
+    def describe(self, n_subdomains: int) -> Region:
+        """Say what every rank is to know.
+
+        Parameters
+        ----------
+        n_subdomains : int
+            Number of subdomains.
+
+        Returns
+        -------
+        Region
+            Sizes, and |K v|^2 of plane waves.
+        """
+        gaps = _gap_energies(self.inputs.case.regularization, self.mesh, self.interior)
+        return Region(self.mesh.n_nodes, self.mesh.n_cells, self.kinematics.n_unknowns, n_subdomains, gaps,
+                      self.mesh.mapping)
+
+    def cut(self, parts: NDArray[np.int64]) -> tuple[list[Subdomain], NDArray[np.float64]]:
+        """Cut the mesh into self-contained subdomains.
+
+        Parameters
+        ----------
+        parts : (n_cells,) array of int64
+            Subdomain of each cell, none with cells of two cameras.
+
+        Returns
+        -------
+        subdomains : list of Subdomain
+            All of them, by number.
+        costs : (n_subdomains,) array
+            Work of each, pixels.
+        """
+        subdomains = build_subdomains(self.kinematics, parts, self.controlled, self.interior)
+        cameras = [int(self.cameras[s.cell_ids[0]]) for s in subdomains]
+        n_motion_unknowns = [camera.setup.n_motion_unknowns for camera in self.inputs.cameras]
+        subdomains = add_motions(subdomains, cameras, n_motion_unknowns, self.kinematics.n_unknowns)
+        return subdomains, sum_costs(self.costs, parts)
+
+
+def build_region_mesh(inputs: Inputs) -> RegionMesh:
+    """Build the whole mesh and find out which camera measures what; free of communication.
+
+    Parameters
+    ----------
+    inputs : Inputs
+        What the measurement is made from.
+
+    Returns
+    -------
+    RegionMesh
+        Not yet cut.
+
+    Raises
+    ------
+    InputError
+        Where the mesh, a selection of nodes, or a near field is refused.
+    """
+    mesh, tying = inputs.build_mesh()
+    labels = assign_cells(inputs.cameras, mesh, tying)
+    measured = collect_cells(inputs.cameras, mesh, labels)
+    costs = _costs(inputs.cameras, mesh, measured)
+    boundary = find_boundary_nodes(mesh) if tying is None else tying.boundary
+    kinematics = _choose_kinematics(inputs, mesh, tying)
+    controlled_nodes = _controlled_nodes(inputs.case.regularization, mesh, boundary)
+    interior = np.ones(mesh.n_nodes, dtype=bool)
+    interior[boundary] = False
+    if len(inputs.cameras) > 1:
+        interior &= _only_first_camera(mesh, labels, len(inputs.cameras), tying)
+    return RegionMesh(inputs, kinematics, tying, labels, costs, measured, kinematics.controlled(controlled_nodes),
+                      interior)
+
+
+def split_region(region_mesh: RegionMesh, n_ranks: int) -> NDArray[np.int64]:
+    """Split the cells as the case says; free of communication.
+
+    Parameters
+    ----------
+    region_mesh : RegionMesh
+        The whole mesh.
+    n_ranks : int
+        Number of subdomains where the case says none.
+
+    Returns
+    -------
+    (n_cells,) array of int64
+        Subdomain of each cell, none with cells of two cameras.
+
+    Raises
+    ------
+    InputError
+        Where there are not enough cells, cameras or slaves for the subdomains asked for.
+    """
+    solver, mesh = region_mesh.inputs.case.solver, region_mesh.mesh
+    labels, costs = region_mesh.cameras, region_mesh.costs
+    n_cameras = len(region_mesh.inputs.cameras)
+    if solver.method == "monolithic":
+        return np.zeros(mesh.n_cells, dtype=np.int64)
+    parts = _given_parts(solver, mesh)
+    if parts is not None:
+        parts = parts if n_cameras == 1 else keep_cameras_apart(parts, labels)
+    else:
+        n_subdomains = solver.subdomains or max(n_ranks, n_cameras)
+        parts = split_by_camera(labels, costs, n_subdomains,
+                                lambda cells, n: split_by_metis(mesh.submesh(cells)[0], n, costs[cells]))
+    if region_mesh.tying is not None:
+        parts = keep_masters_determined(mesh, region_mesh.tying, parts)
+    return parts
+
+
+def scatter_region(team: Team, region_mesh: RegionMesh | None,
+                   parts: NDArray[np.int64] | None) -> tuple[list[Subdomain], Region]:
+    """Cut the mesh that rank 0 holds and give each rank its subdomains; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    region_mesh : RegionMesh or None
+        On rank 0.
+    parts : (n_cells,) array of int64 or None
+        Subdomain of each cell, on rank 0.
+
+    Returns
+    -------
+    subdomains : list of Subdomain
+        Those of this rank.
+    region : Region
+        What every rank knows.
+
+    Raises
+    ------
+    InputError
+        On all ranks, where there are fewer subdomains than ranks.
+    """
+    subdomains = scatter_subdomains(team, lambda: held(region_mesh).cut(held(parts)))
+    region = team.on_root(lambda: held(region_mesh).describe(int(held(parts).max()) + 1))
+    return subdomains, region
+
+
+def material_of(section: RegularizationSection) -> Material:
+    """Give the elastic constants of the regularization.
+
+    Parameters
+    ----------
+    section : RegularizationSection
+        Of the case.
+
+    Returns
+    -------
+    Material
+        With E = 1.
+    """
+    return Material(section.poisson_ratio, section.plane)
+
+
+def _choose_kinematics(inputs: Inputs, mesh: Mesh, tying: Tying | None) -> RegionKinematics:
+    if tying is not None:
+        if inputs.choose_kinematics is not None:
+            raise InputError("kinematics: near fields with meshes of their own have kinematics of their own; "
+                             "leave near.mesh or the kinematics out")
+        return TiedRegion(mesh, tying.weights)
+    return NodalRegion(mesh) if inputs.choose_kinematics is None else inputs.choose_kinematics(mesh)
+
+
+def _costs(cameras: Sequence[Camera], mesh: Mesh, measured: Sequence[MeasuredCells]) -> NDArray[np.float64]:
+    """Work of each cell, (n_cells,), pixels: those of its camera, and of the first one where that measures it too."""
+    costs = np.zeros(mesh.n_cells)
+    for camera, cells in zip(cameras, measured, strict=True):
+        costs[cells.cells] = estimate_cell_costs(cells.seen)
+        if camera.use_far:
+            costs[cells.cells] += rasterize(cells.mesh).pixel_counts
+    return costs
+
+
+def _only_first_camera(mesh: Mesh, labels: NDArray[np.int64], n_cameras: int, tying: Tying | None) -> NDArray[np.bool_]:
+    """Whether the first camera alone measures around each node, (n_nodes,); never at slaves, which are near nodes."""
+    weights = None if tying is None else tying.weights
+    at_nodes = find_cameras_at_nodes(mesh, labels, n_cameras, weights)
+    only_first = np.zeros(mesh.n_nodes, dtype=bool)
+    only_first[:len(at_nodes)] = ~at_nodes[:, 1:].any(axis=1)
+    return only_first
+
+
+def _controlled_nodes(section: RegularizationSection | None, mesh: Mesh,
+                      boundary: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Whether the equilibrium of each node is controlled, (n_nodes,)."""
+    if section is None:
+        return np.zeros(mesh.n_nodes, dtype=bool)
+    controlled = np.ones(mesh.n_nodes, dtype=bool)
+    controlled[find_not_controlled_nodes(mesh, section.not_controlled, section.boxes, boundary)] = False
+    return controlled
+
+
+def _gap_energies(section: RegularizationSection | None, mesh: Mesh,
+                  interior: NDArray[np.bool_]) -> NDArray[np.float64] | None:
+    if section is None or section.cut_off_wavelength is None:
+        return None
+    return measure_gap_energies(mesh, material_of(section), interior, section.cut_off_wavelength)
+
+
+def _given_parts(solver: SolverSection, mesh: Mesh) -> NDArray[np.int64] | None:
+    """Subdomain of each cell where the case gives blocks or a file, (n_cells,); None where METIS is to find it."""
+    if solver.blocks is not None:
+        return split_by_blocks(mesh, solver.blocks)
+    if solver.partition_file is not None:
+        return read_partition(solver.partition_file, mesh.n_cells)
+    return None

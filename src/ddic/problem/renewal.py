@@ -1,0 +1,153 @@
+"""Which subdomains' M no longer fits the pixels that a frame shows, and their new M."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from ddic.errors import first_of
+from ddic.functionals.view import FrameView, View
+from ddic.parallel.team import Team
+from ddic.problem.assembly import Hessians
+from ddic.problem.views import FrameViews
+
+CHANGED_SHARE = 0.1
+"""Share of a subdomain's pixels that must have come or gone since its M was assembled for M to be assembled again. The
+fixed point does not depend on M, the speed of convergence does: a larger share costs iterations, a smaller one
+factors."""
+
+HELD_SHARE = 0.01
+"""Share of what hidden pixels gave to M that stays in it where mechanics find the displacement of hidden cells: enough
+to keep operators regular; the less, the faster equilibrium fills what is hidden."""
+
+
+@dataclass(frozen=True)
+class VisiblePixels:
+    """Pixels that M of owned subdomains counts.
+
+    Attributes
+    ----------
+    by_view : list of tuple of int
+        Of each subdomain and view.
+    """
+
+    by_view: list[tuple[int, ...]]
+
+    @classmethod
+    def all_of(cls, hessian_views: Sequence[Sequence[View]]) -> VisiblePixels:
+        """Count all pixels of the reference images.
+
+        Parameters
+        ----------
+        hessian_views : sequence of sequence of View
+            Views of each subdomain.
+
+        Returns
+        -------
+        VisiblePixels
+            Of these views.
+        """
+        return cls([tuple(view.n_pixels for view in views) for views in hessian_views])
+
+
+@dataclass(frozen=True)
+class Renewal:
+    """New M of some subdomains, and the pixels that M of all of them now counts.
+
+    Attributes
+    ----------
+    hessians : list of csr_matrix or None
+        New M_s in the unknowns, (n_unknowns, n_unknowns); None where it stays.
+    visible : VisiblePixels
+        What M counts from now on.
+    note : str
+        What the log says; empty where nothing changes on any rank.
+    """
+
+    hessians: list[sparse.csr_matrix | None]
+    visible: VisiblePixels
+    note: str
+
+
+def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np.float64]],
+                 assembled: tuple[VisiblePixels, Sequence[Hessians]], *, keep_held: bool) -> Renewal:
+    """Compare the pixels that M counts with those that a frame shows; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    views : sequence of FrameViews
+        Owned subdomains in the frame.
+    q : sequence of (n_unknowns,) array
+        Where the frame is thought to show them.
+    assembled : tuple of VisiblePixels and sequence of list of csr_matrix
+        What M counts, and M of each view with all pixels of the reference, on displacements of nodes in its image.
+    keep_held : bool
+        Whether hidden pixels keep ``HELD_SHARE`` of their part in M: with regularization, which fills what they leave.
+
+    Returns
+    -------
+    Renewal
+        New M where more than ``CHANGED_SHARE`` of a subdomain's pixels has come or gone, or, without regularization,
+        where a cell has lost all of its pixels.
+    """
+    counted, whole = assembled
+
+    def renew() -> tuple[list[sparse.csr_matrix | None], list[tuple[int, ...]]]:
+        hessians: list[sparse.csr_matrix | None] = []
+        by_view: list[tuple[int, ...]] = []
+        for of_subdomain, q_s, before, hessian in zip(views, q, counted.by_view, whole, strict=True):
+            shown = tuple(view.without_hidden(q_s) for view in of_subdomain.views)
+            now = tuple(view.n_pixels for view in shown)
+            if _is_kept(of_subdomain, shown, before, now, keep_held=keep_held):
+                hessians.append(None)
+                by_view.append(before)
+            else:
+                hessians.append(_assemble_shown(of_subdomain.views, shown, hessian, keep_held=keep_held))
+                by_view.append(now)
+        return hessians, by_view
+
+    hessians, by_view = team.together(renew)
+    changed = team.gather_lists([of_subdomain.subdomain.index for of_subdomain, hessian
+                                 in zip(views, hessians, strict=True) if hessian is not None])
+    note = ""
+    if changed:
+        note = (f"{len(changed)} subdomains ({first_of(changed)}) lost or gained more than {100 * CHANGED_SHARE:.0f} % "
+                "of their pixels: their operators are renewed")
+    return Renewal(hessians, VisiblePixels(by_view), note)
+
+
+def _is_kept(of_subdomain: FrameViews, shown: Sequence[View], before: Sequence[int], now: Sequence[int], *,
+             keep_held: bool) -> bool:
+    """Whether a subdomain's M still fits the pixels shown."""
+    if now == before:
+        return True
+    if not keep_held and _has_lost_a_cell(of_subdomain, shown):
+        return False
+    all_pixels = sum(view.view.n_pixels for view in of_subdomain.views)
+    return abs(sum(now) - sum(before)) <= CHANGED_SHARE * max(all_pixels, 1)
+
+
+def _has_lost_a_cell(of_subdomain: FrameViews, shown: Sequence[View]) -> bool:
+    """Whether some cell that the reference images show is not shown at all."""
+    in_reference = np.sum([view.view.count_pixels() for view in of_subdomain.views], axis=0)
+    left = np.sum([view.count_pixels() for view in shown], axis=0)
+    return bool(((in_reference > 0) & (left == 0)).any())
+
+
+def _assemble_shown(views: Sequence[FrameView], shown: Sequence[View], whole: Sequence[sparse.csr_matrix], *,
+                    keep_held: bool) -> sparse.csr_matrix:
+    """M_s of the pixels shown, with a share of the others' where these are to be held."""
+    total = None
+    for view, of_shown, of_whole in zip(views, shown, whole, strict=True):
+        hessian = of_shown.assemble_hessian()
+        if keep_held:
+            hessian = (1.0 - HELD_SHARE) * hessian + HELD_SHARE * of_whole
+        projected = view.view.project(hessian)
+        total = projected if total is None else total + projected
+    return sparse.csr_matrix(total)

@@ -1,0 +1,216 @@
+"""The residual f - g(x + u) of all subdomains in one frame: what Gauss-Newton asks of the images."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.errors import ConvergenceError, on_all_ranks
+from ddic.functionals.correlation import Residual
+from ddic.functionals.grey_statistics import GreyCorrection, GreyState, GreySums
+from ddic.parallel.team import Team
+from ddic.partition.subdomain import Subdomain
+from ddic.problem.views import FrameViews
+from ddic.solvers.gauss_newton import CorrectionSize
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The residual at some unknowns.
+
+    Attributes
+    ----------
+    residuals : list of tuple of Residual
+        Of each owned subdomain and view.
+    grey : tuple of GreyState
+        Of each camera, over the whole region.
+    """
+
+    residuals: list[tuple[Residual, ...]]
+    grey: tuple[GreyState, ...]
+
+
+@dataclass(frozen=True)
+class ResidualModel:
+    """Grey-level conservation of all subdomains in one frame.
+
+    Attributes
+    ----------
+    team : Team
+        All ranks.
+    views : list of FrameViews
+        Owned subdomains with their pixels.
+    correction : GreyCorrection
+        Of grey levels: "none", "global" or "element".
+    n_cameras : int
+        Number of cameras.
+    """
+
+    team: Team
+    views: list[FrameViews]
+    correction: GreyCorrection
+    n_cameras: int = 1
+
+    def evaluate(self, q: Sequence[Array]) -> Evaluation:
+        """Pass over all pixels; collective.
+
+        Parameters
+        ----------
+        q : sequence of (n_unknowns,) array
+            Unknowns of each owned subdomain.
+
+        Returns
+        -------
+        Evaluation
+            Residuals and grey-level statistics.
+
+        Raises
+        ------
+        ConvergenceError
+            On all ranks, where no pixel of a camera is left.
+        """
+        all_kinds = self.correction != "none"
+        residuals = self.team.together(lambda: [
+            tuple(view.compute_residual(q_s, all_kinds=all_kinds) for view in of_subdomain.views)
+            for of_subdomain, q_s in zip(self.views, q, strict=True)])
+        sums = self._sum_by_camera(residuals, lambda residual: residual.sums.values)
+        corrected = None
+        if self.correction == "element":
+            corrected = self._sum_by_camera(residuals, _sums_corrected_by_cell)
+        grey = tuple(self._grey_state(GreySums(sums[k]), None if corrected is None else corrected[k])
+                     for k in range(self.n_cameras))
+        return Evaluation(residuals, grey)
+
+    def assemble_right_hand_sides(self, evaluation: Evaluation) -> list[Array]:
+        """Assemble b_s of all owned subdomains, Eq. 5 of [BP17]; free of communication.
+
+        Parameters
+        ----------
+        evaluation : Evaluation
+            Of ``evaluate``.
+
+        Returns
+        -------
+        list of (n_unknowns,) array
+            Grey levels squared per pixel.
+        """
+        b = []
+        for of_subdomain, residuals in zip(self.views, evaluation.residuals, strict=True):
+            terms = [view.assemble_right_hand_side(residual, *self.find_correction(evaluation, view.camera, residual))
+                     for view, residual in zip(of_subdomain.views, residuals, strict=True)]
+            b.append(np.sum(terms, axis=0))
+        return b
+
+    def find_correction(self, evaluation: Evaluation, camera: int, residual: Residual) -> tuple[Array, Array]:
+        """Find gain and offset of a view's cells.
+
+        Parameters
+        ----------
+        evaluation : Evaluation
+            Of ``evaluate``.
+        camera : int
+            Number of the view's camera.
+        residual : Residual
+            Of the view.
+
+        Returns
+        -------
+        gain, offset : array
+            One number, or one per cell (n_cells,); no unit, and grey levels.
+        """
+        if self.correction == "element":
+            return residual.cell_sums.fit_gain_and_offset()
+        state = evaluation.grey[camera]
+        return np.array(state.gain), np.array(state.offset)
+
+    def linearize(self, q: Sequence[Array]) -> tuple[list[Array], tuple[GreyState, ...]]:
+        """Pass over all pixels for Gauss-Newton; collective.
+
+        Parameters
+        ----------
+        q : sequence of (n_unknowns,) array
+            Unknowns of each owned subdomain.
+
+        Returns
+        -------
+        b : list of (n_unknowns,) array
+            b_s of each, grey levels squared per pixel.
+        grey : tuple of GreyState
+            Of each camera.
+        """
+        evaluation = self.evaluate(q)
+        return self.assemble_right_hand_sides(evaluation), evaluation.grey
+
+    def measure_correction(self, dq: Sequence[Array], q: Sequence[Array]) -> CorrectionSize:
+        """Measure a correction on displacements of nodes in the specimen's frame, every node counted once; collective.
+
+        Parameters
+        ----------
+        dq, q : sequence of (n_unknowns,) array
+            Correction, and unknowns before it, of each owned subdomain.
+
+        Returns
+        -------
+        CorrectionSize
+            No unit, and pixels.
+        """
+        shares = [_nodal_shares(of_subdomain.subdomain, dq_s, q_s)
+                  for of_subdomain, dq_s, q_s in zip(self.views, dq, q, strict=True)]
+        sums = self.team.ordered_sum([squares for squares, _ in shares])
+        largest = self.team.maximum(max(at_a_node for _, at_a_node in shares))
+        of_correction, of_field, n_nodes = sums
+        if not np.isfinite(sums).all():
+            return CorrectionSize(np.inf, np.inf, np.inf)
+        if of_field > 0:
+            relative = float(np.sqrt(of_correction / of_field))
+        else:
+            relative = 0.0 if of_correction == 0 else np.inf
+        return CorrectionSize(relative, float(np.sqrt(of_correction / n_nodes)), largest)
+
+    def _sum_by_camera(self, residuals: Sequence[tuple[Residual, ...]],
+                       summed: Callable[[Residual], Array]) -> Array:
+        """Sums over the pixels of each camera, (n_cameras, n); collective."""
+        by_subdomain = []
+        for of_subdomain, of_views in zip(self.views, residuals, strict=True):
+            values = [summed(residual) for residual in of_views]
+            rows = np.zeros((self.n_cameras, len(values[0])))
+            for view, value in zip(of_subdomain.views, values, strict=True):
+                rows[view.camera] += value
+            by_subdomain.append(rows)
+        return self.team.ordered_sum(by_subdomain)
+
+    def _grey_state(self, total: GreySums, corrected: Array | None) -> GreyState:
+        """Statistics of a camera from the sums over its pixels; corrected: of the residual corrected by cell, (2,)."""
+        n = float(total.n_pixels)
+        if n == 0:
+            raise on_all_ranks(ConvergenceError(
+                "no pixel is left: every pixel of the mesh is masked or mapped outside the deformed image; "
+                "check the start of the displacement and the masks"))
+        gain, offset = total.fit_gain_and_offset() if self.correction == "global" else (np.ones(()), np.zeros(()))
+        first, second = total.sum_residual(gain, offset) if corrected is None else (corrected[0], corrected[1])
+        mean = float(first) / n
+        variance = max(float(second) / n - mean**2, 0.0)
+        return GreyState(float(np.sqrt(variance)), float(np.sqrt(second / n)), int(n), float(gain), float(offset))
+
+
+def _sums_corrected_by_cell(residual: Residual) -> Array:
+    """Sum of the residual corrected cell by cell, and of its square, (2,)."""
+    first, second = residual.cell_sums.sum_residual(*residual.cell_sums.fit_gain_and_offset())
+    return np.array([first.sum(), second.sum()])
+
+
+def _nodal_shares(subdomain: Subdomain, dq: Array, q: Array) -> tuple[Array, float]:
+    """A subdomain's shares of |du|^2, |u + du|^2 and the number of nodes, (3,), and its largest |du| at a node."""
+    share = 1.0 / subdomain.node_multiplicity
+    shape = subdomain.mesh.nodes.shape
+    before = subdomain.displacement(q).reshape(shape)
+    after = subdomain.displacement(q + dq).reshape(shape)
+    change_squared = ((after - before) ** 2).sum(axis=1)
+    field_squared = (after**2).sum(axis=1)
+    squares = np.array([change_squared @ share, field_squared @ share, share.sum()])
+    return squares, float(np.sqrt(change_squared.max()))

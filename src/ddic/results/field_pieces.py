@@ -1,0 +1,122 @@
+"""The mesh and the fields of a measurement, piece by piece, streamed through rank 0."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.functionals.correlation import Residual
+from ddic.io import result_schema as schema
+from ddic.io.result_writer import Piece, PieceSize, ResultWriter, joined
+from ddic.kinematics.strain import compute_strain
+from ddic.partition.subdomain import Subdomain
+
+if TYPE_CHECKING:
+    from ddic.results.measurement import Measurement
+
+BATCH_POINTS = 1 << 14
+"""Points from which on pieces are sent and written together (about 6 MB); a larger value takes memory on rank 0."""
+
+
+@dataclass(frozen=True)
+class _Batch:
+    """Pieces that follow each other, joined."""
+
+    n_pieces: int
+    pieces: Piece
+
+
+def write_pieces(measurement: Measurement, writer: ResultWriter | None) -> None:
+    """Write the mesh and the fields of all subdomains; collective.
+
+    Parameters
+    ----------
+    measurement : Measurement
+        What was measured.
+    writer : ResultWriter or None
+        On rank 0.
+    """
+    team, images = measurement.team, measurement.inputs.case.images
+    sizes = team.gather_lists([_size(subdomain) for subdomain in measurement.subdomains])
+    length_unit = None if images.pixel_size is None else images.length_unit
+    if writer is not None:
+        writer.create_pieces(sizes, schema.point_fields(length_unit), schema.cell_fields(len(measurement.cameras)))
+    begin = 0
+    for batch in team.stream_to_root(_join_batches(_make_pieces(measurement))):
+        if writer is not None:
+            writer.write_pieces(range(begin, begin + batch.n_pieces), batch.pieces)
+        begin += batch.n_pieces
+
+
+def _size(subdomain: Subdomain) -> PieceSize:
+    mesh = subdomain.mesh
+    return PieceSize(mesh.n_nodes, mesh.n_cells, len(mesh.connectivity))
+
+
+def _join_batches(pieces: Iterator[Piece]) -> Iterator[_Batch]:
+    """Join pieces up to a size that bounds what rank 0 holds at a time."""
+    waiting: list[Piece] = []
+    for piece in pieces:
+        waiting.append(piece)
+        if sum(len(p.points) for p in waiting) >= BATCH_POINTS:
+            yield _Batch(len(waiting), joined(waiting))
+            waiting = []
+    if waiting:
+        yield _Batch(len(waiting), joined(waiting))
+
+
+def _make_pieces(measurement: Measurement) -> Iterator[Piece]:
+    for number, (subdomain, u) in enumerate(zip(measurement.subdomains, measurement.displacements, strict=True)):
+        mesh = subdomain.mesh
+        yield Piece(mesh.nodes, mesh.connectivity, mesh.offsets, mesh.types, _point_data(measurement, subdomain, u),
+                    _cell_data(measurement, number, u))
+
+
+def _point_data(measurement: Measurement, subdomain: Subdomain, u: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
+    pixel_size = measurement.inputs.case.images.pixel_size
+    vectors = u.reshape(subdomain.mesh.nodes.shape)
+    data: dict[str, NDArray[Any]] = {
+        schema.DISPLACEMENT: vectors,
+        schema.DISPLACEMENT_MESH_UNITS: measurement.region.mapping.vector_to_mesh_units(vectors),
+        schema.GLOBAL_NODE_ID: subdomain.node_ids,
+    }
+    if pixel_size is not None:
+        data[schema.DISPLACEMENT_PHYSICAL] = vectors * pixel_size
+    return data
+
+
+def _cell_data(measurement: Measurement, number: int, u: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
+    """Fields on the cells of an owned subdomain, given by its place."""
+    subdomain = measurement.subdomains[number]
+    own_residual = measurement.evaluation.residuals[number][0]
+    n_cells = subdomain.mesh.n_cells
+    strain = compute_strain(subdomain.mesh, u)
+    data: dict[str, NDArray[Any]] = {
+        schema.STRAIN_INFINITESIMAL: _six_components(strain.infinitesimal),
+        schema.STRAIN_GREEN_LAGRANGE: _six_components(strain.green_lagrange),
+        schema.RESIDUAL_RMS: _residual_rms(measurement, subdomain.camera, own_residual),
+        schema.RESIDUAL_N_PIXELS: own_residual.cell_sums.n_pixels.astype(np.int64),
+        schema.SUBDOMAIN_ID: np.full(n_cells, subdomain.index, dtype=np.int32),
+        schema.GLOBAL_CELL_ID: subdomain.cell_ids,
+    }
+    if len(measurement.cameras) > 1:
+        data[schema.CAMERA] = np.full(n_cells, subdomain.camera, dtype=np.int32)
+    return data
+
+
+def _six_components(tensor: NDArray[np.float64]) -> NDArray[np.float64]:
+    """In-plane (xx, yy, xy) as VTK's (xx, yy, zz, xy, yz, xz)."""
+    zero = np.zeros(len(tensor))
+    return np.stack([tensor[:, 0], tensor[:, 1], zero, tensor[:, 2], zero, zero], axis=1)
+
+
+def _residual_rms(measurement: Measurement, camera: int, residual: Residual) -> NDArray[np.float64]:
+    """Root mean square of each cell's residual, grey levels; nan where it has no pixel."""
+    correction = measurement.model.find_correction(measurement.evaluation, camera, residual)
+    _, squares = residual.cell_sums.sum_residual(*correction)
+    n = residual.cell_sums.n_pixels
+    return np.where(n > 0, np.sqrt(squares / np.maximum(n, 1.0)), np.nan)

@@ -1,0 +1,63 @@
+"""Tables, curves and attributes of a measurement in the result file."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from ddic.io import result_schema as schema
+from ddic.io.result_writer import ResultWriter
+from ddic.results.near_attributes import describe_near_field
+
+if TYPE_CHECKING:
+    from ddic.results.measurement import Measurement
+
+
+def write_histories(measurement: Measurement, writer: ResultWriter) -> None:
+    """Write the table of Gauss-Newton's iterations and the Krylov residuals of each; on rank 0.
+
+    Parameters
+    ----------
+    measurement : Measurement
+        What was measured.
+    writer : ResultWriter
+        Open.
+    """
+    records = measurement.records
+    columns: dict[str, list[Any]] = {
+        "iteration": [r.number for r in records],
+        "relative_correction": [r.size.relative for r in records],
+        "rms_correction_px": [r.size.rms for r in records],
+        "residual_std_grey": [r.grey.residual_std for r in records],
+        "residual_rms_grey": [r.grey.residual_rms for r in records],
+        "n_pixels": [r.grey.n_pixels for r in records],
+        "gain": [r.grey.gain for r in records],
+        "offset": [r.grey.offset for r in records],
+    }
+    for camera in measurement.cameras[1:]:
+        columns[f"near_{camera.number}_residual_std_grey"] = [r.cameras[camera.number].residual_std for r in records]
+    columns["krylov_iterations"] = [r.krylov_iterations for r in records]
+    columns["linear_error_px"] = [r.linear_error for r in records]
+    writer.write_table(schema.GAUSS_NEWTON, columns)
+    writer.write_curves(schema.KRYLOV, [r.krylov_history for r in records])
+
+
+def write_attributes(measurement: Measurement, writer: ResultWriter) -> None:
+    """Write the case, the times and units, and what is known of near-field set-ups; on rank 0.
+
+    Parameters
+    ----------
+    measurement : Measurement
+        What was measured.
+    writer : ResultWriter
+        Open.
+    """
+    inputs = measurement.inputs
+    images = inputs.case.images
+    writer.write_attributes(schema.CASE, {
+        "path": str(inputs.case_path), "toml": inputs.case_text, "json": inputs.case.model_dump_json(),
+        "eta": measurement.size.eta, "largest_jump_px": measurement.largest_jump,
+    })
+    writer.write_attributes(schema.TIME, {"reference": images.reference_time, "deformed": images.deformed_time})
+    writer.write_attributes(schema.UNITS, {"pixel_size": images.pixel_size or 1.0, "length_unit": images.length_unit})
+    for motion in measurement.motions:
+        writer.write_attributes(schema.near_group(motion.camera), describe_near_field(measurement, motion))

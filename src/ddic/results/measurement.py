@@ -1,0 +1,213 @@
+"""A measured field, spread over ranks, and how it was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.errors import ConvergenceError, first_of, on_all_ranks
+from ddic.io.result_writer import ResultWriter
+from ddic.kinematics.strain import find_inverted_cells
+from ddic.parallel.team import Team
+from ddic.partition.subdomain import Subdomain
+from ddic.problem.cameras import Camera, Frame
+from ddic.problem.inputs import Inputs
+from ddic.problem.region_mesh import Region
+from ddic.problem.residual_model import Evaluation, ResidualModel
+from ddic.problem.weighted_problem import WeightedProblem
+from ddic.results.camera_images import write_residual_images
+from ddic.results.field_pieces import write_pieces
+from ddic.results.histories import write_attributes, write_histories
+from ddic.results.listener import ProblemSize
+from ddic.results.provenance import image_attributes
+from ddic.results.setup_motion import SetupMotion, collect_motions, describe_motions, estimate_covariances
+from ddic.solvers.dual.continuity import average_copies
+from ddic.solvers.gauss_newton import IterationRecord, Solution
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """A measured field and how it was measured.
+
+    Attributes
+    ----------
+    inputs : Inputs
+        Reference images, mesh and settings.
+    frame : Frame
+        The deformed images.
+    region : Region
+        What is known of the whole mesh.
+    model : ResidualModel
+        Owned subdomains with their pixels.
+    q : list of (n_unknowns,) array
+        Unknowns of each, one value for the copies of an interface unknown (Eq. 41 of [BP17]).
+    largest_jump : float
+        Largest difference between copies before that, pixels.
+    evaluation : Evaluation
+        Residuals and grey-level statistics at q.
+    size : ProblemSize
+        Sizes and weights.
+    records : list of IterationRecord
+        Gauss-Newton's iterations.
+    notes : tuple of str
+        What the user should know.
+    motions : tuple of SetupMotion
+        Of near-field set-ups.
+    noise : tuple of float
+        Of each camera, grey levels; empty with one camera.
+    """
+
+    inputs: Inputs
+    frame: Frame
+    region: Region
+    model: ResidualModel
+    q: list[Array]
+    largest_jump: float
+    evaluation: Evaluation
+    size: ProblemSize
+    records: list[IterationRecord]
+    notes: tuple[str, ...]
+    motions: tuple[SetupMotion, ...]
+    noise: tuple[float, ...]
+
+    @property
+    def team(self) -> Team:
+        """All ranks."""
+        return self.model.team
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """The cameras with their reference images."""
+        return self.inputs.cameras
+
+    @property
+    def subdomains(self) -> list[Subdomain]:
+        """Owned subdomains."""
+        return [of_subdomain.subdomain for of_subdomain in self.model.views]
+
+    @property
+    def displacements(self) -> list[Array]:
+        """Displacement of each owned subdomain's nodes, node by node, specimen's frame, (n_dofs,), pixels."""
+        return [s.displacement(q_s) for s, q_s in zip(self.subdomains, self.q, strict=True)]
+
+    def at(self, points: Array) -> Array:
+        """Interpolate the displacement by shape functions, never across a hole; collective.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Positions, specimen's frame, pixels; the same on all ranks.
+
+        Returns
+        -------
+        (n, 2) array
+            Displacement, pixels, on all ranks; nan outside the mesh.
+        """
+        total, n_found = np.zeros(points.shape), np.zeros(len(points))
+        for subdomain, q_s in zip(self.subdomains, self.q, strict=True):
+            found = subdomain.kinematics.at(points, q_s[:subdomain.n_field])
+            inside = np.isfinite(found).all(axis=1)
+            total[inside] += found[inside]
+            n_found += inside
+        # A point on an interface lies in several subdomains, which hold the same displacement there.
+        total, n_found = self.team.sum(total), self.team.sum(n_found)
+        return np.where(n_found[:, None] > 0, total / np.maximum(n_found, 1.0)[:, None], np.nan)
+
+    def write(self, writer: ResultWriter | None) -> None:
+        """Write fields, histories and residual images; collective.
+
+        Parameters
+        ----------
+        writer : ResultWriter or None
+            Open on rank 0, None elsewhere.
+        """
+        write_pieces(self, writer)
+        if writer is not None:
+            write_histories(self, writer)
+            write_attributes(self, writer)
+        if self.inputs.case.output.residual_image:
+            write_residual_images(self, writer)
+
+    def describe_origin(self) -> dict[str, str | int]:
+        """Say what it was measured from.
+
+        Returns
+        -------
+        dict
+            Sizes, and the first camera's images with their checksums.
+        """
+        reference, deformed = self.cameras[0].reference.image, self.frame[0].image
+        return {"n_ranks": self.size.n_ranks, "n_subdomains": self.size.n_subdomains,
+                **image_attributes("reference", reference), **image_attributes("deformed", deformed)}
+
+
+def finish_measurement(problem: WeightedProblem, model: ResidualModel, frame: Frame, solution: Solution,
+                       about: tuple[ProblemSize, tuple[str, ...]]) -> Measurement:
+    """Average the copies of interface unknowns and evaluate the residual there; collective.
+
+    Parameters
+    ----------
+    problem : WeightedProblem
+        That was solved.
+    model : ResidualModel
+        Of the frame.
+    frame : Frame
+        The deformed images.
+    solution : Solution
+        Of Gauss-Newton.
+    about : tuple of ProblemSize and tuple of str
+        Size of the problem, and notes.
+
+    Returns
+    -------
+    Measurement
+        Spread over ranks.
+
+    Raises
+    ------
+    ConvergenceError
+        On all ranks, where the field turns cells inside out or leaves no pixel of a camera.
+    """
+    size, notes = about
+    team, inputs = problem.team, problem.reference.inputs
+    subdomains = problem.reference.subdomains
+    field = average_copies(team, subdomains, solution.q)
+    refuse_inverted_cells(team, subdomains, field.q)
+    motions: tuple[SetupMotion, ...] = ()
+    if any(camera.setup.n_motion_unknowns for camera in inputs.cameras):
+        solver = problem.solver
+        spread = estimate_covariances(team, solver.assembly.systems, solver.step, problem.noise[0])
+        motions = describe_motions(inputs.cameras, collect_motions(team, inputs.cameras, subdomains, field.q), spread)
+    return Measurement(inputs, frame, problem.reference.region, model, field.q, field.largest_jump,
+                       model.evaluate(field.q), size, solution.records, notes, motions, problem.noise)
+
+
+def refuse_inverted_cells(team: Team, subdomains: Sequence[Subdomain], q: Sequence[Array]) -> None:
+    """Refuse a field that turns cells inside out, however small the last correction: no matter moves so; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    subdomains : sequence of Subdomain
+        Owned ones.
+    q : sequence of (n_unknowns,) array
+        Their unknowns.
+
+    Raises
+    ------
+    ConvergenceError
+        On all ranks.
+    """
+    found = team.gather_lists([s.cell_ids[find_inverted_cells(s.mesh, s.displacement(q_s))]
+                               for s, q_s in zip(subdomains, q, strict=True)])
+    cells = np.sort(np.concatenate(found))
+    if len(cells):
+        raise on_all_ranks(ConvergenceError(
+            f"the measured field turns {len(cells)} elements inside out (numbers {first_of(cells)}): the images do not "
+            "determine it; use larger elements or a longer regularization.cut_off_wavelength"))

@@ -1,0 +1,112 @@
+"""How a measurement leaves the program: one protocol, whatever it is made of."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.io import result_schema as schema
+from ddic.io.result_reader import Result
+from ddic.io.result_writer import ResultWriter
+from ddic.parallel.team import Team
+from ddic.results.phase_times import PhaseTimes
+from ddic.results.provenance import collect_provenance
+
+
+class Publishable(Protocol):
+    """What a measurement does to be read by others; every call is collective.
+
+    A method without subdomains or a mesh writes what it has: images, tables, attributes.
+    """
+
+    @property
+    def team(self) -> Team:
+        """All ranks."""
+        ...
+
+    def write(self, writer: ResultWriter | None) -> None:
+        """Write everything that was measured; writer: open on rank 0, None elsewhere."""
+        ...
+
+    def describe_origin(self) -> dict[str, str | int]:
+        """Say what it was measured from: images and sizes; on rank 0."""
+        ...
+
+    def at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Interpolate the displacement at points (n, 2), pixels; nan where nothing was measured."""
+        ...
+
+
+@dataclass(frozen=True)
+class Destination:
+    """Where a result goes.
+
+    Attributes
+    ----------
+    path : Path or None
+        The file; None for memory.
+    flip_y : bool
+        Whether y points up in it.
+    times : PhaseTimes or None
+        Of the phases so far, for the file's history.
+    """
+
+    path: Path | None
+    flip_y: bool = False
+    times: PhaseTimes | None = None
+
+
+def publish(measurement: Publishable, destination: Destination) -> None:
+    """Write a result file; collective, only rank 0 touches the disk.
+
+    Parameters
+    ----------
+    measurement : Publishable
+        What was measured.
+    destination : Destination
+        Where it goes.
+    """
+    _write(measurement, destination)
+
+
+def gather(measurement: Publishable) -> Result:
+    """Bring a whole measurement together; collective.
+
+    Parameters
+    ----------
+    measurement : Publishable
+        What was measured.
+
+    Returns
+    -------
+    Result
+        As a result file would hold it, in memory, on every rank.
+    """
+    return measurement.team.broadcast(_write(measurement, Destination(None), read_back=True))
+
+
+def _write(measurement: Publishable, destination: Destination, *, read_back: bool = False) -> Result | None:
+    if not measurement.team.is_root:
+        measurement.write(None)
+        return None
+    with ExitStack() as stack:
+        writer = stack.enter_context(ResultWriter(destination.path, flip_y=destination.flip_y))
+        measurement.write(writer)
+        if destination.times is not None:
+            _write_times(writer, destination.times)
+        writer.write_attributes(schema.PROVENANCE, collect_provenance(measurement.describe_origin()))
+        return writer.read_back() if read_back else None
+
+
+def _write_times(writer: ResultWriter, times: PhaseTimes) -> None:
+    writer.write_table(schema.PHASES, {
+        "phase": [str(phase) for phase in times.seconds],
+        "seconds": list(times.seconds.values()),
+        "cpu_seconds": list(times.cpu_seconds.values()),
+        "imbalance": list(times.imbalance.values()),
+    })

@@ -1,0 +1,130 @@
+"""The preconditioner of the interface problem that is asked for, Eq. 37-40 of [BP17] and what goes beyond."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy import sparse
+
+from ddic.partition.incidence import copies_of, scaled_incidence
+from ddic.solvers.dual.coarse_space import CoarseColumns, CoarsePart, CoarseSpace, build_coarse_columns
+from ddic.solvers.dual.dual_problem import DualProblem
+from ddic.solvers.dual.local_inverse import LocalInverseKind, SchurPair, build_schur_pair
+from ddic.solvers.dual.local_modes import find_low_energy_modes
+from ddic.solvers.dual.motion import MotionPreconditioner
+from ddic.solvers.dual.preconditioner import DualPreconditioner, LocalPreconditioner
+from ddic.solvers.dual.shell import Preconditioning
+from ddic.solvers.dual.two_level import TwoLevelPreconditioner
+from ddic.solvers.exchange import Exchange
+from ddic.solvers.petsc_stack import PetscStack
+
+Preconditioner = Literal["none", "paper", "scaled", "two_level"]
+
+
+@dataclass(frozen=True)
+class BuiltPreconditioner:
+    """A preconditioner and the coarse space that it works with.
+
+    Attributes
+    ----------
+    context : Preconditioning or None
+        Of PETSc's shell preconditioner; None: without.
+    coarse : CoarseSpace or None
+        None for one level.
+    """
+
+    context: Preconditioning | None
+    coarse: CoarseSpace | None
+
+
+def build_preconditioner(stack: PetscStack, problem: DualProblem, kind: Preconditioner,
+                         local_inverse: LocalInverseKind) -> BuiltPreconditioner:
+    """Build a preconditioner of the interface problem; collective.
+
+    Parameters
+    ----------
+    stack : PetscStack
+        Keeps what must be destroyed.
+    problem : DualProblem
+        The interface problem.
+    kind : Preconditioner
+        None, the paper's, the paper's with scaled assembly, or that with a coarse space.
+    local_inverse : LocalInverseKind
+        S_s^-1 as an array, by a sparse factor, or as its size asks.
+
+    Returns
+    -------
+    BuiltPreconditioner
+        With rows of cameras' motions eliminated, where there are any.
+
+    Raises
+    ------
+    SingularSubdomainError
+        On all ranks.
+    """
+    if kind == "none":
+        return BuiltPreconditioner(None, None)
+    is_paper = kind == "paper"
+    assemblies = [local.incidence for local in problem.local_duals] if is_paper else _scale_assemblies(problem)
+    # Before the inverses: what finds the modes is large, and gone when these are made.
+    columns = _find_columns(problem) if kind == "two_level" else []
+    pairs = _build_pairs(stack, problem, local_inverse)
+    terms = [LocalPreconditioner(assembly, pair.inverse) for assembly, pair in zip(assemblies, pairs, strict=True)]
+    one_level = DualPreconditioner(problem.exchange, terms)
+    context: Preconditioning = one_level
+    coarse = None
+    if kind == "two_level":
+        parts = [CoarsePart(local, assembly, pair.multiply, columns_s) for local, assembly, pair, columns_s
+                 in zip(problem.local_duals, assemblies, pairs, columns, strict=True)]
+        coarse = stack.keep(CoarseSpace(problem.team, problem.exchange, parts))
+        context = TwoLevelPreconditioner(problem.operator, one_level, coarse)
+    if problem.n_motion:
+        context = stack.keep(MotionPreconditioner(problem.operator, context, problem.n_motion))
+    return BuiltPreconditioner(context, coarse)
+
+
+def _find_columns(problem: DualProblem) -> list[CoarseColumns]:
+    """Coarse vectors of each owned subdomain."""
+    def find() -> list[CoarseColumns]:
+        return [build_coarse_columns(find_low_energy_modes(system, local.operator), local)
+                for system, local in zip(problem.systems, problem.local_duals, strict=True)]
+
+    return problem.team.together(find)
+
+
+def _build_pairs(stack: PetscStack, problem: DualProblem, local_inverse: LocalInverseKind) -> list[SchurPair]:
+    """S_s and its inverse of each owned subdomain."""
+    def build() -> list[SchurPair]:
+        pairs = []
+        for system, local in zip(problem.systems, problem.local_duals, strict=True):
+            pair = build_schur_pair(system, local, local_inverse)
+            # One by one: where a later one is singular, those before are freed. The inverse alone, for S_s may go.
+            stack.keep(pair.inverse)
+            pairs.append(pair)
+        return pairs
+
+    return problem.team.together(build)
+
+
+def _scale_assemblies(problem: DualProblem) -> list[sparse.csr_matrix]:
+    """(B D^-1 B^T)^-1 B D^-1 per subdomain, D the copies' stiffness diag A_s (1 for reactions)."""
+    chains = []
+    for system in problem.systems:
+        jumps, reactions = system.subdomain.jumps, system.subdomain.reactions
+        stiffness = system.diagonal[jumps.unknowns]
+        chains.append([(jumps, stiffness), (reactions, np.ones(len(reactions.unknowns)))])
+    with PetscStack() as stack:
+        n_owned = sum(subdomain.n_owned_copies for subdomain in problem.subdomains)
+        needed = [copies_of(interface) for pair in chains for interface, _ in pair]
+        exchange = stack.keep(Exchange(problem.team, n_owned, needed))
+        copies = exchange.ghosts
+        mine = np.zeros(len(copies))
+        for pair in chains:
+            for interface, values in pair:
+                mine[np.searchsorted(copies, interface.first_copy + interface.position)] = values
+        weights = exchange.sum_over_ranks(mine)
+    rows = problem.exchange.ghosts
+    return [sparse.hstack([scaled_incidence(interface, weights, copies, rows) for interface, _ in pair]).tocsr()
+            for pair in chains]

@@ -1,0 +1,92 @@
+"""The noise of each camera, given or estimated from the residual, by which several cameras are weighted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.functionals.grey_statistics import GreyCorrection
+from ddic.functionals.view import FrameView
+from ddic.parallel.team import Team
+from ddic.problem.cameras import Camera
+from ddic.problem.residual_model import Evaluation, ResidualModel
+from ddic.problem.views import FrameViews, ReferenceViews
+
+SMALLEST_NOISE = 0.29
+"""Grey levels, the rounding of a camera that gives whole ones: no estimate is below it."""
+
+
+def estimate_noise(team: Team, cameras: Sequence[Camera], views: Sequence[FrameViews],
+                   fields: Sequence[NDArray[np.float64]], correction: GreyCorrection) -> list[float]:
+    """Find the noise of each camera: given, or its residual's standard deviation over sqrt(2); collective.
+
+    Of a camera's subdomains the one in the middle counts: some may not have been measured well by themselves.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    cameras : sequence of Camera
+        All of them.
+    views : sequence of FrameViews
+        Owned subdomains in the frame.
+    fields : sequence of (n_field,) array
+        Field of each, as its own camera alone sees it.
+    correction : GreyCorrection
+        Of grey levels.
+
+    Returns
+    -------
+    list of float
+        Standard deviation of each camera's noise, grey levels.
+    """
+    alone = [_by_own_camera(of_subdomain) for of_subdomain in views]
+    model = ResidualModel(team, alone, correction, len(cameras))
+    evaluation = model.evaluate(fields)
+    deviations = team.gather_lists([(of_subdomain.subdomain.camera, _deviation(model, evaluation, k))
+                                    for k, of_subdomain in enumerate(alone)])
+    noise = []
+    for camera in cameras:
+        of_camera = [std for number, std in deviations if number == camera.number]
+        estimated = max(float(np.median(of_camera)) / np.sqrt(2), SMALLEST_NOISE)
+        noise.append(estimated if camera.noise is None else camera.noise)
+    return noise
+
+
+def describe_noise(cameras: Sequence[Camera], noise: Sequence[float]) -> tuple[str, ...]:
+    """Say what noise each camera has.
+
+    Parameters
+    ----------
+    cameras : sequence of Camera
+        All of them.
+    noise : sequence of float
+        Of each, grey levels.
+
+    Returns
+    -------
+    tuple of str
+        A line for each.
+    """
+    return tuple(f"{camera.label}: noise of {sigma:.2f} grey levels "
+                 f"({'estimated from the residual' if camera.noise is None else 'given'})"
+                 for camera, sigma in zip(cameras, noise, strict=True))
+
+
+def _by_own_camera(of_subdomain: FrameViews) -> FrameViews:
+    """The same by its own camera, which keeps its number, in a set-up that does not move."""
+    alone = of_subdomain.reference.alone()
+    own = of_subdomain.reference.own.hold_still()
+    return FrameViews(ReferenceViews(alone.subdomain, (own,)), (FrameView(own, of_subdomain.views[0].deformed),))
+
+
+def _deviation(model: ResidualModel, evaluation: Evaluation, place: int) -> float:
+    """Standard deviation of a subdomain's residual, grey levels."""
+    residual = evaluation.residuals[place][0]
+    camera = model.views[place].views[0].camera
+    first, second = residual.cell_sums.sum_residual(*model.find_correction(evaluation, camera, residual))
+    n = max(float(residual.sums.n_pixels), 1.0)
+    mean = first.sum() / n
+    return float(np.sqrt(max(second.sum() / n - mean**2, 0.0)))

@@ -1,0 +1,359 @@
+"""A near-field and a far-field pair of one specimen, whose displacement and set-up are known exactly."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.errors import InputError
+from ddic.images.camera import CameraMapping
+from ddic.synth.fields import DisplacementField, Pair, require_finite
+from ddic.synth.hole import Hole
+from ddic.synth.picture import Picture
+from ddic.synth.render import Scene, write_pair
+from ddic.synth.two_scale_texture import TwoScaleTexture
+
+FAR_FILES = ("far_reference.tif", "far_deformed.tif")
+NEAR_FILES = ("near_reference.tif", "near_deformed.tif")
+
+# The near pair's noise is drawn from other streams than the far pair's 0 and 1.
+_NEAR_STREAM = 2
+
+
+@dataclass(frozen=True)
+class SetUpMotion:
+    """Rigid motion T(Y) = centre + R(rotation) (Y - centre) + alpha of the near set-up between its two pictures.
+
+    Attributes
+    ----------
+    alpha : (float, float)
+        Pixels of the specimen's frame.
+    rotation_degrees : float
+        From x towards y.
+    centre : (float, float)
+        X0, pixels of the specimen's frame.
+
+    Raises
+    ------
+    InputError
+        Where a number is not finite.
+    """
+
+    alpha: Pair = (0.0, 0.0)
+    rotation_degrees: float = 0.0
+    centre: Pair = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        require_finite("near set-up", alpha=self.alpha, rotation_degrees=self.rotation_degrees, centre=self.centre)
+
+    def moved(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Evaluate T.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Y, pixels of the specimen's frame.
+
+        Returns
+        -------
+        (n, 2) array
+            T(Y), pixels of that frame.
+        """
+        turned = (points - self.centre) @ self._rotation().T
+        return np.asarray(turned + self.centre + self.alpha)
+
+    def unmoved(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Evaluate the inverse of T.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            T(Y), pixels of the specimen's frame.
+
+        Returns
+        -------
+        (n, 2) array
+            Y, pixels of that frame.
+        """
+        turned = points - self.centre - np.array(self.alpha)
+        return np.asarray(turned @ self._rotation() + self.centre)
+
+    def _rotation(self) -> NDArray[np.float64]:
+        """R, (2, 2)."""
+        if self.rotation_degrees == 0:
+            return np.eye(2)
+        angle = math.radians(self.rotation_degrees)
+        c, s = math.cos(angle), math.sin(angle)
+        return np.array([[c, -s], [s, c]])
+
+
+@dataclass(frozen=True, eq=False)
+class NearCamera:
+    """The near camera: where it looks, how its set-up moves, and what its pictures are like.
+
+    Attributes
+    ----------
+    mapping : CameraMapping
+        phi, from the specimen's frame to the camera's pixels.
+    motion : SetUpMotion
+        T, of the set-up between the two pictures.
+    picture : Picture
+        Size, bit depth and noise.
+    """
+
+    mapping: CameraMapping
+    motion: SetUpMotion
+    picture: Picture
+
+
+@dataclass(frozen=True, eq=False)
+class NearScene:
+    """What the near camera looks at, in its own pixels.
+
+    Attributes
+    ----------
+    surface : Scene
+        Texture, displacement u and hole in the specimen's frame.
+    camera : NearCamera
+        phi and T.
+    """
+
+    surface: Scene
+    camera: NearCamera
+
+    def reference_grey(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Evaluate the grey level f_n before the motion.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Near pixels.
+
+        Returns
+        -------
+        (n,) array
+            Fractions of full scale.
+        """
+        return self.surface.reference_grey(self.camera.mapping.to_specimen(points))
+
+    def deformed_grey(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Evaluate the grey level g_n after the motion: f_n(phi(X)) = g_n(phi(T(X + u(X)))).
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Near pixels.
+
+        Returns
+        -------
+        (n,) array
+            Fractions of full scale.
+        """
+        moved = self.camera.mapping.to_specimen(points)
+        return self.surface.deformed_grey(self.camera.motion.unmoved(moved))
+
+    def displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Evaluate phi(T(X + u(X))) - phi(X).
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            phi(X), pixels of the near reference image.
+
+        Returns
+        -------
+        (n, 2) array
+            Near pixels.
+        """
+        specimen = self.camera.mapping.to_specimen(points)
+        moved = self.camera.motion.moved(specimen + self.surface.field.displacement(specimen))
+        return np.asarray(self.camera.mapping.to_image(moved) - points)
+
+
+@dataclass(frozen=True, eq=False)
+class NearFarScene:
+    """One specimen and the two cameras that look at it; the far camera's pixels are the specimen's frame.
+
+    Attributes
+    ----------
+    far : Scene
+        What the far camera sees.
+    far_picture : Picture
+        Size, bit depth and noise of its pictures.
+    near : NearScene
+        What the near camera sees.
+
+    Raises
+    ------
+    InputError
+        Where the near camera looks beyond the far picture.
+    """
+
+    far: Scene
+    far_picture: Picture
+    near: NearScene
+
+    def __post_init__(self) -> None:
+        camera = self.near.camera
+        try:
+            corners = camera.mapping.to_specimen(camera.picture.corners)
+        except ValueError as error:
+            raise InputError(f"near camera: {error}; use a smaller tilt") from error
+        limits = np.array([self.far_picture.width - 1, self.far_picture.height - 1])
+        if not ((corners >= 0) & (corners <= limits)).all():
+            (x0, y0), (x1, y1) = corners.min(axis=0), corners.max(axis=0)
+            raise InputError(
+                f"near field: x {x0:.6g}..{x1:.6g}, y {y0:.6g}..{y1:.6g} px lies partly outside the far image, "
+                f"x 0..{limits[0]}, y 0..{limits[1]} px; move its centre, use a larger ratio or a smaller near image")
+
+
+def near_mapping(ratio: float, centre: Pair, picture: Picture, angle_degrees: float = 0.0,
+                 tilt: Pair = (0.0, 0.0)) -> CameraMapping:
+    """Build the near camera's phi: ``centre`` in the middle of its picture, magnified ``ratio`` times there.
+
+    Parameters
+    ----------
+    ratio : float
+        Near pixels per far pixel, above 1.
+    centre : (float, float)
+        X0, pixels of the specimen's frame.
+    picture : Picture
+        Of the near camera.
+    angle_degrees : float, optional
+        Of the picture, from x towards y.
+    tilt : (float, float), optional
+        How much farther, as a fraction, the specimen is at the middle of the right and of the lower edge of an
+        upright near field than at its centre.
+
+    Returns
+    -------
+    CameraMapping
+        From the specimen's frame to near pixels.
+
+    Raises
+    ------
+    InputError
+        For a ratio of 1 or less, a number that is not finite, or a horizon within the far image.
+    """
+    require_finite("near camera", centre=centre, angle_degrees=angle_degrees, tilt=tilt)
+    _require_ratio(ratio)
+    angle = math.radians(angle_degrees)
+    c, s = ratio * math.cos(angle), ratio * math.sin(angle)
+    slope = np.array(tilt) * 2 * ratio / np.array([picture.width, picture.height])
+    about_centre = np.array([[c, -s, 0.0], [s, c, 0.0], [slope[0], slope[1], 1.0]])
+    homography = _translation(picture.middle) @ about_centre @ _translation((-centre[0], -centre[1]))
+    if not homography[2, 2] > 0:
+        raise InputError(f"near camera: tilt = {tilt}: the horizon lies within the far image; use a smaller tilt")
+    return CameraMapping(homography / homography[2, 2])
+
+
+def beside_the_hole(center: Pair, radius: float, ratio: float, near: Picture) -> Pair:
+    """Place a near field so that the hole's right edge is a quarter of its width from its left side.
+
+    Parameters
+    ----------
+    center : (float, float)
+        Of the hole, far pixels.
+    radius : float
+        Of the hole, far pixels.
+    ratio : float
+        Near pixels per far pixel.
+    near : Picture
+        Of the near camera.
+
+    Returns
+    -------
+    (float, float)
+        Centre of the near field, far pixels.
+
+    Raises
+    ------
+    InputError
+        For a ratio of 1 or less.
+    """
+    _require_ratio(ratio)
+    return center[0] + radius + near.width / (4 * ratio), center[1]
+
+
+def near_far_scene(texture: TwoScaleTexture, field: DisplacementField, hole: Hole, far_picture: Picture,
+                   near: NearCamera) -> NearFarScene:
+    """Show a specimen to both cameras: the far one sees the coarse speckles alone, at full contrast.
+
+    The hole's edge is given for the far picture; in the near one it is sharper, as the fine speckles are smaller than
+    the coarse ones.
+
+    Parameters
+    ----------
+    texture : TwoScaleTexture
+        Paint, in the specimen's frame.
+    field : DisplacementField
+        u, in the specimen's frame.
+    hole : Hole
+        In the specimen's frame.
+    far_picture : Picture
+        Of the far camera, whose pixels are the specimen's frame.
+    near : NearCamera
+        The near camera.
+
+    Returns
+    -------
+    NearFarScene
+        What both cameras see.
+
+    Raises
+    ------
+    InputError
+        Where the near camera looks beyond the far picture.
+    """
+    near_edge = hole.edge * texture.fine.size_factor / texture.coarse.size_factor
+    near_hole = dataclasses.replace(hole, edge=near_edge)
+    return NearFarScene(
+        far=Scene(texture.coarse, field, hole),
+        far_picture=far_picture,
+        near=NearScene(Scene(texture, field, near_hole), near),
+    )
+
+
+def write_near_far(folder: Path, scene: NearFarScene) -> tuple[Path, ...]:
+    """Write the four images, uncompressed TIFF, to a folder.
+
+    f_f(X) = g_f(X + u(X)) and f_n(phi(X)) = g_n(phi(T(X + u(X)))) hold without any interpolation.
+
+    Parameters
+    ----------
+    folder : Path
+        Must exist.
+    scene : NearFarScene
+        What both cameras see.
+
+    Returns
+    -------
+    tuple of Path
+        The files, far before near, reference before deformed.
+
+    Raises
+    ------
+    InputError
+        For a field that folds the plane or a file that cannot be written.
+    """
+    far = folder / FAR_FILES[0], folder / FAR_FILES[1]
+    near = folder / NEAR_FILES[0], folder / NEAR_FILES[1]
+    write_pair(far, scene.far, scene.far_picture)
+    write_pair(near, scene.near, scene.near.camera.picture, _NEAR_STREAM)
+    return far + near
+
+
+def _require_ratio(ratio: float) -> None:
+    """Refuse a ratio of 1 or less."""
+    if not 1 < ratio < math.inf:
+        raise InputError(f"near camera: ratio = {ratio}: must be above 1 near pixel per far pixel")
+
+
+def _translation(vector: Pair) -> NDArray[np.float64]:
+    """Homography that moves by a vector, (3, 3)."""
+    return np.array([[1.0, 0.0, vector[0]], [0.0, 1.0, vector[1]], [0.0, 0.0, 1.0]])
