@@ -11,13 +11,13 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+
+from accept.openhole import case_text
+from accept.table import Check, Scale, run_table, runs_name
 from bench import iterations as grid
 from bench import local_inverse
 from bench.support.rows import Row, append_result
 from bench.support.runs import ddic_run
-
-from accept.openhole import case_text
-from accept.table import Check, Scale, run_table, runs_name
 from ddic.io.result_reader import read_result
 
 TABLE = "solver"

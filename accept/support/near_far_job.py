@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from ddic.problem.near_far_parts import cut_by_camera, in_unknowns, moving, own_views
 from mpi4py import MPI
 from numpy.typing import NDArray
 
@@ -24,7 +25,6 @@ from ddic.problem.cameras import Camera, measured_by, open_shared_cameras
 from ddic.problem.inputs import hand_out
 from ddic.problem.linear_solver import linear_solver
 from ddic.problem.mesh_source import build_mesh
-from ddic.problem.near_far_parts import cut_by_camera, in_unknowns, moving, own_views
 from ddic.synth.near_far_truth import load_near_far_truth
 
 OFF = 1e-2

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import io
 import subprocess
-import tarfile
 from pathlib import Path
 
 from bench.support.runs import DATA, ROOT, NotHereError
@@ -31,6 +29,6 @@ def checkout_before() -> Path:
         done = subprocess.run(["git", "archive", COMMIT], cwd=ROOT, capture_output=True, check=False)
         if done.returncode != 0:
             raise NotHereError(f"commit {COMMIT} is not in the repository's history: {done.stderr.decode().strip()}")
-        with tarfile.open(fileobj=io.BytesIO(done.stdout)) as files:
-            files.extractall(folder, filter="data")
+        folder.mkdir(parents=True)
+        subprocess.run(["tar", "--extract", "--directory", str(folder)], input=done.stdout, check=True)
     return folder

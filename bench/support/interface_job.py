@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from ddic.partition.connectivity import build_subdomains
 from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
@@ -24,7 +25,6 @@ from bench.support.tiled_texture import TiledProblem
 from ddic.case.schema import SolverSection
 from ddic.parallel.distribution import scatter_subdomains
 from ddic.parallel.team import Team
-from ddic.partition.connectivity import build_subdomains
 from ddic.partition.split import split_by_metis
 from ddic.partition.subdomain import interface_weights
 from ddic.problem.assembly import Assembly, factorize

@@ -15,13 +15,7 @@ from scipy.spatial import cKDTree
 from bench.support.paper_case import BenchCase
 from bench.support.runs import ddic_run, run_job
 from ddic.io.result_reader import Result, read_result
-<<<<<<< HEAD
 from ddic.mesh.topology import find_boundary_nodes
-from support.harness import ddic_run, mpirun
-from support.paper_case import BenchCase
-=======
-from ddic.mesh.topology import find_boundary_nodes
->>>>>>> refs/heads/accept
 
 JOB = "bench.support.paper_pixels_job"
 RANKS = 2

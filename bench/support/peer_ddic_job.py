@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 import cv2
+from ddic.results.publish import publish
 from mpi4py import MPI
 
 from ddic.case.loader import LoadedCase, load_case
@@ -16,7 +17,6 @@ from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.results.listener import Silence
 from ddic.results.phase_times import gather_phase_times
-from ddic.results.publish import publish
 
 
 def measured_seconds(team: Team, loaded: LoadedCase) -> tuple[float, dict[str, float], int]:
