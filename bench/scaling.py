@@ -3,8 +3,8 @@
 Usage: python -m bench.scaling [--ranks N ...]. One METIS subdomain of about 320 x 320 px a rank, at a short and at
 a long cut-off wavelength, with CPU seconds of work that communicates with nobody, and counted messages and
 bytes; then the coarse problem of 64 to 256 subdomains on one rank. Records go to bench/results/scaling.jsonl; the
-tables of docs/scaling.md are what this prints of the last record of each case. The model takes its rates a pixel from the largest run of
-``make bench-big``.
+tables of docs/scaling.md are what this prints of the last record of each case. The model takes its
+rates a pixel from the largest run of ``make bench-big``.
 """
 
 from __future__ import annotations

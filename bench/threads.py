@@ -58,7 +58,7 @@ def pixel_calls(folder: Path, size: int, n_threads: int) -> dict[str, Callable[[
     return {
         "f and its gradient": lambda: read_gradient(reference.image, part.reference.window, 3, None, threads),
         "spline of g": lambda: read_spline(deformed.image, window, 3, None, threads),
-        "M, sums of cells": part.hessian_cells,
+        "M, sums of cells": part.compute_cell_hessians,
         "residual": lambda: part.compute_residual(image, q),
         "residual image": lambda: part.compute_residual_image(image, q),
         "file read alone": lambda: reference.image.read(Window(0, 0, size, size)),

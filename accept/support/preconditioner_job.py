@@ -73,8 +73,10 @@ def error_curve(kind: Preconditioner, problem: StepProblem, b: Vector, reference
     step.ksp.setMonitor(watch)
     step.solve([np.zeros(len(r)) for r in right], right)
     n_interface = step.n_interface
-    for held in (step, interface, *operators):
-        held.destroy()
+    step.destroy()
+    interface.destroy()
+    for operator in operators:
+        operator.destroy()
     return curve, n_interface
 
 

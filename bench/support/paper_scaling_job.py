@@ -24,7 +24,7 @@ from petsc4py import PETSc
 from ddic.methods.run import run_case
 from ddic.parallel.phases import Phase
 from ddic.parallel.team import Team
-from ddic.results.listener import Setting
+from ddic.results.listener import ProblemSize
 from ddic.solvers.dual.coarse_space import CoarseSpace
 from ddic.solvers.dual.local_dual import LocalDual
 from ddic.solvers.dual.preconditioner import LocalPreconditioner
@@ -66,10 +66,10 @@ class CountingListener:
     def note(self, line: str) -> None:
         """Nothing."""
 
-    def setting(self, setting: Setting) -> None:
-        """Sizes of the problem."""
-        LEDGER.sizes |= {"n_dofs": setting.n_dofs, "n_cells": setting.n_cells, "n_interface": setting.n_interface,
-                         "n_pixels": setting.n_pixels}
+    def problem_size(self, size: ProblemSize) -> None:
+        """Note the sizes of the problem."""
+        LEDGER.sizes |= {"n_dofs": size.n_unknowns, "n_cells": size.n_cells, "n_interface": size.n_interface,
+                         "n_pixels": size.n_pixels}
 
     def iteration(self, record: IterationRecord) -> None:
         """Nothing."""
