@@ -1,8 +1,8 @@
 """Pixel kernels of this checkout against those of another: rates and bits, one core.
 
-Usage: kernel_rates.py [--before DIRECTORY] [PROBLEM ...]. Without a directory, the code before the
-restructuring is checked out into bench/data. Both checkouts run in a process of their own; their calls take turns, before, after, after, before, so that
-a change of the machine's speed meets both. A ratio of rates is the median of those of neighbours, in CPU time.
+Usage: python -m bench.kernel_rates [--before DIRECTORY] [PROBLEM ...]. Without a directory, the commit of
+``bench.support.before`` is put into bench/data. Both checkouts run in a process of their own; their calls take turns, so that a change of the machine's
+speed meets both. Rates are medians of CPU time.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from ddic.mesh.structured import build_structured_mesh
 LEAST_RATIO = 0.97
 """Rate relative to that before that is good enough: what is left of the noise."""
 
-ROUNDS = 40
-"""Pairs of measurements of each call; the median of fewer moves by more than LEAST_RATIO allows."""
+ROUNDS = 25
+"""Measurements of each call; the median of fewer moves by more than LEAST_RATIO allows."""
 
 MARGIN = 32
 """Pixels between the mesh and the image's edge."""
@@ -135,14 +135,13 @@ def both_checkouts(before: Path, problem: Problem) -> Iterator[dict[str, Checkou
             checkout.close()
 
 
-def ratio_of_rates(checkouts: dict[str, Checkout], call: str) -> float:
-    """Rate of a call after, relative to that before."""
-    ratios = []
-    for k in range(ROUNDS):
-        turns = list(checkouts) if k % 2 == 0 else list(checkouts)[::-1]
-        seconds = {name: checkouts[name].seconds(call) for name in turns}
-        ratios.append(seconds["before"] / seconds["after"])
-    return float(np.median(ratios))
+def alternated(checkouts: dict[str, Checkout], call: str) -> dict[str, float]:
+    """Median CPU seconds of a call in each checkout, in turn."""
+    seconds: dict[str, list[float]] = {name: [] for name in checkouts}
+    for _ in range(ROUNDS):
+        for name, checkout in checkouts.items():
+            seconds[name].append(checkout.seconds(call))
+    return {name: float(np.median(values)) for name, values in seconds.items()}
 
 
 def measure_problem(name: str, before: Path) -> Row:
@@ -152,10 +151,12 @@ def measure_problem(name: str, before: Path) -> Row:
     with both_checkouts(before, problem) as checkouts:
         expected, found = checkouts["before"].digests, checkouts["after"].digests
         for call in expected:
-            same = found[call] == expected[call]
-            ratios.append(ratio_of_rates(checkouts, call))
-            parts.append(f"{call} {ratios[-1]:.3f}" + ("" if same else " (other bits)"))
-            append_result("kernel_rates", {"problem": name, "call": call, "ratio": ratios[-1], "same_bits": same})
+            seconds = alternated(checkouts, call)
+            ratios.append(seconds["before"] / seconds["after"])
+            bits = "" if found[call] == expected[call] else " (other bits)"
+            parts.append(f"{call} {ratios[-1]:.3f}{bits}")
+            append_result("kernel_rates", {"problem": name, "call": call, "ratio": ratios[-1],
+                                           "same_bits": found[call] == expected[call], **seconds})
     return Row(f"rates of pixel kernels, after to before, {name}", f">= {LEAST_RATIO} each", ", ".join(parts),
                min(ratios) >= LEAST_RATIO)
 
