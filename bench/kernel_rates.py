@@ -1,8 +1,8 @@
 """Pixel kernels of this checkout against those of another: rates and bits, one core.
 
 Usage: python -m bench.kernel_rates [--before DIRECTORY] [PROBLEM ...]. Without a directory, the commit of
-``bench.support.before`` is put into bench/data. Both checkouts run in a process of their own; their calls take turns, so that a change of the machine's
-speed meets both. Rates are medians of CPU time.
+``bench.support.before`` is put into bench/data. Both checkouts run in a process of their own; their calls take turns,
+so that a change of the machine's speed meets both. Rates are medians of CPU time.
 """
 
 from __future__ import annotations
