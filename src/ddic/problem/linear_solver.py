@@ -176,7 +176,7 @@ def _make_step(team: Team, case: Case, assembly: Assembly, operators: Sequence[L
         return AssembledStep(team, assembly.systems, assembly.smallest_eigenvalue)
     if solver.method == "conjugate_gradient":
         return ConjugateGradientStep(team, assembly.systems, solver.tolerance, solver.max_iterations)
-    settings = DualSettings(_choose_preconditioner(team, solver, assembly, _wavelength(case)), solver.tolerance,
+    settings = DualSettings(_choose_preconditioner(team, solver, assembly, cut_off_wavelength(case)), solver.tolerance,
                             solver.max_iterations, solver.recycle, solver.local_inverse)
     return DualStep(team, assembly.systems, operators, assembly.reaction_scale, settings)
 
@@ -196,8 +196,19 @@ def _side(subdomain: Subdomain) -> float:
     return float(np.prod(extent) ** (1 / subdomain.mesh.dim))
 
 
-def _wavelength(case: Case) -> float:
-    """Cut-off wavelength, pixels: 0 without regularization, infinite where eta is given."""
+def cut_off_wavelength(case: Case) -> float:
+    """Find the wavelength below which mechanics hold the displacement.
+
+    Parameters
+    ----------
+    case : Case
+        Says the regularization.
+
+    Returns
+    -------
+    float
+        Pixels: 0 without regularization, infinite where eta is given.
+    """
     section = case.regularization
     if section is None:
         return 0.0
