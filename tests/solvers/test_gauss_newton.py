@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from ddic.partition.connectivity import build_subdomains
 from mpi4py import MPI
 from numpy.typing import NDArray
 
@@ -16,7 +17,6 @@ from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.partition.connectivity import build_subdomains
 from ddic.solvers.gauss_newton import (
     IterationRecord,
     OwnedPart,

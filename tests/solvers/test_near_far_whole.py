@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from mpi4py import MPI
 
-from ddic.kinematics.pose import Motion
+from ddic.kinematics.camera_kinematics import MotionKind
+from ddic.parallel.team import Team
 from support.near_far_linear import NearFarCut, near_far_step, saddle_point_solution
 
 RANKS = [1, 2, 4]
@@ -20,11 +20,11 @@ TIGHT = 1e-10
 @pytest.mark.parametrize("regularized", [False, True], ids=["plain", "regularized"])
 @pytest.mark.parametrize(("layout", "n", "motion", "use_far"), [
     ("island", 9, "rigid", False), ("edge", 5, "translation", False), ("two", 5, "rigid", True)])
-def test_equals_the_saddle_point(layout: str, n: int, motion: Motion, use_far: bool, regularized: bool,
+def test_equals_the_saddle_point(layout: str, n: int, motion: MotionKind, use_far: bool, regularized: bool,
                                  method: str) -> None:
     problem = near_far_step(layout, "metis", n, motion, regularized=regularized, use_far=use_far)
     reference = saddle_point_solution(problem)
-    cut = NearFarCut(MPI.COMM_WORLD, problem, method=method, tolerance=TIGHT, max_iterations=2000)
+    cut = NearFarCut(Team.world(), problem, method=method, tolerance=TIGHT, max_iterations=2000)
     with cut.step() as step:
         dq = cut.solve(step).dq
     assert cut.relative_error(dq, reference) <= SAME[method]
@@ -36,7 +36,7 @@ def test_equals_the_saddle_point(layout: str, n: int, motion: Motion, use_far: b
 @pytest.mark.parametrize("method", SAME)
 def test_the_papers_weighting(method: str) -> None:
     problem = near_far_step("island", "metis", 9, "rigid", regularized=True)
-    cut = NearFarCut(MPI.COMM_WORLD, problem, method=method, weighting="paper", tolerance=TIGHT, max_iterations=2000)
+    cut = NearFarCut(Team.world(), problem, method=method, weighting="paper", tolerance=TIGHT, max_iterations=2000)
     with cut.step() as step:
         dq = cut.solve(step).dq
     assert cut.relative_error(dq, saddle_point_solution(problem, paper_weighting=True)) <= SAME[method]

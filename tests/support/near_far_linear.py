@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from ddic.kinematics.pose import Motion, Rig
-from ddic.partition.connectivity import build_subdomains
-from ddic.problem.near_far_parts import in_unknowns, moving, own_views
-from mpi4py import MPI
 from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from scipy.sparse.linalg import splu
@@ -32,22 +28,23 @@ from ddic.functionals.correlation import correlation
 from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import controlled_stiffness
 from ddic.images.camera import CameraMapping, identity
-from ddic.images.sub_image import MaskedSource
-from ddic.kinematics.cell_interpolation import interpolate_cells
+from ddic.kinematics.camera_kinematics import CameraSetup, MotionKind
+from ddic.kinematics.nodal import NodalKinematics
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.distribution import split_evenly
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.partition.by_camera import kept_apart, split_by_camera, with_cameras
+from ddic.partition.build_subdomains import build_subdomains
+from ddic.partition.by_camera import add_motions, keep_cameras_apart, split_by_camera
 from ddic.partition.split import split_by_blocks, split_by_metis
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.assembly import Assembly, assemble
+from ddic.problem.assembly import assemble, assemble_hessians
 from ddic.problem.cameras import Camera
-from ddic.problem.inputs import ImagePair, Region
-from ddic.problem.linear_solver import linear_solver
-from ddic.solvers.gauss_newton import OwnedPart
-from ddic.solvers.linear_step import Step, StepResult
-from support.linear import LinearStep, linear_step
+from ddic.problem.linear_solver import LinearSolver
+from ddic.problem.region_mesh import Region
+from ddic.problem.views import read_reference_views
+from ddic.solvers.linear_step import LinearStep, StepResult
+from support.linear import StepProblem, linear_step
 from support.pictures import source
 
 Layout = Literal["island", "edge", "two"]
@@ -71,7 +68,7 @@ class NearFarStep:
     subdomain before each of its cameras, its own first, in that image's pixels, unweighted.
     """
 
-    base: LinearStep
+    base: StepProblem
     labels: NDArray[np.int64]
     cameras: tuple[Camera, ...]
     subdomains: list[Subdomain]
@@ -90,7 +87,7 @@ class NearFarStep:
 
 
 @cache
-def near_far_step(layout: Layout, kind: str, n_subdomains: int, motion: Motion, *, regularized: bool,
+def near_far_step(layout: Layout, kind: str, n_subdomains: int, motion: MotionKind, *, regularized: bool,
                   use_far: bool = False) -> NearFarStep:
     """12 x 12 cells, some before near cameras of three times the magnification, a little turned and tilted.
 
@@ -100,30 +97,27 @@ def near_far_step(layout: Layout, kind: str, n_subdomains: int, motion: Motion, 
     mesh = base.mesh
     column, row = np.arange(mesh.n_cells) % N, np.arange(mesh.n_cells) // N
     labels = np.zeros(mesh.n_cells, dtype=np.int64)
-    cameras = [_camera(base.image, identity(), "none", np.zeros(2), 1.0)]
+    cameras = [Camera(0, base.image, CameraSetup(identity(), "none", np.zeros(2), 1.0), None)]
     for number, (c0, r0, c1, r1) in enumerate(SEEN[layout], start=1):
         labels[(column >= c0) & (column <= c1) & (row >= r0) & (row <= r1)] = number
-        cameras.append(_near_camera(mesh, labels == number, motion, number))
+        cameras.append(replace(_near_camera(mesh, labels == number, motion, number), use_far=use_far))
     if kind == "blocks":
-        parts = kept_apart(split_by_blocks(mesh, (n_subdomains, 1)), labels)
+        parts = keep_cameras_apart(split_by_blocks(mesh, (n_subdomains, 1)), labels)
     else:
         parts = split_by_camera(labels, np.ones(mesh.n_cells), n_subdomains,
                                 lambda cells, n: split_by_metis(mesh.submesh(cells)[0], n))
-    subdomains = with_cameras(build_subdomains(mesh, parts, base.controlled), labels,
-                              [c.rig.n_shifts for c in cameras], np.ones(mesh.n_nodes, dtype=bool), mesh.n_dofs)
+    subdomains = build_subdomains(base.region, parts, base.controlled)
+    subdomains = add_motions(subdomains, [int(labels[s.cell_ids[0]]) for s in subdomains],
+                             [c.setup.n_motion_unknowns for c in cameras], base.region.n_unknowns)
     rng = np.random.default_rng(7)
-    shifts = [rng.normal(size=c.rig.n_shifts) for c in cameras]
-    q = [np.concatenate([rng.normal(size=s.mesh.n_dofs), shifts[s.camera]]) for s in subdomains]
+    motions = [rng.normal(size=c.setup.n_motion_unknowns) for c in cameras]
+    q = [np.concatenate([rng.normal(size=s.n_field), motions[s.camera]]) for s in subdomains]
     forces = [[base.mean_diagonal * rng.normal(size=s.mesh.n_dofs) for _ in range(1 + bool(use_far and s.camera))]
               for s in subdomains]
     return NearFarStep(base, labels, tuple(cameras), subdomains, q, forces, use_far)
 
 
-def _camera(image: MaskedSource, mapping: CameraMapping, motion: Motion, centre: Array, length: float) -> Camera:
-    return Camera(ImagePair(image, image), Rig(mapping, motion, centre, length), None)
-
-
-def _near_camera(mesh: Mesh, cells: NDArray[np.bool_], motion: Motion, seed: int) -> Camera:
+def _near_camera(mesh: Mesh, cells: NDArray[np.bool_], motion: MotionKind, seed: int) -> Camera:
     """A camera whose image shows these cells and 20 px around them."""
     nodes = mesh.submesh(np.flatnonzero(cells))[0].nodes
     low, high = nodes.min(axis=0), nodes.max(axis=0)
@@ -132,43 +126,43 @@ def _near_camera(mesh: Mesh, cells: NDArray[np.bool_], motion: Motion, seed: int
     about = np.array([[c, -s, side / 2], [s, c, side / 2], [2e-4, -1e-4, 1.0]])
     homography = about @ np.array([[1, 0, -centre[0]], [0, 1, -centre[1]], [0, 0, 1.0]])
     noise = ndimage.gaussian_filter(np.random.default_rng(seed).normal(size=(side, side)), 1.5)
-    return _camera(source(noise / noise.std() * 50 + 128), CameraMapping(homography / homography[2, 2]), motion,
-                   centre, float(np.linalg.norm(high - low)) / 2)
+    setup = CameraSetup(CameraMapping(homography / homography[2, 2]), motion, centre,
+                        float(np.linalg.norm(high - low)) / 2)
+    return Camera(seed, source(noise / noise.std() * 50 + 128), setup, None)
 
 
 class NearFarCut:
     """The step on the ranks of a communicator: their subdomains, as the method sets them up."""
 
-    def __init__(self, comm: MPI.Comm, problem: NearFarStep, **solver: Any) -> None:
-        self.team, self.problem, self.case = Team(comm), problem, problem.case(**solver)
-        mine = list(split_evenly(np.ones(len(problem.subdomains)), comm.size)[comm.rank])
-        self.numbers = mine
-        still = own_views(self.case, problem.cameras, [problem.subdomains[k] for k in mine])
-        self.parts: list[OwnedPart] = [moving(part, problem.cameras, WEIGHTS) for part in still]
-        matrices = [[view.correlation.hessian() for view in part.views] for part in still]
-        hessians = [in_unknowns(part, m) for part, m in zip(self.parts, matrices, strict=True)]
+    def __init__(self, team: Team, problem: NearFarStep, **solver: Any) -> None:
+        self.team, self.problem, self.case = team, problem, problem.case(**solver)
+        self.numbers = list(split_evenly(np.ones(len(problem.subdomains)), team.size)[team.rank])
+        own = [problem.subdomains[k] for k in self.numbers]
+        self.views = [views.weigh(WEIGHTS) for views in read_reference_views(self.case, problem.cameras, own)]
         mesh = problem.base.mesh
-        region = Region(mesh.n_nodes, mesh.n_cells, mesh.n_dofs, len(problem.subdomains), None, mesh.mapping)
-        self.assembly: Assembly = assemble(self.team, self.parts, hessians, region, self.case.solver,
-                                           self.case.regularization)
+        region = Region(mesh.n_nodes, mesh.n_cells, problem.base.region.n_unknowns, len(problem.subdomains), None,
+                        mesh.mapping)
+        self.assembly = assemble(team, self.case, region, self.views, assemble_hessians(team, self.views))
 
     @contextmanager
-    def step(self) -> Iterator[Step]:
+    def step(self) -> Iterator[LinearStep]:
         """The step that the case asks for."""
-        with linear_solver(self.team, self.case, self.assembly, PhaseClock()) as (step, _):
-            yield step
+        with LinearSolver(self.team, self.case, self.assembly, PhaseClock()) as solver:
+            yield solver.step
 
-    def solve(self, step: Step) -> StepResult:
+    def solve(self, step: LinearStep) -> StepResult:
         """Solve with the problem's q and forces."""
-        b = [np.sum([v.pose.weight * (v.pose.tangent.T @ f) for v, f in zip(p.views, self.problem.forces[k],
-                                                                           strict=True) if v.pose is not None], axis=0)
-             for k, p in zip(self.numbers, self.parts, strict=True)]
+        b = []
+        for k, of_subdomain in zip(self.numbers, self.views, strict=True):
+            parts = [view.weight * view.kinematics.project_vector(force)
+                     for view, force in zip(of_subdomain.views, self.problem.forces[k], strict=True)]
+            b.append(np.sum(parts, axis=0))
         return step.solve([self.problem.q[k] for k in self.numbers], b)
 
     def relative_error(self, dq: list[Array], reference: list[Array]) -> float:
         """Largest difference in any unknown over all ranks, relative to the largest unknown."""
         largest = max(float(np.abs(x - reference[k]).max()) for x, k in zip(dq, self.numbers, strict=True))
-        return float(self.team.comm.allreduce(largest, op=MPI.MAX)) / max(float(np.abs(x).max()) for x in reference)
+        return self.team.maximum(largest) / max(float(np.abs(x).max()) for x in reference)
 
     def motion_error(self, dq: list[Array], reference: list[Array]) -> float:
         """The same of the set-ups' motions alone, which are smaller than displacements."""
@@ -176,7 +170,7 @@ class NearFarCut:
         pairs = [(x[n_dofs[k]:], reference[k][n_dofs[k]:]) for x, k in zip(dq, self.numbers, strict=True)]
         largest = max(float(np.abs(a - b).max(initial=0.0)) for a, b in pairs)
         scale = max(float(np.abs(x[n:]).max(initial=0.0)) for x, n in zip(reference, n_dofs, strict=True))
-        return float(self.team.comm.allreduce(largest, op=MPI.MAX)) / scale
+        return self.team.maximum(largest) / scale
 
 
 @cache
@@ -189,8 +183,8 @@ def saddle_point_solution(problem: NearFarStep, *, paper_weighting: bool = False
     """
     parts, mesh = problem.subdomains, problem.base.mesh
     first = np.concatenate([[0], np.cumsum([s.mesh.n_dofs for s in parts])])
-    n_shifts = [c.rig.n_shifts for c in problem.cameras]
-    begin = first[-1] + np.concatenate([[0], np.cumsum(n_shifts)])
+    n_motion = [c.setup.n_motion_unknowns for c in problem.cameras]
+    begin = first[-1] + np.concatenate([[0], np.cumsum(n_motion)])
     n = int(begin[-1])
     matrix, right = sparse.csr_matrix((n, n)), np.zeros(n)
     stiffness = sparse.csr_matrix((mesh.n_dofs, n))
@@ -198,16 +192,15 @@ def saddle_point_solution(problem: NearFarStep, *, paper_weighting: bool = False
     for s, part in enumerate(parts):
         v = _selection(np.arange(first[s], first[s + 1]), n)
         motion = _selection(np.arange(begin[part.camera], begin[part.camera + 1]), n)
-        rigid = sparse.csr_matrix(_rigid(problem.cameras[part.camera].rig, part.mesh.nodes))
+        rigid = sparse.csr_matrix(_rigid(problem.cameras[part.camera].setup, part.mesh.nodes))
         u = v - rigid @ motion
         for camera, seen, force in zip((part.camera, 0), (v, u), problem.forces[s], strict=False):
             m, jacobian = _texture(problem.cameras[camera], part.mesh)
             matrix = matrix + WEIGHTS[camera] * (seen.T @ m @ seen)
             right += WEIGHTS[camera] * (seen.T @ (jacobian.T @ force))
         if problem.base.eta:
-            k = controlled_stiffness(part.mesh, interpolate_cells(part.mesh), Material(),
-                                     np.ones(part.mesh.n_dofs))
-            stiffness = stiffness + _selection(part.dofs, mesh.n_dofs).T @ k @ v
+            k = _stiffness(part.mesh)
+            stiffness = stiffness + _selection(part.kinematics.numbers, mesh.n_dofs).T @ k @ v
         displacement.append(u)
         now.append(problem.q[s][:part.mesh.n_dofs])
     copies = np.concatenate([*now, np.zeros(n - first[-1])])
@@ -227,36 +220,35 @@ def saddle_point_solution(problem: NearFarStep, *, paper_weighting: bool = False
 def dense_operators(problem: NearFarStep) -> tuple[Array, Array]:
     """A and M of the one field and the motions, of the mesh's dofs and then each camera's alpha, in that order."""
     mesh = problem.base.mesh
-    begin = mesh.n_dofs + np.concatenate([[0], np.cumsum([c.rig.n_shifts for c in problem.cameras])])
+    begin = mesh.n_dofs + np.concatenate([[0], np.cumsum([c.setup.n_motion_unknowns for c in problem.cameras])])
     n = int(begin[-1])
     texture, stiffness = np.zeros((n, n)), np.zeros((mesh.n_dofs, n))
     for part in problem.subdomains:
-        u = _selection(part.dofs, n).toarray()
+        u = _selection(part.kinematics.numbers, n).toarray()
         v = u.copy()
-        v[:, begin[part.camera]: begin[part.camera + 1]] += _rigid(problem.cameras[part.camera].rig, part.mesh.nodes)
+        v[:, begin[part.camera]: begin[part.camera + 1]] += _rigid(problem.cameras[part.camera].setup, part.mesh.nodes)
         seen = [(part.camera, v), (0, u)][:1 + bool(problem.use_far and part.camera)]
         texture += sum(WEIGHTS[c] * (w.T @ (_texture(problem.cameras[c], part.mesh)[0] @ w)) for c, w in seen)
-        k = controlled_stiffness(part.mesh, interpolate_cells(part.mesh), Material(), np.ones(part.mesh.n_dofs))
-        stiffness[part.dofs] += k @ u
+        stiffness[part.kinematics.numbers] += _stiffness(part.mesh) @ u
     gap = stiffness[problem.base.controlled]
     return texture + problem.base.eta * gap.T @ gap, texture
 
 
 def _texture(camera: Camera, mesh: Mesh) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
     """M in displacements of the specimen's frame, unweighted, and d(pixels of the camera) / d(specimen's frame)."""
-    mapping = camera.rig.mapping
+    mapping = camera.setup.mapping
     seen = Mesh(mapping.to_image(mesh.nodes), mesh.connectivity, mesh.offsets, mesh.types)
     jacobian = sparse.block_diag(list(mapping.jacobian(mesh.nodes))).tocsr()
-    return (jacobian.T @ correlation(seen, camera.pair.reference, 3).hessian() @ jacobian).tocsr(), jacobian
+    return (jacobian.T @ correlation(seen, camera.reference, 3).hessian() @ jacobian).tocsr(), jacobian
 
 
-def _rigid(rig: Rig, nodes: Array) -> Array:
+def _rigid(setup: CameraSetup, nodes: Array) -> Array:
     """R: a pixel along x, one along y, and a turn from x towards y by 1 / length about the centre."""
     columns = np.zeros((nodes.size, 3))
     columns[0::2, 0] = columns[1::2, 1] = 1.0
-    columns[0::2, 2] = -(nodes[:, 1] - rig.centre[1]) / rig.length
-    columns[1::2, 2] = (nodes[:, 0] - rig.centre[0]) / rig.length
-    return columns[:, :rig.n_shifts]
+    columns[0::2, 2] = -(nodes[:, 1] - setup.centre[1]) / setup.length
+    columns[1::2, 2] = (nodes[:, 0] - setup.centre[0]) / setup.length
+    return columns[:, :setup.n_motion_unknowns]
 
 
 def _jumps(problem: NearFarStep, displacement: list[sparse.csr_matrix],
@@ -279,8 +271,13 @@ def _sharing(problem: NearFarStep) -> Array:
     """Number of subdomains at each dof of the mesh."""
     counts = np.zeros(problem.base.mesh.n_dofs)
     for part in problem.subdomains:
-        counts[part.dofs] += 1
+        counts[part.kinematics.numbers] += 1
     return counts
+
+
+def _stiffness(mesh: Mesh) -> sparse.csr_matrix:
+    """K, (n_dofs, n_dofs)."""
+    return controlled_stiffness(NodalKinematics(mesh, np.arange(mesh.n_dofs)), Material(), np.ones(mesh.n_dofs))
 
 
 def _selection(places: NDArray[np.int64], n: int) -> sparse.csr_matrix:

@@ -11,9 +11,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from ddic.kinematics.pose import Motion, Rig
-from ddic.problem.near_far_parts import NearFarMesh, cut_by_camera, in_unknowns, moving, own_views
-from mpi4py import MPI
 from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from scipy.sparse.linalg import splu
@@ -31,18 +28,22 @@ from ddic.functionals.correlation import correlation
 from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import controlled_stiffness
 from ddic.images.camera import CameraMapping, identity
-from ddic.kinematics.cell_interpolation import interpolate_cells
+from ddic.images.sub_image import MaskedSource
+from ddic.kinematics.camera_kinematics import CameraSetup, MotionKind
+from ddic.kinematics.nodal import NodalKinematics
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import structured_mesh
 from ddic.parallel.distribution import split_evenly
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.partition.ties import Tying, tied_mesh
-from ddic.problem.assembly import assemble
-from ddic.problem.cameras import Camera
-from ddic.problem.inputs import ImagePair
-from ddic.problem.linear_solver import linear_solver
-from ddic.solvers.linear_step import Step, StepResult
+from ddic.problem.assembly import assemble, assemble_hessians
+from ddic.problem.cameras import Camera, FieldOfView
+from ddic.problem.inputs import Inputs
+from ddic.problem.linear_solver import LinearSolver
+from ddic.problem.region_mesh import build_region_mesh, split_region
+from ddic.problem.views import read_reference_views
+from ddic.solvers.linear_step import LinearStep, StepResult
 from support.pictures import source
 
 Array = NDArray[np.float64]
@@ -65,7 +66,7 @@ class TiedStep:
     """
 
     layout: Layout
-    motion: Motion
+    motion: MotionKind
     eta: float
     mesh: Mesh
     tying: Tying
@@ -82,96 +83,84 @@ class TiedStep:
                     regularization=RegularizationSection(eta=self.eta) if self.eta else None,
                     solver=SolverSection(**solver))
 
-    def cut(self, n_ranks: int, case: Case) -> NearFarMesh:
-        """The mesh in subdomains."""
-        return cut_by_camera(case, self.mesh, self.cameras, n_ranks, self.tying)
-
-
 @cache
-def tied_step(layout: Layout, motion: Motion, near_element: float | None = 3.1, *, regularized: bool,
+def tied_step(layout: Layout, motion: MotionKind, near_element: float | None = 3.1, *, regularized: bool,
               cell: Literal["Q4", "T3"] = "Q4") -> TiedStep:
     """12 x 12 far cells, of which 5 x 5 make way for a near mesh of elements of another size (None: the same)."""
     far = structured_mesh(FAR, FAR_ELEMENT)
     low, high = np.array(NEAR[layout][:2]), np.array(NEAR[layout][2:])
     own = structured_mesh(NEAR[layout], near_element or FAR_ELEMENT, cell)
     mesh, tying = tied_mesh(far, {1: own})
-    cameras = (_camera(0, 140, identity(), "none", np.zeros(2), 1.0), _near_camera(low, high, motion))
+    still = CameraSetup(identity(), "none", np.zeros(2), 1.0)
+    cameras = (Camera(0, _speckle(0, 140), still, None), _near_camera(low, high, motion))
     rng = np.random.default_rng(7)
-    n = 2 * tying.n_unknown_nodes + cameras[1].rig.n_shifts
+    n = 2 * tying.n_unknown_nodes + cameras[1].setup.n_motion_unknowns
     forces = tuple(1e4 * rng.normal(size=mesh.n_dofs) for _ in range(2))
     # Where a wave of some 30 px has as much texture as mechanics.
     return TiedStep(layout, motion, 3e5 if regularized else 0.0, mesh, tying, cameras, rng.normal(size=n),
                     (forces[0], forces[1]))
 
 
-def _camera(seed: int, side: int, mapping: CameraMapping, motion: Motion, centre: Array, length: float) -> Camera:
+def _speckle(seed: int, side: int) -> MaskedSource:
     noise = ndimage.gaussian_filter(np.random.default_rng(seed).normal(size=(side, side)), 1.5)
-    image = source(noise / noise.std() * 50 + 128)
-    return Camera(ImagePair(image, image), Rig(mapping, motion, centre, length), None)
+    return source(noise / noise.std() * 50 + 128)
 
 
-def _near_camera(low: Array, high: Array, motion: Motion) -> Camera:
+def _near_camera(low: Array, high: Array, motion: MotionKind) -> Camera:
     """A camera whose image shows the box and some pixels around it, a little turned and tilted."""
     centre, side = (low + high) / 2, int(RATIO * 1.2 * (high - low).max()) + 40
     c, s = RATIO * np.cos(0.05), RATIO * np.sin(0.05)
     about = np.array([[c, -s, side / 2], [s, c, side / 2], [2e-4, -1e-4, 1.0]])
     homography = about @ np.array([[1, 0, -centre[0]], [0, 1, -centre[1]], [0, 0, 1.0]])
-    return _camera(1, side, CameraMapping(homography / homography[2, 2]), motion, centre,
-                   float(np.linalg.norm(high - low)) / 2)
+    setup = CameraSetup(CameraMapping(homography / homography[2, 2]), motion, centre,
+                        float(np.linalg.norm(high - low)) / 2)
+    return Camera(1, _speckle(1, side), setup, None, FieldOfView(None, 0.0, has_own_mesh=True))
 
 
 class TiedCut:
     """The step on the ranks of a communicator, as the method sets it up."""
 
-    def __init__(self, comm: MPI.Comm, problem: TiedStep, **solver: Any) -> None:
-        self.team, self.problem, self.case = Team(comm), problem, problem.case(**solver)
-        cut = problem.cut(comm.size, self.case)
-        everything = cut.whole.subdomains
-        self.subdomains = [everything[k] for k in split_evenly(np.ones(len(everything)), comm.size)[comm.rank]]
+    def __init__(self, team: Team, problem: TiedStep, **solver: Any) -> None:
+        self.team, self.problem, self.case = team, problem, problem.case(**solver)
+        inputs = Inputs(self.case, problem.cameras, lambda: (problem.mesh, problem.tying))
+        whole = build_region_mesh(inputs)
+        everything = whole.cut(split_region(whole, team.size))[0]
+        self.subdomains = [everything[k] for k in split_evenly(np.ones(len(everything)), team.size)[team.rank]]
+        # Subdomains at each mesh node, none of which is of two cameras.
         self.copies = np.zeros(problem.mesh.n_nodes)
         for subdomain in everything:
-            self.copies[subdomain.mesh_node_ids] += 1
-        still = own_views(self.case, problem.cameras, self.subdomains)
-        self.parts = [moving(part, problem.cameras, WEIGHTS) for part in still]
-        matrices = [[view.correlation.hessian() for view in part.views] for part in still]
-        hessians = [in_unknowns(part, m) for part, m in zip(self.parts, matrices, strict=True)]
-        self.assembly = assemble(self.team, self.parts, hessians, cut.whole.region, self.case.solver,
-                                 self.case.regularization)
+            self.copies[subdomain.node_ids] += 1
+        references = read_reference_views(self.case, problem.cameras, self.subdomains)
+        self.views = [views.weigh(WEIGHTS) for views in references]
+        self.assembly = assemble(team, self.case, whole.describe(len(everything)), self.views,
+                                 assemble_hessians(team, self.views))
 
     @contextmanager
-    def step(self) -> Iterator[Step]:
+    def step(self) -> Iterator[LinearStep]:
         """The step that the case asks for."""
-        with linear_solver(self.team, self.case, self.assembly, PhaseClock()) as (step, _):
-            yield step
+        with LinearSolver(self.team, self.case, self.assembly, PhaseClock()) as solver:
+            yield solver.step
 
-    def solve(self, step: Step) -> StepResult:
-        """Solve with the problem's q and forces, those of a shared mesh node spread over its copies in one camera."""
+    def solve(self, step: LinearStep) -> StepResult:
+        """Solve with the problem's q and forces, those of a shared mesh node spread over its copies."""
         q, b = [], []
-        for part in self.parts:
-            s = part.subdomain
-            q.append(self.problem.q[s.unknowns])
-            force = self.problem.forces[s.camera] / np.repeat(self._copies(s.camera), 2)
-            pose = part.view.pose
-            assert pose is not None
-            b.append(pose.weight * (pose.tangent.T @ force.reshape(-1, 2)[s.mesh_node_ids].ravel()))
+        for s, views in zip(self.subdomains, self.views, strict=True):
+            q.append(self.problem.q[s.numbers])
+            nodal = self.problem.forces[s.camera].reshape(-1, 2) / np.maximum(self.copies, 1)[:, None]
+            b.append(views.own.weight * views.own.kinematics.project_vector(nodal[s.node_ids].ravel()))
         return step.solve(q, b)
 
     def relative_error(self, dq: list[Array], reference: tuple[Array, Array]) -> float:
         """Largest difference of displacements of mesh nodes and motions, relative to the largest of them."""
         u, motion = reference
         largest = 0.0
-        for x, part in zip(dq, self.parts, strict=True):
-            s = part.subdomain
-            found = s.on_mesh(x[:s.n_dofs]).reshape(-1, 2) - u.reshape(-1, 2)[s.mesh_node_ids]
+        for x, s in zip(dq, self.subdomains, strict=True):
+            found = s.displacement(x).reshape(-1, 2) - u.reshape(-1, 2)[s.node_ids]
             largest = max(largest, float(np.abs(found).max()))
-            if s.shifts is not None:
-                largest = max(largest, float(np.abs(x[s.n_dofs:] - motion).max()))
+            if s.motion is not None:
+                largest = max(largest, float(np.abs(x[s.n_field:] - motion).max()))
         size = max(float(np.abs(u).max()), float(np.abs(motion).max()))
-        return float(self.team.comm.allreduce(largest, op=MPI.MAX)) / size
-
-    def _copies(self, camera: int) -> Array:
-        """Subdomains at each mesh node: no mesh node is of two cameras."""
-        return np.asarray(np.maximum(self.copies, 1))
+        return self.team.maximum(largest) / size
 
 
 @cache
@@ -182,39 +171,39 @@ def multiplier_solution(problem: TiedStep) -> tuple[Array, Array]:
     a controlled row adds to the forces on its node those on the slaves that move with it.
     """
     mesh, n_free = problem.mesh, 2 * problem.tying.n_unknown_nodes
-    n_shifts = problem.cameras[1].rig.n_shifts
-    n = mesh.n_dofs + n_shifts
+    n_motion = problem.cameras[1].setup.n_motion_unknowns
+    n = mesh.n_dofs + n_motion
     matrix, right = sparse.csr_matrix((n, n)), np.zeros(n)
     for number, camera in enumerate(problem.cameras):
         part, ids = mesh.submesh(np.flatnonzero(problem.tying.cameras == number))
         dofs = (ids[:, None] * 2 + np.arange(2)).ravel()
-        mapping = camera.rig.mapping
+        mapping = camera.setup.mapping
         seen = Mesh(mapping.to_image(part.nodes), part.connectivity, part.offsets, part.types)
         jacobian = sparse.block_diag(list(mapping.jacobian(part.nodes))).tocsr()
-        rigid = np.zeros((part.n_dofs, n_shifts))
+        rigid = np.zeros((part.n_dofs, n_motion))
         if number:
             rigid[0::2, 0] = rigid[1::2, 1] = 1.0
-            if n_shifts == 3:
-                arm = (part.nodes - camera.rig.centre) / camera.rig.length
+            if n_motion == 3:
+                arm = (part.nodes - camera.setup.centre) / camera.setup.length
                 rigid[0::2, 2], rigid[1::2, 2] = -arm[:, 1], arm[:, 0]
         pick = sparse.csr_matrix((np.ones(len(dofs)), (np.arange(len(dofs)), dofs)), shape=(len(dofs), mesh.n_dofs))
         tangent = jacobian @ sparse.hstack([pick, sparse.csr_matrix(rigid)])
-        m = correlation(seen, camera.pair.reference, 3).hessian()
+        m = correlation(seen, camera.reference, 3).hessian()
         matrix = matrix + WEIGHTS[number] * (tangent.T @ m @ tangent)
         right += WEIGHTS[number] * (tangent.T @ problem.forces[number].reshape(-1, 2)[ids].ravel())
     jumps = sparse.kron(sparse.csr_matrix(_jumps(problem)), sparse.identity(2)).tocsr()
     slaves = _solved(jumps, n_free)
     if problem.eta:
-        k = controlled_stiffness(mesh, interpolate_cells(mesh), Material(), np.ones(mesh.n_dofs))
+        k = controlled_stiffness(NodalKinematics(mesh, np.arange(mesh.n_dofs)), Material(), np.ones(mesh.n_dofs))
         inside = np.ones((n_free // 2, 2))
         inside[problem.tying.boundary[problem.tying.boundary < n_free // 2]] = 0.0
         gap = sparse.diags(inside.ravel()) @ slaves.T @ k
-        gap = sparse.hstack([gap, sparse.csr_matrix((n_free, n_shifts))])
+        gap = sparse.hstack([gap, sparse.csr_matrix((n_free, n_motion))])
         matrix = matrix + problem.eta * (gap.T @ gap)
-        now = np.concatenate([slaves @ problem.q[:n_free], np.zeros(n_shifts)])
+        now = np.concatenate([slaves @ problem.q[:n_free], np.zeros(n_motion)])
         right -= problem.eta * (gap.T @ (gap @ now))
     size = float(np.abs(matrix.diagonal()).mean())
-    constraint = sparse.hstack([jumps, sparse.csr_matrix((jumps.shape[0], n_shifts))])
+    constraint = sparse.hstack([jumps, sparse.csr_matrix((jumps.shape[0], n_motion))])
     whole = sparse.bmat([[matrix / size, constraint.T], [constraint, None]]).tocsc()
     x = splu(whole).solve(np.concatenate([right / size, np.zeros(jumps.shape[0])]))
     return x[:mesh.n_dofs], x[mesh.n_dofs: n]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-from ddic.kinematics.pose import Motion
+from ddic.kinematics.camera_kinematics import MotionKind
+from ddic.parallel.team import Team
 from ddic.solvers.dual.dual_step import DualStep
 from ddic.solvers.dual.motion import MotionPreconditioner
 from support.near_far_linear import NearFarCut, NearFarStep, near_far_step, saddle_point_solution
@@ -27,7 +27,7 @@ def _errors(problem: NearFarStep, *preconditioners: str, **solver: object) -> li
     reference = saddle_point_solution(problem, paper_weighting=solver.get("weighting") == "paper")
     errors = []
     for preconditioner in preconditioners or ("scaled",):
-        cut = NearFarCut(MPI.COMM_WORLD, problem, tolerance=TIGHT, max_iterations=3000, preconditioner=preconditioner,
+        cut = NearFarCut(Team.world(), problem, tolerance=TIGHT, max_iterations=3000, preconditioner=preconditioner,
                          **solver)
         with cut.step() as step:
             result = cut.solve(step)
@@ -39,7 +39,7 @@ def _errors(problem: NearFarStep, *preconditioners: str, **solver: object) -> li
 @pytest.mark.parallel(RANKS)
 @pytest.mark.parametrize("regularized", [False, True], ids=["plain", "regularized"])
 @pytest.mark.parametrize(("motion", "kind", "n"), CUTS)
-def test_equals_the_saddle_point(motion: Motion, kind: str, n: int, regularized: bool) -> None:
+def test_equals_the_saddle_point(motion: MotionKind, kind: str, n: int, regularized: bool) -> None:
     problem = near_far_step("island", kind, n, motion, regularized=regularized)
     assert np.max(_errors(problem, *PRECONDITIONERS)) <= SAME
 
@@ -47,7 +47,7 @@ def test_equals_the_saddle_point(motion: Motion, kind: str, n: int, regularized:
 @pytest.mark.parallel([1, 2])
 @pytest.mark.parametrize("regularized", [False, True], ids=["plain", "regularized"])
 @pytest.mark.parametrize("motion", ["translation", "rigid"])
-def test_one_subdomain_for_each_camera(motion: Motion, regularized: bool) -> None:
+def test_one_subdomain_for_each_camera(motion: MotionKind, regularized: bool) -> None:
     problem = near_far_step("island", "blocks", 1, motion, regularized=regularized)
     assert len(problem.subdomains) == 2
     assert np.max(_errors(problem, *PRECONDITIONERS)) <= SAME
@@ -71,7 +71,7 @@ def test_two_near_cameras_that_share_an_edge(regularized: bool) -> None:
 @pytest.mark.parametrize("regularized", [False, True], ids=["plain", "regularized"])
 @pytest.mark.parametrize(("layout", "motion", "kind", "n"), [
     ("island", "translation", "metis", 9), ("two", "rigid", "metis", 5)])
-def test_the_far_image_under_the_near_field_as_well(layout: str, motion: Motion, kind: str, n: int,
+def test_the_far_image_under_the_near_field_as_well(layout: str, motion: MotionKind, kind: str, n: int,
                                                     regularized: bool) -> None:
     problem = near_far_step(layout, kind, n, motion, regularized=regularized, use_far=True)
     assert np.max(_errors(problem)) <= SAME
@@ -96,7 +96,7 @@ def test_no_preconditioner() -> None:
 @pytest.mark.parallel(RANKS)
 def test_a_second_solve_with_the_same_data_takes_no_iteration() -> None:
     problem = near_far_step("two", "metis", 9, "rigid", regularized=True)
-    cut = NearFarCut(MPI.COMM_WORLD, problem, tolerance=1e-8)
+    cut = NearFarCut(Team.world(), problem, tolerance=1e-8)
     with cut.step() as step:
         first, second = cut.solve(step), cut.solve(step)
     assert first.krylov_iterations > 0
@@ -107,27 +107,27 @@ def test_a_second_solve_with_the_same_data_takes_no_iteration() -> None:
 
 def _random(step: DualStep, seed: int) -> PETSc.Vec:
     """The same random vector of interface rows on any number of ranks."""
-    vector = step._exchange.new_vector()
+    vector = step._problem.exchange.create_vector()
     begin, end = vector.getOwnershipRange()
     vector.setArray(np.random.default_rng(seed).normal(size=step.n_interface)[begin:end])
     return vector
 
 
-def _block_of_motions(step: DualStep, n_shifts: int) -> NDArray[np.float64]:
+def _block_of_motions(step: DualStep, n_motion: int) -> NDArray[np.float64]:
     """S_tot's rows and columns of the motions, the last ones, on all ranks."""
     n = step.n_interface
-    unit, column = step._exchange.new_vector(), step._exchange.new_vector()
+    unit, column = step._problem.exchange.create_vector(), step._problem.exchange.create_vector()
     begin, _ = unit.getOwnershipRange()
-    block = np.zeros((n_shifts, n_shifts))
-    for k in range(n_shifts):
+    block = np.zeros((n_motion, n_motion))
+    for k in range(n_motion):
         unit.set(0.0)
         if unit.getOwnershipRange()[1] == n:
-            unit.setValue(n - n_shifts + k, 1.0)
+            unit.setValue(n - n_motion + k, 1.0)
         unit.assemble()
-        step._operator.mult(None, unit, column)
+        step._problem.operator.mult(None, unit, column)
         values = np.zeros(n)
         values[begin: begin + column.getLocalSize()] = column.getArray(readonly=1)
-        block[:, k] = MPI.COMM_WORLD.allreduce(values)[n - n_shifts:]
+        block[:, k] = Team.world().sum(values)[n - n_motion:]
     unit.destroy()
     column.destroy()
     return block
@@ -138,12 +138,12 @@ def _block_of_motions(step: DualStep, n_shifts: int) -> NDArray[np.float64]:
 @pytest.mark.parametrize("regularized", [False, True], ids=["plain", "regularized"])
 def test_the_operator_with_motions_is_symmetric(regularized: bool, use_far: bool) -> None:
     problem = near_far_step("two", "metis", 5, "rigid", regularized=regularized, use_far=use_far)
-    with NearFarCut(MPI.COMM_WORLD, problem).step() as step:
+    with NearFarCut(Team.world(), problem).step() as step:
         assert isinstance(step, DualStep)
         x, y = _random(step, 1), _random(step, 2)
-        sx, sy = step._exchange.new_vector(), step._exchange.new_vector()
-        step._operator.mult(None, x, sx)
-        step._operator.mult(None, y, sy)
+        sx, sy = step._problem.exchange.create_vector(), step._problem.exchange.create_vector()
+        step._problem.operator.mult(None, x, sx)
+        step._problem.operator.mult(None, y, sy)
         asymmetry = abs(x.dot(sy) - y.dot(sx)) / (x.norm() * sy.norm())
         for vector in (x, y, sx, sy):
             vector.destroy()
@@ -156,13 +156,14 @@ def test_motions_have_no_block_where_the_near_camera_alone_sees_its_cells(regula
     blocks = {}
     for use_far in (False, True):
         problem = near_far_step("two", "metis", 5, "rigid", regularized=regularized, use_far=use_far)
-        cut = NearFarCut(MPI.COMM_WORLD, problem)
+        cut = NearFarCut(Team.world(), problem)
         with cut.step() as step:
             assert isinstance(step, DualStep)
             blocks[use_far] = _block_of_motions(step, 6)
             # kappa^-2 R^T M R of one subdomain: what the block would be without A_s^-1 N_s.
-            largest = max([float(np.abs(d.motion.block).max()) for d in step._locals if d.motion is not None] or [0.0])
-        scale = MPI.COMM_WORLD.allreduce(largest, op=MPI.MAX)
+            motions = [local.motion for local in step._problem.local_duals if local.motion is not None]
+            largest = max((float(np.abs(motion.block).max()) for motion in motions), default=0.0)
+        scale = Team.world().maximum(largest)
         if use_far:
             # -R^T M_far R and more: negative definite where the far image has a say.
             assert np.linalg.eigvalsh(blocks[True]).max() < 0
@@ -173,22 +174,22 @@ def test_motions_have_no_block_where_the_near_camera_alone_sees_its_cells(regula
 @pytest.mark.parallel([1, 2])
 @pytest.mark.parametrize("regularized", [False, True], ids=["plain", "regularized"])
 @pytest.mark.parametrize("motion", ["translation", "rigid"])
-def test_the_columns_of_a_motion_are_rigid_displacements(motion: Motion, regularized: bool) -> None:
+def test_the_columns_of_a_motion_are_rigid_displacements(motion: MotionKind, regularized: bool) -> None:
     problem = near_far_step("two", "metis", 9, motion, regularized=regularized)
-    cut = NearFarCut(MPI.COMM_WORLD, problem)
+    cut = NearFarCut(Team.world(), problem)
     looked_at = 0
     with cut.step() as step:
         assert isinstance(step, DualStep)
-        for system, local in zip(cut.assembly.systems, step._locals, strict=True):
+        for system, local in zip(cut.assembly.systems, step._problem.local_duals, strict=True):
             part = system.subdomain
-            if part.shifts is None:
+            if part.motion is None:
                 continue
-            rigid = problem.cameras[part.camera].rig.rigid_columns(part.mesh.nodes)
-            found = np.column_stack([local.operator.solve(column) for column in system.shift_columns.T])
+            rigid = problem.cameras[part.camera].setup.motion_columns(part.mesh.nodes)
+            found = np.column_stack([local.operator.solve(column) for column in system.motion_columns.T])
             # A_s's condition number of 1e4 or so times rounding.
             np.testing.assert_allclose(found, rigid, atol=1e-10)
             looked_at += 1
-    assert MPI.COMM_WORLD.allreduce(looked_at) == sum(s.camera > 0 for s in problem.subdomains)
+    assert Team.world().sum(looked_at) == sum(s.camera > 0 for s in problem.subdomains)
 
 
 class _Inverse:
@@ -205,23 +206,23 @@ class _Inverse:
 @pytest.mark.parametrize("use_far", [False, True])
 def test_motions_are_eliminated_exactly(use_far: bool) -> None:
     problem = near_far_step("two", "metis", 4, "rigid", regularized=True, use_far=use_far)
-    n_shifts = 6
-    with NearFarCut(MPI.COMM_WORLD, problem).step() as step:
+    n_motion = 6
+    with NearFarCut(Team.world(), problem).step() as step:
         assert isinstance(step, DualStep)
-        x, y, z = (step._exchange.new_vector() for _ in range(3))
+        x, y, z = (step._problem.exchange.create_vector() for _ in range(3))
         whole = np.zeros((step.n_interface, step.n_interface))
         for k, unit in enumerate(np.eye(step.n_interface)):
             x.setArray(unit)
-            step._operator.mult(None, x, y)
+            step._problem.operator.mult(None, x, y)
             whole[:, k] = y.getArray(readonly=1)
         inverse = np.zeros_like(whole)
-        inverse[:-n_shifts, :-n_shifts] = np.linalg.inv(whole[:-n_shifts, :-n_shifts])
-        preconditioner = MotionPreconditioner(step._operator, _Inverse(inverse), n_shifts, x)
+        inverse[:-n_motion, :-n_motion] = np.linalg.inv(whole[:-n_motion, :-n_motion])
+        preconditioner = MotionPreconditioner(step._problem.operator, _Inverse(inverse), n_motion)
         expected = np.random.default_rng(0).normal(size=step.n_interface)
         y.setArray(whole @ expected)
         preconditioner.apply(None, y, z)
         found = np.array(z.getArray(readonly=1))
-        for vector in (x, y, z):
+        for vector in (x, y, z, preconditioner):
             vector.destroy()
     # P = S^-1 for Lambda alone makes P the inverse of all: rounding times condition numbers below 1e5.
     np.testing.assert_allclose(found, expected, atol=1e-8)

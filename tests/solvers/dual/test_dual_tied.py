@@ -6,7 +6,6 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
-from mpi4py import MPI
 
 from ddic.parallel.team import Team
 from support.tied_step import Layout, TiedCut, TiedStep, multiplier_solution, tied_step
@@ -18,8 +17,8 @@ SAME = 1e-9
 
 
 def errors_of(problem: TiedStep, **solver: Any) -> tuple[float, int]:
-    cut = TiedCut(MPI.COMM_WORLD, problem, **solver)
-    reference = Team(MPI.COMM_WORLD).on_root(lambda: multiplier_solution(problem))
+    cut = TiedCut(Team.world(), problem, **solver)
+    reference = Team.world().on_root(lambda: multiplier_solution(problem))
     with cut.step() as step:
         result = cut.solve(step)
     return cut.relative_error(result.dq, reference), result.krylov_iterations

@@ -75,8 +75,14 @@ class MotionPreconditioner:
         y.setArray(y.getArray(readonly=1) - self._products @ alpha)
         self._put(y, alpha)
 
-    def destroy(self) -> None:
-        """Free PETSc's objects."""
+    def destroy(self, _: PETSc.PC | None = None) -> None:
+        """Free PETSc's objects; PETSc calls it too, when the preconditioner goes whose context this is.
+
+        Parameters
+        ----------
+        _ : PETSc.PC, optional
+            Does not matter.
+        """
         self._objects.close()
 
     def _take(self, vector: PETSc.Vec) -> NDArray[np.float64]:
