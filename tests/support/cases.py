@@ -11,7 +11,7 @@ import numpy as np
 import tifffile
 
 from ddic.parallel.phases import Phase
-from ddic.results.listener import Setting
+from ddic.results.listener import ProblemSize
 from ddic.solvers.gauss_newton import IterationRecord
 from ddic.synth.fields import DisplacementField, Sinusoidal
 from support.pictures import pair_of
@@ -46,7 +46,7 @@ class Ears:
 
     phases: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-    settings: list[Setting] = field(default_factory=list)
+    sizes: list[ProblemSize] = field(default_factory=list)
     records: list[IterationRecord] = field(default_factory=list)
 
     def phase(self, phase: Phase) -> None:
@@ -55,8 +55,8 @@ class Ears:
     def note(self, line: str) -> None:
         self.notes.append(line)
 
-    def setting(self, setting: Setting) -> None:
-        self.settings.append(setting)
+    def problem_size(self, size: ProblemSize) -> None:
+        self.sizes.append(size)
 
     def iteration(self, record: IterationRecord) -> None:
         self.records.append(record)
