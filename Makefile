@@ -6,13 +6,14 @@ SHELL := /bin/bash
 PYTHON := .venv/bin/python
 STAMP := .venv/.ddic-setup
 BENCH_STAMP := .venv/.ddic-bench
+DOCS_STAMP := .venv/.ddic-docs
 # Processes at a time of the benchmarks that count and do not time.
 JOBS ?= 2
 # Side of the images of bench-big, pixels.
 SIZE ?= 22000
 
-.PHONY: help setup demo test lint bench bench-iterations bench-interface bench-paper bench-peers bench-big bench-scaling \
-	bench-threads accept-core accept-solver accept-performance accept-near-far clean
+.PHONY: help setup demo test lint docs bench bench-iterations bench-interface bench-paper bench-peers bench-big bench-scaling \
+	bench-threads accept-core accept-solver accept-performance accept-near-far accept-house smoke clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -24,6 +25,10 @@ $(STAMP): pyproject.toml constraints/debian.txt scripts/setup.sh
 
 $(BENCH_STAMP): $(STAMP)
 	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --only-binary=petsc,petsc4py --no-build-isolation --editable '.[bench]'
+	@touch $@
+
+$(DOCS_STAMP): $(STAMP)
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --only-binary=petsc,petsc4py --no-build-isolation --editable '.[docs]'
 	@touch $@
 
 demo: setup ## render a plate with a hole in tension, measure it on two ranks, print the error
@@ -38,42 +43,52 @@ lint: setup ## ruff, mypy, the import contracts, and the import under numpy 2
 	$(PYTHON) -c "from importlinter.cli import lint_imports_command as run; run()"
 	bash scripts/check_numpy2.sh
 
+docs: $(DOCS_STAMP) ## build the documentation into site/, without a warning
+	$(PYTHON) -m mkdocs build --strict --quiet
+	@echo "site/index.html"
+
 bench: setup ## run every benchmark; results go to bench/results
 	@bash scripts/run_bench.sh
 
 bench-iterations: setup ## iterations of the interface problem over the grid l_c/H x subdomains
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/iterations.py --jobs $(JOBS)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m bench.iterations --jobs $(JOBS)
 
 bench-interface: setup ## time and memory of the interface solvers, direct solvers and multigrid; takes hours
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/interface_solvers.py
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m bench.interface_solvers
 
 bench-paper: $(BENCH_STAMP) ## the 29-megapixel case on 2 ranks: time by phase, memory, error, rates (ARGS="beam_8 --repeats 1")
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/paper.py $(ARGS)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m bench.paper $(ARGS)
 
 bench-peers: setup ## CPU time and error beside other programs, which are installed into bench/data
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/peers.py $(ARGS)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m bench.peers $(ARGS)
 
 bench-big: setup ## a SIZE x SIZE px pair on 2 ranks, 22,000 by default: time by phase, memory
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/big.py --size $(SIZE)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m bench.big --size $(SIZE)
 
 bench-scaling: setup ## work by rank, messages and bytes on 4 to 64 oversubscribed ranks
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/scaling.py $(ARGS)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m bench.scaling $(ARGS)
 
 bench-threads: setup ## one thread against two on one rank, phase by phase
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/threads.py $(ARGS)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m bench.threads $(ARGS)
 
 accept-core: setup ## measure the acceptance table (CHECK=NAME: one check); non-zero exit where a bound is missed
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/accept_core.py $(CHECK)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.core $(CHECK)
 
 accept-solver: setup ## measure the interface solver's acceptance table (CHECK=NAME: one check)
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/accept_solver.py --jobs $(JOBS) $(CHECK)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.solver --jobs $(JOBS) $(CHECK)
 
 accept-performance: $(BENCH_STAMP) ## measure the performance acceptance table (CHECK=NAME: one check)
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/accept_performance.py $(CHECK)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.performance $(CHECK)
 
 accept-near-far: setup ## measure the acceptance table of near-field and far-field images (CHECK=NAME: one check)
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) bench/accept_near_far.py $(CHECK)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.near_far $(CHECK)
+
+accept-house: setup ## measure the table of the house: the other four tables, fields and rates as before (CHECK=NAME: one check)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.house $(CHECK)
+
+smoke: setup ## run every check of every acceptance table on tiny cases: minutes, no bound is judged
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.smoke
 
 clean: ## remove the environments and caches
-	rm -rf .venv .venv-numpy2 .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf site .venv .venv-numpy2 .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,8 +1,8 @@
 """A large image pair on 2 ranks: 22,000 x 22,000 px with about a million unknowns at 31 px, or a smaller square.
 
-Usage: big.py [--size PIXELS], 5000 by default; ``make bench-big`` takes 22,000. The reference texture and field, 8 bit,
-are rendered in bands into bench/data, once (0.4 CPU s a megapixel). Time by phase, memory and error go to
-bench/results/big.jsonl.
+Usage: python -m bench.big [--size PIXELS], 5000 by default; ``make bench-big`` takes 22,000. The reference texture and
+field, 8 bit, are rendered in bands into bench/data, once (0.4 CPU s a megapixel). Time by phase, memory and error go
+to bench/results/big.jsonl.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from support.harness import DATA, Row, append_result, images
-from support.paper_case import TOLERANCE, BenchCase
-from support.paper_record import run_record, timed
-
+from bench.support.paper_case import TOLERANCE, BenchCase
+from bench.support.paper_record import run_record, timed
+from bench.support.rows import Row, append_result, show_all
+from bench.support.runs import DATA, images
 from ddic.synth.truth import load_truth
 
 FULL = 22000
@@ -84,9 +84,7 @@ def main(arguments: Sequence[str]) -> int:
     rows = measure(parser.parse_args(arguments).size)
     for row in rows:
         append_result("big", vars(row))
-        print(f"{'holds ' if row.holds else 'FAILS '} {row.check}\n        bound: {row.bound}\n        measured: "
-              f"{row.measured}", flush=True)
-    return 0 if all(row.holds for row in rows) else 1
+    return show_all(rows)
 
 
 if __name__ == "__main__":

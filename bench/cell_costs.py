@@ -11,8 +11,9 @@ from collections.abc import Sequence
 from statistics import median
 
 import numpy as np
-from support.harness import DATA, Row, append_result, ddic_run, images, main
 
+from bench.support.rows import Row, append_result, main
+from bench.support.runs import DATA, ddic_run, images
 from ddic.partition.cost import NODE_PIXELS
 
 SIZE, MARGIN = 2112, 32

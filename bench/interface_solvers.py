@@ -1,6 +1,6 @@
 """Set-up, solve and memory of one linear step: the interface solvers, direct solvers and multigrid.
 
-Usage: interface_solvers.py [--sizes N ...] [--wavelengths PX ...] [--ranks R ...] [--solvers NAME ...]
+Usage: python -m bench.interface_solvers [--sizes N ...] [--wavelengths PX ...] [--ranks R ...] [--solvers NAME ...]
 [--per-subdomain E ...] [--repeats K] [--timeout S] [--append]; everything by default, which takes hours.
 
 Squares of n x n Q4 of 16 px with a tiled random texture. Every run is a fresh process or group of
@@ -18,13 +18,13 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from statistics import median
 from typing import Any
 
-from support.harness import DATA, RESULTS, ROOT, append_result
+from bench.support.rows import RESULTS, append_result
+from bench.support.runs import DATA, ROOT
 
-JOB = Path(__file__).parent / "support" / "interface_job.py"
+JOB = "bench.support.interface_job"
 NAME = "interface_solvers"
 SIZES = (172, 353, 707, 1414)
 """Elements along a side: about 60 000, 250 000, 1 and 4 million unknowns."""
@@ -54,8 +54,8 @@ def run(solver: str, per_subdomain: int | None, n: int, wavelength: float, ranks
     launcher = [os.environ.get("MPIEXEC", "mpiexec"), "-n", str(ranks)]
     # The limit is each process's: a rank that ran away would take the whole machine with it.
     limited = ["bash", "-c", f'ulimit -v {MEMORY // ranks // 1024}; exec "$@"', "limited"]
-    done = subprocess.run(["timeout", f"{timeout:g}", *launcher, *limited, sys.executable, "-m", "mpi4py", str(JOB),
-                           json.dumps(task)], cwd=ROOT, text=True, capture_output=True, check=False)
+    done = subprocess.run(["timeout", f"{timeout:g}", *launcher, *limited, sys.executable, "-m", "mpi4py", "-m",
+                           JOB, json.dumps(task)], cwd=ROOT, text=True, capture_output=True, check=False)
     record = {"solver": solver, "per_subdomain": per_subdomain, "n": n, "cut_off_wavelength": wavelength,
               "n_ranks": ranks, "n_dofs": 2 * (n + 1) ** 2, "timeout": timeout,
               "petsc_options": os.environ.get("PETSC_OPTIONS", "")}

@@ -1,6 +1,6 @@
 """GMRES iterations of the interface problem: a grid l_c/H x number of subdomains, low contrast, a mixed mesh.
 
-Usage: iterations.py [ELEMENTS_PER_SIDE ...] [--sides N ...] [--kinds KIND ...] [--jobs N]; everything by
+Usage: python -m bench.iterations [ELEMENTS_PER_SIDE ...] [--sides N ...] [--kinds KIND ...] [--jobs N]; everything by
 default, which takes a quarter of an hour on two cores. One JSON line per cell and preconditioner goes to
 bench/results/iterations.jsonl, started afresh by every full run, with a picture beside it; a run of a part
 of it goes to iterations_part.jsonl, also afresh. An "iterations" of null means more than "more_than".
@@ -19,10 +19,12 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
-from support.harness import DATA, RESULTS, ROOT, append_result, images
-from support.unstructured_mesh import write_unstructured_mesh
 
-JOB = Path(__file__).parent / "support" / "iterations_job.py"
+from bench.support.rows import RESULTS, append_result
+from bench.support.runs import DATA, ROOT, images
+from bench.support.unstructured_mesh import write_unstructured_mesh
+
+JOB = "bench.support.iterations_job"
 CELL = 8
 RATIOS = (0.5, 1, 2, 4, 8, 16, 32)
 SIDES = (2, 4, 8, 16)
@@ -31,8 +33,32 @@ KINDS = ("two_level", "scaled", "paper", "none")
 LARGEST_FOR_PLAIN = 64
 """Subdomains up to which the paper's preconditioner and plain GMRES are run on the grid: beyond they only take time."""
 CONTRAST, CONTRAST_RATIO = 0.1, 4
-MIXED_SUBDOMAINS, MIXED_RATIOS = 180, (1, 8)
-MIXED_SIZE, MIXED_ELEMENT, MIXED_HOLE = (1500, 1000), 8.0, ((750.0, 500.0), 120.0)
+MIXED_RATIOS = (1, 8)
+MIXED_ELEMENT = 8.0
+"""Side of the elements of the mixed mesh, pixels."""
+
+
+@dataclass(frozen=True)
+class Plate:
+    """A plate with a hole in its middle, of triangles and quadrangles.
+
+    Attributes
+    ----------
+    width, height : int
+        Of the images, pixels.
+    radius : float
+        Of the hole, pixels.
+    subdomains : int
+        Their number.
+    """
+
+    width: int
+    height: int
+    radius: float
+    subdomains: int
+
+
+PLATE, SMALL_PLATE = Plate(1500, 1000, 120.0, 180), Plate(250, 220, 20.0, 6)
 
 
 @dataclass(frozen=True)
@@ -52,26 +78,73 @@ class Task:
     cost: float
 
 
-def grid_tasks(elements: Sequence[int], sides: Sequence[int], kinds: Sequence[str]) -> list[Task]:
-    """The grid l_c/H x number of subdomains."""
-    return [_square("grid", n, side, RATIOS, kinds) for n in elements for side in sides]
+def grid_tasks(elements: Sequence[int], sides: Sequence[int], kinds: Sequence[str],
+               ratios: Sequence[float] = RATIOS) -> list[Task]:
+    """List the grid l_c/H x number of subdomains.
+
+    Parameters
+    ----------
+    elements : sequence of int
+        Elements along the side of a subdomain.
+    sides : sequence of int
+        Subdomains along the side of the region.
+    kinds : sequence of str
+        Preconditioners.
+    ratios : sequence of float
+        l_c/H.
+
+    Returns
+    -------
+    list of Task
+        One for each partitioned mesh.
+    """
+    return [_square("grid", n, side, tuple(ratios), kinds) for n in elements for side in sides]
 
 
 def contrast_tasks(elements: Sequence[int], sides: Sequence[int], kinds: Sequence[str]) -> list[Task]:
-    """The same at one l_c/H with the texture's contrast ten times lower in every second subdomain."""
+    """List the same at one l_c/H with the texture's contrast ten times lower in every second subdomain.
+
+    Parameters
+    ----------
+    elements : sequence of int
+        Elements along the side of a subdomain.
+    sides : sequence of int
+        Subdomains along the side of the region.
+    kinds : sequence of str
+        Preconditioners.
+
+    Returns
+    -------
+    list of Task
+        One for each partitioned mesh.
+    """
     return [_square("contrast", n, side, (CONTRAST_RATIO,), kinds) for n in elements for side in sides]
 
 
-def mixed_tasks(kinds: Sequence[str]) -> list[Task]:
-    """An unstructured mesh of triangles and quadrangles with a hole."""
-    width, height = MIXED_SIZE
-    folder = images("bending", "--size", f"{width}x{height}", "--noise", "2", "--curvature", "2e-5",
-                    folder=DATA / "iterations_mixed")
-    region = (50.0, 50.0, width - 50.0, height - 50.0)
-    n_cells, area = write_unstructured_mesh(folder / "mesh.vtk", region, MIXED_ELEMENT, MIXED_HOLE)
-    case = {**_images(folder), "mesh": {"file": f"{folder}/mesh.vtk"}, "solver": {"subdomains": MIXED_SUBDOMAINS}}
-    return [Task("mixed", case, MIXED_RATIOS, tuple(kinds), (area / MIXED_SUBDOMAINS) ** 0.5,
-                 round((n_cells / MIXED_SUBDOMAINS) ** 0.5, 1), n_cells)]
+def mixed_tasks(kinds: Sequence[str], plate: Plate = PLATE) -> list[Task]:
+    """List an unstructured mesh of triangles and quadrangles with a hole.
+
+    Parameters
+    ----------
+    kinds : sequence of str
+        Preconditioners.
+    plate : Plate
+        Its size.
+
+    Returns
+    -------
+    list of Task
+        One.
+    """
+    folder = images("bending", "--size", f"{plate.width}x{plate.height}", "--noise", "2", "--curvature", "2e-5",
+                    folder=DATA / f"iterations_mixed_{plate.width}")
+    region = (50.0, 50.0, plate.width - 50.0, plate.height - 50.0)
+    hole = ((plate.width / 2, plate.height / 2), plate.radius)
+    n_cells, area = write_unstructured_mesh(folder / "mesh.vtk", region, MIXED_ELEMENT, hole)
+    case = {**_images(folder), "mesh": {"file": f"{folder}/mesh.vtk"}, "solver": {"subdomains": plate.subdomains}}
+    side = (area / plate.subdomains) ** 0.5
+    return [Task("mixed", case, MIXED_RATIOS, tuple(kinds), side, round((n_cells / plate.subdomains) ** 0.5, 1),
+                 n_cells)]
 
 
 def _square(name: str, elements: int, side: int, ratios: tuple[float, ...], kinds: Sequence[str]) -> Task:
@@ -95,10 +168,10 @@ def run(task: Task) -> list[dict[str, Any]]:
     """All ratios and preconditioners of a task in one process; a record each."""
     argument = {"case": task.case, "wavelengths": [ratio * task.size for ratio in task.ratios], "kinds": task.kinds,
                 "dim": CONTRAST if task.name == "contrast" else 1.0}
-    done = subprocess.run([sys.executable, str(JOB), json.dumps(argument)], cwd=ROOT, check=False, text=True,
+    done = subprocess.run([sys.executable, "-m", JOB, json.dumps(argument)], cwd=ROOT, check=False, text=True,
                           capture_output=True)
     if done.returncode != 0:
-        raise RuntimeError(f"{JOB.name} ended with {done.returncode}:\n{done.stderr[-4000:]}")
+        raise RuntimeError(f"{JOB} ended with {done.returncode}:\n{done.stderr[-4000:]}")
     ratio_of = {ratio * task.size: ratio for ratio in task.ratios}
     return [{"case": task.name, "lc_over_H": ratio_of[record["cut_off_wavelength"]],
              "n_subdomains": task.case["solver"]["subdomains"], "elements_per_side": task.elements, **record}

@@ -9,27 +9,37 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from functools import reduce
+from functools import partial, reduce
 from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from support.c_kernel import FLAGS, compiled, right_hand_side, triad
-from support.harness import DATA, Row, append_result, main
-from support.unstructured_mesh import write_unstructured_mesh
 
-from ddic.functionals.correlation import Correlation, correlations
+<<<<<<< HEAD
+from ddic.functionals.correlation import Correlation, read_correlations
+=======
+from bench.support.c_kernel import FLAGS, compiled, right_hand_side, triad
+from bench.support.rows import Row, append_result, main
+from bench.support.runs import DATA
+from bench.support.unstructured_mesh import write_unstructured_mesh
+from ddic.functionals.correlation import Correlation, read_correlations
+>>>>>>> refs/heads/accept
 from ddic.images.binned import ArraySource
 from ddic.images.spline import read_gradient, read_spline
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.images.window import Window
 from ddic.io.mesh_file import read_mesh
 from ddic.mesh.mesh import Mesh, Similarity
-from ddic.mesh.structured import structured_mesh
+from ddic.mesh.structured import build_structured_mesh
 from ddic.partition.split import split_by_metis
 
-SIZE, MARGIN = 4096, 32
+SIZE, SMALL = 4096, 512
+"""Side of the image, pixels; SMALL to see that everything runs."""
+
+MARGIN = 32
+"""Edge without elements, pixels."""
+
 SUBDOMAIN = 160_000
 """Pixels of a subdomain in the paper's case: 29 megapixels in 180."""
 
@@ -65,23 +75,50 @@ def field(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
                             -0.25 + 0.50 * np.cos(x / 1280 - 0.7) * np.sin(y / 1024 + 0.5)]).ravel()
 
 
-def mixed_mesh() -> Mesh:
-    """Triangles and quadrangles of 15 px around a hole."""
-    path = Path(DATA) / "kernels_mixed.vtk"
+def mixed_mesh(size: int) -> Mesh:
+    """Make triangles and quadrangles of 15 px around a hole.
+
+    Parameters
+    ----------
+    size : int
+        Side of the image, pixels.
+
+    Returns
+    -------
+    Mesh
+        Kept in a file.
+    """
+    path = Path(DATA) / f"kernels_mixed_{size}.vtk"
     if not path.is_file():
         path.parent.mkdir(parents=True, exist_ok=True)
-        low, high = MARGIN + 0.3, SIZE - MARGIN - 0.4
-        write_unstructured_mesh(path, (low, low, high, high), 15.0, ((SIZE / 2, SIZE / 2), SIZE / 8))
+        low, high = MARGIN + 0.3, size - MARGIN - 0.4
+        write_unstructured_mesh(path, (low, low, high, high), 15.0, ((size / 2, size / 2), size / 8))
     return read_mesh(path, Similarity())
 
 
-def problem(name: str, mesh: Mesh, n_parts: int, degree: int = 3) -> Problem:
-    """Cut a mesh in parts, as a run does."""
-    pixels = np.random.default_rng(0).integers(0, 256, (SIZE, SIZE), dtype=np.uint8)
+def build_problem(kind: Kind, size: int) -> Problem:
+    """Cut a mesh in parts, as a run does.
+
+    Parameters
+    ----------
+    kind : Kind
+        Mesh, number of parts and spline.
+    size : int
+        Side of the image, pixels.
+
+    Returns
+    -------
+    Problem
+        With its images read.
+    """
+    mesh, degree = kind.mesh(size), kind.degree
+    n_parts = max(2, round(size**2 / SUBDOMAIN)) if kind.cut else 1
+    name = f"{kind.name}, {f'{n_parts} subdomains' if kind.cut else 'one part'}{', quintic' * (degree == 5)}"
+    pixels = np.random.default_rng(0).integers(0, 256, (size, size), dtype=np.uint8)
     source = MaskedSource(ArraySource(Path("memory"), pixels, 255.0))
     labels = split_by_metis(mesh, n_parts) if n_parts > 1 else np.zeros(mesh.n_cells, dtype=np.int64)
     meshes = [mesh.submesh(np.flatnonzero(labels == s))[0] for s in range(n_parts)]
-    groups = correlations(meshes, source, degree)
+    groups = read_correlations(meshes, source, degree)
     parts, q = [part for group in groups for part in group], [field(m.nodes) for m in meshes]
     deformed = [image for group in groups for image in [DeformedSubImage(source, degree)] * len(group)]
     windows = [reduce(Window.union, (part.reference.window for part in group)) for group in groups]
@@ -111,9 +148,9 @@ def c_calls(p: Problem) -> dict[str, Callable[[], object]]:
         library = compiled(flags)
         runs = []
         for part, deformed, q in zip(p.parts, p.deformed, p.q, strict=True):
-            ours = part.residual(deformed, q)
+            ours = part.compute_residual(deformed, q)
             run = right_hand_side(library, part, deformed.covering(part.displaced_window(q)),
-                                  part.kinematics.monomial_coefficients(q))
+                                  part.interpolation.monomial_coefficients(q))
             moments, sums = run()
             for a, b in ((moments, ours.moments[:, 0]), (sums, ours.cell_sums.values)):
                 if not np.abs(a - b).max() <= 1e-11 * np.abs(b).max():
@@ -126,8 +163,8 @@ def c_calls(p: Problem) -> dict[str, Callable[[], object]]:
 def our_calls(p: Problem) -> dict[str, Callable[[], object]]:
     """Phases of a part's work, each on all parts."""
     return {
-        "rhs": lambda: [part.residual(g, q) for part, g, q in zip(p.parts, p.deformed, p.q, strict=True)],
-        "hessian": lambda: [part.hessian_cells() for part in p.parts],
+        "rhs": lambda: [part.compute_residual(g, q) for part, g, q in zip(p.parts, p.deformed, p.q, strict=True)],
+        "hessian": lambda: [part.compute_cell_hessians() for part in p.parts],
         "gradient": lambda: [read_gradient(p.source.image, w, p.degree) for w in p.windows],
         "prefilter": lambda: [read_spline(p.source.image, w, p.degree) for w in p.windows],
     }
@@ -163,32 +200,89 @@ def rows_of(p: Problem) -> list[Row]:
                 rate["rhs"] >= RHS_BOUND and fraction >= C_BOUND), left]
 
 
+<<<<<<< HEAD
 def square_mesh() -> Mesh:
     """Q4 of 16 px."""
-    return structured_mesh((MARGIN, MARGIN, SIZE - MARGIN, SIZE - MARGIN), 16)
+    return build_structured_mesh((MARGIN, MARGIN, SIZE - MARGIN, SIZE - MARGIN), 16)
+=======
+def square_mesh(size: int) -> Mesh:
+    """Make Q4 of 16 px.
+
+    Parameters
+    ----------
+    size : int
+        Side of the image, pixels.
+
+    Returns
+    -------
+    Mesh
+        All but a margin.
+    """
+    return build_structured_mesh((MARGIN, MARGIN, size - MARGIN, size - MARGIN), 16)
+>>>>>>> refs/heads/accept
 
 
-SUBDOMAINS = round(SIZE**2 / SUBDOMAIN)
-PROBLEMS: dict[str, tuple[Callable[[], Mesh], int, int]] = {
-    "16-px Q4, one part": (square_mesh, 1, 3),
-    f"16-px Q4, {SUBDOMAINS} subdomains": (square_mesh, SUBDOMAINS, 3),
-    f"15-px T3/Q4, {SUBDOMAINS} subdomains": (mixed_mesh, SUBDOMAINS, 3),
-    "16-px Q4, one part, quintic": (square_mesh, 1, 5),
-}
-"""Mesh, number of parts and degree of the spline."""
+@dataclass(frozen=True)
+class Kind:
+    """What a problem is made of.
+
+    Attributes
+    ----------
+    name : str
+        Of the mesh.
+    mesh : callable
+        Makes it for the side of an image in pixels.
+    cut : bool
+        Whether it is cut in subdomains.
+    degree : int
+        Of the spline.
+    """
+
+    name: str
+    mesh: Callable[[int], Mesh]
+    cut: bool
+    degree: int
 
 
-def rows_named(name: str) -> list[Row]:
-    """Build and measure one of PROBLEMS."""
-    mesh, n_parts, degree = PROBLEMS[name]
-    return rows_of(problem(name, mesh(), n_parts, degree))
+KINDS = (Kind("16-px Q4", square_mesh, False, 3), Kind("16-px Q4", square_mesh, True, 3),
+         Kind("15-px T3/Q4", mixed_mesh, True, 3), Kind("16-px Q4", square_mesh, False, 5))
 
 
-def measure() -> list[Row]:
-    """All problems, each in a process of its own, as a run has: pages that others left to the system are slower."""
-    mixed_mesh()
+def rows_of_kind(number: int, size: int) -> list[Row]:
+    """Build and measure one of KINDS.
+
+    Parameters
+    ----------
+    number : int
+        Which.
+    size : int
+        Side of the image, pixels.
+
+    Returns
+    -------
+    list of Row
+        Right-hand side and left-hand side.
+    """
+    return rows_of(build_problem(KINDS[number], size))
+
+
+def measure(size: int = SIZE) -> list[Row]:
+    """Measure all problems, each in a process of its own, as a run has: pages that others left are slower.
+
+    Parameters
+    ----------
+    size : int
+        Side of the image, pixels.
+
+    Returns
+    -------
+    list of Row
+        Two for each problem.
+    """
+    mixed_mesh(size)
     with ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=1) as pool:
-        return [row for rows in pool.map(rows_named, PROBLEMS) for row in rows]
+        found = pool.map(partial(rows_of_kind, size=size), range(len(KINDS)))
+        return [row for rows in found for row in rows]
 
 
 if __name__ == "__main__":

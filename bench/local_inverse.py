@@ -1,20 +1,19 @@
 """Memory and time of the two-level set-up of one subdomain, with a dense and with a sparse inverse of S_s.
 
-Usage: local_inverse.py [ELEMENTS_PER_SIDE ...]; 20 50 100 200 300 by default. The subdomain has neighbours on all
-sides and a rank of its own, every measurement a process of its own.
+Usage: python -m bench.local_inverse [ELEMENTS_PER_SIDE ...]; 20 50 100 200 300 by default. The subdomain has
+neighbours on all sides and a rank of its own, every measurement a process of its own.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import sys
-from pathlib import Path
 from typing import Any
 
-from support.harness import DATA, Row, append_result, images, main, mpirun
+from bench.support.rows import Row, append_result, main
+from bench.support.runs import DATA, images, run_job
 
-JOB = Path(__file__).parent / "support" / "local_inverse_job.py"
+JOB = "bench.support.local_inverse_job"
 CELL = 8
 RING = 10
 WAVELENGTH = 64
@@ -22,7 +21,7 @@ BOUND = 2 * 2**30
 JUDGED = 300
 
 
-def run(elements: int, kind: str) -> dict[str, Any]:
+def measure_one(elements: int, kind: str) -> dict[str, Any]:
     """One measurement in fresh processes."""
     n = elements + 2 * RING
     size = n * CELL + 64
@@ -35,8 +34,7 @@ def run(elements: int, kind: str) -> dict[str, Any]:
         },
         "elements": elements, "ring": RING, "kind": kind,
     }
-    lines = mpirun(2, sys.executable, "-m", "mpi4py", str(JOB), json.dumps(job)).splitlines()
-    record = {"elements_per_side": elements, "local_inverse": kind, **json.loads(lines[-1])}
+    record = {"elements_per_side": elements, "local_inverse": kind, **run_job(2, JOB, json.dumps(job))[-1]}
     append_result("local_inverse_runs", record)
     return record
 
@@ -56,7 +54,7 @@ def row(record: dict[str, Any]) -> Row:
 
 def measure(sides: list[int]) -> list[Row]:
     """Dense and sparse for all sizes."""
-    return [row(run(elements, kind)) for elements in sides for kind in ("dense", "sparse")]
+    return [row(measure_one(elements, kind)) for elements in sides for kind in ("dense", "sparse")]
 
 
 if __name__ == "__main__":

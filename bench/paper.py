@@ -1,23 +1,23 @@
 """The 29-megapixel case on 2 ranks, from the start of the command to the written file.
 
-Usage: paper.py [--repeats N] [--without-kernels] [CASE ...]; cases: beam_8, beam_16 (the paper's open-hole beam, about
-62,500 unknowns in 180 subdomains) and full_16 (the whole image, 221,136 unknowns, by conjugate gradients); all by
+Usage: python -m bench.paper [--repeats N] [--without-kernels] [CASE ...]; cases: beam_8, beam_16 (the paper's
+open-hole beam, about 62,500 unknowns in 180 subdomains) and full_16 (the whole image, 221,136 unknowns, by conjugate gradients); all by
 default. Every case is one record of bench/results/paper.jsonl.
 """
 
 from __future__ import annotations
 
 import argparse
-import importlib
 import json
 import sys
 from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
-from support.harness import RESULTS, Row, append_result
-from support.paper_case import CASES, TOLERANCE
-from support.paper_record import monolithic_record, pixel_record, run_record, timed_runs
+from bench import kernels
+from bench.support.paper_case import CASES, MEASURED, TOLERANCE
+from bench.support.paper_record import monolithic_record, pixel_record, run_record, timed_runs
+from bench.support.rows import RESULTS, Row, append_result, show_all
 
 LONGEST_S, GIBIBYTES = 8.0, 2.5
 LEAST_SPEEDUP = 1.85
@@ -67,7 +67,7 @@ def speedup(name: str, repeats: int = REPEATS) -> tuple[Row, dict[str, Any]]:
 def measured_kernels() -> tuple[dict[str, Any], ...]:
     """Records of bench/kernels.py, run now."""
     before = _kernel_lines()
-    importlib.import_module("kernels").measure()
+    kernels.measure()
     return tuple(map(json.loads, _kernel_lines()[len(before):]))
 
 
@@ -119,17 +119,17 @@ def measure_case(name: str, repeats: int = REPEATS, *, with_kernels: bool = True
     with_kernels: also measure the kernels by themselves and against C; without, these numbers are null.
     """
     nothing = dict.fromkeys(f"kernels_{key}" for key in KERNEL_KEYS)
-    kernels = kernel_rates(name, measured_kernels()) if with_kernels else nothing
+    rates_alone = kernel_rates(name, measured_kernels()) if with_kernels else nothing
     row, record = whole_command(name, repeats)
     faster, rates = speedup(name, repeats)
-    record |= monolithic_record(CASES[name]()) | rates | kernels
-    record["rhs_fraction_of_c_kernel"] = kernels["kernels_rhs_fraction_of_c_kernel"]
+    record |= monolithic_record(CASES[name]()) | rates | rates_alone
+    record["rhs_fraction_of_c_kernel"] = rates_alone["kernels_rhs_fraction_of_c_kernel"]
     append_result("paper", record)
     show(record)
     return [row, faster]
 
 
-def measure(names: Sequence[str] = tuple(CASES), repeats: int = REPEATS, *, with_kernels: bool = True) -> list[Row]:
+def measure(names: Sequence[str] = MEASURED, repeats: int = REPEATS, *, with_kernels: bool = True) -> list[Row]:
     """The rows of every named case."""
     return [row for name in names for row in measure_case(name, repeats, with_kernels=with_kernels)]
 
@@ -144,11 +144,8 @@ def main() -> int:
     unknown = sorted(set(chosen.cases) - set(CASES))
     if unknown or chosen.repeats < 1:
         parser.error(f"no such case: {', '.join(unknown)}" if unknown else "--repeats must be at least 1")
-    rows = measure(chosen.cases or tuple(CASES), chosen.repeats, with_kernels=not chosen.without_kernels)
-    for row in rows:
-        print(f"{'holds ' if row.holds else 'FAILS '} {row.check}\n        bound: {row.bound}\n        measured: "
-              f"{row.measured}", flush=True)
-    return 0 if all(row.holds for row in rows) else 1
+    rows = measure(chosen.cases or MEASURED, chosen.repeats, with_kernels=not chosen.without_kernels)
+    return show_all(rows)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """CPU seconds and error of ddic and of its peers on the same images: pyxel-dic (global), pyvale (subsets).
 
-Usage: peers.py [--peers NAME ...] [--sizes SIZE ...] [--repeats N] [--method NAME]
+Usage: python -m bench.peers [--peers NAME ...] [--sizes SIZE ...] [--repeats N] [--method NAME]
 
 All peers and sizes by default, which takes an hour; with --sizes 2048 it takes some minutes. --method is ddic's
 solver.method, where it is not that of METHODS; rows name it.
@@ -25,9 +25,10 @@ from statistics import median
 from typing import Any
 
 import numpy as np
-from support.harness import DATA, Row, append_result, images
-from support.peer_environment import run_ddic, run_peer
 
+from bench.support.peer_environment import run_ddic, run_peer
+from bench.support.rows import Row, append_result, show
+from bench.support.runs import DATA, images
 from ddic.io.result_reader import read_result
 from ddic.synth.truth import load_truth
 
@@ -35,8 +36,9 @@ SUPPORT = Path(__file__).parent / "support"
 MARGIN, ELEMENT = 32, 16
 WAVELENGTH = 80
 """The cut-off wavelength of every regularized run of ddic, px: one for images with and without noise."""
-SIZES = {"2048": (2112, 2112), "4096": (4160, 4160), "29mpx": (6576, 4384)}
-"""Image width and height, px; 2048 and 4096 are the mesh's sides, a margin inside."""
+SIZES = {"2048": (2112, 2112), "4096": (4160, 4160), "29mpx": (6576, 4384), "tiny": (256, 256)}
+"""Image width and height, px; 2048 and 4096 are the mesh's sides, a margin inside;
+tiny, to see that everything runs, is measured where it is asked for."""
 METHODS = {"pyxel": None, "pyvale": "conjugate_gradient"}
 """ddic's solver.method against each peer, None for its default; with l_c of a few elements nothing is factorised."""
 PLAN = {"pyxel": ("2048", "4096"), "pyvale": ("2048", "29mpx")}
@@ -121,11 +123,11 @@ file = "{name}.vtkhdf"
     return path
 
 
-def ddic(pair: Pair, wavelength: int, n_ranks: int, method: str | None) -> Run:
+def measure_ddic(pair: Pair, wavelength: int, n_ranks: int, method: str | None) -> Run:
     """Measure with ddic in a job of some ranks; the error is that of the field that the job timed."""
     name = f"ddic_lc{wavelength}_ranks{n_ranks}"
     case, warm_up = (case_file(p, wavelength, method, name) for p in (pair, warm_up_pair()))
-    record, whole = run_ddic(SUPPORT / "peer_ddic_job.py", n_ranks, str(warm_up), str(case))
+    record, whole = run_ddic("bench.support.peer_ddic_job", n_ranks, str(warm_up), str(case))
     result = read_result(case.with_suffix(".vtkhdf"))
     inner = pair.inner(result.mesh.nodes)
     return Run(record["cpu_seconds"], whole, pair.error(result.mesh.nodes[inner], result.displacement[inner]), record)
@@ -208,8 +210,8 @@ def against_pyxel(size: str, repeats: int, method: str | None) -> Iterator[Row]:
     """Same images, mesh and problem: pyxel's own interpolation, then a compiled one in its place."""
     pair = image_pair(*SIZES[size], 0)
     case = f"{size} x {size} px, 8 bit, {ELEMENT}-px Q4"
-    programs = {"ddic": partial(ddic, pair, 0, 1, method), "2 ranks": partial(ddic, pair, 0, 2, method),
-                "regularized": partial(ddic, pair, WAVELENGTH, 1, method), "own": partial(pyxel, pair, "own"),
+    programs = {"ddic": partial(measure_ddic, pair, 0, 1, method), "2 ranks": partial(measure_ddic, pair, 0, 2, method),
+                "regularized": partial(measure_ddic, pair, WAVELENGTH, 1, method), "own": partial(pyxel, pair, "own"),
                 "compiled": partial(pyxel, pair, "compiled")}
     runs = alternate(case, programs, ("ddic", "own", "2 ranks", "compiled", "ddic", "regularized"), repeats)
     for peer, name, least in (("pyxel-dic", "own", LEAST_OWN),
@@ -228,8 +230,9 @@ def against_pyvale(size: str, repeats: int, method: str | None) -> Iterator[Row]
     for noise, most in MOST_ERROR.items():
         pair = image_pair(*SIZES[size], noise)
         case = f"{pair.width} x {pair.height} px images, 8 bit, noise {noise} grey levels"
-        programs = {"ddic": partial(ddic, pair, WAVELENGTH, 1, method),
-                    "2 ranks": partial(ddic, pair, WAVELENGTH, 2, method), "pyvale": partial(pyvale, pair, SUBSETS),
+        programs = {"ddic": partial(measure_ddic, pair, WAVELENGTH, 1, method),
+                    "2 ranks": partial(measure_ddic, pair, WAVELENGTH, 2, method),
+                    "pyvale": partial(pyvale, pair, SUBSETS),
                     "quickest": partial(pyvale, pair, QUICK_SUBSETS)}
         runs = alternate(case, programs, ("ddic", "pyvale", "2 ranks", "quickest"), repeats)
         record = comparison("pyvale", case, runs, ("ddic", "pyvale"), region=pair.region, noise_grey=noise,
@@ -253,9 +256,9 @@ def rows(peer: str, sizes: Sequence[str] | None = None, repeats: int | None = No
     method = method or METHODS[peer]
     # Compiles what the first measured job would otherwise compile within its whole-job seconds.
     for wavelength, n_ranks in ((0, 1), (WAVELENGTH, 1), (WAVELENGTH, 2)):
-        ddic(warm_up_pair(), wavelength, n_ranks, method)
-    for size in PLAN[peer]:
-        if sizes is None or size in sizes:
+        measure_ddic(warm_up_pair(), wavelength, n_ranks, method)
+    for size in SIZES:
+        if size in (PLAN[peer] if sizes is None else sizes) and size in (*PLAN[peer], "tiny"):
             default = REPEATS_LARGE if (peer, size) == ("pyxel", "4096") else REPEATS
             yield from PEERS[peer](size, repeats or default, method)
 
@@ -268,7 +271,7 @@ def measure(peer: str | None = None) -> list[Row]:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--peers", nargs="+", choices=PEERS, default=list(PEERS))
-    parser.add_argument("--sizes", nargs="+", choices=SIZES, default=list(SIZES))
+    parser.add_argument("--sizes", nargs="+", choices=SIZES, default=[size for size in SIZES if size != "tiny"])
     parser.add_argument("--repeats", type=int, help=f"default {REPEATS}, {REPEATS_LARGE} of pyxel at 4096")
     parser.add_argument("--method", help="ddic's solver.method against all peers")
     chosen = parser.parse_args()
@@ -276,8 +279,7 @@ def main() -> int:
     for peer in chosen.peers:
         for row in rows(peer, chosen.sizes, chosen.repeats, chosen.method):
             held &= row.holds
-            print(f"{'holds ' if row.holds else 'FAILS '} {row.check}\n        bound: {row.bound}\n        measured: "
-                  f"{row.measured}", flush=True)
+            show(row)
     return 0 if held else 1
 
 

@@ -1,7 +1,7 @@
 """What grows with the number of ranks: oversubscribed runs with 4 to 64 ranks, and what they say about 1,000.
 
-Usage: scaling.py [--ranks N ...]. One METIS subdomain of about 320 x 320 px a rank, at a short and at a long cut-off
-wavelength, with CPU seconds of work that communicates with nobody, and counted messages and bytes; then the coarse
+Usage: python -m bench.scaling [--ranks N ...]. One METIS subdomain of about 320 x 320 px a rank, at a short and at
+a long cut-off wavelength, with CPU seconds of work that communicates with nobody, and counted messages and bytes; then the coarse
 problem of 64 to 256 subdomains on one rank. Records go to bench/results/scaling.jsonl; the tables of docs/scaling.md
 are what this prints of the last record of each case. The model takes its rates a pixel from the largest run of
 ``make bench-big``.
@@ -11,14 +11,14 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
-from support.harness import DATA, RESULTS, append_result, images, mpirun
-from support.paper_scaling_model import coarse_table, measured_table, model_table
+from bench.support.paper_scaling_model import coarse_table, measured_table, model_table
+from bench.support.rows import RESULTS, append_result
+from bench.support.runs import DATA, images, run_job
 
-JOB = Path(__file__).parent / "support" / "paper_scaling_job.py"
+JOB = "bench.support.paper_scaling_job"
 RANKS = (4, 16, 36, 64)
 RANK_MIB = 150
 """Memory that a rank of these runs takes, its share of the libraries included."""
@@ -52,8 +52,8 @@ file = "{name}.vtkhdf"
 
 def counted(n_ranks: int, files: list[Path]) -> None:
     """Run case files on some ranks and keep their records."""
-    for line in mpirun(n_ranks, sys.executable, "-m", "mpi4py", str(JOB), *map(str, files)).splitlines():
-        append_result("scaling", json.loads(line))
+    for record in run_job(n_ranks, JOB, *map(str, files)):
+        append_result("scaling", record)
 
 
 def weak(folder: Path, n_ranks: int) -> None:

@@ -18,15 +18,20 @@ from typing import Any
 
 import h5py
 import numpy as np
-from support.harness import DATA, Row, append_result, ddic_run, images, main
 
-from ddic.functionals.correlation import correlations
+<<<<<<< HEAD
+from ddic.functionals.correlation import read_correlations
+=======
+from bench.support.rows import Row, append_result, main
+from bench.support.runs import DATA, ddic_run, images
+from ddic.functionals.correlation import read_correlations
+>>>>>>> refs/heads/accept
 from ddic.images.spline import read_gradient, read_spline
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.images.threads import Threads
 from ddic.images.window import Window
 from ddic.io.image_file import open_image
-from ddic.mesh.structured import structured_mesh
+from ddic.mesh.structured import build_structured_mesh
 from ddic.synth.truth import load_truth
 
 MARGIN, ELEMENT = 32, 16
@@ -49,8 +54,8 @@ def pixel_calls(folder: Path, size: int, n_threads: int) -> dict[str, Callable[[
     """What a rank does with the pixels of one subdomain, by name."""
     reference, deformed = (MaskedSource(open_image(folder / f"{name}.tif")) for name in ("reference", "deformed"))
     threads = Threads(n_threads)
-    mesh = structured_mesh((MARGIN, MARGIN, size - MARGIN, size - MARGIN), ELEMENT)
-    part = correlations([mesh], reference, 3, threads)[0][0]
+    mesh = build_structured_mesh((MARGIN, MARGIN, size - MARGIN, size - MARGIN), ELEMENT)
+    part = read_correlations([mesh], reference, 3, threads)[0][0]
     q = load_truth(folder / "truth.json").displacement(mesh.nodes).ravel()
     image = DeformedSubImage(deformed, 3, threads)
     window = image.covering(part.displaced_window(q)).window
@@ -58,8 +63,8 @@ def pixel_calls(folder: Path, size: int, n_threads: int) -> dict[str, Callable[[
         "f and its gradient": lambda: read_gradient(reference.image, part.reference.window, 3, None, threads),
         "spline of g": lambda: read_spline(deformed.image, window, 3, None, threads),
         "M, sums of cells": part.hessian_cells,
-        "residual": lambda: part.residual(image, q),
-        "residual image": lambda: part.residual_image(image, q),
+        "residual": lambda: part.compute_residual(image, q),
+        "residual image": lambda: part.compute_residual_image(image, q),
         "file read alone": lambda: reference.image.read(Window(0, 0, size, size)),
     }
 

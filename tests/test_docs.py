@@ -16,7 +16,7 @@ from ddic.case.sections import find_section
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "ddic"
-DOCUMENTS = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md")),
+DOCUMENTS = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md")),
              *sorted((ROOT / "examples").glob("*/README.md"))]
 MODULE_FOLDERS = [ROOT / name for name in ("src", "scripts", "bench", "examples", "tests")]
 SECTIONS: dict[str, type[BaseModel]] = {
@@ -54,7 +54,9 @@ def quoted(cell: str) -> list[str]:
 
 
 def symbol_rows() -> list[list[str]]:
-    rows = list(table_rows((ROOT / "docs" / "symbols.md").read_text(encoding="utf-8")))
+    # The table of equations has a test of its own, test_equations.py.
+    text = (ROOT / "docs" / "symbols.md").read_text(encoding="utf-8").split("## Equations of")[0]
+    rows = list(table_rows(text))
     return [row for row in rows if row[0] != "symbol"]
 
 

@@ -26,11 +26,22 @@ def run(command: list[str], folder: Path) -> str:
 
 
 def run_example(name: str, output: Path) -> str:
-    return run(["bash", str(ROOT / "examples" / name / "run.sh"), str(output)], output.parent)
+    """What an example prints, whose last lines must be those that its page shows."""
+    printed = run(["bash", str(ROOT / "examples" / name / "run.sh"), str(output)], output.parent)
+    shown = (ROOT / "examples" / name / "printed.txt").read_text(encoding="utf-8")
+    last = "\n".join(printed.splitlines()[-len(shown.splitlines()):])
+    assert words(last) == words(shown)
+    # Another library or partition moves the last digits; a different field would move the first.
+    assert numbers(last) == pytest.approx(numbers(shown), rel=0.05)
+    return printed
 
 
 def numbers(text: str) -> list[float]:
     return [float(found) for found in re.findall(r"-?\d+(?:\.\d+)?(?:e[-+]\d+)?", text)]
+
+
+def words(text: str) -> list[str]:
+    return re.findall(r"[A-Za-z]\w*", re.sub(r"\de[-+]\d+", "", text))
 
 
 def numbers_after(label: str, text: str) -> list[float]:

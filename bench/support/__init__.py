@@ -1,1 +1,1 @@
-"""What the benchmark scripts share."""
+"""What benchmarks and acceptance tables share: runs of ddic, result files, meshes, cases."""

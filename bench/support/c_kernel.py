@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.support.runs import DATA
 from ddic.functionals.correlation import Correlation
 from ddic.images.spline import SplineImage
-from support.harness import DATA
 
 SOURCE = Path(__file__).with_name("rhs_kernel.c")
 FLAGS = {
@@ -43,7 +43,7 @@ def right_hand_side(library: ctypes.CDLL, part: Correlation, spline: SplineImage
 
     u: (n_cells, 2, 4), displacement on the monomials, pixels.
     """
-    f, r, geometry = part.reference, part.raster, part.kinematics.geometry
+    f, r, geometry = part.reference, part.raster, part.interpolation.geometry
     arrays = [geometry, u, r.first_row, r.row_ptr, r.starts, r.stops, f.values, f.by_x, f.by_y, spline.coefficients]
     pointers: list[Any] = [ctypes.c_void_p(a.ctypes.data) for a in arrays]
     row_length = f.values.strides[0] // f.values.itemsize

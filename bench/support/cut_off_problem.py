@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from bench.support.step_problem import ALONE
 from ddic.case.schema import Case, RegularizationSection
 from ddic.functionals.equilibrium_gap import (
     controlled_stiffness,
-    cut_off_weight,
-    texture_energies,
+    find_cut_off_weight,
+    measure_texture_energies,
 )
 from ddic.kinematics.cell_interpolation import interpolate_cells
 from ddic.mesh.mesh import Mesh
@@ -27,7 +28,6 @@ from ddic.problem.assembly import Assembly, own_parts
 from ddic.problem.inputs import material, open_pair, region_gap_energies, share_out
 from ddic.problem.mesh_source import build_mesh
 from ddic.solvers.local_system import LocalSystem
-from support.step_problem import ALONE
 
 
 @dataclass(frozen=True)
@@ -59,10 +59,16 @@ def from_images(case: Case) -> TexturedMesh:
     subdomains, _ = share_out(ALONE, case, mesh)
     hessians, right = [], []
     for subdomain in subdomains:
+<<<<<<< HEAD
         part = own_parts([subdomain], pair, case.correlation.spline_degree)[0]
-        residual = part.correlation.residual(part.deformed, np.zeros(subdomain.mesh.n_dofs))
-        hessians.append(part.correlation.hessian())
-        right.append(part.correlation.right_hand_side(residual))
+        residual = part.correlation.compute_residual(part.deformed, np.zeros(subdomain.mesh.n_dofs))
+        hessians.append(part.correlation.assemble_hessian())
+        right.append(part.correlation.assemble_right_hand_side(residual))
+=======
+        view = own_parts([subdomain], pair, case.correlation.spline_degree)[0].view
+        hessians.append(view.hessian())
+        right.append(view.right_hand_side(view.residual(np.zeros(subdomain.mesh.n_dofs))))
+>>>>>>> refs/heads/accept
     return TexturedMesh(subdomains, hessians, right, local_stiffnesses(subdomains, case.regularization), mesh,
                         mesh.n_dofs)
 
@@ -87,14 +93,14 @@ def assembly_at(team: Team, problem: TexturedMesh, section: RegularizationSectio
     """The local systems with eta of the section's cut-off wavelength; collective."""
     assert section.cut_off_wavelength is not None
     wavelength = section.cut_off_wavelength
-    texture = team.ordered_sum([texture_energies(s.mesh.nodes, m, s.interior, wavelength)
+    texture = team.ordered_sum([measure_texture_energies(s.mesh.nodes, m, s.interior, wavelength)
                                 for s, m in zip(problem.subdomains, problem.hessians, strict=True)])
 
     def weight() -> float:
         assert problem.whole is not None
         energies = region_gap_energies(section, problem.whole)
         assert energies is not None
-        return cut_off_weight(texture, energies)
+        return find_cut_off_weight(texture, energies)
 
     eta = team.on_root(weight)
     systems = [LocalSystem(s, m, k, _weights(s), eta) for s, m, k

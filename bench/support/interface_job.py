@@ -20,6 +20,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
+from bench.support.tiled_texture import TiledProblem
 from ddic.case.schema import SolverSection
 from ddic.parallel.distribution import scatter_subdomains
 from ddic.parallel.team import Team
@@ -29,10 +30,6 @@ from ddic.partition.subdomain import interface_weights
 from ddic.problem.assembly import Assembly, factorize
 from ddic.problem.linear_solver import linear_step
 from ddic.solvers.local_system import LocalSystem
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from support.tiled_texture import TiledProblem
 
 DUAL = ("paper", "scaled", "two_level")
 """Preconditioners of the dual solver."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,17 +15,14 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 from scipy import sparse
 
+from bench.support.cut_off_problem import TexturedMesh, assembly_at, difference, dimmed, from_images, one_domain
+from bench.support.step_problem import ALONE
 from ddic.case.schema import Case, RegularizationSection, SolverSection
 from ddic.errors import ConvergenceError
 from ddic.problem.assembly import Assembly, factorize
 from ddic.problem.linear_solver import linear_step
 from ddic.solvers.linear_step import StepResult
 from ddic.solvers.local_operator import LocalOperator
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from support.cut_off_problem import TexturedMesh, assembly_at, difference, dimmed, from_images, one_domain
-from support.step_problem import ALONE
 
 COARSE, FINE = 1e-6, 1e-10
 MOST = {"two_level": 300, "scaled": 300, "paper": 500, "none": 1000}

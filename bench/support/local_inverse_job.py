@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ddic.case.schema import Case, SolverSection
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.topology import boundary_nodes
+from ddic.mesh.topology import find_boundary_nodes
 from ddic.parallel.team import Team
 from ddic.partition.connectivity import build_subdomains
 from ddic.problem.assembly import Assembly, assemble, correlate, factorize, own_parts
@@ -51,7 +51,7 @@ def assembled(case: Case, elements: int, ring: int) -> Assembly:
     pair = open_pair(case)
     mesh = build_mesh(case, pair.reference.image.width, pair.reference.image.height)
     inside = np.ones(mesh.n_nodes, dtype=bool)
-    inside[boundary_nodes(mesh)] = False
+    inside[find_boundary_nodes(mesh)] = False
     subdomains = build_subdomains(mesh, nine_parts(mesh, elements, ring), np.repeat(inside, mesh.dim))
     subdomains = subdomains[:1] if TEAM.is_root else subdomains[1:]
     gap = region_gap_energies(case.regularization, mesh)

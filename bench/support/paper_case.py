@@ -9,15 +9,18 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 
+<<<<<<< HEAD
 from ddic.synth.digitise import Digitiser
+=======
+from bench.support.paper_field import OpenHoleBeam
+from bench.support.paper_mesh import write_gmsh_mesh
+from bench.support.runs import DATA, images, source_version
+>>>>>>> refs/heads/accept
 from ddic.synth.fields import DisplacementField
 from ddic.synth.picture import Picture
 from ddic.synth.render import Scene, write_pair
 from ddic.synth.speckle_texture import SpeckleTexture
 from ddic.synth.truth import load_truth
-from support.harness import DATA, images, source_version
-from support.paper_field import OpenHoleBeam
-from support.paper_mesh import write_gmsh_mesh
 
 WIDTH, HEIGHT = 6576, 4384
 SUBDOMAINS = 180
@@ -88,8 +91,26 @@ def full(bits: int) -> BenchCase:
                      'method = "conjugate_gradient"')
 
 
+def tiny() -> BenchCase:
+    """Make a case that takes a second, to see that everything runs.
+
+    Returns
+    -------
+    BenchCase
+        The reference field on 256 x 256 px.
+    """
+    size = 256
+    folder = images("sinusoidal", "--size", f"{size}x{size}", folder=DATA / "smoke" / "paper_tiny")
+    mesh = (f"[mesh.structured]\nregion = [{MARGIN}, {MARGIN}, {size - MARGIN}, {size - MARGIN}]\n"
+            f"element_size = {FULL_ELEMENT}")
+    return BenchCase("tiny", 8, folder, _text(folder, mesh, FULL_WAVELENGTH), load_truth(folder / "truth.json"),
+                     FULL_ELEMENT, f"all but a margin of {MARGIN} px", "subdomains = 4")
+
+
 CASES: dict[str, Callable[[], BenchCase]] = {
-    "beam_8": partial(beam, 8), "beam_16": partial(beam, 16), "full_16": partial(full, 16)}
+    "beam_8": partial(beam, 8), "beam_16": partial(beam, 16), "full_16": partial(full, 16), "tiny": tiny}
+MEASURED = ("beam_8", "beam_16", "full_16")
+"""Cases that a table shows."""
 
 
 def _text(folder: Path, mesh: str, wavelength: float) -> str:

@@ -66,7 +66,7 @@ def once(team: Team, case: Case, pair: ImagePair, subdomains: list[Subdomain], q
     rasters = [p.view.correlation.raster.window for p in parts]
     shared = shared_windows(rasters, HALO[degree] + PADDING[degree])
     watch("gradient", lambda: [read_reference(pair.reference, window, degree) for window, _ in shared])
-    watch("M", lambda: [p.view.correlation.hessian_cells() for p in parts])
+    watch("M", lambda: [p.view.correlation.compute_cell_hessians() for p in parts])
     watch("residual", residual_pass)
     return watch.times
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,12 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from bench.support.paper_case import BenchCase
+from bench.support.runs import ddic_run, run_job
 from ddic.io.result_reader import Result, read_result
-from ddic.mesh.topology import boundary_nodes
+<<<<<<< HEAD
+from ddic.mesh.topology import find_boundary_nodes
 from support.harness import ddic_run, mpirun
 from support.paper_case import BenchCase
+=======
+from ddic.mesh.topology import find_boundary_nodes
+>>>>>>> refs/heads/accept
 
-JOB = Path(__file__).parent / "paper_pixels_job.py"
+JOB = "bench.support.paper_pixels_job"
 RANKS = 2
 PIXEL_KINDS = ("reference", "deformed", "M", "residual")
 """What a run does with pixels; "gradient" is a part of "reference"."""
@@ -71,7 +75,7 @@ def errors(case: BenchCase, result: Result) -> tuple[float, float]:
     """RMS error per component, pixels: at nodes more than one element from the mesh's boundary, and at all nodes."""
     nodes = result.mesh.nodes
     error = result.displacement - case.field.displacement(nodes)
-    distance, _ = cKDTree(nodes[boundary_nodes(result.mesh)]).query(nodes)
+    distance, _ = cKDTree(nodes[find_boundary_nodes(result.mesh)]).query(nodes)
     inner = distance > 1.01 * case.element_size
     return _rms(error[inner]), _rms(error)
 
@@ -98,9 +102,8 @@ def pixel_record(case: BenchCase, iterations: int, repeats: int) -> dict[str, An
     found: dict[int, list[dict[str, Any]]] = {1: [], RANKS: []}
     for _ in range(repeats):
         for n_ranks, records in found.items():
-            lines = mpirun(n_ranks, sys.executable, "-m", "mpi4py", str(JOB), str(case.folder / f"{case.name}.toml"),
-                           str(case.folder / f"{case.name}.vtkhdf"), "1")
-            records.append(json.loads(lines))
+            files = (str(case.folder / f"{case.name}{suffix}") for suffix in (".toml", ".vtkhdf"))
+            records += run_job(n_ranks, JOB, *files, "1")
     kinds = (*PIXEL_KINDS, "gradient")
     one, two = ({kind: {clock: median(r[kind][clock] for r in records) for clock in ("wall", "cpu", "busiest")}
                  for kind in kinds} for records in found.values())

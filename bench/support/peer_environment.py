@@ -11,12 +11,23 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from support.harness import DATA, ROOT
+from bench.support.runs import DATA, ROOT
 
 REQUIREMENTS = ("pyxel-dic>=2026.10.8", "pyvale>=2026.10.2", "numba>=0.60")
 TIMEOUT = "3600"
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 FOLDER = DATA / "peers-venv"
+
+
+def peers_are_there() -> bool:
+    """Say whether the peers' environment was made before.
+
+    Returns
+    -------
+    bool
+        False where ``peers_python`` would install it.
+    """
+    return (FOLDER / "requirements.json").is_file()
 
 
 def peers_python() -> Path:
@@ -38,10 +49,10 @@ def run_peer(job: Path, *arguments: str) -> tuple[dict[str, Any], float]:
     return run_job([str(peers_python()), str(job), *arguments])
 
 
-def run_ddic(job: Path, n_ranks: int, *arguments: str) -> tuple[dict[str, Any], float]:
+def run_ddic(module: str, n_ranks: int, *arguments: str) -> tuple[dict[str, Any], float]:
     """Run a job of ddic's environment on some ranks; see ``run_job``."""
     launcher = os.environ.get("MPIEXEC", "mpiexec")
-    return run_job([launcher, "-n", str(n_ranks), sys.executable, "-m", "mpi4py", str(job), *arguments])
+    return run_job([launcher, "-n", str(n_ranks), sys.executable, "-m", "mpi4py", "-m", module, *arguments])
 
 
 def run_job(command: Sequence[str]) -> tuple[dict[str, Any], float]:

@@ -16,14 +16,14 @@ from scipy import sparse
 from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import (
     controlled_stiffness,
-    cut_off_weight,
-    gap_energies,
-    texture_energies,
+    find_cut_off_weight,
+    measure_gap_energies,
+    measure_texture_energies,
 )
 from ddic.kinematics.cell_interpolation import interpolate_cells
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.structured import structured_mesh
-from ddic.mesh.topology import boundary_nodes
+from ddic.mesh.structured import build_structured_mesh
+from ddic.mesh.topology import find_boundary_nodes
 
 CELL = 16.0
 TILE = 64
@@ -56,7 +56,7 @@ class TiledProblem:
 
     def rows_of_cells(self, first: int, last: int) -> Mesh:
         """Cells of rows first to last - 1."""
-        return structured_mesh((0.0, first * CELL, self.n * CELL, last * CELL), CELL)
+        return build_structured_mesh((0.0, first * CELL, self.n * CELL, last * CELL), CELL)
 
     def hessian(self, mesh: Mesh) -> sparse.csr_matrix:
         """M of some of the cells, whose places tell which cells of the tile they are."""
@@ -85,12 +85,12 @@ class TiledProblem:
     @cached_property
     def eta_and_diagonal(self) -> tuple[float, float]:
         """Weight eta of the cut-off wavelength and the mean of diag M, both of one tile."""
-        mesh = structured_mesh((0.0, 0.0, TILE * CELL, TILE * CELL), CELL)
+        mesh = build_structured_mesh((0.0, 0.0, TILE * CELL, TILE * CELL), CELL)
         hessian = self.hessian(mesh)
         interior = np.ones(mesh.n_nodes, dtype=bool)
-        interior[boundary_nodes(mesh)] = False
-        eta = cut_off_weight(texture_energies(mesh.nodes, hessian, interior, self.wavelength),
-                             gap_energies(mesh, Material(), interior, self.wavelength))
+        interior[find_boundary_nodes(mesh)] = False
+        eta = find_cut_off_weight(measure_texture_energies(mesh.nodes, hessian, interior, self.wavelength),
+                             measure_gap_energies(mesh, Material(), interior, self.wavelength))
         return eta, float(hessian.diagonal().mean())
 
     def operator_rows(self, first: int, last: int) -> tuple[sparse.csr_matrix, NDArray[np.float64]]:

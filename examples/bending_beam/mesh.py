@@ -6,13 +6,13 @@ from pathlib import Path
 import meshio
 import numpy as np
 
-from ddic.mesh.structured import structured_mesh
+from ddic.mesh.structured import build_structured_mesh
 
 ENDS, BODY = 1, 2
 
 
 def main(path: Path) -> None:
-    beam = structured_mesh((0, 0, 72, 20), 1)
+    beam = build_structured_mesh((0, 0, 72, 20), 1)
     ends = []
     for name in ("left", "right"):
         column = beam.node_sets[name]

@@ -1,3 +1,85 @@
-"""Finite element digital image correlation by dual domain decomposition."""
+"""Finite element digital image correlation by dual domain decomposition.
+
+``ddic.measure`` measures the displacement between two images, ``ddic.prepare`` prepares a reference image for many
+deformed ones, ``ddic.open`` reads a result file.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ddic.api.image import Image
+    from ddic.api.measure import Options, Session, measure, prepare
+    from ddic.case.loader import load_case
+    from ddic.case.schema import Case
+    from ddic.errors import ConvergenceError, DdicError, FactorizationError, InputError, SingularSubdomainError
+    from ddic.io.result_reader import Result
+    from ddic.io.result_reader import read_result as open
+    from ddic.kinematics.kinematics import Kinematics, RegionKinematics
+    from ddic.kinematics.linear import LinearRegion
+    from ddic.kinematics.nodal import NodalRegion
+    from ddic.mesh.mesh import Mesh
+    from ddic.mesh.structured import build_structured_mesh as structured_mesh
 
 __version__ = "0.1.0"
+
+_HOMES = {
+    "Image": "api.image",
+    "Options": "api.measure",
+    "Session": "api.measure",
+    "measure": "api.measure",
+    "prepare": "api.measure",
+    "load_case": "case.loader",
+    "Case": "case.schema",
+    "ConvergenceError": "errors",
+    "DdicError": "errors",
+    "FactorizationError": "errors",
+    "InputError": "errors",
+    "SingularSubdomainError": "errors",
+    "Result": "io.result_reader",
+    "open": "io.result_reader:read_result",
+    "Kinematics": "kinematics.kinematics",
+    "RegionKinematics": "kinematics.kinematics",
+    "LinearRegion": "kinematics.linear",
+    "NodalRegion": "kinematics.nodal",
+    "Mesh": "mesh.mesh",
+    "structured_mesh": "mesh.structured:build_structured_mesh",
+}
+"""Where the public names live: modules are imported at first use, for some bring MPI, PETSc and numba."""
+
+__all__ = [
+    "Case",
+    "ConvergenceError",
+    "DdicError",
+    "FactorizationError",
+    "Image",
+    "InputError",
+    "Kinematics",
+    "LinearRegion",
+    "Mesh",
+    "NodalRegion",
+    "Options",
+    "RegionKinematics",
+    "Result",
+    "Session",
+    "SingularSubdomainError",
+    "__version__",
+    "load_case",
+    "measure",
+    "open",
+    "prepare",
+    "structured_mesh",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'ddic' has no attribute '{name}'")
+    home, _, other_name = _HOMES[name].partition(":")
+    return getattr(importlib.import_module(f"ddic.{home}"), other_name or name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

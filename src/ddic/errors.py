@@ -14,7 +14,13 @@ class DdicError(Exception):
 
 
 class InputError(DdicError):
-    """One or more problems in what the user gave (file, key, value and remedy, one line each)."""
+    """One or more problems in what the user gave (file, key, value and remedy, one line each).
+
+    Parameters
+    ----------
+    problems : str or sequence of str
+        One line each.
+    """
 
     exit_code = 2
 
@@ -39,7 +45,18 @@ _LISTED = 10
 
 
 def first_of(numbers: Iterable[int]) -> str:
-    """The first ten numbers, for a message."""
+    """List the first ten numbers, for a message.
+
+    Parameters
+    ----------
+    numbers : iterable of int
+        In any order.
+
+    Returns
+    -------
+    str
+        Separated by commas, with dots where there are more.
+    """
     listed = [str(n) for n in islice(numbers, _LISTED + 1)]
     return ", ".join([*listed[:_LISTED], *(["..."] if len(listed) > _LISTED else [])])
 
@@ -48,11 +65,33 @@ E = TypeVar("E", bound=BaseException)
 
 
 def on_all_ranks(error: E) -> E:
-    """Mark an error as raised by every rank at the same place: the job may end without an abort."""
+    """Mark an error as raised by every rank at the same place: the job may end without an abort.
+
+    Parameters
+    ----------
+    error : exception
+        The same on all ranks.
+
+    Returns
+    -------
+    exception
+        The error itself, to be raised.
+    """
     error.collective = True  # type: ignore[attr-defined]  # exceptions carry attributes through pickling
     return error
 
 
 def is_on_all_ranks(error: BaseException) -> bool:
-    """Whether every rank raised this error."""
+    """Tell whether every rank raised this error.
+
+    Parameters
+    ----------
+    error : exception
+        As it was caught.
+
+    Returns
+    -------
+    bool
+        Whether the job may end without an abort.
+    """
     return bool(getattr(error, "collective", False))

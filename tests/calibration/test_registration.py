@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ddic.calibration.camera_models import CameraModel, Kind
-from ddic.calibration.registration import Registration, near_image, register
+from ddic.calibration.registration import Registration, read_near_image, register
 from ddic.errors import ConvergenceError
 from ddic.images.camera import CameraMapping, similarity
 from ddic.images.spline import read_gradient
@@ -34,7 +34,7 @@ def registered(far: np.ndarray, near: np.ndarray, kind: Kind, start: CameraMappi
     middle = start.to_specimen(corners_and_centre()[4:])[0]
     model = CameraModel(kind, 4.0, middle, 35.0, BARREL.centre, BARREL.radius, distorts)
     far_gradient = read_gradient(in_memory(far), Window(0, 0, *FAR_SIZE), 3)
-    return register(far_gradient, near_image(in_memory(near), samples), model, model.parameters(start), PART)
+    return register(far_gradient, read_near_image(in_memory(near), samples), model, model.fit(start), PART)
 
 
 def start_of(mapping: CameraMapping) -> CameraMapping:
@@ -75,7 +75,7 @@ def test_uncertainty_is_the_scatter_over_noise() -> None:
     X = TILTED.to_specimen(corners_and_centre())
     squares = []
     for found in runs:
-        D = found.model.derivatives(found.parameters, X)
+        D = found.model.differentiate(found.parameters, X)
         std = np.sqrt(np.einsum("nip,pq,niq->ni", D, found.covariance, D))
         squares.append((error_of(found, TILTED) / std)**2)
     # 10 x 10 numbers, of which some 80 are independent: chi^2 / n is 1 within 3 sqrt(2 / 80).
@@ -87,7 +87,7 @@ def test_what_only_the_near_camera_resolves_does_not_bias() -> None:
     fine = np.kron(rng.normal(0, 60, (NEAR_SIZE[1] // 2, NEAR_SIZE[0] // 2)), np.ones((2, 2)))
     found = registered(far_grey(TILTED), near_grey() + fine, "homography", start_of(TILTED))
     X = TILTED.to_specimen(corners_and_centre())
-    D = found.model.derivatives(found.parameters, X)
+    D = found.model.differentiate(found.parameters, X)
     std = np.sqrt(np.einsum("nip,pq,niq->ni", D, found.covariance, D))
     assert (std > 0.005).all()
     # Ten numbers within four standard deviations, the corners being correlated.

@@ -13,12 +13,12 @@ import pytest
 
 from ddic.cli.console import RunConsole, on_terminal
 from ddic.parallel.phases import REPEATED, Phase
-from ddic.results.listener import Setting
+from ddic.results.listener import ProblemSize
 from ddic.results.summary import Summary
-from ddic.solvers.gauss_newton import GreyState, IterationRecord
+from ddic.solvers.gauss_newton import CorrectionSize, GreyState, IterationRecord
 
-SETTING = Setting(n_dofs=200, n_cells=81, n_pixels=20736, n_subdomains=4, n_ranks=2, n_interface=60,
-                  dynamic_range=200.0, eta=12.5)
+SIZE = ProblemSize(n_unknowns=200, n_cells=81, n_pixels=20736, n_subdomains=4, n_ranks=2, n_interface=60,
+                   dynamic_range=200.0, eta=12.5)
 SUMMARY = Summary(converged=True, iterations=2, residual_std_grey=1.5, residual_percent_of_range=0.75, n_dofs=200,
                   n_subdomains=4, n_ranks=2, krylov_iterations=[11, 7], seconds={Phase.READ: 0.5, Phase.WRITE: 0.25},
                   cpu_seconds={Phase.READ: 1.0}, peak_memory_bytes=[2**27, 2**28], largest_jump_px=2e-9,
@@ -27,8 +27,9 @@ SUMMARY = Summary(converged=True, iterations=2, residual_std_grey=1.5, residual_
 
 
 def _record(number: int, seconds: float) -> IterationRecord:
-    return IterationRecord(number, 10.0**-number, 0.5 / number, (GreyState(2.0, 2.1, 20736, 1.0, 0.0),), 12 - number,
-                           np.zeros(2), 3e-6, {Phase.RESIDUAL: seconds, Phase.LINEAR_STEP: 2 * seconds})
+    size = CorrectionSize(relative=10.0**-number, rms=0.5 / number, largest=1.0)
+    return IterationRecord(number, size, (GreyState(2.0, 2.1, 20736, 1.0, 0.0),), 12 - number, np.zeros(2), 3e-6,
+                           {Phase.RESIDUAL: seconds, Phase.LINEAR_STEP: 2 * seconds})
 
 
 def _speak(summary: Summary = SUMMARY) -> None:
@@ -36,7 +37,7 @@ def _speak(summary: Summary = SUMMARY) -> None:
         for phase in Phase:
             console.phase(phase)
         console.note("start: a note with [brackets]")
-        console.setting(SETTING)
+        console.problem_size(SIZE)
         console.iteration(_record(1, 1.0))
         console.iteration(_record(2, 1.5))
         console.finish(summary)

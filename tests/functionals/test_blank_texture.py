@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from ddic.kinematics.cell_interpolation import interpolate_cells
 from numpy.typing import NDArray
 
-from ddic.functionals.correlation import correlation
+from ddic.functionals.correlation import read_correlation
 from ddic.functionals.elasticity import Material, stiffness_cells
-from ddic.functionals.texture_strength import Texture, blank_subdomains, rigid_modes, texture
-from ddic.kinematics.cell_interpolation import interpolate_cells
+from ddic.functionals.texture_strength import Texture, measure_texture, rigid_modes
 from support.cases import WAVES
 from support.pictures import pair_of, source, square_mesh
 from support.random_meshes import grid_mesh
@@ -20,8 +20,8 @@ Image = NDArray[np.float64]
 
 def _of(image: Image, degree: int = 3, mask: NDArray[np.bool_] | None = None) -> Texture:
     """Texture of 4 x 4 cells of 16 px."""
-    part = correlation(square_mesh(24, 88), source(image.astype(np.float32), mask), degree)
-    return texture(part, part.hessian(), degree)
+    part = read_correlation(square_mesh(24, 88), source(image.astype(np.float32), mask), degree)
+    return measure_texture(part, part.assemble_hessian(), degree)
 
 
 def _speckle() -> Image:
@@ -44,11 +44,11 @@ def test_white_noise_is_recognised_as_such(degree: int) -> None:
 @pytest.mark.parametrize("degree", [3, 5])
 def test_the_estimate_of_noise_is_that_of_the_gradient_of_noise(degree: int) -> None:
     image = source(_noise(20.0).astype(np.float32))
-    part = correlation(square_mesh(24, 168), image, degree)
+    part = read_correlation(square_mesh(24, 168), image, degree)
     translations = np.linalg.qr(rigid_modes(part.mesh.nodes))[0][:, :2]
-    energy = np.trace(translations.T @ part.hessian() @ translations) / 2
+    energy = np.trace(translations.T @ part.assemble_hessian() @ translations) / 2
     # Both are averages of 20 000 correlated squares.
-    assert texture(part, part.hessian(), degree).noise == pytest.approx(energy, rel=0.04)
+    assert measure_texture(part, part.assemble_hessian(), degree).noise == pytest.approx(energy, rel=0.04)
 
 
 def test_speckle_stands_out_of_strong_noise() -> None:
@@ -99,7 +99,7 @@ def test_rigid_modes_are_all_that_stiffness_does_not_see() -> None:
 
 
 def _flags(*pairs: tuple[float, float]) -> list[bool]:
-    return [bool(flag) for flag in blank_subdomains([Texture(*pair) for pair in pairs])]
+    return [bool(flag) for flag in find_blank_subdomains([Texture(*pair) for pair in pairs])]
 
 
 def test_blank_subdomains() -> None:

@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from ddic.functionals.correlation import GreySums, Residual, correlation
+from ddic.functionals.correlation import Residual, read_correlation
+from ddic.functionals.grey_statistics import GreySums
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
@@ -52,8 +53,8 @@ def b_of(residuals: list[Residual], one: Residual, correction: Correction,
     if correction == "none":
         return 1.0, 0.0
     if correction == "element":
-        return one.cell_sums.gain_and_offset()
-    return GreySums(np.sum([r.sums.values for r in residuals], axis=0)).gain_and_offset()
+        return one.cell_sums.fit_gain_and_offset()
+    return GreySums(np.sum([r.sums.values for r in residuals], axis=0)).fit_gain_and_offset()
 
 
 @settings(max_examples=150)
@@ -69,23 +70,23 @@ def test_subdomains_add_up_to_the_whole(mesh: Mesh, kind: str, n: int, degree: i
     f, g = random_source(rng, width, height, masked), random_source(rng, width, height, masked)
     q = rng.uniform(-reach, reach, mesh.n_dofs)
     cells = random_partition(mesh, kind, n, seed)
-    whole = correlation(mesh, f, degree)
-    whole_residual = whole.residual(DeformedSubImage(g, degree), q, all_kinds=True)
+    whole = read_correlation(mesh, f, degree)
+    whole_residual = whole.compute_residual(DeformedSubImage(g, degree), q, all_kinds=True)
     parts, residuals, dofs = [], [], []
     for s in range(int(cells.max()) + 1):
         part_mesh, node_ids = mesh.submesh(np.flatnonzero(cells == s))
         if not rasterize(part_mesh).pixel_counts.any():
             continue
         dofs.append((2 * node_ids[:, None] + np.arange(2)).ravel())
-        parts.append(correlation(part_mesh, f, degree))
-        residuals.append(parts[-1].residual(DeformedSubImage(g, degree), q[dofs[-1]], all_kinds=True))
+        parts.append(read_correlation(part_mesh, f, degree))
+        residuals.append(parts[-1].compute_residual(DeformedSubImage(g, degree), q[dofs[-1]], all_kinds=True))
     hessian, b = np.zeros((len(q), len(q))), np.zeros(len(q))
     for part, residual, d in zip(parts, residuals, dofs, strict=True):
-        hessian[np.ix_(d, d)] += part.hessian().toarray()
-        b[d] += part.right_hand_side(residual, *b_of(residuals, residual, correction))
-    expected = whole.hessian().toarray()
+        hessian[np.ix_(d, d)] += part.assemble_hessian().toarray()
+        b[d] += part.assemble_right_hand_side(residual, *b_of(residuals, residual, correction))
+    expected = whole.assemble_hessian().toarray()
     np.testing.assert_allclose(hessian, expected, atol=SUM_ROUNDING * max(np.abs(expected).max(), 1.0))
-    whole_b = whole.right_hand_side(whole_residual, *b_of([whole_residual], whole_residual, correction))
+    whole_b = whole.assemble_right_hand_side(whole_residual, *b_of([whole_residual], whole_residual, correction))
     # Moments are of order grey x gradient; those of a pixel whose spline or gain is rounded scale with them.
     scale = max(np.abs(whole_residual.moments).max(), 1.0)
     np.testing.assert_allclose(b / scale, whole_b / scale, atol=SUM_ROUNDING)
@@ -103,14 +104,14 @@ def smooth_picture(side: int) -> NDArray[np.float64]:
 def test_derivative_of_b_is_minus_m_where_images_agree(cells: Literal["Q4", "T3"], degree: int) -> None:
     image = source(smooth_picture(100))
     mesh = grid_mesh(4, 4, (15.0, 15.0), origin=(20.3, 19.6), cells=cells, seed=1, jitter=0.2)
-    part = correlation(mesh, image, degree)
+    part = read_correlation(mesh, image, degree)
     v = np.random.default_rng(2).uniform(-1, 1, mesh.n_dofs)
 
     def b(t: float) -> NDArray[np.float64]:
-        return part.right_hand_side(part.residual(DeformedSubImage(image, degree), t * v))
+        return part.assemble_right_hand_side(part.compute_residual(DeformedSubImage(image, degree), t * v))
 
     step = 0.02
-    expected = part.hessian() @ v
+    expected = part.assemble_hessian() @ v
     # The central difference errs by step^2 / 6 times the picture's third derivative over its first, 1/7^2: 1e-6;
     # grey levels are rounded by 1e-5, which against differences of 10 step leaves 1e-4 at most, less in sums.
     np.testing.assert_allclose((b(-step) - b(step)) / (2 * step), expected, atol=3e-5 * np.abs(expected).max())
@@ -119,18 +120,18 @@ def test_derivative_of_b_is_minus_m_where_images_agree(cells: Literal["Q4", "T3"
 def test_b_vanishes_for_identical_images() -> None:
     image = source(smooth_picture(80))
     mesh = grid_mesh(3, 3, (15.0, 15.0), origin=(15.0, 15.0))
-    part = correlation(mesh, image, 3)
+    part = read_correlation(mesh, image, 3)
     q = np.zeros(mesh.n_dofs)
-    residual = part.residual(DeformedSubImage(image, 3), q)
+    residual = part.compute_residual(DeformedSubImage(image, 3), q)
     # Positions are pixel centres, where the spline equals f but for rounding of its float32 coefficients.
     assert np.sqrt(residual.sums.values[3] / residual.sums.n_pixels) < 2e-5
-    dq = np.linalg.solve(part.hessian().toarray(), part.right_hand_side(residual))
+    dq = np.linalg.solve(part.assemble_hessian().toarray(), part.assemble_right_hand_side(residual))
     assert np.abs(dq).max() < 1e-5
 
 
 def test_hessian_is_symmetric_and_positive() -> None:
     mesh = grid_mesh(3, 3, (15.0, 15.0), origin=(15.2, 15.1), cells="mixed", seed=3, jitter=0.2)
-    hessian = correlation(mesh, source(smooth_picture(80)), 3).hessian().toarray()
+    hessian = read_correlation(mesh, source(smooth_picture(80)), 3).assemble_hessian().toarray()
     np.testing.assert_allclose(hessian, hessian.T, atol=1e-14 * np.abs(hessian).max())
     # Both gradient directions vary within every node's support, so no displacement goes unseen.
     assert np.linalg.eigvalsh(hessian)[0] > 1e-4 * np.diag(hessian).mean()
@@ -146,11 +147,11 @@ def test_gain_and_offset_are_the_least_squares_fit(seed: int, n: int, gain: floa
     rng = np.random.default_rng(seed)
     g = rng.uniform(0, 255, n)
     f = gain * g + offset + rng.normal(0, 3, n)
-    found_gain, found_offset = grey_sums(f, g).gain_and_offset()
+    found_gain, found_offset = grey_sums(f, g).fit_gain_and_offset()
     slope, intercept = np.polyfit(g, f, 1)
     # Sums of squares of 255 lose some four digits to the variance; five pixels may lie close together.
     np.testing.assert_allclose([found_gain, found_offset], [slope, intercept], rtol=1e-7, atol=1e-7)
-    first, second = grey_sums(f, g).residual(found_gain, found_offset)
+    first, second = grey_sums(f, g).sum_residual(found_gain, found_offset)
     exact = f - slope * g - intercept
     # The sums cancel from n 255^2 down to n 3^2 grey levels squared.
     np.testing.assert_allclose([first, second], [exact.sum(), (exact**2).sum()], rtol=1e-6, atol=1e-6)
@@ -158,9 +159,9 @@ def test_gain_and_offset_are_the_least_squares_fit(seed: int, n: int, gain: floa
 
 def test_flat_and_empty_regions_have_no_gain() -> None:
     flat = np.full(50, 100.0)
-    gain, offset = grey_sums(flat + 7.0, flat).gain_and_offset()
+    gain, offset = grey_sums(flat + 7.0, flat).fit_gain_and_offset()
     assert (float(gain), float(offset)) == (1.0, pytest.approx(7.0, abs=1e-12))
-    gain, offset = GreySums(np.zeros((3, 6))).gain_and_offset()
+    gain, offset = GreySums(np.zeros((3, 6))).fit_gain_and_offset()
     assert gain.tolist() == [1.0] * 3
     assert offset.tolist() == [0.0] * 3
 
@@ -170,16 +171,16 @@ def test_correction_takes_out_brightness_and_contrast(correction: Correction) ->
     f = smooth_picture(90)
     g = (f - 12.0) / 1.3
     mesh = grid_mesh(3, 3, (15.0, 15.0), origin=(20.0, 20.0), cells="mixed", seed=1)
-    part = correlation(mesh, source(f), 3)
-    residual = part.residual(DeformedSubImage(source(g), 3), np.zeros(mesh.n_dofs), all_kinds=True)
+    part = read_correlation(mesh, source(f), 3)
+    residual = part.compute_residual(DeformedSubImage(source(g), 3), np.zeros(mesh.n_dofs), all_kinds=True)
     gain, offset = b_of([residual], residual, correction)
     # float32 grey levels and coefficients, 6e-8 of 200.
     np.testing.assert_allclose(gain, 1.3, atol=1e-5)
     np.testing.assert_allclose(offset, 12.0, atol=1e-3)
-    b = part.right_hand_side(residual, gain, offset)
-    plain = part.right_hand_side(residual)
+    b = part.assemble_right_hand_side(residual, gain, offset)
+    plain = part.assemble_right_hand_side(residual)
     assert np.abs(b).max() < 1e-6 * np.abs(plain).max()
-    image = part.residual_image(DeformedSubImage(source(g), 3), np.zeros(mesh.n_dofs), gain, offset)
+    image = part.compute_residual_image(DeformedSubImage(source(g), 3), np.zeros(mesh.n_dofs), gain, offset)
     assert np.nanmax(np.abs(image)) < 2e-3
 
 
@@ -189,8 +190,8 @@ def test_masked_and_saturated_pixels_of_f_are_left_out() -> None:
     mask = np.ones(f.shape, dtype=bool)
     mask[30:33, 30:40] = False
     mesh = grid_mesh(2, 2, (12.0, 12.0), origin=(20.0, 20.0))
-    part = correlation(mesh, source(f, mask, exclude_saturated=True), 3)
-    residual = part.residual(DeformedSubImage(source(f), 3), np.zeros(mesh.n_dofs))
+    part = read_correlation(mesh, source(f, mask, exclude_saturated=True), 3)
+    residual = part.compute_residual(DeformedSubImage(source(f), 3), np.zeros(mesh.n_dofs))
     assert part.n_usable_pixels == residual.sums.n_pixels == 24 * 24 - 3 * 10 - 1
 
 
@@ -198,16 +199,17 @@ def test_pixels_hidden_in_the_deformed_image_leave_m_too() -> None:
     rng = np.random.default_rng(3)
     mesh, width, height = onto_image(grid_mesh(4, 3, (9.0, 9.0), cells="Q4", seed=2, jitter=0.2))
     f, g = random_source(rng, width, height, masked=False), random_source(rng, width, height, masked=False)
-    one, deformed = correlation(mesh, f, 3), DeformedSubImage(g, 3)
+    one, deformed = read_correlation(mesh, f, 3), DeformedSubImage(g, 3)
     still = np.zeros(mesh.n_dofs)
-    assert one.seen_from(deformed, still) is one
+    assert one.without_hidden(deformed, still) is one
+    assert one.visible_pixels(deformed, still) == one.n_usable_pixels
     # Moved left by the margin and two cells' width, what lay within that distance of the edge is out of sight.
     moved = np.tile([-(MARGIN + 18.0), 0.0], mesh.n_nodes)
-    seen = one.seen_from(deformed, moved)
-    counted = one.residual(deformed, moved).sums.n_pixels
-    assert 0 < seen.n_usable_pixels == counted < one.n_usable_pixels
-    assert seen.residual(deformed, moved).sums.n_pixels == counted
+    seen = one.without_hidden(deformed, moved)
+    counted = one.compute_residual(deformed, moved).sums.n_pixels
+    assert 0 < seen.n_usable_pixels == counted == one.visible_pixels(deformed, moved) < one.n_usable_pixels
+    assert seen.compute_residual(deformed, moved).sums.n_pixels == counted
     hidden = seen.raster.counts_in(seen.reference.usable, seen.reference.window.x0, seen.reference.window.y0) == 0
     assert hidden.any()
-    assert (seen.hessian_cells()[hidden] == 0).all()
-    assert (one.hessian_cells()[hidden] != 0).any()
+    assert (seen.compute_cell_hessians()[hidden] == 0).all()
+    assert (one.compute_cell_hessians()[hidden] != 0).any()

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ddic.functionals.elasticity import Material, assemble_stiffness
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.topology import boundary_nodes
+from ddic.mesh.topology import find_boundary_nodes
 from support.random_meshes import Cells, grid_mesh, grid_meshes
 
 Plane = Literal["stress", "strain"]
@@ -25,7 +25,7 @@ def stiffness(mesh: Mesh, material: Material | None = None) -> NDArray[np.float6
 
 def inner_dofs(mesh: Mesh) -> NDArray[np.bool_]:
     inside = np.ones(mesh.n_nodes, dtype=bool)
-    inside[boundary_nodes(mesh)] = False
+    inside[find_boundary_nodes(mesh)] = False
     return np.repeat(inside, 2)
 
 

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from ddic.kinematics.cell_interpolation import interpolate_cells
+from ddic.partition.connectivity import build_subdomains
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from ddic.functionals import equilibrium_gap
-from ddic.functionals.correlation import correlation
-from ddic.functionals.elasticity import Material, assemble_stiffness
+from ddic.functionals.correlation import read_correlation
+from ddic.functionals.elasticity import Material, stiffness_cells
 from ddic.functionals.equilibrium_gap import (
     controlled_stiffness,
     cut_off_weight,
@@ -20,10 +22,8 @@ from ddic.functionals.equilibrium_gap import (
     texture_energies,
 )
 from ddic.images.sub_image import MaskedSource
-from ddic.kinematics.cell_interpolation import interpolate_cells
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import boundary_nodes
-from ddic.partition.connectivity import build_subdomains
 from support.pictures import source
 from support.random_meshes import PARTITIONS, SEEDS, grid_mesh, random_partition
 
@@ -40,7 +40,7 @@ def interior(mesh: Mesh) -> NDArray[np.bool_]:
 
 
 def dense_stiffness(mesh: Mesh) -> NDArray[np.float64]:
-    return np.asarray(assemble_stiffness(mesh, Material()).toarray())
+    return np.asarray(interpolate_cells(mesh).assemble_matrix(stiffness_cells(mesh, Material())).toarray())
 
 
 def region() -> Mesh:
@@ -67,7 +67,7 @@ def test_waves_are_longitudinal_and_shear_with_both_phases() -> None:
 def test_energies_equal_a_dense_evaluation(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(equilibrium_gap, "_CHUNK_CELLS", 13)  # several batches on a small mesh
     mesh, wavelength = region(), 60.0
-    hessian = correlation(mesh, speckle(), 3).hessian()
+    hessian = read_correlation(mesh, speckle(), 3).assemble_hessian()
     waves, rows = plane_waves(mesh.nodes, wavelength), np.repeat(interior(mesh), 2)
     forces = (dense_stiffness(mesh) @ waves)[rows]
     texture = (waves * (hessian.toarray() @ waves))[rows]
@@ -83,9 +83,11 @@ def test_energies_equal_a_dense_evaluation(monkeypatch: pytest.MonkeyPatch) -> N
 def test_weight_does_not_depend_on_the_partition(kind: str, n: int, seed: int) -> None:
     mesh, image, wavelength = region(), speckle(), 60.0
     gap = gap_energies(mesh, Material(), interior(mesh), wavelength)
-    whole = texture_energies(mesh.nodes, correlation(mesh, image, 3).hessian(), interior(mesh), wavelength)
+    hessian = read_correlation(mesh, image, 3).assemble_hessian()
+    whole = texture_energies(mesh.nodes, hessian, interior(mesh), wavelength)
     parts = random_partition(mesh, kind, n, seed)
-    by_parts = sum(texture_energies(s.mesh.nodes, correlation(s.mesh, image, 3).hessian(), s.interior, wavelength)
+    by_parts = sum(texture_energies(s.mesh.nodes, read_correlation(s.mesh, image, 3).assemble_hessian(), s.interior,
+                                    wavelength)
                    for s in build_subdomains(mesh, parts, np.ones(mesh.n_dofs, dtype=bool)))
     # Sums in another order; gradients of different windows may round to neighbouring float32 numbers, one among
     # ten thousand pixels: 1e-11.
@@ -96,7 +98,7 @@ def test_weight_grows_with_the_fourth_power_of_the_wavelength() -> None:
     # |K v|^2 ~ (h^2 (2 pi / l_c)^2)^2 while v^T M v keeps its size; few nodes per wave and few waves per region
     # leave some percent.
     mesh = grid_mesh(40, 40, (8.0, 8.0), origin=(15.0, 15.0))
-    hessian = correlation(mesh, speckle(360), 3).hessian()
+    hessian = read_correlation(mesh, speckle(360), 3).assemble_hessian()
     weights = [cut_off_weight(texture_energies(mesh.nodes, hessian, interior(mesh), wavelength),
                               gap_energies(mesh, Material(), interior(mesh), wavelength))
                for wavelength in (64.0, 128.0)]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ddic.functionals.correlation import FEWEST, correlations
+from ddic.functionals.correlation import FEWEST, read_correlations
 from ddic.images.spline import _BAND_ROWS
 from ddic.images.sub_image import DeformedSubImage
 from ddic.images.threads import Threads
@@ -39,21 +39,21 @@ def everything(n_threads: int, n_parts: int, degree: int, masked: bool) -> dict[
     threads = Threads(n_threads)
     meshes = parts_of_mesh(n_parts)
     found: dict[str, NDArray[Any]] = {}
-    parts = [part for group in correlations(meshes, source(f, masks[0]), degree, threads) for part in group]
+    parts = [part for group in read_correlations(meshes, source(f, masks[0]), degree, threads) for part in group]
     for s, part in enumerate(parts):
         deformed = DeformedSubImage(source(g, masks[1]), degree, threads)
         # Some pixels leave the image.
         q = np.random.default_rng(s).uniform(-15, 15, part.mesh.n_dofs)
-        residual = part.residual(deformed, q, all_kinds=True)
-        gain, offset = residual.cell_sums.gain_and_offset()
+        residual = part.compute_residual(deformed, q, all_kinds=True)
+        gain, offset = residual.cell_sums.fit_gain_and_offset()
         reference, spline = part.reference, deformed.covering(part.displaced_window(q))
-        seen = part.seen_from(deformed, q)
+        seen = part.without_hidden(deformed, q)
         assert seen.threads is part.threads is threads
         found |= {f"{name} of part {s}": array for name, array in {
             "f": reference.values, "f_x": reference.by_x, "f_y": reference.by_y, "g": spline.coefficients,
-            "hessian": part.hessian_cells(), "moments": residual.moments, "sums": residual.cell_sums.values,
-            "residual image": part.residual_image(deformed, q, gain, offset),
-            "hessian of what is seen": seen.hessian_cells()}.items()}
+            "hessian": part.compute_cell_hessians(), "moments": residual.moments, "sums": residual.cell_sums.values,
+            "residual image": part.compute_residual_image(deformed, q, gain, offset),
+            "hessian of what is seen": seen.compute_cell_hessians()}.items()}
     return found
 
 

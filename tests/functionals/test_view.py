@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ddic.kinematics.pose import Motion, Rig, pose, seen_mesh
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ddic.functionals.correlation import correlation
+from ddic.functionals.correlation import read_correlation
 from ddic.functionals.view import View
 from ddic.images.binned import ArraySource
 from ddic.images.camera import CameraMapping, identity, similarity
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
-from ddic.kinematics.pose import Motion, Rig, pose, seen_mesh
 from support.random_meshes import grid_mesh
 from support.slow_correlation import cell_pixels
 
@@ -47,7 +47,8 @@ def view_of(mapping: CameraMapping, motion: Motion, f: NDArray[np.float64], g: N
     middle = mapping.to_specimen(np.array([[SIDE / 2, SIDE / 2]]))[0]
     mesh = grid_mesh(4, 3, (5.0, 5.0), origin=(middle[0] - 10.0, middle[1] - 7.5), seed=2, jitter=0.1)
     placed = pose(Rig(mapping, motion, middle, 20.0), mesh.nodes, WEIGHT, n_more)
-    return View(correlation(seen_mesh(mesh, placed), source(f), DEGREE), DeformedSubImage(source(g), DEGREE), 1, placed)
+    part = read_correlation(seen_mesh(mesh, placed), source(f), DEGREE)
+    return View(part, DeformedSubImage(source(g), DEGREE), 1, placed)
 
 
 def functional(view: View, g: NDArray[np.float64]) -> Callable[[NDArray[np.float64]], float]:
@@ -91,7 +92,7 @@ def test_b_is_minus_the_gradient_where_the_images_slopes_agree(mapping: CameraMa
     n = n_unknowns(view)
     phi = functional(view, g)
     residual = view.residual(np.zeros(n))
-    b, by_node = view.right_hand_side(residual), view.correlation.right_hand_side(residual)
+    b, by_node = view.right_hand_side(residual), view.correlation.assemble_right_hand_side(residual)
     assert view.pose is not None
     for direction in some_directions(n, view.pose.rig.n_shifts):
         step = 1e-4
@@ -169,7 +170,7 @@ def test_what_another_camera_has_leaves_m_and_b() -> None:
     alone, more = (view_of(MAPPINGS["similarity"], "none", f, g, n_more=n) for n in (0, 3))
     n = n_unknowns(alone)
     q = np.random.default_rng(1).normal(size=n + 3)
-    np.testing.assert_array_equal(more.hessian().toarray()[:n, :n], alone.hessian().toarray())
+    np.testing.assert_array_equal(more.hessian().toarray()[:n, :n], alone.assemble_hessian().toarray())
     assert not more.hessian().toarray()[n:].any()
     b = more.right_hand_side(more.residual(q))
     np.testing.assert_array_equal(b[:n], alone.right_hand_side(alone.residual(q[:n])))
@@ -180,20 +181,20 @@ def test_what_another_camera_has_leaves_m_and_b() -> None:
 def test_the_one_camera_of_a_plain_case_is_its_correlation(posed: bool) -> None:
     mesh = grid_mesh(4, 4, (16.0, 16.0), origin=(40.0, 40.0), seed=2, jitter=0.1)
     f, g = picture(), picture(1)
-    part, deformed = correlation(mesh, source(f), DEGREE), DeformedSubImage(source(g), DEGREE)
+    part, deformed = read_correlation(mesh, source(f), DEGREE), DeformedSubImage(source(g), DEGREE)
     still = pose(Rig(identity(), "none", np.zeros(2), 1.0), mesh.nodes, 1.0)
     view = View(part, deformed, 0, still if posed else None)
     q = np.random.default_rng(1).normal(size=mesh.n_dofs)
-    expected, found = part.residual(deformed, q, all_kinds=True), view.residual(q, all_kinds=True)
+    expected, found = part.compute_residual(deformed, q, all_kinds=True), view.residual(q, all_kinds=True)
     # phi(X + u) - phi(X) of the identity rounds positions of 1e2 px.
     close = {"rtol": 1e-12, "atol": 1e-9} if posed else {"rtol": 0.0, "atol": 0.0}
     np.testing.assert_allclose(view.displacement(q), q, **close)
     assert view.displaced_window(q) == part.displaced_window(q)
-    np.testing.assert_allclose(view.hessian().toarray(), part.hessian().toarray(), **close)
+    np.testing.assert_allclose(view.hessian().toarray(), part.assemble_hessian().toarray(), **close)
     np.testing.assert_allclose(found.cell_sums.values, expected.cell_sums.values, rtol=close["rtol"], atol=1e-6)
-    np.testing.assert_allclose(view.right_hand_side(found, 0.9, 3.0), part.right_hand_side(expected, 0.9, 3.0),
+    np.testing.assert_allclose(view.right_hand_side(found, 0.9, 3.0), part.assemble_right_hand_side(expected, 0.9, 3.0),
                                rtol=close["rtol"], atol=1e-6 if posed else 0.0)
-    np.testing.assert_allclose(view.residual_image(q, 0.9, 3.0), part.residual_image(deformed, q, 0.9, 3.0),
+    np.testing.assert_allclose(view.residual_image(q, 0.9, 3.0), part.compute_residual_image(deformed, q, 0.9, 3.0),
                                atol=1e-4 if posed else 0.0)
 
 

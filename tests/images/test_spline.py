@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ddic.functionals.correlation import correlation
+from ddic.functionals.correlation import read_correlation
 from ddic.images.spline import PADDING, read_gradient, read_spline, spline_coefficients
 from ddic.images.sub_image import DeformedSubImage
 from ddic.images.window import Window
@@ -33,8 +33,8 @@ def values_at_displaced_pixels(image: NDArray[np.float64], degree: int, low: int
     corners: displacement of the square's corners, (4, 2), pixels, bilinear in between.
     """
     mesh = grid_mesh(1, 1, (high - low, high - low), origin=(low, low))
-    part = correlation(mesh, source(np.zeros_like(image)), degree)
-    residual = part.residual_image(DeformedSubImage(source(image), degree), corners.ravel())
+    part = read_correlation(mesh, source(np.zeros_like(image)), degree)
+    residual = part.compute_residual_image(DeformedSubImage(source(image), degree), corners.ravel())
     x, y = (a.ravel() for a in np.meshgrid(np.arange(low, high), np.arange(low, high)))
     s, t = (x - low) / (high - low), (y - low) / (high - low)
     shapes = np.stack([(1 - s) * (1 - t), s * (1 - t), (1 - s) * t, s * t], axis=1)
@@ -160,11 +160,11 @@ def test_bias_at_a_quarter_shift(degree: int, bound: float, axis: int) -> None:
     shift = 0.25 * np.eye(2)[axis]
     pair = pair_of(Translation((float(shift[0]), float(shift[1]))), 256)
     mesh = grid_mesh(1, 1, (216.0, 216.0), origin=(20.0, 20.0))
-    part = correlation(mesh, source(pair.reference), degree)
-    residual = part.residual(DeformedSubImage(source(pair.deformed), degree), np.tile(shift, 4))
+    part = read_correlation(mesh, source(pair.reference), degree)
+    residual = part.compute_residual(DeformedSubImage(source(pair.deformed), degree), np.tile(shift, 4))
     rigid = np.tile(np.eye(2), (4, 1))
-    hessian = rigid.T @ (part.hessian() @ rigid)
-    bias = np.linalg.solve(hessian, rigid.T @ part.right_hand_side(residual))
+    hessian = rigid.T @ (part.assemble_hessian() @ rigid)
+    bias = np.linalg.solve(hessian, rigid.T @ part.assemble_right_hand_side(residual))
     # Grey levels are not rounded here, so that a bias much below the table's would be a shift read wrongly.
     assert bound / 2 < bias[axis] < bound
     assert abs(bias[1 - axis]) < 5e-5

@@ -11,7 +11,7 @@ from ddic.io import result_schema as schema
 from ddic.io.image_chunks import ChunkGrid, packed
 from ddic.io.result_writer import Piece, PieceSize, ResultWriter
 from ddic.mesh.cell_type import Q4, T3
-from ddic.mesh.mesh import Mesh, mesh_from_cells
+from ddic.mesh.mesh import Mesh, build_mesh
 
 COLUMNS, ROWS, SIDE = 4, 3, 10.0
 
@@ -24,7 +24,7 @@ def small_mesh() -> Mesh:
     a = j * (COLUMNS + 1) + i
     squares = np.stack([a, a + 1, a + COLUMNS + 2, a + COLUMNS + 1], axis=1)
     cut = squares[i == COLUMNS - 1]
-    return mesh_from_cells(nodes, {Q4: squares[i < COLUMNS - 1],
+    return build_mesh(nodes, {Q4: squares[i < COLUMNS - 1],
                                    T3: np.concatenate([cut[:, :3], cut[:, [2, 3, 0]]])})
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from ddic.kinematics.pose import Motion, Rig, pose, seen_mesh
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from ddic.images.camera import CameraMapping, identity, similarity
-from ddic.kinematics.pose import Motion, Rig, pose, seen_mesh
 from support.random_meshes import grid_mesh
 
 CENTRE = np.array([390.0, 225.0])

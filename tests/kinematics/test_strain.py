@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from ddic.kinematics.strain import cell_strain, inverted_cells
+from ddic.kinematics.strain import compute_strain, find_inverted_cells
 from ddic.mesh.mesh import Mesh
 from support.random_meshes import SEEDS, Cells, grid_mesh, grid_meshes
 
@@ -15,7 +15,7 @@ from support.random_meshes import SEEDS, Cells, grid_mesh, grid_meshes
 @given(mesh=grid_meshes(), seed=SEEDS)
 def test_uniform_gradients_are_exact(mesh: Mesh, seed: int) -> None:
     h = np.random.default_rng(seed).uniform(-0.3, 0.3, (2, 2))
-    strain = cell_strain(mesh, (mesh.nodes @ h.T + [3.0, -5.0]).ravel())
+    strain = compute_strain(mesh, (mesh.nodes @ h.T + [3.0, -5.0]).ravel())
     small, large = (h + h.T) / 2, (h + h.T + h.T @ h) / 2
     # Rounding of displacements of some ten pixels over cells of two.
     for found, tensor in ((strain.infinitesimal, small), (strain.green_lagrange, large)):
@@ -27,7 +27,7 @@ def test_rotation_has_no_green_lagrange_strain() -> None:
     mesh = grid_mesh(3, 3, (7.0, 6.0), cells="mixed", seed=1, jitter=0.2)
     c, s = np.cos(0.4), np.sin(0.4)
     rotation = np.array([[c, -s], [s, c]])
-    strain = cell_strain(mesh, (mesh.nodes @ rotation.T - mesh.nodes).ravel())
+    strain = compute_strain(mesh, (mesh.nodes @ rotation.T - mesh.nodes).ravel())
     np.testing.assert_allclose(strain.green_lagrange, 0.0, atol=1e-14)
     np.testing.assert_allclose(strain.infinitesimal, np.tile([c - 1, c - 1, 0.0], (mesh.n_cells, 1)), atol=1e-14)
 
@@ -45,7 +45,7 @@ def test_strain_converges(cells: Cells, order: float) -> None:
         exx = w * np.cos(w * x) * np.cos(w * y)
         eyy = -0.5 * w * np.sin(w * (x + y))
         exy = 0.5 * (-w * np.sin(w * x) * np.sin(w * y) - 0.5 * w * np.sin(w * (x + y)))
-        found = cell_strain(mesh, u.ravel()).infinitesimal
+        found = compute_strain(mesh, u.ravel()).infinitesimal
         errors.append(np.abs(found - np.stack([exx, eyy, exy], axis=1)).max() / w)
     assert errors[0] < 0.3
     # Two grids are not yet the limit.
@@ -55,9 +55,9 @@ def test_strain_converges(cells: Cells, order: float) -> None:
 def test_a_cell_turned_inside_out_is_named() -> None:
     mesh = grid_mesh(3, 3, (7.0, 6.0), cells="Q4", seed=1, jitter=0.0)
     q = np.zeros(mesh.n_dofs)
-    assert len(inverted_cells(mesh, q)) == 0
+    assert len(find_inverted_cells(mesh, q)) == 0
     # Mirrored in x about its centroid, cell 4 has det(I + grad u) = -1; its neighbours are stretched, not turned.
     corners = mesh.cells[4]
     q.reshape(-1, 2)[corners, 0] = -2 * (mesh.nodes[corners, 0] - mesh.centroids[4, 0])
-    assert 4 in inverted_cells(mesh, q)
-    assert 0 not in inverted_cells(mesh, q)
+    assert 4 in find_inverted_cells(mesh, q)
+    assert 0 not in find_inverted_cells(mesh, q)

@@ -7,10 +7,10 @@ import pytest
 from numpy.typing import NDArray
 
 from ddic.mesh.cell_type import CELL_TYPES, Q4, T3, CellType
-from ddic.mesh.mesh import mesh_from_cells
+from ddic.mesh.mesh import build_mesh
 from ddic.mesh.monomials import N_MONOMIALS
-from ddic.mesh.quality import areas
-from ddic.mesh.shapes import shape_gradients
+from ddic.mesh.quality import measure_areas
+from ddic.mesh.shapes import compute_shape_gradients
 
 EVERY = pytest.mark.parametrize("kind", CELL_TYPES.values(), ids=lambda kind: kind.name)
 
@@ -18,7 +18,7 @@ AFFINE = np.array([[7.0, 2.0], [-3.0, 9.0]])
 
 
 def reference_area(kind: CellType) -> float:
-    return float(areas(mesh_from_cells(kind.nodes, {kind: np.arange(kind.n_nodes)[None]}))[0])
+    return float(measure_areas(build_mesh(kind.nodes, {kind: np.arange(kind.n_nodes)[None]}))[0])
 
 
 def test_registered_by_their_numbers() -> None:
@@ -68,10 +68,10 @@ def test_weights_sum_to_the_area_and_points_lie_about_the_centre(kind: CellType)
 @EVERY
 def test_stiffness_of_an_affine_cell_is_integrated_exactly(kind: CellType) -> None:
     """Against Gauss's rule of four points a side, collapsed onto the triangles that the cell is cut into."""
-    mesh = mesh_from_cells(kind.nodes @ AFFINE.T, {kind: np.arange(kind.n_nodes)[None]})
+    mesh = build_mesh(kind.nodes @ AFFINE.T, {kind: np.arange(kind.n_nodes)[None]})
 
     def integrate(points: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
-        gradients, det = shape_gradients(mesh, mesh.cell_blocks[0], points)
+        gradients, det = compute_shape_gradients(mesh, mesh.cell_blocks[0], points)
         return np.asarray(np.einsum("paj,pbk,p->ajbk", gradients[0], gradients[0], det[0] * weights))
 
     x, w = np.polynomial.legendre.leggauss(4)
@@ -98,9 +98,9 @@ def test_edges_close_around_the_cell(kind: CellType) -> None:
 
 @EVERY
 def test_triangles_cover_the_cell(kind: CellType) -> None:
-    triangles = mesh_from_cells(kind.nodes, {T3: np.array(kind.triangles)})
-    assert areas(triangles).min() > 0
-    assert areas(triangles).sum() == pytest.approx(reference_area(kind), rel=1e-15)
+    triangles = build_mesh(kind.nodes, {T3: np.array(kind.triangles)})
+    assert measure_areas(triangles).min() > 0
+    assert measure_areas(triangles).sum() == pytest.approx(reference_area(kind), rel=1e-15)
 
 
 @EVERY

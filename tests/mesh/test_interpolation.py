@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from ddic.mesh.cell_type import Q4
 from ddic.mesh.interpolation import interpolate, interpolate_located, locate
-from ddic.mesh.mesh import Mesh, mesh_from_cells
-from ddic.mesh.point_in_mesh import inside_outline
-from ddic.mesh.structured import structured_mesh
+from ddic.mesh.mesh import Mesh, build_mesh
+from ddic.mesh.point_in_mesh import lie_inside_outline
+from ddic.mesh.structured import build_structured_mesh
 from support.random_meshes import SEEDS, delaunay_meshes, grid_mesh, grid_meshes
 
 MESHES = st.one_of(grid_meshes(), delaunay_meshes())
@@ -64,7 +64,7 @@ def test_local_coordinates_are_those_of_the_points(mesh: Mesh, seed: int) -> Non
 def test_distorted_quadrilaterals(corner: tuple[float, float]) -> None:
     """The third corner approaches the diagonal, where det J = 0."""
     nodes = np.array([[20.2, 20.3], [53.1, 21.4], corner, [21.6, 52.3]])
-    mesh = mesh_from_cells(nodes, {Q4: np.arange(4)[None]})
+    mesh = build_mesh(nodes, {Q4: np.arange(4)[None]})
     xi, eta = (a.ravel() for a in np.meshgrid(np.linspace(-1, 1, 21), np.linspace(-1, 1, 21)))
     local = np.stack([xi, eta], axis=1)
     points = Q4.evaluate_shapes(local) @ nodes
@@ -97,12 +97,12 @@ def test_nothing_outside_and_in_holes(mesh: Mesh, seed: int) -> None:
     found = interpolate(mesh, mesh.nodes, points)
     held = ~np.isnan(found).any(axis=1)
     # A random point is not within 1e-6 px of an edge but once in a million.
-    np.testing.assert_array_equal(held, inside_outline(points, mesh))
+    np.testing.assert_array_equal(held, lie_inside_outline(points, mesh))
     np.testing.assert_allclose(found[held], points[held], atol=1e-9)
 
 
 def test_a_hole_is_not_bridged() -> None:
-    mesh = structured_mesh((0, 0, 400, 300), 16, circles=[((200.0, 150.0), 80.0)])
+    mesh = build_structured_mesh((0, 0, 400, 300), 16, circles=[((200.0, 150.0), 80.0)])
     points = np.array([[200.0, 150.0], [270.0, 150.0], [300.0, 150.0], [-1e-3, 150.0], [-1e-8, 150.0], [400.5, 150.0],
                        [np.nan, 150.0], [np.inf, 150.0], [-1e300, 150.0]])
     found = np.isfinite(interpolate(mesh, mesh.nodes, points)).all(axis=1)
@@ -112,7 +112,7 @@ def test_a_hole_is_not_bridged() -> None:
 def test_cells_of_a_crack_keep_their_sides() -> None:
     """Two cells side by side that share no node: values jump between them, and a point takes those of its own side."""
     nodes = np.array([[0.0, 0], [10, 0], [10, 10], [0, 10], [10, 0], [20, 0], [20, 10], [10, 10]])
-    mesh = mesh_from_cells(nodes, {Q4: np.arange(8).reshape(2, 4)})
+    mesh = build_mesh(nodes, {Q4: np.arange(8).reshape(2, 4)})
     values = np.repeat([[1.0], [2.0]], 4, axis=0)
     points = np.array([[9.9999, 5.0], [10.0001, 5.0]])
     np.testing.assert_allclose(interpolate(mesh, values, points), [[1.0], [2.0]])
@@ -130,7 +130,7 @@ def test_many_fields_at_the_same_points() -> None:
 def test_no_points_and_no_cells() -> None:
     mesh = grid_mesh(2, 2, (5.0, 5.0))
     assert interpolate(mesh, mesh.nodes, np.zeros((0, 2))).shape == (0, 2)
-    empty = mesh_from_cells(mesh.nodes, {})
+    empty = build_mesh(mesh.nodes, {})
     assert locate(empty, np.zeros((3, 2))).cells.tolist() == [-1, -1, -1]
 
 

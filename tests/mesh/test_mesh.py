@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ddic.mesh.cell_type import Q4, T3
-from ddic.mesh.mesh import Mesh, Similarity, mesh_from_cells
+from ddic.mesh.mesh import Mesh, Similarity, build_mesh
 from support.random_meshes import SEEDS, grid_mesh, grid_meshes
 
 NODES = np.array([[0.0, 0.0], [2.0, 0.0], [4.0, 0.0], [0.0, 2.0], [2.0, 2.0], [4.0, 2.0]])
@@ -15,7 +15,7 @@ NODES = np.array([[0.0, 0.0], [2.0, 0.0], [4.0, 0.0], [0.0, 2.0], [2.0, 2.0], [4
 
 def small_mesh() -> Mesh:
     blocks = {Q4: np.array([[0, 1, 4, 3]]), T3: np.array([[1, 2, 5], [1, 5, 4]])}
-    return mesh_from_cells(NODES, blocks, {"left": np.array([0, 3]), "right": np.array([2, 5])})
+    return build_mesh(NODES, blocks, {"left": np.array([0, 3]), "right": np.array([2, 5])})
 
 
 def test_sizes_and_padded_cells() -> None:

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from ddic.images.window import Window
 from ddic.mesh.cell_type import T3
-from ddic.mesh.mesh import Mesh, mesh_from_cells
+from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.raster import SNAP, Raster, rasterize
-from ddic.mesh.topology import boundary_facets
+from ddic.mesh.topology import find_boundary_facets
 from support.random_meshes import (
     PARTITIONS,
     SEEDS,
@@ -89,7 +89,7 @@ def test_pixels_on_a_long_edge_follow_the_exact_rule(slope: tuple[int, int]) -> 
     # Crossings like 1/49 x 49 are a rounding error away from the pixel centre that they hit.
     for d in range(2, 120):
         nodes = np.array([[0, 0], [d * slope[0], d * slope[1]], [-200, 120], [200, -80]], dtype=float)
-        mesh = mesh_from_cells(nodes, {T3: np.array([[0, 1, 2], [1, 0, 3]])})
+        mesh = build_mesh(nodes, {T3: np.array([[0, 1, 2], [1, 0, 3]])})
         on_edge = np.arange(d)[:, None] * np.array(slope)
         found = pixels_of(rasterize(mesh))
         for e in range(2):
@@ -115,7 +115,7 @@ def test_cells_hold_the_pixels_inside_and_share_none(mesh: Mesh) -> None:
 @given(mesh=ANY_MESH)
 def test_pixels_inside_the_union_belong_to_one_cell(mesh: Mesh) -> None:
     points = pixels_around(mesh)
-    sides = mesh.nodes[boundary_facets(mesh)]
+    sides = mesh.nodes[find_boundary_facets(mesh)]
     inside = np.zeros(len(points), dtype=bool)
     for e in range(mesh.n_cells):
         inside |= depth(corners(mesh, e), points) >= -1e-9
@@ -150,7 +150,7 @@ def test_grid_of_squares_has_as_many_pixels_as_area(origin: tuple[float, float])
 
 
 def test_cell_between_pixel_centres_has_no_pixel() -> None:
-    raster = rasterize(mesh_from_cells(np.array([[1.2, 1.2], [1.8, 1.2], [1.5, 1.9]]),
+    raster = rasterize(build_mesh(np.array([[1.2, 1.2], [1.8, 1.2], [1.5, 1.9]]),
                                        {T3: np.array([[0, 1, 2]])}))
     assert raster.pixel_counts.tolist() == [0]
     with pytest.raises(ValueError, match="no pixel centre"):

@@ -11,26 +11,26 @@ from hypothesis import strategies as st
 
 from ddic.errors import InputError
 from ddic.mesh.cell_type import Q4, T3
-from ddic.mesh.quality import areas, shape_quality
+from ddic.mesh.quality import measure_areas, measure_shape_quality
 from ddic.mesh.repair import repair
 from ddic.mesh.snapping import SMALLEST_SINE
-from ddic.mesh.structured import structured_mesh
-from ddic.mesh.topology import boundary_nodes, cell_adjacency, facets
+from ddic.mesh.structured import build_structured_mesh
+from ddic.mesh.topology import find_adjacent_cells, find_boundary_nodes, find_facets
 
 Cell = Literal["Q4", "T3"]
 SIZE = st.floats(4.0, 30.0)
 
 
 def test_cells_have_the_size_asked_for() -> None:
-    mesh = structured_mesh((10, 20, 90, 68), 16)
+    mesh = build_structured_mesh((10, 20, 90, 68), 16)
     assert (mesh.n_cells, mesh.n_nodes) == (5 * 3, 6 * 4)
-    np.testing.assert_allclose(areas(mesh), 256.0, rtol=1e-14)
+    np.testing.assert_allclose(measure_areas(mesh), 256.0, rtol=1e-14)
     assert mesh.nodes[0].tolist() == [10, 20]
     assert mesh.nodes[-1].tolist() == [90, 68]
 
 
 def test_named_sides() -> None:
-    mesh = structured_mesh((10, 20, 90, 68), 16)
+    mesh = build_structured_mesh((10, 20, 90, 68), 16)
     for name, axis, value in (("left", 0, 10), ("right", 0, 90), ("top", 1, 20), ("bottom", 1, 68)):
         assert mesh.node_sets[name].tolist() == np.flatnonzero(mesh.nodes[:, axis] == value).tolist()
 
@@ -40,19 +40,19 @@ def test_named_sides() -> None:
        size=SIZE, cell=st.sampled_from(["Q4", "T3"]))
 def test_cells_cover_the_region_exactly(x0: float, y0: float, width: float, height: float, size: float,
                                         cell: Cell) -> None:
-    mesh = structured_mesh((x0, y0, x0 + width, y0 + height), size, cell)
+    mesh = build_structured_mesh((x0, y0, x0 + width, y0 + height), size, cell)
     # A sum of at most a few thousand terms of rounding 1e-16 each, coordinates up to 350.
-    np.testing.assert_allclose(areas(mesh).sum(), width * height, rtol=1e-10)
-    assert areas(mesh).min() > 0
+    np.testing.assert_allclose(measure_areas(mesh).sum(), width * height, rtol=1e-10)
+    assert measure_areas(mesh).min() > 0
     # From the region's own sides: x0 + width - x0 may differ from width by a rounding, which decides ties.
     columns, rows = round((x0 + width - x0) / size), round((y0 + height - y0) / size)
     assert mesh.n_cells == columns * rows * (2 if cell == "T3" else 1)
-    assert len(boundary_nodes(mesh)) == 2 * (columns + rows)
+    assert len(find_boundary_nodes(mesh)) == 2 * (columns + rows)
 
 
 def test_diagonals_of_triangles_alternate() -> None:
-    mesh = structured_mesh((0, 0, 20, 10), 10, "T3")
-    found = facets(mesh)
+    mesh = build_structured_mesh((0, 0, 20, 10), 10, "T3")
+    found = find_facets(mesh)
     edges = {tuple(sorted(nodes)) for nodes in found.nodes[found.n_cells == 2].tolist()}
     # Nodes 0 1 2 above 3 4 5: a diagonal from 0 to 4, the other way in the next cell.
     assert edges == {(0, 4), (1, 4), (2, 4)}
@@ -63,36 +63,36 @@ def test_diagonals_of_triangles_alternate() -> None:
 @given(cx=st.floats(60, 140), cy=st.floats(60, 140), radius=st.floats(9, 50), size=st.floats(5, 12),
        cell=st.sampled_from(["Q4", "T3"]))
 def test_holes_are_round(cx: float, cy: float, radius: float, size: float, cell: Cell) -> None:
-    mesh = structured_mesh((0, 0, 200, 200), size, cell, circles=[((cx, cy), radius)])
-    found = facets(mesh)
+    mesh = build_structured_mesh((0, 0, 200, 200), size, cell, circles=[((cx, cy), radius)])
+    found = find_facets(mesh)
     outer = found.nodes[found.n_cells == 1]
     rim = outer[((mesh.nodes[outer] > 0.0) & (mesh.nodes[outer] < 200.0)).all(axis=(1, 2))]
     assert np.isin(rim, mesh.node_sets["hole_0"]).all()
     away = np.abs(np.hypot(*(mesh.nodes[mesh.node_sets["hole_0"]] - [cx, cy]).T) - radius)
     # Nodes that are held back stay near: 0.33 sizes at most over 4000 random circles.
     assert away.max() < 0.5 * size
-    assert areas(mesh).min() > 0
-    assert shape_quality(mesh).min() >= SMALLEST_SINE
+    assert measure_areas(mesh).min() > 0
+    assert measure_shape_quality(mesh).min() >= SMALLEST_SINE
     assert mesh.n_nodes == len(np.unique(mesh.connectivity))
 
 
 @pytest.mark.parametrize("size", [4.0, 8.0, 16.0])
 def test_area_of_a_hole_converges(size: float) -> None:
-    mesh = structured_mesh((0, 0, 400, 400), size, circles=[((203.0, 191.0), 80.0)])
-    hole = 400.0**2 - areas(mesh).sum()
+    mesh = build_structured_mesh((0, 0, 400, 400), size, circles=[((203.0, 191.0), 80.0)])
+    hole = 400.0**2 - measure_areas(mesh).sum()
     # Chords of length up to sqrt(2) size each leave out chord^3 / (12 radius): relative (chord/radius)^2 / 6.
     assert 0 <= 1 - hole / (np.pi * 80.0**2) < (np.sqrt(2.0) * size / 80.0) ** 2 / 6
 
 
 def test_corners_in_a_hole_are_cut_off() -> None:
-    mesh = structured_mesh((0, 0, 400, 400), 16, circles=[((200.0, 200.0), 80.0)])
+    mesh = build_structured_mesh((0, 0, 400, 400), 16, circles=[((200.0, 200.0), 80.0)])
     kinds, counts = np.unique(mesh.types, return_counts=True)
     assert kinds.tolist() == [T3.vtk, Q4.vtk]
     assert counts[0] < 0.05 * mesh.n_cells
 
 
 def test_notch_nodes_slide_along_the_side() -> None:
-    mesh = structured_mesh((0, 0, 200, 200), 10, circles=[((9.0, 103.0), 37.0)])
+    mesh = build_structured_mesh((0, 0, 200, 200), 10, circles=[((9.0, 103.0), 37.0)])
     on_left = mesh.node_sets["left"]
     assert (mesh.nodes[on_left, 0] == 0.0).all()
     rim = np.intersect1d(on_left, mesh.node_sets["hole_0"])
@@ -108,7 +108,7 @@ def test_nearly_all_nodes_reach_the_circle(cell: Cell) -> None:
     reached = []
     for _ in range(60):
         center, radius = rng.uniform(60, 140, 2), float(rng.uniform(12, 50))
-        mesh = structured_mesh((0, 0, 200, 200), 10, cell, circles=[((center[0], center[1]), radius)])
+        mesh = build_structured_mesh((0, 0, 200, 200), 10, cell, circles=[((center[0], center[1]), radius)])
         away = np.hypot(*(mesh.nodes[mesh.node_sets["hole_0"]] - center).T) - radius
         reached += (np.abs(away) < 1e-9).tolist()
     # Measured over 65 398 nodes, small holes included: all but 0.01 % (Q4) and 0.25 % (T3).
@@ -118,24 +118,24 @@ def test_nearly_all_nodes_reach_the_circle(cell: Cell) -> None:
 def test_a_node_that_would_spoil_a_cell_is_held_back() -> None:
     # Found by a search over 300 circles: projecting all nodes of this one leaves a corner with a sine of 0.1.
     center, radius = (258.44400123, 238.08681717), 11.85357679593875
-    mesh = structured_mesh((0, 0, 400, 400), 16, circles=[(center, radius)])
+    mesh = build_structured_mesh((0, 0, 400, 400), 16, circles=[(center, radius)])
     away = np.abs(np.hypot(*(mesh.nodes[mesh.node_sets["hole_0"]] - center).T) - radius)
     assert (away > 1e-9).any()
-    assert shape_quality(mesh).min() >= SMALLEST_SINE
+    assert measure_shape_quality(mesh).min() >= SMALLEST_SINE
 
 
 def test_polygonal_hole() -> None:
     triangle = np.array([[60.0, 60.0], [150.0, 80.0], [80.0, 150.0]])
-    mesh = structured_mesh((0, 0, 200, 200), 8, polygons=[triangle])
+    mesh = build_structured_mesh((0, 0, 200, 200), 8, polygons=[triangle])
     rim = mesh.nodes[mesh.node_sets["hole_0"]]
     edge = np.roll(triangle, -1, axis=0) - triangle
     offset = rim[:, None, :] - triangle
     away = np.abs(edge[:, 0] * offset[..., 1] - edge[:, 1] * offset[..., 0]) / np.linalg.norm(edge, axis=1)
     assert (away.min(axis=1) < 1e-9).mean() > 0.9
-    assert areas(mesh).min() > 0
+    assert measure_areas(mesh).min() > 0
     inside = 0.5 * abs(np.linalg.det(np.stack([triangle[1] - triangle[0], triangle[2] - triangle[0]])))
     # The corners of the polygon are cut by up to about half a cell each.
-    assert 200.0**2 - areas(mesh).sum() == pytest.approx(inside, abs=3 * 64.0)
+    assert 200.0**2 - measure_areas(mesh).sum() == pytest.approx(inside, abs=3 * 64.0)
 
 
 @settings(max_examples=30)
@@ -143,42 +143,42 @@ def test_polygonal_hole() -> None:
        radius=st.floats(15, 40))
 def test_overlapping_holes_leave_sound_cells(first: tuple[float, float], second: tuple[float, float],
                                              radius: float) -> None:
-    mesh = structured_mesh((0, 0, 200, 200), 10, circles=[(first, radius), (second, 25.0)])
+    mesh = build_structured_mesh((0, 0, 200, 200), 10, circles=[(first, radius), (second, 25.0)])
     assert repair(mesh).n_nodes == mesh.n_nodes
     assert not np.intersect1d(mesh.node_sets["hole_0"], mesh.node_sets["hole_1"]).size
-    assert areas(mesh).sum() < 200.0**2
+    assert measure_areas(mesh).sum() < 200.0**2
 
 
 def test_mask_keeps_cells_with_half_of_their_pixels() -> None:
     mask = np.zeros((40, 60), dtype=bool)
     mask[:, 25:] = True  # the column of cells 20 <= x < 30 has exactly half of its pixels
-    mesh = structured_mesh((0, 0, 60, 40), 10, mask=mask)
+    mesh = build_structured_mesh((0, 0, 60, 40), 10, mask=mask)
     assert mesh.nodes[:, 0].min() == 20
     assert mesh.n_cells == 4 * 4
     mask[:, 25] = False
-    assert structured_mesh((0, 0, 60, 40), 10, mask=mask).n_cells == 4 * 3
+    assert build_structured_mesh((0, 0, 60, 40), 10, mask=mask).n_cells == 4 * 3
 
 
 def test_pixels_outside_the_mask_image_count_as_false() -> None:
     mask = np.ones((40, 40), dtype=bool)
-    mesh = structured_mesh((-20, -20, 60, 60), 10, mask=mask)
+    mesh = build_structured_mesh((-20, -20, 60, 60), 10, mask=mask)
     assert mesh.nodes.min(axis=0).tolist() == [0, 0]
     assert mesh.nodes.max(axis=0).tolist() == [40, 40]
 
 
 def test_hole_that_removes_nothing_is_refused() -> None:
     with pytest.raises(InputError, match="hole_1 holds the centre of no cell"):
-        structured_mesh((0, 0, 100, 100), 10, circles=[((50.0, 50.0), 20.0), ((500.0, 50.0), 20.0)])
+        build_structured_mesh((0, 0, 100, 100), 10, circles=[((50.0, 50.0), 20.0), ((500.0, 50.0), 20.0)])
 
 
 def test_nothing_left_is_refused() -> None:
     with pytest.raises(InputError, match="no cell is left"):
-        structured_mesh((0, 0, 100, 100), 10, mask=np.zeros((100, 100), dtype=bool))
+        build_structured_mesh((0, 0, 100, 100), 10, mask=np.zeros((100, 100), dtype=bool))
 
 
 def test_a_large_mesh_is_connected() -> None:
-    mesh = structured_mesh((0, 0, 300, 300), 10, circles=[((150.0, 150.0), 60.0)])
-    indptr, indices = cell_adjacency(mesh)
+    mesh = build_structured_mesh((0, 0, 300, 300), 10, circles=[((150.0, 150.0), 60.0)])
+    indptr, indices = find_adjacent_cells(mesh)
     seen, front = {0}, [0]
     while front:
         cell = front.pop()

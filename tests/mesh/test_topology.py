@@ -11,15 +11,21 @@ from hypothesis import strategies as st
 
 from ddic.errors import InputError
 from ddic.mesh.cell_type import Q4, T3
-from ddic.mesh.control import not_controlled_nodes
-from ddic.mesh.mesh import mesh_from_cells
-from ddic.mesh.structured import structured_mesh
-from ddic.mesh.topology import boundary_facets, boundary_nodes, cell_adjacency, facets, named_facets
+from ddic.mesh.control import find_not_controlled_nodes
+from ddic.mesh.mesh import build_mesh
+from ddic.mesh.structured import build_structured_mesh
+from ddic.mesh.topology import (
+    find_adjacent_cells,
+    find_boundary_facets,
+    find_boundary_nodes,
+    find_facets,
+    find_named_facets,
+)
 
 Cell = Literal["Q4", "T3"]
 
 # Two quads and a triangle in a row: 0-1-2 below, 5-4-3 above, 6 at the tip.
-MIXED = mesh_from_cells(
+MIXED = build_mesh(
     np.array([[0, 0], [1, 0], [2, 0], [2, 1], [1, 1], [0, 1], [3, 0.5]], dtype=float),
     {Q4: np.array([[0, 1, 4, 5], [1, 2, 3, 4]]), T3: np.array([[2, 6, 3]])},
     {"tip": np.array([2, 3, 6]), "none": np.zeros(0, np.int64)},
@@ -27,7 +33,7 @@ MIXED = mesh_from_cells(
 
 
 def test_facets_of_mixed_mesh_are_shared_once() -> None:
-    found = facets(MIXED)
+    found = find_facets(MIXED)
     assert len(found.nodes) == 4 + 4 + 3 - 2
     shared = {tuple(sorted(nodes)) for nodes in found.nodes[found.n_cells == 2].tolist()}
     assert shared == {(1, 4), (2, 3)}
@@ -35,40 +41,40 @@ def test_facets_of_mixed_mesh_are_shared_once() -> None:
 
 
 def test_facet_numbers_name_the_nodes_of_their_sides() -> None:
-    found = facets(MIXED)
+    found = find_facets(MIXED)
     for facet, cell in zip(found.side_facets, found.side_cells, strict=True):
         assert set(found.nodes[facet]) <= set(MIXED.cells[cell])
 
 
 def test_boundary_of_mixed_mesh() -> None:
-    outer = {tuple(sorted(nodes)) for nodes in boundary_facets(MIXED).tolist()}
+    outer = {tuple(sorted(nodes)) for nodes in find_boundary_facets(MIXED).tolist()}
     assert outer == {(0, 1), (1, 2), (3, 4), (4, 5), (0, 5), (2, 6), (3, 6)}
-    assert boundary_nodes(MIXED).tolist() == list(range(7))
+    assert find_boundary_nodes(MIXED).tolist() == list(range(7))
 
 
 def test_named_facets_lie_on_the_boundary_only() -> None:
     # Edge 2-3 has both nodes in the set, but two cells.
-    found = {tuple(sorted(nodes)) for nodes in named_facets(MIXED, "tip").tolist()}
+    found = {tuple(sorted(nodes)) for nodes in find_named_facets(MIXED, "tip").tolist()}
     assert found == {(2, 6), (3, 6)}
 
 
 def test_unknown_and_empty_sets_are_refused() -> None:
     with pytest.raises(InputError, match='did you mean "tip"'):
-        named_facets(MIXED, "tipp")
+        find_named_facets(MIXED, "tipp")
     with pytest.raises(InputError, match="holds no node"):
-        named_facets(MIXED, "none")
+        find_named_facets(MIXED, "none")
 
 
 def test_adjacency_of_mixed_mesh() -> None:
-    indptr, indices = cell_adjacency(MIXED)
+    indptr, indices = find_adjacent_cells(MIXED)
     assert indptr.tolist() == [0, 1, 3, 4]
     assert indices.tolist() == [1, 0, 2, 1]
 
 
 def test_three_cells_on_one_facet_are_all_neighbours() -> None:
     nodes = np.array([[0, 0], [0, 1], [1, 0.5], [-1, 0.5], [2, 0.5]], dtype=float)
-    mesh = mesh_from_cells(nodes, {T3: np.array([[0, 2, 1], [0, 1, 3], [0, 4, 1]])})
-    indptr, indices = cell_adjacency(mesh)
+    mesh = build_mesh(nodes, {T3: np.array([[0, 2, 1], [0, 1, 3], [0, 4, 1]])})
+    indptr, indices = find_adjacent_cells(mesh)
     assert indptr.tolist() == [0, 2, 4, 6]
     assert indices.tolist() == [1, 2, 0, 2, 0, 1]
 
@@ -76,8 +82,8 @@ def test_three_cells_on_one_facet_are_all_neighbours() -> None:
 @settings(max_examples=25)
 @given(nx=st.integers(1, 9), ny=st.integers(1, 9), cell=st.sampled_from(["Q4", "T3"]))
 def test_adjacency_is_symmetric_and_complete(nx: int, ny: int, cell: Cell) -> None:
-    mesh = structured_mesh((0, 0, 8.0 * nx, 8.0 * ny), 8.0, cell)
-    indptr, indices = cell_adjacency(mesh)
+    mesh = build_structured_mesh((0, 0, 8.0 * nx, 8.0 * ny), 8.0, cell)
+    indptr, indices = find_adjacent_cells(mesh)
     rows = np.repeat(np.arange(mesh.n_cells), np.diff(indptr))
     pairs = set(zip(rows.tolist(), indices.tolist(), strict=True))
     assert len(pairs) == len(indices)
@@ -89,22 +95,22 @@ def test_adjacency_is_symmetric_and_complete(nx: int, ny: int, cell: Cell) -> No
 
 
 def test_boundary_nodes_of_a_grid_are_on_its_sides() -> None:
-    mesh = structured_mesh((3, 4, 43, 54), 10)
+    mesh = build_structured_mesh((3, 4, 43, 54), 10)
     on_side = np.isin(mesh.nodes[:, 0], (3, 43)) | np.isin(mesh.nodes[:, 1], (4, 54))
-    assert boundary_nodes(mesh).tolist() == np.flatnonzero(on_side).tolist()
+    assert find_boundary_nodes(mesh).tolist() == np.flatnonzero(on_side).tolist()
 
 
 def test_not_controlled_nodes_come_from_names_boundary_and_boxes() -> None:
-    mesh = structured_mesh((0, 0, 40, 40), 10)
-    assert not_controlled_nodes(mesh, ["top"], [(-1, 39, 11, 41)]).tolist() == [0, 1, 2, 3, 4, 20, 21]
-    assert not_controlled_nodes(mesh, ["boundary"], []).tolist() == boundary_nodes(mesh).tolist()
-    assert not_controlled_nodes(mesh, [], []).tolist() == []
+    mesh = build_structured_mesh((0, 0, 40, 40), 10)
+    assert find_not_controlled_nodes(mesh, ["top"], [(-1, 39, 11, 41)]).tolist() == [0, 1, 2, 3, 4, 20, 21]
+    assert find_not_controlled_nodes(mesh, ["boundary"], []).tolist() == find_boundary_nodes(mesh).tolist()
+    assert find_not_controlled_nodes(mesh, [], []).tolist() == []
 
 
 def test_all_bad_names_and_boxes_are_reported_together() -> None:
-    mesh = structured_mesh((0, 0, 40, 40), 10)
+    mesh = build_structured_mesh((0, 0, 40, 40), 10)
     with pytest.raises(InputError) as caught:
-        not_controlled_nodes(mesh, ["tops", "zzz"], [(1, 1, 2, 2)])
+        find_not_controlled_nodes(mesh, ["tops", "zzz"], [(1, 1, 2, 2)])
     assert len(caught.value.problems) == 3
     assert 'regularization.not_controlled: no node set is named "tops"; did you mean "top"?' in str(caught.value)
     assert "regularization.boxes" in caught.value.problems[2]

@@ -6,6 +6,7 @@ from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
+from ddic.partition.connectivity import build_subdomains
 from hypothesis import given
 from hypothesis import strategies as st
 from mpi4py import MPI
@@ -13,7 +14,6 @@ from mpi4py import MPI
 from ddic.errors import InputError, is_on_all_ranks
 from ddic.parallel.distribution import scatter_subdomains, split_evenly
 from ddic.parallel.team import Team
-from ddic.partition.connectivity import build_subdomains
 from support.linear import linear_step, split
 
 RANKS = [1, 2, 3, 4]

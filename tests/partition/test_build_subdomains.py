@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ddic.kinematics.nodal import NodalRegion, component_numbers
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.topology import boundary_nodes
+from ddic.mesh.topology import find_boundary_nodes
 from ddic.partition.build_subdomains import build_subdomains, share_nodes
 from ddic.partition.incidence import signed_incidence
 from ddic.partition.subdomain import Interface, Subdomain
@@ -51,7 +51,7 @@ def jump_matrix(subdomains: list[Subdomain]) -> NDArray[np.float64]:
 def test_subdomains_hold_their_cells_and_what_belongs_to_them(mesh: Mesh, kind: str, n: int, seed: int) -> None:
     subdomains, parts, controlled = cut(mesh, kind, n, seed)
     shared = sharers(mesh, parts)
-    on_boundary = set(boundary_nodes(mesh).tolist())
+    on_boundary = set(find_boundary_nodes(mesh).tolist())
     assert [s.index for s in subdomains] == list(range(int(parts.max()) + 1))
     for s in subdomains:
         assert s.cell_ids.tolist() == np.flatnonzero(parts == s.index).tolist()

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ddic.errors import InputError
 from ddic.kinematics.nodal import NodalRegion
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.structured import structured_mesh
+from ddic.mesh.structured import build_structured_mesh
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.by_camera import (
     add_motions,
@@ -173,8 +173,8 @@ def test_only_nodes_among_far_cells_weigh_texture_against_mechanics() -> None:
 
 
 def test_an_unknown_node_has_the_cameras_of_the_nodes_tied_to_it() -> None:
-    far = structured_mesh((20, 20, 116, 116), 8)
-    mesh, tying = tied_mesh(far, {1: structured_mesh((44, 36, 84, 76), 3.1)})
+    far = build_structured_mesh((20, 20, 116, 116), 8)
+    mesh, tying = tied_mesh(far, {1: build_structured_mesh((44, 36, 84, 76), 3.1)})
     at_nodes = find_cameras_at_nodes(mesh, tying.cameras, 2)
     at_unknown_nodes = find_cameras_at_nodes(mesh, tying.cameras, 2, tying.weights)
     weights = tying.weights.toarray()

@@ -11,8 +11,8 @@ from scipy.sparse import csgraph
 
 from ddic.errors import InputError
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.topology import cell_adjacency
-from ddic.partition.merge import connected_pieces, merge_blank
+from ddic.mesh.topology import find_adjacent_cells
+from ddic.partition.merge import find_connected_pieces, merge_blank
 from ddic.partition.split import split_by_blocks
 from support.random_meshes import PARTITIONS, SEEDS, delaunay_meshes, grid_mesh, grid_meshes, random_partition
 
@@ -21,19 +21,19 @@ MESHES = st.one_of(grid_meshes(), delaunay_meshes())
 
 def _n_pieces(mesh: Mesh, cells: NDArray[np.bool_]) -> int:
     """Number of connected pieces that some cells form, by the facets that they share."""
-    indptr, indices = cell_adjacency(mesh)
+    indptr, indices = find_adjacent_cells(mesh)
     graph = sparse.csr_matrix((np.ones(len(indices)), indices, indptr), shape=(mesh.n_cells, mesh.n_cells))
     return int(csgraph.connected_components(graph[cells][:, cells], directed=False)[0])
 
 
 def _merge(mesh: Mesh, parts: NDArray[np.int64], blank: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Every subdomain taken as one piece."""
-    return merge_blank(parts, np.arange(len(blank)), cell_adjacency(mesh), blank)
+    return merge_blank(parts, np.arange(len(blank)), find_adjacent_cells(mesh), blank)
 
 
 def _within_reach(mesh: Mesh, parts: NDArray[np.int64], blank: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Subdomains with texture, and blank ones that a walk over blank ones leads to some, one step at a time."""
-    indptr, indices = cell_adjacency(mesh)
+    indptr, indices = find_adjacent_cells(mesh)
     steps = set(zip(np.repeat(parts, np.diff(indptr)).tolist(), parts[indices].tolist(), strict=True))
     found = set(np.flatnonzero(~blank).tolist())
     while True:
@@ -110,8 +110,8 @@ def test_a_loose_piece_goes_alone() -> None:
     # Subdomain 1 has a piece that hangs on it by a node; only that piece is blank.
     parts = np.array([[0, 0, 0, 0], [0, 0, 0, 1], [2, 2, 1, 3], [2, 2, 1, 3]])
     pieces = np.array([[0, 0, 0, 0], [0, 0, 0, 1], [3, 3, 2, 4], [3, 3, 2, 4]])
-    merged = merge_blank(pieces.ravel(), np.array([0, 1, 1, 2, 3]), cell_adjacency(mesh), np.arange(5) == 2)
+    merged = merge_blank(pieces.ravel(), np.array([0, 1, 1, 2, 3]), find_adjacent_cells(mesh), np.arange(5) == 2)
     # Two facets each with 2 and 3: the lower one takes it.
     assert merged.reshape(4, 4).tolist() == [[0, 0, 0, 0], [0, 0, 0, 1], [2, 2, 2, 3], [2, 2, 2, 3]]
-    labels = connected_pieces(cell_adjacency(mesh.submesh(np.flatnonzero(parts.ravel() == 1))[0]))
+    labels = find_connected_pieces(find_adjacent_cells(mesh.submesh(np.flatnonzero(parts.ravel() == 1))[0]))
     assert labels.tolist() == [0, 1, 1]

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from ddic.errors import InputError
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.structured import structured_mesh
+from ddic.mesh.structured import build_structured_mesh
 from ddic.partition.split import renumber, split_by_blocks, split_by_metis
 from support.random_meshes import Cells, grid_mesh, grid_meshes
 
@@ -17,7 +17,7 @@ from support.random_meshes import Cells, grid_mesh, grid_meshes
 @pytest.mark.parametrize("n", [2, 3, 8, 9, 16, 45])
 @pytest.mark.parametrize("weighted", [False, True])
 def test_metis_balances_the_weights(n: int, weighted: bool) -> None:
-    mesh = structured_mesh((0, 0, 600, 400), 8, circles=[((300, 200), 60)])
+    mesh = build_structured_mesh((0, 0, 600, 400), 8, circles=[((300, 200), 60)])
     weights = np.random.default_rng(0).integers(1, 60, mesh.n_cells) if weighted else None
     parts = split_by_metis(mesh, n, weights)
     assert parts.shape == (mesh.n_cells,)
@@ -28,7 +28,7 @@ def test_metis_balances_the_weights(n: int, weighted: bool) -> None:
 
 
 def test_metis_gives_the_same_answer_again() -> None:
-    mesh = structured_mesh((0, 0, 300, 300), 10)
+    mesh = build_structured_mesh((0, 0, 300, 300), 10)
     np.testing.assert_array_equal(split_by_metis(mesh, 12), split_by_metis(mesh, 12))
 
 

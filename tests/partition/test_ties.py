@@ -15,18 +15,18 @@ from ddic.functionals.equilibrium_gap import controlled_stiffness
 from ddic.kinematics.nodal import NodalKinematics, component_numbers
 from ddic.kinematics.tied import TiedKinematics, TiedRegion
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.quality import areas
-from ddic.mesh.structured import structured_mesh
-from ddic.mesh.topology import boundary_nodes
+from ddic.mesh.quality import measure_areas
+from ddic.mesh.structured import build_structured_mesh
+from ddic.mesh.topology import find_boundary_nodes
 from ddic.partition.build_subdomains import build_subdomains, share_nodes, share_unknowns
 from ddic.partition.ties import Tying, tied_mesh
 
-FAR = structured_mesh((20, 20, 116, 116), 8)
+FAR = build_structured_mesh((20, 20, 116, 116), 8)
 ISLAND, EDGE = (44.0, 36.0, 84.0, 76.0), (60.0, 20.0, 100.0, 60.0)
 
 
 def near_mesh(region: tuple[float, ...], element: float, cell: str = "Q4") -> Mesh:
-    return structured_mesh(region, element, "T3" if cell == "T3" else "Q4")
+    return build_structured_mesh(region, element, "T3" if cell == "T3" else "Q4")
 
 
 def by_dof(weights: sparse.csr_matrix) -> sparse.csr_matrix:
@@ -57,11 +57,11 @@ def test_a_linear_field_is_kept_and_in_equilibrium(region: tuple[float, ...], el
 def test_the_joined_mesh(region: tuple[float, ...]) -> None:
     near = near_mesh(region, 3.1)
     mesh, tying = tied_mesh(FAR, {2: near})
-    assert areas(mesh).sum() == pytest.approx(96**2)
+    assert measure_areas(mesh).sum() == pytest.approx(96**2)
     assert int((tying.cameras == 2).sum()) == near.n_cells
     assert set(tying.cameras.tolist()) == {0, 2}
     # One boundary, that of the far mesh, but with the near mesh's nodes where that is part of it.
-    outer = boundary_nodes(FAR)
+    outer = find_boundary_nodes(FAR)
     kept = FAR.nodes[outer]
     on_outline = (np.abs(mesh.nodes - 68) >= 48 - 1e-9).any(axis=1)
     assert tying.boundary.tolist() == np.flatnonzero(on_outline).tolist()
@@ -133,7 +133,7 @@ def test_outlines_that_do_not_fit_are_refused(region: tuple[float, ...], message
 def test_two_near_meshes() -> None:
     left, right = (36.0, 36.0, 60.0, 76.0), (76.0, 44.0, 100.0, 84.0)
     mesh, tying = tied_mesh(FAR, {1: near_mesh(left, 3.1), 2: near_mesh(right, 3.5)})
-    assert areas(mesh).sum() == pytest.approx(96**2)
+    assert measure_areas(mesh).sum() == pytest.approx(96**2)
     field = mesh.nodes @ np.array([[0.1, 0.4], [-0.2, 0.3]])
     np.testing.assert_allclose(tying.weights @ field[:tying.n_unknown_nodes], field, rtol=0, atol=1e-12)
 
@@ -150,14 +150,14 @@ def test_near_meshes_that_touch_are_refused(second: tuple[float, ...], message: 
 def test_an_edge_that_sticks_out_is_refused() -> None:
     """The near mesh ends 4 px above the far one, with elements of 7.33 px."""
     with pytest.raises(InputError, match=r"its mesh around column 60\.0, row 19\.7 touches far elements in part"):
-        tied_mesh(FAR, {1: structured_mesh((60, 16, 84, 60), 8)})
+        tied_mesh(FAR, {1: build_structured_mesh((60, 16, 84, 60), 8)})
 
 
 def test_curved_free_edges_may_differ() -> None:
     """A hole that both meshes have, in chords of different length: the far cells beside it stay whole."""
     hole = [((68.0, 68.0), 13.0)]
-    far = structured_mesh((20, 20, 116, 116), 8, circles=hole)
-    whole = structured_mesh((44, 44, 92, 92), 3, circles=hole)
+    far = build_structured_mesh((20, 20, 116, 116), 8, circles=hole)
+    whole = build_structured_mesh((44, 44, 92, 92), 3, circles=hole)
     mesh, tying = tied_mesh(far, {1: whole})
     assert set(tying.cameras.tolist()) == {0, 1}
     radius = np.linalg.norm(mesh.nodes[tying.boundary] - 68.0, axis=1)

@@ -211,7 +211,7 @@ def test_start_and_hidden_pixels_move_along(shared_path: Path) -> None:
     joined = with_texture(team, case, pair, mesh, given)
     merged, region, moved = joined.parts, joined.region, joined.start
     for part, hessian in zip(merged, joined.hessians, strict=True):
-        np.testing.assert_array_equal(hessian.diagonal(), part.view.correlation.hessian().diagonal())
+        np.testing.assert_array_equal(hessian.diagonal(), part.view.correlation.assemble_hessian().diagonal())
     expected = coarse_field(team, case, found, [p.subdomain.mesh.nodes for p in merged])
     assert region.n_subdomains == 15
     assert len(merged) == len(moved.q) > 0

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ddic.kinematics.pose import Motion
+from ddic.problem.setup_motion import covariance, setup_motions, start_of_motion
 from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ddic.errors import InputError, is_on_all_ranks
-from ddic.kinematics.pose import Motion
 from ddic.partition.by_camera import cameras_at_nodes
-from ddic.problem.setup_motion import covariance, setup_motions, start_of_motion
 from ddic.solvers.gauss_newton import OwnedPart
 from support.near_far_linear import NearFarCut, NearFarStep, dense_operators, near_far_step
 

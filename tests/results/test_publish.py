@@ -8,6 +8,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from ddic.results.publish import publish
 from mpi4py import MPI
 
 from ddic.case.loader import load_case
@@ -19,7 +20,6 @@ from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.results.listener import Silence
 from ddic.results.phase_times import gather_phase_times
-from ddic.results.publish import publish
 from support.cases import WAVES, contents, largest_difference, write_case, write_images
 
 RANKS = [1, 2, 3, 4]

@@ -11,7 +11,8 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError, is_on_all_ranks
-from ddic.functionals.correlation import GreyCorrection, correlation
+from ddic.functionals.correlation import read_correlation
+from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.functionals.view import View
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.mesh.mesh import Mesh
@@ -42,13 +43,13 @@ def part_of(reference: MaskedSource, deformed: MaskedSource, mesh: Mesh = MESH, 
     """The whole mesh as one subdomain."""
     controlled = np.zeros(mesh.n_dofs, dtype=bool)
     subdomain = build_subdomains(mesh, np.zeros(mesh.n_cells, np.int64), controlled)[0]
-    return OwnedPart(subdomain, (View(correlation(mesh, reference, degree), DeformedSubImage(deformed, degree)),))
+    return OwnedPart(subdomain, (View(read_correlation(mesh, reference, degree), DeformedSubImage(deformed, degree)),))
 
 
 def measure(part: OwnedPart, *, q: NDArray[np.float64] | None = None, correction: GreyCorrection = "none",
             tolerances: Tolerances | None = None) -> Solution:
     """FE-DIC without regularization from q (zero)."""
-    hessian = part.view.correlation.hessian()
+    hessian = part.view.correlation.assemble_hessian()
     operator = LocalOperator(hessian, smallest_eigenvalue=1e-9 * hessian.diagonal().mean(), where="test")
     system = LocalSystem(part.subdomain, hessian, None, np.zeros(0), 0.0)
     start = np.zeros(part.subdomain.mesh.n_dofs) if q is None else q
@@ -101,7 +102,7 @@ def test_records_count_and_describe_the_iterations() -> None:
     pair = pair_of(Translation((0.3, -0.4)))
     told: list[IterationRecord] = []
     part = part_of(source(pair.reference), source(pair.deformed))
-    hessian = part.view.correlation.hessian()
+    hessian = part.view.correlation.assemble_hessian()
     operator = LocalOperator(hessian, smallest_eigenvalue=0, where="test")
     system = LocalSystem(part.subdomain, hessian, None, np.zeros(0), 0.0)
     clock = PhaseClock()
@@ -216,7 +217,7 @@ def test_a_gain_and_an_offset_of_the_deformed_image_are_recovered(correction: Gr
         assert grey.gain == pytest.approx(gain, abs=2e-3)
         assert grey.offset == pytest.approx(offset, abs=0.3)
     else:
-        gains, offsets = residuals[0][0].cell_sums.gain_and_offset()
+        gains, offsets = residuals[0][0].cell_sums.fit_gain_and_offset()
         np.testing.assert_allclose(gains, gain, rtol=0, atol=0.02)
         np.testing.assert_allclose(offsets, offset, rtol=0, atol=3.0)
     # Without it the gap of grey levels stays in the residual.

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ddic.images.grid_field import uniform_field
-from ddic.mesh.structured import structured_mesh
+from ddic.mesh.structured import build_structured_mesh
 from ddic.start.multilevel import MultilevelStart, block_sizes, multilevel_start
 from ddic.start.pyramid_level import BinnedPair, correlate_level
 from ddic.synth.fields import Affine, DisplacementField, Translation
@@ -122,7 +122,7 @@ def test_slivers_at_the_edge_of_a_ragged_region_do_not_stop_a_level(
         circles: list[tuple[tuple[float, float], float]]) -> None:
     # Cells of the pyramid with a few blocks were singular here: one level lost, 8 px of error; two lost, 0.8 px.
     field = Affine(((0.02, 0.0), (0.0, -0.02)), (3.0, -4.0), CENTRE)
-    mesh, pair = structured_mesh((60.0, 60.0, 324.0, 324.0), 12.0, "Q4", circles=circles), pair_of(field, SIDE, 8)
+    mesh, pair = build_structured_mesh((60.0, 60.0, 324.0, 324.0), 12.0, "Q4", circles=circles), pair_of(field, SIDE, 8)
     start = multilevel_start(_pair(pair.reference, pair.deformed), mesh, rigid=True, pyramid=True, correction="none")
     assert not any("left out" in line for line in start.warnings), start.warnings
     # Blocks of 2 px see half of the speckle; 0.012 to 0.021 px on twenty such regions.

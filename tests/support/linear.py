@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, sparse
 
-from ddic.functionals.correlation import correlation
+from ddic.functionals.correlation import read_correlation
 from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import controlled_stiffness
 from ddic.images.sub_image import MaskedSource
 from ddic.kinematics.kinematics import RegionKinematics
 from ddic.kinematics.nodal import NodalKinematics, NodalRegion
 from ddic.mesh.cell_type import Q4
-from ddic.mesh.mesh import Mesh, mesh_from_cells
-from ddic.mesh.topology import boundary_nodes
+from ddic.mesh.mesh import Mesh, build_mesh
+from ddic.mesh.topology import find_boundary_nodes
 from ddic.parallel.distribution import split_evenly
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains, share_nodes, share_unknowns
@@ -67,7 +67,7 @@ class StepProblem:
     def system(self, subdomain: Subdomain, weights: NDArray[np.float64]) -> LocalSystem:
         """M_s and the weighted Kbar_s of one subdomain; weights: of its rows, (n_field,)."""
         kinematics = subdomain.kinematics
-        hessian = kinematics.project_matrix(correlation(subdomain.mesh, self.image, 3).hessian())
+        hessian = kinematics.project_matrix(read_correlation(subdomain.mesh, self.image, 3).hessian())
         if self.eta == 0:
             return LocalSystem(subdomain, hessian, None, np.zeros(0), 0.0)
         weights = weights * subdomain.controlled
@@ -96,11 +96,11 @@ def linear_step(n: int = 16, wavelength: float | None = None) -> StepProblem:
     x, y = np.meshgrid(20.3 + CELL * np.arange(n + 1), 20.7 + CELL * np.arange(n + 1))
     nodes = np.stack([x.ravel(), y.ravel()], axis=1) + rng.uniform(-1, 1, (x.size, 2))
     corner = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
-    mesh = mesh_from_cells(nodes, {Q4: np.stack([corner, corner + 1, corner + n + 2, corner + n + 1], axis=1)})
+    mesh = build_mesh(nodes, {Q4: np.stack([corner, corner + 1, corner + n + 2, corner + n + 1], axis=1)})
     inside = np.ones(mesh.n_nodes, dtype=bool)
-    inside[boundary_nodes(mesh)] = False
+    inside[find_boundary_nodes(mesh)] = False
     controlled = np.repeat(inside, 2) if wavelength else np.zeros(mesh.n_dofs, dtype=bool)
-    part = correlation(mesh, image, 3)
+    part = read_correlation(mesh, image, 3)
     hessian = part.hessian()
     eta = 0.0
     if wavelength:

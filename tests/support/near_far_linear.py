@@ -24,7 +24,7 @@ from ddic.case.schema import (
     SolverSection,
     StructuredSection,
 )
-from ddic.functionals.correlation import correlation
+from ddic.functionals.correlation import read_correlation
 from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import controlled_stiffness
 from ddic.images.camera import CameraMapping, identity
@@ -239,7 +239,7 @@ def _texture(camera: Camera, mesh: Mesh) -> tuple[sparse.csr_matrix, sparse.csr_
     mapping = camera.setup.mapping
     seen = Mesh(mapping.to_image(mesh.nodes), mesh.connectivity, mesh.offsets, mesh.types)
     jacobian = sparse.block_diag(list(mapping.jacobian(mesh.nodes))).tocsr()
-    return (jacobian.T @ correlation(seen, camera.reference, 3).hessian() @ jacobian).tocsr(), jacobian
+    return (jacobian.T @ read_correlation(seen, camera.reference, 3).hessian() @ jacobian).tocsr(), jacobian
 
 
 def _rigid(setup: CameraSetup, nodes: Array) -> Array:

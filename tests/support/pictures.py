@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ddic.images.binned import ArraySource
 from ddic.images.sub_image import MaskedSource
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.structured import structured_mesh
+from ddic.mesh.structured import build_structured_mesh
 from ddic.synth.digitise import Digitiser
 from ddic.synth.fields import DisplacementField
 from ddic.synth.picture import Picture
@@ -37,7 +37,7 @@ def source(values: NDArray[np.float32], mask: NDArray[np.bool_] | None = None, *
 
 def square_mesh(low: float, high: float, element: float = 16.0) -> Mesh:
     """Q4 cells on the square from (low, low) to (high, high), pixels."""
-    return structured_mesh((low, low, high, high), element)
+    return build_structured_mesh((low, low, high, high), element)
 
 
 def rms_error(q: NDArray[np.float64], nodes: NDArray[np.float64], field: DisplacementField) -> float:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
 from ddic.mesh.cell_type import Q4, T3
-from ddic.mesh.mesh import Mesh, mesh_from_cells
+from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.partition.split import renumber, split_by_blocks, split_by_metis
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -34,7 +34,7 @@ def grid_mesh(columns: int, rows: int, size: tuple[float, float], *, origin: tup
              "mixed": rng.random(len(quads)) < 0.5}[cells]
     turned = np.where(rng.random(len(quads))[:, None] < 0.5, quads, np.roll(quads, 1, axis=1))[split]
     blocks = {Q4: quads[~split], T3: turned[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)}
-    return mesh_from_cells(nodes, {kind: block for kind, block in blocks.items() if len(block)})
+    return build_mesh(nodes, {kind: block for kind, block in blocks.items() if len(block)})
 
 
 def delaunay_mesh(seed: int, n_points: int, extent: float, step: float | None = None,
@@ -53,7 +53,7 @@ def delaunay_mesh(seed: int, n_points: int, extent: float, step: float | None = 
     triangles[area < 0] = triangles[area < 0][:, ::-1]
     kept = (np.abs(area) > 1e-9 * extent**2) & (rng.random(len(area)) >= holes)
     kept[np.argmax(np.abs(area))] = True
-    mesh = mesh_from_cells(points, {T3: triangles[kept]})
+    mesh = build_mesh(points, {T3: triangles[kept]})
     return mesh.submesh(np.arange(mesh.n_cells))[0]
 
 

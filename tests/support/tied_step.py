@@ -24,7 +24,7 @@ from ddic.case.schema import (
     SolverSection,
     StructuredSection,
 )
-from ddic.functionals.correlation import correlation
+from ddic.functionals.correlation import read_correlation
 from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import controlled_stiffness
 from ddic.images.camera import CameraMapping, identity
@@ -32,7 +32,7 @@ from ddic.images.sub_image import MaskedSource
 from ddic.kinematics.camera_kinematics import CameraSetup, MotionKind
 from ddic.kinematics.nodal import NodalKinematics
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.structured import structured_mesh
+from ddic.mesh.structured import build_structured_mesh
 from ddic.parallel.distribution import split_evenly
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
@@ -87,9 +87,9 @@ class TiedStep:
 def tied_step(layout: Layout, motion: MotionKind, near_element: float | None = 3.1, *, regularized: bool,
               cell: Literal["Q4", "T3"] = "Q4") -> TiedStep:
     """12 x 12 far cells, of which 5 x 5 make way for a near mesh of elements of another size (None: the same)."""
-    far = structured_mesh(FAR, FAR_ELEMENT)
+    far = build_structured_mesh(FAR, FAR_ELEMENT)
     low, high = np.array(NEAR[layout][:2]), np.array(NEAR[layout][2:])
-    own = structured_mesh(NEAR[layout], near_element or FAR_ELEMENT, cell)
+    own = build_structured_mesh(NEAR[layout], near_element or FAR_ELEMENT, cell)
     mesh, tying = tied_mesh(far, {1: own})
     still = CameraSetup(identity(), "none", np.zeros(2), 1.0)
     cameras = (Camera(0, _speckle(0, 140), still, None), _near_camera(low, high, motion))
@@ -188,7 +188,7 @@ def multiplier_solution(problem: TiedStep) -> tuple[Array, Array]:
                 rigid[0::2, 2], rigid[1::2, 2] = -arm[:, 1], arm[:, 0]
         pick = sparse.csr_matrix((np.ones(len(dofs)), (np.arange(len(dofs)), dofs)), shape=(len(dofs), mesh.n_dofs))
         tangent = jacobian @ sparse.hstack([pick, sparse.csr_matrix(rigid)])
-        m = correlation(seen, camera.reference, 3).hessian()
+        m = read_correlation(seen, camera.reference, 3).hessian()
         matrix = matrix + WEIGHTS[number] * (tangent.T @ m @ tangent)
         right += WEIGHTS[number] * (tangent.T @ problem.forces[number].reshape(-1, 2)[ids].ravel())
     jumps = sparse.kron(sparse.csr_matrix(_jumps(problem)), sparse.identity(2)).tocsr()

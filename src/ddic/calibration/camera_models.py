@@ -15,15 +15,30 @@ Array = NDArray[np.float64]
 Kind = Literal["translation", "similarity", "homography"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 
+N_PLANE: dict[Kind, int] = {"translation": 2, "similarity": 4, "homography": 8}
+"""Parameters of each kind, without the distortion's."""
+
 
 @dataclass(frozen=True, eq=False)
 class CameraModel:
     """Camera mappings of one kind; parameters are image px, but for the distortion, so that they are of like size.
 
-    kind: what the homography may be; a translation keeps the ratio and does not turn.
-    ratio: image px per specimen px, of a translation. middle: (2,) specimen point about which parameters are written.
-    length: specimen px in which distances from it are measured.
-    centre: (2,), radius: of the radial distortion, image px. distorts: whether k1 is a parameter, the last one.
+    Attributes
+    ----------
+    kind : {"translation", "similarity", "homography"}
+        What the homography may be; a translation keeps the ratio and does not turn.
+    ratio : float
+        Image px per specimen px, of a translation.
+    middle : (2,) array
+        Specimen point about which parameters are written, specimen px.
+    length : float
+        Specimen px in which distances from it are measured.
+    centre : (2,) array
+        Of the radial distortion, image px.
+    radius : float
+        Of the radial distortion, image px.
+    distorts : bool
+        Whether k1 is a parameter, the last one.
     """
 
     kind: Kind
@@ -37,27 +52,77 @@ class CameraModel:
     @property
     def n_parameters(self) -> int:
         """Number of parameters."""
-        return {"translation": 2, "similarity": 4, "homography": 8}[self.kind] + self.distorts
+        return N_PLANE[self.kind] + self.distorts
 
-    def mapping(self, parameters: Array) -> CameraMapping:
-        """The mapping that has these parameters; raises ValueError where there is none."""
+    def build_mapping(self, parameters: Array) -> CameraMapping:
+        """Build the mapping that has given parameters.
+
+        Parameters
+        ----------
+        parameters : (n_parameters,) array
+            Image px; k1 without unit.
+
+        Returns
+        -------
+        CameraMapping
+            From specimen to image px.
+
+        Raises
+        ------
+        ValueError
+            Where there is no such mapping.
+        """
         homography = self._local_homography(parameters) @ self._to_local()
-        return CameraMapping(homography / homography[2, 2], self.centre, self.radius,
-                             np.array([parameters[-1] if self.distorts else 0.0, 0.0]))
+        k1 = parameters[-1] if self.distorts else 0.0
+        return CameraMapping(homography / homography[2, 2], self.centre, self.radius, np.array([k1, 0.0]))
 
-    def parameters(self, mapping: CameraMapping) -> Array:
-        """Parameters of the mapping of this kind that is like another one at the model's middle."""
+    def fit(self, mapping: CameraMapping) -> Array:
+        """Find the parameters of the mapping of this kind that is like another one at the model's middle.
+
+        Parameters
+        ----------
+        mapping : CameraMapping
+            Of any kind.
+
+        Returns
+        -------
+        (n_parameters,) array
+            Image px; k1 without unit.
+        """
         local = mapping.homography @ np.linalg.inv(self._to_local())
         local = local / local[2, 2]
         place = local[:2, 2]
-        slope = local[:2, :2] - np.outer(place, local[2, :2])
-        half = 0.5 * np.array([slope[0, 0] + slope[1, 1], slope[1, 0] - slope[0, 1]])
-        found = {"translation": place, "similarity": np.concatenate([half, place]), "homography": local.ravel()[:8]}
-        distortion = mapping.radial[:1] * (self.radius / mapping.radius)**2
-        return np.concatenate([found[self.kind], distortion if self.distorts else []])
+        found: Array
+        if self.kind == "translation":
+            found = place
+        elif self.kind == "homography":
+            found = local.ravel()[:8]
+        else:
+            # The rotation and stretch nearest to the mapping's slope.
+            slope = local[:2, :2] - np.outer(place, local[2, :2])
+            c = 0.5 * (slope[0, 0] + slope[1, 1])
+            s = 0.5 * (slope[1, 0] - slope[0, 1])
+            found = np.concatenate([[c, s], place])
+        if not self.distorts:
+            return found
+        k1 = mapping.radial[:1] * (self.radius / mapping.radius) ** 2
+        return np.concatenate([found, k1])
 
-    def derivatives(self, parameters: Array, points: Array) -> Array:
-        """Derivatives of the image positions of specimen points (n, 2) by the parameters; (n, 2, n_parameters)."""
+    def differentiate(self, parameters: Array, points: Array) -> Array:
+        """Differentiate image positions by the parameters.
+
+        Parameters
+        ----------
+        parameters : (n_parameters,) array
+            Where, image px; k1 without unit.
+        points : (n, 2) array
+            Specimen px.
+
+        Returns
+        -------
+        (n, 2, n_parameters) array
+            Derivatives of the points' image positions, image px per parameter.
+        """
         local = (points - self.middle) / self.length
         x, y = local.T
         one, zero = np.ones_like(x), np.zeros_like(x)
@@ -65,17 +130,20 @@ class CameraModel:
             h = self._local_homography(parameters)
             depth = local @ h[2, :2] + 1.0
             place = (local @ h[:2, :2].T + h[:2, 2]) / depth[:, None]
-            rows = [[x, y, one, zero, zero, zero, -place[:, 0] * x, -place[:, 0] * y],
-                    [zero, zero, zero, x, y, one, -place[:, 1] * x, -place[:, 1] * y]]
-            undistorted = np.array(rows).transpose(2, 0, 1) / depth[:, None, None]
+            of_x = [x, y, one, zero, zero, zero, -place[:, 0] * x, -place[:, 0] * y]
+            of_y = [zero, zero, zero, x, y, one, -place[:, 1] * x, -place[:, 1] * y]
+            undistorted = np.array([of_x, of_y]).transpose(2, 0, 1) / depth[:, None, None]
+        elif self.kind == "similarity":
+            of_x = [x, -y, one, zero]
+            of_y = [y, x, zero, one]
+            undistorted = np.array([of_x, of_y]).transpose(2, 0, 1)
         else:
-            turning = [[x, -y], [y, x]] if self.kind == "similarity" else [[], []]
-            rows = [[*turning[0], one, zero], [*turning[1], zero, one]]
-            undistorted = np.array(rows).transpose(2, 0, 1)
-        return self._distorted(parameters, points, undistorted) if self.distorts else undistorted
+            undistorted = np.array([[one, zero], [zero, one]]).transpose(2, 0, 1)
+        return self._distort(parameters, points, undistorted) if self.distorts else undistorted
 
-    def _distorted(self, parameters: Array, points: Array, undistorted: Array) -> Array:
-        mapping = self.mapping(parameters)
+    def _distort(self, parameters: Array, points: Array, undistorted: Array) -> Array:
+        """Turn derivatives of undistorted positions into those of distorted ones, and append those by k1."""
+        mapping = self.build_mapping(parameters)
         plain = CameraMapping(mapping.homography).to_image(points)
         distortion = CameraMapping(np.eye(3), self.centre, self.radius, mapping.radial)
         offset = plain - self.centre
@@ -83,23 +151,39 @@ class CameraModel:
         return np.concatenate([distortion.jacobian(plain) @ undistorted, by_k1[:, :, None]], axis=2)
 
     def _local_homography(self, parameters: Array) -> Array:
+        """The homography (3, 3) from distances to the middle, over the length, to image px."""
         if self.kind == "homography":
             return np.append(parameters[:8], 1.0).reshape(3, 3)
         if self.kind == "similarity":
             c, s, x, y = parameters[:4]
         else:
-            (x, y), c, s = parameters[:2], self.ratio * self.length, 0.0
+            x, y = parameters[:2]
+            c, s = self.ratio * self.length, 0.0
         return np.array([[c, -s, x], [s, c, y], [0.0, 0.0, 1.0]])
 
     def _to_local(self) -> Array:
-        (x, y), size = self.middle, 1.0 / self.length
+        """The homography (3, 3) from specimen px to distances to the middle, over the length."""
+        x, y = self.middle
+        size = 1.0 / self.length
         return np.array([[size, 0.0, -x * size], [0.0, size, -y * size], [0.0, 0.0, 1.0]])
 
 
-def closest_similarity(mapping: CameraMapping, points: Array) -> tuple[CameraMapping, Array]:
-    """The similarity that is closest to a mapping at specimen points (n, 2) in the sense of least squares.
+def fit_similarity(mapping: CameraMapping, points: Array) -> tuple[CameraMapping, Array]:
+    """Find the similarity that is closest to a mapping in the sense of least squares.
 
-    Returns it, and what the mapping adds to it at the points, image px (n, 2).
+    Parameters
+    ----------
+    mapping : CameraMapping
+        From specimen to image px.
+    points : (n, 2) array
+        Where they are compared, specimen px.
+
+    Returns
+    -------
+    similarity : CameraMapping
+        The similarity.
+    rest : (n, 2) array
+        What the mapping adds to it at the points, image px.
     """
     middle = points.mean(axis=0)
     x, y = (points - middle).T
@@ -109,6 +193,7 @@ def closest_similarity(mapping: CameraMapping, points: Array) -> tuple[CameraMap
     c, s = np.array([x @ u + y @ v, x @ v - y @ u]) / (x @ x + y @ y)
     turn = np.array([[c, -s], [s, c]])
     homography = np.eye(3)
-    homography[:2, :2], homography[:2, 2] = turn, place - turn @ middle
-    similar = CameraMapping(homography)
-    return similar, image - similar.to_image(points)
+    homography[:2, :2] = turn
+    homography[:2, 2] = place - turn @ middle
+    similarity = CameraMapping(homography)
+    return similarity, image - similarity.to_image(points)

@@ -27,14 +27,30 @@ CORRELATION_LENGTH = 6
 _MAX_ITERATIONS = 60
 _DEGREE = 3
 _SAMPLES_AT_ONCE = 1 << 20
+"""Samples of the near image that are evaluated at once: more take more memory."""
+
+_CHANGING_ITERATIONS = 4
+"""Iterations in which pixels at the rim may come and go; then their number is kept so that the steps can end."""
+
+_LOCAL_SIDE = 16
+"""Side, far px, of the squares whose correlation coefficients are told; a larger one evens out what fits badly."""
+
+_LEAST_SIDE, _LEAST_PIXELS = 8, 64
+"""Far px, either way and in all, below which a registration is not tried."""
 
 
 @dataclass(frozen=True, eq=False)
 class NearImage:
     """The finer image as a spline, its gradient at pixel centres, and how it is averaged over a far pixel.
 
-    coefficients: padded by PADDING; by_x, by_y: (height, width), grey levels per near px.
-    samples: per far pixel either way.
+    Attributes
+    ----------
+    coefficients : array
+        Of the spline, padded by PADDING.
+    by_x, by_y : (height, width) array
+        Gradient, grey levels per near px.
+    samples : int
+        Per far pixel either way.
     """
 
     coefficients: NDArray[np.float32]
@@ -47,33 +63,70 @@ class NearImage:
         """All its pixels."""
         return Window(0, 0, self.by_x.shape[1], self.by_x.shape[0])
 
-    def averages(self, mapping: CameraMapping, points: Array) -> Array:
-        """Means over the unit squares about specimen points (n, 2): grey level and gradient by near x and y, (n, 3)."""
+    def average(self, mapping: CameraMapping, points: Array) -> Array:
+        """Average grey level and gradient over the unit squares about specimen points.
+
+        Parameters
+        ----------
+        mapping : CameraMapping
+            From far to near px.
+        points : (n, 2) array
+            Far px.
+
+        Returns
+        -------
+        (n, 3) array
+            Grey level, and its gradient by near x and y in grey levels per near px.
+        """
         along = (np.arange(self.samples) + 0.5) / self.samples - 0.5
-        shifts = np.stack(np.meshgrid(along, along), axis=-1).reshape(1, -1, 2)
-        out = np.empty((len(points), 3))
-        step = max(_SAMPLES_AT_ONCE // shifts.shape[1], 1)
+        within = np.stack(np.meshgrid(along, along), axis=-1).reshape(1, -1, 2)
+        n_samples = within.shape[1]
+        averages = np.empty((len(points), 3))
+        step = max(_SAMPLES_AT_ONCE // n_samples, 1)
         for begin in range(0, len(points), step):
             part = slice(begin, begin + step)
-            x = mapping.to_image((points[part, None] + shifts).reshape(-1, 2))
-            where = x[:, ::-1].T
-            grey = ndimage.map_coordinates(self.coefficients, where + PADDING[_DEGREE], output=np.float64,
-                                           order=_DEGREE, mode="nearest", prefilter=False)
-            # The gradient only tells how certain the result is: linear interpolation does for it.
-            slopes = [ndimage.map_coordinates(by, where, output=np.float64, order=1, mode="nearest")
-                      for by in (self.by_x, self.by_y)]
-            out[part] = np.stack([grey, *slopes], axis=1).reshape(-1, shifts.shape[1], 3).mean(axis=1)
-        return out
+            positions = mapping.to_image((points[part, None] + within).reshape(-1, 2))
+            rows_and_columns = positions[:, ::-1].T
+            samples = self._sample(rows_and_columns)
+            averages[part] = samples.reshape(-1, n_samples, 3).mean(axis=1)
+        return averages
+
+    def _sample(self, rows_and_columns: Array) -> Array:
+        """Grey level and gradient (n, 3) at places (2, n) of the image."""
+        grey = ndimage.map_coordinates(self.coefficients, rows_and_columns + PADDING[_DEGREE], output=np.float64,
+                                       order=_DEGREE, mode="nearest", prefilter=False)
+        # The gradient only tells how certain the result is: linear interpolation does for it.
+        slopes = [ndimage.map_coordinates(by, rows_and_columns, output=np.float64, order=1, mode="nearest")
+                  for by in (self.by_x, self.by_y)]
+        return np.stack([grey, *slopes], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
 class Registration:
     """What Gauss-Newton found.
 
-    model, parameters: of the mapping. covariance: (n_parameters, n_parameters). gain, offset: f_far = gain f_near +
-    offset, averaged over far pixels. coefficient: zero-mean normalised cross-correlation. local_coefficient: the median
-    of those of squares of 16 x 16 far px. residual_std: grey levels of the far image. n_pixels: far pixels compared.
-    correlation: variance of the parameters over that from independent residuals. iterations: of Gauss-Newton.
+    Attributes
+    ----------
+    model : CameraModel
+        Family of the mapping.
+    parameters : (n_parameters,) array
+        Of the mapping.
+    covariance : (n_parameters, n_parameters) array
+        Of the parameters.
+    gain, offset : float
+        f_far = gain f_near + offset, f_near averaged over far pixels; offset in grey levels.
+    coefficient : float
+        Zero-mean normalised cross-correlation.
+    local_coefficient : float
+        Median of those of squares of 16 x 16 far px.
+    residual_std : float
+        Grey levels of the far image.
+    n_pixels : int
+        Far pixels compared.
+    correlation : float
+        Variance of the parameters over that from independent residuals.
+    iterations : int
+        Of Gauss-Newton.
     """
 
     model: CameraModel
@@ -91,11 +144,24 @@ class Registration:
     @property
     def mapping(self) -> CameraMapping:
         """The mapping found."""
-        return self.model.mapping(self.parameters)
+        return self.model.build_mapping(self.parameters)
 
 
-def near_image(source: ImageSource, ratio: float) -> NearImage:
-    """Read an image as a spline; ratio: near px per far px, which tells how many samples a far pixel takes."""
+def read_near_image(source: ImageSource, ratio: float) -> NearImage:
+    """Read an image as a spline.
+
+    Parameters
+    ----------
+    source : ImageSource
+        The near image.
+    ratio : float
+        Near px per far px, which tells how many samples a far pixel takes.
+
+    Returns
+    -------
+    NearImage
+        Its spline and its gradient.
+    """
     window = Window(0, 0, source.width, source.height)
     gradient = read_gradient(source, window, _DEGREE)
     coefficients = read_spline(source, window, _DEGREE).coefficients
@@ -106,37 +172,59 @@ def register(far: GradientImage, near: NearImage, model: CameraModel, start: Arr
              tolerance: float = TOLERANCE) -> Registration:
     """Find phi, gain and offset with Z^T r = 0, r = f_far - gain mean(f_near(phi)) - offset at far pixels.
 
-    far: the whole image. start: parameters of the model. part: of the near image, whose pixels are used.
-    tolerance: largest step of the part's corners at the end, near px.
     The near image is averaged over the square that each far pixel covers, as the far camera does. Columns of Z are
     the derivatives of r by the parameters, made of the gradient of the far image, the far grey levels, and 1: what
     only the near camera resolves is noise in the near averages, and must not be in what weighs the residuals.
     The covariance is A^-1 Z^T R Z A^-T, A = Z^T J with J the derivatives made of the near gradient, and R the
     covariance of the residuals from their autocorrelation up to CORRELATION_LENGTH px, tapered linearly.
-    Raises ConvergenceError where the mapping runs away or does not settle.
+
+    Parameters
+    ----------
+    far : GradientImage
+        The whole far image.
+    near : NearImage
+        The near image.
+    model : CameraModel
+        Family of phi.
+    start : (n_parameters,) array
+        Parameters to begin with.
+    part : Window
+        Of the near image, whose pixels are used.
+    tolerance : float, optional
+        Largest step of the part's corners at the end, near px.
+
+    Returns
+    -------
+    Registration
+        The mapping and how certain it is.
+
+    Raises
+    ------
+    ConvergenceError
+        Where the mapping runs away or does not settle.
     """
-    parameters, corners = start, _corners(part)
+    parameters = start
+    corners = _corners(part)
     seen: _Patch | None = None
     try:
         for iteration in range(1, _MAX_ITERATIONS + 1):
-            if seen is None or iteration <= 4:
-                # Pixels at the rim come and go at first; then their number is kept so that the steps can end.
-                seen = _visible(far.window, model.mapping(parameters), part)
-            linear = _linearised(far, near, model, parameters, seen)
-            step = linear.step()[:model.n_parameters]
-            before = model.mapping(parameters).to_specimen(corners)
-            parameters = parameters + step
-            moved = model.mapping(parameters).to_image(before) - corners
+            if seen is None or iteration <= _CHANGING_ITERATIONS:
+                seen = _find_visible(far.window, model.build_mapping(parameters), part)
+            linear = _linearise(far, near, model, parameters, seen)
+            correction = linear.solve()[:model.n_parameters]
+            before = model.build_mapping(parameters).to_specimen(corners)
+            parameters = parameters + correction
+            moved = model.build_mapping(parameters).to_image(before) - corners
             if np.abs(moved).max() < tolerance:
                 break
         else:
             raise ConvergenceError(f"registration of the near image did not settle in {_MAX_ITERATIONS} iterations: "
                                    f"its corners still move by {np.abs(moved).max():.1e} near px")
-        seen = _visible(far.window, model.mapping(parameters), part)
-        linear = _linearised(far, near, model, parameters, seen)
+        seen = _find_visible(far.window, model.build_mapping(parameters), part)
+        linear = _linearise(far, near, model, parameters, seen)
     except (ValueError, linalg.LinAlgError) as error:
         raise ConvergenceError(f"registration of the near image ran away: {error}") from error
-    return _found(model, parameters, linear, seen, iteration)
+    return _describe(model, parameters, linear, seen, iteration)
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,6 +262,7 @@ class _Linearised:
 
     @property
     def residual(self) -> Array:
+        """R (n,), grey levels of the far image."""
         gain, offset = self.grey_correction
         return self.far - gain * self.near - offset
 
@@ -187,65 +276,90 @@ class _Linearised:
         """Z: the columns that the residual is orthogonal to in the end."""
         return np.column_stack([self.steered, self.far, np.ones_like(self.far)])
 
-    def step(self) -> Array:
+    def solve(self) -> Array:
         """Correction of the parameters, the gain and the offset; Z^T Z stands for Z^T J, which is useless far off."""
         z = self.weights
         return np.asarray(linalg.solve(z.T @ z, z.T @ self.residual, assume_a="pos"))
 
 
-def _linearised(far: GradientImage, near: NearImage, model: CameraModel, parameters: Array,
-                seen: _Patch) -> _Linearised:
-    mapping = model.mapping(parameters)
-    means = near.averages(mapping, seen.points)
-    by_parameters = model.derivatives(parameters, seen.points)
-    grey, by_x, by_y = (a[seen.rows, seen.columns][seen.mask].astype(np.float64)
-                        for a in (far.values, far.by_x, far.by_y))
+def _linearise(far: GradientImage, near: NearImage, model: CameraModel, parameters: Array, seen: _Patch) -> _Linearised:
+    """Grey levels at the far pixels of a patch, and their derivatives by the parameters."""
+    mapping = model.build_mapping(parameters)
+    averages = near.average(mapping, seen.points)
+    near_grey, near_gradient = averages[:, 0], averages[:, 1:]
+    inside = (seen.rows, seen.columns)
+    far_grey, by_x, by_y = (values[inside][seen.mask].astype(np.float64)
+                            for values in (far.values, far.by_x, far.by_y))
     # grad f_far = (d phi / d X)^T grad f_near.
-    gradient = np.linalg.solve(mapping.jacobian(seen.points).transpose(0, 2, 1),
-                               np.column_stack([by_x, by_y])[:, :, None])[:, :, 0]
-    return _Linearised(grey, means[:, 0], np.einsum("ni,nim->nm", means[:, 1:], by_parameters),
-                       np.einsum("ni,nim->nm", gradient, by_parameters))
+    transposed = mapping.jacobian(seen.points).transpose(0, 2, 1)
+    far_gradient = np.linalg.solve(transposed, np.column_stack([by_x, by_y])[:, :, None])[:, :, 0]
+    by_parameters = model.differentiate(parameters, seen.points)
+    return _Linearised(
+        far=far_grey,
+        near=near_grey,
+        slopes=np.einsum("ni,nim->nm", near_gradient, by_parameters),
+        steered=np.einsum("ni,nim->nm", far_gradient, by_parameters),
+    )
 
 
 def _corners(part: Window) -> Array:
+    """Centres of a window's corner pixels, (4, 2)."""
     left, top, right, bottom = part.x0, part.y0, part.x1 - 1, part.y1 - 1
     return np.array([[left, top], [right, top], [left, bottom], [right, bottom]], dtype=np.float64)
 
 
-def _visible(far: Window, mapping: CameraMapping, part: Window) -> _Patch:
+def _find_visible(far: Window, mapping: CameraMapping, part: Window) -> _Patch:
+    """Far pixels whose squares lie in a part of the near image; raises ValueError where they are too few."""
     around = mapping.to_specimen(_corners(part))
-    low, high = np.floor(around.min(axis=0)).astype(int) - 1, np.ceil(around.max(axis=0)).astype(int) + 2
+    low = np.floor(around.min(axis=0)).astype(int) - 1
+    high = np.ceil(around.max(axis=0)).astype(int) + 2
     box = Window(*low, *high).intersection(far)
-    if box.width < 8 or box.height < 8:
-        raise ValueError("the near image covers fewer than 8 far px")
+    if box.width < _LEAST_SIDE or box.height < _LEAST_SIDE:
+        raise ValueError(f"the near image covers fewer than {_LEAST_SIDE} far px")
+    # Corners of the pixels' squares, and which of them the part shows.
     x, y = np.meshgrid(np.arange(box.x0, box.x1 + 1) - 0.5, np.arange(box.y0, box.y1 + 1) - 0.5)
     image = mapping.to_image(np.column_stack([x.ravel(), y.ravel()])).reshape(*x.shape, 2)
-    inside = ((image >= (part.x0 - 0.5, part.y0 - 0.5)) & (image <= (part.x1 - 0.5, part.y1 - 0.5))).all(axis=2)
+    beyond_low = image >= (part.x0 - 0.5, part.y0 - 0.5)
+    before_high = image <= (part.x1 - 0.5, part.y1 - 0.5)
+    inside = (beyond_low & before_high).all(axis=2)
     mask = inside[:-1, :-1] & inside[1:, :-1] & inside[:-1, 1:] & inside[1:, 1:]
-    if np.count_nonzero(mask) < 64:
-        raise ValueError("the near image covers fewer than 64 far pixels")
+    if np.count_nonzero(mask) < _LEAST_PIXELS:
+        raise ValueError(f"the near image covers fewer than {_LEAST_PIXELS} far pixels")
     points = np.column_stack([x[:-1, :-1][mask] + 0.5, y[:-1, :-1][mask] + 0.5])
     return _Patch(slice(box.y0, box.y1), slice(box.x0, box.x1), mask, points)
 
 
-def _found(model: CameraModel, parameters: Array, linear: _Linearised, seen: _Patch, iterations: int) -> Registration:
+def _describe(model: CameraModel, parameters: Array, linear: _Linearised, seen: _Patch,
+              iterations: int) -> Registration:
+    """The covariance and all that is told of a registration."""
     residual, weights = linear.residual, linear.weights
     inverse = linalg.inv(weights.T @ linear.jacobian)
     # Degrees of freedom that the parameters took from the residual.
     freedom = len(residual) / (len(residual) - weights.shape[1])
     scatter = freedom * _correlated_scatter(residual, weights, seen.mask)
-    plain = freedom * float(residual @ residual) / len(residual) * (weights.T @ weights)
+    independent_scatter = freedom * float(residual @ residual) / len(residual) * (weights.T @ weights)
     m = model.n_parameters
+    covariance = (inverse @ scatter @ inverse.T)[:m, :m]
+    independent = (inverse @ independent_scatter @ inverse.T)[:m, :m]
+    correlation = np.mean(np.diag(covariance) / np.maximum(np.diag(independent), 1e-300))
     gain, offset = linear.grey_correction
-    covariance, independent = ((inverse @ s @ inverse.T)[:m, :m] for s in (scatter, plain))
-    ratio = float(np.mean(np.diag(covariance) / np.maximum(np.diag(independent), 1e-300)))
-    return Registration(model, parameters, covariance, gain, offset, _coefficient(linear.far, linear.near),
-                        float(np.median(list(_local_coefficients(linear, seen)))), float(residual.std()),
-                        len(residual), ratio, iterations)
+    return Registration(
+        model=model,
+        parameters=parameters,
+        covariance=covariance,
+        gain=gain,
+        offset=offset,
+        coefficient=_correlate(linear.far, linear.near),
+        local_coefficient=float(np.median(list(_local_coefficients(linear, seen)))),
+        residual_std=float(residual.std()),
+        n_pixels=len(residual),
+        correlation=float(correlation),
+        iterations=iterations,
+    )
 
 
 def _correlated_scatter(residual: Array, weights: Array, mask: NDArray[np.bool_]) -> Array:
-    """Z^T R Z."""
+    """Z^T R Z: sums over pairs of pixels, distance by distance, each pair of distances +-(dx, dy) once."""
     height, width = mask.shape
     r = np.zeros((height, width))
     r[mask] = residual
@@ -267,17 +381,20 @@ def _correlated_scatter(residual: Array, weights: Array, mask: NDArray[np.bool_]
     return total
 
 
-def _local_coefficients(linear: _Linearised, seen: _Patch, side: int = 16) -> Iterator[float]:
+def _local_coefficients(linear: _Linearised, seen: _Patch) -> Iterator[float]:
     """Correlation coefficients of squares of far pixels, of those that are half seen and have texture."""
+    side = _LOCAL_SIDE
     row, column = np.nonzero(seen.mask)
     block = (row // side) * (seen.mask.shape[1] // side + 1) + column // side
     order = np.argsort(block, kind="stable")
     for members in np.split(order, np.flatnonzero(np.diff(block[order])) + 1):
         if len(members) >= side**2 / 2 or len(members) == len(order):
-            yield _coefficient(linear.far[members], linear.near[members])
+            yield _correlate(linear.far[members], linear.near[members])
 
 
-def _coefficient(a: Array, b: Array) -> float:
-    a, b = a - a.mean(), b - b.mean()
+def _correlate(a: Array, b: Array) -> float:
+    """Correlation coefficient of grey levels (n,) and (n,); 0 where one is blank."""
+    a = a - a.mean()
+    b = b - b.mean()
     power = float(np.sqrt((a @ a) * (b @ b)))
     return float(a @ b) / power if power > 0 else 0.0

@@ -79,6 +79,7 @@ class ImagesSection(Section):
 
     @model_validator(mode="after")
     def _unit_needs_size(self) -> ImagesSection:
+        """Refuse one of pixel_size and length_unit without the other."""
         if (self.pixel_size is None) != (self.length_unit == "px"):
             raise ValueError("pixel_size and length_unit go together: give both, or neither")
         return self
@@ -139,6 +140,7 @@ class StructuredSection(Section):
 
     @model_validator(mode="after")
     def _region_is_not_empty(self) -> StructuredSection:
+        """Refuse a region smaller than an element."""
         x0, y0, x1, y1 = self.region
         if x1 - x0 < self.element_size or y1 - y0 < self.element_size:
             raise ValueError("region = [x0, y0, x1, y1] must hold at least one element of element_size")
@@ -190,6 +192,7 @@ class MeshSection(Section):
 
     @model_validator(mode="after")
     def _one_source(self) -> MeshSection:
+        """Refuse both sources of a mesh, or none."""
         if (self.file is None) == (self.structured is None):
             raise ValueError("give either mesh.file or [mesh.structured]")
         if self.structured is not None and self.mapping != MappingSection():
@@ -279,6 +282,7 @@ class NearSection(Section):
 
     @model_validator(mode="after")
     def _one_mapping(self) -> NearSection:
+        """Refuse both ways to give the mapping, or none."""
         given = (self.ratio is not None, self.offset is not None)
         if given not in ((False, False), (True, True)) or (self.mapping_file is None) != all(given):
             raise ValueError("give either near.mapping_file, as ddic calibrate writes it, or near.ratio and "
@@ -289,6 +293,7 @@ class NearSection(Section):
 
     @model_validator(mode="after")
     def _one_choice_of_elements(self) -> NearSection:
+        """Refuse a region beside a mesh."""
         if self.mesh is not None and self.region is not None:
             raise ValueError("near.region chooses elements of [mesh]; a near field with near.mesh measures all of "
                              "its own")
@@ -351,6 +356,7 @@ class RegularizationSection(Section):
 
     @model_validator(mode="after")
     def _one_weight(self) -> RegularizationSection:
+        """Refuse both ways to give the weight, or none."""
         if (self.eta is None) == (self.cut_off_wavelength is None):
             raise ValueError("give either regularization.cut_off_wavelength or regularization.eta")
         return self
@@ -445,6 +451,7 @@ class SolverSection(Section):
 
     @model_validator(mode="after")
     def _partition_is_complete(self) -> SolverSection:
+        """Refuse keys of another kind of partition, or lacking ones."""
         if (self.partition == "blocks") != (self.blocks is not None):
             raise ValueError('solver.blocks = [columns, rows] goes with solver.partition = "blocks"')
         if (self.partition == "file") != (self.partition_file is not None):
@@ -529,6 +536,7 @@ class Case(Section):
 
     @model_validator(mode="after")
     def _near_needs_an_interface(self) -> Case:
+        """Refuse near fields where the solver has no place for them."""
         if self.near and self.solver.method == "monolithic":
             raise ValueError('solver.method = "monolithic" knows one camera; with [[near]] use "assembled", which '
                              "factorises the same system")

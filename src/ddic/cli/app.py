@@ -22,18 +22,50 @@ class LazyGroup(click.Group):
     """Commands live in ``ddic.cli.NAME``; listing them imports none."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Names of the commands in the order of a first session."""
+        """List the commands in the order of a first session.
+
+        Parameters
+        ----------
+        ctx : Context
+            Of click.
+
+        Returns
+        -------
+        list of str
+            Their names.
+        """
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import a command."""
+        """Import a command.
+
+        Parameters
+        ----------
+        ctx : Context
+            Of click.
+        cmd_name : str
+            As it was typed.
+
+        Returns
+        -------
+        Command or None
+            None where there is no such command.
+        """
         if cmd_name not in COMMANDS:
             return None
         command: click.Command = getattr(importlib.import_module(f"ddic.cli.{cmd_name}"), cmd_name)
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """List the commands without importing them."""
+        """Write the list of commands for --help without importing them.
+
+        Parameters
+        ----------
+        ctx : Context
+            Of click.
+        formatter : HelpFormatter
+            To which it is written.
+        """
         with formatter.section("Commands"):
             formatter.write_dl(list(COMMANDS.items()))
 

@@ -13,8 +13,8 @@ import click
 from ddic.errors import DdicError
 
 if TYPE_CHECKING:
-    from ddic.calibration.calibrate import Calibration
     from ddic.calibration.camera_models import Kind
+    from ddic.calibration.near_calibration import Calibration
 
 Lines = list[tuple[str, str]]
 
@@ -34,7 +34,7 @@ def calibrate(far: Path, near: Path, ratio: float, model: Kind, distortion: bool
     The near field must lie in the far image, turned by 5 degrees at most.
     """
     # Imported here because they bring numba, SciPy and OpenCV, which --help does not need.
-    from ddic.calibration import calibrate as calibration
+    from ddic.calibration import near_calibration
     from ddic.images.grey_levels import check_finite
     from ddic.io.image_file import open_image
 
@@ -44,7 +44,7 @@ def calibrate(far: Path, near: Path, ratio: float, model: Kind, distortion: bool
             images = [open_image(path) for path in (far, near)]
             for image in images:
                 check_finite(image)
-            found = calibration.calibrate(images[0], images[1], ratio, model, distortion)
+            found = near_calibration.calibrate(images[0], images[1], ratio, model, distortion)
         if output is not None:
             _write(output, found)
     except DdicError as error:
@@ -59,6 +59,7 @@ def calibrate(far: Path, near: Path, ratio: float, model: Kind, distortion: bool
 
 
 def _write(path: Path, found: Calibration) -> None:
+    """Write the mapping file of a calibration."""
     import numpy as np
 
     from ddic.io.mapping_file import MappingFile, write_mapping
@@ -69,6 +70,7 @@ def _write(path: Path, found: Calibration) -> None:
 
 
 def _lines(found: Calibration) -> Lines:
+    """Names and values of what is printed."""
     ratio, rotation, x, y = found.similarity_std
     registration = found.registration
     names = ("top left", "top right", "bottom left", "bottom right", "centre")

@@ -41,6 +41,7 @@ def check(case_file: Path) -> None:
 
 
 def _lines(report: CheckReport) -> list[tuple[str, str]]:
+    """Names and values of what is printed."""
     width, height = report.image_size
     kind = "floating point" if report.bits is None else f"{report.bits} bit"
     cells = ", ".join(f"{count} {name}" for name, count in report.cell_counts.items())

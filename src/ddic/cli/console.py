@@ -45,15 +45,33 @@ class RunConsole:
         self._bar.stop()
 
     def phase(self, phase: Phase) -> None:
-        """Show the phase that begins."""
+        """Show the phase that begins.
+
+        Parameters
+        ----------
+        phase : Phase
+            Of the run.
+        """
         self._bar.phase(phase)
 
     def note(self, line: str) -> None:
-        """Print a line."""
+        """Print a line.
+
+        Parameters
+        ----------
+        line : str
+            Without its end.
+        """
         self._print(line)
 
     def problem_size(self, size: ProblemSize) -> None:
-        """Print the sizes and the head of the iteration table."""
+        """Print the sizes and the head of the iteration table.
+
+        Parameters
+        ----------
+        size : ProblemSize
+            Of what is about to be solved.
+        """
         self._bar.settle()
         self._range = size.dynamic_range or 1.0
         weight = f", eta = {size.eta:.4g}" if size.eta else ""
@@ -63,7 +81,13 @@ class RunConsole:
         self._print("  ".join(f"{name:>{max(len(name), 9)}}" for name in _COLUMNS))
 
     def iteration(self, record: IterationRecord) -> None:
-        """Print a line of the iteration table; the residual is that before the correction."""
+        """Print a line of the iteration table; the residual is that before the correction.
+
+        Parameters
+        ----------
+        record : IterationRecord
+            Of the iteration that has ended.
+        """
         spent = {phase: record.seconds[phase] - self._seconds.get(phase, 0.0) for phase in REPEATED}
         self._seconds = record.seconds
         cells = (f"{record.number}", f"{record.size.relative:.2e}", f"{record.size.rms:.2e}",
@@ -74,7 +98,13 @@ class RunConsole:
         self._print("  ".join(f"{cell:>{max(len(name), 9)}}" for cell, name in zip(cells, _COLUMNS, strict=True)))
 
     def finish(self, summary: Summary) -> None:
-        """Print what was found."""
+        """Print what was found.
+
+        Parameters
+        ----------
+        summary : Summary
+            Of the run.
+        """
         self._bar.stop()
         seconds = ", ".join(f"{name} {value:.2f}" for name, value in summary.seconds.items())
         memory = ", ".join(f"{value / 2**20:.0f}" for value in summary.peak_memory_bytes)
@@ -98,11 +128,13 @@ class RunConsole:
         self._print(f"result: {summary.result_file}")
 
     def _print(self, line: str) -> None:
+        """Print a line as it is, at once."""
         self._console.print(line, markup=False)
         sys.stdout.flush()
 
 
 def _count(number: int, noun: str) -> str:
+    """A number and its noun."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
@@ -149,7 +181,13 @@ class _PhaseLines:
 
 
 def on_terminal() -> bool:
-    """Whether a person watches; under mpirun, which gives ranks a terminal of its own, mpirun's output counts."""
+    """Tell whether a person watches; under mpirun, which gives ranks a terminal of its own, mpirun's output counts.
+
+    Returns
+    -------
+    bool
+        Whether the output is a terminal's.
+    """
     if not sys.stdout.isatty():
         return False
     launched = any(name in os.environ for name in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_RANK"))

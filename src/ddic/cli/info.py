@@ -37,6 +37,7 @@ def info(file: Path) -> None:
 
 def _describe(file: Path) -> Lines:
     # Imported here because HDF5 and OpenCV are not needed by --help.
+    """Names and values of what a file holds."""
     import h5py
 
     from ddic.io.result_reader import read_result
@@ -49,6 +50,7 @@ def _describe(file: Path) -> Lines:
 
 
 def _image_lines(file: Path) -> Lines:
+    """Of an image."""
     from ddic.images.grey_levels import measure_grey_levels
     from ddic.io.image_file import open_image
 
@@ -70,6 +72,7 @@ def _image_lines(file: Path) -> Lines:
 
 
 def _result_lines(result: Result) -> Lines:
+    """Of a result."""
     import numpy as np
 
     low, high = result.displacement.min(axis=0), result.displacement.max(axis=0)

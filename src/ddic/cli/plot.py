@@ -79,10 +79,12 @@ def _kinds(asked: str, result: Result, other: Result | None) -> list[str]:
 
 
 def _has_curves(result: Result) -> bool:
+    """Whether a result has a Krylov history."""
     return any(len(history) for history in result.krylov)
 
 
 def _reference(result: Result, image: Path | None) -> Preview | None:
+    """The image that is drawn below the partition; None where it is no longer there."""
     from ddic.io.image_file import open_image
     from ddic.io.plots.preview import read_preview
 
@@ -100,6 +102,7 @@ def _reference(result: Result, image: Path | None) -> Preview | None:
 
 def _figure(kind: str, result: Result, other: Result | None, preview: Preview | None,
             component: Literal["x", "y", "magnitude"], amplification: float | None) -> Figure:
+    """One figure, by its kind."""
     from ddic.io.plots.camera_fields import near_far_figure
     from ddic.io.plots.deformed import deformed_figure
     from ddic.io.plots.difference import difference_figure

@@ -111,4 +111,5 @@ def _trace(error: BaseException) -> str:
 
 def _stop(number: int, frame: FrameType | None) -> NoReturn:
     # mpirun turns Ctrl-C into SIGTERM; raising lets temporary files be removed.
+    """Raise an error at mpirun's SIGTERM."""
     raise KeyboardInterrupt

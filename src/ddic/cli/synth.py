@@ -28,7 +28,23 @@ class OneLineErrors(click.Group):
     """A group of commands whose errors are one line each, without the usage text."""
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the chosen command."""
+        """Run the chosen command.
+
+        Parameters
+        ----------
+        ctx : Context
+            Of click.
+
+        Returns
+        -------
+        object
+            What the command returns.
+
+        Raises
+        ------
+        ClickException
+            In place of any error made for the user, shown as one line.
+        """
         try:
             return super().invoke(ctx)
         except click.UsageError as error:
@@ -140,6 +156,7 @@ def bending(curvature: float, center: Pair | None, poisson_ratio: float, transla
 
 
 def _middle(image: ImageOptions) -> Pair:
+    """Position of the image's centre, pixels."""
     width, height = image["size"]
     return (width - 1) / 2, (height - 1) / 2
 

@@ -27,7 +27,27 @@ class ImageOptions(TypedDict):
 
 
 def parse_size(_context: click.Context, _option: click.Parameter, text: str | None) -> Size | None:
-    """Turn "640x480" into (640, 480), pixels; None stays None."""
+    """Turn "640x480" into (640, 480); None stays None.
+
+    Parameters
+    ----------
+    _context : Context
+        Of click.
+    _option : Parameter
+        Of click.
+    text : str or None
+        WIDTHxHEIGHT.
+
+    Returns
+    -------
+    (int, int) or None
+        Pixels.
+
+    Raises
+    ------
+    BadParameter
+        Where it is no such text.
+    """
     if text is None:
         return None
     match = re.fullmatch(r"([1-9]\d*)[xX]([1-9]\d*)", text)
@@ -37,7 +57,20 @@ def parse_size(_context: click.Context, _option: click.Parameter, text: str | No
 
 
 def image_options(size: str, files: str) -> Callable[[Command], Command]:
-    """Decorator that adds the options of ImageOptions; size: the default; files: what --output will hold."""
+    """Make a decorator that adds the options of ImageOptions.
+
+    Parameters
+    ----------
+    size : str
+        Default of --size.
+    files : str
+        What --output will hold.
+
+    Returns
+    -------
+    callable
+        The decorator.
+    """
     options = (
         click.option("--size", callback=parse_size, default=size, show_default=True,
                      metavar="WIDTHxHEIGHT", help="Size, pixels."),
@@ -61,7 +94,20 @@ def image_options(size: str, files: str) -> Callable[[Command], Command]:
 
 
 def prepare_folder(folder: Path, truth: Path) -> None:
-    """Make the folder and drop the truth of earlier images, which no longer holds."""
+    """Make the folder and drop the truth of earlier images, which no longer holds.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the images.
+    truth : Path
+        Of the truth file.
+
+    Raises
+    ------
+    InputError
+        Where the folder cannot be made or written to.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         truth.unlink(missing_ok=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.errors import InputError
-from ddic.functionals.pixel_kernels import N_SUMS, hessian_cells, residual_pixels, residual_sums
-from ddic.images.spline import HALO, PADDING, GradientImage
+from ddic.functionals import pixel_kernels as kernels
+from ddic.functionals.grey_statistics import GreySums
+from ddic.images.spline import HALO, PADDING, GradientImage, SplineImage
 from ddic.images.sub_image import DeformedSubImage, MaskedSource, read_reference
 from ddic.images.threads import ONE_THREAD, Threads
 from ddic.images.window import Window, shared_windows
@@ -21,56 +22,27 @@ from ddic.kinematics.cell_interpolation import CellInterpolation, interpolate_ce
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import Raster, rasterize
 
-GreyCorrection = Literal["none", "global", "element"]
-
 BAND = 32
-"""Height, pixels, of the bands in which cells are visited."""
+"""Height, pixels, of the bands in which cells are visited: of 16-px cells two rows. With a larger one, neighbours in a
+row are further apart in time and share fewer lines of the cache; with a smaller one, those of a column do."""
 
 FEWEST = 128
-"""Cells of a thread's slice, some 0.2 ms: handing it over and the kernel's scratch arrays cost a tenth of that."""
+"""Cells of a thread's slice, some 0.2 ms: handing it over and the kernel's scratch arrays cost a tenth of that.
+Larger slices leave threads idle on small subdomains."""
 
 _NOTHING_EXCLUDED = np.zeros((0, 0), dtype=np.uint8)
-
-
-@dataclass(frozen=True)
-class GreySums:
-    """Sums over pixels of (1, r, g, r^2, g^2, r g), r = f - g(x + u), from which all grey statistics follow.
-
-    values: (..., 6) float64; the leading axes are cells, or nothing for a whole region.
-    """
-
-    values: NDArray[np.float64]
-
-    @property
-    def n_pixels(self) -> NDArray[np.float64]:
-        """Number of pixels that count."""
-        return np.asarray(self.values[..., 0])
-
-    def gain_and_offset(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Least-squares a, b of f = a g + b; a = 1 where the deformed image is flat, (1, 0) without pixels."""
-        n, r, g, _, gg, rg = np.moveaxis(self.values, -1, 0)
-        n = np.maximum(n, 1.0)
-        variance = gg / n - (g / n) ** 2
-        textured = variance > 1e-12 * np.maximum(gg / n, 1e-300)
-        excess = np.where(textured, (rg / n - r * g / n**2) / np.where(textured, variance, 1.0), 0.0)
-        return 1.0 + excess, np.where(self.n_pixels > 0, r / n - excess * g / n, 0.0)
-
-    def residual(self, gain: NDArray[np.float64] | float = 1.0, offset: NDArray[np.float64] | float = 0.0,
-                 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Sum of the residual f - gain g - offset and sum of its square."""
-        n, r, g, rr, gg, rg = np.moveaxis(self.values, -1, 0)
-        e = np.asarray(gain) - 1.0
-        b = np.asarray(offset)
-        first = r - e * g - b * n
-        second = rr + e**2 * gg + b**2 * n - 2 * e * rg - 2 * b * r + 2 * e * b * g
-        return first, np.maximum(second, 0.0)
 
 
 @dataclass(frozen=True)
 class Residual:
     """What one pass over a subdomain's pixels yields.
 
-    moments: (n_cells, 3, 2, 4), sums of (r, g, 1) x grad f x monomials; cell_sums: (n_cells, 6).
+    Attributes
+    ----------
+    moments : (n_cells, 3, 2, 4) array
+        Sums of (r, g, 1) x grad f x monomials, r = f - g(x + u); the last two are 0 where they were not asked for.
+    cell_sums : GreySums
+        Of every cell, (n_cells, 6).
     """
 
     moments: NDArray[np.float64]
@@ -78,20 +50,39 @@ class Residual:
 
     @property
     def sums(self) -> GreySums:
-        """The sums over the whole subdomain."""
+        """Sums over the whole subdomain, (6,)."""
         return GreySums(self.cell_sums.values.sum(axis=0))
+
+    @property
+    def n_pixels(self) -> int:
+        """Number of the subdomain's pixels that count, in both images."""
+        return int(self.sums.n_pixels)
 
 
 @dataclass(frozen=True)
 class Correlation:
-    """One subdomain's pixels, reference image and kinematics.
+    """One subdomain's pixels, reference image and interpolation.
 
-    order: (n_cells,) int64, cells from left to right in bands of BAND rows, whatever the mesh's order: neighbours
-    share the cache's lines. threads: take slices of the cells; what comes of a cell depends on its pixels alone.
+    Attributes
+    ----------
+    mesh : Mesh
+        The subdomain, in the image's pixels.
+    interpolation : CellInterpolation
+        From nodal displacements to those of the cells' pixels, and back to nodal forces.
+    raster : Raster
+        Every cell's pixels.
+    reference : GradientImage
+        f and grad f on a window that holds them.
+    extent : Window
+        The whole image.
+    order : (n_cells,) int64 array
+        Cells from left to right in bands of BAND rows, whatever the mesh's order: neighbours share the cache's lines.
+    threads : Threads
+        They take slices of the cells; what comes of a cell depends on its pixels alone.
     """
 
     mesh: Mesh
-    kinematics: CellInterpolation
+    interpolation: CellInterpolation
     raster: Raster
     reference: GradientImage
     extent: Window
@@ -101,161 +92,325 @@ class Correlation:
     @property
     def n_usable_pixels(self) -> int:
         """Number of pixels that the reference image does not exclude."""
-        f = self.reference
-        if f.usable is None:
+        if self.reference.usable is None:
             return int(self.raster.pixel_counts.sum())
-        return int(self.raster.counts_in(f.usable, f.window.x0, f.window.y0).sum())
+        return self._count_pixels(self.reference.usable)
 
-    def seen_from(self, deformed: DeformedSubImage, q: NDArray[np.float64]) -> Correlation:
-        """The same without the pixels that q maps outside the deformed image or onto excluded pixels of it.
+    def visible_pixels(self, deformed: DeformedSubImage, q: NDArray[np.float64]) -> int:
+        """Count the pixels that a displacement shows in both images.
 
-        They must leave M as well as b: a displacement that no pixel sees is not held by any.
+        Costs one pass over the pixels where some may be hidden; where there is a residual, ``Residual.n_pixels`` says
+        the same for nothing.
+
+        Parameters
+        ----------
+        deformed : DeformedSubImage
+            g.
+        q : (n_dofs,) array
+            Nodal displacement, pixels.
+
+        Returns
+        -------
+        int
+            Of ``n_usable_pixels``, those not mapped outside the deformed image or onto excluded pixels of it.
         """
-        if not deformed.source.may_exclude and self._stays_inside(q):
+        if self._shows_all(deformed, q):
+            return self.n_usable_pixels
+        return self.compute_residual(deformed, q).n_pixels
+
+    def without_hidden(self, deformed: DeformedSubImage, q: NDArray[np.float64]) -> Correlation:
+        """Leave out the pixels that a displacement maps outside the deformed image or onto excluded pixels of it.
+
+        From M as well as from b: a displacement that no pixel sees is not held by any.
+
+        Parameters
+        ----------
+        deformed : DeformedSubImage
+            g.
+        q : (n_dofs,) array
+            Nodal displacement, pixels.
+
+        Returns
+        -------
+        Correlation
+            With fewer usable pixels; the same object where none is hidden.
+        """
+        if self._shows_all(deformed, q):
             return self
-        seen = np.isfinite(self.residual_image(deformed, q))
-        if int(self.raster.counts_in(seen.astype(np.uint8), self.reference.window.x0,
-                                     self.reference.window.y0).sum()) == self.n_usable_pixels:
+        shown = np.isfinite(self.compute_residual_image(deformed, q)).astype(np.uint8)
+        if self._count_pixels(shown) == self.n_usable_pixels:
             return self
-        usable = seen.astype(np.uint8)
         if self.reference.usable is not None:
-            usable &= self.reference.usable
-        return replace(self, reference=replace(self.reference, usable=usable))
+            shown &= self.reference.usable
+        return replace(self, reference=replace(self.reference, usable=shown))
 
-    def hessian_cells(self) -> NDArray[np.float64]:
-        """M_e = sum_px N_i . grad f grad f^T . N_j of every cell, (n_cells, 8, 8), Eq. 5 of [BP17]."""
-        k, r, f = self.kinematics, self.raster, self.reference
-        out = np.zeros((len(k.geometry), 4, 2, 4, 2))
+    def compute_cell_hessians(self) -> NDArray[np.float64]:
+        """Sum N^T grad f grad f^T N over the pixels of every cell.
+
+        Returns
+        -------
+        (n_cells, 8, 8) array
+            M_e, node-major, grey levels squared per pixel squared; Eq. 5 of [BP17].
+        """
+        shapes = kernels.Shapes(self.interpolation.shapes, self.interpolation.kinds)
+        reference = self._reference_pixels()
+        n_cells = len(self.order)
+        hessians = np.zeros((n_cells, 4, 2, 4, 2))
 
         def accumulate(place: slice) -> None:
-            hessian_cells(self.order[place], k.geometry, k.shapes, k.kinds, r.first_row, r.row_ptr, r.starts, r.stops,
-                          _flat(f.by_x), _flat(f.by_y), _row_length(f.by_x), _or_nothing(f.usable),
-                          f.window.x0, f.window.y0, out)
+            kernels.hessian_cells(self._cells(place), shapes, reference, hessians)
 
-        self.threads.over(len(self.order), FEWEST, accumulate)
-        return out.reshape(len(out), 8, 8)
+        self.threads.over(n_cells, FEWEST, accumulate)
+        return hessians.reshape(n_cells, 8, 8)
 
-    def hessian(self) -> sparse.csr_matrix:
-        """M of the subdomain, (n_dofs, n_dofs)."""
-        return self.kinematics.assemble_matrix(self.hessian_cells())
+    def assemble_hessian(self) -> sparse.csr_matrix:
+        """Assemble M = sum_px N^T grad f grad f^T N over the subdomain's usable pixels.
 
-    def residual(self, deformed: DeformedSubImage, q: NDArray[np.float64], *, all_kinds: bool = False) -> Residual:
-        """One pass over all pixels with nodal displacement q (n_dofs,), pixels.
-
-        all_kinds: also accumulate what a grey correction needs.
+        Returns
+        -------
+        (n_dofs, n_dofs) csr_matrix
+            M, grey levels squared per pixel squared; Eq. 5 of [BP17].
         """
-        k, r, f = self.kinematics, self.raster, self.reference
-        u = k.monomial_coefficients(q)
-        spline = deformed.covering(self.displaced_window(q))
-        moments = np.zeros((len(k.geometry), 3, 2, 4))
-        sums = np.zeros((len(k.geometry), N_SUMS))
+        return self.interpolation.assemble_matrix(self.compute_cell_hessians())
+
+    def compute_residual(self, deformed: DeformedSubImage, q: NDArray[np.float64], *,
+                         all_kinds: bool = False) -> Residual:
+        """Sum the residual f - g(x + u), against grad f too, in one pass over the subdomain's pixels.
+
+        Parameters
+        ----------
+        deformed : DeformedSubImage
+            g.
+        q : (n_dofs,) array
+            Nodal displacement, pixels.
+        all_kinds : bool
+            Whether to sum what a grey-level correction needs too.
+
+        Returns
+        -------
+        Residual
+            Sums by cell.
+        """
+        n_cells = len(self.order)
+        u = self.interpolation.monomial_coefficients(q)
+        reference = self._reference_pixels()
+        pixels = self._deformed_pixels(deformed.covering(self.displaced_window(q)))
+        sums = kernels.CellSums(np.zeros((n_cells, 3, 2, 4)), np.zeros((n_cells, kernels.N_SUMS)))
 
         def accumulate(place: slice) -> None:
-            residual_sums(self.order[place], k.geometry, u, r.first_row, r.row_ptr, r.starts, r.stops,
-                          _flat(f.values), _flat(f.by_x), _flat(f.by_y), _row_length(f.values),
-                          _or_nothing(f.usable), f.window.x0, f.window.y0,
-                          _flat(spline.coefficients), _row_length(spline.coefficients), spline.degree,
-                          spline.window.x0, spline.window.y0, self.extent.width, self.extent.height,
-                          _or_nothing(spline.usable), all_kinds,
-                          moments, sums)
+            kernels.residual_sums(self._cells(place), u, reference, pixels, all_kinds, sums)
 
-        self.threads.over(len(self.order), FEWEST, accumulate)
-        return Residual(moments, GreySums(sums))
+        self.threads.over(n_cells, FEWEST, accumulate)
+        return Residual(sums.moments, GreySums(sums.grey))
 
-    def right_hand_side(self, residual: Residual, gain: NDArray[np.float64] | float = 1.0,
-                        offset: NDArray[np.float64] | float = 0.0) -> NDArray[np.float64]:
-        """b_j = sum_px N_j . grad f (f - gain g(x + u) - offset), (n_dofs,), Eq. 5 of [BP17].
+    def assemble_right_hand_side(self, residual: Residual, gain: NDArray[np.float64] | float = 1.0,
+                                 offset: NDArray[np.float64] | float = 0.0) -> NDArray[np.float64]:
+        """Assemble b = sum_px N^T grad f (f - gain g(x + u) - offset).
 
-        gain, offset: one number, or one per cell (n_cells,).
+        Parameters
+        ----------
+        residual : Residual
+            With all kinds of moments where gain is not 1 or offset not 0.
+        gain : float or (n_cells,) array
+            No unit.
+        offset : float or (n_cells,) array
+            Grey levels.
+
+        Returns
+        -------
+        (n_dofs,) array
+            b, grey levels squared per pixel; Eq. 5 of [BP17].
         """
-        m = residual.moments
-        excess = np.broadcast_to(np.asarray(gain) - 1.0, len(m))[:, None, None]
-        shift = np.broadcast_to(np.asarray(offset), len(m))[:, None, None]
-        return self.kinematics.assemble_vector(m[:, 0] - excess * m[:, 1] - shift * m[:, 2])
+        moments = residual.moments
+        excess = np.broadcast_to(np.asarray(gain) - 1.0, len(moments))[:, None, None]
+        shift = np.broadcast_to(np.asarray(offset), len(moments))[:, None, None]
+        of_r, of_g, of_one = moments[:, 0], moments[:, 1], moments[:, 2]
+        return self.interpolation.assemble_vector(of_r - excess * of_g - shift * of_one)
 
-    def residual_image(self, deformed: DeformedSubImage, q: NDArray[np.float64],
-                       gain: NDArray[np.float64] | float = 1.0,
-                       offset: NDArray[np.float64] | float = 0.0) -> NDArray[np.float32]:
-        """Residual f - gain g(x + u) - offset on the reference window, NaN on pixels that do not count."""
-        k, r, f = self.kinematics, self.raster, self.reference
-        spline = deformed.covering(self.displaced_window(q))
-        out = np.full(f.values.shape, np.nan, dtype=np.float32)
-        n_cells, u = len(k.geometry), k.monomial_coefficients(q)
-        gains, offsets = (np.array(np.broadcast_to(np.asarray(a, dtype=float), n_cells)) for a in (gain, offset))
+    def compute_residual_image(self, deformed: DeformedSubImage, q: NDArray[np.float64],
+                               gain: NDArray[np.float64] | float = 1.0,
+                               offset: NDArray[np.float64] | float = 0.0) -> NDArray[np.float32]:
+        """Compute the residual f - gain g(x + u) - offset of every pixel.
 
-        def write(cells: slice) -> None:
-            residual_pixels(k.geometry[cells], u[cells], r.first_row[cells], r.row_ptr[cells.start:cells.stop + 1],
-                            r.starts, r.stops, _flat(f.values), _row_length(f.values), _or_nothing(f.usable),
-                            f.window.x0, f.window.y0, _flat(spline.coefficients), _row_length(spline.coefficients),
-                            spline.degree, spline.window.x0, spline.window.y0, self.extent.width, self.extent.height,
-                            _or_nothing(spline.usable), gains[cells], offsets[cells], out)
+        Parameters
+        ----------
+        deformed : DeformedSubImage
+            g.
+        q : (n_dofs,) array
+            Nodal displacement, pixels.
+        gain : float or (n_cells,) array
+            No unit.
+        offset : float or (n_cells,) array
+            Grey levels.
+
+        Returns
+        -------
+        (height, width) float32 array
+            On the reference window, grey levels; NaN on pixels that do not count.
+        """
+        n_cells = len(self.order)
+        u = self.interpolation.monomial_coefficients(q)
+        reference = self._reference_pixels()
+        pixels = self._deformed_pixels(deformed.covering(self.displaced_window(q)))
+        gains = np.array(np.broadcast_to(np.asarray(gain, dtype=float), n_cells))
+        offsets = np.array(np.broadcast_to(np.asarray(offset, dtype=float), n_cells))
+        image = np.full(self.reference.values.shape, np.nan, dtype=np.float32)
+
+        def write(place: slice) -> None:
+            kernels.residual_pixels(self._cells(place), u, reference, pixels, gains, offsets, image)
 
         self.threads.over(n_cells, FEWEST, write)
-        return out
-
-    def _stays_inside(self, q: NDArray[np.float64]) -> bool:
-        """Whether all nodes, hence all pixels, stay within the outermost pixel centres."""
-        displaced = self.mesh.nodes + q.reshape(self.mesh.nodes.shape)
-        return bool((displaced >= 0).all() and (displaced <= (self.extent.width - 1, self.extent.height - 1)).all())
+        return image
 
     def displaced_window(self, q: NDArray[np.float64]) -> Window:
-        """Window of the deformed image that holds all displaced pixels and their neighbours."""
+        """Window of the deformed image that holds all displaced pixels and their neighbours.
+
+        Parameters
+        ----------
+        q : (n_dofs,) array
+            Nodal displacement, pixels.
+        """
         # u is a convex combination of nodal values, so the displaced nodes' box holds all displaced pixels.
-        displaced = self.mesh.nodes + q.reshape(self.mesh.nodes.shape)
-        low = np.floor(displaced.min(axis=0)).astype(int)
-        high = np.ceil(displaced.max(axis=0)).astype(int)
-        return Window(int(low[0]) - 1, int(low[1]) - 1, int(high[0]) + 2, int(high[1]) + 2)
+        displaced = self._displaced_nodes(q)
+        left, top = np.floor(displaced.min(axis=0)).astype(int)
+        right, bottom = np.ceil(displaced.max(axis=0)).astype(int)
+        return Window(int(left) - 1, int(top) - 1, int(right) + 2, int(bottom) + 2)
+
+    def _displaced_nodes(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Nodes x + u, (n_nodes, 2), pixels."""
+        return np.asarray(self.mesh.nodes + q.reshape(self.mesh.nodes.shape))
+
+    def _shows_all(self, deformed: DeformedSubImage, q: NDArray[np.float64]) -> bool:
+        """Whether no pixel can be hidden, as far as can be told without looking at pixels."""
+        if deformed.source.may_exclude:
+            return False
+        # All pixels stay within the outermost pixel centres where all nodes do.
+        displaced = self._displaced_nodes(q)
+        last = (self.extent.width - 1, self.extent.height - 1)
+        return bool((displaced >= 0).all() and (displaced <= last).all())
+
+    def _count_pixels(self, usable: NDArray[np.uint8]) -> int:
+        """Number of the cells' pixels that are 1 in an image of the reference window's shape."""
+        window = self.reference.window
+        return int(self.raster.counts_in(usable, window.x0, window.y0).sum())
+
+    def _cells(self, place: slice) -> kernels.Cells:
+        """Some of the cells, in the order of visiting."""
+        raster = self.raster
+        return kernels.Cells(self.order[place], self.interpolation.geometry, raster.first_row, raster.row_ptr,
+                             raster.starts, raster.stops)
+
+    def _reference_pixels(self) -> kernels.ReferencePixels:
+        """The reference image as kernels take it."""
+        f = self.reference
+        return kernels.ReferencePixels(_flatten(f.values), _flatten(f.by_x), _flatten(f.by_y), _row_length(f.values),
+                                       f.window.x0, f.window.y0, _or_nothing(f.usable))
+
+    def _deformed_pixels(self, g: SplineImage) -> kernels.DeformedPixels:
+        """The deformed image as kernels take it."""
+        return kernels.DeformedPixels(_flatten(g.coefficients), _row_length(g.coefficients), g.degree,
+                                      g.window.x0, g.window.y0, _or_nothing(g.usable),
+                                      self.extent.width, self.extent.height)
 
 
-def correlation(mesh: Mesh, reference: MaskedSource, degree: int) -> Correlation:
+def read_correlation(mesh: Mesh, reference: MaskedSource, degree: int) -> Correlation:
     """Rasterise a subdomain's mesh and read its window of the reference image.
 
-    Raises InputError where a pixel of the mesh lies outside the image.
+    Parameters
+    ----------
+    mesh : Mesh
+        In the image's pixels.
+    reference : MaskedSource
+        The reference image.
+    degree : int
+        Of the spline, 3 or 5.
+
+    Returns
+    -------
+    Correlation
+        Of the subdomain.
+
+    Raises
+    ------
+    InputError
+        Where a pixel of the mesh lies outside the image.
     """
-    return correlations([mesh], reference, degree)[0][0]
+    return read_correlations([mesh], reference, degree)[0][0]
 
 
-def correlations(meshes: Sequence[Mesh], reference: MaskedSource, degree: int,
-                 threads: Threads = ONE_THREAD) -> list[list[Correlation]]:
-    """The same for several subdomains: groups, in order, that share a window of the image.
+def read_correlations(meshes: Sequence[Mesh], reference: MaskedSource, degree: int,
+                      threads: Threads = ONE_THREAD) -> list[list[Correlation]]:
+    """Rasterise several subdomains' meshes and read their windows of the reference image.
 
-    Neighbours do where their common window holds fewer pixels than their own ones, whose edges and halos overlap.
-    Raises InputError where a pixel of a mesh lies outside the image.
+    Neighbours share a window where it holds fewer pixels than their own ones, whose edges and halos overlap.
+
+    Parameters
+    ----------
+    meshes : sequence of Mesh
+        In the image's pixels.
+    reference : MaskedSource
+        The reference image.
+    degree : int
+        Of the spline, 3 or 5.
+    threads : Threads
+        Of all that is done with the subdomains' pixels.
+
+    Returns
+    -------
+    list of lists of Correlation
+        Groups, in the meshes' order, that share a window of the image.
+
+    Raises
+    ------
+    InputError
+        Where a pixel of a mesh lies outside the image.
     """
     rasters = [rasterize(mesh) for mesh in meshes]
     windows = [raster.window for raster in rasters]
-    if not all(reference.extent.contains(window) for window in windows):
+    extent = reference.extent
+    if not all(extent.contains(window) for window in windows):
         raise InputError(f"{reference.image.path}: pixels of the mesh lie outside the image "
-                         f"({reference.extent.width} x {reference.extent.height} px); move or cut the mesh")
-    found = []
+                         f"({extent.width} x {extent.height} px); move or cut the mesh")
+    groups = []
     for common, members in shared_windows(windows, HALO[degree] + PADDING[degree]):
         image = read_reference(reference, common, degree, threads)
-        found.append([_correlation(meshes[k], rasters[k], image.part(windows[k]), reference.extent, threads)
-                      for k in members])
-    return found
+        groups.append([_correlation(meshes[k], rasters[k], image.part(windows[k]), extent, threads) for k in members])
+    return groups
 
 
-def restricted(whole: Correlation, cells: NDArray[np.int64]) -> Correlation:
-    """The same on some of a subdomain's cells, with the same window of the image."""
+def restrict_to_cells(whole: Correlation, cells: NDArray[np.int64]) -> Correlation:
+    """Take some of a subdomain's cells alone, with the same window of the image.
+
+    Parameters
+    ----------
+    whole : Correlation
+        The subdomain.
+    cells : (n,) int64 array
+        Their numbers.
+    """
     mesh, _ = whole.mesh.submesh(cells)
     return _correlation(mesh, rasterize(mesh), whole.reference, whole.extent, whole.threads)
 
 
 def _correlation(mesh: Mesh, raster: Raster, image: GradientImage, extent: Window, threads: Threads) -> Correlation:
+    """Put the cells in order."""
     x, y = mesh.centroids.T
     order = np.lexsort((x, y // BAND)).astype(np.int64)
     return Correlation(mesh, interpolate_cells(mesh), raster, image, extent, order, threads)
 
 
-def _flat(image: NDArray[Any]) -> NDArray[Any]:
+def _flatten(image: NDArray[Any]) -> NDArray[Any]:
     """An image (height, width), or a part of one, as one sequence of rows of ``_row_length``."""
     height, width = image.shape
-    return as_strided(image, ((height - 1) * _row_length(image) + width,), (image.itemsize,))
+    n = (height - 1) * _row_length(image) + width
+    return as_strided(image, (n,), (image.itemsize,))
 
 
 def _row_length(image: NDArray[Any]) -> int:
+    """Numbers from one row of an image, or of a part of one, to the next."""
     return int(image.strides[0] // image.itemsize)
 
 
 def _or_nothing(usable: NDArray[np.uint8] | None) -> NDArray[np.uint8]:
+    """An array whether or not anything is excluded, so that kernels are compiled once."""
     return _NOTHING_EXCLUDED if usable is None else usable

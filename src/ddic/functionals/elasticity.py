@@ -12,7 +12,7 @@ from scipy import sparse
 from ddic.kinematics.cell_interpolation import interpolate_cells
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.monomials import N_MONOMIALS
-from ddic.mesh.shapes import shape_gradients
+from ddic.mesh.shapes import compute_shape_gradients
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Material:
         return lame, 1.0 / (2.0 * (1.0 + nu))
 
 
-def stiffness_cells(mesh: Mesh, material: Material) -> NDArray[np.float64]:
+def integrate_cell_stiffness(mesh: Mesh, material: Material) -> NDArray[np.float64]:
     """Integrate K_e = int lambda div u div v + 2 mu eps(u) : eps(v) over every cell.
 
     Parameters
@@ -58,7 +58,7 @@ def stiffness_cells(mesh: Mesh, material: Material) -> NDArray[np.float64]:
     cells = np.zeros((mesh.n_cells, width, width))
     for block in mesh.cell_blocks:
         quadrature = block.type.quadrature
-        gradients, det = shape_gradients(mesh, block, quadrature.points)
+        gradients, det = compute_shape_gradients(mesh, block, quadrature.points)
         products = _integrate_products(gradients, det * quadrature.weights)
         # 2 mu eps(u) : eps(v) = mu (grad u : grad v + grad u : grad v^T)
         stiffness = lame * products + shear * products.swapaxes(2, 4)
@@ -85,7 +85,7 @@ def assemble_stiffness(mesh: Mesh, material: Material) -> sparse.csr_matrix:
     (n_dofs, n_dofs) csr_matrix
         K, symmetric; its null space is the rigid motions.
     """
-    return interpolate_cells(mesh).assemble_matrix(stiffness_cells(mesh, material))
+    return interpolate_cells(mesh).assemble_matrix(integrate_cell_stiffness(mesh, material))
 
 
 def _integrate_products(gradients: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from ddic.functionals.elasticity import Material, assemble_stiffness, stiffness_cells
+from ddic.functionals.elasticity import Material, assemble_stiffness, integrate_cell_stiffness
 from ddic.kinematics.cell_interpolation import interpolate_cells
 from ddic.kinematics.kinematics import Kinematics
 from ddic.mesh.mesh import Mesh
@@ -43,7 +43,7 @@ def controlled_stiffness(kinematics: Kinematics, material: Material,
     return (sparse.diags(row_weights) @ stiffness).tocsr()
 
 
-def plane_waves(nodes: NDArray[np.float64], wavelength: float) -> NDArray[np.float64]:
+def evaluate_plane_waves(nodes: NDArray[np.float64], wavelength: float) -> NDArray[np.float64]:
     """Evaluate the waves v = e_a cos(2 pi x_b / l_c + phi) for all axes a, b and phi in {0, pi/2}.
 
     Parameters
@@ -69,7 +69,7 @@ def plane_waves(nodes: NDArray[np.float64], wavelength: float) -> NDArray[np.flo
     return np.stack(waves, axis=1)
 
 
-def gap_energies(mesh: Mesh, material: Material, interior_nodes: NDArray[np.bool_],
+def measure_gap_energies(mesh: Mesh, material: Material, interior_nodes: NDArray[np.bool_],
                  wavelength: float) -> NDArray[np.float64]:
     """Measure |K v|^2 of every plane wave on the interior nodes' rows, K never assembled.
 
@@ -89,7 +89,7 @@ def gap_energies(mesh: Mesh, material: Material, interior_nodes: NDArray[np.bool
     (n_waves,) array
         Square pixels, one for each column of ``plane_waves``.
     """
-    waves = plane_waves(mesh.nodes, wavelength)
+    waves = evaluate_plane_waves(mesh.nodes, wavelength)
     forces = np.zeros_like(waves)
     for begin in range(0, mesh.n_cells, _CHUNK_CELLS):
         cells = np.arange(begin, min(begin + _CHUNK_CELLS, mesh.n_cells))
@@ -100,7 +100,7 @@ def gap_energies(mesh: Mesh, material: Material, interior_nodes: NDArray[np.bool
     return np.asarray((forces[rows] ** 2).sum(axis=0))
 
 
-def texture_energies(nodes: NDArray[np.float64], hessian: sparse.csr_matrix,
+def measure_texture_energies(nodes: NDArray[np.float64], hessian: sparse.csr_matrix,
                      interior_nodes: NDArray[np.bool_], wavelength: float) -> NDArray[np.float64]:
     """Measure v^T M v of every plane wave on the interior nodes' rows; adds up over subdomains.
 
@@ -120,12 +120,12 @@ def texture_energies(nodes: NDArray[np.float64], hessian: sparse.csr_matrix,
     (n_waves,) array
         Grey levels squared, one for each column of ``plane_waves``.
     """
-    waves = plane_waves(nodes, wavelength)
+    waves = evaluate_plane_waves(nodes, wavelength)
     rows = np.repeat(interior_nodes, nodes.shape[1])
     return np.asarray((waves * (hessian @ waves))[rows].sum(axis=0))
 
 
-def cut_off_weight(texture: NDArray[np.float64], gap: NDArray[np.float64]) -> float:
+def find_cut_off_weight(texture: NDArray[np.float64], gap: NDArray[np.float64]) -> float:
     """Choose the weight eta at which texture and mechanics count alike at l_c: mean of |v^T M v| / |K v|^2 [LPHR11].
 
     The two phases of a wave are added up before the ratio, for one may vanish on all nodes; the mean is over a and b.
@@ -149,7 +149,7 @@ def cut_off_weight(texture: NDArray[np.float64], gap: NDArray[np.float64]) -> fl
 def _wave_forces(mesh: Mesh, material: Material, waves: NDArray[np.float64]) -> NDArray[np.float64]:
     """K v, (n_dofs, n_waves), of displacements v, the columns of waves."""
     cell_dofs = interpolate_cells(mesh).cell_dofs
-    by_cell = stiffness_cells(mesh, material) @ waves[cell_dofs]
+    by_cell = integrate_cell_stiffness(mesh, material) @ waves[cell_dofs]
     columns = [np.bincount(cell_dofs.ravel(), by_cell[..., wave].ravel(), minlength=mesh.n_dofs)
                for wave in range(waves.shape[1])]
     return np.stack(columns, axis=1)

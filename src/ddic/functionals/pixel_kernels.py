@@ -1,5 +1,7 @@
 """Compiled loops over the pixels of cells, fused with the assembly of cell sums.
 
+``readable_kernels`` says the same in plain loops, pixel by pixel: read it first, it is the oracle of this file.
+
 Cells are visited in batches of segments: neighbouring pixels of one row each. Segments of a batch follow each other
 without gaps, so that short rows fill vectors as well as long ones, and only what reads images goes row by row: it
 writes whole vectors, and the next segment overwrites what is beyond a segment's end. All else is a loop over the
@@ -9,14 +11,21 @@ coefficients contiguously. Displacements are split into an integer offset and a 
 no digit is lost to the position in the image. Images are float32 and everything computed from them is float64: in
 float32, Gauss-Newton would not get below 5e-8 px.
 
+What belongs together is one argument, a named tuple: ``Cells``, ``Shapes``, ``ReferencePixels``, ``DeformedPixels``
+and ``CellSums`` are what comes from outside, ``Scratch``, ``Place``, ``Batch`` and ``Segment`` what the stages hand
+to each other. Their fields cost nothing: the compiler sees single arrays and numbers.
+
 The stages share this file because numba's cache of a kernel does not notice changes in other files.
 """
 # mypy: disable-error-code="no-untyped-def, assignment"
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from ddic.functionals.prefetch import prefetch
 from ddic.functionals.vector_moves import WIDTH, copy_some, copy_vector, count_vector, fill_vector
@@ -37,9 +46,15 @@ PLANE = BATCH + WIDTH + 8
 """Distance of a batch's quantities in memory: not a power of 2, which would bring all to one set of the cache."""
 
 FLAGS = {"fastmath": {"contract", "reassoc", "nsz", "arcp"}, "error_model": "numpy", "nogil": True, "cache": True}
+"""Of all kernels. Sums may be reordered, else no loop that sums would be vectorised; a position that is not a number
+stays one."""
 
-INLINED = {**FLAGS, "forceinline": True}
-"""Of what is called for every cell: without it, code loaded from the cache was slower than just compiled."""
+STAGE = {**FLAGS, "_nrt": False}
+"""Of what is called for every cell. Arrays live as long as the kernel, hence nobody need count who holds them: each
+look at a tuple's field would count up and down, atomically, which took half of all time."""
+
+INLINED = {**STAGE, "forceinline": True}
+"""The same, where a call costs: without it, code loaded from the cache was slower than just compiled."""
 
 N_SUMS = 6
 """Sums over usable pixels of (1, r, g, r^2, g^2, r g) with r = f - g(x + u)."""
@@ -59,24 +74,206 @@ DISTORTED = 0.3
 AFFINE = 1e-11
 """A cell whose xi eta term is below this, relative to its linear terms, is a parallelogram but for rounding."""
 
+
+class Cells(NamedTuple):
+    """Cells of a mesh and the pixels of each.
+
+    Attributes
+    ----------
+    order : (n_visited,) int64 array
+        Cells in the order of visiting: where neighbours follow each other, they find their pixels in the cache.
+    geometry : (n_cells, 2, 4) float64 array
+        Coefficients of (x, y) on the monomials (1, xi, eta, xi eta), pixels.
+    first_row : (n_cells,) int64 array
+        Row of each cell's first run of pixels.
+    row_ptr : (n_cells + 1,) int64 array
+        Cell e owns the runs row_ptr[e] : row_ptr[e + 1], one a row.
+    starts, stops : (n_runs,) int32 arrays
+        Half-open columns of each run, which may be empty.
+    """
+
+    order: NDArray[np.int64]
+    geometry: NDArray[np.float64]
+    first_row: NDArray[np.int64]
+    row_ptr: NDArray[np.int64]
+    starts: NDArray[np.int32]
+    stops: NDArray[np.int32]
+
+
+class Shapes(NamedTuple):
+    """Shape functions of cells.
+
+    Attributes
+    ----------
+    coefficients : (n_kinds, 4, 4) float64 array
+        N_a on the monomials (1, xi, eta, xi eta), for each kind of cell; a T3's fourth row is zero.
+    kinds : (n_cells,) int64 array
+        Each cell's place in ``coefficients``.
+    """
+
+    coefficients: NDArray[np.float64]
+    kinds: NDArray[np.int64]
+
+
+class ReferencePixels(NamedTuple):
+    """A window of the reference image f with its gradient at pixel centres.
+
+    Attributes
+    ----------
+    values, by_x, by_y : (n,) float32 arrays
+        f and grad f, grey levels and grey levels per pixel: rows, one after the other.
+    row_length : int
+        Numbers from one row to the next.
+    x0, y0 : int
+        The window's first pixel.
+    usable : (height, width) uint8 array
+        0 where a pixel is excluded; (0, 0) where none is, so that there is one compiled kernel for both.
+    """
+
+    values: NDArray[np.float32]
+    by_x: NDArray[np.float32]
+    by_y: NDArray[np.float32]
+    row_length: int
+    x0: int
+    y0: int
+    usable: NDArray[np.uint8]
+
+
+class DeformedPixels(NamedTuple):
+    """A window of the deformed image g as spline coefficients.
+
+    Attributes
+    ----------
+    coefficients : (n,) float32 array
+        Rows, one after the other; the window's first pixel's one has (degree + 1) / 2 rows above it, likewise columns.
+    row_length : int
+        Numbers from one row to the next.
+    degree : int
+        Of the spline, 3 or 5.
+    x0, y0 : int
+        The window's first pixel.
+    usable : (height, width) uint8 array
+        0 where the pixel or its right, lower or lower right neighbour is excluded; (0, 0) where none is.
+    image_width, image_height : int
+        Size of the whole image, pixels.
+    """
+
+    coefficients: NDArray[np.float32]
+    row_length: int
+    degree: int
+    x0: int
+    y0: int
+    usable: NDArray[np.uint8]
+    image_width: int
+    image_height: int
+
+
+class CellSums(NamedTuple):
+    """What ``residual_sums`` adds to.
+
+    Attributes
+    ----------
+    moments : (n_cells, 3, 2, 4) float64 array
+        Sums of (r, g, 1) x (f_x, f_y) x (1, xi, eta, xi eta), r = f - g(x + u).
+    grey : (n_cells, 6) float64 array
+        Sums of (1, r, g, r^2, g^2, r g).
+    """
+
+    moments: NDArray[np.float64]
+    grey: NDArray[np.float64]
+
+
+class Scratch(NamedTuple):
+    """Buffers for the pixels of a batch; several quantities in each, PLANE numbers apart.
+
+    One array for many, because the compiler then knows them apart, and because it has too few registers for the
+    addresses of many.
+
+    Attributes
+    ----------
+    lanes : (7 PLANE,) float64 array
+        Quantities by lane, at the places _XI to _G.
+    pixels : (6 PLANE,) float32 array
+        What is read or counted by lane, at _COLUMN to _BY_Y.
+    offsets : (3 PLANE,) int32 array
+        Integer parts of displacements by lane, at _WHOLE_X and _WHOLE_Y.
+    bounds : (8 PLANE,) int64 array
+        Segments, at _SEGMENT_X to _SEGMENT_LANE, and runs, at _RUN_AT to _RUN_END.
+    """
+
+    lanes: NDArray[np.float64]
+    pixels: NDArray[np.float32]
+    offsets: NDArray[np.int32]
+    bounds: NDArray[np.int64]
+
+
+class Place(NamedTuple):
+    """Where in a cell's runs of pixels the next batch begins.
+
+    Attributes
+    ----------
+    run, last_run : uint64
+        The run, and the one after the cell's last.
+    x, y : int64
+        The pixel; a column before the run's first one stands for it.
+    """
+
+    run: Any
+    last_run: Any
+    x: Any
+    y: Any
+
+
+class Batch(NamedTuple):
+    """Pixels of one cell that are worked on together.
+
+    Attributes
+    ----------
+    cell : uint64
+        The cell.
+    x0, y0 : int64
+        The pixel that ``_COLUMN`` and ``_ROW`` are counted from.
+    n_segments : int64
+        Rows, or parts of rows.
+    n_lanes : uint64
+        Pixels, rounded up to a multiple of UNROLLED.
+    """
+
+    cell: Any
+    x0: Any
+    y0: Any
+    n_segments: Any
+    n_lanes: Any
+
+
+class Segment(NamedTuple):
+    """Neighbouring pixels of one row: the first one's column and row, their number, and the first one's lane."""
+
+    x: Any
+    y: Any
+    length: Any
+    lane: Any
+
+
 # Unsigned, so that numba need not allow for negative indices: that keeps loops from being vectorised, and outside
 # them costs as much as the arithmetic on a pixel.
 _U = np.uint64
-_XI, _ETA, _TX, _TY, _WEIGHT, _G = (_U(k * PLANE) for k in range(6))
-"""Where a batch's quantities begin in one scratch array ``lanes``. One array, because the compiler then knows them
-apart, and because it has too few registers for the addresses of many."""
+_0, _1 = _U(0), _U(1)
+
+_XI, _ETA, _FRACTION_X, _FRACTION_Y, _WEIGHT, _G = (_U(k * PLANE) for k in range(6))
+"""In ``lanes``: local coordinates, fractions of the displacement, 1 or 0 for a pixel that counts or not, g(x + u)."""
 
 _COLUMN, _ROW, _F, _BY_X, _BY_Y = (_U(k * PLANE) for k in range(5))
-"""The same in ``pixels``, float32: pixels' columns and rows from the cell's first, f and grad f."""
+"""In ``pixels``: columns and rows from the batch's first pixel, f and grad f."""
 
-_OX, _OY = (_U(k * PLANE) for k in range(2))
-"""The same in ``offsets``: integer parts of the displacements."""
+_WHOLE_X, _WHOLE_Y = (_U(k * PLANE) for k in range(2))
+"""In ``offsets``: integer parts of the displacement."""
 
-_SEG_X, _SEG_Y, _SEG_N, _SEG_AT, _RUN_AT, _RUN_BEGIN, _RUN_END = (_U(k * PLANE) for k in range(7))
-"""The same in ``bounds``: segments' column, row, length and first lane (and of the one after the last the first lane);
-runs' first coefficient, first lane and the lane after the last."""
+_SEGMENT_X, _SEGMENT_Y, _SEGMENT_LENGTH, _SEGMENT_LANE = (_U(k * PLANE) for k in range(4))
+"""In ``bounds``: fields of ``Segment``; one more first lane, after the last segment, ends the last one."""
 
-_0, _1 = _U(0), _U(1)
+_RUN_AT, _RUN_BEGIN, _RUN_END = (_U(k * PLANE) for k in range(4, 7))
+"""In ``bounds``, runs of lanes with one integer offset: first coefficient, first lane and the lane after the last."""
 
 
 @numba.njit(**INLINED)
@@ -86,69 +283,89 @@ def _padded(n):
 
 
 @numba.njit(**INLINED)
-def _segment(bounds, s):
-    """Column, row, length and first lane of segment s."""
+def _segment(scratch, s):
+    """Segment s of the batch."""
     s = _U(s)
-    return bounds[s + _SEG_X], bounds[s + _SEG_Y], bounds[s + _SEG_N], bounds[s + _SEG_AT]
+    bounds = scratch.bounds
+    return Segment(bounds[s + _SEGMENT_X], bounds[s + _SEGMENT_Y], bounds[s + _SEGMENT_LENGTH],
+                   bounds[s + _SEGMENT_LANE])
 
 
 @numba.njit(**INLINED)
-def _take_batch(row, last_row, x, y, x0, y0, starts, stops, f, gx, gy, f_width, fx0, fy0, pixels, bounds):
-    """Fill a batch from column x of a cell's run ``row``: segments and their pixels.
+def _begin_cell(cells, e):
+    """Where the pixels of cell e begin."""
+    return Place(_U(cells.row_ptr[e]), _U(cells.row_ptr[e + _1]), FROM_START, cells.first_row[e])
 
-    That is columns from x0 and rows from y0, f and grad f.
-    Each segment is written in whole vectors, and what is beyond its end by the next one. The last pixel's position
-    is repeated. Returns the numbers of segments and of lanes, and where to go on: row, x, y.
-    """
-    n, at, last = _0, 0, f.size - WIDTH
-    while row < last_row and at < BATCH:
-        x = max(x, starts[row])
-        length = min(stops[row] - x, LONGEST, BATCH - at)
+
+@numba.njit(**INLINED)
+def _write_segment(reference, x, y, batch_x, batch_y, lane, length, pixels):
+    """Write a segment's positions, f and grad f in whole vectors: what is beyond its end, the next one overwrites."""
+    column, row = np.float32(x - batch_x), np.float32(y - batch_y)
+    last = reference.values.size - WIDTH
+    i = (y - reference.y0) * reference.row_length + x - reference.x0
+    j, end = lane, lane + length
+    while j < end:
+        to = _U(j)
+        count_vector(pixels, to + _COLUMN, column)
+        fill_vector(pixels, to + _ROW, row)
+        if i <= last:
+            copy_vector(pixels, to + _F, reference.values, i)
+            copy_vector(pixels, to + _BY_X, reference.by_x, i)
+            copy_vector(pixels, to + _BY_Y, reference.by_y, i)
+        else:
+            copy_some(pixels, to + _F, reference.values, i, end - j)
+            copy_some(pixels, to + _BY_X, reference.by_x, i, end - j)
+            copy_some(pixels, to + _BY_Y, reference.by_y, i, end - j)
+        i += WIDTH
+        j += WIDTH
+        column += np.float32(WIDTH)
+
+
+@numba.njit(**INLINED)
+def _take_batch(cells, reference, e, place, scratch):
+    """Fill a batch with the pixels of cell e from a place on; returns the batch and where to go on."""
+    pixels, bounds = scratch.pixels, scratch.bounds
+    run, x, y = place.run, place.x, place.y
+    # Positions are counted from the cell's first pixel.
+    x0, y0 = np.int64(cells.starts[_U(cells.row_ptr[e])]), cells.first_row[e]
+    n, lane = _0, 0
+    while run < place.last_run and lane < BATCH:
+        x = max(x, np.int64(cells.starts[run]))
+        length = min(cells.stops[run] - x, LONGEST, BATCH - lane)
         if length > 0:
-            bounds[n + _SEG_X], bounds[n + _SEG_Y], bounds[n + _SEG_N], bounds[n + _SEG_AT] = x, y, length, at
-            column, line = np.float32(x - x0), np.float32(y - y0)
-            i, j, end = (y - fy0) * f_width + x - fx0, at, at + length
-            while j < end:
-                to = _U(j)
-                count_vector(pixels, to + _COLUMN, column)
-                fill_vector(pixels, to + _ROW, line)
-                if i <= last:
-                    copy_vector(pixels, to + _F, f, i)
-                    copy_vector(pixels, to + _BY_X, gx, i)
-                    copy_vector(pixels, to + _BY_Y, gy, i)
-                else:
-                    copy_some(pixels, to + _F, f, i, end - j)
-                    copy_some(pixels, to + _BY_X, gx, i, end - j)
-                    copy_some(pixels, to + _BY_Y, gy, i, end - j)
-                i += WIDTH
-                j += WIDTH
-                column += np.float32(WIDTH)
+            bounds[n + _SEGMENT_X], bounds[n + _SEGMENT_Y] = x, y
+            bounds[n + _SEGMENT_LENGTH], bounds[n + _SEGMENT_LANE] = length, lane
+            _write_segment(reference, x, y, x0, y0, lane, length, pixels)
             x += length
-            at = end
+            lane += length
             n += _1
-        if x >= stops[row]:
-            row += _1
+        if x >= cells.stops[run]:
+            run += _1
             y += 1
             x = FROM_START
-    bounds[n + _SEG_AT] = at
-    end, n_lanes = _U(at), _U((at + UNROLLED - 1) // UNROLLED * UNROLLED)
-    if at > 0:
-        column, line = pixels[end - _1 + _COLUMN], pixels[end - _1 + _ROW]
+    bounds[n + _SEGMENT_LANE] = lane
+    end, n_lanes = _U(lane), _U((lane + UNROLLED - 1) // UNROLLED * UNROLLED)
+    if lane > 0:
+        column, row = pixels[end - _1 + _COLUMN], pixels[end - _1 + _ROW]
         for k in range(n_lanes - end):
             pixels[k + end + _COLUMN] = column
-            pixels[k + end + _ROW] = line
-    return np.int64(n), n_lanes, row, x, y
+            pixels[k + end + _ROW] = row
+    return Batch(e, x0, y0, np.int64(n), n_lanes), Place(run, place.last_run, x, y)
 
 
 @numba.njit(**INLINED)
-def _local_coordinates(X, e, x0, y0, n, pixels, lanes):
-    """Invert x = X[e] phi(xi, eta) at n lanes: linear in a parallelogram, else two quadratics."""
-    x0, y0 = x0 - X[e, 0, 0], y0 - X[e, 1, 0]
+def _find_local_coordinates(geometry, batch, scratch):
+    """Invert x = X phi(xi, eta) at the batch's lanes: linear in a parallelogram, else two quadratics.
+
+    With x - X_0 = e xi + f eta + g xi eta and vectors divided by e x f, xi = x x f and eta = e x x where g = 0.
+    """
+    X, e, lanes, pixels = geometry, batch.cell, scratch.lanes, scratch.pixels
+    x0, y0 = batch.x0 - X[e, 0, 0], batch.y0 - X[e, 1, 0]
     ef = X[e, 0, 1] * X[e, 1, 2] - X[e, 1, 1] * X[e, 0, 2]
     e0, e1, f0, f1 = X[e, 0, 1] / ef, X[e, 1, 1] / ef, X[e, 0, 2] / ef, X[e, 1, 2] / ef
     g0, g1 = X[e, 0, 3] / ef, X[e, 1, 3] / ef
     if abs(g0) + abs(g1) <= AFFINE * (abs(e0) + abs(e1) + abs(f0) + abs(f1)):
-        for k in range(n):
+        for k in range(batch.n_lanes):
             x, y = x0 + pixels[k + _COLUMN], y0 + pixels[k + _ROW]
             lanes[k + _XI] = f1 * x - f0 * y
             lanes[k + _ETA] = e0 * y - e1 * x
@@ -156,7 +373,7 @@ def _local_coordinates(X, e, x0, y0, n, pixels, lanes):
     # Of the quadratics a t^2 + b t + c = 0 for eta and for xi, whose slopes at the solution are s and -s.
     a_eta, a_xi = (g0 * f1 - g1 * f0) * ef, (g0 * e1 - g1 * e0) * ef
     if 1.0 - abs(a_eta) - abs(a_xi) < DISTORTED:
-        for k in range(n):
+        for k in range(batch.n_lanes):
             x, y = x0 + pixels[k + _COLUMN], y0 + pixels[k + _ROW]
             hg, c_eta, c_xi = x * g1 - y * g0, x * e1 - y * e0, x * f1 - y * f0
             s = np.sqrt(max((1.0 + hg) * (1.0 + hg) - 4.0 * a_eta * c_eta, 0.0))
@@ -164,7 +381,7 @@ def _local_coordinates(X, e, x0, y0, n, pixels, lanes):
         return
     # A root and a reciprocal in float32, and a step of Newton's, spare a root and two divisions in float64.
     a4 = np.float32(4.0 * a_eta)
-    for k in range(n):
+    for k in range(batch.n_lanes):
         x, y = x0 + pixels[k + _COLUMN], y0 + pixels[k + _ROW]
         hg = x * g1 - y * g0
         c_eta, c_xi = x * e1 - y * e0, x * f1 - y * f0
@@ -184,32 +401,35 @@ def _local_coordinates(X, e, x0, y0, n, pixels, lanes):
 
 
 @numba.njit(**INLINED)
-def _displace(D, e, n, lanes, offsets):
-    """Split u = D[e] phi of n lanes into integer offsets and fractions; returns the least and largest offsets."""
+def _displace(displacement, batch, scratch):
+    """Split u = D phi of the lanes into integer offsets and fractions; returns the least and largest offsets."""
+    D, e, lanes, offsets = displacement, batch.cell, scratch.lanes, scratch.offsets
     u0, u1, u2, u3 = D[e, 0, 0], D[e, 0, 1], D[e, 0, 2], D[e, 0, 3]
     v0, v1, v2, v3 = D[e, 1, 0], D[e, 1, 1], D[e, 1, 2], D[e, 1, 3]
     least_x, least_y, most_x, most_y = np.int32(2**31 - 1), np.int32(2**31 - 1), np.int32(-(2**31)), np.int32(-(2**31))
-    for k in range(n):
+    for k in range(batch.n_lanes):
         t, s = lanes[k + _XI], lanes[k + _ETA]
         p = t * s
         u = u0 + u1 * t + u2 * s + u3 * p
         v = v0 + v1 * t + v2 * s + v3 * p
         fu, fv = np.floor(u), np.floor(v)
-        lanes[k + _TX], lanes[k + _TY] = u - fu, v - fv
+        lanes[k + _FRACTION_X], lanes[k + _FRACTION_Y] = u - fu, v - fv
         i, j = np.int32(fu), np.int32(fv)
-        offsets[k + _OX], offsets[k + _OY] = i, j
+        offsets[k + _WHOLE_X], offsets[k + _WHOLE_Y] = i, j
         least_x, least_y = min(least_x, i), min(least_y, j)
         most_x, most_y = max(most_x, i), max(most_y, j)
     return least_x, least_y, most_x, most_y
 
 
-@numba.njit(**FLAGS)
-def _keep_inside(D, e, at, x0, y, n, width, height, lanes, offsets):
-    """Give the n lanes from ``at`` whose x + u leaves the image the nearest position in it and no weight."""
-    for k in range(n):
-        j = _U(at + k)
+@numba.njit(**STAGE)
+def _keep_inside(displacement, e, segment, deformed, scratch):
+    """Give the lanes of a segment whose x + u leaves the image the nearest position in it and no weight."""
+    D, lanes, offsets = displacement, scratch.lanes, scratch.offsets
+    width, height = deformed.image_width, deformed.image_height
+    for k in range(segment.length):
+        j = _U(segment.lane + k)
         t, s = lanes[j + _XI], lanes[j + _ETA]
-        x = x0 + k
+        x, y = segment.x + k, segment.y
         px = x + (D[e, 0, 0] + D[e, 0, 1] * t + D[e, 0, 2] * s + D[e, 0, 3] * (t * s))
         py = y + (D[e, 1, 0] + D[e, 1, 1] * t + D[e, 1, 2] * s + D[e, 1, 3] * (t * s))
         if not (0.0 <= px <= width - 1.0 and 0.0 <= py <= height - 1.0):
@@ -219,24 +439,30 @@ def _keep_inside(D, e, at, x0, y, n, width, height, lanes, offsets):
             py = py if py > 0.0 else 0.0
             px, py = min(px, width - 1.0), min(py, height - 1.0)
             fx, fy = np.floor(px), np.floor(py)
-            offsets[j + _OX], offsets[j + _OY] = np.int32(fx) - x, np.int32(fy) - y
-            lanes[j + _TX], lanes[j + _TY] = px - fx, py - fy
+            offsets[j + _WHOLE_X], offsets[j + _WHOLE_Y] = np.int32(fx) - x, np.int32(fy) - y
+            lanes[j + _FRACTION_X], lanes[j + _FRACTION_Y] = px - fx, py - fy
 
 
 @numba.njit(**INLINED)
-def _cubic(c, stride, n_runs, bounds, lanes):
-    """Evaluate the cubic spline at the lanes of runs; c: its coefficients, flat, in rows of ``stride``."""
-    d1, d2, d3 = _U(stride), _U(2 * stride), _U(3 * stride)
+def _cubic_weights(t):
+    """Weights of the four coefficients about a fraction t of a pixel."""
+    u = 1.0 - t
+    w0, w3 = u * u * u * (1 / 6), t * t * t * (1 / 6)
+    w1 = (2 / 3) - 0.5 * t * t * (1.0 + u)
+    # The last weight is what the others leave to 1, so that constants are kept to rounding.
+    return w0, w1, 1.0 - w0 - w1 - w3, w3
+
+
+@numba.njit(**INLINED)
+def _evaluate_cubic(deformed, n_runs, scratch):
+    """Evaluate the cubic spline at the lanes of runs."""
+    c, lanes, bounds = deformed.coefficients, scratch.lanes, scratch.bounds
+    d1, d2, d3 = _U(deformed.row_length), _U(2 * deformed.row_length), _U(3 * deformed.row_length)
     for run in range(_U(n_runs)):
         first, begin, end = _U(bounds[run + _RUN_AT]), _U(bounds[run + _RUN_BEGIN]), _U(bounds[run + _RUN_END])
         for k in range(end - begin):
-            t, s = lanes[k + begin + _TX], lanes[k + begin + _TY]
-            u, v = 1.0 - t, 1.0 - s
-            # The last weight is what the others leave to 1, so that constants are kept to rounding.
-            x0, x3, x1 = u * u * u * (1 / 6), t * t * t * (1 / 6), (2 / 3) - 0.5 * t * t * (1.0 + u)
-            y0, y3, y1 = v * v * v * (1 / 6), s * s * s * (1 / 6), (2 / 3) - 0.5 * s * s * (1.0 + v)
-            x2 = 1.0 - x0 - x1 - x3
-            y2 = 1.0 - y0 - y1 - y3
+            x0, x1, x2, x3 = _cubic_weights(lanes[k + begin + _FRACTION_X])
+            y0, y1, y2, y3 = _cubic_weights(lanes[k + begin + _FRACTION_Y])
             i = first + k
             a0 = y0 * c[i] + y1 * c[i + d1] + y2 * c[i + d2] + y3 * c[i + d3]
             i += _U(1)
@@ -248,8 +474,9 @@ def _cubic(c, stride, n_runs, bounds, lanes):
             lanes[k + begin + _G] = x0 * a0 + x1 * a1 + x2 * a2 + x3 * a3
 
 
-@numba.njit(**FLAGS)
+@numba.njit(**STAGE)
 def _quintic_weights(t):
+    """Weights of the six coefficients about a fraction t of a pixel."""
     u = 1.0 - t
     t2, u2 = t * t, u * u
     w0, w5 = u2 * u2 * u * (1 / 120), t2 * t2 * t * (1 / 120)
@@ -261,15 +488,16 @@ def _quintic_weights(t):
     return w0, w1, w2, 1.0 - w0 - w1 - w2 - w4 - w5, w4, w5
 
 
-@numba.njit(**FLAGS)
-def _quintic(c, stride, n_runs, bounds, lanes):
-    """Evaluate the quintic spline at the lanes of runs; c: its coefficients, flat, in rows of ``stride``."""
-    d = _U(stride)
+@numba.njit(**STAGE)
+def _evaluate_quintic(deformed, n_runs, scratch):
+    """Evaluate the quintic spline at the lanes of runs."""
+    c, lanes, bounds = deformed.coefficients, scratch.lanes, scratch.bounds
+    d = _U(deformed.row_length)
     for run in range(_U(n_runs)):
         first, begin, end = _U(bounds[run + _RUN_AT]), _U(bounds[run + _RUN_BEGIN]), _U(bounds[run + _RUN_END])
         for k in range(end - begin):
-            x0, x1, x2, x3, x4, x5 = _quintic_weights(lanes[k + begin + _TX])
-            y0, y1, y2, y3, y4, y5 = _quintic_weights(lanes[k + begin + _TY])
+            x0, x1, x2, x3, x4, x5 = _quintic_weights(lanes[k + begin + _FRACTION_X])
+            y0, y1, y2, y3, y4, y5 = _quintic_weights(lanes[k + begin + _FRACTION_Y])
             i0 = first + k
             i1 = i0 + d
             i2 = i1 + d
@@ -285,36 +513,40 @@ def _quintic(c, stride, n_runs, bounds, lanes):
 
 
 @numba.njit(**INLINED)
-def _find_runs(uniform, size, stride, reach, down, right, n_segments, bounds, offsets):
+def _find_runs(uniform, deformed, batch, scratch):
     """Split segments into runs of one integer offset; returns the number of runs.
 
-    uniform: all lanes have one offset; size: of the coefficients; down, right: from a displaced pixel to its first
-    coefficient. A run that is a whole segment is padded as the segment is, if the coefficients go on so far.
+    uniform: all lanes have one offset. A run that is a whole segment is padded as the segment is, if the coefficients
+    go on so far.
     """
-    span = reach * (stride + 1)
+    bounds, offsets = scratch.bounds, scratch.offsets
+    size, stride = deformed.coefficients.size, deformed.row_length
+    span = deformed.degree * (stride + 1)
+    # Taps of a pixel's first coefficient lie degree // 2 pixels before it, and the array begins one more before.
+    down, right = 1 - deformed.y0, 1 - deformed.x0
     if uniform:
-        first = (offsets[_OY] + down) * stride + offsets[_OX] + right
-        for s in range(_U(n_segments)):
-            x, y, n, j = _segment(bounds, s)
+        first = (offsets[_WHOLE_Y] + down) * stride + offsets[_WHOLE_X] + right
+        for s in range(_U(batch.n_segments)):
+            x, y, n, j = _segment(scratch, s)
             at = y * stride + x + first
             padded = np.int64(_padded(n))
             bounds[s + _RUN_AT], bounds[s + _RUN_BEGIN] = at, j
             bounds[s + _RUN_END] = j + (padded if at + span + padded <= size else n)
-        return n_segments
+        return batch.n_segments
     n_runs = _0
-    for s in range(n_segments):
-        x, y, n, j = _segment(bounds, s)
+    for s in range(batch.n_segments):
+        x, y, n, j = _segment(scratch, s)
         differ = np.int32(0)
         for k in range(_U(n)):
-            differ |= ((offsets[k + _U(j) + _OX] ^ offsets[_U(j) + _OX])
-                       | (offsets[k + _U(j) + _OY] ^ offsets[_U(j) + _OY]))
+            differ |= ((offsets[k + _U(j) + _WHOLE_X] ^ offsets[_U(j) + _WHOLE_X])
+                       | (offsets[k + _U(j) + _WHOLE_Y] ^ offsets[_U(j) + _WHOLE_Y]))
         begin = np.int64(0)
         while begin < n:
             i, end = _U(j + begin), n
-            ox, oy = offsets[i + _OX], offsets[i + _OY]
+            ox, oy = offsets[i + _WHOLE_X], offsets[i + _WHOLE_Y]
             if differ != 0:
                 end = begin + 1
-                while end < n and offsets[_U(j + end) + _OX] == ox and offsets[_U(j + end) + _OY] == oy:
+                while end < n and offsets[_U(j + end) + _WHOLE_X] == ox and offsets[_U(j + end) + _WHOLE_Y] == oy:
                     end += 1
             at = (y + oy + down) * stride + x + begin + ox + right
             padded = np.int64(_padded(end - begin))
@@ -326,59 +558,66 @@ def _find_runs(uniform, size, stride, reach, down, right, n_segments, bounds, of
 
 
 @numba.njit(**INLINED)
-def _weigh(n, n_segments, bounds, f_usable, fx0, fy0, lanes):
-    """Weight 1 for those of n lanes that are pixels which f does not exclude, else 0."""
-    end = np.int32(bounds[_U(n_segments) + _SEG_AT])
-    for k in range(n):
+def _weigh(reference, batch, scratch):
+    """Weight 1 for those lanes that are pixels which f does not exclude, else 0."""
+    lanes, usable = scratch.lanes, reference.usable
+    end = np.int32(scratch.bounds[_U(batch.n_segments) + _SEGMENT_LANE])
+    for k in range(batch.n_lanes):
         lanes[k + _WEIGHT] = 1.0 if np.int32(k) < end else 0.0
-    if f_usable.size > 0:
-        for s in range(n_segments):
-            x, y, length, at = _segment(bounds, s)
-            for k in range(length):
-                lanes[_U(at + k) + _WEIGHT] *= f_usable[y - fy0, x - fx0 + k]
+    if usable.size > 0:
+        for s in range(batch.n_segments):
+            segment = _segment(scratch, s)
+            row, column = segment.y - reference.y0, segment.x - reference.x0
+            for k in range(segment.length):
+                lanes[_U(segment.lane + k) + _WEIGHT] *= usable[row, column + k]
 
 
 @numba.njit(**INLINED)
-def _deformed_values(X, D, e, x0, y0, n, n_segments, f_usable, fx0, fy0,
-                     spline, stride, degree, origin_x, origin_y, width, height, g_usable,
-                     lanes, pixels, offsets, bounds):
-    """Evaluate g at x + u(x) and the weights of a batch: 0 where x + u leaves the image, or f or g excludes it.
+def _weigh_deformed(deformed, batch, scratch):
+    """Weight 0 for lanes whose x + u lies beside a pixel that g excludes."""
+    lanes, offsets = scratch.lanes, scratch.offsets
+    for s in range(batch.n_segments):
+        segment = _segment(scratch, s)
+        row, column = segment.y - deformed.y0, segment.x - deformed.x0
+        for k in range(segment.length):
+            j = _U(segment.lane + k)
+            lanes[j + _WEIGHT] *= deformed.usable[row + offsets[j + _WHOLE_Y], column + k + offsets[j + _WHOLE_X]]
 
-    origin_x, origin_y: the spline window's first pixel; width, height: the whole image's size.
-    """
-    _local_coordinates(X, e, x0, y0, n, pixels, lanes)
-    _weigh(n, n_segments, bounds, f_usable, fx0, fy0, lanes)
-    least_x, least_y, most_x, most_y = _displace(D, e, n, lanes, offsets)
+
+@numba.njit(**INLINED)
+def _evaluate_deformed(cells, displacement, reference, deformed, batch, scratch):
+    """Evaluate g at x + u(x) and the weights of a batch: 0 where x + u leaves the image, or f or g excludes it."""
+    _find_local_coordinates(cells.geometry, batch, scratch)
+    _weigh(reference, batch, scratch)
+    least_x, least_y, most_x, most_y = _displace(displacement, batch, scratch)
     left, right = np.int64(2**40), np.int64(-(2**40))
-    for s in range(n_segments):
-        x, y, length, _ = _segment(bounds, s)
-        left, right = min(left, x), max(right, x + length)
+    # Rows go from top to bottom, so that the last segment's is the lowest.
+    top, bottom = scratch.bounds[_SEGMENT_Y], np.int64(0)
+    for s in range(batch.n_segments):
+        segment = _segment(scratch, s)
+        left, right, bottom = min(left, segment.x), max(right, segment.x + segment.length), segment.y
     uniform = least_x == most_x and least_y == most_y
-    if (left + least_x < 0 or right + most_x >= width or bounds[_SEG_Y] + least_y < 0 or y + most_y + 1 >= height):
+    if (left + least_x < 0 or right + most_x >= deformed.image_width
+            or top + least_y < 0 or bottom + most_y + 1 >= deformed.image_height):
         uniform = False
-        for s in range(n_segments):
-            x, y, length, at = _segment(bounds, s)
-            _keep_inside(D, e, at, x, y, length, width, height, lanes, offsets)
-    # Taps of a pixel's first coefficient lie degree // 2 pixels before it, and the array begins one more before.
-    n_runs = _find_runs(uniform, spline.size, stride, degree, 1 - origin_y, 1 - origin_x, n_segments, bounds, offsets)
-    if degree == 3:
-        _cubic(spline, stride, n_runs, bounds, lanes)
+        for s in range(batch.n_segments):
+            _keep_inside(displacement, batch.cell, _segment(scratch, s), deformed, scratch)
+    n_runs = _find_runs(uniform, deformed, batch, scratch)
+    if deformed.degree == 3:
+        _evaluate_cubic(deformed, n_runs, scratch)
     else:
-        _quintic(spline, stride, n_runs, bounds, lanes)
-    if g_usable.size > 0:
-        for s in range(n_segments):
-            x, y, length, at = _segment(bounds, s)
-            for k in range(length):
-                j = _U(at + k)
-                lanes[j + _WEIGHT] *= g_usable[y + offsets[j + _OY] - origin_y, x + k + offsets[j + _OX] - origin_x]
+        _evaluate_quintic(deformed, n_runs, scratch)
+    if deformed.usable.size > 0:
+        _weigh_deformed(deformed, batch, scratch)
 
 
 @numba.njit(**INLINED)
-def _add_residual_sums(n, pixels, lanes, moments, sums, e):
-    """Add the n lanes' sums of r grad f times the monomials to moments[e, 0], and their grey sums to sums[e]."""
+def _add_residual_sums(batch, scratch, sums):
+    """Add the lanes' sums of r grad f times the monomials to the cell's first moments, and their grey sums."""
+    e, lanes, pixels = batch.cell, scratch.lanes, scratch.pixels
     m00 = m01 = m02 = m03 = m10 = m11 = m12 = m13 = 0.0
     s0 = s1 = s2 = s3 = s4 = s5 = 0.0
-    for k in range(n):
+    for k in range(batch.n_lanes):
         t, s, w = lanes[k + _XI], lanes[k + _ETA], lanes[k + _WEIGHT]
         g = w * lanes[k + _G]
         r = w * pixels[k + _F] - g
@@ -399,18 +638,19 @@ def _add_residual_sums(n, pixels, lanes, moments, sums, e):
         m12 += b * s
         m13 += bt * s
     for k, value in enumerate((s0, s1, s2, s3, s4, s5)):
-        sums[e, k] += value
+        sums.grey[e, k] += value
     for k, value in enumerate((m00, m01, m02, m03)):
-        moments[e, 0, 0, k] += value
+        sums.moments[e, 0, 0, k] += value
     for k, value in enumerate((m10, m11, m12, m13)):
-        moments[e, 0, 1, k] += value
+        sums.moments[e, 0, 1, k] += value
 
 
-@numba.njit(**FLAGS)
-def _add_moments(kind, n, pixels, lanes, moments, e):
-    """Add the n lanes' sums of g (kind 1) or 1 (2) times grad f and the monomials to moments[e, kind] (2, 4)."""
+@numba.njit(**STAGE)
+def _add_moments(kind, batch, scratch, sums):
+    """Add the lanes' sums of g (kind 1) or 1 (2) times grad f and the monomials to the cell's moments of that kind."""
+    e, lanes, pixels = batch.cell, scratch.lanes, scratch.pixels
     m00 = m01 = m02 = m03 = m10 = m11 = m12 = m13 = 0.0
-    for k in range(n):
+    for k in range(batch.n_lanes):
         t, s, w = lanes[k + _XI], lanes[k + _ETA], lanes[k + _WEIGHT]
         value = w * lanes[k + _G] if kind == 1 else w
         a, b = value * pixels[k + _BY_X], value * pixels[k + _BY_Y]
@@ -424,9 +664,9 @@ def _add_moments(kind, n, pixels, lanes, moments, e):
         m12 += b * s
         m13 += bt * s
     for k, value in enumerate((m00, m01, m02, m03)):
-        moments[e, kind, 0, k] += value
+        sums.moments[e, kind, 0, k] += value
     for k, value in enumerate((m10, m11, m12, m13)):
-        moments[e, kind, 1, k] += value
+        sums.moments[e, kind, 1, k] += value
 
 
 @numba.njit(**FLAGS)
@@ -437,42 +677,47 @@ def _aligned(array):
 
 
 @numba.njit(**FLAGS)
-def _scratch():
-    """Buffers of a batch: lanes, pixels, offsets, bounds.
-
-    Zeros, since a lane that is no pixel must be a number for its product with weight 0 to be 0.
-    """
-    return (_aligned(np.zeros(7 * PLANE)), _aligned(np.zeros(6 * PLANE, np.float32)),
-            _aligned(np.zeros(3 * PLANE, np.int32)), _aligned(np.zeros(8 * PLANE, np.int64)))
+def _new_scratch():
+    """Buffers of a batch: zeros, since a lane that is no pixel must be a number for its product with 0 to be 0."""
+    return Scratch(_aligned(np.zeros(7 * PLANE)), _aligned(np.zeros(6 * PLANE, np.float32)),
+                   _aligned(np.zeros(3 * PLANE, np.int32)), _aligned(np.zeros(8 * PLANE, np.int64)))
 
 
 @numba.njit(**INLINED)
-def _fetch(array, width, e, right, down, first_row, row_ptr, starts, stops):
-    """Ask for the pixels of cell e in a flat array of rows of ``width``, moved by so many columns and rows.
+def _fetch_rows(array, row_length, x0, y0, cells, e):
+    """Ask for the pixels of cell e in a flat array of rows that begins with pixel (x0, y0).
 
     And for the line after each row, where the next cell is likely to begin.
     """
-    begin = (first_row[e] + down) * width + right
-    for row in range(_U(row_ptr[e]), _U(row_ptr[e + _1])):
-        x, stop = begin + starts[row], begin + stops[row] + 2 * LINE - 1
+    begin = (cells.first_row[e] - y0) * row_length - x0
+    for run in range(_U(cells.row_ptr[e]), _U(cells.row_ptr[e + _1])):
+        x, stop = begin + cells.starts[run], begin + cells.stops[run] + 2 * LINE - 1
         while x < stop:
             prefetch(array, x)
             x += LINE
-        begin += width
+        begin += row_length
 
 
 @numba.njit(**INLINED)
-def _fetch_three(a, b, c, width, e, right, down, first_row, row_ptr, starts, stops):
-    """The same in three arrays at once."""
-    begin = (first_row[e] + down) * width + right
-    for row in range(_U(row_ptr[e]), _U(row_ptr[e + _1])):
-        x, stop = begin + starts[row], begin + stops[row] + 2 * LINE - 1
+def _fetch_spline(deformed, displacement, cells, e):
+    """The same of the coefficients that cell e, displaced as its centre is, needs."""
+    right = np.int64(np.floor(displacement[e, 0, 0])) + 1
+    down = np.int64(np.floor(displacement[e, 1, 0])) + deformed.degree + 1
+    _fetch_rows(deformed.coefficients, deformed.row_length, deformed.x0 - right, deformed.y0 - down, cells, e)
+
+
+@numba.njit(**INLINED)
+def _fetch_reference(reference, cells, e):
+    """The same of the reference image and its slopes, in one loop."""
+    begin = (cells.first_row[e] - reference.y0) * reference.row_length - reference.x0
+    for run in range(_U(cells.row_ptr[e]), _U(cells.row_ptr[e + _1])):
+        x, stop = begin + cells.starts[run], begin + cells.stops[run] + 2 * LINE - 1
         while x < stop:
-            prefetch(a, x)
-            prefetch(b, x)
-            prefetch(c, x)
+            prefetch(reference.values, x)
+            prefetch(reference.by_x, x)
+            prefetch(reference.by_y, x)
             x += LINE
-        begin += width
+        begin += reference.row_length
 
 
 @numba.njit(**INLINED)
@@ -485,79 +730,96 @@ def _fetch_numbers(array, e, n):
 
 
 @numba.njit(**FLAGS)
-def residual_sums(order, X, U, first_row, row_ptr, starts, stops,
-                  f, gx, gy, f_width, f_usable, fx0, fy0,
-                  spline, stride, degree, origin_x, origin_y, width, height, g_usable, all_kinds,
-                  moments, sums):
+def residual_sums(cells, displacement, reference, deformed, all_kinds, sums):
     """Accumulate, per cell, moments of the residual against grad f and the monomials, and plain sums.
 
-    order: (n_cells,) the cells in the order of visiting, so that neighbours find their pixels in the cache.
-    X, U: (n_cells, 2, 4) geometry and displacement coefficients on the monomials.
-    f, gx, gy, spline: flat, rows of f_width and of stride pixels.
-    moments: (n_cells, 3, 2, 4), sums of (r, g, 1) x (f_x, f_y) x (1, xi, eta, xi eta); the last two
-    kinds only where all_kinds. sums: (n_cells, N_SUMS).
+    Parameters
+    ----------
+    cells : Cells
+        Cells to visit, and their pixels.
+    displacement : (n_cells, 2, 4) float64 array
+        Coefficients of u on the monomials, pixels.
+    reference : ReferencePixels
+        f and grad f.
+    deformed : DeformedPixels
+        g, on a window that holds all x + u(x) that lie in the image.
+    all_kinds : bool
+        Whether to accumulate the moments of g and of 1 too, which a grey correction needs.
+    sums : CellSums
+        What is added to.
     """
-    scratch = _scratch()
-    lanes, pixels, _, bounds = scratch
-    flat_X, flat_moments, flat_sums = X.reshape(-1), moments.reshape(-1), sums.reshape(-1)
-    for i in range(len(order)):
-        e = _U(order[i])
-        if i + AHEAD < len(order):
-            after = _U(order[i + AHEAD])
-            right, down = np.int64(np.floor(U[after, 0, 0])) - origin_x, np.int64(np.floor(U[after, 1, 0])) - origin_y
-            _fetch(spline, stride, after, right + 1, down + degree + 1, first_row, row_ptr, starts, stops)
-            _fetch_three(f, gx, gy, f_width, after, -fx0, -fy0, first_row, row_ptr, starts, stops)
-            _fetch_numbers(flat_X, after, 8)
-            _fetch_numbers(flat_moments, after, 24)
-            _fetch_numbers(flat_sums, after, N_SUMS)
-        row, last_row, x, y = _U(row_ptr[e]), _U(row_ptr[e + _1]), FROM_START, first_row[e]
-        x0, y0 = (starts[row], y) if row < last_row else (np.int32(0), y)
-        while row < last_row:
-            n_segments, n, row, x, y = _take_batch(row, last_row, x, y, x0, y0, starts, stops, f, gx, gy, f_width,
-                                                   fx0, fy0, pixels, bounds)
-            if n_segments == 0:
+    scratch = _new_scratch()
+    flat_geometry = cells.geometry.reshape(-1)
+    flat_moments, flat_grey = sums.moments.reshape(-1), sums.grey.reshape(-1)
+    for i in range(len(cells.order)):
+        e = _U(cells.order[i])
+        if i + AHEAD < len(cells.order):
+            later = _U(cells.order[i + AHEAD])
+            _fetch_spline(deformed, displacement, cells, later)
+            _fetch_reference(reference, cells, later)
+            _fetch_numbers(flat_geometry, later, 8)
+            _fetch_numbers(flat_moments, later, 24)
+            _fetch_numbers(flat_grey, later, N_SUMS)
+        place = _begin_cell(cells, e)
+        while place.run < place.last_run:
+            batch, place = _take_batch(cells, reference, e, place, scratch)
+            if batch.n_segments == 0:
                 continue
-            _deformed_values(X, U, e, x0, y0, n, n_segments, f_usable, fx0, fy0,
-                             spline, stride, degree, origin_x, origin_y, width, height, g_usable, *scratch)
-            _add_residual_sums(n, pixels, lanes, moments, sums, e)
+            _evaluate_deformed(cells, displacement, reference, deformed, batch, scratch)
+            _add_residual_sums(batch, scratch, sums)
             if all_kinds:
                 for kind in range(1, 3):
-                    _add_moments(kind, n, pixels, lanes, moments, e)
+                    _add_moments(kind, batch, scratch, sums)
 
 
 @numba.njit(**FLAGS)
-def residual_pixels(X, U, first_row, row_ptr, starts, stops, f, f_width, f_usable, fx0, fy0,
-                    spline, stride, degree, origin_x, origin_y, width, height, g_usable, gain, offset, out):
-    """Write f - gain g(x + u) - offset into out (the reference window's shape), NaN where a pixel is left out.
+def residual_pixels(cells, displacement, reference, deformed, gain, offset, out):
+    """Write f - gain g(x + u) - offset of all cells' pixels.
 
-    f, spline: flat, rows of f_width and of stride pixels. gain, offset: (n_cells,).
+    Parameters
+    ----------
+    cells, displacement, reference, deformed
+        As of ``residual_sums``.
+    gain, offset : (n_cells,) float64 arrays
+        Grey-level correction f = gain g + offset of each cell; the offset in grey levels.
+    out : (height, width) float32 array
+        Of the reference window's shape, grey levels; NaN where a cell's pixel does not count.
     """
-    scratch = _scratch()
-    lanes, pixels, _, bounds = scratch
-    for e in range(_U(len(first_row))):
-        row, last_row, x, y = _U(row_ptr[e]), _U(row_ptr[e + _1]), FROM_START, first_row[e]
-        x0, y0 = (starts[row], y) if row < last_row else (np.int32(0), y)
-        while row < last_row:
-            n_segments, n, row, x, y = _take_batch(row, last_row, x, y, x0, y0, starts, stops, f, f, f, f_width,
-                                                   fx0, fy0, pixels, bounds)
-            if n_segments == 0:
+    scratch = _new_scratch()
+    flat_out = out.reshape(-1)
+    # Slopes are not needed: what is read in their place is in the cache.
+    values = ReferencePixels(reference.values, reference.values, reference.values, reference.row_length,
+                             reference.x0, reference.y0, reference.usable)
+    for i in range(len(cells.order)):
+        e = _U(cells.order[i])
+        if i + AHEAD < len(cells.order):
+            later = _U(cells.order[i + AHEAD])
+            _fetch_spline(deformed, displacement, cells, later)
+            _fetch_rows(reference.values, reference.row_length, reference.x0, reference.y0, cells, later)
+            _fetch_rows(flat_out, out.shape[1], reference.x0, reference.y0, cells, later)
+        place = _begin_cell(cells, e)
+        while place.run < place.last_run:
+            batch, place = _take_batch(cells, values, e, place, scratch)
+            if batch.n_segments == 0:
                 continue
-            _deformed_values(X, U, e, x0, y0, n, n_segments, f_usable, fx0, fy0,
-                             spline, stride, degree, origin_x, origin_y, width, height, g_usable, *scratch)
-            for s in range(n_segments):
-                left, top, length, at = _segment(bounds, s)
-                for k in range(length):
-                    i, j, lane = top - fy0, left + k - fx0, _U(at + k)
-                    used = lanes[lane + _WEIGHT] > 0.0
-                    out[i, j] = f[i * f_width + j] - gain[e] * lanes[lane + _G] - offset[e] if used else np.nan
+            _evaluate_deformed(cells, displacement, reference, deformed, batch, scratch)
+            for s in range(batch.n_segments):
+                segment = _segment(scratch, s)
+                row, column = segment.y - reference.y0, segment.x - reference.x0
+                for k in range(segment.length):
+                    lane = _U(segment.lane + k)
+                    f = reference.values[row * reference.row_length + column + k]
+                    r = f - gain[e] * scratch.lanes[lane + _G] - offset[e]
+                    out[row, column + k] = r if scratch.lanes[lane + _WEIGHT] > 0.0 else np.nan
 
 
 @numba.njit(**INLINED)
-def _add_products(n, component, pixels, lanes, S):
-    """Add the n lanes' sums of one component of grad f grad f^T x xi^i eta^j to S[component] (3, 3)."""
+def _add_products(component, batch, scratch, S):
+    """Add the lanes' sums of one component of grad f grad f^T x xi^i eta^j to S[component] (3, 3)."""
+    lanes, pixels = scratch.lanes, scratch.pixels
     a00 = a10 = a20 = a01 = a11 = a21 = a02 = a12 = a22 = 0.0
     one, other = _BY_Y if component == 2 else _BY_X, _BY_X if component == 0 else _BY_Y
-    for k in range(n):
+    for k in range(batch.n_lanes):
         # In float64: the product of two float32 numbers would be rounded.
         w = lanes[k + _WEIGHT] * pixels[k + one] * pixels[k + other]
         t, s = lanes[k + _XI], lanes[k + _ETA]
@@ -584,12 +846,13 @@ def _add_products(n, component, pixels, lanes, S):
 
 
 @numba.njit(**INLINED)
-def _add_linear_products(n, pixels, lanes, S):
-    """Add the n lanes' sums of all components that cells without the monomial xi eta need to S (3, 3, 3)."""
+def _add_linear_products(batch, scratch, S):
+    """Add the lanes' sums of all components that cells without the monomial xi eta need to S (3, 3, 3)."""
+    lanes, pixels = scratch.lanes, scratch.pixels
     a00 = a10 = a20 = a01 = a11 = a02 = 0.0
     b00 = b10 = b20 = b01 = b11 = b02 = 0.0
     c00 = c10 = c20 = c01 = c11 = c02 = 0.0
-    for k in range(n):
+    for k in range(batch.n_lanes):
         t, s = lanes[k + _XI], lanes[k + _ETA]
         x, y = lanes[k + _WEIGHT] * pixels[k + _BY_X], np.float64(pixels[k + _BY_Y])
         a, b, c = x * pixels[k + _BY_X], x * y, lanes[k + _WEIGHT] * y * y
@@ -624,8 +887,9 @@ def _add_linear_products(n, pixels, lanes, S):
 
 
 @numba.njit(**FLAGS)
-def _products_of_shapes(T):
-    """Coefficients of N_a N_b on xi^i eta^j: (n_kinds, 3, 3, 16) from shapes T (n_kinds, 4, 4)."""
+def _multiply_shapes(coefficients):
+    """Coefficients of N_a N_b on xi^i eta^j, (n_kinds, 3, 3, 16), from those of N_a (n_kinds, 4, 4)."""
+    T = coefficients
     W = np.zeros((len(T), 3, 3, 16))
     for kind in range(len(T)):
         for a in range(4):
@@ -637,8 +901,8 @@ def _products_of_shapes(T):
 
 
 @numba.njit(**INLINED)
-def _transform(S, W, e, product, out):
-    """M_e into out[e] (4, 2, 4, 2) from sums S (3 components, 3, 3) and products of shapes W (3, 3, 16).
+def _combine_products(S, W, e, product, out):
+    """Write M_e into out[e] (4, 2, 4, 2) from sums S (3 components, 3, 3) and products of shapes W (3, 3, 16).
 
     product: (16,) scratch.
     """
@@ -655,36 +919,54 @@ def _transform(S, W, e, product, out):
                 out[e, a, c, b, d] = out[e, a, d, b, c] = product[4 * a + b]
 
 
-@numba.njit(**FLAGS)
-def hessian_cells(order, X, T, kinds, first_row, row_ptr, starts, stops, gx, gy, f_width, f_usable, fx0, fy0, out):
-    """Assemble M_e = sum_px N_a N_b grad f grad f^T of every cell into out (n_cells, 4, 2, 4, 2), Eq. 5 of [BP17].
+@numba.njit(**INLINED)
+def _has_linear_shapes(shapes, e):
+    """Whether no shape function of cell e has the monomial xi eta."""
+    linear = True
+    for a in range(4):
+        linear = linear and shapes.coefficients[shapes.kinds[e], a, 3] == 0.0
+    return linear
 
-    order: (n_cells,) the cells in the order of visiting; gx, gy: flat, rows of f_width pixels.
-    X: (n_cells, 2, 4) geometry; T: (n_kinds, 4, 4) shape coefficients on the monomials; kinds: (n_cells,) cells' T.
+
+@numba.njit(**FLAGS)
+def hessian_cells(cells, shapes, reference, out):
+    """Assemble M_e = sum_px N_a N_b grad f grad f^T of every cell, Eq. 5 of [BP17].
+
+    Shape functions are polynomials, so that sums of grad f grad f^T xi^i eta^j, i, j <= 2, give all their products.
+
+    Parameters
+    ----------
+    cells : Cells
+        Cells to visit, and their pixels.
+    shapes : Shapes
+        Their shape functions.
+    reference : ReferencePixels
+        grad f.
+    out : (n_cells, 4, 2, 4, 2) float64 array
+        Indices a, component, b, component; grey levels squared per pixel squared.
     """
-    lanes, pixels, _, bounds = _scratch()
+    scratch = _new_scratch()
     S, product = np.empty((3, 3, 3)), np.empty(16)
-    W = _products_of_shapes(T)
-    for i in range(len(order)):
-        e = _U(order[i])
-        if i + AHEAD < len(order):
-            _fetch_three(gx, gx, gy, f_width, _U(order[i + AHEAD]), -fx0, -fy0, first_row, row_ptr, starts, stops)
+    W = _multiply_shapes(shapes.coefficients)
+    # Values are not needed: what is read in their place is in the cache.
+    slopes = ReferencePixels(reference.by_x, reference.by_x, reference.by_y, reference.row_length,
+                             reference.x0, reference.y0, reference.usable)
+    for i in range(len(cells.order)):
+        e = _U(cells.order[i])
+        if i + AHEAD < len(cells.order):
+            _fetch_reference(slopes, cells, _U(cells.order[i + AHEAD]))
         S[:] = 0.0
-        linear = True
-        for a in range(4):
-            linear = linear and T[kinds[e], a, 3] == 0.0
-        row, last_row, x, y = _U(row_ptr[e]), _U(row_ptr[e + _1]), FROM_START, first_row[e]
-        x0, y0 = (starts[row], y) if row < last_row else (np.int32(0), y)
-        while row < last_row:
-            n_segments, n, row, x, y = _take_batch(row, last_row, x, y, x0, y0, starts, stops, gx, gx, gy, f_width,
-                                                   fx0, fy0, pixels, bounds)
-            if n_segments == 0:
+        linear = _has_linear_shapes(shapes, e)
+        place = _begin_cell(cells, e)
+        while place.run < place.last_run:
+            batch, place = _take_batch(cells, slopes, e, place, scratch)
+            if batch.n_segments == 0:
                 continue
-            _local_coordinates(X, e, x0, y0, n, pixels, lanes)
-            _weigh(n, n_segments, bounds, f_usable, fx0, fy0, lanes)
+            _find_local_coordinates(cells.geometry, batch, scratch)
+            _weigh(slopes, batch, scratch)
             if linear:
-                _add_linear_products(n, pixels, lanes, S)
+                _add_linear_products(batch, scratch, S)
             else:
                 for component in range(3):
-                    _add_products(n, component, pixels, lanes, S)
-        _transform(S, W[kinds[e]], e, product, out)
+                    _add_products(component, batch, scratch, S)
+        _combine_products(S, W[shapes.kinds[e]], e, product, out)

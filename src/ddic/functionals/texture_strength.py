@@ -43,7 +43,7 @@ class Texture:
     noise: float
 
 
-def texture(correlation: Correlation, hessian: sparse.csr_matrix, degree: int) -> Texture:
+def measure_texture(correlation: Correlation, hessian: sparse.csr_matrix, degree: int) -> Texture:
     """Measure a subdomain's texture on the pixels that count; hessian: its M_s; degree: of the spline (3 or 5).
 
     White noise of variance v gives every pixel's slopes the variance NOISE_GAIN v and holds all rigid modes alike: the
@@ -102,7 +102,7 @@ def rigid_modes(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([mode.ravel() for mode in modes], axis=1)
 
 
-def blank_subdomains(textures: list[Texture]) -> NDArray[np.bool_]:
+def find_blank_subdomains(textures: list[Texture]) -> NDArray[np.bool_]:
     """Which of all subdomains (or pieces of them) hold no usable texture, (n,)."""
     energy = np.array([t.energy for t in textures])
     noise = np.array([t.noise for t in textures])

@@ -67,7 +67,7 @@ class View:
         (n_dofs, n_dofs) csr_matrix
             M, grey levels squared per pixel squared.
         """
-        return self.correlation.hessian()
+        return self.correlation.assemble_hessian()
 
     def project(self, hessian: sparse.csr_matrix) -> sparse.csr_matrix:
         """Take M of this camera to the subdomain's unknowns, w T^T M T.
@@ -146,7 +146,7 @@ class FrameView:
         Residual
             Moments and sums of f - g(x + u).
         """
-        return self.view.correlation.residual(self.deformed, self._displacement(q), all_kinds=all_kinds)
+        return self.view.correlation.compute_residual(self.deformed, self._displacement(q), all_kinds=all_kinds)
 
     def assemble_right_hand_side(self, residual: Residual, gain: Correction = 1.0,
                                  offset: Correction = 0.0) -> NDArray[np.float64]:
@@ -164,7 +164,7 @@ class FrameView:
         (n_unknowns,) array
             The camera's part of b_s, grey levels squared per pixel.
         """
-        b = self.view.correlation.right_hand_side(residual, gain, offset)
+        b = self.view.correlation.assemble_right_hand_side(residual, gain, offset)
         projected = self.view.kinematics.project_vector(b)
         return projected if self.view.weight == 1.0 else self.view.weight * projected
 
@@ -184,7 +184,7 @@ class FrameView:
         (height, width) array
             Grey levels on the reference window, nan on pixels that do not count.
         """
-        return self.view.correlation.residual_image(self.deformed, self._displacement(q), gain, offset)
+        return self.view.correlation.compute_residual_image(self.deformed, self._displacement(q), gain, offset)
 
     def without_hidden(self, q: NDArray[np.float64]) -> View:
         """Leave out the pixels that unknowns hide: outside the deformed image, or on excluded pixels of it.
@@ -199,7 +199,7 @@ class FrameView:
         View
             The reference's view with the pixels that are left.
         """
-        correlation = self.view.correlation.seen_from(self.deformed, self._displacement(q))
+        correlation = self.view.correlation.without_hidden(self.deformed, self._displacement(q))
         return replace(self.view, correlation=correlation)
 
     def _displacement(self, q: NDArray[np.float64]) -> NDArray[np.float64]:

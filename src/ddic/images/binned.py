@@ -21,8 +21,14 @@ _BAND_PIXELS = 1 << 24
 class ArraySource:
     """An image held in memory; its windows look into it and cannot be written to.
 
-    path: where it comes from; values: (height, width) grey levels in their own type;
-    saturation: largest grey level that the integer type holds, None for float images.
+    Attributes
+    ----------
+    path : Path
+        Where it comes from.
+    values : (height, width) array
+        Grey levels in their own type.
+    saturation : float or None
+        Largest grey level that the integer type holds, None for float images.
     """
 
     path: Path
@@ -40,9 +46,22 @@ class ArraySource:
         return int(self.values.shape[0])
 
     def read(self, window: Window) -> NDArray[Any]:
-        """Grey levels of a window, (window.height, window.width).
+        """Look into a window.
 
-        Raises ValueError if the window leaves the image or is empty.
+        Parameters
+        ----------
+        window : Window
+            Inside the image.
+
+        Returns
+        -------
+        (window.height, window.width) array
+            Grey levels, which cannot be written to.
+
+        Raises
+        ------
+        ValueError
+            Where the window leaves the image or is empty.
         """
         if window.n_pixels == 0 or not Window(0, 0, self.width, self.height).contains(window):
             raise ValueError(f"{window} is empty or leaves the image of {self.width} x {self.height} pixels")
@@ -55,8 +74,12 @@ class ArraySource:
 class Blocks:
     """Rows of blocks of an image.
 
-    values: (rows, columns), mean grey levels; usable: 1 where all pixels of a block count, None where nothing
-    can be left out.
+    Attributes
+    ----------
+    values : (rows, columns) array
+        Mean grey levels.
+    usable : (rows, columns) array or None
+        1 where all pixels of a block count, else 0; None where nothing can be left out.
     """
 
     values: NDArray[np.float32]
@@ -64,15 +87,42 @@ class Blocks:
 
 
 def bin_image(source: MaskedSource, factor: int) -> MaskedSource:
-    """Mean over blocks of factor x factor pixels; a block counts where all its pixels do.
+    """Average an image over square blocks; a block counts where all its pixels do.
 
     Block (X, Y) is centred on x = factor X + (factor - 1) / 2, likewise y. The image is read in bands.
+
+    Parameters
+    ----------
+    source : MaskedSource
+        The image.
+    factor : int
+        Side of a block, pixels.
+
+    Returns
+    -------
+    MaskedSource
+        In memory, a pixel a block; pixels that fill no block are left out.
     """
     return binned_source(source, [bin_rows(source, factor, range(source.image.height // factor))])
 
 
 def bin_rows(source: MaskedSource, factor: int, rows: range) -> Blocks:
-    """Some rows of the blocks of ``bin_image``."""
+    """Average some rows of the blocks of ``bin_image``.
+
+    Parameters
+    ----------
+    source : MaskedSource
+        The image.
+    factor : int
+        Side of a block, pixels.
+    rows : range
+        Of blocks.
+
+    Returns
+    -------
+    Blocks
+        These rows.
+    """
     width = source.image.width // factor
     values = np.zeros((len(rows), width), dtype=np.float32)
     usable = np.ones((len(rows), width), dtype=np.float32)
@@ -92,7 +142,20 @@ def bin_rows(source: MaskedSource, factor: int, rows: range) -> Blocks:
 
 
 def binned_source(source: MaskedSource, bands: Sequence[Blocks]) -> MaskedSource:
-    """The binned image from all its rows of blocks, in order."""
+    """Join all rows of blocks to the binned image.
+
+    Parameters
+    ----------
+    source : MaskedSource
+        The image that they come from.
+    bands : sequence of Blocks
+        In order.
+
+    Returns
+    -------
+    MaskedSource
+        In memory, a pixel a block.
+    """
     path = source.image.path
     mask = None
     if any(band.usable is not None for band in bands):

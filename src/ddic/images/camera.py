@@ -22,10 +22,23 @@ class CameraMapping:
     """A homography from the specimen frame to image pixels, followed by radial distortion.
 
     x_u = homography applied to X, x = centre + (x_u - centre) (1 + k1 r^2 + k2 r^4), r = |x_u - centre| / radius.
-    homography: (3, 3), entry [2, 2] is 1. centre: (2,), radius: of the radial distortion, image px.
-    radial: (2,), k1 and k2, no unit.
-    Raises ValueError where a shape is wrong, a number is not finite, entry [2, 2] is not 1, the homography is
-    singular or the radius is not positive.
+
+    Attributes
+    ----------
+    homography : (3, 3) array
+        From the specimen's frame to undistorted image pixels; entry [2, 2] is 1.
+    centre : (2,) array
+        Centre of the radial distortion, image pixels.
+    radius : float
+        Length by which the distortion's radii are divided, image pixels.
+    radial : (2,) array
+        k1 and k2, no unit.
+
+    Raises
+    ------
+    ValueError
+        Where a shape is wrong, a number is not finite, entry [2, 2] is not 1, the homography is singular or the
+        radius is not positive.
     """
 
     homography: Array
@@ -54,9 +67,22 @@ class CameraMapping:
         return bool(self.radial.any())
 
     def to_image(self, points: Array) -> Array:
-        """Image positions (n, 2), px, of specimen points (n, 2).
+        """Map points of the specimen to the image.
 
-        Raises ValueError where a point lies beyond the horizon of the homography.
+        Parameters
+        ----------
+        points : (n, 2) array
+            Specimen's frame, pixels.
+
+        Returns
+        -------
+        (n, 2) array
+            Image pixels.
+
+        Raises
+        ------
+        ValueError
+            Where a point lies beyond the horizon of the homography.
         """
         x = _project(self.homography, points)[0]
         if not self.distorts:
@@ -65,9 +91,22 @@ class CameraMapping:
         return self.centre + offset * self._factor((offset**2).sum(axis=1) / self.radius**2)[:, None]
 
     def jacobian(self, points: Array) -> Array:
-        """Derivatives d x_image / d X at specimen points (n, 2); (n, 2, 2), rows x and y of the image.
+        """Differentiate the image position by the specimen's.
 
-        Raises ValueError as ``to_image`` does.
+        Parameters
+        ----------
+        points : (n, 2) array
+            Specimen's frame, pixels.
+
+        Returns
+        -------
+        (n, 2, 2) array
+            d x_image / d X, rows x and y of the image, image pixels per pixel of the specimen's frame.
+
+        Raises
+        ------
+        ValueError
+            As ``to_image`` does.
         """
         h = self.homography
         x, depth = _project(h, points)
@@ -82,9 +121,22 @@ class CameraMapping:
         return np.asarray(distortion @ projective)
 
     def to_specimen(self, points: Array) -> Array:
-        """Specimen points (n, 2) seen at image positions (n, 2), px.
+        """Map points of the image back to the specimen.
 
-        Raises ValueError where the distortion cannot be undone, or the point lies beyond the horizon.
+        Parameters
+        ----------
+        points : (n, 2) array
+            Image pixels.
+
+        Returns
+        -------
+        (n, 2) array
+            Specimen's frame, pixels.
+
+        Raises
+        ------
+        ValueError
+            Where the distortion cannot be undone, or the point lies beyond the horizon.
         """
         x = self._undistorted(np.asarray(points, dtype=np.float64)) if self.distorts else points
         return _project(np.linalg.inv(self.homography), x)[0]
@@ -126,16 +178,31 @@ class CameraMapping:
 
 
 def identity() -> CameraMapping:
-    """The mapping of the camera whose pixels are the specimen frame."""
+    """Return the mapping of the camera whose pixels are the specimen's frame."""
     return CameraMapping(np.eye(3))
 
 
 def similarity(scale: float, rotation_degrees: float, translation: tuple[float, float]) -> CameraMapping:
-    """The mapping x = scale R(rotation) X + translation.
+    """Return the mapping x = scale R(rotation) X + translation.
 
-    scale: image px per specimen px. rotation_degrees: from x towards y, that is clockwise on the screen.
-    translation: image px.
-    Raises ValueError where the scale is not positive or a number is not finite.
+    Parameters
+    ----------
+    scale : float
+        Image pixels per pixel of the specimen's frame.
+    rotation_degrees : float
+        From x towards y, that is clockwise on the screen.
+    translation : (x, y)
+        Image pixels.
+
+    Returns
+    -------
+    CameraMapping
+        Without distortion.
+
+    Raises
+    ------
+    ValueError
+        Where the scale is not positive or a number is not finite.
     """
     if not scale > 0:
         raise ValueError(f"scale: expected a positive number of image px per specimen px, got {scale:g}")

@@ -13,7 +13,14 @@ from scipy import ndimage
 class GridField:
     """Displacement on a regular grid.
 
-    origin: position of node [0, 0], pixels; spacing: (x, y), pixels; values: (rows, columns, 2), pixels.
+    Attributes
+    ----------
+    origin : (x, y)
+        Position of node [0, 0], pixels.
+    spacing : (x, y)
+        Between neighbours, pixels.
+    values : (rows, columns, 2) array
+        Displacement, pixels.
     """
 
     origin: tuple[float, float]
@@ -21,7 +28,18 @@ class GridField:
     values: NDArray[np.float64]
 
     def at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Bilinear interpolation at points (n, 2), constant beyond the grid's edge; returns (n, 2)."""
+        """Interpolate between the grid's nodes, bilinearly; constant beyond its edge.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n, 2) array
+            Displacement, pixels.
+        """
         place = (points - np.asarray(self.origin)) / np.asarray(self.spacing)
         return np.stack([
             ndimage.map_coordinates(self.values[..., c], place[:, ::-1].T, order=1, mode="nearest")
@@ -30,12 +48,34 @@ class GridField:
 
 
 def uniform_field(shift: tuple[float, float]) -> GridField:
-    """A rigid translation (x, y), pixels, as a field."""
+    """Return a rigid translation as a field.
+
+    Parameters
+    ----------
+    shift : (x, y)
+        Pixels.
+
+    Returns
+    -------
+    GridField
+        Of one node.
+    """
     return GridField((0.0, 0.0), (1.0, 1.0), np.array([[shift]], dtype=np.float64))
 
 
 def fill_absent(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Give grid nodes that are NaN the value of the nearest present one; values (rows, columns, 2)."""
+    """Give grid nodes that are nan the value of the nearest present one.
+
+    Parameters
+    ----------
+    values : (rows, columns, 2) array
+        Displacement, pixels.
+
+    Returns
+    -------
+    (rows, columns, 2) array
+        Without nan where any node is present.
+    """
     absent = np.isnan(values[..., 0])
     if not absent.any():
         return values

@@ -34,32 +34,79 @@ TERMS = {3: 30, 5: 47}
 
 
 def prefilter(block: NDArray[np.float64], degree: int) -> None:
-    """Turn pixels (height, width) into B-spline coefficients, in place, along both axes."""
+    """Turn pixels into B-spline coefficients along both axes, in place.
+
+    Parameters
+    ----------
+    block : (height, width) array
+        Grey levels, then coefficients.
+    degree : int
+        Of the spline, 3 or 5.
+    """
     prefilter_rows(block, degree)
     prefilter_columns(block, degree)
 
 
 def prefilter_columns(block: NDArray[np.float64], degree: int) -> None:
-    """Turn pixels (height, width) into coefficients along columns, in place."""
+    """Turn pixels into coefficients along columns, in place.
+
+    Parameters
+    ----------
+    block : (height, width) array
+        Grey levels, then coefficients.
+    degree : int
+        Of the spline, 3 or 5.
+    """
     _filter_columns(block, POLES[degree], TERMS[degree])
 
 
 def prefilter_rows(block: NDArray[np.float64], degree: int) -> None:
-    """Turn pixels (height, width) into coefficients along rows, in place."""
+    """Turn pixels into coefficients along rows, in place.
+
+    Parameters
+    ----------
+    block : (height, width) array
+        Grey levels, then coefficients.
+    degree : int
+        Of the spline, 3 or 5.
+    """
     _filter_rows(block, POLES[degree], TERMS[degree], np.empty((block.shape[1], TURNED)))
 
 
 def row_slopes(block: NDArray[np.float64], first: int, degree: int, out: NDArray[np.float32]) -> None:
-    """Slopes along x of pixels (height, width) into out (height, n) at the columns from ``first``, per pixel.
+    """Write the spline's slopes along x at pixel centres.
 
     Only rows are filtered for that: along columns, values at pixel centres would undo it.
+
+    Parameters
+    ----------
+    block : (height, width) array
+        Grey levels, overwritten.
+    first : int
+        Column of the first slope.
+    degree : int
+        Of the spline, 3 or 5.
+    out : (height, n) array
+        Slopes at the columns from ``first``, grey levels per pixel.
     """
     _row_slopes(block, first, POLES[degree], TERMS[degree], SLOPE_TAPS[degree], out,
                 np.empty((block.shape[1], TURNED)))
 
 
 def column_slopes(coefficients: NDArray[np.float64], first: int, degree: int, out: NDArray[np.float32]) -> None:
-    """Slopes along y into out (n, width) at the rows from ``first``, per pixel; prefiltered along columns only."""
+    """Write the spline's slopes along y at pixel centres.
+
+    Parameters
+    ----------
+    coefficients : (height, width) array
+        Prefiltered along columns only.
+    first : int
+        Row of the first slope.
+    degree : int
+        Of the spline, 3 or 5.
+    out : (n, width) array
+        Slopes at the rows from ``first``, grey levels per pixel.
+    """
     _column_slopes(coefficients, first, SLOPE_TAPS[degree], out)
 
 

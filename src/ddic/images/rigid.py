@@ -14,14 +14,37 @@ LEAST_OVERLAP = 0.5
 
 @dataclass(frozen=True)
 class RigidShift:
-    """Translation (x, y) in pixels with g(x + shift) like f(x), and its correlation coefficient."""
+    """A translation with g(x + shift) like f(x).
+
+    Attributes
+    ----------
+    shift : (x, y)
+        Pixels.
+    coefficient : float
+        Correlation coefficient of f and g there, 1 at most.
+    """
 
     shift: tuple[float, float]
     coefficient: float
 
 
 def rigid_shift(f: NDArray[np.float64], g: NDArray[np.float64], region: NDArray[np.bool_]) -> RigidShift:
-    """Find the translation of a region of f (height, width) in g (same shape) to sub-pixel accuracy."""
+    """Find the translation of a region of f in g to sub-pixel accuracy.
+
+    Parameters
+    ----------
+    f : (height, width) array
+        Grey levels of the reference image.
+    g : (height, width) array
+        Grey levels of the deformed image.
+    region : (height, width) array of bool
+        Pixels of f that count.
+
+    Returns
+    -------
+    RigidShift
+        With the largest correlation coefficient.
+    """
     m = region.astype(np.float64)
     centre = f[region].mean()
     f, g = (f - centre) * m, g - centre

@@ -13,8 +13,7 @@ from ddic.images.window import Window
 class ImageSource(Protocol):
     """A grey-level image that is read window by window.
 
-    path: name for messages and checksums; width, height: pixels;
-    saturation: largest grey level that the integer type holds, None for float images.
+    Its path is its name in messages and checksums.
     """
 
     @property
@@ -38,5 +37,16 @@ class ImageSource(Protocol):
         ...
 
     def read(self, window: Window) -> NDArray[Any]:
-        """Grey levels of a window that lies in the image, shape (window.height, window.width), own type."""
+        """Read a window.
+
+        Parameters
+        ----------
+        window : Window
+            Inside the image.
+
+        Returns
+        -------
+        (window.height, window.width) array
+            Grey levels in their own type.
+        """
         ...

@@ -30,10 +30,17 @@ _BLOCK = 2**17
 class SplineImage:
     """Spline coefficients of a window of an image.
 
-    coefficients: float32, (window.height + 2 PADDING, window.width + 2 PADDING); entry [PADDING, PADDING]
-    belongs to pixel (window.x0, window.y0). Beyond the image's edge they continue by reflection.
-    usable: uint8 of the window's shape, 0 where the pixel or its right, lower or lower right neighbour
-    is excluded; None where nothing is excluded.
+    Attributes
+    ----------
+    window : Window
+        Its pixels.
+    degree : int
+        Of the spline, 3 or 5.
+    coefficients : (window.height + 2 PADDING, window.width + 2 PADDING) array
+        Entry [PADDING, PADDING] belongs to pixel (window.x0, window.y0). Beyond the image's edge they continue by
+        reflection.
+    usable : (window.height, window.width) array or None
+        0 where the pixel or its right, lower or lower right neighbour is excluded; None where nothing is excluded.
     """
 
     window: Window
@@ -46,8 +53,16 @@ class SplineImage:
 class GradientImage:
     """Grey levels and spline gradient of a window of the reference image.
 
-    values, by_x, by_y: float32 of the window's shape, grey levels and grey levels per pixel.
-    usable: uint8 of the window's shape, 0 where the pixel is excluded; None where nothing is excluded.
+    Attributes
+    ----------
+    window : Window
+        Its pixels.
+    values : (window.height, window.width) array
+        Grey levels.
+    by_x, by_y : (window.height, window.width) array
+        Slopes of the spline at pixel centres, grey levels per pixel.
+    usable : (window.height, window.width) array or None
+        0 where the pixel is excluded; None where nothing is excluded.
     """
 
     window: Window
@@ -57,7 +72,18 @@ class GradientImage:
     usable: NDArray[np.uint8] | None = None
 
     def part(self, window: Window) -> GradientImage:
-        """A window of it, whose arrays look into these; only what is excluded is copied."""
+        """Look into a window of it.
+
+        Parameters
+        ----------
+        window : Window
+            Inside this one.
+
+        Returns
+        -------
+        GradientImage
+            Its arrays look into these; only what is excluded is copied.
+        """
         inside = np.s_[window.y0 - self.window.y0: window.y1 - self.window.y0,
                        window.x0 - self.window.x0: window.x1 - self.window.x0]
         return GradientImage(window, self.values[inside], self.by_x[inside], self.by_y[inside],
@@ -65,7 +91,20 @@ class GradientImage:
 
 
 def spline_coefficients(values: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
-    """Prefilter an image (height, width) for B-spline interpolation with reflection at its edges."""
+    """Prefilter an image for B-spline interpolation with reflection at its edges.
+
+    Parameters
+    ----------
+    values : (height, width) array
+        Grey levels.
+    degree : int
+        Of the spline, 3 or 5.
+
+    Returns
+    -------
+    (height, width) array
+        Coefficients.
+    """
     coefficients = np.array(values, dtype=np.float64, order="C")
     prefilter(coefficients, degree)
     return coefficients
@@ -73,7 +112,26 @@ def spline_coefficients(values: NDArray[np.float64], degree: int) -> NDArray[np.
 
 def read_spline(source: ImageSource, window: Window, degree: int,
                 usable: NDArray[np.uint8] | None = None, threads: Threads = ONE_THREAD) -> SplineImage:
-    """Read a window (inside the image) and prefilter it; coefficients equal the whole image's to 1e-16."""
+    """Read a window and prefilter it.
+
+    Parameters
+    ----------
+    source : ImageSource
+        The image.
+    window : Window
+        Inside the image.
+    degree : int
+        Of the spline, 3 or 5.
+    usable : (window.height, window.width) array, optional
+        0 where a pixel is excluded; None where nothing is.
+    threads : Threads
+        Do the filtering.
+
+    Returns
+    -------
+    SplineImage
+        Its coefficients equal the whole image's to 1e-16.
+    """
     pad = PADDING[degree]
     out = np.empty((window.height + 2 * pad, window.width + 2 * pad), dtype=np.float32)
     inner = window.grown(pad).clipped(source.width, source.height)
@@ -93,10 +151,28 @@ def read_spline(source: ImageSource, window: Window, degree: int,
 
 def read_gradient(source: ImageSource, window: Window, degree: int,
                   usable: NDArray[np.uint8] | None = None, threads: Threads = ONE_THREAD) -> GradientImage:
-    """Read a window (inside the image) with its spline gradient at pixel centres.
+    """Read a window with its spline gradient at pixel centres.
 
     A slope along x needs coefficients along x alone: the values of the spline at pixel centres of a column undo the
     prefilter along columns.
+
+    Parameters
+    ----------
+    source : ImageSource
+        The image.
+    window : Window
+        Inside the image.
+    degree : int
+        Of the spline, 3 or 5.
+    usable : (window.height, window.width) array, optional
+        0 where a pixel is excluded; None where nothing is.
+    threads : Threads
+        Do the filtering.
+
+    Returns
+    -------
+    GradientImage
+        Of the window.
     """
     shape = (window.height, window.width)
     values, by_x, by_y = (np.empty(shape, dtype=np.float32) for _ in range(3))

@@ -23,8 +23,14 @@ SMALLEST = 16
 class MaskedSource:
     """An image with what is excluded from it.
 
-    image: the image; mask: an image of the same size, zero where pixels are left out;
-    exclude_saturated: leave out pixels at the largest value of the image's integer type.
+    Attributes
+    ----------
+    image : ImageSource
+        The image.
+    mask : ImageSource, optional
+        An image of the same size, zero where pixels are left out.
+    exclude_saturated : bool
+        Whether to leave out pixels at the largest value of the image's integer type.
     """
 
     image: ImageSource
@@ -46,7 +52,18 @@ class MaskedSource:
         return self.exclude_saturated and self.image.saturation is not None
 
     def usable(self, window: Window) -> NDArray[np.uint8] | None:
-        """1 where a pixel counts, 0 where it is left out; None where nothing can be left out."""
+        """Find the pixels of a window that count.
+
+        Parameters
+        ----------
+        window : Window
+            Inside the image.
+
+        Returns
+        -------
+        (window.height, window.width) array or None
+            1 where a pixel counts, 0 where it is left out; None where nothing can be left out.
+        """
         if not self.may_exclude:
             return None
         usable = np.ones((window.height, window.width), dtype=np.uint8)
@@ -59,7 +76,24 @@ class MaskedSource:
 
 def read_reference(source: MaskedSource, window: Window, degree: int,
                    threads: Threads = ONE_THREAD) -> GradientImage:
-    """Read grey levels and gradient of a window (clipped to the image) of the reference image."""
+    """Read grey levels and gradient of a window of the reference image.
+
+    Parameters
+    ----------
+    source : MaskedSource
+        The reference image.
+    window : Window
+        Clipped to the image.
+    degree : int
+        Of the spline, 3 or 5.
+    threads : Threads
+        Do the filtering.
+
+    Returns
+    -------
+    GradientImage
+        Of the window, which is made larger where it is too small for a spline.
+    """
     window = _sizeable(window, source.extent)
     return read_gradient(source.image, window, degree, source.usable(window), threads)
 
@@ -68,7 +102,14 @@ def read_reference(source: MaskedSource, window: Window, degree: int,
 class DeformedSubImage:
     """The deformed image as one subdomain sees it; the only mutable part is the window held.
 
-    threads: prefilter it.
+    Attributes
+    ----------
+    source : MaskedSource
+        The deformed image.
+    degree : int
+        Of the spline, 3 or 5.
+    threads : Threads
+        Do the filtering.
     """
 
     source: MaskedSource
@@ -77,7 +118,18 @@ class DeformedSubImage:
     _spline: SplineImage | None = field(default=None, repr=False)
 
     def covering(self, window: Window) -> SplineImage:
-        """Spline of a window that holds ``window`` (clipped to the image), read again only if outgrown."""
+        """Give the spline of a window that holds another, read again only if outgrown.
+
+        Parameters
+        ----------
+        window : Window
+            What must be in it; clipped to the image.
+
+        Returns
+        -------
+        SplineImage
+            Of this window or a larger one.
+        """
         needed = window.clipped(self.source.image.width, self.source.image.height)
         if self._spline is None or not self._spline.window.contains(needed):
             grown = window if self._spline is None else window.union(self._spline.window)

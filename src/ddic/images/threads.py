@@ -19,6 +19,16 @@ class Threads:
     The interpreter runs one thread at a time: work must be mostly compiled kernels and copies of arrays, which let go
     of it. What comes of an item must depend neither on the others nor on who works on it; then the number of threads
     changes no digit.
+
+    Parameters
+    ----------
+    n : int
+        Their number.
+
+    Raises
+    ------
+    ValueError
+        Where it is below 1.
     """
 
     def __init__(self, n: int = 1) -> None:
@@ -29,9 +39,16 @@ class Threads:
         self._pool = ThreadPoolExecutor(n, thread_name_prefix="ddic-pixels") if n > 1 else None
 
     def share(self, items: Iterable[T], work: Callable[[Iterator[T]], None]) -> None:
-        """Call ``work`` on every thread, with an iterator that gives each item to one of them; waits for all.
+        """Call a function on every thread, with an iterator that gives each item to one of them, and wait for all.
 
-        Raises what ``work`` raises, once no thread works any more.
+        What it raises is raised once no thread works any more.
+
+        Parameters
+        ----------
+        items : iterable
+            Each goes to one thread.
+        work : callable
+            Takes the iterator of its thread.
         """
         if self._pool is None:
             work(iter(items))
@@ -43,9 +60,18 @@ class Threads:
             thread.result()
 
     def over(self, n: int, least: int, work: Callable[[slice], None]) -> None:
-        """Call ``work`` on slices that cover a sequence of n, of at least ``least`` where it is longer.
+        """Call a function on slices that cover a sequence, and wait for all.
 
-        Raises what ``work`` raises, once no thread works any more.
+        What it raises is raised once no thread works any more.
+
+        Parameters
+        ----------
+        n : int
+            Length of the sequence.
+        least : int
+            Least length of a slice, where the sequence is longer.
+        work : callable
+            Takes a slice.
         """
         n_slices = 1 if self._pool is None else max(1, min(SLICES * self.n, n // least))
         if n_slices == 1:

@@ -9,7 +9,15 @@ from functools import reduce
 
 @dataclass(frozen=True)
 class Window:
-    """Half-open rectangle of pixels: columns x0 <= x < x1, rows y0 <= y < y1."""
+    """Half-open rectangle of pixels: columns x0 <= x < x1, rows y0 <= y < y1.
+
+    Attributes
+    ----------
+    x0, y0 : int
+        First column and row.
+    x1, y1 : int
+        The column and the row after the last.
+    """
 
     x0: int
     y0: int
@@ -32,25 +40,80 @@ class Window:
         return max(self.width, 0) * max(self.height, 0)
 
     def grown(self, halo: int) -> Window:
-        """Extend by ``halo`` pixels on every side."""
+        """Extend on every side.
+
+        Parameters
+        ----------
+        halo : int
+            By how much, pixels.
+
+        Returns
+        -------
+        Window
+            May leave the image.
+        """
         return Window(self.x0 - halo, self.y0 - halo, self.x1 + halo, self.y1 + halo)
 
     def clipped(self, width: int, height: int) -> Window:
-        """Intersect with an image of the given size, pixels."""
+        """Intersect with an image.
+
+        Parameters
+        ----------
+        width, height : int
+            Size of the image, pixels.
+
+        Returns
+        -------
+        Window
+            Empty where it lies outside.
+        """
         return self.intersection(Window(0, 0, width, height))
 
     def intersection(self, other: Window) -> Window:
-        """Common part of two windows (may be empty, with x1 <= x0 or y1 <= y0)."""
+        """Find the common part of two windows.
+
+        Parameters
+        ----------
+        other : Window
+            The other one.
+
+        Returns
+        -------
+        Window
+            May be empty, with x1 <= x0 or y1 <= y0.
+        """
         return Window(max(self.x0, other.x0), max(self.y0, other.y0),
                       min(self.x1, other.x1), min(self.y1, other.y1))
 
     def union(self, other: Window) -> Window:
-        """Smallest window that holds both."""
+        """Find the smallest window that holds two.
+
+        Parameters
+        ----------
+        other : Window
+            The other one.
+
+        Returns
+        -------
+        Window
+            Holds both.
+        """
         return Window(min(self.x0, other.x0), min(self.y0, other.y0),
                       max(self.x1, other.x1), max(self.y1, other.y1))
 
     def contains(self, other: Window) -> bool:
-        """Whether ``other`` lies inside."""
+        """Tell whether another window lies inside.
+
+        Parameters
+        ----------
+        other : Window
+            The other one.
+
+        Returns
+        -------
+        bool
+            Whether all of its pixels are in this one.
+        """
         return (self.x0 <= other.x0 and self.y0 <= other.y0
                 and self.x1 >= other.x1 and self.y1 >= other.y1)
 
@@ -58,7 +121,17 @@ class Window:
 def shared_windows(windows: Sequence[Window], halo: int) -> list[tuple[Window, list[int]]]:
     """Put neighbours together whose common window holds no more pixels than theirs do, a halo around each.
 
-    Returns the common windows, without halo, and the numbers of the windows in each, in order.
+    Parameters
+    ----------
+    windows : sequence of Window
+        Neighbours follow each other.
+    halo : int
+        Pixels that are read around each.
+
+    Returns
+    -------
+    list of Window and list of int
+        The common windows, without halo, and the numbers of the windows in each, in order.
     """
     groups: list[tuple[Window, list[int]]] = []
 

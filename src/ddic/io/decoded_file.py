@@ -16,19 +16,73 @@ from ddic.io.pixel_format import PixelFormat
 
 
 def decoded_format(path: Path) -> PixelFormat:
-    """Size and type of an image file that OpenCV reads; raises InputError if it does not."""
+    """Read size and type of an image file that OpenCV reads.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    PixelFormat
+        Of its pixels.
+
+    Raises
+    ------
+    InputError
+        Where OpenCV does not read it.
+    """
     return _format(_decode(path))
 
 
 def decode_whole(path: Path) -> tuple[PixelFormat, NDArray[Any]]:
-    """Size and type, and the grey levels of the whole image, (height, width); raises InputError if unreadable."""
+    """Decode a whole image.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    layout : PixelFormat
+        Size and type of its pixels.
+    grey : (height, width) array
+        Grey levels.
+
+    Raises
+    ------
+    InputError
+        Where it is unreadable.
+    """
     pixels = _decode(path)
     layout = _format(pixels)
     return layout, to_grey(_red_first(pixels, layout), layout.n_colours)
 
 
 def read_decoded(path: Path, layout: PixelFormat, window: Window) -> NDArray[Any]:
-    """Grey levels of a window, shape (window.height, window.width); raises InputError if unreadable."""
+    """Decode an image and keep a window of it.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    layout : PixelFormat
+        What the file held when it was opened.
+    window : Window
+        Pixels to keep.
+
+    Returns
+    -------
+    (window.height, window.width) array
+        Grey levels.
+
+    Raises
+    ------
+    InputError
+        Where it is unreadable, or has changed.
+    """
     pixels = _decode(path)
     if pixels.shape != (layout.height, layout.width, layout.n_channels):
         raise InputError(f"{path}: the file changed while it was in use; keep images fixed during a run")
@@ -38,6 +92,7 @@ def read_decoded(path: Path, layout: PixelFormat, window: Window) -> NDArray[Any
 
 
 def _format(pixels: NDArray[Any]) -> PixelFormat:
+    """Size and type of decoded pixels (height, width, n_channels)."""
     height, width, n_channels = pixels.shape
     return PixelFormat(width=width, height=height, dtype=pixels.dtype, bits=8 * pixels.dtype.itemsize,
                        n_colours=1 if n_channels < 3 else 3, n_channels=n_channels)
@@ -45,10 +100,12 @@ def _format(pixels: NDArray[Any]) -> PixelFormat:
 
 def _red_first(pixels: NDArray[Any], layout: PixelFormat) -> NDArray[Any]:
     # OpenCV orders colours blue, green, red.
+    """The same pixels, colours in the order red, green, blue."""
     return pixels[..., 2::-1] if layout.n_colours == 3 else pixels
 
 
 def _decode(path: Path) -> NDArray[Any]:
+    """All pixels (height, width, n_channels) as OpenCV orders them."""
     try:
         # Without this flag OpenCV silently cuts 16 bits to 8 and turns colour about.
         pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)

@@ -11,10 +11,19 @@ LUMA = (0.299, 0.587, 0.114)
 
 
 def to_grey(channels: NDArray[Any], n_colours: int) -> NDArray[Any]:
-    """Grey levels of pixels, shape (height, width).
+    """Turn the channels of pixels into grey levels.
 
-    channels: (height, width, n), red, green and blue first, or grey first; what follows is dropped.
-    n_colours: 1 keeps the first channel and its type, 3 weighs red, green and blue (ITU-R BT.601) to float32.
+    Parameters
+    ----------
+    channels : (height, width, n) array
+        Red, green and blue first, or grey first; what follows is dropped.
+    n_colours : int
+        1 keeps the first channel and its type, 3 weighs red, green and blue (ITU-R BT.601) to float32.
+
+    Returns
+    -------
+    (height, width) array
+        Grey levels.
     """
     if n_colours == 1:
         return np.ascontiguousarray(channels[..., 0])

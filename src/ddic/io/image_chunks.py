@@ -30,7 +30,10 @@ ZLIB_HEADER = b"\x78\x01"
 class ChunkGrid:
     """Chunks of an image, numbered row by row; those at the right and lower edges reach beyond the image.
 
-    width, height: of the image, pixels.
+    Attributes
+    ----------
+    width, height : int
+        Of the image, pixels.
     """
 
     width: int
@@ -47,13 +50,35 @@ class ChunkGrid:
         return -(-self.width // self.shape[1])
 
     def window(self, number: int) -> Window:
-        """Pixels of a chunk, those beyond the image included."""
+        """Tell which pixels a chunk has, those beyond the image included.
+
+        Parameters
+        ----------
+        number : int
+            Of the chunk.
+
+        Returns
+        -------
+        Window
+            Its pixels.
+        """
         rows, columns = self.shape
         row, column = divmod(number, self.n_columns)
         return Window(column * columns, row * rows, (column + 1) * columns, (row + 1) * rows)
 
     def touching(self, window: Window) -> list[int]:
-        """Numbers of the chunks that share pixels with a window of the image."""
+        """Find the chunks that share pixels with a window.
+
+        Parameters
+        ----------
+        window : Window
+            Pixels; what lies beyond the image does not count.
+
+        Returns
+        -------
+        list of int
+            Numbers of the chunks, sorted.
+        """
         rows, columns = self.shape
         part = window.clipped(self.width, self.height)
         if part.n_pixels == 0:
@@ -64,10 +89,20 @@ class ChunkGrid:
 
 
 def packed(chunk: NDArray[np.float32]) -> bytes:
-    """A chunk as HDF5's shuffle and deflate filters would store it.
+    """Pack a chunk as HDF5's shuffle and deflate filters would store it.
 
     The bytes of equal weight lie together (shuffle). Each of these planes is a piece of one zlib stream by itself,
     since the low bytes of a residual are noise on which every search for repetitions is lost time.
+
+    Parameters
+    ----------
+    chunk : (rows, columns) array
+        float32 grey levels, nan where not correlated.
+
+    Returns
+    -------
+    bytes
+        A zlib stream.
     """
     planes = np.ascontiguousarray(chunk.astype("<f4", copy=False).reshape(-1).view(np.uint8).reshape(-1, 4).T)
     last = len(planes) - 1
@@ -77,6 +112,7 @@ def packed(chunk: NDArray[np.float32]) -> bytes:
 
 
 def _deflated(plane: NDArray[np.uint8], *, repeats: bool, last: bool) -> bytes:
+    """A plane of bytes as a piece of a deflate stream; repeats: search it for repetitions; last: end the stream."""
     bits = _bits_per_byte(plane[::SAMPLING])
     level = 0 if bits > NOISE_BITS else 1
     strategy = zlib.Z_DEFAULT_STRATEGY if repeats or bits < RUN_BITS else zlib.Z_HUFFMAN_ONLY

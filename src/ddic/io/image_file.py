@@ -25,7 +25,14 @@ T = TypeVar("T")
 class ImageFile:
     """An image on disk, read window by window; nothing stays open or in memory between reads.
 
-    path: the file; layout: size and type of its pixels; windowed: only what a window needs is decoded.
+    Attributes
+    ----------
+    path : Path
+        The file.
+    layout : PixelFormat
+        Size and type of its pixels.
+    windowed : bool
+        Only what a window needs is decoded.
     """
 
     path: Path
@@ -53,10 +60,24 @@ class ImageFile:
         return np.dtype(np.float32) if self.layout.n_colours == 3 else self.layout.dtype
 
     def read(self, window: Window) -> NDArray[Any]:
-        """Grey levels of a window that lies in the image, shape (window.height, window.width).
+        """Read grey levels of a window.
 
-        Raises ValueError if the window leaves the image or is empty, InputError if the file cannot be
-        decoded.
+        Parameters
+        ----------
+        window : Window
+            In the image, not empty.
+
+        Returns
+        -------
+        (window.height, window.width) array
+            Grey levels, of type ``dtype``.
+
+        Raises
+        ------
+        ValueError
+            If the window leaves the image or is empty.
+        InputError
+            If the file cannot be decoded.
         """
         if window.n_pixels == 0 or not Window(0, 0, self.width, self.height).contains(window):
             raise ValueError(f"{window} is empty or leaves the image of {self.width} x {self.height} pixels")
@@ -68,7 +89,21 @@ def open_image(path: Path | str) -> ImageFile:
     """Open a TIFF, PNG, BMP or JPEG file as a grey image in its own type (colour: float32).
 
     Warns of colour, of a transparency channel and of further pages; none of these is used.
-    Raises InputError if the file is missing or is no image that can be read.
+
+    Parameters
+    ----------
+    path : Path or str
+        The file.
+
+    Returns
+    -------
+    ImageFile
+        Of which nothing but the header has been read.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or is no image that can be read.
     """
     path = Path(path)
     windowed, tiff = _kind(path)
@@ -78,7 +113,25 @@ def open_image(path: Path | str) -> ImageFile:
 
 
 def open_decoded(path: Path | str) -> tuple[ImageFile, NDArray[Any] | None]:
-    """``open_image``, and the grey levels (height, width) where the file can only be decoded whole, else None."""
+    """Open an image, and keep what had to be decoded for that.
+
+    Parameters
+    ----------
+    path : Path or str
+        The file.
+
+    Returns
+    -------
+    image : ImageFile
+        As ``open_image`` gives it.
+    grey : (height, width) array or None
+        All grey levels where the file can only be decoded whole, else None.
+
+    Raises
+    ------
+    InputError
+        As ``open_image`` does.
+    """
     path = Path(path)
     windowed, tiff = _kind(path)
     if windowed:
@@ -101,7 +154,18 @@ def _kind(path: Path) -> tuple[bool, bool]:
 
 
 def sha256_of_file(path: Path | str) -> str:
-    """SHA-256 checksum of a file, as hexadecimal digits."""
+    """Reckon the SHA-256 checksum of a file.
+
+    Parameters
+    ----------
+    path : Path or str
+        The file.
+
+    Returns
+    -------
+    str
+        Hexadecimal digits.
+    """
     with Path(path).open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
@@ -118,6 +182,7 @@ def _explained(path: Path, tiff: bool, decode: Callable[[Path], T]) -> T:
 
 
 def _warn_of_what_is_dropped(path: Path, layout: PixelFormat) -> None:
+    """Warn of pages, colours and channels that are not used."""
     if layout.n_pages > 1:
         warnings.warn(f"{path}: {layout.n_pages} pages, only the first is used", stacklevel=3)
     if layout.inverted:

@@ -23,10 +23,20 @@ Array = NDArray[np.float64]
 class MappingFile:
     """What a mapping file holds.
 
-    mapping: from far to near px. far_size, near_size: (width, height) of the images that it belongs to, px.
-    homography_std: (3, 3), radial_std: (2,), standard deviations of the mapping's numbers; 0 where one is given and
-    not measured. position_std: near px, the largest at the near image's corners and centre.
-    coefficient: correlation coefficient of the two images, None where it was not measured.
+    Attributes
+    ----------
+    mapping : CameraMapping
+        From far to near px.
+    far_size, near_size : (int, int)
+        Width and height of the images that it belongs to, px.
+    homography_std : (3, 3) array
+        Standard deviations of the homography's numbers; 0 where one is given and not measured.
+    radial_std : (2,) array
+        Of k1 and k2; 0 where one is given and not measured.
+    position_std : float
+        Near px, the largest at the near image's corners and centre.
+    coefficient : float or None
+        Correlation coefficient of the two images, None where it was not measured.
     """
 
     mapping: CameraMapping
@@ -39,7 +49,20 @@ class MappingFile:
 
 
 def write_mapping(path: Path, content: MappingFile) -> None:
-    """Write a mapping file; numbers are read back to the last bit. Raises InputError if it cannot be written."""
+    """Write a mapping file; numbers are read back to the last bit.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    content : MappingFile
+        What it shall hold.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written.
+    """
     mapping = content.mapping
     lines = [
         "# Near camera: homography from pixels X of the far reference image to near pixels x_u, then",
@@ -70,14 +93,43 @@ def write_mapping(path: Path, content: MappingFile) -> None:
 
 
 def read_mapping(path: Path) -> CameraMapping:
-    """Only the mapping of a mapping file; raises InputError as ``read_mapping_file`` does."""
+    """Read only the mapping of a mapping file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    CameraMapping
+        From far to near px.
+
+    Raises
+    ------
+    InputError
+        As ``read_mapping_file`` does.
+    """
     return read_mapping_file(path).mapping
 
 
 def read_mapping_file(path: Path) -> MappingFile:
     """Read a mapping file; ``[distortion]`` and ``[quality]`` may be missing.
 
-    Raises InputError with the file, the key, the value and what is expected, one line per problem.
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    MappingFile
+        What it holds.
+
+    Raises
+    ------
+    InputError
+        With the file, the key, the value and what is expected, one line per problem.
     """
     reader = _Reader(_parsed(path), path)
     reader.refuse_others()
@@ -162,12 +214,14 @@ class _Reader:
 
 
 def _has_shape(value: Any, shape: tuple[int, ...]) -> bool:
+    """Whether a value of TOML is finite numbers in nested lists of this shape."""
     if not shape:
         return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
     return isinstance(value, list) and len(value) == shape[0] and all(_has_shape(item, shape[1:]) for item in value)
 
 
 def _parsed(path: Path) -> dict[str, Any]:
+    """The values of a TOML file."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -180,8 +234,10 @@ def _parsed(path: Path) -> dict[str, Any]:
 
 
 def _row(values: Iterable[Any]) -> str:
+    """Numbers as a list of TOML, to the last bit."""
     return "[" + ", ".join(repr(v) if isinstance(v, int) else repr(float(v)) for v in values) + "]"
 
 
 def _rows(values: Array) -> str:
+    """Rows of numbers as a list of lists of TOML."""
     return "[\n" + "".join(f"    {_row(row)},\n" for row in values) + "]"

@@ -13,9 +13,24 @@ from ddic.io.image_file import open_image
 
 
 def read_mask(path: Path, width: int, height: int) -> NDArray[np.bool_]:
-    """Read a mask, shape (height, width), True = use; width, height: size of the image it belongs to, pixels.
+    """Read a mask.
 
-    Raises InputError where it cannot be read or has another size.
+    Parameters
+    ----------
+    path : Path
+        An image that is not 0 where pixels are used.
+    width, height : int
+        Of the image that it belongs to, pixels.
+
+    Returns
+    -------
+    (height, width) array of bool
+        True where the pixel is used.
+
+    Raises
+    ------
+    InputError
+        Where it cannot be read or has another size.
     """
     source = open_image(path)
     if (source.width, source.height) != (width, height):

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.mesh.cell_type import CELL_TYPES, CellType
-from ddic.mesh.mesh import Mesh, Similarity, mesh_from_cells
+from ddic.mesh.mesh import Mesh, Similarity, build_mesh
 
 PLANE_CELLS = {kind.meshio_name: kind for kind in CELL_TYPES.values()}
 """Cell types by meshio's names."""
@@ -26,19 +26,60 @@ NAMING_CELLS = {"vertex": 0, "line": 1}
 def read_mesh(path: Path, mapping: Similarity) -> Mesh:
     """Read a mesh of T3 and Q4 (mixed or not) and map it to pixels; cells keep the file's order.
 
-    path: a file that meshio reads; mapping: from the file's units to pixels. Node sets come from the
-    named groups of lines and vertices (Gmsh physical groups, meshio cell sets) and from point sets.
-    Raises InputError where the file cannot be read, holds other cells, or is not plane.
+    Node sets come from the named groups of lines and vertices (Gmsh physical groups, meshio cell sets) and from point
+    sets.
+
+    Parameters
+    ----------
+    path : Path
+        A file that meshio reads.
+    mapping : Similarity
+        From the file's units to pixels.
+
+    Returns
+    -------
+    Mesh
+        As it is in the file: not yet repaired.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be read, holds other cells, or is not plane.
     """
-    raw = _read_raw(path)
+    return convert_mesh(_read_raw(path), str(path), mapping)
+
+
+def convert_mesh(raw: Any, name: str, mapping: Similarity) -> Mesh:
+    """Convert a meshio mesh of T3 and Q4 (mixed or not) to pixels; cells keep its order.
+
+    Parameters
+    ----------
+    raw : meshio.Mesh
+        Plane; node sets come from its named groups of lines and vertices, and from point sets.
+    name : str
+        What messages call it.
+    mapping : Similarity
+        From its units to pixels.
+
+    Returns
+    -------
+    Mesh
+        Pixels.
+
+    Raises
+    ------
+    InputError
+        Where it holds other cells, or is not plane.
+    """
     blocks = [(PLANE_CELLS[b.type], np.asarray(b.data, dtype=np.int64))
               for b in raw.cells if b.type in PLANE_CELLS and len(b.data)]
-    _refuse_other_cells(path, raw)
-    points = _plane_points(path, np.asarray(raw.points, dtype=np.float64), blocks)
-    return mesh_from_cells(mapping.to_pixels(points), blocks, _node_sets(raw), mapping)
+    _refuse_other_cells(name, raw)
+    points = _plane_points(name, np.asarray(raw.points, dtype=np.float64), blocks)
+    return build_mesh(mapping.to_pixels(points), blocks, _node_sets(raw), mapping)
 
 
 def _read_raw(path: Path) -> Any:
+    """The mesh as meshio gives it."""
     import meshio
 
     if not path.is_file():
@@ -55,19 +96,20 @@ def _read_raw(path: Path) -> Any:
                          "4.1 or VTU, or give it the suffix of its format") from error
 
 
-def _refuse_other_cells(path: Path, raw: Any) -> None:
+def _refuse_other_cells(name: str, raw: Any) -> None:
+    """Refuse a file with cells that cannot be measured, or without any that can."""
     found: Counter[str] = Counter()
     for block in raw.cells:
         found[block.type] += len(block.data)
     listed = ", ".join(f"{count} {kind}" for kind, count in found.items()) or "no cells"
     if set(+found) - set(PLANE_CELLS) - set(NAMING_CELLS):
-        raise InputError(f"{path}: only linear triangles and quadrilaterals can be used, but the file holds "
+        raise InputError(f"{name}: only linear triangles and quadrilaterals can be used, but the file holds "
                          f"{listed}; export a first-order plane mesh")
     if not set(+found) & set(PLANE_CELLS):
-        raise InputError(f"{path}: holds no triangle and no quadrilateral ({listed}); export the surface too")
+        raise InputError(f"{name}: holds no triangle and no quadrilateral ({listed}); export the surface too")
 
 
-def _plane_points(path: Path, points: NDArray[np.float64],
+def _plane_points(name: str, points: NDArray[np.float64],
                   blocks: list[tuple[CellType, NDArray[np.int64]]]) -> NDArray[np.float64]:
     """Coordinates x and y; a third one must be the same at all nodes of the cells."""
     used = np.unique(np.concatenate([cells.ravel() for _, cells in blocks]))
@@ -75,12 +117,13 @@ def _plane_points(path: Path, points: NDArray[np.float64],
     if points.shape[1] > 2 and len(used):
         spread = np.ptp(points[used], axis=0)
         if spread[2] > 1e-9 * spread[:2].max():
-            raise InputError(f"{path}: the mesh is not plane: z varies by {spread[2]:.6g} in mesh units; "
+            raise InputError(f"{name}: the mesh is not plane: z varies by {spread[2]:.6g} in mesh units; "
                              "export a mesh of constant z")
     return points[:, :2]
 
 
 def _node_sets(raw: Any) -> dict[str, NDArray[np.int64]]:
+    """Node sets of all kinds by name, sorted, without empty ones."""
     gathered: dict[str, list[NDArray[np.int64]]] = {}
     for source in (_physical_groups(raw), _cell_sets(raw), _point_sets(raw)):
         for name, nodes in source:
@@ -110,5 +153,6 @@ def _cell_sets(raw: Any) -> Iterator[tuple[str, NDArray[np.int64]]]:
 
 
 def _point_sets(raw: Any) -> Iterator[tuple[str, NDArray[np.int64]]]:
+    """Nodes of meshio's point sets."""
     for name, members in raw.point_sets.items():
         yield name, np.asarray(members, dtype=np.int64).ravel()

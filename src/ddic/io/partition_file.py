@@ -11,10 +11,26 @@ from ddic.errors import InputError
 
 
 def read_partition(path: Path, n_cells: int) -> NDArray[np.int64]:
-    """Read the subdomain of each cell, shape (n_cells,): one whole number per cell, from 0, without gaps.
+    """Read the subdomain of each cell: one whole number per cell, from 0, without gaps.
 
-    The numbers are separated by spaces or new lines; what follows a # is a comment. Raises InputError
-    where the file cannot be read, has another length, or leaves a subdomain empty.
+    The numbers are separated by spaces or new lines; what follows a # is a comment.
+
+    Parameters
+    ----------
+    path : Path
+        A text file.
+    n_cells : int
+        Of the mesh.
+
+    Returns
+    -------
+    (n_cells,) array
+        Subdomains.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be read, has another length, or leaves a subdomain empty.
     """
     try:
         lines = path.read_text(encoding="utf-8").splitlines()

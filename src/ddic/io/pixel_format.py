@@ -12,9 +12,22 @@ import numpy as np
 class PixelFormat:
     """Size and type of an image's pixels.
 
-    width, height: pixels; dtype: type of one channel; bits: used bits of a channel;
-    n_colours: 1 (grey) or 3; n_channels: colours and what comes with them (alpha);
-    n_pages: images in the file; inverted: zero is stored for white.
+    Attributes
+    ----------
+    width, height : int
+        Pixels.
+    dtype : dtype
+        Type of one channel.
+    bits : int
+        Used bits of a channel.
+    n_colours : int
+        1 (grey) or 3.
+    n_channels : int
+        Colours and what comes with them (alpha).
+    n_pages : int
+        Images in the file.
+    inverted : bool
+        Zero is stored for white.
     """
 
     width: int

@@ -11,7 +11,18 @@ from ddic.errors import InputError
 
 
 def temporary_name(path: Path) -> Path:
-    """Name in the same folder for a file under construction."""
+    """Name a file under construction.
+
+    Parameters
+    ----------
+    path : Path
+        Final name.
+
+    Returns
+    -------
+    Path
+        In the same folder, another for every process.
+    """
     return path.with_name(f".{path.name}.{os.getpid()}.tmp")
 
 
@@ -19,7 +30,20 @@ def temporary_name(path: Path) -> Path:
 def replaced_on_exit(path: Path) -> Iterator[Path]:
     """Yield a temporary name that is renamed to ``path`` on a clean exit and removed on any other.
 
-    Raises InputError if the folder does not exist or cannot be written to.
+    Parameters
+    ----------
+    path : Path
+        Final name.
+
+    Yields
+    ------
+    Path
+        Temporary name.
+
+    Raises
+    ------
+    InputError
+        If the folder does not exist or cannot be written to.
     """
     if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
         raise InputError(f"{path}: the folder {path.parent} does not exist or cannot be written to; "

@@ -12,10 +12,25 @@ from ddic.io.replace_on_exit import replaced_on_exit
 
 
 def write_sidecar(result: Path, camera: int = 0, *, width: int, height: int, flip_y: bool) -> Path:
-    """Write NAME.residual.vtkhdf beside a result, or another camera's; returns its path.
+    """Write the ImageData file that shows a residual image of a result.
 
     It holds no pixels: an HDF5 external link leads to the image in the result file, so both move together.
-    width, height: pixels; flip_y: show rows upwards (through VTKHDF's Direction, spacings being positive).
+
+    Parameters
+    ----------
+    result : Path
+        The result file.
+    camera : int, optional
+        0 for the far camera, or the only one; then the near ones.
+    width, height : int
+        Of the image, pixels.
+    flip_y : bool
+        Show rows upwards (through VTKHDF's Direction, spacings being positive).
+
+    Returns
+    -------
+    Path
+        NAME.residual.vtkhdf or NAME.near_1.residual.vtkhdf beside the result.
     """
     path = schema.sidecar_path(result, camera)
     with replaced_on_exit(path) as temporary, h5py.File(temporary, "w") as file:

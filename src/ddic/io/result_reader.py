@@ -239,6 +239,7 @@ def read_open_file(path: Path, file: Any) -> Result:
 
 
 def _read_residual_image(file: Any) -> NDArray[np.float32] | None:
+    """The first residual image of an open file; None if there is none."""
     if schema.RESIDUAL_IMAGE not in file:
         return None
     return np.asarray(file[schema.RESIDUAL_IMAGE][schema.RESIDUAL], np.float32)
@@ -268,6 +269,7 @@ def _fields(group: Any, flipped: bool) -> dict[str, NDArray[Any]]:
 
 
 def _unflipped(values: NDArray[Any], flipped: bool) -> NDArray[Any]:
+    """Values with y down; flipped: the file has it up."""
     return schema.flip_components(values) if flipped else values
 
 

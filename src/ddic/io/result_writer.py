@@ -26,7 +26,15 @@ CHUNK_CACHE_BYTES = 64 << 20
 
 @dataclass(frozen=True)
 class PieceSize:
-    """Sizes of a subdomain's piece; n_connectivity: sum of the nodes per cell."""
+    """Sizes of a subdomain's piece.
+
+    Attributes
+    ----------
+    n_points, n_cells : int
+        Nodes and cells.
+    n_connectivity : int
+        Sum of the nodes per cell.
+    """
 
     n_points: int
     n_cells: int
@@ -37,9 +45,18 @@ class PieceSize:
 class Piece:
     """A subdomain's mesh and fields, or those of several subdomains that follow each other.
 
-    points: (n_points, dim) pixels, y down. connectivity: (n_connectivity,) numbers of the piece's own points.
-    offsets: (n_cells + 1,) of each piece. types: (n_cells,) VTK cell types.
-    point_data, cell_data: name -> (n,) scalars, (n, dim) or (n, 3) vectors, (n, 6) symmetric tensors.
+    Attributes
+    ----------
+    points : (n_points, dim) array
+        Pixels, y down.
+    connectivity : (n_connectivity,) array
+        Numbers of the piece's own points.
+    offsets : (n_cells + 1,) array
+        Of each piece.
+    types : (n_cells,) array
+        VTK cell types.
+    point_data, cell_data : dict
+        Name -> (n,) scalars, (n, dim) or (n, 3) vectors, (n, 6) symmetric tensors.
     """
 
     points: NDArray[np.float64]
@@ -134,9 +151,19 @@ class ResultWriter:
         self._create_grid(self._pieces)
 
     def write_pieces(self, indices: range, pieces: Piece) -> None:
-        """Write the mesh and fields of some pieces that follow each other, joined to one (``joined``).
+        """Write the mesh and fields of some pieces that follow each other.
 
-        Raises ValueError if one was written before, or if the arrays do not have the announced shapes.
+        Parameters
+        ----------
+        indices : range
+            Numbers of the pieces.
+        pieces : Piece
+            These, joined to one (``joined``).
+
+        Raises
+        ------
+        ValueError
+            If one was written before, or if the arrays do not have the announced shapes.
         """
         if self._pieces is None:
             raise ValueError("create_pieces comes before write_pieces")
@@ -164,7 +191,13 @@ class ResultWriter:
         self._written.update(indices)
 
     def create_residual_image(self, grid: ChunkGrid) -> None:
-        """Make room for the next camera's residual image; it is NaN where no chunk is written."""
+        """Make room for the next camera's residual image; it is NaN where no chunk is written.
+
+        Parameters
+        ----------
+        grid : ChunkGrid
+            Its chunks.
+        """
         group = schema.residual_group(len(self._grids))
         data = self._file.create_dataset(f"{group}/{schema.RESIDUAL}", (grid.height, grid.width),
                                          "<f4", chunks=grid.shape, compression="gzip", compression_opts=1,
@@ -176,14 +209,40 @@ class ResultWriter:
         self._residual = data.id
 
     def write_residual_chunk(self, number: int, data: bytes) -> None:
-        """Write one chunk of the last residual image; data: as ``packed`` makes it. It is not unpacked here."""
+        """Write one chunk of the last residual image; it is not unpacked here.
+
+        Parameters
+        ----------
+        number : int
+            Of the chunk.
+        data : bytes
+            As ``packed`` makes it.
+
+        Raises
+        ------
+        ValueError
+            If there is no residual image yet.
+        """
         if not self._grids:
             raise ValueError("create_residual_image comes before write_residual_chunk")
         window = self._grids[-1].window(number)
         self._residual.write_direct_chunk((window.y0, window.x0), data)
 
     def write_table(self, group: str, columns: Mapping[str, Sequence[Any] | NDArray[Any]]) -> None:
-        """Write a table, one dataset per column of numbers or texts; all columns have the same length."""
+        """Write a table, one dataset per column of numbers or texts.
+
+        Parameters
+        ----------
+        group : str
+            Name of the table.
+        columns : dict
+            Name -> (n_rows,) values.
+
+        Raises
+        ------
+        ValueError
+            If columns have different lengths.
+        """
         arrays = {name: np.asarray(column) for name, column in columns.items()}
         if len({len(array) for array in arrays.values()}) > 1:
             raise ValueError(f"{group}: columns of different lengths")
@@ -192,33 +251,53 @@ class ResultWriter:
             target[name] = array.astype(h5py.string_dtype()) if array.dtype.kind == "U" else array
 
     def write_curves(self, group: str, curves: Sequence[Sequence[float] | NDArray[np.float64]]) -> None:
-        """Write arrays of different lengths as datasets 0000, 0001, ..."""
+        """Write arrays of different lengths as datasets 0000, 0001, ...
+
+        Parameters
+        ----------
+        group : str
+            Name of the group.
+        curves : sequence of (n,) array
+            Of any lengths.
+        """
         target = self._file.require_group(group)
         for number, curve in enumerate(curves):
             target[f"{number:04d}"] = np.asarray(curve, np.float64)
 
     def write_attributes(self, group: str, values: Mapping[str, Any]) -> None:
-        """Write texts, numbers and lists of them as attributes of a group."""
+        """Write attributes of a group.
+
+        Parameters
+        ----------
+        group : str
+            Name of the group, which is made where there is none.
+        values : dict
+            Name -> text, number or list of them.
+        """
         target = self._file.require_group(group)
         for name, value in values.items():
             target.attrs[name] = value
 
     def _open(self, stack: ExitStack) -> h5py.File:
+        """The file under its temporary name, or in memory."""
         if self._path is None:
             return h5py.File("in memory", "w", driver="core", backing_store=False)
         temporary = stack.enter_context(replaced_on_exit(self._path))
         return h5py.File(temporary, "w", rdcc_nbytes=CHUNK_CACHE_BYTES)
 
     def _refuse_missing_pieces(self) -> None:
+        """Raise where an announced piece has not been written."""
         announced = 0 if self._pieces is None else len(self._pieces.sizes)
         missing = sorted(set(range(announced)) - self._written)
         if missing:
             raise ValueError(f"{self._path}: pieces {missing} were not written")
 
     def _oriented(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Vectors and tensors as the file has them."""
         return schema.flip_components(values) if self._flip_y else values
 
     def _create_grid(self, pieces: _Pieces) -> None:
+        """Make room for the mesh and its fields."""
         sizes = pieces.sizes
         total = _start_of(pieces, len(sizes))
         group = self._file.create_group(schema.VTKHDF)
@@ -241,6 +320,7 @@ class ResultWriter:
         self._create_fields(schema.CELL_DATA, pieces.cell_fields, total.n_cells)
 
     def _create_fields(self, name: str, fields: Sequence[FieldSpec], length: int) -> None:
+        """Make room for the fields of a group."""
         group = self._file.create_group(name)
         for field in fields:
             created = _create(group, field.name, length, field.n_components, field.dtype)
@@ -249,6 +329,7 @@ class ResultWriter:
 
     def _write_fields(self, group: str, fields: Sequence[FieldSpec], arrays: Mapping[str, NDArray[Any]],
                       start: int, length: int) -> None:
+        """Write the fields of a group, rows from ``start`` on; they must be those announced."""
         names = {field.name for field in fields}
         if names != set(arrays):
             raise ValueError(f"{group}: fields {sorted(arrays)}, {sorted(names)} announced")
@@ -268,7 +349,18 @@ def _start_of(pieces: _Pieces, index: int) -> PieceSize:
 
 
 def joined(pieces: Sequence[Piece]) -> Piece:
-    """Pieces one after the other, as the file holds them: every piece still numbers its own points from 0."""
+    """Join pieces, one after the other, as the file holds them.
+
+    Parameters
+    ----------
+    pieces : sequence of Piece
+        At least one.
+
+    Returns
+    -------
+    Piece
+        In which every piece still numbers its own points from 0.
+    """
     if len(pieces) == 1:
         return pieces[0]
 
@@ -288,10 +380,12 @@ def _create(group: Any, name: str, length: int, n_components: int, dtype: DTypeL
 
 
 def _put(dataset: Any, start: int, values: NDArray[Any]) -> None:
+    """Write values to the rows from ``start`` on."""
     dataset[start:start + len(values)] = values
 
 
 def _three_components(vectors: NDArray[Any]) -> NDArray[Any]:
+    """Vectors with zeros for the components that they do not have, (n, 3)."""
     if vectors.ndim != 2 or vectors.shape[1] > 3:
         raise ValueError(f"vectors of shape {vectors.shape}, (n, dim) expected")
     return np.pad(vectors, ((0, 0), (0, 3 - vectors.shape[1])))

@@ -9,7 +9,13 @@ import ddic
 
 
 def source_commit() -> str:
-    """Commit of the source tree that ddic runs from; "unknown" for an installed package."""
+    """Find the commit of the source tree that ddic runs from.
+
+    Returns
+    -------
+    str
+        Hexadecimal digits; "unknown" for an installed package.
+    """
     root = Path(ddic.__file__).resolve().parents[2]
     if not (root / ".git").exists():
         return "unknown"

@@ -28,13 +28,40 @@ DECODING_ERRORS = (tifffile.TiffFileError, zlib.error, lzma.LZMAError, struct.er
 
 
 def is_tiff(path: Path) -> bool:
-    """Whether the file starts as TIFF or BigTIFF do."""
+    """Tell whether a file starts as TIFF or BigTIFF do.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    bool
+        Whether it does.
+    """
     with path.open("rb") as stream:
         return stream.read(4) in MAGIC
 
 
 def tiff_format(path: Path) -> PixelFormat:
-    """Size and type of the first page from the header alone; raises InputError if it is no image."""
+    """Read size and type of the first page from the header alone.
+
+    Parameters
+    ----------
+    path : Path
+        A TIFF file.
+
+    Returns
+    -------
+    PixelFormat
+        Of the first page.
+
+    Raises
+    ------
+    InputError
+        If it is no image that can be used.
+    """
     with _opened(path) as (tiff, page):
         n_pages = len(tiff.pages)
         _check_page(path, page)
@@ -47,7 +74,18 @@ def tiff_format(path: Path) -> PixelFormat:
 
 
 def can_decode(path: Path) -> bool:
-    """Whether tifffile has the codecs, here, that the first page's compression needs."""
+    """Tell whether tifffile has the codecs, here, that the first page's compression needs.
+
+    Parameters
+    ----------
+    path : Path
+        A TIFF file.
+
+    Returns
+    -------
+    bool
+        Whether it has.
+    """
     with _opened(path) as (_, page):
         try:
             if page.compression != 1:
@@ -60,9 +98,26 @@ def can_decode(path: Path) -> bool:
 
 
 def read_tiff(path: Path, layout: PixelFormat, window: Window) -> NDArray[Any]:
-    """Grey levels of a window of the first page, shape (window.height, window.width).
+    """Read a window of the first page.
 
-    Raises InputError if a segment is cut short or cannot be decoded.
+    Parameters
+    ----------
+    path : Path
+        A TIFF file.
+    layout : PixelFormat
+        Of its first page.
+    window : Window
+        In the image.
+
+    Returns
+    -------
+    (window.height, window.width) array
+        Grey levels.
+
+    Raises
+    ------
+    InputError
+        If a segment is cut short or cannot be decoded.
     """
     with _opened(path) as (tiff, page):
         out = np.empty((window.height, window.width), np.float32 if layout.n_colours == 3 else layout.dtype)
@@ -86,6 +141,7 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
 
 
 def _check_page(path: Path, page: Any) -> None:
+    """Refuse pages that hold no grey levels or colours."""
     if int(page.photometric) not in (INVERTED_GREY, GREY, COLOUR, 6):
         raise InputError(f"{path}: TIFF of kind {page.photometric!s} (a palette or a colour space); "
                          "save it as a grey image")
@@ -100,6 +156,7 @@ def _check_page(path: Path, page: Any) -> None:
 
 
 def _pixel_type(page: Any) -> np.dtype[Any]:
+    """Type of a channel in memory, in the machine's byte order."""
     return np.dtype(np.uint8) if page.dtype.kind == "b" else np.dtype(page.dtype).newbyteorder("=")
 
 
@@ -117,6 +174,7 @@ def _blocks(tiff: Any, page: Any, layout: PixelFormat,
 
 def _bands(tiff: Any, page: Any, layout: PixelFormat,
            window: Window) -> Iterator[tuple[NDArray[Any], int, int]]:
+    """Rows of the window, read straight from pixels that lie together."""
     stored = np.dtype(layout.dtype).newbyteorder(tiff.byteorder)
     row_bytes = layout.width * layout.n_channels * stored.itemsize
     rows_at_once = max(1, BAND_BYTES // row_bytes)
@@ -131,6 +189,7 @@ def _bands(tiff: Any, page: Any, layout: PixelFormat,
 
 def _segments(tiff: Any, page: Any, window: Window,
               numbers: range) -> Iterator[tuple[NDArray[Any], int, int]]:
+    """Strips or tiles under the window, decoded one by one; numbers: of those of one plane."""
     height, width = page.rowsperstrip, page.imagewidth
     if page.is_tiled:
         height, width = page.tilelength, page.tilewidth
@@ -153,6 +212,7 @@ def _segments(tiff: Any, page: Any, window: Window,
 
 def _planes(tiff: Any, page: Any, layout: PixelFormat,
             window: Window) -> Iterator[tuple[NDArray[Any], int, int]]:
+    """Blocks of colours that the file holds in planes apart."""
     per_plane = len(page.dataoffsets) // layout.n_channels
     planes = [_segments(tiff, page, window, range(c * per_plane, (c + 1) * per_plane))
               for c in range(layout.n_colours)]

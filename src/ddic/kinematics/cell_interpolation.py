@@ -10,7 +10,7 @@ from scipy import sparse
 
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.monomials import N_MONOMIALS
-from ddic.mesh.shapes import map_coefficients, pad_cells, pad_shapes
+from ddic.mesh.shapes import compute_geometry, pad_cells, pad_shapes
 
 
 @dataclass(frozen=True)
@@ -124,4 +124,4 @@ def interpolate_cells(mesh: Mesh) -> CellInterpolation:
     kinds = np.empty(mesh.n_cells, dtype=np.int64)
     for place, block in enumerate(mesh.cell_blocks):
         kinds[block.cells] = place
-    return CellInterpolation(map_coefficients(mesh), shapes, kinds, cell_dofs, mesh.n_dofs)
+    return CellInterpolation(compute_geometry(mesh), shapes, kinds, cell_dofs, mesh.n_dofs)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.shapes import shape_gradients
+from ddic.mesh.shapes import compute_shape_gradients
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Strain:
     green_lagrange: NDArray[np.float64]
 
 
-def cell_strain(mesh: Mesh, q: NDArray[np.float64]) -> Strain:
+def compute_strain(mesh: Mesh, q: NDArray[np.float64]) -> Strain:
     """Compute the strain at the centre of every cell.
 
     Parameters
@@ -49,7 +49,7 @@ def cell_strain(mesh: Mesh, q: NDArray[np.float64]) -> Strain:
     return Strain(_independent_components(small), _independent_components(large))
 
 
-def inverted_cells(mesh: Mesh, q: NDArray[np.float64]) -> NDArray[np.int64]:
+def find_inverted_cells(mesh: Mesh, q: NDArray[np.float64]) -> NDArray[np.int64]:
     """Find the cells that a displacement turns inside out at their centre: det(I + grad u) <= 0.
 
     Parameters
@@ -73,7 +73,7 @@ def _cell_gradients(mesh: Mesh, q: NDArray[np.float64]) -> NDArray[np.float64]:
     gradient = np.empty((mesh.n_cells, mesh.dim, mesh.dim))
     u = q.reshape(mesh.nodes.shape)
     for block in mesh.cell_blocks:
-        slopes, _ = shape_gradients(mesh, block, block.type.centre[None])
+        slopes, _ = compute_shape_gradients(mesh, block, block.type.centre[None])
         gradient[block.cells] = np.einsum("eac,eaj->ecj", u[block.nodes], slopes[:, 0])
     return gradient
 

@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.mesh.monomials import monomial_gradients, monomials
+from ddic.mesh.monomials import differentiate_monomials, evaluate_monomials
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +92,7 @@ class CellType:
         (n, n_nodes) array
             N_a at each point.
         """
-        return monomials(local) @ self.shapes.T
+        return evaluate_monomials(local) @ self.shapes.T
 
     def differentiate_shapes(self, local: NDArray[np.float64]) -> NDArray[np.float64]:
         """Differentiate the shape functions by the reference cell's coordinates.
@@ -107,7 +107,7 @@ class CellType:
         (n, n_nodes, dim) array
             dN_a / dxi_j at each point.
         """
-        return np.asarray(np.einsum("am,pmj->paj", self.shapes, monomial_gradients(local)))
+        return np.asarray(np.einsum("am,pmj->paj", self.shapes, differentiate_monomials(local)))
 
 
 T3 = CellType(
@@ -135,7 +135,7 @@ Q4 = CellType(
     meshio_name="quad",
     nodes=_SQUARE,
     # N_a = (1 + xi_a xi) (1 + eta_a eta) / 4
-    shapes=0.25 * monomials(_SQUARE),
+    shapes=0.25 * evaluate_monomials(_SQUARE),
     # Gauss's four points: exact for squares of derivatives of a bilinear function.
     quadrature=Quadrature(points=_SQUARE / np.sqrt(3.0), weights=np.ones(4)),
     facets=((0, 1), (1, 2), (2, 3), (3, 0)),

@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.node_selection import named_nodes, nodes_in_box
-from ddic.mesh.topology import boundary_nodes
+from ddic.mesh.node_selection import find_named_nodes, find_nodes_in_box
+from ddic.mesh.topology import find_boundary_nodes
 
 BOUNDARY = "boundary"
 """Stands for all nodes of the mesh's boundary, whatever the mesh's own node sets are."""
 
 
-def not_controlled_nodes(mesh: Mesh, names: Sequence[str], boxes: Sequence[Sequence[float]],
+def find_not_controlled_nodes(mesh: Mesh, names: Sequence[str], boxes: Sequence[Sequence[float]],
                          boundary: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
     """Find the nodes that are not mechanically controlled.
 
@@ -45,14 +45,14 @@ def not_controlled_nodes(mesh: Mesh, names: Sequence[str], boxes: Sequence[Seque
     for name in names:
         try:
             if name == BOUNDARY:
-                chosen.append(boundary_nodes(mesh) if boundary is None else boundary)
+                chosen.append(find_boundary_nodes(mesh) if boundary is None else boundary)
             else:
-                chosen.append(named_nodes(mesh, name))
+                chosen.append(find_named_nodes(mesh, name))
         except InputError as error:
             problems += [f"regularization.not_controlled: {line}" for line in error.problems]
     for box in boxes:
         try:
-            chosen.append(nodes_in_box(mesh, box))
+            chosen.append(find_nodes_in_box(mesh, box))
         except InputError as error:
             problems += [f"regularization.boxes: {line}" for line in error.problems]
     if problems:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.shapes import map_coefficients
+from ddic.mesh.shapes import compute_geometry
 
 EDGE = 1e-6
 """Distance, pixels, by which a point may lie outside a cell and still be found in it: rounding of coordinates. A larger
@@ -126,7 +126,7 @@ def locate(mesh: Mesh, points: NDArray[np.float64]) -> Located:
         grid = _sort_into_buckets(mesh)
         _find_cells(points, mesh.nodes, mesh.connectivity, mesh.offsets, grid.low, grid.size, *grid.counts,
                     grid.first, grid.cells, EDGE, cells)
-        _find_local_coordinates(points, cells, map_coefficients(mesh), local)
+        _find_local_coordinates(points, cells, compute_geometry(mesh), local)
     return Located(cells, local)
 
 

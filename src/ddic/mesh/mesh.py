@@ -182,7 +182,7 @@ class Mesh:
         return mesh, node_ids
 
 
-def mesh_from_cells(nodes: NDArray[np.float64],
+def build_mesh(nodes: NDArray[np.float64],
                     blocks: Mapping[CellType, NDArray[np.int64]] | Iterable[tuple[CellType, NDArray[np.int64]]],
                     node_sets: Mapping[str, NDArray[np.int64]] | None = None,
                     mapping: Similarity | None = None) -> Mesh:

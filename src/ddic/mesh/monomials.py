@@ -9,7 +9,7 @@ N_MONOMIALS = 4
 """Number of monomials, hence the most nodes that a cell may have."""
 
 
-def monomials(local: NDArray[np.float64]) -> NDArray[np.float64]:
+def evaluate_monomials(local: NDArray[np.float64]) -> NDArray[np.float64]:
     """Evaluate the monomials (1, xi, eta, xi eta).
 
     Parameters
@@ -26,7 +26,7 @@ def monomials(local: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([np.ones_like(xi), xi, eta, xi * eta], axis=1)
 
 
-def monomial_gradients(local: NDArray[np.float64]) -> NDArray[np.float64]:
+def differentiate_monomials(local: NDArray[np.float64]) -> NDArray[np.float64]:
     """Differentiate the monomials by (xi, eta).
 
     Parameters

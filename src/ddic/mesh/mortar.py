@@ -210,7 +210,8 @@ def _overlap_edge(far: int, ends: NDArray[np.float64], near: _Lines, tolerance: 
     far_ends = (near_ends - place[:, :1]) / span[candidates, None]
     heights = height[:, :1] + far_ends * (height[:, 1:] - height[:, :1])
     close = (np.abs(heights) <= tolerance).all(axis=1)
-    far_ends = _round_to_ends(far_ends[close], tolerance / np.linalg.norm(ends[1] - ends[0]))
+    far_length = float(np.linalg.norm(ends[1] - ends[0]))
+    far_ends = _round_to_ends(far_ends[close], tolerance / far_length)
     found = candidates[close].astype(np.int64)
     return Overlaps(np.full(len(found), far, dtype=np.int64), found, near_ends[close], far_ends)
 

@@ -12,7 +12,7 @@ from ddic.errors import InputError
 from ddic.mesh.mesh import Mesh
 
 
-def named_nodes(mesh: Mesh, name: str) -> NDArray[np.int64]:
+def find_named_nodes(mesh: Mesh, name: str) -> NDArray[np.int64]:
     """Look up a node set.
 
     Parameters
@@ -42,7 +42,7 @@ def named_nodes(mesh: Mesh, name: str) -> NDArray[np.int64]:
     return mesh.node_sets[name]
 
 
-def nodes_in_box(mesh: Mesh, box: Sequence[float]) -> NDArray[np.int64]:
+def find_nodes_in_box(mesh: Mesh, box: Sequence[float]) -> NDArray[np.int64]:
     """Find the nodes in a closed box.
 
     Parameters

@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.topology import boundary_facets
+from ddic.mesh.topology import find_boundary_facets
 
 _CHUNK = 1 << 22
 """Pairs of a point and an edge that are compared at once; a larger value takes more memory."""
 
 
-def inside_outline(points: NDArray[np.float64], mesh: Mesh) -> NDArray[np.bool_]:
+def lie_inside_outline(points: NDArray[np.float64], mesh: Mesh) -> NDArray[np.bool_]:
     """Tell whether points lie inside a mesh's outline: a ray to the right crosses it an odd number of times.
 
     Parameters
@@ -27,7 +27,7 @@ def inside_outline(points: NDArray[np.float64], mesh: Mesh) -> NDArray[np.bool_]
     (n,) bool array
         False in its holes.
     """
-    edges = mesh.nodes[boundary_facets(mesh)[:, :2]]
+    edges = mesh.nodes[find_boundary_facets(mesh)[:, :2]]
     low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
     in_box = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
     inside = np.zeros(len(points), dtype=bool)
@@ -38,7 +38,7 @@ def inside_outline(points: NDArray[np.float64], mesh: Mesh) -> NDArray[np.bool_]
     return inside
 
 
-def cells_with_points(mesh: Mesh, points: NDArray[np.float64], margin: float) -> NDArray[np.int64]:
+def find_cells_with_points(mesh: Mesh, points: NDArray[np.float64], margin: float) -> NDArray[np.int64]:
     """Find the cells that hold any of some points well inside.
 
     Parameters

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ddic.mesh.mesh import Mesh
 
 
-def areas(mesh: Mesh) -> NDArray[np.float64]:
+def measure_areas(mesh: Mesh) -> NDArray[np.float64]:
     """Measure the cells by the shoelace formula in (x, y).
 
     Parameters
@@ -27,7 +27,7 @@ def areas(mesh: Mesh) -> NDArray[np.float64]:
     return np.asarray(0.5 * _cross(local, _next_corner(local)).sum(axis=1))
 
 
-def shape_quality(mesh: Mesh) -> NDArray[np.float64]:
+def measure_shape_quality(mesh: Mesh) -> NDArray[np.float64]:
     """Find the smallest sine of each cell's corner angles.
 
     Parameters

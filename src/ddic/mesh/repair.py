@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError, first_of
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.quality import areas, shape_quality
+from ddic.mesh.quality import measure_areas, measure_shape_quality
 
 SMALLEST_SINE = 1e-8
 """Sine of a corner below which a cell is degenerate: far below any mesh generator's, far above rounding. A larger
@@ -110,7 +110,7 @@ def _refuse_bad_numbers(mesh: Mesh) -> None:
 
 def _orient(mesh: Mesh) -> Mesh:
     """Reverse the cells of negative area; the first node stays first."""
-    negative = areas(mesh) < 0
+    negative = measure_areas(mesh) < 0
     if not negative.any():
         return mesh
     cells = mesh.cells.copy()
@@ -127,7 +127,7 @@ def _refuse_bad_cells(mesh: Mesh) -> None:
     same_as_next = (ordered[:, 1:] == ordered[:, :-1]) & (ordered[:, 1:] >= 0)
     repeated = same_as_next.any(axis=1)
     duplicate = _duplicates(ordered)
-    bad_shape = ~repeated & (shape_quality(mesh) < SMALLEST_SINE)
+    bad_shape = ~repeated & (measure_shape_quality(mesh) < SMALLEST_SINE)
     remedies = (
         (repeated, "have a node twice: split or delete them in the mesh generator"),
         (duplicate, "repeat an earlier cell: delete them, or export the mesh again without copies"),

@@ -47,7 +47,7 @@ def pad_cells(mesh: Mesh) -> NDArray[np.int64]:
     return np.where(cells < 0, first, cells)
 
 
-def map_coefficients(mesh: Mesh) -> NDArray[np.float64]:
+def compute_geometry(mesh: Mesh) -> NDArray[np.float64]:
     """Find the map x = sum_m X_m phi_m(xi, eta) from the reference cell to every cell.
 
     Parameters
@@ -67,7 +67,7 @@ def map_coefficients(mesh: Mesh) -> NDArray[np.float64]:
     return np.ascontiguousarray(np.einsum("eam,eac->ecm", of_type[mesh.types], coordinates))
 
 
-def shape_gradients(mesh: Mesh, block: CellBlock,
+def compute_shape_gradients(mesh: Mesh, block: CellBlock,
                     local: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Differentiate the shape functions of cells of one type by x.
 

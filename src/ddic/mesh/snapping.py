@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from ddic.mesh.cell_type import Q4, T3
 from ddic.mesh.holes import Hole
-from ddic.mesh.mesh import mesh_from_cells
-from ddic.mesh.quality import shape_quality
+from ddic.mesh.mesh import build_mesh
+from ddic.mesh.quality import measure_shape_quality
 
 SMALLEST_SINE = 0.2
 """Sine of the sharpest or flattest corner (12 or 168 degrees) that moving a node may cause. A larger value keeps better
@@ -20,7 +20,7 @@ SMALLEST_FRACTION = 0.25
 """Share of its way to the outline below which a node that is held back stays where it was."""
 
 BISECTIONS = 50
-"""Steps that find where a side meets an outline: more than a double's 53 bits would need."""
+"""Steps that find where a side meets an outline, each of which halves the error: 50 reach a double's rounding."""
 
 Cells = NDArray[np.int64]
 
@@ -159,8 +159,8 @@ def _move_carefully(nodes: NDArray[np.float64], target: NDArray[np.float64], qua
     fraction[(target == nodes).all(axis=1)] = 0.0
     while True:
         moved = nodes + fraction[:, None] * (target - nodes)
-        mesh = mesh_from_cells(moved, {Q4: quads, T3: triangles})
-        bad = mesh.cells[shape_quality(mesh) < SMALLEST_SINE]
+        mesh = build_mesh(moved, {Q4: quads, T3: triangles})
+        bad = mesh.cells[measure_shape_quality(mesh) < SMALLEST_SINE]
         blamed = np.unique(bad[bad >= 0])
         blamed = blamed[fraction[blamed] > 0]
         if len(blamed) == 0:

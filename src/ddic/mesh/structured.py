@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ddic.errors import InputError
 from ddic.mesh.cell_type import Q4, T3
 from ddic.mesh.holes import CircularHole, Hole, PolygonalHole
-from ddic.mesh.mesh import Mesh, mesh_from_cells
+from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.snapping import chop_corners, snap_to_holes
 
 
@@ -60,7 +60,7 @@ class Grid:
         return {"left": numbers[:, 0], "right": numbers[:, -1], "top": numbers[0], "bottom": numbers[-1]}
 
 
-def structured_mesh(region: Sequence[float], element_size: float, cell: Literal["Q4", "T3"] = "Q4",
+def build_structured_mesh(region: Sequence[float], element_size: float, cell: Literal["Q4", "T3"] = "Q4",
                     circles: Sequence[tuple[tuple[float, float], float]] = (),
                     polygons: Sequence[NDArray[np.float64]] = (),
                     mask: NDArray[np.bool_] | None = None) -> Mesh:
@@ -108,7 +108,7 @@ def structured_mesh(region: Sequence[float], element_size: float, cell: Literal[
     # After the split, so that the cells whose shape is watched are those of the mesh.
     nodes, on_holes = snap_to_holes(grid.nodes, quads, triangles, members, holes, region)
     sets = grid.sides | {f"hole_{k}": found for k, found in enumerate(on_holes)}
-    mesh = mesh_from_cells(nodes, {Q4: quads, T3: triangles}, sets)
+    mesh = build_mesh(nodes, {Q4: quads, T3: triangles}, sets)
     # Without the nodes that no cell uses any more.
     return mesh.submesh(np.arange(mesh.n_cells))[0]
 

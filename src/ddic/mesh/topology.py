@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.node_selection import named_nodes
+from ddic.mesh.node_selection import find_named_nodes
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Facets:
         return np.bincount(self.side_facets, minlength=len(self.nodes)).astype(np.int64)
 
 
-def facets(mesh: Mesh) -> Facets:
+def find_facets(mesh: Mesh) -> Facets:
     """Find the facets of all cells; facets with the same nodes are one.
 
     Parameters
@@ -55,7 +55,7 @@ def facets(mesh: Mesh) -> Facets:
     return Facets(sides[first], numbers, cells)
 
 
-def boundary_facets(mesh: Mesh) -> NDArray[np.int64]:
+def find_boundary_facets(mesh: Mesh) -> NDArray[np.int64]:
     """Find the facets that belong to exactly one cell.
 
     Parameters
@@ -68,11 +68,11 @@ def boundary_facets(mesh: Mesh) -> NDArray[np.int64]:
     (n, widest facet) int64 array
         Their nodes in the order of the cell, padded with -1.
     """
-    found = facets(mesh)
+    found = find_facets(mesh)
     return np.asarray(found.nodes[found.n_cells == 1])
 
 
-def boundary_nodes(mesh: Mesh) -> NDArray[np.int64]:
+def find_boundary_nodes(mesh: Mesh) -> NDArray[np.int64]:
     """Find the nodes on facets that belong to exactly one cell.
 
     Parameters
@@ -85,11 +85,11 @@ def boundary_nodes(mesh: Mesh) -> NDArray[np.int64]:
     (n,) int64 array
         Their sorted numbers.
     """
-    nodes = np.unique(boundary_facets(mesh))
+    nodes = np.unique(find_boundary_facets(mesh))
     return nodes[nodes >= 0]
 
 
-def named_facets(mesh: Mesh, name: str) -> NDArray[np.int64]:
+def find_named_facets(mesh: Mesh, name: str) -> NDArray[np.int64]:
     """Find the boundary facets whose nodes all belong to a node set.
 
     Parameters
@@ -109,13 +109,13 @@ def named_facets(mesh: Mesh, name: str) -> NDArray[np.int64]:
     InputError
         Where the mesh has no node set of that name.
     """
-    outer = boundary_facets(mesh)
+    outer = find_boundary_facets(mesh)
     padding = outer < 0
-    members = np.isin(outer, named_nodes(mesh, name)) | padding
+    members = np.isin(outer, find_named_nodes(mesh, name)) | padding
     return np.asarray(outer[members.all(axis=1)])
 
 
-def cell_adjacency(mesh: Mesh) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def find_adjacent_cells(mesh: Mesh) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Find the graph of the cells that share a facet, as compressed sorted rows without loops.
 
     Parameters
@@ -130,7 +130,7 @@ def cell_adjacency(mesh: Mesh) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     indices : (indptr[-1],) int64 array
         The neighbours of cell e are indices[indptr[e]:indptr[e + 1]].
     """
-    found = facets(mesh)
+    found = find_facets(mesh)
     order = np.argsort(found.side_facets, kind="stable")
     cells, numbers = found.side_cells[order], found.side_facets[order]
     one, other = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]

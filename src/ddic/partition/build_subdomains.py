@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ddic.kinematics.kinematics import RegionKinematics
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.topology import boundary_nodes
+from ddic.mesh.topology import find_boundary_nodes
 from ddic.partition.subdomain import Interface, Subdomain
 
 JUMPS, REACTIONS = 0, 1
@@ -178,7 +178,7 @@ def build_subdomains(kinematics: RegionKinematics, parts: NDArray[np.int64], con
     chains = number_chains(unknowns, controlled, n_subdomains)
     if interior is None:
         interior = np.ones(mesh.n_nodes, dtype=bool)
-        interior[boundary_nodes(mesh)] = False
+        interior[find_boundary_nodes(mesh)] = False
     cells_of = _group_by(parts, n_subdomains)
     copies_of = _group_by(unknowns.subdomains, n_subdomains)
     subdomains = []

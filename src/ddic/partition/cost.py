@@ -13,7 +13,7 @@ NODE_PIXELS = 1000.0
 residuals, the image that is written): bench/cell_costs.py. A larger value balances nodes rather than pixels."""
 
 
-def cell_costs(mesh: Mesh) -> NDArray[np.float64]:
+def estimate_cell_costs(mesh: Mesh) -> NDArray[np.float64]:
     """Estimate the work that each cell brings: its pixels', and its share of its nodes'.
 
     Nodes at the edge are taken for inner ones, so that equal cells have equal weights and METIS cuts a regular mesh
@@ -35,7 +35,7 @@ def cell_costs(mesh: Mesh) -> NDArray[np.float64]:
     return np.asarray(rasterize(mesh).pixel_counts + NODE_PIXELS * own_nodes)
 
 
-def subdomain_costs(costs: NDArray[np.float64], parts: NDArray[np.int64]) -> NDArray[np.float64]:
+def sum_costs(costs: NDArray[np.float64], parts: NDArray[np.int64]) -> NDArray[np.float64]:
     """Add up the work of each subdomain.
 
     Parameters

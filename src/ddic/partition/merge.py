@@ -8,10 +8,10 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 Adjacency = tuple[NDArray[np.int64], NDArray[np.int64]]
-"""Cells that share a facet, as compressed rows (indptr, indices): ``cell_adjacency``."""
+"""Cells that share a facet, as compressed rows (indptr, indices): ``find_adjacent_cells``."""
 
 
-def connected_pieces(adjacency: Adjacency) -> NDArray[np.int64]:
+def find_connected_pieces(adjacency: Adjacency) -> NDArray[np.int64]:
     """Find the pieces of a mesh whose cells facets connect.
 
     A node alone is a hinge: mechanics do not hold one piece by another at it.
@@ -19,7 +19,7 @@ def connected_pieces(adjacency: Adjacency) -> NDArray[np.int64]:
     Parameters
     ----------
     adjacency : (indptr, indices)
-        Cells that share a facet, as ``cell_adjacency`` gives it.
+        Cells that share a facet, as ``find_adjacent_cells`` gives it.
 
     Returns
     -------
@@ -48,7 +48,7 @@ def merge_blank(pieces: NDArray[np.int64], owner: NDArray[np.int64], adjacency: 
     owner : (n_pieces,) int64 array
         Subdomain of each piece.
     adjacency : (indptr, indices)
-        Cells that share a facet, as ``cell_adjacency`` gives it.
+        Cells that share a facet, as ``find_adjacent_cells`` gives it.
     blank : (n_pieces,) bool array
         Pieces that cannot stand alone.
 

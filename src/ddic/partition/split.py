@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.topology import cell_adjacency
+from ddic.mesh.topology import find_adjacent_cells
 
 MEAN_WEIGHT = 1000.0
 """Mean of the whole numbers that METIS gets for weights; a larger value rounds them less."""
@@ -18,10 +18,10 @@ LARGEST_SUM = 2.0**30
 
 N_CUTS, N_PASSES = 8, 50
 """METIS's tries, of which the best is kept, and passes of refinement: ragged interfaces cost Krylov iterations in every
-step. Larger values take longer for a slightly smoother cut."""
+step. Larger values take longer."""
 
 MOST_BISECTED = 8
-"""Most subdomains that are found by repeated halving, which cuts smoother than METIS's direct way but takes longer."""
+"""Most subdomains that are found by repeated halving, as METIS's manual advises for few parts; more are cut at once."""
 
 
 def split_by_metis(mesh: Mesh, n_subdomains: int, weights: NDArray[np.float64] | None = None) -> NDArray[np.int64]:
@@ -51,7 +51,7 @@ def split_by_metis(mesh: Mesh, n_subdomains: int, weights: NDArray[np.float64] |
     if n_subdomains > mesh.n_cells:
         raise InputError(f"solver.subdomains: {n_subdomains} asked for, but the mesh has only "
                          f"{mesh.n_cells} cells; ask for fewer")
-    indptr, indices = cell_adjacency(mesh)
+    indptr, indices = find_adjacent_cells(mesh)
     _, parts = pymetis.part_graph(
         n_subdomains,
         adjacency=pymetis.CSRAdjacency(indptr, indices),
@@ -119,10 +119,10 @@ def _whole_weights(weights: NDArray[np.float64]) -> NDArray[np.int64]:
     unit = max(float(np.mean(weights)) / MEAN_WEIGHT, float(np.sum(weights)) / LARGEST_SUM)
     if unit <= 0:
         return np.ones(len(weights), np.int64)
-    return np.maximum(np.rint(weights / unit), 1).astype(np.int64)
+    return np.asarray(np.maximum(np.rint(weights / unit), 1), dtype=np.int64)
 
 
 def _number_without_gaps(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
     """The place of each number among the distinct ones, in order."""
     _, places = np.unique(numbers, return_inverse=True)
-    return places.reshape(-1).astype(np.int64)
+    return np.asarray(places, dtype=np.int64).reshape(-1)

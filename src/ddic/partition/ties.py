@@ -12,8 +12,8 @@ from scipy import sparse
 from ddic.errors import InputError, first_of
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.mortar import Mortar, Overlaps, Sides, find_overlaps, integrate_mortar
-from ddic.mesh.point_in_mesh import cells_with_points, inside_outline
-from ddic.mesh.topology import boundary_facets, facets
+from ddic.mesh.point_in_mesh import find_cells_with_points, lie_inside_outline
+from ddic.mesh.topology import find_boundary_facets, find_facets
 
 TOLERANCE = 1e-6
 """Distance below which points are one, as a share of the far mesh's larger side."""
@@ -61,7 +61,7 @@ def tied_mesh(far: Mesh, near: Mapping[int, Mesh]) -> tuple[Mesh, Tying]:
     tolerance = TOLERANCE * float(np.ptp(far.nodes, axis=0).max())
     replaced = _replaced(far, near)
     rest, _ = far.submesh(np.flatnonzero(replaced == 0))
-    edges = boundary_facets(rest)[:, :2]
+    edges = find_boundary_facets(rest)[:, :2]
     pieces = {k: _piece(k, rest, edges, mesh, tolerance) for k, mesh in near.items()}
     cover = np.sum([p.overlaps.far_cover(len(edges)) for p in pieces.values()], axis=0)
     _refuse_cut_cells(far, rest, edges, cover, replaced, pieces, tolerance)
@@ -73,7 +73,7 @@ def _replaced(far: Mesh, near: Mapping[int, Mesh]) -> NDArray[np.int64]:
     """Number of the near camera whose mesh takes the place of each far cell, (n_cells,), 0 for none."""
     replaced = np.zeros(far.n_cells, dtype=np.int64)
     for number, mesh in near.items():
-        inside = inside_outline(far.centroids, mesh)
+        inside = lie_inside_outline(far.centroids, mesh)
         if (replaced[inside] > 0).any():
             raise InputError(f"near, entry {number}: its mesh overlaps that of entry "
                              f"{int(replaced[inside].max())}; let them cover different far elements")
@@ -87,7 +87,7 @@ def _replaced(far: Mesh, near: Mapping[int, Mesh]) -> NDArray[np.int64]:
 
 def _refuse_neighbours(far: Mesh, replaced: NDArray[np.int64]) -> None:
     """Raise InputError where two near meshes would have a boundary in common."""
-    found = facets(far)
+    found = find_facets(far)
     sides = replaced[found.side_cells]
     low = np.full(len(found.nodes), np.iinfo(np.int64).max)
     high = np.zeros(len(found.nodes), dtype=np.int64)
@@ -99,7 +99,7 @@ def _refuse_neighbours(far: Mesh, replaced: NDArray[np.int64]) -> None:
 
 
 def _piece(number: int, rest: Mesh, edges: NDArray[np.int64], mesh: Mesh, tolerance: float) -> _Piece:
-    own = boundary_facets(mesh)[:, :2]
+    own = find_boundary_facets(mesh)[:, :2]
     sides = Sides(rest.nodes, edges, mesh.nodes, own, tolerance)
     pieces = find_overlaps(sides)
     if len(pieces.near) == 0:
@@ -113,7 +113,7 @@ def _refuse_cut_cells(far: Mesh, rest: Mesh, edges: NDArray[np.int64], cover: ND
     """Raise InputError, with the far cells' numbers, where a near mesh's outline does not follow far edges."""
     kept = np.flatnonzero(replaced == 0)
     problems = []
-    found = facets(far)
+    found = find_facets(far)
     _, numbers = far.submesh(kept)
     uncovered = _uncovered_inner_facets(found.nodes[:, :2], found.n_cells, numbers[edges[cover < 1.0 - COVERED]])
     on_uncovered = np.isin(found.side_facets, uncovered)
@@ -122,7 +122,7 @@ def _refuse_cut_cells(far: Mesh, rest: Mesh, edges: NDArray[np.int64], cover: ND
     for number, piece in pieces.items():
         ends = piece.mesh.nodes[piece.edges[~piece.touching]]
         points = np.concatenate([ends.mean(axis=1), ends.reshape(-1, 2)])
-        cells = kept[np.unique(cells_with_points(rest, points, tolerance))]
+        cells = kept[np.unique(find_cells_with_points(rest, points, tolerance))]
         if not len(cells) and (neighbours == number).any():
             cells = beside[replaced[beside] == number]
         if len(cells):

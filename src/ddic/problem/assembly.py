@@ -11,7 +11,7 @@ from scipy import sparse
 
 from ddic.case.schema import Case, RegularizationSection
 from ddic.errors import InputError, on_all_ranks
-from ddic.functionals.equilibrium_gap import controlled_stiffness, cut_off_weight, texture_energies
+from ddic.functionals.equilibrium_gap import controlled_stiffness, find_cut_off_weight, measure_texture_energies
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain, interface_weights
 from ddic.problem.region_mesh import Region, material_of
@@ -125,9 +125,9 @@ def _find_eta(team: Team, section: RegularizationSection, region: Region, refere
             "regularization.cut_off_wavelength: the mesh has no interior node, so no wavelength can be given a "
             "weight; use a finer mesh or give regularization.eta"))
     texture = team.ordered_sum([
-        r.own.weight * texture_energies(r.subdomain.mesh.nodes, m[0], r.subdomain.interior, wavelength)
+        r.own.weight * measure_texture_energies(r.subdomain.mesh.nodes, m[0], r.subdomain.interior, wavelength)
         for r, m in zip(references, hessians, strict=True)])
-    return cut_off_weight(texture, gap)
+    return find_cut_off_weight(texture, gap)
 
 
 def _system(case: Case, section: RegularizationSection, subdomain: Subdomain, hessian: sparse.csr_matrix,

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.errors import InputError, first_of
-from ddic.functionals.correlation import restricted
-from ddic.functionals.texture_strength import Texture, blank_subdomains, texture
-from ddic.mesh.topology import cell_adjacency
+from ddic.functionals.correlation import restrict_to_cells
+from ddic.functionals.texture_strength import Texture, find_blank_subdomains, measure_texture
+from ddic.mesh.topology import find_adjacent_cells
 from ddic.parallel.team import Team, held
-from ddic.partition.merge import connected_pieces, merge_blank
+from ddic.partition.merge import find_connected_pieces, merge_blank
 from ddic.problem.region_mesh import RegionMesh
 from ddic.problem.views import ReferenceViews
 
@@ -97,16 +97,16 @@ def join_blank_subdomains(team: Team, region_mesh: RegionMesh | None, references
 
 def _find_pieces(reference: ReferenceViews, hessian: sparse.csr_matrix, degree: int) -> list[_Piece]:
     subdomain, correlation = reference.subdomain, reference.own.correlation
-    labels = connected_pieces(cell_adjacency(subdomain.mesh))
+    labels = find_connected_pieces(find_adjacent_cells(subdomain.mesh))
     n_pieces = int(labels.max()) + 1
     if n_pieces == 1:
-        whole = texture(correlation, hessian, degree)
+        whole = measure_texture(correlation, hessian, degree)
         return [_Piece(subdomain.index, subdomain.camera, subdomain.cell_ids, whole)]
     pieces = []
     for k in range(n_pieces):
         cells = np.flatnonzero(labels == k)
-        alone = restricted(correlation, cells)
-        of_piece = texture(alone, alone.hessian(), degree)
+        alone = restrict_to_cells(correlation, cells)
+        of_piece = measure_texture(alone, alone.assemble_hessian(), degree)
         pieces.append(_Piece(subdomain.index, subdomain.camera, subdomain.cell_ids[cells], of_piece))
     return pieces
 
@@ -116,7 +116,7 @@ def _find_blank(textures: Sequence[Texture], cameras: NDArray[np.int64]) -> NDAr
     blank = np.zeros(len(textures), dtype=bool)
     for camera in np.unique(cameras):
         places = np.flatnonzero(cameras == camera)
-        found = blank_subdomains([textures[k] for k in places])
+        found = find_blank_subdomains([textures[k] for k in places])
         # Where all are blank, there is no neighbour to join: the factorisation says where.
         blank[places] = found & ~found.all()
     return blank
@@ -134,7 +134,7 @@ def _merge(region_mesh: RegionMesh, cells: Sequence[NDArray[np.int64]], owner: N
 
 def _adjacency_within_cameras(region_mesh: RegionMesh) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Cells that share a facet, of one camera, as ``cell_adjacency`` gives them."""
-    indptr, indices = cell_adjacency(region_mesh.mesh)
+    indptr, indices = find_adjacent_cells(region_mesh.mesh)
     cameras = region_mesh.cameras
     row = np.repeat(np.arange(len(indptr) - 1), np.diff(indptr))
     same = cameras[row] == cameras[indices]

@@ -22,9 +22,9 @@ from ddic.io.partition_file import read_partition
 from ddic.io.result_reader import read_result
 from ddic.io.result_schema import sidecar_path, summary_path
 from ddic.mesh.cell_type import CELL_TYPES
-from ddic.mesh.control import not_controlled_nodes
+from ddic.mesh.control import find_not_controlled_nodes
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.quality import areas
+from ddic.mesh.quality import measure_areas
 from ddic.mesh.raster import rasterize
 from ddic.mesh.repair import check_pixels
 from ddic.partition.ties import Tying
@@ -166,11 +166,25 @@ def _check_nothing_is_overwritten(loaded: LoadedCase) -> None:
             raise InputError(f"output.file: {result} would overwrite the input {path}; choose another name")
 
 
-def _check_wavelength(case: Case, mesh: Mesh) -> None:
+def check_wavelength(case: Case, mesh: Mesh) -> None:
+    """Check that the cut-off wavelength is one that the mesh carries.
+
+    Parameters
+    ----------
+    case : Case
+        Says it.
+    mesh : Mesh
+        The whole mesh, pixels.
+
+    Raises
+    ------
+    InputError
+        Where it is shorter than SHORTEST_WAVELENGTH elements or longer than LONGEST_WAVELENGTH.
+    """
     wavelength = None if case.regularization is None else case.regularization.cut_off_wavelength
     if wavelength is None:
         return
-    size = float(np.sqrt(areas(mesh).mean()))
+    size = float(np.sqrt(measure_areas(mesh).mean()))
     if wavelength < SHORTEST_WAVELENGTH * size:
         raise InputError(f"regularization.cut_off_wavelength = {wavelength:g}: the mesh, of elements of {size:.3g} px, "
                          f"carries no wave shorter than {SHORTEST_WAVELENGTH:g} elements; give at least "
@@ -190,10 +204,10 @@ def _check_mesh_uses(loaded: LoadedCase, mesh: Mesh, tying: Tying | None, pixel_
         check_pixels(mesh, pixel_counts, mesh_name(case))
     if case.regularization is not None:
         with problems.gathered(loaded.path):
-            free = not_controlled_nodes(mesh, case.regularization.not_controlled, case.regularization.boxes,
+            free = find_not_controlled_nodes(mesh, case.regularization.not_controlled, case.regularization.boxes,
                                         None if tying is None else tying.boundary)
     with problems.gathered(loaded.path):
-        _check_wavelength(case, mesh)
+        check_wavelength(case, mesh)
     if case.solver.partition_file is not None:
         with problems.gathered():
             read_partition(case.solver.partition_file, mesh.n_cells)

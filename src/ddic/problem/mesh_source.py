@@ -12,7 +12,7 @@ from ddic.io.mask_file import read_mask
 from ddic.io.mesh_file import read_mesh
 from ddic.mesh.mesh import Mesh, Similarity
 from ddic.mesh.repair import check_inside, repair
-from ddic.mesh.structured import structured_mesh
+from ddic.mesh.structured import build_structured_mesh
 from ddic.partition.ties import Tying, tied_mesh
 
 
@@ -20,7 +20,7 @@ def build_mesh(case: Case, width: int, height: int) -> Mesh:
     """Read or make the case's mesh, repair it and check that it lies in the image.
 
     width, height: size of the images, pixels; the case's paths are absolute. Raises InputError, with the
-    mesh's file or section named, on all that read_mesh, structured_mesh, repair and check_inside refuse.
+    mesh's file or section named, on all that read_mesh, build_structured_mesh, repair and check_inside refuse.
     """
     return _mesh_of(case.mesh, mesh_name(case), width, height)
 
@@ -48,7 +48,31 @@ def _name(section: MeshSection) -> str:
 
 
 def _mesh_of(section: MeshSection, name: str, width: int, height: int) -> Mesh:
-    raw = _raw_mesh(section, width, height)
+    return accept_mesh(_raw_mesh(section, width, height), name, width, height)
+
+
+def accept_mesh(raw: Mesh, name: str, width: int, height: int) -> Mesh:
+    """Repair a mesh and check that it lies in the image.
+
+    Parameters
+    ----------
+    raw : Mesh
+        As it was read or made, pixels.
+    name : str
+        What messages call it.
+    width, height : int
+        Size of the images, pixels.
+
+    Returns
+    -------
+    Mesh
+        Fit for measuring.
+
+    Raises
+    ------
+    InputError
+        On all that ``repair`` and ``check_inside`` refuse.
+    """
     try:
         mesh = repair(raw)
         check_inside(mesh, width, height)
@@ -70,7 +94,7 @@ def _similarity(mapping: MappingSection) -> Similarity:
 
 
 def _structured(section: StructuredSection, width: int, height: int) -> Mesh:
-    return structured_mesh(
+    return build_structured_mesh(
         section.region, section.element_size, section.cell,
         circles=[(circle.center, circle.radius) for circle in section.circles],
         polygons=[np.array(polygon.vertices) for polygon in section.polygons],

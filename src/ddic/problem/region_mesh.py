@@ -11,20 +11,20 @@ from numpy.typing import NDArray
 from ddic.case.schema import RegularizationSection, SolverSection
 from ddic.errors import InputError
 from ddic.functionals.elasticity import Material
-from ddic.functionals.equilibrium_gap import gap_energies
+from ddic.functionals.equilibrium_gap import measure_gap_energies
 from ddic.io.partition_file import read_partition
 from ddic.kinematics.kinematics import RegionKinematics
 from ddic.kinematics.nodal import NodalRegion
 from ddic.kinematics.tied import TiedRegion
-from ddic.mesh.control import not_controlled_nodes
+from ddic.mesh.control import find_not_controlled_nodes
 from ddic.mesh.mesh import Mesh, Similarity
 from ddic.mesh.raster import rasterize
-from ddic.mesh.topology import boundary_nodes
+from ddic.mesh.topology import find_boundary_nodes
 from ddic.parallel.distribution import scatter_subdomains
 from ddic.parallel.team import Team, held
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.by_camera import add_motions, find_cameras_at_nodes, keep_cameras_apart, split_by_camera
-from ddic.partition.cost import cell_costs, subdomain_costs
+from ddic.partition.cost import estimate_cell_costs, sum_costs
 from ddic.partition.determined_masters import keep_masters_determined
 from ddic.partition.split import split_by_blocks, split_by_metis
 from ddic.partition.subdomain import Subdomain
@@ -134,7 +134,7 @@ class RegionMesh:
         cameras = [int(self.cameras[s.cell_ids[0]]) for s in subdomains]
         n_motion_unknowns = [camera.setup.n_motion_unknowns for camera in self.inputs.cameras]
         subdomains = add_motions(subdomains, cameras, n_motion_unknowns, self.kinematics.n_unknowns)
-        return subdomains, subdomain_costs(self.costs, parts)
+        return subdomains, sum_costs(self.costs, parts)
 
 
 def build_region_mesh(inputs: Inputs) -> RegionMesh:
@@ -159,7 +159,7 @@ def build_region_mesh(inputs: Inputs) -> RegionMesh:
     labels = assign_cells(inputs.cameras, mesh, tying)
     measured = collect_cells(inputs.cameras, mesh, labels)
     costs = _costs(inputs.cameras, mesh, measured)
-    boundary = boundary_nodes(mesh) if tying is None else tying.boundary
+    boundary = find_boundary_nodes(mesh) if tying is None else tying.boundary
     kinematics = _choose_kinematics(inputs, mesh, tying)
     controlled_nodes = _controlled_nodes(inputs.case.regularization, mesh, boundary)
     interior = np.ones(mesh.n_nodes, dtype=bool)
@@ -266,7 +266,7 @@ def _costs(cameras: Sequence[Camera], mesh: Mesh, measured: Sequence[MeasuredCel
     """Work of each cell, (n_cells,), pixels: those of its camera, and of the first one where that measures it too."""
     costs = np.zeros(mesh.n_cells)
     for camera, cells in zip(cameras, measured, strict=True):
-        costs[cells.cells] = cell_costs(cells.seen)
+        costs[cells.cells] = estimate_cell_costs(cells.seen)
         if camera.use_far:
             costs[cells.cells] += rasterize(cells.mesh).pixel_counts
     return costs
@@ -287,7 +287,7 @@ def _controlled_nodes(section: RegularizationSection | None, mesh: Mesh,
     if section is None:
         return np.zeros(mesh.n_nodes, dtype=bool)
     controlled = np.ones(mesh.n_nodes, dtype=bool)
-    controlled[not_controlled_nodes(mesh, section.not_controlled, section.boxes, boundary)] = False
+    controlled[find_not_controlled_nodes(mesh, section.not_controlled, section.boxes, boundary)] = False
     return controlled
 
 
@@ -295,7 +295,7 @@ def _gap_energies(section: RegularizationSection | None, mesh: Mesh,
                   interior: NDArray[np.bool_]) -> NDArray[np.float64] | None:
     if section is None or section.cut_off_wavelength is None:
         return None
-    return gap_energies(mesh, material_of(section), interior, section.cut_off_wavelength)
+    return measure_gap_energies(mesh, material_of(section), interior, section.cut_off_wavelength)
 
 
 def _given_parts(solver: SolverSection, mesh: Mesh) -> NDArray[np.int64] | None:

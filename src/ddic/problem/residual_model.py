@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError, on_all_ranks
-from ddic.functionals.correlation import GreyCorrection, GreySums, Residual
-from ddic.functionals.grey_state import GreyState, find_correction
+from ddic.functionals.correlation import Residual
+from ddic.functionals.grey_statistics import GreyCorrection, GreyState, GreySums
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.views import FrameViews
@@ -123,7 +123,10 @@ class ResidualModel:
         gain, offset : array
             One number, or one per cell (n_cells,); no unit, and grey levels.
         """
-        return find_correction(residual, evaluation.grey[camera], self.correction)
+        if self.correction == "element":
+            return residual.cell_sums.fit_gain_and_offset()
+        state = evaluation.grey[camera]
+        return np.array(state.gain), np.array(state.offset)
 
     def linearize(self, q: Sequence[Array]) -> tuple[list[Array], tuple[GreyState, ...]]:
         """Pass over all pixels for Gauss-Newton; collective.
@@ -188,8 +191,8 @@ class ResidualModel:
             raise on_all_ranks(ConvergenceError(
                 "no pixel is left: every pixel of the mesh is masked or mapped outside the deformed image; "
                 "check the start of the displacement and the masks"))
-        gain, offset = total.gain_and_offset() if self.correction == "global" else (np.ones(()), np.zeros(()))
-        first, second = total.residual(gain, offset) if corrected is None else (corrected[0], corrected[1])
+        gain, offset = total.fit_gain_and_offset() if self.correction == "global" else (np.ones(()), np.zeros(()))
+        first, second = total.sum_residual(gain, offset) if corrected is None else (corrected[0], corrected[1])
         mean = float(first) / n
         variance = max(float(second) / n - mean**2, 0.0)
         return GreyState(float(np.sqrt(variance)), float(np.sqrt(second / n)), int(n), float(gain), float(offset))
@@ -197,7 +200,7 @@ class ResidualModel:
 
 def _sums_corrected_by_cell(residual: Residual) -> Array:
     """Sum of the residual corrected cell by cell, and of its square, (2,)."""
-    first, second = residual.cell_sums.residual(*residual.cell_sums.gain_and_offset())
+    first, second = residual.cell_sums.sum_residual(*residual.cell_sums.fit_gain_and_offset())
     return np.array([first.sum(), second.sum()])
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.case.schema import Case
-from ddic.functionals.correlation import Correlation, correlations
+from ddic.functionals.correlation import Correlation, read_correlations
 from ddic.functionals.view import FrameView, View
 from ddic.images.sub_image import DeformedSubImage
 from ddic.images.threads import Threads
@@ -176,7 +176,7 @@ def _read_groups(camera: Camera, meshes: Sequence[Mesh], degree: int,
     """The correlation of each mesh, with the number of the window that it shares with others."""
     if not meshes:
         return []
-    groups = correlations(meshes, camera.reference, degree, threads)
+    groups = read_correlations(meshes, camera.reference, degree, threads)
     return [(number, correlation) for number, group in enumerate(groups) for correlation in group]
 
 

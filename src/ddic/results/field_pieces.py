@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ddic.functionals.correlation import Residual
 from ddic.io import result_schema as schema
 from ddic.io.result_writer import Piece, PieceSize, ResultWriter, joined
-from ddic.kinematics.strain import cell_strain
+from ddic.kinematics.strain import compute_strain
 from ddic.partition.subdomain import Subdomain
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def _cell_data(measurement: Measurement, number: int, u: NDArray[np.float64]) ->
     subdomain = measurement.subdomains[number]
     own_residual = measurement.evaluation.residuals[number][0]
     n_cells = subdomain.mesh.n_cells
-    strain = cell_strain(subdomain.mesh, u)
+    strain = compute_strain(subdomain.mesh, u)
     data: dict[str, NDArray[Any]] = {
         schema.STRAIN_INFINITESIMAL: _six_components(strain.infinitesimal),
         schema.STRAIN_GREEN_LAGRANGE: _six_components(strain.green_lagrange),
@@ -117,6 +117,6 @@ def _six_components(tensor: NDArray[np.float64]) -> NDArray[np.float64]:
 def _residual_rms(measurement: Measurement, camera: int, residual: Residual) -> NDArray[np.float64]:
     """Root mean square of each cell's residual, grey levels; nan where it has no pixel."""
     correction = measurement.model.find_correction(measurement.evaluation, camera, residual)
-    _, squares = residual.cell_sums.residual(*correction)
+    _, squares = residual.cell_sums.sum_residual(*correction)
     n = residual.cell_sums.n_pixels
     return np.where(n > 0, np.sqrt(squares / np.maximum(n, 1.0)), np.nan)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError, first_of, on_all_ranks
 from ddic.io.result_writer import ResultWriter
-from ddic.kinematics.strain import inverted_cells
+from ddic.kinematics.strain import find_inverted_cells
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.cameras import Camera, Frame
@@ -204,7 +204,7 @@ def refuse_inverted_cells(team: Team, subdomains: Sequence[Subdomain], q: Sequen
     ConvergenceError
         On all ranks.
     """
-    found = team.gather_lists([s.cell_ids[inverted_cells(s.mesh, s.displacement(q_s))]
+    found = team.gather_lists([s.cell_ids[find_inverted_cells(s.mesh, s.displacement(q_s))]
                                for s, q_s in zip(subdomains, q, strict=True)])
     cells = np.sort(np.concatenate(found))
     if len(cells):

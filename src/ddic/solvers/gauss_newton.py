@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError, on_all_ranks
-from ddic.functionals.grey_state import GreyState
+from ddic.functionals.grey_statistics import GreyState
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.solvers.linear_step import AllowedError, LinearStep, StepResult

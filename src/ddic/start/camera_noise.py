@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.functionals.correlation import GreyCorrection
+from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.functionals.view import FrameView
 from ddic.parallel.team import Team
 from ddic.problem.cameras import Camera
@@ -86,7 +86,7 @@ def _deviation(model: ResidualModel, evaluation: Evaluation, place: int) -> floa
     """Standard deviation of a subdomain's residual, grey levels."""
     residual = evaluation.residuals[place][0]
     camera = model.views[place].views[0].camera
-    first, second = residual.cell_sums.residual(*model.find_correction(evaluation, camera, residual))
+    first, second = residual.cell_sums.sum_residual(*model.find_correction(evaluation, camera, residual))
     n = max(float(residual.sums.n_pixels), 1.0)
     mean = first.sum() / n
     return float(np.sqrt(max(second.sum() / n - mean**2, 0.0)))

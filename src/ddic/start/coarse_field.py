@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ddic.case.schema import StartSection
 from ddic.errors import InputError
-from ddic.functionals.correlation import GreyCorrection
+from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.images.binned import bin_rows, binned_source
 from ddic.images.grid_field import uniform_field
 from ddic.images.sub_image import MaskedSource

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.errors import ConvergenceError, SingularSubdomainError
-from ddic.functionals.correlation import GreyCorrection
+from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.assembly import SINGULAR, Hessians

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError, SingularSubdomainError
-from ddic.functionals.correlation import GreyCorrection
+from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.images.binned import bin_image
 from ddic.images.grid_field import GridField, uniform_field
 from ddic.images.rigid import RigidShift, rigid_shift

@@ -10,21 +10,22 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.errors import ConvergenceError, SingularSubdomainError
-from ddic.functionals.correlation import GreyCorrection, correlation
+from ddic.functionals.correlation import read_correlation
 from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import (
     controlled_stiffness,
-    cut_off_weight,
-    gap_energies,
-    texture_energies,
+    find_cut_off_weight,
+    measure_gap_energies,
+    measure_texture_energies,
 )
+from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.functionals.view import FrameView, View
 from ddic.images.binned import ArraySource
 from ddic.images.grid_field import GridField, fill_absent
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.kinematics.nodal import NodalRegion
 from ddic.mesh.cell_type import Q4
-from ddic.mesh.mesh import Mesh, mesh_from_cells
+from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.raster import Raster, rasterize
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
@@ -122,7 +123,7 @@ def _solve(pair: BinnedPair, grid: Mesh, active: NDArray[np.uint8], starts: Sequ
     one_domain = np.zeros(grid.n_cells, dtype=np.int64)
     subdomain = build_subdomains(NodalRegion(grid), one_domain, everywhere)[0]
     region = MaskedSource(pair.reference.image, ArraySource(pair.reference.image.path, active.astype(np.float32)))
-    view = View(correlation(grid, region, 3), subdomain.kinematics)
+    view = View(read_correlation(grid, region, 3), subdomain.kinematics)
     reference = ReferenceViews(subdomain, (view,))
     frame_view = FrameView(view, DeformedSubImage(pair.deformed, 3))
     model = ResidualModel(Team.alone(), [FrameViews(reference, (frame_view,))], correction)
@@ -148,8 +149,8 @@ def _regularize(subdomain: Subdomain, hessian: sparse.csr_matrix) -> LocalSystem
     kbar = controlled_stiffness(subdomain.kinematics, Material(), row_weights)
     eta = 0.0
     if interior.any():
-        texture = texture_energies(grid.nodes, hessian, interior, CUT_OFF)
-        eta = cut_off_weight(texture, gap_energies(grid, Material(), interior, CUT_OFF))
+        texture = measure_texture_energies(grid.nodes, hessian, interior, CUT_OFF)
+        eta = find_cut_off_weight(texture, measure_gap_energies(grid, Material(), interior, CUT_OFF))
     return LocalSystem(subdomain, hessian, kbar, row_weights, eta)
 
 
@@ -168,7 +169,7 @@ def _grid(mesh: Mesh, active: NDArray[np.uint8]) -> Grid:
     nodes = np.stack([a.ravel() for a in np.meshgrid(xs, ys)], axis=1)
     columns = counts[0] + 1
     corner = (np.arange(counts[1])[:, None] * columns + np.arange(counts[0])).ravel()
-    full = mesh_from_cells(nodes, {Q4: np.stack(
+    full = build_mesh(nodes, {Q4: np.stack(
         [corner, corner + 1, corner + columns + 1, corner + columns], axis=1)})
     part, numbers = full.submesh(np.flatnonzero(rasterize(full).counts_in(active) > 0))
     return Grid(part, numbers, (int(counts[1]) + 1, int(columns)), low, (high - low) / counts)

@@ -76,7 +76,7 @@ def _definition(problem: StepProblem, parts: NDArray[np.int64],
         c, c_bar = (_signed(number, part.node_ids, interface, owners, n_rows)
                     for interface in (part.jumps, part.reactions))
         is_jump |= np.abs(c).sum(axis=1) > 0
-        # Row weights multiply both Cbar_s^T and Kbar_s: DESIGN.md, section 2, point 2.
+        # Row weights multiply both Cbar_s^T and Kbar_s: docs/solver.md, Weights of the interface rows.
         c_bar = c_bar * (interface_weights(part.multiplicity, weighting) * problem.scale)
         weighted = dense(system.controlled_stiffness)
         a_inverse = np.linalg.inv(dense(system.hessian) + problem.eta * weighted.T @ weighted)

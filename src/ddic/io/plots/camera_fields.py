@@ -25,7 +25,7 @@ from ddic.io.plots.canvas import (
 from ddic.io.result_reader import Result
 from ddic.io.result_schema import CAMERA, near_group
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.topology import boundary_facets
+from ddic.mesh.topology import find_boundary_facets
 
 OUTLINE = "white"
 AROUND = 0.12
@@ -34,7 +34,17 @@ SHOWN_PERCENT = 0.5
 
 @dataclass(frozen=True)
 class CellPanel:
-    """A value on each cell, (n_cells,), of a mesh in pixels of the far field."""
+    """A value on each cell of a mesh.
+
+    Attributes
+    ----------
+    title : str
+        Above the panel.
+    mesh : Mesh
+        Pixels of the far field.
+    values : (n_cells,) array
+        Of any unit.
+    """
 
     title: str
     mesh: Mesh
@@ -42,14 +52,39 @@ class CellPanel:
 
 
 def near_mesh(result: Result, camera: int) -> Mesh:
-    """The cells that a camera measured; pixels of the far field."""
+    """Find the cells that a camera measured.
+
+    Parameters
+    ----------
+    result : Result
+        Of several cameras.
+    camera : int
+        Its number.
+
+    Returns
+    -------
+    Mesh
+        Pixels of the far field.
+    """
     return result.mesh.submesh(np.flatnonzero(result.cell_data[CAMERA] == camera))[0]
 
 
 def near_far_figure(result: Result, component: Component = "magnitude") -> Figure:
-    """Displacement of the whole mesh, then around each near field in colours of its own; near fields are outlined.
+    """Draw the displacement of the whole mesh, then around each near field in colours of its own.
 
-    Titles tell alpha, by which each near set-up moved. The result must be one of several cameras.
+    Near fields are outlined; titles tell alpha, by which each near set-up moved.
+
+    Parameters
+    ----------
+    result : Result
+        Of several cameras.
+    component : {"x", "y", "magnitude"}, optional
+        What is in colour, pixels.
+
+    Returns
+    -------
+    Figure
+        A panel for the whole and one for each near field.
     """
     cameras = range(1, int(result.cell_data[CAMERA].max()) + 1)
     near = [near_mesh(result, camera) for camera in cameras]
@@ -68,10 +103,25 @@ def near_far_figure(result: Result, component: Component = "magnitude") -> Figur
 
 def panels_figure(panels: Sequence[CellPanel], outlined: Sequence[Mesh], box: tuple[float, float, float, float],
                   label: str) -> Figure:
-    """Panels of one part of the image, (x0, y0, x1, y1) px, with common colours, two in a row.
+    """Draw panels of one part of the image with common colours, two in a row.
 
-    outlined: meshes whose outlines are drawn in all panels. Colours span what the last panel shows, without the
-    outermost 0.5 % on either side.
+    Colours span what the last panel shows, without the outermost 0.5 % on either side.
+
+    Parameters
+    ----------
+    panels : sequence of CellPanel
+        At least one.
+    outlined : sequence of Mesh
+        Whose outlines are drawn in all panels.
+    box : (float, float, float, float)
+        x0, y0, x1, y1 of the part, pixels.
+    label : str
+        Of the colours, with their unit.
+
+    Returns
+    -------
+    Figure
+        The page.
     """
     last = panels[-1]
     centres = np.array([last.mesh.nodes[cell[cell >= 0]].mean(axis=0) for cell in last.mesh.cells])
@@ -87,6 +137,7 @@ def panels_figure(panels: Sequence[CellPanel], outlined: Sequence[Mesh], box: tu
 
 
 def _page(n: int, box: tuple[float, float, float, float]) -> tuple[Figure, list[Axes]]:
+    """A page with so many panels for a box of pixels."""
     columns = min(n, 2)
     rows = -(-n // columns)
     x0, y0, x1, y1 = box
@@ -96,8 +147,9 @@ def _page(n: int, box: tuple[float, float, float, float]) -> tuple[Figure, list[
 
 
 def _finish(axes: Axes, title: str, box: tuple[float, float, float, float], outlined: Sequence[Mesh]) -> None:
+    """Outlines, limits and title of a panel."""
     for mesh in outlined:
-        axes.add_collection(LineCollection(list(mesh.nodes[boundary_facets(mesh)[:, :2]]), colors=OUTLINE,
+        axes.add_collection(LineCollection(list(mesh.nodes[find_boundary_facets(mesh)[:, :2]]), colors=OUTLINE,
                                            linewidths=1.2))
     axes.set_facecolor("0.6")
     axes.set_xlim(box[0], box[2])
@@ -109,9 +161,11 @@ def _finish(axes: Axes, title: str, box: tuple[float, float, float, float], outl
 
 
 def _in_box(points: NDArray[np.float64], box: tuple[float, float, float, float]) -> NDArray[np.bool_]:
+    """Which points (n, 2) lie in a box, (n,)."""
     return np.asarray(((points >= box[:2]) & (points <= box[2:])).all(axis=1))
 
 
 def _moved(result: Result, camera: int) -> str:
+    """Title of a near field, with its set-up's motion."""
     alpha = result.attributes[near_group(camera)]["alpha_px"]
     return f"near field {camera}, $\\alpha$ = ({alpha[0]:.3f}, {alpha[1]:.3f}) px"

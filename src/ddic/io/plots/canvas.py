@@ -23,9 +23,21 @@ TALLEST_INCHES = 9.0
 
 
 def image_figure(bounds: tuple[float, float, float, float], title: str) -> tuple[Figure, Axes]:
-    """A figure whose axes are those of the image: pixels, equal scales, y down.
+    """Make a figure whose axes are those of the image: pixels, equal scales, y down.
 
-    bounds: (x0, y0, x1, y1) pixels.
+    Parameters
+    ----------
+    bounds : (float, float, float, float)
+        x0, y0, x1, y1, pixels.
+    title : str
+        Above the axes.
+
+    Returns
+    -------
+    figure : Figure
+        The page.
+    axes : Axes
+        Empty axes.
     """
     x0, y0, x1, y1 = bounds
     ratio = (y1 - y0) / max(x1 - x0, 1e-12)
@@ -44,41 +56,128 @@ def image_figure(bounds: tuple[float, float, float, float], title: str) -> tuple
 
 
 def mesh_bounds(nodes: NDArray[np.float64], margin: float = 0.03) -> tuple[float, float, float, float]:
-    """Box (x0, y0, x1, y1) around nodes (n, 2), with a margin relative to its longer side."""
+    """Find the box around nodes.
+
+    Parameters
+    ----------
+    nodes : (n, 2) array
+        Pixels.
+    margin : float, optional
+        Relative to the box's longer side.
+
+    Returns
+    -------
+    (float, float, float, float)
+        x0, y0, x1, y1, pixels.
+    """
     low, high = nodes.min(axis=0), nodes.max(axis=0)
     gap = margin * float((high - low).max())
     return float(low[0] - gap), float(low[1] - gap), float(high[0] + gap), float(high[1] + gap)
 
 
 def add_colour_bar(figure: Figure, axes: Axes, mappable: Any, label: str) -> None:
-    """A labelled colour bar as high as the axes."""
+    """Add a labelled colour bar as high as the axes.
+
+    Parameters
+    ----------
+    figure : Figure
+        The page.
+    axes : Axes
+        Beside which it stands.
+    mappable : object
+        What is in colour.
+    label : str
+        With its unit.
+    """
     figure.colorbar(mappable, cax=axes.inset_axes((1.02, 0.0, 0.03, 1.0)), label=label)
 
 
 def cell_polygons(mesh: Mesh, nodes: NDArray[np.float64], **style: Any) -> PolyCollection:
-    """The cells as polygons; nodes: (n_nodes, 2) where they are drawn, pixels."""
+    """Make polygons of the cells.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        The cells.
+    nodes : (n_nodes, 2) array
+        Where they are drawn, pixels.
+    **style : object
+        As matplotlib's collections take it.
+
+    Returns
+    -------
+    PolyCollection
+        A polygon a cell.
+    """
     corners = [nodes[ids] for ids in np.split(mesh.connectivity, mesh.offsets[1:-1])]
     return PolyCollection(corners, **style)
 
 
 def triangulation(mesh: Mesh, nodes: NDArray[np.float64]) -> Triangulation:
-    """The cells as triangles, quadrilaterals cut along a diagonal; nodes: (n_nodes, 2) pixels."""
+    """Cut the cells into triangles.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        The cells.
+    nodes : (n_nodes, 2) array
+        Where they are drawn, pixels.
+
+    Returns
+    -------
+    Triangulation
+        On all nodes.
+    """
     triangles = [block.nodes[:, corners] for block in mesh.cell_blocks for corners in block.type.triangles]
     return Triangulation(nodes[:, 0], nodes[:, 1], np.concatenate(triangles))
 
 
 def pick_component(vectors: NDArray[np.float64], component: Component) -> NDArray[np.float64]:
-    """One component of vectors (n, 2), or their length; shape (n,)."""
+    """Pick one component of vectors, or their length.
+
+    Parameters
+    ----------
+    vectors : (n, 2) array
+        Of any unit.
+    component : {"x", "y", "magnitude"}
+        Which.
+
+    Returns
+    -------
+    (n,) array
+        Of the same unit.
+    """
     if component == "magnitude":
         return np.asarray(np.hypot(vectors[:, 0], vectors[:, 1]))
     return vectors[:, 0 if component == "x" else 1]
 
 
 def component_symbol(symbol: str, component: Component) -> str:
-    """How a component of a vector is written in a label."""
+    """Write a component of a vector as a label does.
+
+    Parameters
+    ----------
+    symbol : str
+        Of the vector.
+    component : {"x", "y", "magnitude"}
+        Which.
+
+    Returns
+    -------
+    str
+        TeX.
+    """
     return f"$|{symbol}|$" if component == "magnitude" else f"${symbol}_{component}$"
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Save a figure; the name's ending tells the format."""
+    """Save a figure.
+
+    Parameters
+    ----------
+    figure : Figure
+        The page.
+    path : Path
+        Whose ending tells the format.
+    """
     figure.savefig(path, dpi=DPI)

@@ -23,7 +23,18 @@ MOST_CELLS_WITH_EDGES = 20_000
 
 
 def visible_amplification(result: Result) -> float:
-    """Amplification, one digit, that makes the departure from the mean displacement about 5 % of the mesh."""
+    """Choose an amplification, one digit, that makes the departure from the mean displacement 5 % of the mesh.
+
+    Parameters
+    ----------
+    result : Result
+        The displacement.
+
+    Returns
+    -------
+    float
+        At least 1.
+    """
     departure = result.displacement - result.displacement.mean(axis=0)
     largest = float(np.abs(departure).max())
     if largest == 0.0:
@@ -34,9 +45,21 @@ def visible_amplification(result: Result) -> float:
 
 def deformed_figure(result: Result, component: Component = "magnitude",
                     amplification: float | None = None) -> Figure:
-    """Mesh moved by ``amplification`` times the displacement, over its outline at rest in grey.
+    """Draw the mesh moved by its amplified displacement, over its outline at rest in grey.
 
-    component: what is in colour, pixels; amplification: None chooses one that shows.
+    Parameters
+    ----------
+    result : Result
+        The displacement.
+    component : {"x", "y", "magnitude"}, optional
+        What is in colour, pixels.
+    amplification : float, optional
+        Of the displacement; where it is left out, one that shows.
+
+    Returns
+    -------
+    Figure
+        The page.
     """
     mesh = result.mesh
     factor = visible_amplification(result) if amplification is None else amplification

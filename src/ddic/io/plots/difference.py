@@ -19,7 +19,22 @@ from ddic.io.result_reader import Result, displacement_at
 
 
 def difference_figure(result: Result, other: Result, component: Component = "magnitude") -> Figure:
-    """Displacement of a result minus another's, on the first one's nodes (the other's is interpolated there)."""
+    """Draw the displacement of a result minus another's.
+
+    Parameters
+    ----------
+    result : Result
+        On whose nodes it is drawn.
+    other : Result
+        Interpolated there.
+    component : {"x", "y", "magnitude"}, optional
+        What is in colour, pixels.
+
+    Returns
+    -------
+    Figure
+        The page.
+    """
     mesh = result.mesh
     difference = result.displacement - displacement_at(other, mesh.nodes)
     rms = float(np.sqrt(np.mean(np.sum(difference**2, axis=1))))

@@ -13,9 +13,19 @@ STYLES = ("-", "--", "-.", ":")
 
 
 def krylov_figure(curves: Mapping[str, Sequence[NDArray[np.float64]]]) -> Figure:
-    """Relative residual against the iteration; label -> histories, one for each Gauss-Newton iteration.
+    """Draw the relative residual against the iteration.
 
     Each label has a line style; its Gauss-Newton iterations run through the colours.
+
+    Parameters
+    ----------
+    curves : dict
+        Label -> histories, one (n,) array for each Gauss-Newton iteration.
+
+    Returns
+    -------
+    Figure
+        The page.
     """
     figure = Figure(figsize=(7.0, 4.5), layout="tight")
     axes = figure.add_subplot()
@@ -38,4 +48,5 @@ def krylov_figure(curves: Mapping[str, Sequence[NDArray[np.float64]]]) -> Figure
 
 
 def _repeated(n: int) -> list[str]:
+    """So many line styles."""
     return [STYLES[i % len(STYLES)] for i in range(n)]

@@ -17,7 +17,20 @@ MARGIN = 0.1
 
 
 def partition_figure(result: Result, image: Preview | None = None) -> Figure:
-    """Subdomains in colour with the bounding box of each (its sub-image without halo), over the image around."""
+    """Draw subdomains in colour with the bounding box of each (its sub-image without halo).
+
+    Parameters
+    ----------
+    result : Result
+        With its partition.
+    image : Preview, optional
+        Drawn below.
+
+    Returns
+    -------
+    Figure
+        The page.
+    """
     mesh = result.mesh
     bounds = mesh_bounds(mesh.nodes, MARGIN)
     if image is not None:

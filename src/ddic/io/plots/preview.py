@@ -17,7 +17,17 @@ LARGEST_SIDE = 2000
 
 @dataclass(frozen=True)
 class Preview:
-    """Every ``step``-th pixel of an image of width x height pixels."""
+    """An image with every ``step``-th pixel.
+
+    Attributes
+    ----------
+    pixels : (rows, columns) array
+        Grey levels.
+    step : int
+        Pixels from one to the next.
+    width, height : int
+        Of the whole image, pixels.
+    """
 
     pixels: NDArray[Any]
     step: int
@@ -25,13 +35,30 @@ class Preview:
     height: int
 
     def draw(self, axes: Axes) -> None:
-        """Draw in grey, pixel centres at integers."""
+        """Draw in grey, pixel centres at integers.
+
+        Parameters
+        ----------
+        axes : Axes
+            In image coordinates.
+        """
         axes.imshow(self.pixels, cmap="gray", interpolation="nearest", zorder=0,
                     extent=thinned_extent(self.pixels.shape, self.step))
 
 
 def read_preview(source: ImageSource) -> Preview:
-    """Read an image row by row and keep at most 2000 pixels a side."""
+    """Read an image row by row and keep at most 2000 pixels a side.
+
+    Parameters
+    ----------
+    source : ImageSource
+        The image.
+
+    Returns
+    -------
+    Preview
+        Thinned out evenly.
+    """
     step = -(-max(source.width, source.height) // LARGEST_SIDE)
     if step == 1:
         pixels = source.read(Window(0, 0, source.width, source.height))
@@ -44,5 +71,18 @@ def read_preview(source: ImageSource) -> Preview:
 
 
 def thinned_extent(shape: tuple[int, ...], step: int) -> tuple[float, float, float, float]:
-    """Extent (left, right, bottom, top) of an image's every ``step``-th pixel, y down."""
+    """Find the extent of a thinned image, y down.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Rows and columns that are left.
+    step : int
+        Pixels from one to the next.
+
+    Returns
+    -------
+    (float, float, float, float)
+        Left, right, bottom, top, pixels.
+    """
     return (-0.5 * step, (shape[1] - 0.5) * step, (shape[0] - 0.5) * step, -0.5 * step)

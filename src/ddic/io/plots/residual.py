@@ -16,9 +16,19 @@ LABEL = "grey levels"
 
 
 def residual_figure(result: Result) -> Figure:
-    """Absolute residual |f(x) - g(x + u)| by pixel, or its RMS by cell if the file holds no residual image.
+    """Draw the absolute residual |f(x) - g(x + u)| by pixel, or its RMS by cell if there is no residual image.
 
     Colours end at the 99.5 % quantile, so that single bad pixels do not darken the rest.
+
+    Parameters
+    ----------
+    result : Result
+        With or without residual image.
+
+    Returns
+    -------
+    Figure
+        The page.
     """
     image = result.residual_image
     bounds = mesh_bounds(result.mesh.nodes)
@@ -39,6 +49,7 @@ def residual_figure(result: Result) -> Figure:
 
 
 def _by_cell(result: Result, bounds: tuple[float, float, float, float]) -> Figure:
+    """RMS by cell in colour."""
     figure, axes = image_figure(bounds, "Correlation residual by cell")
     cells = cell_polygons(result.mesh, result.mesh.nodes, array=result.cell_data[RESIDUAL_RMS], cmap=PALETTE,
                           edgecolors="face", linewidths=0.1)

@@ -161,7 +161,7 @@ def build_local_dual(system: LocalSystem, operator: LocalOperator, ghosts: NDArr
 
 def add_motion_rows(local: LocalDual, system: LocalSystem, ghosts: NDArray[np.int64],
                     scales: dict[int, NDArray[np.float64]]) -> LocalDual:
-    """Add the rows of the motion of the subdomain's camera, where that moves.
+    """Add the rows of the motion of the subdomain's camera, where that moves: Eq. 21 of [BP17].
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ of the precision of a number."""
 
 
 def assemble_schur(local: LocalDual) -> NDArray[np.float64]:
-    """Assemble S_s = T_s A_s^-1 T_s^T - D_s of one subdomain.
+    """Assemble S_s = T_s A_s^-1 T_s^T - D_s of one subdomain, Eq. 36 of [BP17].
 
     Parameters
     ----------

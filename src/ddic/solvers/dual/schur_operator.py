@@ -14,7 +14,7 @@ from ddic.solvers.exchange import Exchange
 
 
 class DualSchurOperator:
-    """Context of the shell matrix: S_tot v = sum_s G_s A_s^-1 G_s^T v - H_s v.
+    """Context of the shell matrix: S_tot v = sum_s G_s A_s^-1 G_s^T v - H_s v, Eq. 26 of [BP17].
 
     The matrix is symmetric and quasi-definite; one local solve per subdomain and product.
 

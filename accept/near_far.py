@@ -1,0 +1,357 @@
+"""The acceptance table of near and far images: every check measured here and now; exit 1 where one falls short.
+
+``make accept-near-far``, a check alone with CHECK=NAME. Synthetic images are those of ``ddic synth near-far``: ratio 5,
+1392 x 1040 px each, 8 bit, alpha = (3.7, -2.2) far px; meshes are of 16-px elements with the hole left out. The noise
+check draws docs/pictures/near_far.png.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import subprocess
+import sys
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from bench.support.rows import Row, append_result
+from bench.support.runs import ROOT, ddic_command, ddic_run, real_data, run_job
+
+from accept.support.near_far_case import (
+    Pair,
+    Scene,
+    alpha_of,
+    continuous,
+    independent,
+    joint_case,
+    measured_alone,
+    render_scene,
+    rms,
+)
+from accept.support.near_far_error import error_rms, errors, interface_error, largest_jump, oscillation
+from accept.support.near_far_picture import draw_panels
+from accept.table import Check, Scale, run_table, runs_name
+from ddic.images.camera import CameraMapping, identity, similarity
+from ddic.io.result_reader import Result, read_result
+
+TABLE = "near-far"
+RUNS = runs_name(TABLE)
+PICTURE = ROOT / "docs" / "pictures" / "near_far.png"
+JOB = "accept.support.near_far_job"
+N_RANKS, N_SUBDOMAINS = 2, 6
+WAVELENGTH, NOISE = 96, 2.0
+WITHOUT_NEAR = 0.43
+"""Share of the far image's width, from the left, that does not show the near field."""
+
+QUINTIC = "[correlation]\nspline_degree = 5\n"
+GAP = f'[regularization]\ncut_off_wavelength = {WAVELENGTH}\nnot_controlled = ["left", "right", "top", "bottom"]\n'
+VARIANTS = {"continuous": "", "regularized": GAP}
+ALPHA_BOUND, ERROR_BOUND, JUMP_BOUND, DUAL_BOUND = 0.002, 0.003, 1e-10, 1e-9
+EXACT_TOLERANCE = 1e-12
+RANKS, CUTS = (1, 2, 3, 4), (4, 9)
+FOAM_RATIO, FOAM_OFFSET = 4.0, (-358.5, -838.5)
+FOAM_REGION = (74, 10, 370, 530)
+FOAM_HOLES = ((159, 30, 73), (261, 179, 72), (153, 298, 72), (281, 405, 72), (222, 552, 68))
+FOAM_ELEMENTS = (16, 20)
+FOAM_FIELD_BOUND, FOAM_ALPHA_BOUND, CALIBRATION_BOUND = 0.05, 0.05, 0.1
+ROUGH_RATIOS = (3.6, 4.4)
+
+
+def _scene(scale: Scale) -> Scene:
+    """The images of the table, small ones in a smoke run."""
+    folder = scale.folder("near_far")
+    if scale.smoke:
+        return Scene(480, 400, 3.0, (1.7, -1.2), 12.0, folder)
+    return Scene(1392, 1040, 5.0, (3.7, -2.2), 16.0, folder)
+
+
+def measure_exact(scale: Scale) -> list[Row]:
+    """Measure alpha, error and jump on images without noise but their rounding to whole grey levels.
+
+    Parameters
+    ----------
+    scale : Scale
+        A smoke run takes small images.
+
+    Returns
+    -------
+    list of Row
+        Without and with regularization.
+    """
+    scene = _scene(scale)
+    far, near, truth = render_scene(scene, 0)
+    rows = []
+    for name, gap in VARIANTS.items():
+        solver = f"[solver]\nsubdomains = {N_SUBDOMAINS}\ninexact = false\ntolerance = {EXACT_TOLERANCE}\n"
+        case = joint_case(far, near, scene.plate(_truth_file(far)), QUINTIC + solver + gap)
+        result = _run(case, scene.folder, f"exact_{name}")
+        fields = continuous(result)
+        off = float(np.abs(fields.alpha - scene.alpha).max())
+        error = error_rms(fields, truth.displacement)
+        jump = float(result.attributes["case"]["largest_jump_px"])
+        rows.append(Row(
+            f"synthetic pair, no noise, {_equation(name)}: alpha, displacement, jump across the interface",
+            f"alpha within {ALPHA_BOUND} px; RMS error <= {ERROR_BOUND} px per component; jump <= {JUMP_BOUND:.0e} px",
+            f"alpha off by {off:.5f} px; RMS error {error:.5f} px per component ({error * np.sqrt(2):.5f} px in "
+            f"length); largest jump before copies are averaged {jump:.1e} px",
+            off <= ALPHA_BOUND and error <= ERROR_BOUND and jump <= JUMP_BOUND))
+    return rows
+
+
+def measure_noise(scale: Scale) -> list[Row]:
+    """Measure error and oscillation of independent, continuous and regularized fields, on the same noisy images.
+
+    Parameters
+    ----------
+    scale : Scale
+        A smoke run takes small images.
+
+    Returns
+    -------
+    list of Row
+        One row.
+    """
+    scene = _scene(scale)
+    far, near, truth = render_scene(scene, NOISE)
+    results = {}
+    for name, gap in VARIANTS.items():
+        case = joint_case(far, near, scene.plate(_truth_file(far)),
+                          f"{QUINTIC}[solver]\nsubdomains = {N_SUBDOMAINS}\n{gap}")
+        results[name] = _run(case, scene.folder, f"noise_{name}")
+    alone = [measured_alone(results["continuous"], k, pair, scene.folder, QUINTIC)
+             for k, pair in enumerate((far, near))]
+    fields = {"independent": independent(results["continuous"], alone),
+              **{name: continuous(result) for name, result in results.items()}}
+    table = []
+    for name, field in fields.items():
+        by_camera = [rms(e) for e in errors(field, truth.displacement)]
+        record = {"variant": name, "rms_error_px": error_rms(field, truth.displacement),
+                  "far_rms_error_px": by_camera[0], "near_rms_error_px": by_camera[1],
+                  "interface_rms_error_px": interface_error(field, truth.displacement),
+                  "oscillation_px": oscillation(field, truth.displacement),
+                  "largest_jump_px": largest_jump(field), "alpha_error_px": (field.alpha - scene.alpha).tolist()}
+        append_result(RUNS, {"check": "noise", **record})
+        table.append(record)
+    picture = scene.folder / PICTURE.name if scale.smoke else PICTURE
+    draw_panels(fields, picture)
+    falls = all(b[key] < a[key] for a, b in pairwise(table)
+                for key in ("rms_error_px", "oscillation_px"))
+    return [Row(f"the same with noise of {NOISE:g} grey levels: independent, continuous (Eq. 21), regularized "
+                f"(Eq. 23, l_c = {WAVELENGTH} px); oscillation: RMS second difference of the error along the mesh "
+                "lines through the interface's nodes", "RMS error and interface oscillation fall in that order",
+                "; ".join(f"{r['variant']} {r['rms_error_px']:.5f}, {r['oscillation_px']:.5f} px" for r in table)
+                + f"; picture {picture.relative_to(ROOT)}", falls)]
+
+
+def measure_dual(scale: Scale) -> list[Row]:
+    """Compare the dual step on 1 to 4 ranks with Eq. 23 assembled as one saddle point and solved by a sparse LU.
+
+    Parameters
+    ----------
+    scale : Scale
+        A smoke run takes small images and two ranks.
+
+    Returns
+    -------
+    list of Row
+        One row.
+    """
+    scene = _scene(scale)
+    far, near, _ = render_scene(scene, NOISE)
+    far, near = (dataclasses.replace(pair, noise=NOISE) for pair in (far, near))
+    cases = []
+    for name, gap in VARIANTS.items():
+        for n_subdomains in CUTS:
+            solver = f"[solver]\nsubdomains = {n_subdomains}\ntolerance = {EXACT_TOLERANCE}\n"
+            cases.append(scene.folder / f"dual_{name}_{n_subdomains}.toml")
+            cases[-1].write_text(joint_case(far, near, scene.plate(_truth_file(far)), solver + gap),
+                                 encoding="utf-8")
+    found: list[dict[str, Any]] = []
+    ranks = RANKS[1:2] if scale.smoke else RANKS
+    for n_ranks in ranks:
+        found += run_job(n_ranks, JOB, str(_truth_file(far)), *map(str, cases))
+    for record in found:
+        append_result(RUNS, {"check": "dual", **record})
+    largest = max(r["relative_difference"] for r in found)
+    alpha = max(r["alpha_difference"] for r in found)
+    return [Row(f"dual step, {_listed(CUTS)} subdomains on {_listed(RANKS)} ranks, without and with regularization, "
+                "against the saddle point of Eq. 23 solved directly", f"relative difference <= {DUAL_BOUND:.0e}",
+                f"largest of {len(found)}: displacement {largest:.1e}, alpha {alpha:.1e}",
+                len(found) == len(ranks) * len(cases) and max(largest, alpha) <= DUAL_BOUND)]
+
+
+def measure_foam(scale: Scale) -> list[Row]:
+    """Compare the joint field on real images with the near images measured alone, the full-resolution ones there.
+
+    Parameters
+    ----------
+    scale : Scale
+        A smoke run takes one mesh.
+
+    Returns
+    -------
+    list of Row
+        One for each mesh, and the calibration.
+    """
+    far, near = _foam_pairs()
+    folder = scale.folder("near_far")
+    rows = []
+    for size in FOAM_ELEMENTS[-1:] if scale.smoke else FOAM_ELEMENTS:
+        holes = ", ".join(f"{{ center = [{x}, {y}], radius = {r} }}" for x, y, r in FOAM_HOLES)
+        mesh = (f"[mesh.structured]\nregion = {list(FOAM_REGION)}\nelement_size = {size}\n"
+                f"circles = [{holes}]\n")
+        case = joint_case(far, near, mesh, f"{QUINTIC}[solver]\nsubdomains = {N_SUBDOMAINS}\n")
+        joint = _run(case, folder, f"foam_{size}")
+        alone = measured_alone(joint, 1, near, folder, QUINTIC)
+        difference = FOAM_RATIO * (joint.displacement[alone.nodes] - alone.seen)
+        alpha = alpha_of(joint)
+        spread = np.sqrt(np.diag(joint.attributes["near_1"]["covariance"]))
+        append_result(RUNS, {"check": "foam", "element_size": size, "rms_difference_near_px": rms(difference),
+                             "alpha_px": alpha.tolist(), "alpha_std_px": spread.tolist()})
+        rows.append(Row(
+            f"nearfar_foam, elements of {size} far px, no regularization: joint field against the full-resolution "
+            "(near) images measured alone on the same elements, alpha left out of neither",
+            f"RMS difference <= {FOAM_FIELD_BOUND} full-resolution px per component; alpha = 0 within "
+            f"{FOAM_ALPHA_BOUND} far px",
+            f"{rms(difference):.4f} full-resolution px at {len(alone.nodes)} nodes; alpha = ({alpha[0]:.4f} +- "
+            f"{spread[0]:.4f}, {alpha[1]:.4f} +- {spread[1]:.4f}) far px",
+            rms(difference) <= FOAM_FIELD_BOUND and float(np.abs(alpha).max()) <= FOAM_ALPHA_BOUND))
+    return [*rows, _calibration(far, near)]
+
+
+def measure_wrong_inputs(scale: Scale) -> list[Row]:
+    """Give wrong inputs to ddic calibrate and ddic run: exit code 2 and one line that says what is wrong.
+
+    Parameters
+    ----------
+    scale : Scale
+        A smoke run takes small images.
+
+    Returns
+    -------
+    list of Row
+        One row.
+    """
+    import tifffile
+
+    scene = _scene(scale)
+    far, near, _ = render_scene(scene, 0)
+    other = render_scene(scene, 0, seed=5)[1].reference
+    cut, ratio = scene.folder / "far_without_near.tif", scene.ratio
+    tifffile.imwrite(cut, tifffile.imread(far.reference)[:, :round(WITHOUT_NEAR * scene.width)])
+    away = similarity(ratio, 0.0, (2000.0, float(near.mapping.homography[1, 2])))
+    twice = _similarity_about_centre(near, 2 * ratio)
+    stranger = dataclasses.replace(near, reference=other)
+    give_ratio = rf"give --ratio {ratio:g}\b"
+    not_found, no_such_thing = r"was not found|lies outside", r"does not show what the far-field image"
+    misplaced = dataclasses.replace(near, mapping=away)
+    too_large = dataclasses.replace(near, mapping=twice)
+    asked = {
+        "calibrate: near image outside the far one": (_calibrate(cut, near.reference, ratio), not_found),
+        "run: near image outside the far one": (_refused(scene, far, misplaced, "outside"),
+                                                r"lies outside the far-field image"),
+        "calibrate: ratio too large by 2": (_calibrate(far.reference, near.reference, 2 * ratio), give_ratio),
+        "calibrate: ratio too small by 2": (_calibrate(far.reference, near.reference, ratio / 2), give_ratio),
+        "run: ratio too large by 2": (_refused(scene, far, too_large, "ratio"), no_such_thing),
+        "calibrate: no common texture": (_calibrate(far.reference, other, ratio), r"no common texture"),
+        "run: no common texture": (_refused(scene, far, stranger, "texture"), no_such_thing),
+    }
+    failed = []
+    for what, (command, expected) in asked.items():
+        done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+        lines = done.stderr.strip().splitlines()
+        append_result(RUNS, {"check": "errors", "input": what, "exit_code": done.returncode, "lines": lines})
+        if done.returncode != 2 or len(lines) != 1 or not re.search(expected, lines[0]):
+            failed.append(f"{what}: exit code {done.returncode}, {done.stderr.strip()[:200]!r}")
+    return [Row("wrong inputs: " + "; ".join(asked), "exit code 2 and one line that says what is wrong",
+                f"{len(asked) - len(failed)} of {len(asked)} so" + "".join(f"; {f}" for f in failed), not failed)]
+
+
+CHECKS: dict[str, Check] = {"exact": measure_exact, "noise": measure_noise, "dual": measure_dual, "foam": measure_foam,
+                            "errors": measure_wrong_inputs}
+
+
+def _run(case: str, folder: Path, name: str) -> Result:
+    summary = ddic_run(case, folder, N_RANKS, name)
+    append_result(RUNS, {"run": name, **summary})
+    return read_result(folder / f"{name}.vtkhdf")
+
+
+def _truth_file(far: Pair) -> Path:
+    return far.reference.parent / "truth.json"
+
+
+def _equation(variant: str) -> str:
+    return "continuous (Eq. 21)" if variant == "continuous" else f"regularized (Eq. 23, l_c = {WAVELENGTH} px)"
+
+
+def _foam_pairs() -> tuple[Pair, Pair]:
+    folder = real_data() / "nearfar_foam"
+    far, near = (Pair(folder / f"{name}_ref.tif", folder / f"{name}_def.tif", mapping) for name, mapping in (
+        ("far", identity()), ("near", similarity(FOAM_RATIO, 0.0, FOAM_OFFSET))))
+    return far, near
+
+
+def _calibration(far: Pair, near: Pair) -> Row:
+    """What ddic calibrate prints from ratios 10 % off on either side."""
+    worst = np.zeros(3)
+    for rough in ROUGH_RATIOS:
+        printed = subprocess.run(_calibrate(far.reference, near.reference, rough), check=True, capture_output=True,
+                                 text=True, timeout=600).stdout
+        ratio, _ = _numbers_after("ratio", printed)[:2]
+        x, _, y, _ = _numbers_after("offset", printed)[:4]
+        off = np.abs(np.array([ratio, x, y]) - (FOAM_RATIO, *FOAM_OFFSET))
+        append_result(RUNS, {"check": "foam", "rough_ratio": rough, "ratio": ratio, "offset": [x, y]})
+        worst = np.maximum(worst, off)
+    across = worst[0] * _far_width(near)
+    return Row(f"nearfar_foam: ddic calibrate --ratio {' and '.join(map(str, ROUGH_RATIOS))}",
+               f"ratio {FOAM_RATIO:g} within {CALIBRATION_BOUND} near px over the near image; offsets {FOAM_OFFSET} "
+               f"within {CALIBRATION_BOUND} near px",
+               f"ratio off by {worst[0]:.1e}, {across:.4f} near px; offsets by {worst[1]:.4f}, {worst[2]:.4f} near px",
+               bool(max(across, worst[1], worst[2]) <= CALIBRATION_BOUND))
+
+
+def _far_width(pair: Pair) -> float:
+    """Width of a camera's image in far px."""
+    import tifffile
+
+    with tifffile.TiffFile(pair.reference) as file:
+        return float(file.pages[0].shape[1] / pair.mapping.homography[0, 0])
+
+
+def _numbers_after(name: str, printed: str) -> list[float]:
+    line = next(line for line in printed.splitlines() if re.match(rf"{name} {{2}}", line))
+    return [float(found) for found in re.findall(r"(?<![\w(])-?\d+\.\d+", line)]
+
+
+def _similarity_about_centre(near: Pair, ratio: float) -> CameraMapping:
+    """A mapping of another ratio that leaves the centre of the near field where it is."""
+    import tifffile
+
+    with tifffile.TiffFile(near.reference) as file:
+        height, width = file.pages[0].shape
+    middle = np.array([(width - 1) / 2, (height - 1) / 2])
+    focus = near.mapping.to_specimen(middle[None])[0]
+    return similarity(ratio, 0.0, tuple(middle - ratio * focus))
+
+
+def _calibrate(far: Path, near: Path, ratio: float) -> list[str]:
+    return [ddic_command(), "calibrate", str(far), str(near), "--ratio", str(ratio)]
+
+
+def _refused(scene: Scene, far: Pair, near: Pair, name: str) -> list[str]:
+    """The command that runs a case that should be refused."""
+    path = scene.folder / f"wrong_{name}.toml"
+    path.write_text(joint_case(far, near, scene.plate(_truth_file(far)), ""), encoding="utf-8")
+    return [ddic_command(), "run", str(path)]
+
+
+def _listed(values: Sequence[int]) -> str:
+    return ", ".join(map(str, values))
+
+
+if __name__ == "__main__":
+    sys.exit(run_table(TABLE, CHECKS))

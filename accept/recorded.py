@@ -1,0 +1,243 @@
+"""Fields of small cases against those recorded before a restructuring.
+
+Usage: python -m accept.recorded [--source SRC] [CASE ...] records all cases, or the named ones, anew with the package
+in the folder SRC, by default that of the code before (``bench/support/before.py``). ``make accept-house
+CHECK=recorded`` compares.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from bench.support.before import checkout_before
+from bench.support.rows import Row
+from bench.support.runs import ddic, ddic_command, mpirun
+from numpy.typing import NDArray
+
+from accept.recorded_cases import CASES, RecordedCase
+from accept.table import Scale
+from ddic.io.result_reader import read_result
+
+RECORDED = Path(__file__).parent / "recorded"
+"""One compressed file a case: an array for each run, and the images' digests."""
+
+DIGESTS = "digests"
+"""Key of the digests in a recorded file."""
+
+SMOKE = ("grey",)
+"""Cases of a smoke run, on one rank."""
+
+Fields = Mapping[str, NDArray[np.float64]]
+"""Displacement of each run's nodes by global node number, (n_nodes, 2), pixels; and motions of near set-ups."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A package to measure with.
+
+    Attributes
+    ----------
+    folder : Path, optional
+        Folder that holds the package; None for the one that this process imports.
+    """
+
+    folder: Path | None = None
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """Variables of the processes that measure with it."""
+        return {} if self.folder is None else {"PYTHONPATH": str(self.folder)}
+
+
+def make_inputs(case: RecordedCase, folder: Path) -> list[str]:
+    """Make the images of a case and what else it reads.
+
+    Parameters
+    ----------
+    case : RecordedCase
+        The case.
+    folder : Path
+        Where its files go.
+
+    Returns
+    -------
+    list of str
+        A digest of each image's file, by name.
+    """
+    for name, arguments in case.synth:
+        (folder / name).mkdir(parents=True, exist_ok=True)
+        ddic("synth", *arguments.split(), "--output", str(folder / name))
+    if case.prepare is not None:
+        case.prepare(folder)
+    # Grey levels, not files: a header may hold a date.
+    return [f"{path.relative_to(folder)} {_digest(path)}" for path in sorted(folder.rglob("*.tif"))]
+
+
+def _digest(path: Path) -> str:
+    import tifffile
+
+    return hashlib.sha256(np.ascontiguousarray(tifffile.imread(path)).tobytes()).hexdigest()[:16]
+
+
+def measure_fields(case: RecordedCase, folder: Path, n_ranks: int, source: Source) -> dict[str, NDArray[np.float64]]:
+    """Run a case through the command line.
+
+    Parameters
+    ----------
+    case : RecordedCase
+        The case, whose inputs are there.
+    folder : Path
+        Where its files are.
+    n_ranks : int
+        Number of MPI ranks; runs that are not for it are left out.
+    source : Source
+        The package to measure with.
+
+    Returns
+    -------
+    dict
+        What ``Fields`` says.
+    """
+    found = {}
+    for run in case.runs:
+        if n_ranks not in run.ranks:
+            continue
+        output = f'\n[output]\nfile = "{run.name}.vtkhdf"\nresidual_image = false\n'
+        (folder / f"{run.name}.toml").write_text(run.text + output, encoding="utf-8")
+        mpirun(n_ranks, ddic_command(), "run", str(folder / f"{run.name}.toml"), environment=source.environment)
+        result = read_result(folder / f"{run.name}.vtkhdf")
+        found[run.name] = result.displacement
+        for number in range(1, run.text.count("[[near]]") + 1):
+            motion = result.attributes[f"near_{number}"]
+            found[f"{run.name} near_{number}"] = np.array([*motion["alpha_px"], float(motion["theta_rad"])])
+    return found
+
+
+def record_case(case: RecordedCase, folder: Path, source: Source) -> None:
+    """Record the fields of a case on one rank in ``accept/recorded``.
+
+    Parameters
+    ----------
+    case : RecordedCase
+        The case.
+    folder : Path
+        Where its files go.
+    source : Source
+        The package to measure with.
+    """
+    digests = make_inputs(case, folder)
+    fields = measure_fields(case, folder, 1, source)
+    RECORDED.mkdir(exist_ok=True)
+    np.savez_compressed(RECORDED / f"{case.name}.npz", **{DIGESTS: np.array(digests)}, **fields)
+
+
+def recorded_fields(case: RecordedCase, folder: Path, digests: Sequence[str]) -> tuple[Fields, str]:
+    """Read the recorded fields of a case.
+
+    Where its images are not those of then, rendered on another machine perhaps, the code before measures them anew.
+
+    Parameters
+    ----------
+    case : RecordedCase
+        The case, whose inputs are there.
+    folder : Path
+        Where its files are.
+    digests : sequence of str
+        Of its images.
+
+    Returns
+    -------
+    fields : Fields
+        The fields before.
+    origin : str
+        Where they come from.
+    """
+    with np.load(RECORDED / f"{case.name}.npz") as file:
+        if file[DIGESTS].tolist() == list(digests):
+            return {name: file[name] for name in file.files if name != DIGESTS}, "recorded"
+    return measure_fields(case, folder, 1, Source(checkout_before() / "src")), "measured now by the code before"
+
+
+def compare_case(case: RecordedCase, scale: Scale) -> Row:
+    """Measure a case with the present code and compare its fields with those before.
+
+    Parameters
+    ----------
+    case : RecordedCase
+        The case.
+    scale : Scale
+        A smoke run measures on one rank.
+
+    Returns
+    -------
+    Row
+        Largest difference, over ranks, in each run.
+    """
+    folder = scale.folder("recorded") / case.name
+    digests = make_inputs(case, folder)
+    before, origin = recorded_fields(case, folder, digests)
+    ranks = sorted({n for run in case.runs for n in run.ranks})[: 1 if scale.smoke else None]
+    largest: dict[str, float] = {}
+    for n_ranks in ranks:
+        for name, field in measure_fields(case, folder, n_ranks, Source()).items():
+            difference = _largest_difference(field, before[name])
+            largest[name] = max(largest.get(name, 0.0), difference)
+    bounds = {run.name: run.bound for run in case.runs}
+    return Row(f"{case.name}: {case.what}; {' and '.join(map(str, ranks))} rank{'s' * (len(ranks) > 1)} against the "
+               f"field {origin}", "largest difference " + _listed(bounds), _listed(largest),
+               all(value <= bounds[name.split()[0]] for name, value in largest.items()))
+
+
+def _largest_difference(field: NDArray[np.float64], before: NDArray[np.float64]) -> float:
+    """Largest difference of a component, infinite where nodes are others."""
+    return float(np.abs(field - before).max()) if field.shape == before.shape else float("inf")
+
+
+def _listed(values: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} {value:.1e} px" for name, value in values.items())
+
+
+def recorded(scale: Scale) -> list[Row]:
+    """Compare all recorded cases, a row each.
+
+    Parameters
+    ----------
+    scale : Scale
+        A smoke run compares one case.
+
+    Returns
+    -------
+    list of Row
+        A case that fails is a row that does not hold.
+    """
+    rows = []
+    for name in SMOKE if scale.smoke else CASES:
+        try:
+            rows.append(compare_case(CASES[name], scale))
+        except Exception as error:
+            if scale.smoke:
+                raise
+            rows.append(Row(f"{name}: {CASES[name].what}", "measured", f"could not be measured: {error}", False))
+    return rows
+
+
+def main() -> None:
+    """Record the cases that the command line names."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", metavar="CASE", help=", ".join(CASES))
+    parser.add_argument("--source", type=Path, help="folder that holds the package ddic to record with")
+    chosen = parser.parse_args()
+    folder = chosen.source or checkout_before() / "src"
+    for name in chosen.names or CASES:
+        record_case(CASES[name], Scale().folder("recorded") / name, Source(Path(os.path.abspath(folder))))
+        print(f"{name}: {(RECORDED / name).with_suffix('.npz').stat().st_size / 1024:.0f} kB", flush=True)
+
+
+if __name__ == "__main__":
+    main()

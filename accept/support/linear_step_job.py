@@ -1,0 +1,125 @@
+"""The MPI part of ``accept.linear_step``: prints a JSON line for each variant and partition from rank 0.
+
+Usage: linear_step_job FOLDER SIZE, the folder of an image pair and the side of its images in pixels.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Any
+
+import numpy as np
+from bench.support.step_problem import (
+    Whole,
+    correct_monolithically,
+    distribute_problem,
+    find_relative_difference,
+    solve_step,
+    whole_problem,
+)
+from mpi4py import MPI
+
+from ddic.case.schema import Case
+from ddic.parallel.team import Team
+from ddic.problem.inputs import ImagePair
+
+PARTITIONS: dict[str, dict[int, Any]] = {"blocks": {4: [2, 2], 9: [3, 3], 16: [4, 4]}, "metis": {4: 4, 9: 9, 16: 16}}
+"""Values of solver.blocks and solver.subdomains by number of subdomains."""
+
+VARIANTS = {"consistent": 64.0, "paper": 64.0, "unregularized": None}
+"""Cut-off wavelengths, pixels."""
+
+MARGIN, ELEMENT = 20, 10
+"""Edge without elements and side of the elements, pixels."""
+
+
+def base_case(folder: str, size: int, wavelength: float | None) -> dict[str, Any]:
+    """Give the case of a variant, without ``[solver]``.
+
+    Parameters
+    ----------
+    folder : str
+        Of the image pair.
+    size : int
+        Side of the images, pixels.
+    wavelength : float, optional
+        Cut-off wavelength, pixels.
+
+    Returns
+    -------
+    dict
+        Sections.
+    """
+    end = MARGIN + ELEMENT * ((size - 2 * MARGIN) // ELEMENT)
+    base: dict[str, Any] = {
+        "images": {"reference": f"{folder}/reference.tif", "deformed": f"{folder}/deformed.tif"},
+        "mesh": {"structured": {"region": [MARGIN, MARGIN, end, end], "element_size": ELEMENT}},
+    }
+    if wavelength is not None:
+        base["regularization"] = {"cut_off_wavelength": wavelength}
+    return base
+
+
+def compare_step(team: Team, case: Case, pair: ImagePair, whole: Whole) -> tuple[float, int]:
+    """Solve one linear step by subdomains and on one domain, from the same random q and b.
+
+    Parameters
+    ----------
+    team : Team
+        Ranks.
+    case : Case
+        With the partition.
+    pair : ImagePair
+        Its images.
+    whole : Whole
+        The one-domain problem.
+
+    Returns
+    -------
+    difference : float
+        Relative to the largest correction.
+    iterations : int
+        Of the Krylov solver.
+    """
+    rng = np.random.default_rng(0)
+    q = rng.normal(scale=0.1, size=whole.mesh.n_dofs)
+    b = whole.hessian @ rng.normal(size=whole.mesh.n_dofs)
+    problem = distribute_problem(team, case, pair, whole.mesh)
+    try:
+        shared = problem.count_subdomains(whole.mesh)
+        weights = shared if case.solver.weighting == "paper" else None
+        reference = correct_monolithically(whole, case.regularization, q, b, weights)
+        result = solve_step(problem, case.solver, q, b / shared)
+    finally:
+        problem.destroy()
+    return find_relative_difference(problem, result.dq, reference), result.krylov_iterations
+
+
+def main(folder: str, size: str) -> None:
+    """Compare all variants on all partitions with at least a subdomain for each rank.
+
+    Parameters
+    ----------
+    folder, size : str
+        Of the command line.
+    """
+    team = Team(MPI.COMM_WORLD)
+    for variant, wavelength in VARIANTS.items():
+        base = base_case(folder, int(size), wavelength)
+        pair, whole = whole_problem(Case.model_validate(base))
+        for kind, sizes in PARTITIONS.items():
+            for count, split in sizes.items():
+                if count < team.size:
+                    continue
+                key = "blocks" if kind == "blocks" else "subdomains"
+                solver = {"partition": kind, "tolerance": 1e-12, key: split,
+                          "weighting": "paper" if variant == "paper" else "consistent"}
+                case = Case.model_validate({**base, "solver": solver})
+                difference, iterations = compare_step(team, case, pair, whole)
+                if team.is_root:
+                    print(json.dumps({"variant": variant, "partition": kind, "subdomains": count, "ranks": team.size,
+                                      "relative_difference": difference, "iterations": iterations}), flush=True)
+
+
+main(*sys.argv[1:])

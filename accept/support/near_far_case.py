@@ -1,0 +1,195 @@
+"""Near-field and far-field cases: their text, each camera measured alone on its own elements, errors."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import meshio
+import numpy as np
+from bench.support.runs import ddic_run, images
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ddic.images.camera import CameraMapping, identity
+from ddic.io.result_reader import Result, read_result
+from ddic.mesh.mesh import Mesh
+from ddic.synth.near_far_truth import NearFarTruth, load_near_far_truth
+
+EDGE = 47.5
+<<<<<<< HEAD:bench/support/near_far_case.py
+=======
+"""Edge of the far image without elements, far px."""
+
+VTK_NAMES = {VTK_TRIANGLE: "triangle", VTK_QUAD: "quad"}
+>>>>>>> refs/heads/accept:accept/support/near_far_case.py
+SAME_NODE = 1e-6
+"""Distance within which nodes of two files are one, pixels."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Synthetic far and near images and the mesh on them.
+
+    Attributes
+    ----------
+    width, height : int
+        Of either image, pixels.
+    ratio : float
+        Near px per far px.
+    alpha : tuple of float
+        Translation of the near set-up, far px.
+    element_size : float
+        Side of the elements, far px.
+    folder : Path
+        Where images go, a folder for each noise.
+    """
+
+    width: int
+    height: int
+    ratio: float
+    alpha: tuple[float, float]
+    element_size: float
+    folder: Path
+
+    def plate(self, truth_file: Path) -> str:
+        """Give the mesh section of the plate with a hole over the far image.
+
+        Parameters
+        ----------
+        truth_file : Path
+            What ``ddic synth`` wrote.
+
+        Returns
+        -------
+        str
+            TOML text.
+        """
+        hole = json.loads(truth_file.read_text(encoding="utf-8"))["hole"]
+        region = [EDGE, EDGE, self.width - 1 - EDGE, self.height - 1 - EDGE]
+        return (f"[mesh.structured]\nregion = {region}\nelement_size = {self.element_size:g}\n"
+                f"circles = [{{ center = {hole['center']}, radius = {hole['radius']} }}]\n")
+
+
+@dataclass(frozen=True)
+class Pair:
+    """The images of one camera and where it looks; noise: given standard deviation of a picture, None if estimated."""
+
+    reference: Path
+    deformed: Path
+    mapping: CameraMapping
+    noise: float | None = None
+
+    def keys(self) -> str:
+        """Its keys of a case file, without those of the mapping."""
+        noise = "" if self.noise is None else f"noise = {self.noise}\n"
+        return f'reference = "{self.reference}"\ndeformed = "{self.deformed}"\n{noise}'
+
+
+@dataclass(frozen=True)
+class Alone:
+    """What one camera measures by itself on its elements.
+
+    nodes: (n,) numbers in the joint mesh; seen: displacement as if its set-up had not moved, (n, 2) far px.
+    residual_std: grey levels.
+    """
+
+    nodes: NDArray[np.int64]
+    seen: NDArray[np.float64]
+    residual_std: float
+
+
+@dataclass(frozen=True)
+class Fields:
+    """A field that may jump between cameras: nodes and displacement of each, and what each of them measured.
+
+    cells: (n_cells,) number of the camera; nodes[c]: (n_c,) numbers in ``mesh``; u[c]: (n_c, 2) far px.
+    """
+
+    mesh: Mesh
+    cells: NDArray[np.int64]
+    nodes: list[NDArray[np.int64]]
+    u: list[NDArray[np.float64]]
+    alpha: NDArray[np.float64]
+
+
+def render_scene(scene: Scene, noise: float, seed: int = 0) -> tuple[Pair, Pair, NearFarTruth]:
+    """Render the images of a scene, where they are missing.
+
+    Parameters
+    ----------
+    scene : Scene
+        Sizes.
+    noise : float
+        Standard deviation, grey levels.
+    seed : int
+        Of speckles and noise.
+
+    Returns
+    -------
+    far, near : Pair
+        The images.
+    truth : NearFarTruth
+        The exact field.
+    """
+    folder = images("near-far", "--size", f"{scene.width}x{scene.height}", "--ratio", str(scene.ratio), "--alpha",
+                    *map(str, scene.alpha), "--noise", str(noise), "--seed", str(seed),
+                    folder=scene.folder / f"noise{noise:g}_seed{seed}")
+    truth = load_near_far_truth(folder / "truth.json")
+    far, near = (Pair(folder / f"{name}_reference.tif", folder / f"{name}_deformed.tif", mapping)
+                 for name, mapping in (("far", identity()), ("near", truth.mapping)))
+    return far, near, truth
+
+
+def joint_case(far: Pair, near: Pair, mesh: str, rest: str) -> str:
+    """Text of a case with one near-field image; the near camera's mapping must be a similarity without rotation."""
+    h = near.mapping.homography
+    return (f"[images]\n{far.keys()}[[near]]\n{near.keys()}ratio = {float(h[0, 0])!r}\n"
+            f"offset = [{float(h[0, 2])!r}, {float(h[1, 2])!r}]\n{mesh}{rest}")
+
+
+def measured_alone(joint: Result, camera: int, pair: Pair, folder: Path, rest: str) -> Alone:
+    """FE-DIC of one camera's images alone, on the elements that it measures in a joint result, in its own pixels."""
+    part, ids = joint.mesh.submesh(np.flatnonzero(joint.cell_data["Camera"] == camera))
+    nodes = pair.mapping.to_image(part.nodes)
+    name = f"alone_{camera}"
+    folder.mkdir(parents=True, exist_ok=True)
+    cells = [(block.type.meshio_name, block.nodes) for block in part.cell_blocks]
+    meshio.write(folder / f"{name}.vtk", meshio.Mesh(np.pad(nodes, ((0, 0), (0, 1))), cells), file_format="vtk")
+    summary = ddic_run(f'[images]\nreference = "{pair.reference}"\ndeformed = "{pair.deformed}"\n'
+                       f'[mesh]\nfile = "{name}.vtk"\n{rest}', folder, 1, name)
+    result = read_result(folder / f"{name}.vtkhdf")
+    distance, at = cKDTree(nodes).query(result.mesh.nodes)
+    if len(at) != len(ids) or distance.max() > SAME_NODE:
+        raise RuntimeError(f"{folder / name}: the result's nodes are not those of its mesh")
+    seen = pair.mapping.to_specimen(result.mesh.nodes + result.displacement) - joint.mesh.nodes[ids[at]]
+    order = np.argsort(at)
+    return Alone(ids, seen[order], summary["residual_std_grey"])
+
+
+def independent(joint: Result, alone: Sequence[Alone]) -> Fields:
+    """Fields of two cameras measured alone; alpha leaves the least jumps between them, Eq. 22 of [BP17]."""
+    far, near = alone
+    _, at_far, at_near = np.intersect1d(far.nodes, near.nodes, return_indices=True)
+    alpha = (near.seen[at_near] - far.seen[at_far]).mean(axis=0)
+    return Fields(joint.mesh, joint.cell_data["Camera"].astype(np.int64), [far.nodes, near.nodes],
+                  [far.seen, near.seen - alpha], alpha)
+
+
+def continuous(joint: Result) -> Fields:
+    """The one field of a joint result, as fields of its cameras."""
+    cells = joint.cell_data["Camera"].astype(np.int64)
+    nodes = [joint.mesh.submesh(np.flatnonzero(cells == camera))[1] for camera in range(2)]
+    return Fields(joint.mesh, cells, nodes, [joint.displacement[n] for n in nodes], alpha_of(joint))
+
+
+def alpha_of(joint: Result) -> NDArray[np.float64]:
+    """Measured translation of the near set-up, far px (2,)."""
+    return np.asarray(joint.attributes["near_1"]["alpha_px"])
+
+
+def rms(values: NDArray[np.float64]) -> float:
+    """Root mean square of components."""
+    return float(np.sqrt(np.mean(np.square(values))))

@@ -1,0 +1,43 @@
+"""The four panels of Fig. 4 of [BP17]: far and near field measured alone, continuous, regularized."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accept.support.near_far_case import Fields
+from ddic.io.plots.camera_fields import CellPanel, panels_figure
+from ddic.io.plots.canvas import mesh_bounds, save_figure
+<<<<<<< HEAD:bench/support/near_far_picture.py
+from ddic.kinematics.strain import compute_strain
+from support.near_far_case import Fields
+=======
+from ddic.kinematics.strain import compute_strain
+>>>>>>> refs/heads/accept:accept/support/near_far_picture.py
+
+AROUND = 0.35
+
+
+def draw_panels(fields: Mapping[str, Fields], path: Path) -> None:
+    """Strain along y around the near field; fields: independent, continuous, regularized."""
+    alone, joint, regularized = (fields[name] for name in ("independent", "continuous", "regularized"))
+    near = alone.mesh.submesh(np.flatnonzero(alone.cells == 1))[0]
+    panels = [_panel("(a) far field alone", alone, [0]), _panel("(b) near field alone", alone, [1]),
+              _panel("(c) continuous, Eq. 21", joint, [0, 1]), _panel("(d) regularized, Eq. 23", regularized, [0, 1])]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save_figure(panels_figure(panels, [near], mesh_bounds(near.nodes, AROUND), r"$\varepsilon_{yy}$ [-]"), path)
+
+
+def _panel(title: str, fields: Fields, cameras: list[int]) -> CellPanel:
+    shown = fields.mesh.submesh(np.flatnonzero(np.isin(fields.cells, cameras)))[0]
+    values = np.concatenate([_strain(fields, camera) for camera in cameras])
+    order = np.argsort(np.concatenate([np.flatnonzero(fields.cells == camera) for camera in cameras]))
+    return CellPanel(title, shown, values[order])
+
+
+def _strain(fields: Fields, camera: int) -> NDArray[np.float64]:
+    part, _ = fields.mesh.submesh(np.flatnonzero(fields.cells == camera))
+    return compute_strain(part, fields.u[camera].ravel()).infinitesimal[:, 1]

@@ -1,0 +1,1 @@
+"""Benchmarks: what ddic takes and reaches, measured; ``python -m bench.NAME`` from the repository."""

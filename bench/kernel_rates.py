@@ -1,0 +1,198 @@
+"""Pixel kernels of this checkout against those of another: rates and bits, one core.
+
+Usage: kernel_rates.py [--before DIRECTORY] [PROBLEM ...]. Without a directory, the commit BEFORE is put into
+bench/data. Both checkouts run in a process of their own; their calls take turns, so that a change of the machine's
+speed meets both. Rates are medians of CPU time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import os
+import subprocess
+import sys
+import tarfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from support.harness import DATA, ROOT, Row, append_result
+from support.unstructured_mesh import write_unstructured_mesh
+
+from ddic.io.mesh_file import read_mesh
+from ddic.mesh.mesh import Mesh, Similarity
+from ddic.mesh.structured import build_structured_mesh
+
+BEFORE = "a354d27"
+"""The commit whose kernels took their arguments one by one."""
+
+LEAST_RATIO = 0.97
+"""Rate relative to that before that is good enough: what is left of the noise."""
+
+ROUNDS = 25
+"""Measurements of each call; the median of fewer moves by more than LEAST_RATIO allows."""
+
+MARGIN = 32
+"""Pixels between the mesh and the image's edge."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A mesh and the degree of the spline.
+
+    Attributes
+    ----------
+    mesh : callable
+        Makes the mesh.
+    degree : int
+        3 or 5.
+    """
+
+    mesh: Callable[[], Mesh]
+    degree: int
+
+
+def square_mesh(side: int) -> Mesh:
+    """Q4 of 16 px on a square region."""
+    return build_structured_mesh((MARGIN, MARGIN, MARGIN + side, MARGIN + side), 16)
+
+
+def mixed_mesh(side: int) -> Mesh:
+    """Triangles and quadrangles of 15 px around a hole."""
+    path = DATA / f"kernel_rates_mixed_{side}.vtk"
+    if not path.is_file():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        low, high = MARGIN + 0.3, MARGIN + side - 0.4
+        middle = MARGIN + side / 2
+        write_unstructured_mesh(path, (low, low, high, high), 15.0, ((middle, middle), side / 8))
+    return read_mesh(path, Similarity())
+
+
+PROBLEMS = {
+    "16-px Q4": Problem(lambda: square_mesh(1536), 3),
+    "15-px T3/Q4": Problem(lambda: mixed_mesh(1536), 3),
+    "16-px Q4, quintic": Problem(lambda: square_mesh(1536), 5),
+    # Where what a call costs, whatever its cells, would show.
+    "16-px Q4, 33,000 px": Problem(lambda: square_mesh(176), 3),
+    "15-px T3/Q4, 33,000 px": Problem(lambda: mixed_mesh(183), 3),
+}
+
+
+class Checkout:
+    """A process that measures one checkout's kernels, call by call.
+
+    Parameters
+    ----------
+    directory : Path
+        The checkout.
+    mesh : Path
+        The stored mesh.
+    degree : int
+        Of the spline.
+    """
+
+    def __init__(self, directory: Path, mesh: Path, degree: int) -> None:
+        job = ROOT / "bench" / "support" / "kernel_rates_job.py"
+        environment = {**os.environ, "PYTHONPATH": str(directory / "src")}
+        self._process = subprocess.Popen([sys.executable, str(job), str(mesh), str(degree)], text=True,
+                                         stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment)
+        self.digests: dict[str, str] = json.loads(self._answer())
+
+    def seconds(self, name: str) -> float:
+        """CPU seconds of one call."""
+        assert self._process.stdin is not None
+        print(name, file=self._process.stdin, flush=True)
+        return float(self._answer())
+
+    def close(self) -> None:
+        """End the process."""
+        self._process.communicate()
+
+    def _answer(self) -> str:
+        """The process's next line; raises RuntimeError where it ended instead."""
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        if not line:
+            raise RuntimeError(f"the measuring process ended with {self._process.wait()}")
+        return line
+
+
+@contextmanager
+def both_checkouts(before: Path, problem: Problem) -> Iterator[dict[str, Checkout]]:
+    """Processes of the checkouts before and after, ready to measure."""
+    mesh = problem.mesh()
+    stored = DATA / "kernel_rates_mesh.npz"
+    stored.parent.mkdir(parents=True, exist_ok=True)
+    np.savez(stored, nodes=mesh.nodes, connectivity=mesh.connectivity, offsets=mesh.offsets, types=mesh.types)
+    checkouts: dict[str, Checkout] = {}
+    try:
+        for name, directory in (("before", before), ("after", ROOT)):
+            checkouts[name] = Checkout(directory, stored, problem.degree)
+        yield checkouts
+    finally:
+        for checkout in checkouts.values():
+            checkout.close()
+
+
+def alternated(checkouts: dict[str, Checkout], call: str) -> dict[str, float]:
+    """Median CPU seconds of a call in each checkout, in turn."""
+    seconds: dict[str, list[float]] = {name: [] for name in checkouts}
+    for _ in range(ROUNDS):
+        for name, checkout in checkouts.items():
+            seconds[name].append(checkout.seconds(call))
+    return {name: float(np.median(values)) for name, values in seconds.items()}
+
+
+def measure_problem(name: str, before: Path) -> Row:
+    """Compare all calls on one problem."""
+    problem = PROBLEMS[name]
+    parts, ratios = [], []
+    with both_checkouts(before, problem) as checkouts:
+        expected, found = checkouts["before"].digests, checkouts["after"].digests
+        for call in expected:
+            seconds = alternated(checkouts, call)
+            ratios.append(seconds["before"] / seconds["after"])
+            bits = "" if found[call] == expected[call] else " (other bits)"
+            parts.append(f"{call} {ratios[-1]:.3f}{bits}")
+            append_result("kernel_rates", {"problem": name, "call": call, "ratio": ratios[-1],
+                                           "same_bits": found[call] == expected[call], **seconds})
+    return Row(f"rates of pixel kernels, after to before, {name}", f">= {LEAST_RATIO} each", ", ".join(parts),
+               min(ratios) >= LEAST_RATIO)
+
+
+def checkout_before() -> Path:
+    """The tree of the commit BEFORE, in bench/data."""
+    directory = DATA / f"checkout_{BEFORE}"
+    if not directory.is_dir():
+        archive = subprocess.run(["git", "archive", BEFORE], cwd=ROOT, check=True, capture_output=True).stdout
+        with tarfile.open(fileobj=io.BytesIO(archive)) as files:
+            files.extractall(directory, filter="data")
+    return directory
+
+
+def measure(before: Path | None = None, names: Sequence[str] = ()) -> Iterator[Row]:
+    """Compare this checkout with another on the problems that are named, all where none is."""
+    directory = checkout_before() if before is None else before
+    for name in names or PROBLEMS:
+        yield measure_problem(name, directory)
+
+
+def main() -> int:
+    """Print the rows; 1 where one does not hold."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--before", type=Path, help="the other checkout")
+    parser.add_argument("problems", nargs="*", help=f"of {', '.join(PROBLEMS)}")
+    arguments = parser.parse_args()
+    held = True
+    for row in measure(arguments.before, arguments.problems):
+        held &= row.holds
+        print(f"{'holds' if row.holds else 'FAILS'}  {row.check}\n       {row.measured}", flush=True)
+    return 0 if held else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

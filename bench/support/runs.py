@@ -1,0 +1,190 @@
+"""Runs of the command line and of jobs under MPI, image pairs, and where all of that is kept."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+"""The repository: every command is started here, so that ``bench`` and ``accept`` can be imported."""
+
+DATA = ROOT / "bench" / "data"
+"""Images, cases and results of runs; not part of the repository."""
+
+TIMEOUT_S = 900
+"""Seconds after which a run counts as hanging."""
+
+
+class NotHereError(RuntimeError):
+    """What a measurement needs is not on this machine: real images, other programs, the history of the repository."""
+
+
+def ddic_command() -> str:
+    """Give the path of the command line.
+
+    Returns
+    -------
+    str
+        The ``ddic`` beside the interpreter that runs this.
+    """
+    return str(Path(sys.executable).with_name("ddic"))
+
+
+def mpirun(n_ranks: int, *command: str, environment: dict[str, str] | None = None) -> str:
+    """Run a command on some ranks with an outer time limit.
+
+    Parameters
+    ----------
+    n_ranks : int
+        Number of MPI ranks.
+    *command : str
+        The command and its arguments.
+    environment : dict, optional
+        Variables that differ from this process's.
+
+    Returns
+    -------
+    str
+        Its standard output.
+
+    Raises
+    ------
+    RuntimeError
+        Where it fails or takes longer than ``TIMEOUT_S``.
+    """
+    launcher = os.environ.get("MPIEXEC", "mpiexec")
+    done = subprocess.run(["timeout", str(TIMEOUT_S), launcher, "-n", str(n_ranks), *command], cwd=ROOT, text=True,
+                          env={**os.environ, **(environment or {})}, capture_output=True, check=False)
+    if done.returncode != 0:
+        raise RuntimeError(f"{' '.join(command)} on {n_ranks} ranks ended with {done.returncode}:\n"
+                           f"{done.stdout[-2000:]}{done.stderr[-4000:]}")
+    return done.stdout
+
+
+def run_job(n_ranks: int, module: str, *arguments: str) -> list[dict[str, Any]]:
+    """Run a module of this repository on some ranks.
+
+    Parameters
+    ----------
+    n_ranks : int
+        Number of MPI ranks.
+    module : str
+        Its dotted name, ``bench.support.local_inverse_job`` for instance.
+    *arguments : str
+        Its arguments.
+
+    Returns
+    -------
+    list of dict
+        The JSON object of every line that it prints.
+
+    Raises
+    ------
+    RuntimeError
+        Where it fails.
+    """
+    printed = mpirun(n_ranks, sys.executable, "-m", "mpi4py", "-m", module, *arguments)
+    return [json.loads(line) for line in printed.splitlines()]
+
+
+def ddic_run(case: str, folder: Path, n_ranks: int, name: str = "result") -> dict[str, Any]:
+    """Run a case text through the command line; the result is ``folder/NAME.vtkhdf``.
+
+    Parameters
+    ----------
+    case : str
+        Case file without ``[output]``.
+    folder : Path
+        Folder of the case file, which its relative paths start from.
+    n_ranks : int
+        Number of MPI ranks.
+    name : str
+        Name of the case file and of the result.
+
+    Returns
+    -------
+    dict
+        The summary.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    case_file = folder / f"{name}.toml"
+    case_file.write_text(f'{case}\n[output]\nfile = "{name}.vtkhdf"\n', encoding="utf-8")
+    mpirun(n_ranks, ddic_command(), "run", str(case_file))
+    summary: dict[str, Any] = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
+    return summary
+
+
+def ddic(*arguments: str, environment: dict[str, str] | None = None) -> None:
+    """Run the command line on one rank.
+
+    Parameters
+    ----------
+    *arguments : str
+        Of ``ddic``.
+    environment : dict, optional
+        Variables that differ from this process's.
+    """
+    subprocess.run([ddic_command(), *arguments], check=True, stdout=subprocess.DEVNULL,
+                   env={**os.environ, **(environment or {})})
+
+
+def images(*arguments: str, folder: Path) -> Path:
+    """Make an image pair with ``ddic synth`` unless the same one is there already.
+
+    Parameters
+    ----------
+    *arguments : str
+        Of ``ddic synth``, without ``--output``.
+    folder : Path
+        Where the pair goes.
+
+    Returns
+    -------
+    Path
+        The folder.
+    """
+    stamp = folder / "arguments.json"
+    wanted = json.dumps([*arguments, source_version()])
+    if not stamp.is_file() or stamp.read_text(encoding="utf-8") != wanted:
+        folder.mkdir(parents=True, exist_ok=True)
+        ddic("synth", *arguments, "--output", str(folder))
+        stamp.write_text(wanted, encoding="utf-8")
+    return folder
+
+
+def source_version() -> str:
+    """Digest the generator's source, so that images are never those of an older one.
+
+    Returns
+    -------
+    str
+        Hexadecimal digest.
+    """
+    digest = hashlib.sha256()
+    for path in sorted((ROOT / "src" / "ddic" / "synth").glob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def real_data() -> Path:
+    """Find the folder of real images.
+
+    Returns
+    -------
+    Path
+        What DDIC_REAL_DATA names.
+
+    Raises
+    ------
+    NotHereError
+        Where it names no folder.
+    """
+    folder = os.environ.get("DDIC_REAL_DATA")
+    if not folder or not Path(folder).is_dir():
+        raise NotHereError("set DDIC_REAL_DATA to the folder of real images")
+    return Path(folder).resolve()

@@ -1,0 +1,100 @@
+"""Statistics of grey levels f and g(x + u): residual, gain and offset, from six sums over pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+GreyCorrection = Literal["none", "global", "element"]
+"""Whose gain a and offset b in f = a g + b are fitted: nobody's, each camera's, each cell's."""
+
+FLAT = 1e-12
+"""Variance of g relative to its mean square, no unit, up to which g is flat: rounding of float64 sums leaves some
+1e-15. Where it is larger, more regions get no gain."""
+
+_TINY = 1e-300
+"""A mean square, grey levels squared, below any that is not 0."""
+
+
+@dataclass(frozen=True)
+class GreySums:
+    """Sums over pixels of (1, r, g, r^2, g^2, r g), r = f - g(x + u), from which all grey statistics follow.
+
+    Attributes
+    ----------
+    values : (..., 6) float64 array
+        Grey levels and their squares; the leading axes are cells, or nothing for a whole region.
+    """
+
+    values: NDArray[np.float64]
+
+    @property
+    def n_pixels(self) -> NDArray[np.float64]:
+        """Number of pixels that count, (...,)."""
+        return np.asarray(self.values[..., 0])
+
+    def fit_gain_and_offset(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Fit f = a g + b by least squares.
+
+        Returns
+        -------
+        gain, offset : (...,) arrays
+            a, no unit, and b, grey levels; a = 1 where the deformed image is flat, (1, 0) without pixels.
+        """
+        n, r, g, _, gg, rg = np.moveaxis(self.values, -1, 0)
+        n = np.maximum(n, 1.0)
+        variance = gg / n - (g / n) ** 2
+        textured = variance > FLAT * np.maximum(gg / n, _TINY)
+        covariance = rg / n - r * g / n**2
+        # Of f - g = (a - 1) g + b: the difference loses no digits where a is nearly 1.
+        excess = np.where(textured, covariance / np.where(textured, variance, 1.0), 0.0)
+        offset = np.where(self.n_pixels > 0, r / n - excess * g / n, 0.0)
+        return 1.0 + excess, offset
+
+    def sum_residual(self, gain: NDArray[np.float64] | float = 1.0,
+                     offset: NDArray[np.float64] | float = 0.0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Sum the residual f - gain g - offset and its square.
+
+        Parameters
+        ----------
+        gain : float or (...,) array
+            No unit.
+        offset : float or (...,) array
+            Grey levels.
+
+        Returns
+        -------
+        first, second : (...,) arrays
+            Sums over pixels, grey levels and their squares.
+        """
+        n, r, g, rr, gg, rg = np.moveaxis(self.values, -1, 0)
+        e = np.asarray(gain) - 1.0
+        b = np.asarray(offset)
+        # r - e g - b, and its square multiplied out.
+        first = r - e * g - b * n
+        second = rr + e**2 * gg + b**2 * n - 2 * e * rg - 2 * b * r + 2 * e * b * g
+        return first, np.maximum(second, 0.0)
+
+
+@dataclass(frozen=True)
+class GreyState:
+    """Grey-level statistics of one camera's pixels of the whole region at one displacement.
+
+    Attributes
+    ----------
+    residual_std, residual_rms : float
+        Standard deviation and root mean square of the residual, grey levels.
+    n_pixels : int
+        Pixels that count.
+    gain, offset : float
+        Of f = gain g + offset, the global correction; 1 and 0 without it, and with the correction per element.
+    """
+
+    residual_std: float
+    residual_rms: float
+    n_pixels: int
+    gain: float
+    offset: float
