@@ -35,14 +35,13 @@ def compile_kernels() -> None:
 
     petsc4py.init(["ddic"])
     import cv2
-    from mpi4py import MPI
 
     from ddic.methods.run import run_case
     from ddic.parallel.team import Team
     from ddic.results.listener import Silence
 
     cv2.setNumThreads(1)
-    team = Team(MPI.COMM_SELF)
+    team = Team.alone()
     with tempfile.TemporaryDirectory(prefix="ddic-kernels-") as name:
         folder = Path(name)
         for bit_depth in (8, 16, 32):

@@ -18,7 +18,7 @@ from ddic.io.result_schema import CELL_DATA, POINT_DATA, RESIDUAL_IMAGE
 from ddic.methods.run import run_case
 from ddic.parallel.team import Team
 from ddic.problem import assembly
-from ddic.problem.thread_note import own_cores, thread_note
+from ddic.problem.thread_note import list_own_cores, note_crowded_cores
 from support.cases import Ears, case_text, contents, write_case, write_images
 
 RANKS = [1, 2, 3, 4]
@@ -32,12 +32,12 @@ def _on_cores(monkeypatch: pytest.MonkeyPatch, cores: set[int]) -> None:
 def test_note_compares_threads_of_a_node_with_its_cores(monkeypatch: pytest.MonkeyPatch) -> None:
     team = Team(MPI.COMM_WORLD)
     _on_cores(monkeypatch, set(range(2 * team.size)))
-    fitting, crowded = thread_note(team, 2), thread_note(team, 3)
+    fitting, crowded = note_crowded_cores(team, 2), note_crowded_cores(team, 3)
     # Ranks that are bound to a core each have as many cores as there are ranks.
     _on_cores(monkeypatch, {team.rank})
-    single, bound = thread_note(team, 1), thread_note(team, 2)
+    single, bound = note_crowded_cores(team, 1), note_crowded_cores(team, 2)
     _on_cores(monkeypatch, {0})
-    alone = thread_note(team, 1)
+    alone = note_crowded_cores(team, 1)
     assert fitting == single == alone == ()
     assert crowded == (f"threads: solver.threads = 3 x {team.size} MPI ranks of a node = {3 * team.size} threads, but "
                        f"these ranks may run on {2 * team.size} cores only: fewer threads are as fast",)
@@ -47,7 +47,7 @@ def test_note_compares_threads_of_a_node_with_its_cores(monkeypatch: pytest.Monk
 def test_cores_are_counted_where_the_system_tells_no_affinity(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(os, "sched_getaffinity", raising=False)
     monkeypatch.setattr(os, "cpu_count", lambda: 6)
-    assert len(own_cores()) == 6
+    assert len(list_own_cores()) == 6
 
 
 MORE = """
