@@ -1,34 +1,31 @@
 """Pixel kernels of this checkout against those of another: rates and bits, one core.
 
-Usage: kernel_rates.py [--before DIRECTORY] [PROBLEM ...]. Without a directory, the commit BEFORE is put into
-bench/data. Both checkouts run in a process of their own; their calls take turns, so that a change of the machine's
+Usage: python -m bench.kernel_rates [--before DIRECTORY] [PROBLEM ...]. Without a directory, the commit of
+``bench.support.before`` is put into bench/data. Both checkouts run in a process of their own; their calls take turns, so that a change of the machine's
 speed meets both. Rates are medians of CPU time.
 """
 
 from __future__ import annotations
 
 import argparse
-import io
 import json
 import os
 import subprocess
 import sys
-import tarfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from support.harness import DATA, ROOT, Row, append_result
-from support.unstructured_mesh import write_unstructured_mesh
 
+from bench.support.before import checkout_before
+from bench.support.rows import Row, append_result, show
+from bench.support.runs import DATA, ROOT
+from bench.support.unstructured_mesh import write_unstructured_mesh
 from ddic.io.mesh_file import read_mesh
 from ddic.mesh.mesh import Mesh, Similarity
 from ddic.mesh.structured import build_structured_mesh
-
-BEFORE = "a354d27"
-"""The commit whose kernels took their arguments one by one."""
 
 LEAST_RATIO = 0.97
 """Rate relative to that before that is good enough: what is left of the noise."""
@@ -164,16 +161,6 @@ def measure_problem(name: str, before: Path) -> Row:
                min(ratios) >= LEAST_RATIO)
 
 
-def checkout_before() -> Path:
-    """The tree of the commit BEFORE, in bench/data."""
-    directory = DATA / f"checkout_{BEFORE}"
-    if not directory.is_dir():
-        archive = subprocess.run(["git", "archive", BEFORE], cwd=ROOT, check=True, capture_output=True).stdout
-        with tarfile.open(fileobj=io.BytesIO(archive)) as files:
-            files.extractall(directory, filter="data")
-    return directory
-
-
 def measure(before: Path | None = None, names: Sequence[str] = ()) -> Iterator[Row]:
     """Compare this checkout with another on the problems that are named, all where none is."""
     directory = checkout_before() if before is None else before
@@ -190,7 +177,7 @@ def main() -> int:
     held = True
     for row in measure(arguments.before, arguments.problems):
         held &= row.holds
-        print(f"{'holds' if row.holds else 'FAILS'}  {row.check}\n       {row.measured}", flush=True)
+        show(row)
     return 0 if held else 1
 
 

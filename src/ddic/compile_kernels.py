@@ -50,6 +50,15 @@ def compile_kernels() -> None:
                 case = folder / "case.toml"
                 case.write_text(CASE.format(degree=degree, mask=mask), encoding="utf-8")
                 run_case(team, case, Silence())
+    _interpolate()
+
+
+def _interpolate() -> None:
+    from ddic.mesh.interpolation import interpolate
+    from ddic.mesh.structured import build_structured_mesh
+
+    mesh = build_structured_mesh((0, 0, SIDE, SIDE), SIDE / 2)
+    interpolate(mesh, mesh.nodes, mesh.centroids)
 
 
 def _write_images(folder: Path, bit_depth: int) -> None:

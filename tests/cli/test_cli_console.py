@@ -13,7 +13,7 @@ import pytest
 
 from ddic.cli.console import RunConsole, on_terminal
 from ddic.parallel.phases import REPEATED, Phase
-from ddic.results.listener import ProblemSize
+from ddic.problem.problem_size import ProblemSize
 from ddic.results.summary import Summary
 from ddic.solvers.gauss_newton import CorrectionSize, GreyState, IterationRecord
 

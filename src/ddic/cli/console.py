@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
 from ddic.parallel.phases import REPEATED, Phase
-from ddic.results.listener import ProblemSize
+from ddic.problem.problem_size import ProblemSize
 from ddic.results.summary import Summary
 from ddic.solvers.gauss_newton import IterationRecord
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ddic.errors import first_of
 from ddic.kinematics.camera_kinematics import CameraKinematics
 from ddic.parallel.phases import Phase, PhaseClock
-from ddic.parallel.team import Team
+from ddic.parallel.team import Team, held
 from ddic.problem.cameras import Frame
 from ddic.problem.views import FrameViews, ReferenceViews, read_frame_windows
 from ddic.problem.weighted_problem import WeightedProblem
@@ -120,7 +120,7 @@ def _find_coarse_fields(by: FrameStart, frame: Frame, references: Sequence[Refer
     if found is None:
         search = by.search.prepare(frame)
         found = by.search.share(by.team.together(search))
-    return fit_coarse_fields(cameras, references, found)
+    return fit_coarse_fields(cameras, references, held(found))
 
 
 def _refine_independently(by: FrameStart, views: Sequence[FrameViews],
