@@ -1,8 +1,9 @@
 """Pixel kernels of this checkout against those of another: rates and bits, one core.
 
-Usage: kernel_rates.py [--before DIRECTORY] [PROBLEM ...]. Without a directory, the code before the
-restructuring is checked out into bench/data. Both checkouts run in a process of their own; their calls take turns, before, after, after, before, so that
-a change of the machine's speed meets both. A ratio of rates is the median of those of neighbours, in CPU time.
+Usage: python -m bench.kernel_rates [--before DIRECTORY] [PROBLEM ...]. Without a directory, the code before the
+restructuring is checked out into bench/data. Both checkouts run in a process of their own; their calls take turns,
+before, after, after, before, so that a change of the machine's speed meets both. A ratio of rates is the median of
+those of neighbours, in CPU time.
 """
 
 from __future__ import annotations

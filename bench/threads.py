@@ -19,13 +19,9 @@ from typing import Any
 import h5py
 import numpy as np
 
-<<<<<<< HEAD
-from ddic.functionals.correlation import read_correlations
-=======
 from bench.support.rows import Row, append_result, main
 from bench.support.runs import DATA, ddic_run, images
 from ddic.functionals.correlation import read_correlations
->>>>>>> refs/heads/accept
 from ddic.images.spline import read_gradient, read_spline
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.images.threads import Threads

@@ -73,7 +73,7 @@ def prefilter_rows(block: NDArray[np.float64], degree: int) -> None:
     _filter_rows(block, POLES[degree], TERMS[degree], np.empty((block.shape[1], TURNED)))
 
 
-def row_slopes(block: NDArray[np.float64], first: int, degree: int, out: NDArray[np.float32]) -> None:
+def write_row_slopes(block: NDArray[np.float64], first: int, degree: int, out: NDArray[np.float32]) -> None:
     """Write the spline's slopes along x at pixel centres.
 
     Only rows are filtered for that: along columns, values at pixel centres would undo it.
@@ -93,7 +93,7 @@ def row_slopes(block: NDArray[np.float64], first: int, degree: int, out: NDArray
                 np.empty((block.shape[1], TURNED)))
 
 
-def column_slopes(coefficients: NDArray[np.float64], first: int, degree: int, out: NDArray[np.float32]) -> None:
+def write_column_slopes(coefficients: NDArray[np.float64], first: int, degree: int, out: NDArray[np.float32]) -> None:
     """Write the spline's slopes along y at pixel centres.
 
     Parameters
