@@ -25,9 +25,9 @@ Choice = Callable[[Mesh], RegionKinematics]
 
 
 def measure(team: Team, path: Path, listener: Listener | None = None,
-            choose_kinematics: Choice | None = None) -> Measurement:
+            choose_kinematics: Choice | None = None, clock: PhaseClock | None = None) -> Measurement:
     """Measure the case's one frame; collective."""
-    clock = PhaseClock()
+    clock = clock or PhaseClock()
     inputs, frame = open_inputs(team, load_case(path))
     inputs = replace(inputs, choose_kinematics=choose_kinematics)
     with Session(team, inputs, listener or Silence(), clock, frame) as session:
