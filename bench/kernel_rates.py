@@ -32,12 +32,8 @@ from ddic.mesh.structured import build_structured_mesh
 LEAST_RATIO = 0.97
 """Rate relative to that before that is good enough: what is left of the noise."""
 
-ROUNDS = 30
+ROUNDS = 60
 """Turns of each call; the median of fewer moves by more than LEAST_RATIO allows."""
-
-MOST_ROUNDS = 120
-"""Turns of a call whose ratio falls short: all are kept, none is left out. Fewer take a busy machine's noise, some 5 %
-of a median of thirty, for a loss."""
 
 MARGIN = 32
 """Pixels between the mesh and the image's edge."""
@@ -145,7 +141,7 @@ def compare_rates(checkouts: Sequence[Checkout], call: str) -> tuple[float, floa
     """Rate of a call after relative to that before, and that before again relative to that before."""
     ratios: list[float] = []
     controls: list[float] = []
-    while len(ratios) < ROUNDS or (np.median(ratios) < LEAST_RATIO and len(ratios) < MOST_ROUNDS):
+    for _ in range(ROUNDS):
         before, after, again = (checkout.seconds(call) for checkout in checkouts)
         ratios.append((before + again) / 2 / after)
         controls.append(before / again)
