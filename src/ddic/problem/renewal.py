@@ -64,17 +64,23 @@ class RenewalRule:
         return min(share, (CHANGED_SIDE * self.wavelength) ** 2) if self.is_regularized else share
 
 
+CellCounts = tuple[NDArray[np.int64], ...]
+"""Pixels of each cell, (n_cells,), by view of a subdomain."""
+
+
 @dataclass(frozen=True)
 class VisiblePixels:
     """Pixels that M of owned subdomains counts.
 
+    By cell: a frame may hide as many pixels as the one before, but others.
+
     Attributes
     ----------
-    by_view : list of tuple of int
+    by_view : list of tuple of (n_cells,) array
         Of each subdomain and view.
     """
 
-    by_view: list[tuple[int, ...]]
+    by_view: list[CellCounts]
 
     @classmethod
     def all_of(cls, hessian_views: Sequence[Sequence[View]]) -> VisiblePixels:
@@ -90,7 +96,7 @@ class VisiblePixels:
         VisiblePixels
             Of these views.
         """
-        return cls([tuple(view.n_pixels for view in views) for views in hessian_views])
+        return cls([tuple(view.count_pixels() for view in views) for views in hessian_views])
 
 
 @dataclass(frozen=True)
@@ -137,13 +143,13 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
     """
     counted, whole = assembled
 
-    def renew() -> tuple[list[sparse.csr_matrix | None], list[tuple[int, ...]]]:
+    def renew() -> tuple[list[sparse.csr_matrix | None], list[CellCounts]]:
         hessians: list[sparse.csr_matrix | None] = []
-        by_view: list[tuple[int, ...]] = []
+        by_view: list[CellCounts] = []
         for of_subdomain, q_s, before, hessian in zip(views, q, counted.by_view, whole, strict=True):
             shown = tuple(view.without_hidden(q_s) for view in of_subdomain.views)
-            now = tuple(view.n_pixels for view in shown)
-            if _is_kept(of_subdomain, shown, (before, now), rule):
+            now = tuple(view.count_pixels() for view in shown)
+            if _is_kept(of_subdomain, before, now, rule):
                 hessians.append(None)
                 by_view.append(before)
             else:
@@ -161,23 +167,22 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
     return Renewal(hessians, VisiblePixels(by_view), note)
 
 
-def _is_kept(of_subdomain: FrameViews, shown: Sequence[View], counts: tuple[Sequence[int], Sequence[int]],
-             rule: RenewalRule) -> bool:
-    """Whether a subdomain's M still fits the pixels shown; counts: by view, those that M counts and those shown."""
-    before, now = counts
-    if now == before:
+def _is_kept(of_subdomain: FrameViews, before: CellCounts, now: CellCounts, rule: RenewalRule) -> bool:
+    """Whether a subdomain's M, which counts the pixels before, still fits those that are shown now."""
+    n_changed = sum(int(np.abs(a - b).sum()) for a, b in zip(before, now, strict=True))
+    if n_changed == 0:
         return True
-    if not rule.is_regularized and _has_lost_a_cell(of_subdomain, shown):
+    if not rule.is_regularized and _loses_a_cell(before, now):
         return False
     n_reference = sum(view.view.n_pixels for view in of_subdomain.views)
-    return abs(sum(now) - sum(before)) <= rule.limit(n_reference)
+    return n_changed <= rule.limit(n_reference)
 
 
-def _has_lost_a_cell(of_subdomain: FrameViews, shown: Sequence[View]) -> bool:
-    """Whether some cell that the reference images show is not shown at all."""
-    in_reference = np.sum([view.view.count_pixels() for view in of_subdomain.views], axis=0)
-    left = np.sum([view.count_pixels() for view in shown], axis=0)
-    return bool(((in_reference > 0) & (left == 0)).any())
+def _loses_a_cell(before: CellCounts, now: CellCounts) -> bool:
+    """Whether some cell that M counts is not shown at all."""
+    counted = np.sum(before, axis=0)
+    left = np.sum(now, axis=0)
+    return bool(((counted > 0) & (left == 0)).any())
 
 
 def _assemble_shown(views: Sequence[FrameView], shown: Sequence[View], whole: Sequence[sparse.csr_matrix],
