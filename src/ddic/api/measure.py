@@ -26,8 +26,8 @@ from ddic.methods.dd_dic import Session as RecipeSession
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.cameras import Camera, Frame, make_setup
-from ddic.problem.check_case import check_wavelength
 from ddic.problem.check_inputs import check_inputs
+from ddic.problem.check_mesh_uses import check_wavelength
 from ddic.problem.check_ranks import check_ranks
 from ddic.problem.inputs import Inputs, open_inputs
 from ddic.problem.mesh_source import accept_mesh

@@ -13,8 +13,9 @@ from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
 from ddic.partition.ties import Tying
 from ddic.problem.cameras import assign_cells, collect_cells, open_cameras, open_in_headers
-from ddic.problem.check_case import CheckReport, check_case
+from ddic.problem.check_case import check_case
 from ddic.problem.check_near_mapping import check_near_mapping
+from ddic.problem.check_report import CheckReport
 
 
 def check_inputs(loaded: LoadedCase) -> CheckReport:
