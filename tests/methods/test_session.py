@@ -192,7 +192,7 @@ def test_a_frame_that_cannot_be_measured_leaves_the_session_whole(shared_path: P
 @pytest.mark.parallel(RANKS)
 def test_a_renewal_that_fails_leaves_the_session_whole(shared_path: Path) -> None:
     team = Team.world()
-    # Without regularization nothing holds the nodes of cells that are hidden: those of block 4, displaced by (2, -1) px.
+    # Without regularization nothing holds the nodes of hidden cells: those of block 4, moved by (2, -1) px.
     write_frames(team, shared_path, BLOCKS + TIGHT, {1: shows_all_but((71, 124), (69, 121))})
     inputs, frames = open_frames(team, shared_path)
     with session_of(team, inputs) as session:
