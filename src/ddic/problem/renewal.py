@@ -28,8 +28,8 @@ iterations."""
 
 HELD_SHARE = 1e-6
 """Share of what hidden pixels gave to M that stays in it where mechanics find the displacement of hidden cells. It keeps
-the operator of a subdomain regular that is hidden altogether, and slows waves down that mechanics hold by less:
-those longer than 30 cut-off wavelengths. A larger share slows shorter ones."""
+the operator of a subdomain regular that is hidden altogether, and slows down waves that mechanics hold by less, those
+longer than 30 cut-off wavelengths. A larger share slows shorter ones."""
 
 
 @dataclass(frozen=True)
