@@ -14,6 +14,7 @@ from ddic.io.partition_file import read_partition
 from ddic.mesh.control import find_not_controlled_nodes
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_areas
+from ddic.mesh.raster import rasterize
 from ddic.mesh.repair import check_pixels
 from ddic.partition.ties import Tying
 from ddic.problem.gather_problems import Problems
@@ -78,6 +79,27 @@ def check_mesh_uses(loaded: LoadedCase, checked: CheckedMesh, problems: Problems
     with problems.gathered(loaded.path):
         _check_subdomains(case.solver.subdomains, mesh)
     return not_controlled
+
+
+def check_mesh(loaded: LoadedCase, mesh: Mesh) -> None:
+    """Check what a case with one camera asks of a mesh.
+
+    Parameters
+    ----------
+    loaded : LoadedCase
+        The case.
+    mesh : Mesh
+        The whole mesh, pixels.
+
+    Raises
+    ------
+    InputError
+        With a line for each problem: cells without pixels, node sets, cut-off wavelength, partition.
+    """
+    problems = Problems()
+    check_mesh_uses(loaded, CheckedMesh(mesh, None, rasterize(mesh).pixel_counts), problems)
+    if problems.lines:
+        raise InputError(problems.lines)
 
 
 def _find_not_controlled(case: Case, checked: CheckedMesh) -> NDArray[np.int64]:

@@ -26,14 +26,26 @@ def check_output(loaded: LoadedCase) -> None:
         At the first problem.
     """
     case = loaded.case
-    _check_folder(case.output.file)
+    check_output_file(case.output.file)
     if case.output.file.suffix == ".json":
         raise InputError(f"output.file: {case.output.file} is the name of the summary that is written beside the "
                          "result; choose another ending, such as .vtkhdf")
     _check_nothing_is_overwritten(loaded)
 
 
-def _check_folder(file: Path) -> None:
+def check_output_file(file: Path) -> None:
+    """Check that a file can be written.
+
+    Parameters
+    ----------
+    file : Path
+        The result file.
+
+    Raises
+    ------
+    InputError
+        Where it is a folder, or its folder is not there or cannot be written to.
+    """
     folder = file.parent
     if file.is_dir():
         raise InputError(f"output.file: {file} is a folder; give the name of a file")

@@ -186,7 +186,7 @@ class WeightedProblem:
         """
         rule = RenewalRule(cut_off_wavelength(self.reference.inputs.case))
         renewal = find_renewal(self.team, views, q, (self._visible, self.reference.hessians), rule)
-        if renewal.note:
+        if renewal.note or not self.solver.is_set_up:
             self.n_assembled += sum(hessian is not None for hessian in renewal.hessians)
             self.solver.renew(renewal.hessians)
             # Not before: where the factorisation fails, the next frame asks for it again.
