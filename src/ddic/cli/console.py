@@ -24,6 +24,10 @@ _COLUMNS = ("iter", "|dq|/|q|", "RMS dq [px]", "residual [grey]", "[% range]", "
 NOTICEABLE = 0.05
 """Seconds below which a batch log does not mention a phase. A larger value prints fewer lines."""
 
+LONG = 1.0
+"""Seconds of a phase after which the lines of those before it are printed. A larger value adds up more and prints
+later."""
+
 
 class _Bar(Protocol):
     """What shows the phases."""
@@ -164,8 +168,8 @@ class _ProgressBar:
 class _PhaseLines:
     """A plain line for each phase that takes long enough to be waited for.
 
-    A run enters some phases several times. What it spends in one adds up, and the line comes when another phase has
-    taken noticeable time.
+    A run enters some phases several times. What it spends in one adds up, and its line comes when another phase has
+    taken long, at the latest before the iteration table.
     """
 
     def __init__(self, console: Console) -> None:
@@ -193,9 +197,9 @@ class _PhaseLines:
         ended, self._phase = self._phase, None
         if ended is None or ended in REPEATED:
             return
-        spent = self._unprinted.get(ended, 0.0) + time.perf_counter() - self._began
-        self._unprinted[ended] = spent
-        if spent >= NOTICEABLE:
+        spent = time.perf_counter() - self._began
+        self._unprinted[ended] = self._unprinted.get(ended, 0.0) + spent
+        if spent >= LONG:
             self._print_all_but(ended)
 
     def _print_all_but(self, kept: Phase | None) -> None:
