@@ -106,10 +106,11 @@ def share_unknowns(nodes: Sharing, kinematics: RegionKinematics) -> Sharing:
 
 
 def _share(numbers: NDArray[np.int64], subdomains: NDArray[np.int64], n_things: int) -> Sharing:
+    """Pairs of a thing and a subdomain, each once, sorted by thing and then by subdomain."""
     n_subdomains = int(subdomains.max()) + 1
     pairs = np.unique(numbers * n_subdomains + subdomains)
-    things = pairs // n_subdomains
-    return Sharing(things, pairs % n_subdomains, np.bincount(things, minlength=n_things))
+    things, of_things = np.divmod(pairs, n_subdomains)
+    return Sharing(things, of_things, np.bincount(things, minlength=n_things))
 
 
 def number_chains(sharing: Sharing, controlled: NDArray[np.bool_], n_subdomains: int) -> Chains:

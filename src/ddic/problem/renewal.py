@@ -107,8 +107,8 @@ class Renewal:
 
     Attributes
     ----------
-    hessians : list of csr_matrix or None
-        New M_s in the unknowns, (n_unknowns, n_unknowns); None where it stays.
+    hessians : list of (n_unknowns, n_unknowns) csr_matrix or None
+        New M_s in the unknowns; None where it stays.
     visible : VisiblePixels
         What M counts from now on.
     note : str
