@@ -57,6 +57,7 @@ class WeightedProblem:
         self.n_assembled = len(reference.references)
         self._clock = clock
         self._weights: list[float] = []
+        self._is_spoiled = False
         self._solver: LinearSolver | None = None
         self._visible = VisiblePixels.all_of([r.views for r in reference.references])
         cameras = reference.inputs.cameras
@@ -135,12 +136,16 @@ class WeightedProblem:
         SingularSubdomainError, FactorizationError
             On all ranks.
         """
+        if self._is_spoiled:
+            self._restore()
         is_regularized = self.reference.inputs.case.regularization is not None
         renewal = find_renewal(self.team, views, q, (self._visible, self.reference.hessians), keep_held=is_regularized)
         if renewal.note:
             self.n_assembled += sum(hessian is not None for hessian in renewal.hessians)
+            # True until it has worked: a factorisation that fails leaves some factors without the others.
+            self._is_spoiled = True
             self.solver.renew(renewal.hessians)
-            # Not before: where the factorisation fails, the next frame asks for it again.
+            self._is_spoiled = False
             self._visible = renewal.visible
         return renewal.note
 
@@ -149,6 +154,15 @@ class WeightedProblem:
         if self._solver is not None:
             self._solver.destroy()
             self._solver = None
+
+    def _restore(self) -> None:
+        """Go back to the factors of the reference images, after a frame for which they could not be renewed."""
+        n_factorized = self.solver.n_factorized
+        self.solver.destroy()
+        self._visible = VisiblePixels.all_of([r.views for r in self.reference.references])
+        self._set_up(self._weights)
+        self.solver.n_factorized += n_factorized
+        self._is_spoiled = False
 
     def _set_up(self, weights: list[float]) -> None:
         self._weights = weights

@@ -117,10 +117,8 @@ def _find_coarse_fields(by: FrameStart, frame: Frame, references: Sequence[Refer
     cameras, path = by.search.cameras, by.search.section.from_result
     if path is not None:
         return read_earlier_fields(by.team, path, cameras, references)
-    if found is None:
-        search = by.search.prepare(frame)
-        found = by.search.share(by.team.together(search))
-    return fit_coarse_fields(cameras, references, found)
+    coarse = by.search.share(by.team.together(by.search.prepare(frame))) if found is None else found
+    return by.team.together(lambda: fit_coarse_fields(cameras, references, coarse))
 
 
 def _refine_independently(by: FrameStart, views: Sequence[FrameViews],
