@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ddic.api.image import Image
-    from ddic.api.measure import Options, Session, measure, prepare
+    from ddic.api.measure import Session, measure, prepare
+    from ddic.api.options import Options
+    from ddic.api.synthetic import synthetic_pair
     from ddic.case.loader import load_case
     from ddic.case.schema import Case
     from ddic.errors import ConvergenceError, DdicError, FactorizationError, InputError, SingularSubdomainError
@@ -27,10 +29,11 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "Image": "api.image",
-    "Options": "api.measure",
+    "Options": "api.options",
     "Session": "api.measure",
     "measure": "api.measure",
     "prepare": "api.measure",
+    "synthetic_pair": "api.synthetic",
     "load_case": "case.loader",
     "Case": "case.schema",
     "ConvergenceError": "errors",
@@ -71,6 +74,7 @@ __all__ = [
     "open",
     "prepare",
     "structured_mesh",
+    "synthetic_pair",
 ]
 
 

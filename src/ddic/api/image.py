@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from ddic.images.binned import ArraySource
 from ddic.images.grey_levels import check_finite
 from ddic.images.source import ImageSource
 from ddic.images.sub_image import MaskedSource
+from ddic.io.mask_file import read_mask
 from ddic.parallel.team import Team
 from ddic.problem.cameras import open_on_all_ranks
 
@@ -25,15 +27,17 @@ class Image:
     Attributes
     ----------
     pixels : (height, width) array, str or Path
-        Grey levels of any integer or float type, or the file that holds them.
-    mask : (height, width) array, optional
+        Grey levels of any integer or float type, or the file that holds them. What a masked array of numpy masks is
+        left out.
+    mask : (height, width) array, str or Path, optional
         Zero, or False, where pixels are left out; none is by default.
     exclude_saturated : bool
-        Leave out pixels at the largest value of the image's integer type.
+        Leave out pixels at the largest value of the image's integer type; of a reference image, those of its deformed
+        images as well.
     """
 
     pixels: NDArray[Any] | str | Path
-    mask: NDArray[Any] | None = None
+    mask: NDArray[Any] | str | Path | None = None
     exclude_saturated: bool = False
 
 
@@ -64,29 +68,83 @@ def open_given_image(team: Team, given: ImageLike, name: str) -> MaskedSource:
         On all ranks, where it is no image, or its mask is not as large.
     """
     image = given if isinstance(given, Image) else Image(given)
-    source = _open_pixels(team, image.pixels, name)
-    mask = None
-    if image.mask is not None:
-        mask = ArraySource(Path(f"{name}'s mask"), _check_mask(np.asarray(image.mask), source, name))
-    check_finite(source, None if mask is None else mask.values != 0)
-    return MaskedSource(source, mask, image.exclude_saturated)
-
-
-def _open_pixels(team: Team, pixels: NDArray[Any] | str | Path, name: str) -> ImageSource:
+    pixels = image.pixels
     if isinstance(pixels, str | Path):
-        return open_on_all_ranks(team)(Path(pixels))
-    values = np.ascontiguousarray(pixels)
+        source = open_on_all_ranks(team)(Path(pixels))
+        return team.together(lambda: _leave_pixels_out(image, source, name))
+    return team.together(lambda: _leave_pixels_out(image, _hold_array(pixels, name), name))
+
+
+def check_same_size(image: MaskedSource, reference: MaskedSource, name: str) -> None:
+    """Check that a deformed image is as large as its reference image.
+
+    Parameters
+    ----------
+    image, reference : MaskedSource
+        The images.
+    name : str
+        What messages call the deformed one.
+
+    Raises
+    ------
+    InputError
+        Where it is not.
+    """
+    found, wanted = image.extent, reference.extent
+    if found != wanted:
+        raise InputError(f"{name}: {found.width} x {found.height} px, but the reference image has {wanted.width} x "
+                         f"{wanted.height} px; give images of one size")
+
+
+def _hold_array(pixels: Any, name: str) -> ArraySource:
+    values = _as_array(lambda: np.asarray(pixels), name)
     if values.ndim != 2:
         raise InputError(f"{name}: an array of shape {values.shape}, (height, width) expected; convert colours to grey "
                          "levels first")
-    if not (np.issubdtype(values.dtype, np.integer) or np.issubdtype(values.dtype, np.floating)):
+    if values.size == 0:
+        raise InputError(f"{name}: an array of shape {values.shape} holds no pixel")
+    is_integer = np.issubdtype(values.dtype, np.integer)
+    if not (is_integer or np.issubdtype(values.dtype, np.floating)):
         raise InputError(f"{name}: an array of {values.dtype}, grey levels of an integer or float type expected")
-    largest = float(np.iinfo(values.dtype).max) if np.issubdtype(values.dtype, np.integer) else None
-    return ArraySource(Path(name), values, largest)
+    # Files bring the other byte order at times, which compiled kernels do not read.
+    native = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("="))
+    saturation = float(np.iinfo(native.dtype).max) if is_integer else None
+    return ArraySource(Path(name), native, saturation)
 
 
-def _check_mask(mask: NDArray[Any], image: ImageSource, name: str) -> NDArray[np.uint8]:
-    if mask.shape != (image.height, image.width):
-        raise InputError(f"{name}: its mask has shape {mask.shape}, the image ({image.height}, {image.width}); "
+def _leave_pixels_out(image: Image, source: ImageSource, name: str) -> MaskedSource:
+    used = _used_pixels(image, source, name)
+    check_finite(source, used)
+    mask = None if used is None else ArraySource(Path(f"{name}'s mask"), used.astype(np.uint8))
+    return MaskedSource(source, mask, image.exclude_saturated)
+
+
+def _used_pixels(image: Image, source: ImageSource, name: str) -> NDArray[np.bool_] | None:
+    """Where pixels are used, (height, width); None where all are."""
+    used = None if image.mask is None else _read_given_mask(image.mask, source, name)
+    if isinstance(image.pixels, np.ma.MaskedArray):
+        not_masked = ~np.asarray(np.ma.getmaskarray(image.pixels))  # type: ignore[no-untyped-call]  # numpy 1.26
+        used = not_masked if used is None else used & not_masked
+    return used
+
+
+def _read_given_mask(mask: NDArray[Any] | str | Path, image: ImageSource, name: str) -> NDArray[np.bool_]:
+    if isinstance(mask, str | Path):
+        return read_mask(Path(mask), image.width, image.height)
+    values = _as_array(lambda: np.asarray(mask), f"{name}'s mask")
+    if values.shape != (image.height, image.width):
+        raise InputError(f"{name}: its mask has shape {values.shape}, the image ({image.height}, {image.width}); "
                          "give one value for each pixel")
-    return np.asarray(mask != 0, dtype=np.uint8)
+    return np.asarray(values != 0)
+
+
+def _as_array(convert: Callable[[], NDArray[Any]], name: str) -> NDArray[Any]:
+    """Convert what was given; numpy refuses ragged lists, and makes arrays of objects of what it does not know."""
+    try:
+        values = convert()
+    except ValueError as error:
+        raise InputError(f"{name}: no array of grey levels ({error})") from error
+    if values.dtype == object:
+        raise InputError(f"{name}: no array of grey levels, but {values.dtype.name}s; give an array (height, width), a "
+                         "file or ddic.Image")
+    return values

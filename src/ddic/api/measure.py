@@ -2,73 +2,40 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from mpi4py import MPI
-from pydantic import ValidationError
+import numpy as np
 
-from ddic.api.image import ImageLike, open_given_image
+from ddic.api.image import ImageLike, check_same_size, open_given_image
 from ddic.api.mesh import convert_given_mesh
+from ddic.api.options import Options, check_kinematics, choose_options, choose_team, make_case
 from ddic.case.loader import LoadedCase, load_case
-from ddic.case.messages import describe
 from ddic.case.schema import Case
 from ddic.errors import InputError
 from ddic.images.camera import identity
+from ddic.images.sub_image import MaskedSource
 from ddic.io.result_reader import Result
-from ddic.kinematics.kinematics import RegionKinematics
 from ddic.mesh.mesh import Mesh
 from ddic.methods.dd_dic import Session as RecipeSession
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.cameras import Camera, Frame, make_setup
-from ddic.problem.check_case import check_wavelength
+from ddic.problem.check_case import check_mesh, check_output_file
 from ddic.problem.check_inputs import check_inputs
 from ddic.problem.check_ranks import check_ranks
 from ddic.problem.inputs import Inputs, open_inputs
-from ddic.problem.mesh_source import accept_mesh
+from ddic.problem.mesh_source import accept_mesh, convert_mapping
 from ddic.results.listener import Silence
 from ddic.results.measurement import Measurement
 from ddic.results.publishing import Destination, gather, publish
 
 if TYPE_CHECKING:
     import meshio
-
-ChooseKinematics = Callable[[Mesh], RegionKinematics]
-"""From the whole mesh, repaired, to its kinematics."""
-
-_NO_PATH = "in memory"
-_RESERVED = ("mesh", "near", "output")
-"""Sections of a case file that arguments stand for, or that need files."""
-
-
-@dataclass(frozen=True, eq=False)
-class Options:
-    """How to measure.
-
-    Attributes
-    ----------
-    settings : mapping
-        Sections and keys of a case file, such as ``{"regularization": {"cut_off_wavelength": 60}}``.
-    kinematics : callable, optional
-        From the mesh to its kinematics; by default the unknowns are the displacements of the nodes.
-    comm : mpi4py.MPI.Comm, optional
-        The ranks that measure together; by default all that were started.
-    """
-
-    settings: Mapping[str, Any]
-    kinematics: ChooseKinematics | None = None
-    comm: MPI.Comm | None = None
-
-    @property
-    def team(self) -> Team:
-        """The ranks."""
-        return Team.world() if self.comm is None else Team(self.comm)
-
 
 class Session:
     """A reference image prepared once, for any number of deformed images; use it in a ``with`` statement.
@@ -78,7 +45,7 @@ class Session:
 
     def __init__(self, team: Team, inputs: Inputs) -> None:
         self._team, self._inputs = team, inputs
-        self._session = RecipeSession(team, inputs, Silence(), PhaseClock(waiting=team.waiting))
+        self._recipe: RecipeSession | None = RecipeSession(team, inputs, Silence(), PhaseClock(waiting=team.waiting))
         self._last: Measurement | None = None
 
     def __enter__(self) -> Self:
@@ -91,20 +58,21 @@ class Session:
     @property
     def n_assembled(self) -> int:
         """Times that this rank assembled M of a subdomain."""
-        return self._session.problem.n_assembled
+        return self._open_recipe.problem.n_assembled
 
     @property
     def n_factorized(self) -> int:
         """Operators that this rank factorised."""
-        return self._session.problem.solver.n_factorized
+        return self._open_recipe.problem.solver.n_factorized
 
-    def measure(self, deformed: ImageLike, *, from_last: bool = False, output: str | Path | None = None) -> Result:
+    def measure(self, deformed: ImageLike | Sequence[ImageLike], *, from_last: bool = False,
+                output: str | Path | None = None) -> Result:
         """Measure the displacement between the reference image and a deformed one.
 
         Parameters
         ----------
         deformed : Image, (height, width) array, str or Path
-            As large as the reference image.
+            As large as the reference image; a sequence with one of each camera where a case has several.
         from_last : bool
             Start from the last field that this session measured instead of searching for one.
         output : str or Path, optional
@@ -120,58 +88,75 @@ class Session:
         InputError, ConvergenceError, SingularSubdomainError
             On all ranks; the session can measure other images afterwards.
         """
-        image = open_given_image(self._team, deformed, "deformed image")
-        reference = self._inputs.cameras[0].reference
-        if image.extent != reference.extent:
-            found, wanted = image.extent, reference.extent
-            raise InputError(f"deformed image: {found.width} x {found.height} px, but the reference image has "
-                             f"{wanted.width} x {wanted.height} px; give images of one size")
+        recipe = self._open_recipe
         if from_last and self._last is None:
             raise InputError("from_last: this session has measured nothing yet")
-        return self.measure_frame((image,), self._last if from_last else None, output)
-
-    def measure_frame(self, frame: Frame, start: Measurement | None = None,
-                      output: str | Path | None = None) -> Result:
-        """Measure a frame of one image of each camera.
-
-        Parameters
-        ----------
-        frame : tuple of MaskedSource
-            Opened images, one of each camera.
-        start : Measurement, optional
-            Of an earlier frame, to start from.
-        output : str or Path, optional
-            Result file to write as well; none by default.
-
-        Returns
-        -------
-        Result
-            Fields as arrays, on every rank; displacement in pixels.
-        """
-        measurement = self._session.measure(frame, start)
-        self._last = measurement
-        if output is not None:
-            publish(measurement, Destination(Path(output), self._inputs.case.output.flip_y))
-        return gather(measurement)
+        frame = self._open_frame(deformed)
+        path = None if output is None else self._team.on_root(lambda: self._check_output(output, frame))
+        return self._measure_frame(recipe, frame, self._last if from_last else None, path)
 
     def close(self) -> None:
-        """Free the factors."""
-        self._session.close()
+        """Free the factors; what was measured stays."""
+        if self._recipe is not None:
+            self._recipe.close()
+        self._recipe = None
+        self._last = None
+
+    @property
+    def _open_recipe(self) -> RecipeSession:
+        if self._recipe is None:
+            raise InputError("session: it is closed; measure inside its with statement, or prepare another")
+        return self._recipe
+
+    def _measure_frame(self, recipe: RecipeSession, frame: Frame, start: Measurement | None,
+                       output: Path | None) -> Result:
+        measurement = recipe.measure(frame, start)
+        self._last = measurement
+        if output is not None:
+            publish(measurement, Destination(output, self._inputs.case.output.flip_y))
+        return gather(measurement)
+
+    def _open_frame(self, deformed: ImageLike | Sequence[ImageLike]) -> Frame:
+        """Open a deformed image of each camera; collective."""
+        cameras = self._inputs.cameras
+        if len(cameras) == 1:
+            return (self._open_deformed(deformed, cameras[0], "deformed image"),)
+        if not isinstance(deformed, list | tuple) or len(deformed) != len(cameras):
+            raise InputError(f"deformed images: give a list of {len(cameras)}, one of each camera, the far one first")
+        return tuple(self._open_deformed(image, camera, f"deformed image, {camera.label}")
+                     for image, camera in zip(deformed, cameras, strict=True))
+
+    def _open_deformed(self, given: Any, camera: Camera, name: str) -> MaskedSource:
+        image = open_given_image(self._team, given, name)
+        check_same_size(image, camera.reference, name)
+        excludes = image.exclude_saturated or camera.reference.exclude_saturated
+        return replace(image, exclude_saturated=excludes)
+
+    def _check_output(self, output: str | Path, frame: Frame) -> Path:
+        """Check before measuring that a result can be written; returns its path."""
+        if not isinstance(output, str | Path):
+            raise InputError(f"output: {type(output).__name__} given, the name of a file expected")
+        path = Path(output)
+        check_output_file(path)
+        for image in (*(camera.reference for camera in self._inputs.cameras), *frame):
+            if image.image.path.is_file() and image.image.path.resolve() == path.resolve():
+                raise InputError(f"output: {path} would overwrite an image that is measured; choose another name")
+        return path
 
 
-def measure(source: str | Path | Case | Sequence[ImageLike],
+def measure(source: str | Path | Case | LoadedCase | Sequence[ImageLike],
             mesh: Mesh | meshio.Mesh | tuple[Any, Any] | None = None, *,
             options: Options | Mapping[str, Any] | None = None, output: str | Path | None = None) -> Result:
     """Measure the displacement between two images; collective under mpirun.
 
     Parameters
     ----------
-    source : str, Path, Case or pair of images
+    source : str, Path, Case, LoadedCase or pair of images
         A case file, a case, or the reference image and the deformed one: arrays (height, width), files or ``Image``.
     mesh : Mesh, meshio.Mesh or tuple of arrays, optional
         With a pair of images: the mesh in pixels, as a tuple (nodes (n_nodes, 2), cells (n_cells, 3 or 4)).
     options : Options or mapping, optional
-        With a pair of images: sections and keys of a case file, or these with kinematics and a communicator.
+        Sections and keys of a case file, for a pair of images, or these with kinematics and a communicator.
     output : str or Path, optional
         Result file to write as well; none by default, also where a case names one.
 
@@ -185,27 +170,28 @@ def measure(source: str | Path | Case | Sequence[ImageLike],
     InputError, ConvergenceError, SingularSubdomainError
         On all ranks.
     """
-    if isinstance(source, str | Path | Case):
-        if mesh is not None or options is not None:
-            raise InputError("a case says its mesh and settings itself; give images instead, or leave these out")
-        return _measure_case(source, output)
+    if isinstance(source, str | Path | Case | LoadedCase):
+        chosen = _options_beside_a_case(mesh, options)
+        inputs, frame = _open_case(chosen, source, output)
+        with Session(choose_team(chosen), inputs) as session:
+            return session._measure_frame(session._open_recipe, frame, None, None if output is None else Path(output))
     reference, deformed = _pair(source)
     with prepare(reference, mesh, options=options) as session:
         return session.measure(deformed, output=output)
 
 
-def prepare(reference: ImageLike, mesh: Mesh | meshio.Mesh | tuple[Any, Any] | None, *,
+def prepare(source: ImageLike | Case | LoadedCase, mesh: Mesh | meshio.Mesh | tuple[Any, Any] | None = None, *,
             options: Options | Mapping[str, Any] | None = None) -> Session:
     """Prepare a reference image for any number of deformed ones; collective under mpirun.
 
     Parameters
     ----------
-    reference : Image, (height, width) array, str or Path
-        The reference image.
-    mesh : Mesh, meshio.Mesh or tuple of arrays
-        Pixels; as a tuple (nodes (n_nodes, 2), cells (n_cells, 3 or 4)).
+    source : Image, (height, width) array, str, Path, Case or LoadedCase
+        The reference image; or a case, or a case file whose name ends in .toml.
+    mesh : Mesh, meshio.Mesh or tuple of arrays, optional
+        With an image: pixels; as a tuple (nodes (n_nodes, 2), cells (n_cells, 3 or 4)).
     options : Options or mapping, optional
-        Sections and keys of a case file, or these with kinematics and a communicator.
+        Sections and keys of a case file, for an image, or these with kinematics and a communicator.
 
     Returns
     -------
@@ -217,57 +203,67 @@ def prepare(reference: ImageLike, mesh: Mesh | meshio.Mesh | tuple[Any, Any] | N
     InputError, SingularSubdomainError
         On all ranks.
     """
+    if isinstance(source, Case | LoadedCase) or (isinstance(source, str | Path) and Path(source).suffix == ".toml"):
+        chosen = _options_beside_a_case(mesh, options)
+        return Session(choose_team(chosen), _open_case(chosen, source, None)[0])
     if mesh is None:
         raise InputError("mesh: none is given; ddic.structured_mesh makes one, meshio reads one")
-    chosen = options if isinstance(options, Options) else Options(options or {})
-    team = chosen.team
-    case = _make_case(chosen.settings)
-    check_ranks(LoadedCase(case, Path("options"), ""), team.size)
-    source = open_given_image(team, reference, "reference image")
-    camera = Camera(0, source, make_setup(identity(), source, "none"), None)
-    given = convert_given_mesh(mesh)
+    chosen = choose_options(options)
+    team = choose_team(chosen)
+    case = make_case(chosen.settings)
+    loaded = LoadedCase(case, Path("options"), "")
+    check_ranks(loaded, team.size)
+    given = team.together(lambda: convert_given_mesh(mesh, convert_mapping(case.mesh.mapping)))
+    reference = open_given_image(team, source, "reference image")
+    camera = Camera(0, reference, make_setup(identity(), reference, "none"), None)
 
     def build() -> tuple[Mesh, None]:
-        whole = accept_mesh(given, "mesh", source.image.width, source.image.height)
-        check_wavelength(case, whole)
+        whole = accept_mesh(given, "mesh", reference.image.width, reference.image.height)
+        check_mesh(loaded, whole)
         return whole, None
 
-    return Session(team, Inputs(case, (camera,), build, chosen.kinematics))
+    return Session(team, Inputs(case, (camera,), build, check_kinematics(chosen.kinematics)))
 
 
-def _measure_case(source: str | Path | Case, output: str | Path | None) -> Result:
-    team = Team.world()
+def _options_beside_a_case(mesh: object, options: Options | Mapping[str, Any] | None) -> Options:
+    chosen = choose_options(options)
+    if mesh is not None or chosen.settings:
+        raise InputError("a case says its mesh and settings itself: leave them out, or give a pair of images in its "
+                         "place")
+    return chosen
+
+
+def _open_case(options: Options, source: object, output: str | Path | None) -> tuple[Inputs, Frame]:
+    team = choose_team(options)
+    # A name that can be written, where nothing is: what a case names is looked at only if it is used.
+    file = Path(tempfile.gettempdir()) / "ddic-writes-nothing.vtkhdf" if output is None else Path(output).resolve()
 
     def load() -> LoadedCase:
-        loaded = LoadedCase(source, Path(), "") if isinstance(source, Case) else load_case(Path(source))
-        if output is not None:
-            renamed = loaded.case.output.model_copy(update={"file": Path(output).resolve()})
-            loaded = replace(loaded, case=loaded.case.model_copy(update={"output": renamed}))
+        loaded = _load(source)
+        renamed = loaded.case.output.model_copy(update={"file": file})
+        loaded = replace(loaded, case=loaded.case.model_copy(update={"output": renamed}))
         check_inputs(loaded)
         check_ranks(loaded, team.size)
         return loaded
 
     inputs, frame = open_inputs(team, team.on_root(load))
-    with Session(team, inputs) as session:
-        return session.measure_frame(frame, None, output)
+    return replace(inputs, choose_kinematics=check_kinematics(options.kinematics)), frame
 
 
-def _pair(source: Sequence[ImageLike]) -> tuple[ImageLike, ImageLike]:
+def _load(source: object) -> LoadedCase:
+    if isinstance(source, LoadedCase):
+        return source
+    if isinstance(source, Case):
+        return LoadedCase(source, Path(), "")
+    return load_case(Path(str(source)))
+
+
+def _pair(source: object) -> tuple[Any, Any]:
+    if not isinstance(source, list | tuple | np.ndarray):
+        raise InputError(f"images: {type(source).__name__} given; give a case file, a case or a pair (reference image, "
+                         "deformed image)")
     if len(source) != 2:
         raise InputError(f"images: {len(source)} are given, two expected: the reference image and the deformed one")
     return source[0], source[1]
 
 
-def _make_case(settings: Mapping[str, Any]) -> Case:
-    """A case of these settings; what else a case file holds is in memory."""
-    for name in _RESERVED:
-        if name in settings:
-            raise InputError(f"options: [{name}] is for case files; with images in memory give it as an argument, or "
-                             "measure a case")
-    data: dict[str, Any] = json.loads(json.dumps(dict(settings), default=str))
-    images = {"reference": _NO_PATH, "deformed": _NO_PATH, **data.get("images", {})}
-    data |= {"images": images, "mesh": {"file": _NO_PATH}}
-    try:
-        return Case.model_validate_json(json.dumps(data), strict=True)
-    except ValidationError as error:
-        raise InputError([f"options: {line}" for line in describe(error, data)]) from error

@@ -36,12 +36,12 @@ class LoadedCase:
     text: str
 
 
-def load_case(path: Path) -> LoadedCase:
+def load_case(path: Path | str) -> LoadedCase:
     """Read a TOML case file; relative paths in it are relative to its folder.
 
     Parameters
     ----------
-    path : Path
+    path : Path or str
         The file.
 
     Returns
@@ -55,6 +55,7 @@ def load_case(path: Path) -> LoadedCase:
         With one line per problem (unreadable file, syntax, unknown or missing key, wrong type, impossible value),
         each with the file, the key, the value and what is expected.
     """
+    path = Path(path)
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:

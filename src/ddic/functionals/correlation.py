@@ -264,12 +264,17 @@ class Correlation:
         return image
 
     def displaced_window(self, q: NDArray[np.float64]) -> Window:
-        """Window of the deformed image that holds all displaced pixels and their neighbours.
+        """Find the window of the deformed image that holds all displaced pixels and their neighbours.
 
         Parameters
         ----------
         q : (n_dofs,) array
             Nodal displacement, pixels.
+
+        Returns
+        -------
+        Window
+            It may leave the image.
         """
         # u is a convex combination of nodal values, so the displaced nodes' box holds all displaced pixels.
         displaced = self._displaced_nodes(q)
@@ -389,6 +394,11 @@ def restrict_to_cells(whole: Correlation, cells: NDArray[np.int64]) -> Correlati
         The subdomain.
     cells : (n,) int64 array
         Their numbers.
+
+    Returns
+    -------
+    Correlation
+        Of these cells.
     """
     mesh, _ = whole.mesh.submesh(cells)
     return _correlation(mesh, rasterize(mesh), whole.reference, whole.extent, whole.threads)

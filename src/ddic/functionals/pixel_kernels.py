@@ -247,7 +247,17 @@ class Batch(NamedTuple):
 
 
 class Segment(NamedTuple):
-    """Neighbouring pixels of one row: the first one's column and row, their number, and the first one's lane."""
+    """Neighbouring pixels of one row.
+
+    Attributes
+    ----------
+    x, y : int64
+        Column and row of the first one.
+    length : int64
+        Number of pixels.
+    lane : int64
+        The first one's lane in the batch; the others follow.
+    """
 
     x: Any
     y: Any
@@ -778,8 +788,14 @@ def residual_pixels(cells, displacement, reference, deformed, gain, offset, out)
 
     Parameters
     ----------
-    cells, displacement, reference, deformed
-        As of ``residual_sums``.
+    cells : Cells
+        Cells to visit, and their pixels.
+    displacement : (n_cells, 2, 4) float64 array
+        Coefficients of u on the monomials, pixels.
+    reference : ReferencePixels
+        f.
+    deformed : DeformedPixels
+        g, on a window that holds all x + u(x) that lie in the image.
     gain, offset : (n_cells,) float64 arrays
         Grey-level correction f = gain g + offset of each cell; the offset in grey levels.
     out : (height, width) float32 array

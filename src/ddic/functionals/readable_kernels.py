@@ -116,8 +116,14 @@ def residual_pixels(cells: Cells, displacement: NDArray[np.float64], reference: 
 
     Parameters
     ----------
-    cells, displacement, reference, deformed
-        As of ``residual_sums``.
+    cells : Cells
+        Cells to visit, and their pixels.
+    displacement : (n_cells, 2, 4) float64 array
+        Coefficients of u on the monomials, pixels.
+    reference : ReferencePixels
+        f.
+    deformed : DeformedPixels
+        g, on a window that holds all x + u(x) that lie in the image.
     gain, offset : (n_cells,) float64 arrays
         Grey-level correction f = gain g + offset of each cell; the offset in grey levels.
     out : (height, width) float32 array
@@ -160,12 +166,17 @@ def pixels_of_cell(cells: Cells, reference: ReferencePixels, e: int) -> Iterator
 
 
 def monomials(xi: float, eta: float) -> NDArray[np.float64]:
-    """Evaluate phi = (1, xi, eta, xi eta), (4,).
+    """Evaluate phi = (1, xi, eta, xi eta).
 
     Parameters
     ----------
     xi, eta : float
         Local coordinates, no unit.
+
+    Returns
+    -------
+    (4,) array
+        No unit.
     """
     return np.array([1.0, xi, eta, xi * eta])
 

@@ -22,7 +22,7 @@ SAME_NODE_PX = 1e-9
 """Distance, pixels, from a node below which a point is that node: rounding of coordinates."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Result:
     """A measured field; pixels, y down.
 
@@ -58,6 +58,11 @@ class Result:
     krylov: tuple[NDArray[np.float64], ...]
     attributes: Mapping[str, Mapping[str, Any]]
     flipped: bool
+
+    def __repr__(self) -> str:
+        origin = "in memory" if self.path == Path() else str(self.path)
+        return (f"<ddic.Result {origin}: {self.mesh.n_nodes} nodes, {self.mesh.n_cells} cells, "
+                f"{self.n_subdomains} subdomains; fields {', '.join(self.fields)}>")
 
     @property
     def n_subdomains(self) -> int:

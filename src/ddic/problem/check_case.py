@@ -73,7 +73,7 @@ def check_case(loaded: LoadedCase,
     for section in case.near:
         _check_images(section, problems)
     with problems.gathered(loaded.path):
-        _check_output(case.output.file)
+        check_output_file(case.output.file)
         _check_nothing_is_overwritten(loaded)
     if case.start.from_result is not None:
         with problems.gathered():
@@ -136,7 +136,19 @@ def _check_same_size(reference: ImageSource, deformed: ImageSource) -> None:
                          "give a pair of one size")
 
 
-def _check_output(file: Path) -> None:
+def check_output_file(file: Path) -> None:
+    """Check that a result can be written.
+
+    Parameters
+    ----------
+    file : Path
+        Its name.
+
+    Raises
+    ------
+    InputError
+        Where it is a folder, or its folder is missing or cannot be written to.
+    """
     folder = file.parent
     if file.is_dir():
         raise InputError(f"output.file: {file} is a folder; give the name of a file")
@@ -193,6 +205,27 @@ def check_wavelength(case: Case, mesh: Mesh) -> None:
         raise InputError(f"regularization.cut_off_wavelength = {wavelength:g}: more than {LONGEST_WAVELENGTH:g} "
                          f"elements of {size:.3g} px, where rounding hides the images (eta grows as its fourth "
                          f"power); give at most {LONGEST_WAVELENGTH * size:.3g}")
+
+
+def check_mesh(loaded: LoadedCase, mesh: Mesh) -> None:
+    """Check what a case asks of a mesh.
+
+    Parameters
+    ----------
+    loaded : LoadedCase
+        The case.
+    mesh : Mesh
+        The whole mesh, pixels.
+
+    Raises
+    ------
+    InputError
+        With a line for each problem: cells without pixels, node sets, cut-off wavelength, partition.
+    """
+    problems = _Problems()
+    _check_mesh_uses(loaded, mesh, None, rasterize(mesh).pixel_counts, problems)
+    if problems.lines:
+        raise InputError(problems.lines)
 
 
 def _check_mesh_uses(loaded: LoadedCase, mesh: Mesh, tying: Tying | None, pixel_counts: NDArray[np.int64],

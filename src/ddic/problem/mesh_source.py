@@ -83,14 +83,26 @@ def accept_mesh(raw: Mesh, name: str, width: int, height: int) -> Mesh:
 
 def _raw_mesh(section: MeshSection, width: int, height: int) -> Mesh:
     if section.file is not None:
-        return read_mesh(section.file, _similarity(section.mapping))
+        return read_mesh(section.file, convert_mapping(section.mapping))
     if section.structured is None:
         raise InputError("mesh: give either mesh.file or [mesh.structured]")
     return _structured(section.structured, width, height)
 
 
-def _similarity(mapping: MappingSection) -> Similarity:
-    return Similarity(mapping.scale, math.radians(mapping.rotation_degrees), mapping.translation)
+def convert_mapping(section: MappingSection) -> Similarity:
+    """Convert a mapping as a case file says it.
+
+    Parameters
+    ----------
+    section : MappingSection
+        Of the case.
+
+    Returns
+    -------
+    Similarity
+        From mesh units to pixels.
+    """
+    return Similarity(section.scale, math.radians(section.rotation_degrees), section.translation)
 
 
 def _structured(section: StructuredSection, width: int, height: int) -> Mesh:

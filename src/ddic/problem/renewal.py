@@ -15,14 +15,53 @@ from ddic.parallel.team import Team
 from ddic.problem.assembly import Hessians
 from ddic.problem.views import FrameViews
 
-CHANGED_SHARE = 0.1
+CHANGED_SHARE = 0.02
 """Share of a subdomain's pixels that must have come or gone since its M was assembled for M to be assembled again. The
 fixed point does not depend on M, the speed of convergence does: a larger share costs iterations, a smaller one
 factors."""
 
+CHANGED_SIDE = 0.5
+"""Side, in cut-off wavelengths, of a square of as many pixels as may come or go whatever the share: where more is
+hidden together, waves fit in that mechanics do not hold, and the old M holds them back. A larger value costs
+iterations."""
+
 HELD_SHARE = 0.01
 """Share of what hidden pixels gave to M that stays in it where mechanics find the displacement of hidden cells: enough
 to keep operators regular; the less, the faster equilibrium fills what is hidden."""
+
+
+@dataclass(frozen=True)
+class RenewalRule:
+    """When M is renewed.
+
+    Attributes
+    ----------
+    wavelength : float
+        Cut-off wavelength, pixels; infinite where eta is given, 0 without regularization.
+    """
+
+    wavelength: float
+
+    @property
+    def is_regularized(self) -> bool:
+        """Whether mechanics find the displacement of hidden cells."""
+        return self.wavelength > 0
+
+    def limit(self, n_pixels: int) -> float:
+        """Give the largest number of pixels that may come or go without a renewal.
+
+        Parameters
+        ----------
+        n_pixels : int
+            Pixels of the subdomain in the reference images.
+
+        Returns
+        -------
+        float
+            Pixels.
+        """
+        share = CHANGED_SHARE * n_pixels
+        return min(share, (CHANGED_SIDE * self.wavelength) ** 2) if self.is_regularized else share
 
 
 @dataclass(frozen=True)
@@ -74,7 +113,7 @@ class Renewal:
 
 
 def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np.float64]],
-                 assembled: tuple[VisiblePixels, Sequence[Hessians]], *, keep_held: bool) -> Renewal:
+                 assembled: tuple[VisiblePixels, Sequence[Hessians]], rule: RenewalRule) -> Renewal:
     """Compare the pixels that M counts with those that a frame shows; collective.
 
     Parameters
@@ -87,13 +126,13 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
         Where the frame is thought to show them.
     assembled : tuple of VisiblePixels and sequence of list of csr_matrix
         What M counts, and M of each view with all pixels of the reference, on displacements of nodes in its image.
-    keep_held : bool
-        Whether hidden pixels keep ``HELD_SHARE`` of their part in M: with regularization, which fills what they leave.
+    rule : RenewalRule
+        When M is renewed.
 
     Returns
     -------
     Renewal
-        New M where more than ``CHANGED_SHARE`` of a subdomain's pixels has come or gone, or, without regularization,
+        New M where more than ``rule.limit`` of a subdomain's pixels have come or gone, or, without regularization,
         where a cell has lost all of its pixels.
     """
     counted, whole = assembled
@@ -104,11 +143,11 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
         for of_subdomain, q_s, before, hessian in zip(views, q, counted.by_view, whole, strict=True):
             shown = tuple(view.without_hidden(q_s) for view in of_subdomain.views)
             now = tuple(view.n_pixels for view in shown)
-            if _is_kept(of_subdomain, shown, before, now, keep_held=keep_held):
+            if _is_kept(of_subdomain, shown, (before, now), rule):
                 hessians.append(None)
                 by_view.append(before)
             else:
-                hessians.append(_assemble_shown(of_subdomain.views, shown, hessian, keep_held=keep_held))
+                hessians.append(_assemble_shown(of_subdomain.views, shown, hessian, rule))
                 by_view.append(now)
         return hessians, by_view
 
@@ -117,20 +156,21 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
                                  in zip(views, hessians, strict=True) if hessian is not None])
     note = ""
     if changed:
-        note = (f"{len(changed)} subdomains ({first_of(changed)}) lost or gained more than {100 * CHANGED_SHARE:.0f} % "
-                "of their pixels: their operators are renewed")
+        note = (f"{len(changed)} subdomains ({first_of(changed)}) lost or gained more pixels than their operators "
+                "bear: these are renewed")
     return Renewal(hessians, VisiblePixels(by_view), note)
 
 
-def _is_kept(of_subdomain: FrameViews, shown: Sequence[View], before: Sequence[int], now: Sequence[int], *,
-             keep_held: bool) -> bool:
-    """Whether a subdomain's M still fits the pixels shown."""
+def _is_kept(of_subdomain: FrameViews, shown: Sequence[View], counts: tuple[Sequence[int], Sequence[int]],
+             rule: RenewalRule) -> bool:
+    """Whether a subdomain's M still fits the pixels shown; counts: by view, those that M counts and those shown."""
+    before, now = counts
     if now == before:
         return True
-    if not keep_held and _has_lost_a_cell(of_subdomain, shown):
+    if not rule.is_regularized and _has_lost_a_cell(of_subdomain, shown):
         return False
-    all_pixels = sum(view.view.n_pixels for view in of_subdomain.views)
-    return abs(sum(now) - sum(before)) <= CHANGED_SHARE * max(all_pixels, 1)
+    n_reference = sum(view.view.n_pixels for view in of_subdomain.views)
+    return abs(sum(now) - sum(before)) <= rule.limit(n_reference)
 
 
 def _has_lost_a_cell(of_subdomain: FrameViews, shown: Sequence[View]) -> bool:
@@ -140,13 +180,13 @@ def _has_lost_a_cell(of_subdomain: FrameViews, shown: Sequence[View]) -> bool:
     return bool(((in_reference > 0) & (left == 0)).any())
 
 
-def _assemble_shown(views: Sequence[FrameView], shown: Sequence[View], whole: Sequence[sparse.csr_matrix], *,
-                    keep_held: bool) -> sparse.csr_matrix:
-    """M_s of the pixels shown, with a share of the others' where these are to be held."""
+def _assemble_shown(views: Sequence[FrameView], shown: Sequence[View], whole: Sequence[sparse.csr_matrix],
+                    rule: RenewalRule) -> sparse.csr_matrix:
+    """M_s of the pixels shown, with a share of the others' where mechanics fill what these leave."""
     total = None
     for view, of_shown, of_whole in zip(views, shown, whole, strict=True):
         hessian = of_shown.assemble_hessian()
-        if keep_held:
+        if rule.is_regularized:
             hessian = (1.0 - HELD_SHARE) * hessian + HELD_SHARE * of_whole
         projected = view.view.project(hessian)
         total = projected if total is None else total + projected

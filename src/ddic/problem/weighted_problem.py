@@ -12,10 +12,10 @@ from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.assembly import assemble
 from ddic.problem.cameras import Frame
-from ddic.problem.linear_solver import LinearSolver
+from ddic.problem.linear_solver import LinearSolver, cut_off_wavelength
 from ddic.problem.problem_size import ProblemSize, measure_problem_size
 from ddic.problem.reference_problem import ReferenceProblem
-from ddic.problem.renewal import VisiblePixels, find_renewal
+from ddic.problem.renewal import RenewalRule, VisiblePixels, find_renewal
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.views import FrameViews, ReferenceViews, open_frame_views
 from ddic.solvers.gauss_newton import Tolerances
@@ -184,9 +184,9 @@ class WeightedProblem:
         SingularSubdomainError, FactorizationError
             On all ranks.
         """
-        is_regularized = self.reference.inputs.case.regularization is not None
-        renewal = find_renewal(self.team, views, q, (self._visible, self.reference.hessians), keep_held=is_regularized)
-        if renewal.note:
+        rule = RenewalRule(cut_off_wavelength(self.reference.inputs.case))
+        renewal = find_renewal(self.team, views, q, (self._visible, self.reference.hessians), rule)
+        if renewal.note or not self.solver.is_set_up:
             self.n_assembled += sum(hessian is not None for hessian in renewal.hessians)
             self.solver.renew(renewal.hessians)
             # Not before: where the factorisation fails, the next frame asks for it again.

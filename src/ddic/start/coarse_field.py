@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ddic.case.schema import StartSection
 from ddic.errors import InputError
 from ddic.functionals.grey_statistics import GreyCorrection
-from ddic.images.binned import bin_rows, binned_source
+from ddic.images.binned import bin_rows, join_blocks
 from ddic.images.grid_field import uniform_field
 from ddic.images.sub_image import MaskedSource
 from ddic.io.result_reader import displacement_at, read_result
@@ -192,7 +192,7 @@ def _bin_together(team: Team, reference: MaskedSource, deformed: MaskedSource) -
     bands = team.gather_to(own, team.size - 1)
     if bands is None:
         return None
-    binned = [binned_source(source, [of_rank[k] for of_rank in bands]) for k, source in enumerate(sources)]
+    binned = [join_blocks(source, [of_rank[k] for of_rank in bands]) for k, source in enumerate(sources)]
     return BinnedPair(binned[0], binned[1], factor)
 
 

@@ -16,7 +16,7 @@ from ddic.errors import ConvergenceError, SingularSubdomainError
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.images.binned import bin_image
 from ddic.images.grid_field import GridField, uniform_field
-from ddic.images.rigid import RigidShift, rigid_shift
+from ddic.images.rigid import RigidShift, find_rigid_shift
 from ddic.images.sub_image import MaskedSource
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
@@ -127,7 +127,7 @@ def _rigid(pair: BinnedPair, mesh: Mesh) -> RigidShift:
     region = active_blocks(pair.reference, rasterize(scaled_mesh(mesh, pair.factor))).astype(bool)
     if region.sum() < SMALLEST_SIDE:
         return RigidShift((0.0, 0.0), 0.0)
-    found = rigid_shift(_values(pair.reference), _values(pair.deformed), region)
+    found = find_rigid_shift(_values(pair.reference), _values(pair.deformed), region)
     return RigidShift((pair.factor * found.shift[0], pair.factor * found.shift[1]), found.coefficient)
 
 

@@ -1,0 +1,189 @@
+"""How to measure: settings as a case file has them, own kinematics, the ranks."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+from pydantic import ValidationError
+
+from ddic.case.messages import describe
+from ddic.case.schema import Case
+from ddic.errors import InputError
+from ddic.kinematics.kinematics import RegionKinematics
+from ddic.mesh.mesh import Mesh
+from ddic.parallel.team import Team
+
+ChooseKinematics = Callable[[Mesh], RegionKinematics]
+"""From the whole mesh, repaired, to its kinematics."""
+
+_NO_PATH = "in memory"
+_IN_MEMORY = {
+    "images": ("pixel_size", "length_unit", "reference_time", "deformed_time"),
+    "mesh": ("mapping",),
+    "output": ("residual_image", "flip_y"),
+    "near": (),
+}
+"""Keys that settings may hold of the sections for which arguments stand; near fields need a case."""
+
+
+@dataclass(frozen=True, eq=False)
+class Options:
+    """How to measure.
+
+    Attributes
+    ----------
+    settings : mapping
+        Sections and keys of a case file, such as ``{"regularization": {"cut_off_wavelength": 60}}``.
+    kinematics : callable, optional
+        From the mesh to its kinematics; by default the unknowns are the displacements of the nodes.
+    comm : mpi4py.MPI.Comm, optional
+        The ranks that measure together; by default all that were started.
+    """
+
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    kinematics: ChooseKinematics | None = None
+    comm: MPI.Comm | None = None
+
+
+def choose_options(options: Options | Mapping[str, Any] | None) -> Options:
+    """Look at the options that the user gave.
+
+    Parameters
+    ----------
+    options : Options, mapping or None
+        What the user gave.
+
+    Returns
+    -------
+    Options
+        The same, or the mapping as settings.
+
+    Raises
+    ------
+    InputError
+        Where they are of another type.
+    """
+    chosen = options if isinstance(options, Options) else Options({} if options is None else options)
+    if not isinstance(chosen.settings, Mapping):
+        raise InputError(f"options: {type(chosen.settings).__name__} given; give sections and keys of a case file, "
+                         'such as {"regularization": {"cut_off_wavelength": 60}}, or ddic.Options')
+    if chosen.comm is not None and not isinstance(chosen.comm, MPI.Comm):
+        raise InputError(f"options: comm is of type {type(chosen.comm).__name__}; give a communicator of mpi4py")
+    if chosen.kinematics is not None and not callable(chosen.kinematics):
+        raise InputError(f"options: kinematics is of type {type(chosen.kinematics).__name__}; give a function that "
+                         "makes it of the mesh, such as lambda mesh: ddic.LinearRegion(mesh, matrix)")
+    return chosen
+
+
+def choose_team(options: Options) -> Team:
+    """Give the ranks that measure together.
+
+    Parameters
+    ----------
+    options : Options
+        Name them, or not.
+
+    Returns
+    -------
+    Team
+        All ranks by default.
+    """
+    return Team.world() if options.comm is None else Team(options.comm)
+
+
+def check_kinematics(kinematics: ChooseKinematics | None) -> ChooseKinematics | None:
+    """Give a function that calls the user's and looks at its result.
+
+    Parameters
+    ----------
+    kinematics : callable or None
+        From the mesh to its kinematics.
+
+    Returns
+    -------
+    callable or None
+        The same; it raises InputError where the user's function returns something else.
+    """
+    if kinematics is None:
+        return None
+
+    def choose(mesh: Mesh) -> RegionKinematics:
+        found = kinematics(mesh)
+        if not isinstance(found, RegionKinematics):
+            raise InputError(f"kinematics: the function returned {type(found).__name__}; return a "
+                             "ddic.RegionKinematics, such as ddic.LinearRegion")
+        if found.mesh is not mesh:
+            raise InputError("kinematics: made of another mesh; make it of the one that the function is given, whose "
+                             "nodes may be numbered anew")
+        return found
+
+    return choose
+
+
+def make_case(settings: Mapping[str, Any]) -> Case:
+    """Make a case of settings; what else a case file holds is in memory.
+
+    Parameters
+    ----------
+    settings : mapping
+        Sections and keys of a case file.
+
+    Returns
+    -------
+    Case
+        Validated.
+
+    Raises
+    ------
+    InputError
+        With a line for each unknown key, wrong type and impossible value.
+    """
+    try:
+        data: dict[str, Any] = json.loads(json.dumps(dict(settings), default=_plain))
+    except TypeError as error:
+        raise InputError(f"options: {error}") from error
+    _refuse_what_arguments_say(data)
+    try:
+        return Case.model_validate_json(json.dumps(_complete(data)), strict=True)
+    except ValidationError as error:
+        raise InputError([f"options: {line}" for line in describe(error, _complete(data))]) from error
+
+
+def _refuse_what_arguments_say(data: Mapping[str, Any]) -> None:
+    for name, keys in _IN_MEMORY.items():
+        given = data.get(name)
+        # Of another type it is a mistake that the schema tells.
+        unknown = [key for key in given if key not in keys] if isinstance(given, dict) else []
+        if name in data and (unknown or not keys):
+            key = f"{name}.{unknown[0]}" if unknown else name
+            listed = ", ".join(f"{name}.{known}" for known in keys)
+            remedy = f"; valid here: {listed}" if keys else ""
+            raise InputError(f"options: {key} is for case files: give what it says as an argument, or measure a "
+                             f"case{remedy}")
+
+
+def _complete(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings with names in place of the files that a case must name."""
+    images, mesh = data.get("images", {}), data.get("mesh", {})
+    return {
+        **data,
+        "images": {"reference": _NO_PATH, "deformed": _NO_PATH, **images} if isinstance(images, dict) else images,
+        "mesh": {"file": "mesh", **mesh} if isinstance(mesh, dict) else mesh,
+    }
+
+
+def _plain(value: object) -> object:
+    """Stand in for what JSON does not know: numpy's numbers and arrays, paths, other mappings."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, Mapping):
+        return dict(value)
+    raise TypeError(f"a value of type {type(value).__name__}; give numbers, texts, lists and mappings")

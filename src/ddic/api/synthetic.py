@@ -1,0 +1,86 @@
+"""Image pairs with a known displacement, to try a measurement out before the test."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.synth.digitise import Digitiser
+from ddic.synth.fields import DisplacementField
+from ddic.synth.hole import Hole
+from ddic.synth.picture import Picture
+from ddic.synth.render import Scene, render_pair
+from ddic.synth.speckle_texture import SpeckleTexture
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+DIFFERENCE_PX = 1e-3
+"""Half of the distance, pixels, over which the gradient of a given displacement is taken. It only leads the search for
+the point that moved to a pixel; a larger one slows that search where the gradient varies."""
+
+
+@dataclass(frozen=True)
+class _GivenField:
+    """A displacement given as a function, with its gradient by central differences."""
+
+    displacement: Callable[[Array], Array]
+
+    def gradient(self, points: Array) -> Array:
+        """Gradient du_i/dx_j (n, 2, 2) at points (n, 2)."""
+        columns = []
+        for axis in range(2):
+            shift = np.zeros(2)
+            shift[axis] = DIFFERENCE_PX
+            change = self.displacement(points + shift) - self.displacement(points - shift)
+            columns.append(change / (2 * DIFFERENCE_PX))
+        return np.stack(columns, axis=2)
+
+
+def synthetic_pair(displacement: Callable[[Array], Any] | DisplacementField, size: tuple[int, int], *,
+                   noise: float = 0.0, seed: int = 0,
+                   hole: tuple[tuple[float, float], float] | None = None) -> tuple[Image, Image]:
+    """Picture a speckled plane before and after a displacement, without interpolating an image.
+
+    The texture is known at any point, so that f(x) = g(x + u(x)) holds but for noise and rounding to 8 bit.
+
+    Parameters
+    ----------
+    displacement : callable or DisplacementField
+        From points (n, 2) to their displacement (n, 2), pixels of the reference image; smooth, and defined a few pixels
+        beyond the image too.
+    size : (width, height)
+        Pixels.
+    noise : float, optional
+        Standard deviation of the camera's noise in both images, grey levels.
+    seed : int, optional
+        Of the speckles and of the noise.
+    hole : (centre, radius), optional
+        Round hole in the reference image, pixels, dark.
+
+    Returns
+    -------
+    reference, deformed : (height, width) arrays of uint8
+        Grey levels.
+
+    Raises
+    ------
+    InputError
+        Where the displacement folds the plane, or a number is out of its range.
+    ConvergenceError
+        Where the displacement is not smooth enough to be inverted.
+    """
+    field: Any = displacement if hasattr(displacement, "gradient") else _GivenField(_as_arrays(displacement))
+    picture = Picture(*size, Digitiser(noise=noise, seed=seed))
+    scene = Scene(SpeckleTexture(seed), field, None if hole is None else Hole(*hole))
+    pair = render_pair(scene, picture)
+    return pair.reference, pair.deformed
+
+
+def _as_arrays(displacement: Callable[[Array], Any]) -> Callable[[Array], Array]:
+    """Give arrays of their own, of floats: the renderer adds to what it gets."""
+    return lambda points: np.array(displacement(points), dtype=np.float64)
