@@ -13,6 +13,7 @@ from ddic.errors import first_of
 from ddic.functionals.view import FrameView, View
 from ddic.parallel.team import Team
 from ddic.problem.assembly import Hessians
+from ddic.problem.held_unknowns import refuse_unheld
 from ddic.problem.views import FrameViews
 
 CHANGED_SHARE = 0.02
@@ -25,9 +26,10 @@ CHANGED_SIDE = 0.5
 hidden together, waves fit in that mechanics do not hold, and the old M holds them back. A larger value costs
 iterations."""
 
-HELD_SHARE = 0.01
-"""Share of what hidden pixels gave to M that stays in it where mechanics find the displacement of hidden cells: enough
-to keep operators regular; the less, the faster equilibrium fills what is hidden."""
+HELD_SHARE = 1e-6
+"""Share of what hidden pixels gave to M that stays in it where mechanics find the displacement of hidden cells. It
+keeps the operator of a subdomain regular that is hidden altogether, and slows down waves that mechanics hold by less,
+those longer than 30 cut-off wavelengths. A larger share slows shorter ones."""
 
 
 @dataclass(frozen=True)
@@ -105,8 +107,8 @@ class Renewal:
 
     Attributes
     ----------
-    hessians : list of csr_matrix or None
-        New M_s in the unknowns, (n_unknowns, n_unknowns); None where it stays.
+    hessians : list of (n_unknowns, n_unknowns) csr_matrix or None
+        New M_s in the unknowns; None where it stays.
     visible : VisiblePixels
         What M counts from now on.
     note : str
@@ -138,22 +140,29 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
     Returns
     -------
     Renewal
-        New M where more than ``rule.limit`` of a subdomain's pixels have come or gone, or, without regularization,
-        where a cell has lost all of its pixels.
+        New M where more than ``rule.limit`` of a subdomain's pixels have come or gone.
+
+    Raises
+    ------
+    SingularSubdomainError
+        On all ranks, where the frame leaves an unknown to neither pixels nor mechanics.
     """
     counted, whole = assembled
+
+    shown = team.together(lambda: [tuple(view.without_hidden(q_s) for view in of_subdomain.views)
+                                   for of_subdomain, q_s in zip(views, q, strict=True)])
+    refuse_unheld(team, views, shown)
 
     def renew() -> tuple[list[sparse.csr_matrix | None], list[CellCounts]]:
         hessians: list[sparse.csr_matrix | None] = []
         by_view: list[CellCounts] = []
-        for of_subdomain, q_s, before, hessian in zip(views, q, counted.by_view, whole, strict=True):
-            shown = tuple(view.without_hidden(q_s) for view in of_subdomain.views)
-            now = tuple(view.count_pixels() for view in shown)
+        for of_subdomain, of_shown, before, hessian in zip(views, shown, counted.by_view, whole, strict=True):
+            now = tuple(view.count_pixels() for view in of_shown)
             if _is_kept(of_subdomain, before, now, rule):
                 hessians.append(None)
                 by_view.append(before)
             else:
-                hessians.append(_assemble_shown(of_subdomain.views, shown, hessian, rule))
+                hessians.append(_assemble_shown(of_subdomain.views, of_shown, hessian, rule))
                 by_view.append(now)
         return hessians, by_view
 
@@ -170,19 +179,8 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
 def _is_kept(of_subdomain: FrameViews, before: CellCounts, now: CellCounts, rule: RenewalRule) -> bool:
     """Whether a subdomain's M, which counts the pixels before, still fits those that are shown now."""
     n_changed = sum(int(np.abs(a - b).sum()) for a, b in zip(before, now, strict=True))
-    if n_changed == 0:
-        return True
-    if not rule.is_regularized and _loses_a_cell(before, now):
-        return False
     n_reference = sum(view.view.n_pixels for view in of_subdomain.views)
     return n_changed <= rule.limit(n_reference)
-
-
-def _loses_a_cell(before: CellCounts, now: CellCounts) -> bool:
-    """Whether some cell that M counts is not shown at all."""
-    counted = np.sum(before, axis=0)
-    left = np.sum(now, axis=0)
-    return bool(((counted > 0) & (left == 0)).any())
 
 
 def _assemble_shown(views: Sequence[FrameView], shown: Sequence[View], whole: Sequence[sparse.csr_matrix],
