@@ -1,7 +1,8 @@
 """The MPI part of ``accept.frames``: measures frames in one session, prints a JSON line for each from rank 0.
 
 Usage: frames_job TASK, a JSON object with "case" (a case file), "deformed" (an image for each frame), "keep" (frames,
-from 1, whose displacement is kept) and "folder" (where it goes).
+from 1, whose displacement is kept), "folder" (where it goes) and "from_last" (whether a frame starts from the field of
+the one before).
 """
 
 from __future__ import annotations
@@ -73,7 +74,7 @@ def find_losing(inputs: Inputs, frame: Frame, session: Session, measurement: Mea
 
 
 def measure_frames(team: Team, task: dict[str, Any]) -> None:
-    """Measure all frames, each from the field of the one before; collective.
+    """Measure all frames; collective.
 
     Parameters
     ----------
@@ -94,7 +95,7 @@ def measure_frames(team: Team, task: dict[str, Any]) -> None:
             before = list(session.problem.solver.assembly.systems)
             team.wait_for_all()
             begin = time.perf_counter()
-            last = session.measure(frame, last)
+            last = session.measure(frame, last if task["from_last"] else None)
             team.wait_for_all()
             seconds = time.perf_counter() - begin
             record = describe(team, session, before)
