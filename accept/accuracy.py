@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from bench.support.rows import Row, append_result
-from bench.support.runs import ddic_run, images
 
 from accept.table import Scale
+from bench.support.rows import Row, append_result
+from bench.support.runs import ddic_run, images
 from ddic.io.result_reader import read_result
 from ddic.synth.truth import load_truth
 

@@ -6,10 +6,10 @@ import re
 import subprocess
 
 import numpy as np
-from bench.support.rows import Row
-from bench.support.runs import ROOT, ddic_run, images
 
 from accept.table import Scale
+from bench.support.rows import Row
+from bench.support.runs import ROOT, ddic_run, images
 from ddic.io.result_reader import read_result
 from ddic.synth.truth import load_truth
 

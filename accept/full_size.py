@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+from accept.table import Scale
 from bench.support.rows import Row, append_result
 from bench.support.runs import ddic_run, images
-
-from accept.table import Scale
 
 WIDTH, HEIGHT, SUBDOMAINS = 6576, 4384, 180
 SMOKE_WIDTH, SMOKE_HEIGHT, SMOKE_SUBDOMAINS = 352, 256, 6

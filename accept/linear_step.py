@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+from accept.table import Scale
 from bench.support.rows import Row, append_result
 from bench.support.runs import images, run_job
-
-from accept.table import Scale
 
 BOUND = 1e-9
 """Largest relative difference."""

@@ -17,8 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bench.support.rows import Row, append_result
-from bench.support.runs import ROOT, ddic_command, ddic_run, real_data, run_job
 
 from accept.support.near_far_case import (
     Pair,
@@ -34,6 +32,8 @@ from accept.support.near_far_case import (
 from accept.support.near_far_error import error_rms, errors, interface_error, largest_jump, oscillation
 from accept.support.near_far_picture import draw_panels
 from accept.table import Check, Scale, run_table, runs_name
+from bench.support.rows import Row, append_result
+from bench.support.runs import ROOT, ddic_command, ddic_run, real_data, run_job
 from ddic.images.camera import CameraMapping, identity, similarity
 from ddic.io.result_reader import Result, read_result
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from bench.support.rows import Row, append_result
-from bench.support.runs import ddic_run, real_data
 
 from accept.table import Scale
+from bench.support.rows import Row, append_result
+from bench.support.runs import ddic_run, real_data
 from ddic.io.result_reader import read_result
 
 DEGREE = 5

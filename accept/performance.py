@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import sys
 
+from accept.accuracy import BOUNDS, Field, measure_errors
+from accept.table import Check, Scale, run_table
 from bench import kernels as pixel_kernels
 from bench import paper as megapixels
 from bench import peers
+from bench.support.paper_case import MEASURED
 from bench.support.peer_environment import peers_are_there
 from bench.support.rows import Row
-
-from accept.accuracy import BOUNDS, Field, measure_errors
-from accept.table import Check, Scale, run_table
 
 BEFORE = {(0, 0): {3: 0.0022063, 5: 0.0019515}, (0, 64): {3: 0.0011295, 5: 0.0005963},
           (2, 0): {3: 0.0123402, 5: 0.0122960}, (2, 64): {3: 0.0031624, 5: 0.0029959}}
@@ -46,7 +46,7 @@ def measure_paper(scale: Scale) -> list[Row]:
     """
     if scale.smoke:
         return megapixels.measure_case(SMOKE_CASE, repeats=1, with_kernels=False)[:1]
-    return [row for name in megapixels.MEASURED for row in megapixels.measure_case(name)[:1]]
+    return [row for name in MEASURED for row in megapixels.measure_case(name)[:1]]
 
 
 def measure_speedup(scale: Scale) -> list[Row]:

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bench.support.rows import RESULTS, Row, append_result
-from bench.support.runs import ROOT, images, run_job
 from matplotlib.figure import Figure
 
 from accept.support.beam_mesh import write_beam_mesh
 from accept.table import Scale
+from bench.support.rows import RESULTS, Row, append_result
+from bench.support.runs import ROOT, images, run_job
 
 
 @dataclass(frozen=True)

@@ -15,13 +15,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from bench.support.before import checkout_before
-from bench.support.rows import Row
-from bench.support.runs import ddic, ddic_command, mpirun
 from numpy.typing import NDArray
 
 from accept.recorded_cases import CASES, RecordedCase
 from accept.table import Scale
+from bench.support.before import checkout_before
+from bench.support.rows import Row
+from bench.support.runs import ddic, ddic_command, mpirun
 from ddic.io.result_reader import read_result
 
 RECORDED = Path(__file__).parent / "recorded"

@@ -34,9 +34,10 @@ CONVERGED = """
 [gauss_newton]
 tolerance = 1e-13
 rms_tolerance = 1e-12
-max_iterations = 100
+max_iterations = 2000
 """
-"""Gauss-Newton to where rounding ends it: RMS dq of 1e-12 px."""
+"""Gauss-Newton to where rounding ends it: RMS dq of 1e-12 px. Where M counts pixels that are hidden it takes hundreds
+of iterations, otherwise ten."""
 
 
 @dataclass(frozen=True)

@@ -11,13 +11,13 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+
+from accept.openhole import case_text
+from accept.table import Check, Scale, run_table, runs_name
 from bench import iterations as grid
 from bench import local_inverse
 from bench.support.rows import Row, append_result
 from bench.support.runs import ddic_run
-
-from accept.openhole import case_text
-from accept.table import Check, Scale, run_table, runs_name
 from ddic.io.result_reader import read_result
 
 TABLE = "solver"
@@ -108,7 +108,8 @@ def measure_contrast(scale: Scale) -> list[Row]:
         One row.
     """
     sizes = (SMOKE_ELEMENTS, SMOKE_SIDES) if scale.smoke else (grid.ELEMENTS, grid.SIDES)
-    records = _run(grid.contrast_tasks(*sizes, ("two_level",)), scale.jobs)
+    elements, sides = sizes
+    records = _run(grid.contrast_tasks(elements, sides, ("two_level",)), scale.jobs)
     return [Row(f"GMRES iterations to 1e-6, grad f 10 times lower in every second subdomain, l_c/H = "
                 f"{grid.CONTRAST_RATIO}, {len(records)} cells", f"<= {MOST_CONTRAST}", f"most {_most(records)}",
                 _at_most(records, MOST_CONTRAST))]

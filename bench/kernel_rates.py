@@ -1,40 +1,39 @@
 """Pixel kernels of this checkout against those of another: rates and bits, one core.
 
-Usage: kernel_rates.py [--before DIRECTORY] [PROBLEM ...]. Without a directory, the commit BEFORE is put into
-bench/data. Both checkouts run in a process of their own; their calls take turns, so that a change of the machine's
-speed meets both. Rates are medians of CPU time.
+Usage: python -m bench.kernel_rates [--before DIRECTORY] [PROBLEM ...]. Without a directory, the code before the
+restructuring is checked out into bench/data. Two processes run the code before and one the code after, and their calls
+take turns: before, after, before again, so that a change of the machine's speed meets all. Both of those before give
+what the ratio is measured against, and one over the other the control: as far as it is from 1, a ratio says nothing.
+A ratio of rates is the median over all turns, in CPU time.
 """
 
 from __future__ import annotations
 
 import argparse
-import io
 import json
 import os
 import subprocess
 import sys
-import tarfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from support.harness import DATA, ROOT, Row, append_result
-from support.unstructured_mesh import write_unstructured_mesh
 
+from bench.support.before import checkout_before
+from bench.support.rows import Row, append_result, show
+from bench.support.runs import DATA, ROOT
+from bench.support.unstructured_mesh import write_unstructured_mesh
 from ddic.io.mesh_file import read_mesh
 from ddic.mesh.mesh import Mesh, Similarity
 from ddic.mesh.structured import build_structured_mesh
 
-BEFORE = "a354d27"
-"""The commit whose kernels took their arguments one by one."""
-
 LEAST_RATIO = 0.97
 """Rate relative to that before that is good enough: what is left of the noise."""
 
-ROUNDS = 25
-"""Measurements of each call; the median of fewer moves by more than LEAST_RATIO allows."""
+ROUNDS = 60
+"""Turns of each call; the median of fewer moves by more than LEAST_RATIO allows."""
 
 MARGIN = 32
 """Pixels between the mesh and the image's edge."""
@@ -122,56 +121,47 @@ class Checkout:
 
 
 @contextmanager
-def both_checkouts(before: Path, problem: Problem) -> Iterator[dict[str, Checkout]]:
-    """Processes of the checkouts before and after, ready to measure."""
+def start_checkouts(before: Path, problem: Problem) -> Iterator[Sequence[Checkout]]:
+    """Processes of the checkouts before, after and before again, ready to measure."""
     mesh = problem.mesh()
     stored = DATA / "kernel_rates_mesh.npz"
     stored.parent.mkdir(parents=True, exist_ok=True)
     np.savez(stored, nodes=mesh.nodes, connectivity=mesh.connectivity, offsets=mesh.offsets, types=mesh.types)
-    checkouts: dict[str, Checkout] = {}
+    checkouts: list[Checkout] = []
     try:
-        for name, directory in (("before", before), ("after", ROOT)):
-            checkouts[name] = Checkout(directory, stored, problem.degree)
+        for directory in (before, ROOT, before):
+            checkouts.append(Checkout(directory, stored, problem.degree))
         yield checkouts
     finally:
-        for checkout in checkouts.values():
+        for checkout in checkouts:
             checkout.close()
 
 
-def alternated(checkouts: dict[str, Checkout], call: str) -> dict[str, float]:
-    """Median CPU seconds of a call in each checkout, in turn."""
-    seconds: dict[str, list[float]] = {name: [] for name in checkouts}
+def compare_rates(checkouts: Sequence[Checkout], call: str) -> tuple[float, float]:
+    """Rate of a call after relative to that before, and that before again relative to that before."""
+    ratios: list[float] = []
+    controls: list[float] = []
     for _ in range(ROUNDS):
-        for name, checkout in checkouts.items():
-            seconds[name].append(checkout.seconds(call))
-    return {name: float(np.median(values)) for name, values in seconds.items()}
+        before, after, again = (checkout.seconds(call) for checkout in checkouts)
+        ratios.append((before + again) / 2 / after)
+        controls.append(before / again)
+    return float(np.median(ratios)), float(np.median(controls))
 
 
 def measure_problem(name: str, before: Path) -> Row:
     """Compare all calls on one problem."""
-    problem = PROBLEMS[name]
     parts, ratios = [], []
-    with both_checkouts(before, problem) as checkouts:
-        expected, found = checkouts["before"].digests, checkouts["after"].digests
+    with start_checkouts(before, PROBLEMS[name]) as checkouts:
+        expected, found = checkouts[0].digests, checkouts[1].digests
         for call in expected:
-            seconds = alternated(checkouts, call)
-            ratios.append(seconds["before"] / seconds["after"])
-            bits = "" if found[call] == expected[call] else " (other bits)"
-            parts.append(f"{call} {ratios[-1]:.3f}{bits}")
-            append_result("kernel_rates", {"problem": name, "call": call, "ratio": ratios[-1],
-                                           "same_bits": found[call] == expected[call], **seconds})
-    return Row(f"rates of pixel kernels, after to before, {name}", f">= {LEAST_RATIO} each", ", ".join(parts),
-               min(ratios) >= LEAST_RATIO)
-
-
-def checkout_before() -> Path:
-    """The tree of the commit BEFORE, in bench/data."""
-    directory = DATA / f"checkout_{BEFORE}"
-    if not directory.is_dir():
-        archive = subprocess.run(["git", "archive", BEFORE], cwd=ROOT, check=True, capture_output=True).stdout
-        with tarfile.open(fileobj=io.BytesIO(archive)) as files:
-            files.extractall(directory, filter="data")
-    return directory
+            same = found[call] == expected[call]
+            ratio, control = compare_rates(checkouts, call)
+            ratios.append(ratio)
+            parts.append(f"{call} {ratio:.3f} ({control:.3f}{'' if same else ', other bits'})")
+            append_result("kernel_rates", {"problem": name, "call": call, "ratio": ratio, "control": control,
+                                           "same_bits": same})
+    return Row(f"rates of pixel kernels, after to before, {name}", f">= {LEAST_RATIO} each",
+               ", ".join(parts) + "; in parentheses before to before", min(ratios) >= LEAST_RATIO)
 
 
 def measure(before: Path | None = None, names: Sequence[str] = ()) -> Iterator[Row]:
@@ -190,7 +180,7 @@ def main() -> int:
     held = True
     for row in measure(arguments.before, arguments.problems):
         held &= row.holds
-        print(f"{'holds' if row.holds else 'FAILS'}  {row.check}\n       {row.measured}", flush=True)
+        show(row)
     return 0 if held else 1
 
 

@@ -16,15 +16,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-<<<<<<< HEAD
-from ddic.functionals.correlation import Correlation, read_correlations
-=======
 from bench.support.c_kernel import FLAGS, compiled, right_hand_side, triad
 from bench.support.rows import Row, append_result, main
 from bench.support.runs import DATA
 from bench.support.unstructured_mesh import write_unstructured_mesh
 from ddic.functionals.correlation import Correlation, read_correlations
->>>>>>> refs/heads/accept
 from ddic.images.binned import ArraySource
 from ddic.images.spline import read_gradient, read_spline
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
@@ -200,11 +196,6 @@ def rows_of(p: Problem) -> list[Row]:
                 rate["rhs"] >= RHS_BOUND and fraction >= C_BOUND), left]
 
 
-<<<<<<< HEAD
-def square_mesh() -> Mesh:
-    """Q4 of 16 px."""
-    return build_structured_mesh((MARGIN, MARGIN, SIZE - MARGIN, SIZE - MARGIN), 16)
-=======
 def square_mesh(size: int) -> Mesh:
     """Make Q4 of 16 px.
 
@@ -219,7 +210,6 @@ def square_mesh(size: int) -> Mesh:
         All but a margin.
     """
     return build_structured_mesh((MARGIN, MARGIN, size - MARGIN, size - MARGIN), 16)
->>>>>>> refs/heads/accept
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
 """The 29-megapixel case on 2 ranks, from the start of the command to the written file.
 
 Usage: python -m bench.paper [--repeats N] [--without-kernels] [CASE ...]; cases: beam_8, beam_16 (the paper's
-open-hole beam, about 62,500 unknowns in 180 subdomains) and full_16 (the whole image, 221,136 unknowns, by conjugate gradients); all by
-default. Every case is one record of bench/results/paper.jsonl.
+open-hole beam, about 62,500 unknowns in 180 subdomains) and full_16 (the whole image, 221,136 unknowns,
+by conjugate gradients); all by default. Every case is one record of bench/results/paper.jsonl.
 """
 
 from __future__ import annotations

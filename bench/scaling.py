@@ -1,10 +1,10 @@
 """What grows with the number of ranks: oversubscribed runs with 4 to 64 ranks, and what they say about 1,000.
 
 Usage: python -m bench.scaling [--ranks N ...]. One METIS subdomain of about 320 x 320 px a rank, at a short and at
-a long cut-off wavelength, with CPU seconds of work that communicates with nobody, and counted messages and bytes; then the coarse
-problem of 64 to 256 subdomains on one rank. Records go to bench/results/scaling.jsonl; the tables of docs/scaling.md
-are what this prints of the last record of each case. The model takes its rates a pixel from the largest run of
-``make bench-big``.
+a long cut-off wavelength, with CPU seconds of work that communicates with nobody, and counted messages and
+bytes; then the coarse problem of 64 to 256 subdomains on one rank. Records go to bench/results/scaling.jsonl; the
+tables of docs/scaling.md are what this prints of the last record of each case. The model takes its
+rates a pixel from the largest run of ``make bench-big``.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def pixel_rates() -> dict[str, Any]:
     """The largest record of bench/big.py, whose CPU seconds a pixel the model takes over."""
     file = RESULTS / "big.jsonl"
     lines = file.read_text(encoding="utf-8").splitlines() if file.is_file() else []
-    records = [record for record in map(json.loads, lines) if "cpu_seconds" in record]
+    records: list[dict[str, Any]] = [record for record in map(json.loads, lines) if "cpu_seconds" in record]
     if not records:
         raise RuntimeError("bench/results/big.jsonl has no run: start bench/big.py first")
     largest = max(record["n_pixels"] for record in records)

@@ -19,13 +19,9 @@ from typing import Any
 import h5py
 import numpy as np
 
-<<<<<<< HEAD
-from ddic.functionals.correlation import read_correlations
-=======
 from bench.support.rows import Row, append_result, main
 from bench.support.runs import DATA, ddic_run, images
 from ddic.functionals.correlation import read_correlations
->>>>>>> refs/heads/accept
 from ddic.images.spline import read_gradient, read_spline
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.images.threads import Threads
@@ -62,7 +58,7 @@ def pixel_calls(folder: Path, size: int, n_threads: int) -> dict[str, Callable[[
     return {
         "f and its gradient": lambda: read_gradient(reference.image, part.reference.window, 3, None, threads),
         "spline of g": lambda: read_spline(deformed.image, window, 3, None, threads),
-        "M, sums of cells": part.hessian_cells,
+        "M, sums of cells": part.compute_cell_hessians,
         "residual": lambda: part.compute_residual(image, q),
         "residual image": lambda: part.compute_residual_image(image, q),
         "file read alone": lambda: reference.image.read(Window(0, 0, size, size)),

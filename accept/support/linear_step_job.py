@@ -10,19 +10,19 @@ import sys
 from typing import Any
 
 import numpy as np
-from bench.support.step_problem import (
-    Whole,
-    correct_monolithically,
-    distribute_problem,
-    find_relative_difference,
-    solve_step,
-    whole_problem,
-)
 from mpi4py import MPI
 
+from bench.support.step_problem import (
+    StepProblem,
+    correct_monolithically,
+    find_relative_difference,
+    prepare_step,
+    prepare_whole,
+    solve_dual,
+)
 from ddic.case.schema import Case
 from ddic.parallel.team import Team
-from ddic.problem.inputs import ImagePair
+from ddic.solvers.dual.dual_step import DualSettings
 
 PARTITIONS: dict[str, dict[int, Any]] = {"blocks": {4: [2, 2], 9: [3, 3], 16: [4, 4]}, "metis": {4: 4, 9: 9, 16: 16}}
 """Values of solver.blocks and solver.subdomains by number of subdomains."""
@@ -61,7 +61,7 @@ def base_case(folder: str, size: int, wavelength: float | None) -> dict[str, Any
     return base
 
 
-def compare_step(team: Team, case: Case, pair: ImagePair, whole: Whole) -> tuple[float, int]:
+def compare_step(team: Team, case: Case, whole: StepProblem) -> tuple[float, int]:
     """Solve one linear step by subdomains and on one domain, from the same random q and b.
 
     Parameters
@@ -70,9 +70,7 @@ def compare_step(team: Team, case: Case, pair: ImagePair, whole: Whole) -> tuple
         Ranks.
     case : Case
         With the partition.
-    pair : ImagePair
-        Its images.
-    whole : Whole
+    whole : StepProblem
         The one-domain problem.
 
     Returns
@@ -82,17 +80,16 @@ def compare_step(team: Team, case: Case, pair: ImagePair, whole: Whole) -> tuple
     iterations : int
         Of the Krylov solver.
     """
+    (subdomain,), (hessians,) = whole.subdomains, whole.hessians
     rng = np.random.default_rng(0)
-    q = rng.normal(scale=0.1, size=whole.mesh.n_dofs)
-    b = whole.hessian @ rng.normal(size=whole.mesh.n_dofs)
-    problem = distribute_problem(team, case, pair, whole.mesh)
-    try:
-        shared = problem.count_subdomains(whole.mesh)
-        weights = shared if case.solver.weighting == "paper" else None
-        reference = correct_monolithically(whole, case.regularization, q, b, weights)
-        result = solve_step(problem, case.solver, q, b / shared)
-    finally:
-        problem.destroy()
+    q = rng.normal(scale=0.1, size=subdomain.n_unknowns)
+    b = hessians[0] @ rng.normal(size=subdomain.n_unknowns)
+    problem = prepare_step(team, case)
+    shared = problem.count_subdomains()
+    weights = shared if case.solver.weighting == "paper" else None
+    reference = correct_monolithically(whole, q, b, weights)
+    settings = DualSettings(tolerance=case.solver.tolerance, max_iterations=case.solver.max_iterations)
+    result = solve_dual(problem, settings, q, b / shared)
     return find_relative_difference(problem, result.dq, reference), result.krylov_iterations
 
 
@@ -107,7 +104,7 @@ def main(folder: str, size: str) -> None:
     team = Team(MPI.COMM_WORLD)
     for variant, wavelength in VARIANTS.items():
         base = base_case(folder, int(size), wavelength)
-        pair, whole = whole_problem(Case.model_validate(base))
+        whole = prepare_whole(Case.model_validate(base))
         for kind, sizes in PARTITIONS.items():
             for count, split in sizes.items():
                 if count < team.size:
@@ -116,7 +113,7 @@ def main(folder: str, size: str) -> None:
                 solver = {"partition": kind, "tolerance": 1e-12, key: split,
                           "weighting": "paper" if variant == "paper" else "consistent"}
                 case = Case.model_validate({**base, "solver": solver})
-                difference, iterations = compare_step(team, case, pair, whole)
+                difference, iterations = compare_step(team, case, whole)
                 if team.is_root:
                     print(json.dumps({"variant": variant, "partition": kind, "subdomains": count, "ranks": team.size,
                                       "relative_difference": difference, "iterations": iterations}), flush=True)

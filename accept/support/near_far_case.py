@@ -9,22 +9,18 @@ from pathlib import Path
 
 import meshio
 import numpy as np
-from bench.support.runs import ddic_run, images
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from bench.support.runs import ddic_run, images
 from ddic.images.camera import CameraMapping, identity
 from ddic.io.result_reader import Result, read_result
 from ddic.mesh.mesh import Mesh
 from ddic.synth.near_far_truth import NearFarTruth, load_near_far_truth
 
 EDGE = 47.5
-<<<<<<< HEAD:bench/support/near_far_case.py
-=======
 """Edge of the far image without elements, far px."""
 
-VTK_NAMES = {VTK_TRIANGLE: "triangle", VTK_QUAD: "quad"}
->>>>>>> refs/heads/accept:accept/support/near_far_case.py
 SAME_NODE = 1e-6
 """Distance within which nodes of two files are one, pixels."""
 

@@ -25,7 +25,8 @@ def error_rms(fields: Fields, exact: Exact) -> float:
 
 def interface(fields: Fields) -> NDArray[np.int64]:
     """Nodes of both cameras."""
-    return np.intersect1d(*fields.nodes)
+    far, near = fields.nodes
+    return np.asarray(np.intersect1d(far, near))
 
 
 def interface_error(fields: Fields, exact: Exact) -> float:

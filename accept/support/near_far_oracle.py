@@ -1,12 +1,11 @@
 """Eq. 23 of [BP17] for one linear step of a near-field and far-field case: one saddle point, solved directly.
 
 Unknowns are what each camera sees, v_f and v_n = u + alpha, the multipliers of the jumps between them and alpha, which
-has no stiffness but its columns in the jumps. Nothing here knows subdomains, or poses.
+has no stiffness but its columns in the jumps. Nothing here knows subdomains, or kinematics.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,75 +15,141 @@ from scipy.sparse.linalg import splu
 
 from ddic.case.schema import Case
 from ddic.functionals.correlation import read_correlations
-from ddic.functionals.equilibrium_gap import controlled_stiffness
+from ddic.functionals.elasticity import assemble_stiffness
 from ddic.images.sub_image import DeformedSubImage
-from ddic.kinematics.cell_interpolation import interpolate_cells
 from ddic.mesh.mesh import Mesh
-from ddic.problem.cameras import Camera
-from ddic.problem.inputs import controlled_dofs, material
+from ddic.problem.cameras import Camera, Frame
+from ddic.problem.region_mesh import RegionMesh, material_of
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class State:
-    """Where a linear step begins: a continuous u (n_dofs,) and alpha (2,), far px."""
+    """Where a linear step begins.
+
+    Attributes
+    ----------
+    u : (n_dofs,) array
+        A continuous displacement, far px.
+    alpha : (2,) array
+        Translation of the near set-up, far px.
+    """
 
     u: Array
     alpha: Array
 
 
-def saddle_point(case: Case, mesh: Mesh, cameras: Sequence[Camera], labels: NDArray[np.int64], weights: Sequence[float],
-                 eta: float, at: State) -> tuple[Array, Array]:
-    """Corrections (du (n_dofs,), dalpha (2,)); labels: camera of each cell, 0 far and 1 near; weights: of the cameras.
+@dataclass(frozen=True)
+class OneCamera:
+    """What one camera brings, in far px.
 
-    The near camera's mapping must be a similarity without rotation.
+    Attributes
+    ----------
+    dofs : (n,) array of int64
+        Numbers of its displacements in the whole mesh.
+    hessian : (n, n) csr_matrix
+        M, weighted.
+    force : (n,) array
+        b, weighted.
+    gap : (n_dofs, n) csr_matrix
+        Its cells' forces on the whole mesh; zero without regularization.
+    seen : (n,) array
+        Its displacement at the beginning of the step.
     """
-    matrices, forces, gaps, dofs = [], [], [], []
-    gap_now = np.zeros(mesh.n_dofs)
-    for number, camera in enumerate(cameras):
-        part, ids = mesh.submesh(np.flatnonzero(labels == number))
-        own = (2 * ids[:, None] + np.arange(2)).ravel()
-        seen = at.u[own] + (np.tile(at.alpha, len(ids)) if number else 0.0)
-        ratio = float(camera.rig.mapping.homography[0, 0])
-        hessian, force = _texture(case, camera, part, ratio * seen)
-        matrices.append(weights[number] * ratio**2 * hessian)
-        forces.append(weights[number] * ratio * force)
-        rows = sparse.csr_matrix((np.ones(len(own)), (own, np.arange(len(own)))), shape=(mesh.n_dofs, len(own)))
-        gaps.append(rows @ _stiffness(case, part) if eta else sparse.csr_matrix((mesh.n_dofs, len(own))))
-        gap_now += gaps[-1] @ seen
-        dofs.append(own)
-    control = sparse.diags(controlled_dofs(case.regularization, mesh).astype(float)) if eta else sparse.eye(mesh.n_dofs)
-    gap = control @ sparse.hstack(gaps)
-    operator = sparse.block_diag(matrices) + eta * gap.T @ gap
-    right = np.concatenate(forces) - eta * gap.T @ (control @ gap_now)
-    _, in_far, in_near = np.intersect1d(*dofs, return_indices=True)
-    n, n_far, size = len(right), len(dofs[0]), float(operator.diagonal().mean())
-    number = np.arange(len(in_far))
-    jumps = sparse.csr_matrix((np.repeat([1.0, -1.0], len(number)),
-                               (np.tile(number, 2), np.concatenate([n_far + in_near, in_far]))), shape=(len(number), n))
-    columns = sparse.csr_matrix((np.full(len(number), -1.0), (number, dofs[1][in_near] % 2)), shape=(len(number), 2))
-    whole = sparse.bmat([[operator / size, None, jumps.T], [None, None, columns.T], [jumps, columns, None]]).tocsc()
-    solution = splu(whole).solve(np.concatenate([right / size, np.zeros(2 + len(number))]))
+
+    dofs: NDArray[np.int64]
+    hessian: sparse.csr_matrix
+    force: Array
+    gap: sparse.csr_matrix
+    seen: Array
+
+
+def solve_saddle_point(whole: RegionMesh, frame: Frame, eta: float, at: State) -> tuple[Array, Array]:
+    """Solve the linear step of a far and a near camera, whose mapping is a similarity without rotation.
+
+    Parameters
+    ----------
+    whole : RegionMesh
+        The whole mesh, and which camera measures which cell.
+    frame : Frame
+        Deformed images.
+    eta : float
+        Weight of the equilibrium gap; 0 without.
+    at : State
+        Where the step begins.
+
+    Returns
+    -------
+    du : (n_dofs,) array
+        Correction of the displacement, far px.
+    dalpha : (2,) array
+        Correction of the near set-up's translation, far px.
+    """
+    far, near = (_look(whole, frame, number, at) for number in range(2))
+    operator, right = _operator(whole, eta, (far, near))
+    jumps, of_alpha = _jump_rows(far, near)
+    n, n_jumps, size = len(right), jumps.shape[0], float(operator.diagonal().mean())
+    # Divided by its mean diagonal, the operator is of the size of the jumps.
+    saddle = sparse.bmat([[operator / size, None, jumps.T],
+                          [None, None, of_alpha.T],
+                          [jumps, of_alpha, None]]).tocsc()
+    solution = splu(saddle).solve(np.concatenate([right / size, np.zeros(2 + n_jumps)]))
+    n_far = len(far.dofs)
     alpha = solution[n:n + 2]
-    du = np.zeros(mesh.n_dofs)
-    du[dofs[1]] = solution[n_far:n] - np.tile(alpha, len(dofs[1]) // 2)
-    du[dofs[0]] = solution[:n_far]
+    du = np.zeros(whole.mesh.n_dofs)
+    du[near.dofs] = solution[n_far:n] - np.tile(alpha, len(near.dofs) // 2)
+    du[far.dofs] = solution[:n_far]
     return du, alpha
 
 
-def _texture(case: Case, camera: Camera, part: Mesh, displacement: Array) -> tuple[sparse.csr_matrix, Array]:
-    """M and b of one camera in displacements of its own pixels, over the pixels that it still sees."""
-    mapping, degree = camera.rig.mapping, case.correlation.spline_degree
-    seen = Mesh(mapping.to_image(part.nodes), part.connectivity, part.offsets, part.types)
-    deformed = DeformedSubImage(camera.pair.deformed, degree)
-    (whole,), = read_correlations([seen], camera.pair.reference, degree)
-    visible = whole.without_hidden(deformed, displacement)
-    residual = visible.compute_residual(deformed, displacement)
-    return visible.assemble_hessian(), visible.assemble_right_hand_side(residual)
+def _look(whole: RegionMesh, frame: Frame, number: int, at: State) -> OneCamera:
+    """What a camera brings."""
+    case, mesh = whole.inputs.case, whole.mesh
+    far, camera = whole.inputs.cameras[0], whole.inputs.cameras[number]
+    part, ids = mesh.submesh(np.flatnonzero(whole.cameras == number))
+    dofs = (2 * ids[:, None] + np.arange(2)).ravel()
+    seen = at.u[dofs] + (np.tile(at.alpha, len(ids)) if number else 0.0)
+    ratio = float(camera.setup.mapping.homography[0, 0])
+    hessian, force = _texture(case, camera, DeformedSubImage(frame[number], case.correlation.spline_degree), part,
+                              ratio * seen)
+    weight = 1.0
+    if far.noise is not None and camera.noise is not None:
+        weight = (far.noise / camera.noise) ** 2
+    gap = sparse.csr_matrix((mesh.n_dofs, len(dofs)))
+    if case.regularization is not None:
+        rows = sparse.csr_matrix((np.ones(len(dofs)), (dofs, np.arange(len(dofs)))), shape=(mesh.n_dofs, len(dofs)))
+        gap = rows @ assemble_stiffness(part, material_of(case.regularization))
+    return OneCamera(dofs, weight * ratio**2 * hessian, weight * ratio * force, gap, seen)
 
 
-def _stiffness(case: Case, part: Mesh) -> sparse.csr_matrix:
-    assert case.regularization is not None
-    return controlled_stiffness(part, interpolate_cells(part), material(case.regularization),
-                                np.ones(part.n_dofs))
+def _texture(case: Case, camera: Camera, deformed: DeformedSubImage, part: Mesh,
+             displacement: Array) -> tuple[sparse.csr_matrix, Array]:
+    """M of all pixels and b of those that the camera still sees, in displacements of its own pixels."""
+    seen = Mesh(camera.setup.mapping.to_image(part.nodes), part.connectivity, part.offsets, part.types)
+    (correlation,), = read_correlations([seen], camera.reference, case.correlation.spline_degree)
+    residual = correlation.compute_residual(deformed, displacement)
+    return correlation.assemble_hessian(), correlation.assemble_right_hand_side(residual)
+
+
+def _operator(whole: RegionMesh, eta: float, cameras: tuple[OneCamera, OneCamera]) -> tuple[sparse.csr_matrix, Array]:
+    """M + eta Kbar^T Kbar and b - eta Kbar^T Kbar v of both cameras' displacements."""
+    control = sparse.diags(whole.controlled.astype(float))
+    gap = control @ sparse.hstack([camera.gap for camera in cameras])
+    gap_now = gap @ np.concatenate([camera.seen for camera in cameras])
+    operator = sparse.block_diag([camera.hessian for camera in cameras]) + eta * gap.T @ gap
+    right = np.concatenate([camera.force for camera in cameras]) - eta * gap.T @ gap_now
+    return operator, right
+
+
+def _jump_rows(far: OneCamera, near: OneCamera) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
+    """Rows v_n - v_f of the displacements that both cameras see, and their columns -1 of alpha."""
+    _, in_far, in_near = np.intersect1d(far.dofs, near.dofs, return_indices=True)
+    n_far, n_jumps = len(far.dofs), len(in_far)
+    row = np.arange(n_jumps)
+    places = (np.tile(row, 2), np.concatenate([n_far + in_near, in_far]))
+    signs = np.repeat([1.0, -1.0], n_jumps)
+    jumps = sparse.csr_matrix((signs, places), shape=(n_jumps, n_far + len(near.dofs)))
+    component = near.dofs[in_near] % 2
+    of_alpha = sparse.csr_matrix((np.full(n_jumps, -1.0), (row, component)), shape=(n_jumps, 2))
+    return jumps, of_alpha

@@ -11,12 +11,7 @@ from numpy.typing import NDArray
 from accept.support.near_far_case import Fields
 from ddic.io.plots.camera_fields import CellPanel, panels_figure
 from ddic.io.plots.canvas import mesh_bounds, save_figure
-<<<<<<< HEAD:bench/support/near_far_picture.py
 from ddic.kinematics.strain import compute_strain
-from support.near_far_case import Fields
-=======
-from ddic.kinematics.strain import compute_strain
->>>>>>> refs/heads/accept:accept/support/near_far_picture.py
 
 AROUND = 0.35
 

@@ -7,23 +7,25 @@ from __future__ import annotations
 
 import json
 import sys
-from typing import Any
 
 import numpy as np
-from bench.support.step_problem import (
-    ALONE,
-    Vector,
-    correct_monolithically,
-    distribute_problem,
-    whole_problem,
-)
 from petsc4py import PETSc
 
-from ddic.case.schema import Case, SolverSection
-from ddic.problem.linear_solver import linear_step
-from ddic.solvers.dual.dual_step import DualStep
+from bench.support.step_problem import (
+    ALONE,
+    StepProblem,
+    Vector,
+    correct_monolithically,
+    factorize,
+    prepare_step,
+    prepare_whole,
+)
+from ddic.case.schema import Case
+from ddic.solvers.dual.build_preconditioner import Preconditioner
+from ddic.solvers.dual.dual_problem import build_dual_problem
+from ddic.solvers.dual.dual_step import DualSettings, DualStep
 
-KINDS = ("none", "paper", "scaled")
+KINDS: tuple[Preconditioner, ...] = ("none", "paper", "scaled")
 TOLERANCE, MOST_ITERATIONS = 1e-8, 3000
 """Of GMRES."""
 
@@ -31,18 +33,18 @@ Curve = list[tuple[int, float, float]]
 """Iteration, residual norm and displacement error relative to the one-domain correction."""
 
 
-def error_curve(kind: str, base: dict[str, Any], b: Vector, reference: Vector) -> tuple[Curve, int]:
+def error_curve(kind: Preconditioner, problem: StepProblem, b: Vector, reference: Vector) -> tuple[Curve, int]:
     """Solve the first linear step of a case and look at every iterate.
 
     Parameters
     ----------
-    kind : str
+    kind : Preconditioner
         solver.preconditioner.
-    base : dict
-        Sections of the case.
-    b : (n_dofs,) array
+    problem : StepProblem
+        The subdomains.
+    b : (n_field,) array
         Right-hand side of the whole mesh.
-    reference : (n_dofs,) array
+    reference : (n_field,) array
         Correction of one domain, pixels.
 
     Returns
@@ -52,28 +54,29 @@ def error_curve(kind: str, base: dict[str, Any], b: Vector, reference: Vector) -
     n_interface : int
         Number of interface unknowns.
     """
-    case = Case.model_validate(base)
-    pair, whole = whole_problem(case)
-    problem = distribute_problem(ALONE, case, pair, whole.mesh)
-    shared = problem.count_subdomains(whole.mesh)
-    solver = SolverSection(subdomains=case.solver.subdomains, preconditioner=kind, tolerance=TOLERANCE,
-                           max_iterations=MOST_ITERATIONS)
-    step, n_interface = linear_step(ALONE, solver, problem.assembly, problem.operators)
-    if not isinstance(step, DualStep):
-        raise TypeError("the case does not ask for the dual method")
-    right = [b[d] / shared[d] for d in problem.dofs]
-    free = [operator.solve(r) for operator, r in zip(problem.operators, right, strict=True)]
+    assembly = problem.assemble()
+    operators = factorize(assembly)
+    scale = assembly.reaction_scale
+    step = DualStep(ALONE, assembly.systems, operators, scale, DualSettings(kind, TOLERANCE, MOST_ITERATIONS))
+    # The step keeps its own to itself; what multipliers correct is the same.
+    interface = build_dual_problem(ALONE, assembly.systems, operators, scale)
+    shared = problem.count_subdomains()
+    right = [b[n] / shared[n] for n in problem.numbers]
+    free = [operator.solve(r) for operator, r in zip(operators, right, strict=True)]
     curve: Curve = []
 
     def watch(ksp: PETSc.KSP, iteration: int, norm: float) -> None:
-        dq = step.correction(free, ksp.buildSolution())
-        squares = sum(((d - reference[n]) ** 2 / shared[n]).sum() for d, n in zip(dq, problem.dofs, strict=True))
+        dq = interface.correct(free, ksp.buildSolution())
+        squares = sum(((d - reference[n]) ** 2 / shared[n]).sum() for d, n in zip(dq, problem.numbers, strict=True))
         curve.append((iteration, norm, float(np.sqrt(squares) / np.linalg.norm(reference))))
 
     step.ksp.setMonitor(watch)
     step.solve([np.zeros(len(r)) for r in right], right)
+    n_interface = step.n_interface
     step.destroy()
-    problem.destroy()
+    interface.destroy()
+    for operator in operators:
+        operator.destroy()
     return curve, n_interface
 
 
@@ -85,16 +88,16 @@ def main(case_json: str) -> None:
     case_json : str
         Of the command line.
     """
-    base = json.loads(case_json)
-    case = Case.model_validate(base)
-    _, whole = whole_problem(case)
-    q = np.zeros(whole.mesh.n_dofs)
-    b = whole.right_hand_side(q)
-    reference = correct_monolithically(whole, case.regularization, q, b)
+    case = Case.model_validate(json.loads(case_json))
+    whole = prepare_whole(case)
+    q = np.zeros(whole.region.n_field)
+    (b,) = whole.right_hand_sides([q])
+    reference = correct_monolithically(whole, q, b)
+    problem = prepare_step(ALONE, case)
     for kind in KINDS:
-        curve, n_interface = error_curve(kind, base, b, reference)
-        print(json.dumps({"preconditioner": kind, "n_dofs": whole.mesh.n_dofs, "n_interface": n_interface,
-                          "subdomains": case.solver.subdomains, "curve": curve}), flush=True)
+        curve, n_interface = error_curve(kind, problem, b, reference)
+        print(json.dumps({"preconditioner": kind, "n_dofs": whole.region.n_field, "n_interface": n_interface,
+                          "subdomains": problem.region.n_subdomains, "curve": curve}), flush=True)
 
 
 main(sys.argv[1])

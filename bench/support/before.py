@@ -12,7 +12,7 @@ COMMIT = "a354d27"
 
 
 def checkout_before() -> Path:
-    """Check out the code before, once, as a git worktree in ``bench/data/before``.
+    """Check out the code before, once, into ``bench/data``.
 
     Returns
     -------
@@ -24,10 +24,11 @@ def checkout_before() -> Path:
     NotHereError
         Where the repository's history does not reach back so far.
     """
-    folder = DATA / f"before_{COMMIT}"
-    if not (folder / "src").is_dir():
-        command = ["git", "worktree", "add", "--force", "--detach", str(folder), COMMIT]
-        done = subprocess.run(command, cwd=ROOT, text=True, capture_output=True, check=False)
+    folder = DATA / f"checkout_{COMMIT}"
+    if not folder.is_dir():
+        done = subprocess.run(["git", "archive", COMMIT], cwd=ROOT, capture_output=True, check=False)
         if done.returncode != 0:
-            raise NotHereError(f"commit {COMMIT} cannot be checked out: {done.stderr.strip()}")
+            raise NotHereError(f"commit {COMMIT} is not in the repository's history: {done.stderr.decode().strip()}")
+        folder.mkdir(parents=True)
+        subprocess.run(["tar", "--extract", "--directory", str(folder)], input=done.stdout, check=True)
     return folder

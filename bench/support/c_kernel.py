@@ -44,7 +44,8 @@ def right_hand_side(library: ctypes.CDLL, part: Correlation, spline: SplineImage
     u: (n_cells, 2, 4), displacement on the monomials, pixels.
     """
     f, r, geometry = part.reference, part.raster, part.interpolation.geometry
-    arrays = [geometry, u, r.first_row, r.row_ptr, r.starts, r.stops, f.values, f.by_x, f.by_y, spline.coefficients]
+    arrays: list[NDArray[Any]] = [geometry, u, r.first_row, r.row_ptr, r.starts, r.stops, f.values, f.by_x, f.by_y,
+                                 spline.coefficients]
     pointers: list[Any] = [ctypes.c_void_p(a.ctypes.data) for a in arrays]
     row_length = f.values.strides[0] // f.values.itemsize
     n_cells = len(geometry)

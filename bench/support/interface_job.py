@@ -20,18 +20,24 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
+from bench.support.step_problem import factorize
 from bench.support.tiled_texture import TiledProblem
-from ddic.case.schema import SolverSection
+from ddic.kinematics.nodal import NodalRegion
 from ddic.parallel.distribution import scatter_subdomains
 from ddic.parallel.team import Team
-from ddic.partition.connectivity import build_subdomains
+from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.split import split_by_metis
 from ddic.partition.subdomain import interface_weights
-from ddic.problem.assembly import Assembly, factorize
-from ddic.problem.linear_solver import linear_step
+from ddic.problem.assembly import Assembly
+from ddic.solvers.assembled import AssembledStep
+from ddic.solvers.conjugate_gradient import ConjugateGradientStep
+from ddic.solvers.dual.build_preconditioner import Preconditioner
+from ddic.solvers.dual.dual_step import DualSettings, DualStep
+from ddic.solvers.linear_step import LinearStep
+from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
 
-DUAL = ("paper", "scaled", "two_level")
+DUAL: tuple[Preconditioner, ...] = ("paper", "scaled", "two_level")
 """Preconditioners of the dual solver."""
 MOST_KRYLOV = 2000
 CG_TOLERANCE = 1e-8
@@ -75,24 +81,24 @@ def method(team: Team, problem: TiledProblem, solver: str, per_subdomain: int | 
     """One linear step as ddic's own method solves it, dual on METIS subdomains or assembled."""
     count = team.size if per_subdomain is None else max(round((problem.n / per_subdomain) ** 2), 2)
 
-    def split() -> tuple[list[Any], np.ndarray]:
+    def split() -> tuple[list[Any], NDArray[np.float64]]:
         mesh = problem.rows_of_cells(0, problem.n)
+        labels = split_by_metis(mesh, count)
         # Equal cells, split evenly: equal costs.
-        return build_subdomains(mesh, split_by_metis(mesh, count), problem.controlled(mesh)), np.ones(count)
+        return build_subdomains(NodalRegion(mesh), labels, problem.controlled(mesh)), np.ones(count)
 
     subdomains = scatter_subdomains(team, split)
     eta, diagonal = problem.eta_and_diagonal
     systems, right = [], []
     for s in subdomains:
-        weights = interface_weights(s.dof_multiplicity, "consistent") * s.controlled
+        weights = interface_weights(s.multiplicity, "consistent") * s.controlled
         systems.append(LocalSystem(s, problem.hessian(s.mesh), problem.stiffness(s.mesh, weights), weights, eta))
         right.append(systems[-1].hessian @ problem.displacement(s.mesh))
-    section = (SolverSection(preconditioner=solver, max_iterations=MOST_KRYLOV, recycle=False) if solver in DUAL
-               else SolverSection(method=solver, max_iterations=MOST_KRYLOV))
+    assembly = Assembly(systems, eta, diagonal)
     before = largest_resident()
-    operators = laps.time("factorize", lambda: factorize(team, systems, diagonal) if solver in DUAL else [])
-    step, n_interface = laps.time("interface", lambda: linear_step(team, section, Assembly(systems, eta, diagonal),
-                                                                   operators))
+    operators = laps.time("factorize", lambda: factorize(assembly) if solver in DUAL else [])
+    step = laps.time("interface", lambda: make_step(team, solver, assembly, operators))
+    n_interface = step.n_interface if isinstance(step, DualStep) else 0
     result = laps.time("solve", lambda: step.solve([np.zeros(len(b)) for b in right], right))
     laps.seconds |= {f"setup_{k}": laps.seconds[f"factorize_{k}"] + laps.seconds[f"interface_{k}"]
                      for k in ("cpu", "wall")}
@@ -101,7 +107,35 @@ def method(team: Team, problem: TiledProblem, solver: str, per_subdomain: int | 
         operator.destroy()
     found = {"n_subdomains": count, "n_interface": n_interface, "iterations": result.krylov_iterations,
              "resident_before": before}
-    return found, ([s.dofs for s in subdomains], result.dq)
+    return found, ([s.numbers for s in subdomains], result.dq)
+
+
+def make_step(team: Team, solver: str, assembly: Assembly, operators: list[LocalOperator]) -> LinearStep:
+    """Make ddic's own linear step.
+
+    Parameters
+    ----------
+    team : Team
+        Ranks.
+    solver : str
+        One of DUAL, "assembled" or "conjugate_gradient".
+    assembly : Assembly
+        The systems.
+    operators : list of LocalOperator
+        Local factors, of the dual solver.
+
+    Returns
+    -------
+    LinearStep
+        To be destroyed.
+    """
+    if solver == "assembled":
+        return AssembledStep(team, assembly.systems, assembly.smallest_eigenvalue)
+    if solver == "conjugate_gradient":
+        return ConjugateGradientStep(team, assembly.systems, DualSettings.tolerance, MOST_KRYLOV)
+    preconditioner = next(kind for kind in DUAL if kind == solver)
+    settings = DualSettings(preconditioner, max_iterations=MOST_KRYLOV, recycle=False)
+    return DualStep(team, assembly.systems, operators, assembly.reaction_scale, settings)
 
 
 def of_petsc(team: Team, problem: TiledProblem, solver: str, laps: Laps) -> tuple[dict[str, Any], Field]:
@@ -165,7 +199,7 @@ def compared(team: Team, problem: TiledProblem, field: Field, reference: Path, *
     """Relative distance from the field kept in a file by a direct solver; ``keep``: write the file instead."""
     if keep:
         pieces = team.comm.gather(field, root=0)
-        if team.is_root:
+        if pieces is not None:
             whole = np.empty(problem.n_dofs)
             for dofs, values in ((d, v) for piece in pieces for d, v in zip(*piece, strict=True)):
                 whole[dofs] = values

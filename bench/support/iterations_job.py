@@ -15,12 +15,19 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 from scipy import sparse
 
-from bench.support.cut_off_problem import TexturedMesh, assembly_at, difference, dimmed, from_images, one_domain
-from bench.support.step_problem import ALONE
-from ddic.case.schema import Case, RegularizationSection, SolverSection
+from bench.support.cut_off_problem import (
+    TexturedMesh,
+    assemble_at,
+    assemble_one_domain,
+    measure_difference,
+    read_texture,
+)
+from bench.support.step_problem import ALONE, factorize
+from ddic.case.schema import Case, RegularizationSection
 from ddic.errors import ConvergenceError
-from ddic.problem.assembly import Assembly, factorize
-from ddic.problem.linear_solver import linear_step
+from ddic.problem.assembly import Assembly
+from ddic.solvers.dual.build_preconditioner import Preconditioner
+from ddic.solvers.dual.dual_step import DualSettings, DualStep
 from ddic.solvers.linear_step import StepResult
 from ddic.solvers.local_operator import LocalOperator
 
@@ -46,21 +53,21 @@ def solutions(matrix: sparse.csr_matrix, right: NDArray[np.float64]) -> list[NDA
     return found
 
 
-def solve(kind: str, tolerance: float, problem: TexturedMesh, assembly: Assembly,
+def solve(kind: Preconditioner, tolerance: float, problem: TexturedMesh, assembly: Assembly,
           operators: list[LocalOperator]) -> tuple[StepResult | None, int]:
     """One linear step from zero multipliers and the number of interface unknowns; None where MOST[kind] is exceeded."""
     # Recycling would change what is counted; each solve has a step of its own, for a second would be warm-started.
-    solver = SolverSection(preconditioner=kind, tolerance=tolerance, max_iterations=MOST[kind], recycle=False)
-    step, n_interface = linear_step(ALONE, solver, assembly, operators)
+    settings = DualSettings(kind, tolerance, MOST[kind], recycle=False)
+    step = DualStep(ALONE, assembly.systems, operators, assembly.reaction_scale, settings)
     try:
-        return step.solve([np.zeros(len(b)) for b in problem.right], problem.right), n_interface
+        return step.solve([np.zeros(len(b)) for b in problem.right], problem.right), step.n_interface
     except ConvergenceError:
-        return None, n_interface
+        return None, step.n_interface
     finally:
         step.destroy()
 
 
-def run(kind: str, problem: TexturedMesh, assembly: Assembly, operators: list[LocalOperator],
+def run(kind: Preconditioner, problem: TexturedMesh, assembly: Assembly, operators: list[LocalOperator],
         reference: NDArray[np.float64]) -> dict[str, Any]:
     """Iterations to COARSE, and differences to the one-domain solution at COARSE and FINE."""
     if kind == "two_level" and len(problem.subdomains) > LARGEST_FOR_BOTH:
@@ -72,7 +79,7 @@ def run(kind: str, problem: TexturedMesh, assembly: Assembly, operators: list[Lo
         # Plain GMRES is there for comparison of counts; at FINE it would take most of the time of the whole grid.
         skipped = coarse is None or kind == "none"
         fine = None if skipped else solve(kind, FINE, problem, assembly, operators)[0]
-    at_coarse, at_fine = (None if found is None else difference(problem, found.dq, reference)
+    at_coarse, at_fine = (None if found is None else measure_difference(problem, found.dq, reference)
                           for found in (coarse, fine))
     return {"preconditioner": kind, "iterations": iterations, "more_than": MOST[kind] if iterations is None else None,
             "difference_at_1e-6": at_coarse, "relative_difference": at_fine, "n_interface": n_interface}
@@ -86,15 +93,15 @@ def _reached(result: StepResult) -> int:
 def main(argument: str) -> None:
     task = json.loads(argument)
     case = Case.model_validate(task["case"])
-    problem = dimmed(from_images(case), task["dim"])
+    problem = read_texture(case).dim(task["dim"])
     for wavelength in task["wavelengths"]:
         section = RegularizationSection(cut_off_wavelength=wavelength)
-        assembly = assembly_at(ALONE, problem, section)
-        reference, other = solutions(*one_domain(problem, section, assembly.eta))
+        assembly = assemble_at(problem, section)
+        reference, other = solutions(*assemble_one_domain(problem, section, assembly.eta))
         floor = float(np.linalg.norm(other - reference) / np.linalg.norm(reference))
-        operators = factorize(ALONE, assembly.systems, assembly.mean_diagonal)
+        operators = factorize(assembly)
         for kind in task["kinds"]:
-            record = {"cut_off_wavelength": wavelength, "rounding_floor": floor, "n_dofs": problem.n_dofs,
+            record = {"cut_off_wavelength": wavelength, "rounding_floor": floor, "n_dofs": problem.n_unknowns,
                       "n_cells": sum(s.mesh.n_cells for s in problem.subdomains),
                       **run(kind, problem, assembly, operators, reference)}
             print(json.dumps(record), flush=True)

@@ -22,7 +22,7 @@ from ddic.images.spline import read_gradient, read_spline
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.mesh.mesh import Mesh
 
-LEAST_SECONDS = 0.05
+LEAST_SECONDS = 0.03
 """CPU time of a measurement: a call is repeated until it takes as long. Longer is quieter."""
 
 FORMER_NAMES = {

@@ -11,20 +11,17 @@ import resource
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from ddic.case.schema import Case, SolverSection
-from ddic.mesh.mesh import Mesh
-from ddic.mesh.topology import find_boundary_nodes
+from bench.support.step_problem import factorize, prepare_step
+from ddic.case.schema import Case
 from ddic.parallel.team import Team
-from ddic.partition.connectivity import build_subdomains
-from ddic.problem.assembly import Assembly, assemble, correlate, factorize, own_parts
-from ddic.problem.inputs import Region, open_pair, region_gap_energies
-from ddic.problem.linear_solver import linear_step
-from ddic.problem.mesh_source import build_mesh
+from ddic.solvers.dual.dual_step import DualSettings, DualStep
+from ddic.solvers.dual.local_inverse import LocalInverseKind
 
 TEAM = Team(MPI.COMM_WORLD)
 PAGE = resource.getpagesize()
@@ -40,36 +37,31 @@ def resident() -> int:
     return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * PAGE
 
 
-def nine_parts(mesh: Mesh, elements: int, ring: int) -> NDArray[np.int64]:
+def nine_parts(elements: int, ring: int) -> NDArray[np.int64]:
     """Subdomain of each cell: 0 in the middle, 1 to 8 around it."""
     band = np.repeat([1, 0, 2], [ring, elements, ring])
-    return (3 * band[:, None] + band).ravel()
+    return np.asarray(3 * band[:, None] + band, dtype=np.int64).ravel()
 
 
-def assembled(case: Case, elements: int, ring: int) -> Assembly:
-    """The middle subdomain on rank 0, its neighbours on rank 1."""
-    pair = open_pair(case)
-    mesh = build_mesh(case, pair.reference.image.width, pair.reference.image.height)
-    inside = np.ones(mesh.n_nodes, dtype=bool)
-    inside[find_boundary_nodes(mesh)] = False
-    subdomains = build_subdomains(mesh, nine_parts(mesh, elements, ring), np.repeat(inside, mesh.dim))
-    subdomains = subdomains[:1] if TEAM.is_root else subdomains[1:]
-    gap = region_gap_energies(case.regularization, mesh)
-    region = Region(mesh.n_nodes, mesh.n_cells, mesh.n_dofs, 9, gap, mesh.mapping)
-    parts = own_parts(subdomains, pair, case.correlation.spline_degree)
-    return assemble(TEAM, parts, correlate(TEAM, parts), region, case.solver, case.regularization)
+def main(job: dict[str, Any]) -> None:
+    """Set up the middle subdomain on rank 0 and its neighbours on rank 1, and solve once.
 
-
-def main(job: dict[str, object]) -> None:
+    Parameters
+    ----------
+    job : dict
+        Of the command line.
+    """
     case = Case.model_validate(job["case"])
-    assembly = assembled(case, int(str(job["elements"])), int(str(job["ring"])))
+    # The middle one first, as large as the others together: rank 0 gets it alone.
+    assembly = prepare_step(TEAM, case, lambda mesh: nine_parts(job["elements"], job["ring"])).assemble()
     before = resident()
-    operators = factorize(TEAM, assembly.systems, assembly.mean_diagonal)
+    operators = factorize(assembly)
     factorized = resident()
-    solver = SolverSection(subdomains=9, preconditioner="two_level", local_inverse=str(job["kind"]), recycle=False)
-    TEAM.comm.barrier()
+    kind: LocalInverseKind = job["kind"]
+    TEAM.wait_for_all()
     clock = time.perf_counter()
-    step, _ = linear_step(TEAM, solver, assembly, operators)
+    settings = DualSettings("two_level", recycle=False, local_inverse=kind)
+    step = DualStep(TEAM, assembly.systems, operators, assembly.reaction_scale, settings)
     set_up = time.perf_counter() - clock
     highest = peak()
     rng = np.random.default_rng(TEAM.rank)
@@ -81,11 +73,12 @@ def main(job: dict[str, object]) -> None:
     for operator in operators:
         operator.destroy()
     if TEAM.is_root:
-        part = assembly.systems[0].subdomain
+        subdomain = assembly.systems[0].subdomain
         print(json.dumps({
-            "n_dofs": part.mesh.n_dofs, "n_interface": len(part.displacement.dofs) + len(part.reaction.dofs),
+            "n_dofs": subdomain.n_unknowns,
+            "n_interface": len(subdomain.jumps.unknowns) + len(subdomain.reactions.unknowns),
             "peak_bytes": highest, "before_factorization_bytes": before, "factorized_bytes": factorized,
-            "set_up_seconds": set_up, "iterations": result.krylov_iterations,
+            "set_up_seconds": set_up, "iterations": result.krylov_iterations, "owned": len(assembly.systems),
             "seconds_per_iteration": solve / max(result.krylov_iterations, 1)}), flush=True)
 
 

@@ -9,13 +9,10 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 
-<<<<<<< HEAD
-from ddic.synth.digitise import Digitiser
-=======
 from bench.support.paper_field import OpenHoleBeam
 from bench.support.paper_mesh import write_gmsh_mesh
 from bench.support.runs import DATA, images, source_version
->>>>>>> refs/heads/accept
+from ddic.synth.digitise import Digitiser
 from ddic.synth.fields import DisplacementField
 from ddic.synth.picture import Picture
 from ddic.synth.render import Scene, write_pair

@@ -61,17 +61,18 @@ class OpenHoleBeam:
 
     def displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Displacement at points (n, 2), pixels."""
-        w = sum(term.value(self._reduced(points)) for term in self._terms)
-        return self._bending.displacement(points) + np.column_stack([np.real(w), np.imag(w)])
+        z = self._reduced(points)
+        w = np.sum([term.value(z) for term in self._terms], axis=0)
+        return np.asarray(self._bending.displacement(points) + np.column_stack([np.real(w), np.imag(w)]))
 
     def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Gradient at points (n, 2), shape (n, 2, 2)."""
         z = self._reduced(points)
         pairs = [term.derivatives(z) for term in self._terms]
-        by_z, by_bar = (sum(pair[k] for pair in pairs) / self.radius for k in range(2))
+        by_z, by_bar = (np.sum([pair[k] for pair in pairs], axis=0) / self.radius for k in range(2))
         by_x, by_y = by_z + by_bar, 1j * (by_z - by_bar)
         rows = np.array([[np.real(by_x), np.real(by_y)], [np.imag(by_x), np.imag(by_y)]])
-        return self._bending.gradient(points) + np.moveaxis(rows, 2, 0)
+        return np.asarray(self._bending.gradient(points) + np.moveaxis(rows, 2, 0))
 
     @cached_property
     def _bending(self) -> Bending:

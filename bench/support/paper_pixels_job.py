@@ -19,17 +19,17 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ddic.case.loader import load_case
-from ddic.case.schema import Case
 from ddic.images.spline import HALO, PADDING
 from ddic.images.sub_image import read_reference
 from ddic.images.window import shared_windows
 from ddic.io.result_reader import read_result
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.assembly import own_parts, seen_parts
-from ddic.problem.inputs import ImagePair, open_pair, share_out
-from ddic.problem.mesh_source import build_mesh
-from ddic.solvers.gauss_newton import evaluate, right_hand_sides
+from ddic.problem.cameras import Frame
+from ddic.problem.inputs import Inputs, open_inputs
+from ddic.problem.region_mesh import build_region_mesh, scatter_region, split_region
+from ddic.problem.residual_model import ResidualModel
+from ddic.problem.views import open_frame_views, read_frame_windows, read_reference_views
 
 Times = dict[str, tuple[float, float]]
 
@@ -52,36 +52,60 @@ class Stopwatch:
         return result
 
 
-def once(team: Team, case: Case, pair: ImagePair, subdomains: list[Subdomain], q: list[NDArray[np.float64]]) -> Times:
-    """Each kind of work once, from files to right-hand sides, on all subdomains of this rank."""
-    degree, correction = case.correlation.spline_degree, case.correlation.grey_correction
+def do_once(team: Team, inputs: Inputs, frame: Frame, subdomains: list[Subdomain],
+            q: list[NDArray[np.float64]]) -> Times:
+    """Do each kind of work once, from files to right-hand sides, on all subdomains of this rank.
+
+    Parameters
+    ----------
+    team : Team
+        Ranks.
+    inputs : Inputs
+        Reference images and settings.
+    frame : Frame
+        Deformed images.
+    subdomains : list of Subdomain
+        Of this rank.
+    q : list of (n_unknowns,) arrays
+        Their unknowns, pixels.
+
+    Returns
+    -------
+    dict
+        Wall and CPU seconds by kind.
+    """
+    case, (camera,) = inputs.case, inputs.cameras
+    degree = case.correlation.spline_degree
     watch = Stopwatch(team.comm)
-
-    def residual_pass() -> None:
-        residuals, grey = evaluate(team, parts, q, correction)
-        right_hand_sides(parts, residuals, grey, correction)
-
-    parts = watch("reference", lambda: own_parts(subdomains, pair, degree))
-    watch("deformed", lambda: seen_parts(parts, q))
-    rasters = [p.view.correlation.raster.window for p in parts]
+    references = watch("reference", lambda: read_reference_views(case, inputs.cameras, subdomains))
+    views = open_frame_views(case, frame, references)
+    watch("deformed", lambda: read_frame_windows(views, q))
+    rasters = [reference.own.correlation.raster.window for reference in references]
     shared = shared_windows(rasters, HALO[degree] + PADDING[degree])
-    watch("gradient", lambda: [read_reference(pair.reference, window, degree) for window, _ in shared])
-    watch("M", lambda: [p.view.correlation.compute_cell_hessians() for p in parts])
-    watch("residual", residual_pass)
+    watch("gradient", lambda: [read_reference(camera.reference, window, degree) for window, _ in shared])
+    watch("M", lambda: [reference.own.correlation.compute_cell_hessians() for reference in references])
+    model = ResidualModel(team, views, case.correlation.grey_correction)
+    watch("residual", lambda: model.linearize(q))
     return watch.times
 
 
 def main(case_file: str, result_file: str, repeats: str) -> None:
+    """Time the pixel work of a case, kind by kind.
+
+    Parameters
+    ----------
+    case_file, result_file, repeats : str
+        Of the command line.
+    """
     team = Team(MPI.COMM_WORLD)
-    case = load_case(Path(case_file)).case
-    pair = open_pair(case)
-    image = pair.reference.image
-    mesh = build_mesh(case, image.width, image.height) if team.is_root else None
-    subdomains, _ = share_out(team, case, mesh)
+    inputs, frame = open_inputs(team, load_case(Path(case_file)))
+    whole = team.build_on_root(lambda: build_region_mesh(inputs))
+    parts = None if whole is None else split_region(whole, team.size)
+    subdomains, _ = scatter_region(team, whole, parts)
     displacement = read_result(Path(result_file)).displacement
     q = [displacement[s.node_ids].ravel() for s in subdomains]
-    runs = [once(team, case, pair, subdomains, q) for _ in range(int(repeats) + 1)][1:]
-    pixels = [p.view.correlation.n_usable_pixels for p in own_parts(subdomains, pair, case.correlation.spline_degree)]
+    runs = [do_once(team, inputs, frame, subdomains, q) for _ in range(int(repeats) + 1)][1:]
+    pixels = [reference.own.n_pixels for reference in read_reference_views(inputs.case, inputs.cameras, subdomains)]
     n_pixels = sum(team.gather_lists(pixels))
     record: dict[str, Any] = {"n_ranks": team.size, "n_pixels": n_pixels}
     for kind in runs[0]:

@@ -15,13 +15,7 @@ from scipy.spatial import cKDTree
 from bench.support.paper_case import BenchCase
 from bench.support.runs import ddic_run, run_job
 from ddic.io.result_reader import Result, read_result
-<<<<<<< HEAD
 from ddic.mesh.topology import find_boundary_nodes
-from support.harness import ddic_run, mpirun
-from support.paper_case import BenchCase
-=======
-from ddic.mesh.topology import find_boundary_nodes
->>>>>>> refs/heads/accept
 
 JOB = "bench.support.paper_pixels_job"
 RANKS = 2
@@ -103,7 +97,7 @@ def pixel_record(case: BenchCase, iterations: int, repeats: int) -> dict[str, An
     for _ in range(repeats):
         for n_ranks, records in found.items():
             files = (str(case.folder / f"{case.name}{suffix}") for suffix in (".toml", ".vtkhdf"))
-            records += run_job(n_ranks, JOB, *files, "1")
+            records.extend(run_job(n_ranks, JOB, *files, "1"))
     kinds = (*PIXEL_KINDS, "gradient")
     one, two = ({kind: {clock: median(r[kind][clock] for r in records) for clock in ("wall", "cpu", "busiest")}
                  for kind in kinds} for records in found.values())

@@ -24,7 +24,7 @@ from petsc4py import PETSc
 from ddic.methods.run import run_case
 from ddic.parallel.phases import Phase
 from ddic.parallel.team import Team
-from ddic.results.listener import Setting
+from ddic.problem.problem_size import ProblemSize
 from ddic.solvers.dual.coarse_space import CoarseSpace
 from ddic.solvers.dual.local_dual import LocalDual
 from ddic.solvers.dual.preconditioner import LocalPreconditioner
@@ -66,10 +66,10 @@ class CountingListener:
     def note(self, line: str) -> None:
         """Nothing."""
 
-    def setting(self, setting: Setting) -> None:
-        """Sizes of the problem."""
-        LEDGER.sizes |= {"n_dofs": setting.n_dofs, "n_cells": setting.n_cells, "n_interface": setting.n_interface,
-                         "n_pixels": setting.n_pixels}
+    def problem_size(self, size: ProblemSize) -> None:
+        """Note the sizes of the problem."""
+        LEDGER.sizes |= {"n_dofs": size.n_unknowns, "n_cells": size.n_cells, "n_interface": size.n_interface,
+                         "n_pixels": size.n_pixels}
 
     def iteration(self, record: IterationRecord) -> None:
         """Nothing."""
@@ -87,7 +87,7 @@ class CountingComm(MPI.Intracomm):
         LEDGER.add("allgather", n_bytes=_size(found))
         return found
 
-    def allreduce(self, sendobj: Any, op: MPI.Op = MPI.SUM) -> Any:
+    def allreduce(self, sendobj: Any, op: MPI.Op | Callable[[Any, Any], Any] = MPI.SUM) -> Any:
         """A reduction of one small object."""
         LEDGER.add("allreduce", n_bytes=_size(sendobj))
         return super().allreduce(sendobj, op)
@@ -205,8 +205,9 @@ def book_coarse() -> None:
         correct(self, residual, result)
         LEDGER.add("coarse correction", cpu=time.process_time() - begin)
 
-    CoarseSpace._factorize = staticmethod(factorize)
-    CoarseSpace.correct = timed
+    # setattr, because a method is replaced on purpose.
+    setattr(CoarseSpace, "_factorize", staticmethod(factorize))  # noqa: B010
+    setattr(CoarseSpace, "correct", timed)  # noqa: B010
 
 
 def main(case_files: list[str]) -> None:

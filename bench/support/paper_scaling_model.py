@@ -48,7 +48,7 @@ def entry(record: dict[str, Any], phases: Iterable[str], kinds: Iterable[str], c
 
 def per_krylov(record: dict[str, Any], kinds: Iterable[str], column: int) -> float:
     """A booked number of the linear steps an iteration of the Krylov solver."""
-    return entry(record, ("linear step",), kinds, column) / max(sum(record["krylov_iterations"]), 1)
+    return float(entry(record, ("linear step",), kinds, column) / max(sum(record["krylov_iterations"]), 1))
 
 
 def all_phases(record: dict[str, Any]) -> list[str]:
@@ -177,7 +177,7 @@ class Model:
         """A number that grows with a size of the problem, on the straight line through both runs."""
         slope = (value(self.run) - value(self.few)) / (self.run[by] - self.few[by])
         wanted = {"n_dofs": self.dofs, "n_pixels": PER_RANK_PX, "n_ranks": 1.0}[by] * self.n_ranks
-        return max(value(self.run) + slope * (wanted - self.run[by]), 0.0)
+        return max(float(value(self.run) + slope * (wanted - self.run[by])), 0.0)
 
     def dealt(self) -> float:
         """Bytes that rank 0 deals out."""
@@ -245,13 +245,13 @@ class Model:
         """CPU seconds of a rank on its pixels; those of the rates are of all ranks and all pixels."""
         own = {p: self.rates["cpu_seconds"].get(p, 0.0) / self.rates["n_pixels"] * PER_RANK_PX for p in PIXEL_PHASES}
         own["residual"] *= GAUSS_NEWTON / self.rates["iterations"]
-        return sum(own.values())
+        return float(sum(own.values()))
 
     def _local(self) -> float:
         """CPU seconds of a rank's S_s and P_s an iteration; a solve with n unknowns costs n log n."""
         before = self.run["n_dofs"] / self.run["n_ranks"]
         grown = self.dofs * log2(self.dofs) / (before * log2(before))
-        return per_krylov(self.run, ("S_s", "P_s"), CPU) * grown
+        return float(per_krylov(self.run, ("S_s", "P_s"), CPU) * grown)
 
     def _corrections(self) -> float:
         return per_krylov(self.run, ("coarse correction",), CALLS)

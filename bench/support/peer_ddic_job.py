@@ -11,36 +11,53 @@ import cv2
 from mpi4py import MPI
 
 from ddic.case.loader import LoadedCase, load_case
-from ddic.methods.dd_dic import dd_dic
+from ddic.methods.dd_dic import Session
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
+from ddic.problem.inputs import open_inputs
 from ddic.results.listener import Silence
 from ddic.results.phase_times import gather_phase_times
-from ddic.results.publish import publish
+from ddic.results.publishing import Destination, publish
 
 
-def measured_seconds(team: Team, loaded: LoadedCase) -> tuple[float, dict[str, float], int]:
-    """CPU seconds of all ranks together, the same by phase, and Gauss-Newton iterations; the field goes to its file.
+def measure_seconds(team: Team, loaded: LoadedCase) -> tuple[float, dict[str, float], int]:
+    """Measure a case; its field goes to its file, before which the clock stops.
 
-    The clock stops before the file.
+    Parameters
+    ----------
+    team : Team
+        Ranks.
+    loaded : LoadedCase
+        The case.
+
+    Returns
+    -------
+    seconds : float
+        CPU seconds of all ranks together.
+    phases : dict
+        The same by phase.
+    iterations : int
+        Of Gauss-Newton.
     """
     clock = PhaseClock()
-    team.comm.Barrier()
+    team.wait_for_all()
     start = time.process_time()
-    measurement = dd_dic(team, loaded.case, Silence(), clock)
-    seconds = time.process_time() - start
-    publish(team, loaded, measurement, gather_phase_times(team, clock))
+    inputs, frame = open_inputs(team, loaded)
+    with Session(team, inputs, Silence(), clock, frame) as session:
+        measurement = session.measure(frame)
+        seconds = time.process_time() - start
+    publish(measurement, Destination(loaded.case.output.file, times=gather_phase_times(team, clock)))
     by_rank = team.gather_lists([clock.cpu])
-    phases = {name: sum(cpu.get(name, 0.0) for cpu in by_rank) for name in clock.cpu}
-    return sum(team.gather_lists([seconds])), phases, len(measurement.records)
+    phases = {str(phase): float(sum(cpu.get(phase, 0.0) for cpu in by_rank)) for phase in clock.cpu}
+    return float(sum(team.gather_lists([seconds]))), phases, len(measurement.records)
 
 
 def main(warm_up: str, case: str) -> None:
     cv2.setNumThreads(1)
     team = Team(MPI.COMM_WORLD)
     # A tiny pair first: it compiles the kernels, or loads those that were compiled before.
-    measured_seconds(team, load_case(Path(warm_up)))
-    seconds, phases, iterations = measured_seconds(team, load_case(Path(case)))
+    measure_seconds(team, load_case(Path(warm_up)))
+    seconds, phases, iterations = measure_seconds(team, load_case(Path(case)))
     if team.is_root:
         print(json.dumps({"cpu_seconds": seconds, "phases": phases, "iterations": iterations}), flush=True)
 

@@ -1,4 +1,5 @@
 """A compiled cubic B-spline in place of pyxel's interpolation; runs in the peers' environment."""
+# mypy: disable-error-code="untyped-decorator"
 
 from __future__ import annotations
 
@@ -56,7 +57,7 @@ def slopes(t: float) -> tuple[float, float, float, float]:
 
 
 @njit(cache=True)
-def evaluate(coefficients, rows, columns, found):
+def evaluate(coefficients: Values, rows: Values, columns: Values, found: Values) -> None:
     """The spline at points whose four neighbours lie inside the image both ways."""
     for k in range(len(rows)):
         i, j = int(np.floor(rows[k])), int(np.floor(columns[k]))
@@ -70,7 +71,8 @@ def evaluate(coefficients, rows, columns, found):
 
 
 @njit(cache=True)
-def evaluate_gradient(coefficients, rows, columns, by_column, by_row):
+def evaluate_gradient(coefficients: Values, rows: Values, columns: Values, by_column: Values,
+                      by_row: Values) -> None:
     """The spline's gradient at points whose four neighbours lie inside the image both ways."""
     for k in range(len(rows)):
         i, j = int(np.floor(rows[k])), int(np.floor(columns[k]))

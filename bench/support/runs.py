@@ -19,6 +19,9 @@ DATA = ROOT / "bench" / "data"
 TIMEOUT_S = 900
 """Seconds after which a run counts as hanging."""
 
+MOST_LINES = 12
+"""Last lines of a failed run's output that an error shows."""
+
 
 class NotHereError(RuntimeError):
     """What a measurement needs is not on this machine: real images, other programs, the history of the repository."""
@@ -61,8 +64,9 @@ def mpirun(n_ranks: int, *command: str, environment: dict[str, str] | None = Non
     done = subprocess.run(["timeout", str(TIMEOUT_S), launcher, "-n", str(n_ranks), *command], cwd=ROOT, text=True,
                           env={**os.environ, **(environment or {})}, capture_output=True, check=False)
     if done.returncode != 0:
-        raise RuntimeError(f"{' '.join(command)} on {n_ranks} ranks ended with {done.returncode}:\n"
-                           f"{done.stdout[-2000:]}{done.stderr[-4000:]}")
+        # What mpiexec says of it after a line of dashes is no reason.
+        reason = "\n".join([*done.stdout.splitlines(), *done.stderr.partition("\n-----")[0].splitlines()][-MOST_LINES:])
+        raise RuntimeError(f"{' '.join(command)} on {n_ranks} ranks ended with {done.returncode}:\n{reason}")
     return done.stdout
 
 

@@ -1,28 +1,38 @@
-"""One linear step of a case on any partition, dual and on one domain, with the same b and q.
+"""One linear step of a case on any partition: systems, factors, steps, with any b and q.
 
-With ``cut_off_problem`` this is the only module of bench and accept that builds subdomains' systems itself.
+This module, ``cut_off_problem``, ``tiled_texture`` and the jobs are all of bench and accept that know how ddic sets up
+a problem; everything else runs its commands.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case, RegularizationSection, SolverSection
 from ddic.functionals.equilibrium_gap import controlled_stiffness
-from ddic.kinematics.finite_element import finite_element_kinematics
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.team import Team
-from ddic.problem.assembly import Assembly, assemble, correlate, factorize, own_parts
-from ddic.problem.inputs import ImagePair, material, open_pair, share_out
-from ddic.problem.linear_solver import linear_step
-from ddic.problem.mesh_source import build_mesh
-from ddic.solvers.gauss_newton import OwnedPart
+from ddic.partition.subdomain import Subdomain
+from ddic.problem.assembly import Assembly, Hessians, assemble, assemble_hessians
+from ddic.problem.inputs import open_inputs
+from ddic.problem.region_mesh import (
+    Region,
+    RegionMesh,
+    build_region_mesh,
+    material_of,
+    scatter_region,
+    split_region,
+)
+from ddic.problem.views import FrameViews, ReferenceViews, open_frame_views, read_reference_views
+from ddic.solvers.dual.dual_step import DualSettings, DualStep
 from ddic.solvers.linear_step import StepResult
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
@@ -32,95 +42,126 @@ ALONE = Team(MPI.COMM_SELF)
 """This rank without the others."""
 
 Vector = NDArray[np.float64]
+Split = Callable[[Mesh], NDArray[np.int64]]
+"""From the whole mesh to the subdomain of each cell, (n_cells,)."""
 
 
 @dataclass(frozen=True)
-class Distributed:
-    """A case spread over the ranks of a team, assembled and factorised.
+class StepProblem:
+    """A case of one camera spread over the ranks of a team, M assembled.
 
     Attributes
     ----------
     team : Team
         Ranks.
-    assembly : Assembly
-        Local systems of owned subdomains.
-    operators : list of LocalOperator
-        Their factors.
-    dofs : list of (n_dofs_s,) arrays
-        Numbers of their unknowns in the whole mesh.
+    case : Case
+        With its solver and regularization.
+    whole : RegionMesh or None
+        The whole mesh, on rank 0.
+    region : Region
+        What every rank knows of it.
+    views : list of FrameViews
+        Owned subdomains with their pixels in both images.
+    hessians : list of list of csr_matrix
+        M_s of each, grey levels squared per pixel squared.
     """
 
     team: Team
-    assembly: Assembly
-    operators: list[LocalOperator]
-    dofs: list[NDArray[np.int64]]
-
-    def count_subdomains(self, mesh: Mesh) -> NDArray[np.int64]:
-        """Count the subdomains that share each unknown of the whole mesh.
-
-        Parameters
-        ----------
-        mesh : Mesh
-            The whole mesh.
-
-        Returns
-        -------
-        (n_dofs,) array
-            Their numbers.
-        """
-        counts = np.zeros(mesh.n_dofs, dtype=np.int64)
-        for dofs in self.team.gather_lists(self.dofs):
-            counts[dofs] += 1
-        return counts
-
-    def destroy(self) -> None:
-        """Free the factors."""
-        for operator in self.operators:
-            operator.destroy()
-
-
-@dataclass(frozen=True)
-class Whole:
-    """The same case on one domain, on every rank.
-
-    Attributes
-    ----------
-    mesh : Mesh
-        The whole mesh.
-    part : OwnedPart
-        Its pixels.
-    assembly : Assembly
-        One system.
-    """
-
-    mesh: Mesh
-    part: OwnedPart
-    assembly: Assembly
+    case: Case
+    whole: RegionMesh | None
+    region: Region
+    views: list[FrameViews]
+    hessians: list[Hessians]
 
     @property
-    def hessian(self) -> sparse.csr_matrix:
-        """M, (n_dofs, n_dofs), grey levels squared per pixel squared."""
-        return self.assembly.systems[0].hessian
+    def references(self) -> list[ReferenceViews]:
+        """Owned subdomains with their pixels in the reference image."""
+        return [of_subdomain.reference for of_subdomain in self.views]
 
-    def right_hand_side(self, q: Vector) -> Vector:
-        """Give b at a displacement, Eq. 5 of [BP17].
+    @property
+    def subdomains(self) -> list[Subdomain]:
+        """Owned subdomains."""
+        return [of_subdomain.subdomain for of_subdomain in self.views]
 
-        Parameters
-        ----------
-        q : (n_dofs,) array
-            Displacement, pixels.
+    @property
+    def numbers(self) -> list[NDArray[np.int64]]:
+        """Numbers of their unknowns in the whole problem."""
+        return [subdomain.numbers for subdomain in self.subdomains]
+
+    def assemble(self) -> Assembly:
+        """Find eta and set up the local systems; collective.
 
         Returns
         -------
-        (n_dofs,) array
-            b, grey levels squared per pixel.
+        Assembly
+            Of owned subdomains.
         """
-        view = self.part.view
-        return view.right_hand_side(view.residual(q))
+        return assemble(self.team, self.case, self.region, self.references, self.hessians)
+
+    def right_hand_sides(self, q: Sequence[Vector]) -> list[Vector]:
+        """Give b_s at a displacement, Eq. 5 of [BP17].
+
+        Parameters
+        ----------
+        q : sequence of (n_unknowns,) arrays
+            Of each owned subdomain, pixels.
+
+        Returns
+        -------
+        list of (n_unknowns,) arrays
+            Grey levels squared per pixel.
+        """
+        found = []
+        for of_subdomain, q_s in zip(self.views, q, strict=True):
+            (view,) = of_subdomain.views
+            found.append(view.assemble_right_hand_side(view.compute_residual(q_s)))
+        return found
+
+    def count_subdomains(self) -> NDArray[np.int64]:
+        """Count the subdomains that share each unknown of the whole problem; collective.
+
+        Returns
+        -------
+        (n_field,) array
+            Their numbers.
+        """
+        counts = np.zeros(self.region.n_field, dtype=np.int64)
+        for numbers in self.team.gather_lists(self.numbers):
+            counts[numbers] += 1
+        return counts
 
 
-def whole_problem(case: Case) -> tuple[ImagePair, Whole]:
-    """Open the images of a case and assemble it on one domain.
+def prepare_step(team: Team, case: Case, split: Split | None = None) -> StepProblem:
+    """Open the images of a case, cut its mesh and assemble M; collective.
+
+    Parameters
+    ----------
+    team : Team
+        Ranks.
+    case : Case
+        With absolute paths.
+    split : callable, optional
+        Cuts the mesh, on rank 0; by default as the case says.
+
+    Returns
+    -------
+    StepProblem
+        Without any factor.
+    """
+    inputs, frame = open_inputs(team, LoadedCase(case, Path("job"), ""))
+    whole = team.build_on_root(lambda: build_region_mesh(inputs))
+    if whole is None:
+        parts = None
+    else:
+        parts = split_region(whole, team.size) if split is None else split(whole.mesh)
+    subdomains, region = scatter_region(team, whole, parts)
+    references = read_reference_views(case, inputs.cameras, subdomains)
+    hessians = assemble_hessians(team, references)
+    return StepProblem(team, case, whole, region, open_frame_views(case, frame, references), hessians)
+
+
+def prepare_whole(case: Case) -> StepProblem:
+    """Prepare a case on one domain, on every rank by itself.
 
     Parameters
     ----------
@@ -129,58 +170,42 @@ def whole_problem(case: Case) -> tuple[ImagePair, Whole]:
 
     Returns
     -------
-    pair : ImagePair
-        Its images.
-    whole : Whole
-        The problem.
+    StepProblem
+        One subdomain.
     """
-    case = case.model_copy(update={"solver": SolverSection(method="monolithic")})
-    pair = open_pair(case)
-    mesh = build_mesh(case, pair.reference.image.width, pair.reference.image.height)
-    subdomains, region = share_out(ALONE, case, mesh)
-    part = own_parts(subdomains, pair, case.correlation.spline_degree)[0]
-    assembly = assemble(ALONE, [part], correlate(ALONE, [part]), region, case.solver, case.regularization)
-    return pair, Whole(mesh, part, assembly)
+    return prepare_step(ALONE, case.model_copy(update={"solver": SolverSection(method="monolithic")}))
 
 
-def distribute_problem(team: Team, case: Case, pair: ImagePair, mesh: Mesh) -> Distributed:
-    """Spread the case's subdomains over a team, assembled and factorised; collective.
+def factorize(assembly: Assembly) -> list[LocalOperator]:
+    """Factorise A_s of all owned subdomains.
 
     Parameters
     ----------
-    team : Team
-        Ranks.
-    case : Case
-        With the partition.
-    pair : ImagePair
-        Its images.
-    mesh : Mesh
-        The whole mesh.
+    assembly : Assembly
+        Their systems.
 
     Returns
     -------
-    Distributed
+    list of LocalOperator
         To be destroyed.
     """
-    subdomains, region = share_out(team, case, mesh if team.is_root else None)
-    parts = own_parts(subdomains, pair, case.correlation.spline_degree)
-    assembly = assemble(team, parts, correlate(team, parts), region, case.solver, case.regularization)
-    operators = factorize(team, assembly.systems, assembly.mean_diagonal)
-    return Distributed(team, assembly, operators, [s.dofs for s in subdomains])
+    return [LocalOperator(system.without_motion.operator, smallest_eigenvalue=assembly.smallest_eigenvalue,
+                          where=f"subdomain {system.subdomain.index}")
+            for system in assembly.systems]
 
 
-def solve_step(problem: Distributed, solver: SolverSection, q: Vector, b: Vector) -> StepResult:
-    """Solve one linear step by subdomains; collective.
+def solve_dual(problem: StepProblem, settings: DualSettings, q: Vector, b: Vector) -> StepResult:
+    """Solve one linear step by subdomains, from scratch; collective.
 
     Parameters
     ----------
-    problem : Distributed
+    problem : StepProblem
         The subdomains.
-    solver : SolverSection
-        Method and tolerance.
-    q : (n_dofs,) array
+    settings : DualSettings
+        Of the interface problem.
+    q : (n_field,) array
         Displacement of the whole mesh, pixels.
-    b : (n_dofs,) array
+    b : (n_field,) array
         Share of each subdomain in the right-hand side.
 
     Returns
@@ -188,45 +213,43 @@ def solve_step(problem: Distributed, solver: SolverSection, q: Vector, b: Vector
     StepResult
         The correction of each owned subdomain.
     """
-    step, _ = linear_step(problem.team, solver, problem.assembly, problem.operators)
+    assembly = problem.assemble()
+    operators = factorize(assembly)
+    step = DualStep(problem.team, assembly.systems, operators, assembly.reaction_scale, settings)
     try:
-        return step.solve([q[d] for d in problem.dofs], [b[d] for d in problem.dofs])
+        return step.solve([q[n] for n in problem.numbers], [b[n] for n in problem.numbers])
     finally:
         step.destroy()
+        for operator in operators:
+            operator.destroy()
 
 
-def correct_monolithically(whole: Whole, regularization: RegularizationSection | None, q: Vector, b: Vector,
+def correct_monolithically(whole: StepProblem, q: Vector, b: Vector,
                            multiplicity: NDArray[np.int64] | None = None) -> Vector:
     """Solve one linear step on one domain.
 
     Parameters
     ----------
-    whole : Whole
-        The problem.
-    regularization : RegularizationSection, optional
-        Of the case.
-    q : (n_dofs,) array
+    whole : StepProblem
+        One subdomain.
+    q : (n_field,) array
         Displacement, pixels.
-    b : (n_dofs,) array
+    b : (n_field,) array
         Right-hand side.
-    multiplicity : (n_dofs,) array, optional
+    multiplicity : (n_field,) array, optional
         Subdomains at each unknown, where interface rows are to be weighted by 1/sqrt of it.
 
     Returns
     -------
-    (n_dofs,) array
+    (n_field,) array
         Correction dq, pixels.
     """
-    system = whole.assembly.systems[0]
-    if multiplicity is not None and regularization is not None:
+    (system,) = whole.assemble().systems
+    section = whole.case.regularization
+    if multiplicity is not None and section is not None:
         weights = system.row_weights / np.sqrt(multiplicity)
-<<<<<<< HEAD
-        kbar = controlled_stiffness(whole.mesh, whole.part.correlation.interpolation, material(regularization), weights)
-=======
-        kinematics = finite_element_kinematics(whole.mesh)
-        kbar = controlled_stiffness(whole.mesh, kinematics, material(regularization), weights)
->>>>>>> refs/heads/accept
-        system = LocalSystem(system.subdomain, system.hessian, kbar, weights, system.eta)
+        system = LocalSystem(system.subdomain, system.hessian, weighted_stiffness(system.subdomain, section, weights),
+                             weights, system.eta)
     operator = LocalOperator(system.operator, smallest_eigenvalue=0.0, where="the whole mesh")
     try:
         return MonolithicStep(system, operator).solve([q], [b]).dq[0]
@@ -234,16 +257,36 @@ def correct_monolithically(whole: Whole, regularization: RegularizationSection |
         operator.destroy()
 
 
-def find_relative_difference(distributed: Distributed, dq: Sequence[Vector], reference: Vector) -> float:
+def weighted_stiffness(subdomain: Subdomain, section: RegularizationSection, weights: Vector) -> sparse.csr_matrix:
+    """Assemble Kbar of a subdomain.
+
+    Parameters
+    ----------
+    subdomain : Subdomain
+        Its mesh and unknowns.
+    section : RegularizationSection
+        Says the material.
+    weights : (n_field,) array
+        Of its rows, no unit.
+
+    Returns
+    -------
+    (n_field, n_field) csr_matrix
+        Kbar_s.
+    """
+    return controlled_stiffness(subdomain.kinematics, material_of(section), weights)
+
+
+def find_relative_difference(problem: StepProblem, dq: Sequence[Vector], reference: Vector) -> float:
     """Find the largest difference between the subdomains' dq and the one-domain dq; collective.
 
     Parameters
     ----------
-    distributed : Distributed
+    problem : StepProblem
         The subdomains.
-    dq : sequence of (n_dofs_s,) arrays
+    dq : sequence of (n_unknowns,) arrays
         Their corrections, pixels.
-    reference : (n_dofs,) array
+    reference : (n_field,) array
         Correction of one domain, pixels.
 
     Returns
@@ -251,5 +294,5 @@ def find_relative_difference(distributed: Distributed, dq: Sequence[Vector], ref
     float
         Relative to the largest entry of the reference.
     """
-    mine = max(float(np.abs(d - reference[dofs]).max()) for d, dofs in zip(dq, distributed.dofs, strict=True))
-    return max(distributed.team.gather_lists([mine])) / float(np.abs(reference).max())
+    mine = max(float(np.abs(d - reference[numbers]).max()) for d, numbers in zip(dq, problem.numbers, strict=True))
+    return max(problem.team.gather_lists([mine])) / float(np.abs(reference).max())

@@ -21,6 +21,7 @@ from ddic.functionals.equilibrium_gap import (
     measure_texture_energies,
 )
 from ddic.kinematics.cell_interpolation import interpolate_cells
+from ddic.kinematics.nodal import NodalKinematics
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import build_structured_mesh
 from ddic.mesh.topology import find_boundary_nodes
@@ -65,7 +66,8 @@ class TiledProblem:
 
     def stiffness(self, mesh: Mesh, weights: NDArray[np.float64]) -> sparse.csr_matrix:
         """Kbar of some of the cells, rows weighted."""
-        return controlled_stiffness(mesh, interpolate_cells(mesh), Material(), weights)
+        kinematics = NodalKinematics(mesh, np.arange(mesh.n_dofs))
+        return controlled_stiffness(kinematics, Material(), weights)
 
     def controlled(self, mesh: Mesh) -> NDArray[np.bool_]:
         """Dofs of nodes inside the whole mesh, (n_dofs,)."""
@@ -90,7 +92,7 @@ class TiledProblem:
         interior = np.ones(mesh.n_nodes, dtype=bool)
         interior[find_boundary_nodes(mesh)] = False
         eta = find_cut_off_weight(measure_texture_energies(mesh.nodes, hessian, interior, self.wavelength),
-                             measure_gap_energies(mesh, Material(), interior, self.wavelength))
+                                  measure_gap_energies(mesh, Material(), interior, self.wavelength))
         return eta, float(hessian.diagonal().mean())
 
     def operator_rows(self, first: int, last: int) -> tuple[sparse.csr_matrix, NDArray[np.float64]]:

@@ -35,14 +35,13 @@ def compile_kernels() -> None:
 
     petsc4py.init(["ddic"])
     import cv2
-    from mpi4py import MPI
 
     from ddic.methods.run import run_case
     from ddic.parallel.team import Team
     from ddic.results.listener import Silence
 
     cv2.setNumThreads(1)
-    team = Team(MPI.COMM_SELF)
+    team = Team.alone()
     with tempfile.TemporaryDirectory(prefix="ddic-kernels-") as name:
         folder = Path(name)
         for bit_depth in (8, 16, 32):
@@ -51,6 +50,15 @@ def compile_kernels() -> None:
                 case = folder / "case.toml"
                 case.write_text(CASE.format(degree=degree, mask=mask), encoding="utf-8")
                 run_case(team, case, Silence())
+    _interpolate()
+
+
+def _interpolate() -> None:
+    from ddic.mesh.interpolation import interpolate
+    from ddic.mesh.structured import build_structured_mesh
+
+    mesh = build_structured_mesh((0, 0, SIDE, SIDE), SIDE / 2)
+    interpolate(mesh, mesh.nodes, mesh.centroids)
 
 
 def _write_images(folder: Path, bit_depth: int) -> None:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from ddic.kinematics.cell_interpolation import interpolate_cells
 from numpy.typing import NDArray
 
 from ddic.functionals.correlation import read_correlation
-from ddic.functionals.elasticity import Material, stiffness_cells
-from ddic.functionals.texture_strength import Texture, measure_texture, rigid_modes
+from ddic.functionals.elasticity import Material, integrate_cell_stiffness
+from ddic.functionals.texture_strength import Texture, find_blank_subdomains, measure_texture, rigid_modes
+from ddic.kinematics.cell_interpolation import interpolate_cells
 from support.cases import WAVES
 from support.pictures import pair_of, source, square_mesh
 from support.random_meshes import grid_mesh
@@ -91,7 +91,7 @@ def test_masked_pixels_bring_no_noise_to_their_neighbours() -> None:
 
 def test_rigid_modes_are_all_that_stiffness_does_not_see() -> None:
     mesh = grid_mesh(4, 3, (7.0, 5.0), origin=(100.0, 40.0), cells="mixed", seed=2, jitter=0.2)
-    stiffness = interpolate_cells(mesh).assemble_matrix(stiffness_cells(mesh, Material()))
+    stiffness = interpolate_cells(mesh).assemble_matrix(integrate_cell_stiffness(mesh, Material()))
     modes = rigid_modes(mesh.nodes)
     assert np.linalg.matrix_rank(modes) == 3
     # Entries of K are of order 1, those of the rotation of order 10: rounding.

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from ddic.kinematics.cell_interpolation import interpolate_cells
-from ddic.partition.connectivity import build_subdomains
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -13,17 +11,19 @@ from scipy import ndimage
 
 from ddic.functionals import equilibrium_gap
 from ddic.functionals.correlation import read_correlation
-from ddic.functionals.elasticity import Material, stiffness_cells
+from ddic.functionals.elasticity import Material, assemble_stiffness
 from ddic.functionals.equilibrium_gap import (
     controlled_stiffness,
-    cut_off_weight,
-    gap_energies,
-    plane_waves,
-    texture_energies,
+    evaluate_plane_waves,
+    find_cut_off_weight,
+    measure_gap_energies,
+    measure_texture_energies,
 )
 from ddic.images.sub_image import MaskedSource
+from ddic.kinematics.nodal import NodalKinematics, NodalRegion
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.topology import boundary_nodes
+from ddic.mesh.topology import find_boundary_nodes
+from ddic.partition.build_subdomains import build_subdomains
 from support.pictures import source
 from support.random_meshes import PARTITIONS, SEEDS, grid_mesh, random_partition
 
@@ -35,12 +35,16 @@ def speckle(side: int = 140) -> MaskedSource:
 
 def interior(mesh: Mesh) -> NDArray[np.bool_]:
     inside = np.ones(mesh.n_nodes, dtype=bool)
-    inside[boundary_nodes(mesh)] = False
+    inside[find_boundary_nodes(mesh)] = False
     return inside
 
 
 def dense_stiffness(mesh: Mesh) -> NDArray[np.float64]:
-    return np.asarray(interpolate_cells(mesh).assemble_matrix(stiffness_cells(mesh, Material())).toarray())
+    return np.asarray(assemble_stiffness(mesh, Material()).toarray())
+
+
+def nodal(mesh: Mesh) -> NodalKinematics:
+    return NodalKinematics(mesh, np.arange(mesh.n_dofs))
 
 
 def region() -> Mesh:
@@ -50,14 +54,14 @@ def region() -> Mesh:
 def test_rows_that_are_not_controlled_are_dropped() -> None:
     mesh = region()
     weights = np.random.default_rng(0).choice([0.0, 1.0, np.sqrt(2.0)], mesh.n_dofs)
-    kbar = controlled_stiffness(mesh, interpolate_cells(mesh), Material(), weights).toarray()
+    kbar = controlled_stiffness(nodal(mesh), Material(), weights).toarray()
     np.testing.assert_allclose(kbar, weights[:, None] * dense_stiffness(mesh), atol=1e-14)
     assert (kbar[weights == 0] == 0).all()
 
 
 def test_waves_are_longitudinal_and_shear_with_both_phases() -> None:
     nodes, wavelength = np.random.default_rng(1).uniform(0, 100, (9, 2)), 40.0
-    waves = plane_waves(nodes, wavelength).reshape(9, 2, 8)
+    waves = evaluate_plane_waves(nodes, wavelength).reshape(9, 2, 8)
     expected = [(a, b, phi) for a in range(2) for b in range(2) for phi in (0.0, np.pi / 2)]
     for k, (a, b, phi) in enumerate(expected):
         np.testing.assert_allclose(waves[:, a, k], np.cos(2 * np.pi * nodes[:, b] / wavelength + phi), atol=1e-14)
@@ -68,13 +72,13 @@ def test_energies_equal_a_dense_evaluation(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(equilibrium_gap, "_CHUNK_CELLS", 13)  # several batches on a small mesh
     mesh, wavelength = region(), 60.0
     hessian = read_correlation(mesh, speckle(), 3).assemble_hessian()
-    waves, rows = plane_waves(mesh.nodes, wavelength), np.repeat(interior(mesh), 2)
+    waves, rows = evaluate_plane_waves(mesh.nodes, wavelength), np.repeat(interior(mesh), 2)
     forces = (dense_stiffness(mesh) @ waves)[rows]
     texture = (waves * (hessian.toarray() @ waves))[rows]
     # Rounding: interior forces are differences of terms a hundred times larger.
-    np.testing.assert_allclose(gap_energies(mesh, Material(), interior(mesh), wavelength),
+    np.testing.assert_allclose(measure_gap_energies(mesh, Material(), interior(mesh), wavelength),
                                (forces**2).sum(axis=0), rtol=1e-11)
-    np.testing.assert_allclose(texture_energies(mesh.nodes, hessian, interior(mesh), wavelength),
+    np.testing.assert_allclose(measure_texture_energies(mesh.nodes, hessian, interior(mesh), wavelength),
                                texture.sum(axis=0), rtol=1e-12)
 
 
@@ -82,16 +86,17 @@ def test_energies_equal_a_dense_evaluation(monkeypatch: pytest.MonkeyPatch) -> N
 @given(kind=PARTITIONS, n=st.integers(1, 8), seed=SEEDS)
 def test_weight_does_not_depend_on_the_partition(kind: str, n: int, seed: int) -> None:
     mesh, image, wavelength = region(), speckle(), 60.0
-    gap = gap_energies(mesh, Material(), interior(mesh), wavelength)
+    gap = measure_gap_energies(mesh, Material(), interior(mesh), wavelength)
     hessian = read_correlation(mesh, image, 3).assemble_hessian()
-    whole = texture_energies(mesh.nodes, hessian, interior(mesh), wavelength)
+    whole = measure_texture_energies(mesh.nodes, hessian, interior(mesh), wavelength)
     parts = random_partition(mesh, kind, n, seed)
-    by_parts = sum(texture_energies(s.mesh.nodes, read_correlation(s.mesh, image, 3).assemble_hessian(), s.interior,
-                                    wavelength)
-                   for s in build_subdomains(mesh, parts, np.ones(mesh.n_dofs, dtype=bool)))
+    subdomains = build_subdomains(NodalRegion(mesh), parts, np.ones(mesh.n_dofs, dtype=bool))
+    hessians = [read_correlation(s.mesh, image, 3).assemble_hessian() for s in subdomains]
+    by_parts = sum(measure_texture_energies(s.mesh.nodes, hessian, s.interior, wavelength)
+                   for s, hessian in zip(subdomains, hessians, strict=True))
     # Sums in another order; gradients of different windows may round to neighbouring float32 numbers, one among
     # ten thousand pixels: 1e-11.
-    assert cut_off_weight(np.asarray(by_parts), gap) == pytest.approx(cut_off_weight(whole, gap), rel=1e-10)
+    assert find_cut_off_weight(np.asarray(by_parts), gap) == pytest.approx(find_cut_off_weight(whole, gap), rel=1e-10)
 
 
 def test_weight_grows_with_the_fourth_power_of_the_wavelength() -> None:
@@ -99,8 +104,8 @@ def test_weight_grows_with_the_fourth_power_of_the_wavelength() -> None:
     # leave some percent.
     mesh = grid_mesh(40, 40, (8.0, 8.0), origin=(15.0, 15.0))
     hessian = read_correlation(mesh, speckle(360), 3).assemble_hessian()
-    weights = [cut_off_weight(texture_energies(mesh.nodes, hessian, interior(mesh), wavelength),
-                              gap_energies(mesh, Material(), interior(mesh), wavelength))
+    weights = [find_cut_off_weight(measure_texture_energies(mesh.nodes, hessian, interior(mesh), wavelength),
+                              measure_gap_energies(mesh, Material(), interior(mesh), wavelength))
                for wavelength in (64.0, 128.0)]
     assert np.log2(weights[1] / weights[0]) == pytest.approx(4.0, abs=0.1)
 
@@ -110,9 +115,9 @@ def test_weight_lies_between_those_of_the_single_waves(seed: int, contrast: floa
     rng = np.random.default_rng(seed)
     gap = rng.uniform(0.1, 10, 8)
     texture = rng.uniform(0.1, 10, 8) * rng.choice([-1, 1], 8)
-    eta = cut_off_weight(texture, gap)
+    eta = find_cut_off_weight(texture, gap)
     single = np.abs(texture) / gap
     assert single.min() <= eta <= single.max()
     # Rounding of a sum of eight.
-    assert cut_off_weight(contrast**2 * texture, gap) == pytest.approx(contrast**2 * eta, rel=1e-12)
-    assert cut_off_weight(-3.5 * gap, gap) == pytest.approx(3.5, rel=1e-12)
+    assert find_cut_off_weight(contrast**2 * texture, gap) == pytest.approx(contrast**2 * eta, rel=1e-12)
+    assert find_cut_off_weight(-3.5 * gap, gap) == pytest.approx(3.5, rel=1e-12)

@@ -18,6 +18,18 @@ def test_kinematics() -> None:
     assert all(np.isin(ends, s.numbers[s.jumps.unknowns]).all() for s in sharers)
 
 
+def test_field_of_the_guide_is_rigid_at_the_clamped_ends() -> None:
+    guide = run_guide("kinematics")
+    for end in (guide["left"], guide["right"]):
+        nodes, u = guide["mesh"].nodes[end], guide["u"][end]
+        arm = nodes - nodes.mean(axis=0)
+        turn = (u[:, 0] * -arm[:, 1] + u[:, 1] * arm[:, 0]).sum() / (arm**2).sum()
+        rigid = u.mean(axis=0) + turn * np.stack([-arm[:, 1], arm[:, 0]], axis=1)
+        assert np.abs(u - rigid).max() < 1e-9
+    assert np.abs(guide["u"][guide["right"]].mean(axis=0) - [0.5, 0.32]).max() < 0.05
+    assert np.abs(guide["u"][guide["left"]].mean(axis=0)).max() < 0.05
+
+
 def test_checks_of_the_guide_can_fail() -> None:
     guide = run_guide("kinematics")
 

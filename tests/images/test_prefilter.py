@@ -12,11 +12,11 @@ from ddic.images.prefilter import (
     POLES,
     STRIP,
     TERMS,
-    column_slopes,
     prefilter,
     prefilter_columns,
     prefilter_rows,
-    row_slopes,
+    write_column_slopes,
+    write_row_slopes,
 )
 from ddic.images.spline import HALO
 
@@ -70,8 +70,8 @@ def test_slopes_along_one_axis_equal_those_of_the_spline_in_both(degree: int, fi
     along_y = image.copy()
     prefilter_columns(along_y, degree)
     found_x, found_y = np.empty((41, n), dtype=np.float32), np.empty((n, 41), dtype=np.float32)
-    row_slopes(image, first, degree, found_x)
-    column_slopes(along_y, first, degree, found_y)
+    write_row_slopes(image, first, degree, found_x)
+    write_column_slopes(along_y, first, degree, found_y)
     # Rounded to float32 (6e-8 of some hundred grey levels per pixel).
     np.testing.assert_allclose(found_x, by_x[:, first: first + n], rtol=1.2e-7, atol=1e-9)
     np.testing.assert_allclose(found_y, by_y[first: first + n], rtol=1.2e-7, atol=1e-9)
@@ -84,7 +84,7 @@ def test_narrow_blocks_have_slopes(width: int) -> None:
         coefficients = image.copy()
         prefilter_rows(coefficients, degree)
         found = np.empty((3, width), dtype=np.float32)
-        row_slopes(image, 0, degree, found)
+        write_row_slopes(image, 0, degree, found)
         index = np.array([_reflect(int(k), width) for k in np.arange(-2, width + 2)])
         wide = coefficients[:, index]
         expected = sum(w * wide[:, k: k + width] for k, w in enumerate(np.pad(SLOPES[degree], (5 - degree) // 2)))

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from ddic.images.rigid import rigid_shift
+from ddic.images.rigid import find_rigid_shift
 from ddic.synth.fields import Translation
 from support.pictures import pair_of
 
@@ -29,7 +29,7 @@ def test_whole_pixels_are_found_exactly(seed: int, dx: int, dy: int) -> None:
     g = big[40 - dy: 40 - dy + height, 40 - dx: 40 - dx + width]
     region = np.zeros(f.shape, dtype=bool)
     region[26: 48, 36: 55] = True  # stays inside g for every shift
-    found = rigid_shift(f, g, region)
+    found = find_rigid_shift(f, g, region)
     assert found.coefficient == pytest.approx(1.0, abs=1e-6)
     # The parabola's vertex: half a pixel at most by construction, a tenth where the peak is not symmetric.
     np.testing.assert_allclose(found.shift, (dx, dy), atol=0.15)
@@ -40,7 +40,7 @@ def test_fractions_of_a_pixel(shift: tuple[float, float]) -> None:
     pair = pair_of(Translation(shift))
     region = np.zeros((SIDE, SIDE), dtype=bool)
     region[40:150, 40:150] = True
-    found = rigid_shift(pair.reference.astype(float), pair.deformed.astype(float), region)
+    found = find_rigid_shift(pair.reference.astype(float), pair.deformed.astype(float), region)
     # The peak is no parabola: through its three values the error was 0.05 px where it is largest, at quarters.
     np.testing.assert_allclose(found.shift, shift, atol=0.07)
     assert found.coefficient > 0.9
@@ -51,7 +51,7 @@ def test_brightness_and_contrast_do_not_matter() -> None:
     f, g = pair.reference.astype(float), pair.deformed.astype(float)
     region = np.zeros(f.shape, dtype=bool)
     region[40:150, 40:150] = True
-    plain, changed = rigid_shift(f, g, region), rigid_shift(f, 3.0 * g - 40.0, region)
+    plain, changed = find_rigid_shift(f, g, region), find_rigid_shift(f, 3.0 * g - 40.0, region)
     # The same sums but for rounding.
     np.testing.assert_allclose(changed.shift, plain.shift, atol=1e-6)
     assert changed.coefficient == pytest.approx(plain.coefficient, abs=1e-9)
@@ -63,17 +63,18 @@ def test_what_lies_outside_the_region_does_not_matter() -> None:
     x, y = np.meshgrid(np.arange(SIDE), np.arange(SIDE))
     region = (x - 90) ** 2 + (y - 100) ** 2 < 45**2
     blank = np.where(region, f, 20.0)
-    np.testing.assert_allclose(rigid_shift(blank, g, region).shift, rigid_shift(f, g, region).shift, atol=1e-9)
+    expected = find_rigid_shift(f, g, region).shift
+    np.testing.assert_allclose(find_rigid_shift(blank, g, region).shift, expected, atol=1e-9)
 
 
 def test_region_may_leave_the_image_by_less_than_half() -> None:
     big = picture(3, 200, 200)
     f, g = big[40:140, 40:140], big[40:140, 75:175]  # g(x - 35) = f(x)
-    found = rigid_shift(f, g, np.ones(f.shape, dtype=bool))
+    found = find_rigid_shift(f, g, np.ones(f.shape, dtype=bool))
     np.testing.assert_allclose(found.shift, (-35.0, 0.0), atol=0.15)
 
 
 def test_flat_images_give_no_shift() -> None:
     flat = np.full((40, 50), 7.0)
-    found = rigid_shift(flat, flat, np.ones(flat.shape, dtype=bool))
+    found = find_rigid_shift(flat, flat, np.ones(flat.shape, dtype=bool))
     assert (found.shift, found.coefficient) == ((0.0, 0.0), -1.0)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from ddic.functionals.correlation import read_correlation
-from ddic.images.spline import PADDING, read_gradient, read_spline, spline_coefficients
+from ddic.images.spline import PADDING, compute_coefficients, read_gradient, read_spline
 from ddic.images.sub_image import DeformedSubImage
 from ddic.images.window import Window
 from ddic.synth.fields import Translation
@@ -51,7 +51,7 @@ def test_coefficients_of_a_window_equal_the_whole_images(degree: int, x0: int, y
     window = Window(x0, y0, x0 + width, y0 + height).clipped(210, 200)
     pad = PADDING[degree]
     found = read_spline(source(image).image, window, degree).coefficients
-    whole = np.pad(spline_coefficients(image, degree), pad, mode="reflect")
+    whole = np.pad(compute_coefficients(image, degree), pad, mode="reflect")
     expected = whole[window.y0: window.y1 + 2 * pad, window.x0: window.x1 + 2 * pad]
     # Both are float64 to 1e-14 and then float32.
     np.testing.assert_allclose(found, expected, rtol=2 * FLOAT32, atol=1e-9)
@@ -75,7 +75,7 @@ def test_gradient_of_a_window_equals_the_whole_images(degree: int, x0: int, y0: 
 @DEGREES
 def test_bands_of_a_tall_window_fit_together(degree: int) -> None:
     image = noise(1200, 20)
-    whole = np.pad(spline_coefficients(image, degree), PADDING[degree], mode="reflect")
+    whole = np.pad(compute_coefficients(image, degree), PADDING[degree], mode="reflect")
     spline = read_spline(source(image).image, Window(0, 0, 20, 1200), degree)
     np.testing.assert_allclose(spline.coefficients, whole, rtol=2 * FLOAT32, atol=1e-9)
     gradient = read_gradient(source(image).image, Window(0, 0, 20, 1200), degree)

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from ddic.images.spline import HALO, PADDING, spline_coefficients
+from ddic.images.spline import HALO, PADDING, compute_coefficients
 from ddic.images.sub_image import GROWTH, SMALLEST, DeformedSubImage, MaskedSource, read_reference
 from ddic.images.window import Window
 from support.pictures import source
@@ -71,7 +71,7 @@ def test_only_the_window_and_its_halo_are_read() -> None:
 @given(data=st.data(), degree=st.sampled_from([3, 5]))
 def test_every_window_asked_for_is_held_with_the_whole_images_coefficients(data: st.DataObject, degree: int) -> None:
     image = recorder()
-    whole = np.pad(spline_coefficients(image.values, degree), PADDING[degree], mode="reflect")
+    whole = np.pad(compute_coefficients(image.values, degree), PADDING[degree], mode="reflect")
     deformed = DeformedSubImage(MaskedSource(image), degree)
     for _ in range(3):
         x0, y0 = data.draw(st.integers(-400, 500)), data.draw(st.integers(-400, 500))

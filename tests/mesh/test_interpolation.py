@@ -132,6 +132,7 @@ def test_no_points_and_no_cells() -> None:
     assert interpolate(mesh, mesh.nodes, np.zeros((0, 2))).shape == (0, 2)
     empty = build_mesh(mesh.nodes, {})
     assert locate(empty, np.zeros((3, 2))).cells.tolist() == [-1, -1, -1]
+    assert np.isnan(interpolate(empty, mesh.nodes, np.zeros((3, 2)))).all()
 
 
 def test_a_million_points_in_a_hundred_thousand_cells() -> None:

@@ -8,16 +8,12 @@ import numpy as np
 import pytest
 import tifffile
 from mpi4py import MPI
-from numpy.typing import NDArray
 
-from ddic.case.loader import load_case
 from ddic.errors import ConvergenceError, SingularSubdomainError, is_on_all_ranks
-from ddic.methods.dd_dic import Measurement, dd_dic
-from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.results.listener import Silence
 from ddic.synth.fields import Translation
 from support.cases import WAVES, Ears, write_case, write_images
+from support.measuring import field_on_one_rank, measure, subdomain_numbers, whole_field
 from support.pictures import rms_error
 
 RANKS = [1, 2, 3, 4]
@@ -31,28 +27,6 @@ rms_tolerance = 0.0
 NO_START = "[start]\nrigid = false\npyramid = false\nindependent = false\n"
 REGULARIZED = "[regularization]\ncut_off_wavelength = 48.0\n"
 TIGHT_SOLVER = "[solver]\nsubdomains = 8\ntolerance = 1e-12\n"
-
-
-def _measure(team: Team, path: Path, ears: Ears | None = None) -> Measurement:
-    return dd_dic(team, load_case(path).case, ears or Silence(), PhaseClock())
-
-
-def _whole_field(team: Team, measurement: Measurement) -> NDArray[np.float64]:
-    """Displacement (n_nodes, 2) on all ranks."""
-    whole = np.full((measurement.region.n_nodes, 2), np.nan)
-    for ids, q in team.gather_lists([(p.subdomain.node_ids, q) for p, q in
-                                     zip(measurement.parts, measurement.field.q, strict=True)]):
-        whole[ids] = q.reshape(-1, 2)
-    return whole
-
-
-def _on_one_rank(path: Path) -> NDArray[np.float64]:
-    """The field that rank 0 finds by itself, on all ranks."""
-    field = None
-    if MPI.COMM_WORLD.rank == 0:
-        alone = Team(MPI.COMM_SELF)
-        field = _whole_field(alone, _measure(alone, path))
-    return np.asarray(MPI.COMM_WORLD.bcast(field))
 
 
 def _images(folder: Path, **options: object) -> None:
@@ -74,17 +48,17 @@ def test_field_depends_neither_on_ranks_nor_on_the_decomposition(shared_path: Pa
     _images(shared_path)
     team = Team(MPI.COMM_WORLD)
     path = _case(shared_path, TIGHT_SOLVER + TIGHT + NO_START + regularization)
-    measured = _measure(team, path)
-    field = _whole_field(team, measured)
-    one_rank = _on_one_rank(path)
+    measured = measure(team, path)
+    field = whole_field(measured)
+    one_rank = field_on_one_rank(path)
     path = _case(shared_path, '[solver]\nmethod = "monolithic"\n' + TIGHT + NO_START + regularization)
-    monolithic = _on_one_rank(path)
-    assert measured.parts
-    assert team.gather_lists([p.subdomain.index for p in measured.parts]) == list(range(8))
+    monolithic = field_on_one_rank(path)
+    assert measured.subdomains
+    assert subdomain_numbers(measured) == list(range(8))
     assert np.abs(field - one_rank).max() <= SAME_PX
     assert np.abs(field - monolithic).max() <= SAME_PX
-    assert measured.field.largest_jump <= SAME_PX
-    assert measured.setting.n_interface > 0
+    assert measured.largest_jump <= SAME_PX
+    assert measured.size.n_interface > 0
 
 
 @pytest.mark.parallel(RANKS)
@@ -95,13 +69,13 @@ def test_the_whole_operator_leads_to_the_same_field(shared_path: Path, method: s
     team = Team(MPI.COMM_WORLD)
     solver = f'[solver]\nmethod = "{method}"\nsubdomains = 8\ntolerance = 1e-12\n'
     path = _case(shared_path, solver + TIGHT + regularization)
-    measured = _measure(team, path)
-    field = _whole_field(team, measured)
+    measured = measure(team, path)
+    field = whole_field(measured)
     path = _case(shared_path, '[solver]\nmethod = "monolithic"\n' + TIGHT + NO_START + regularization)
-    assert np.abs(field - _on_one_rank(path)).max() <= SAME_PX
+    assert np.abs(field - field_on_one_rank(path)).max() <= SAME_PX
     # Copies of a node hold one number, to the rounding of q + (qbar + dqbar - q).
-    assert measured.field.largest_jump <= 1e-12
-    assert (measured.setting.n_subdomains, measured.setting.n_interface) == (8, 0)
+    assert measured.largest_jump <= 1e-12
+    assert (measured.size.n_subdomains, measured.size.n_interface) == (8, 0)
 
 
 @pytest.mark.parallel(RANKS)
@@ -109,8 +83,8 @@ def test_the_default_start_leads_to_the_same_field(shared_path: Path) -> None:
     _images(shared_path)
     team = Team(MPI.COMM_WORLD)
     ears = Ears()
-    field = _whole_field(team, _measure(team, _case(shared_path, TIGHT_SOLVER + TIGHT + REGULARIZED), ears))
-    reference = _on_one_rank(_case(shared_path, TIGHT_SOLVER + TIGHT + REGULARIZED + NO_START))
+    field = whole_field(measure(team, _case(shared_path, TIGHT_SOLVER + TIGHT + REGULARIZED), ears))
+    reference = field_on_one_rank(_case(shared_path, TIGHT_SOLVER + TIGHT + REGULARIZED + NO_START))
     # Gauss-Newton has one solution near both starts, to the tolerance of 1e-10.
     assert np.abs(field - reference).max() <= SAME_PX
     assert all(word in note for word, note in zip(("rigid shift", "pyramid", "independent"), ears.notes, strict=True))
@@ -127,36 +101,36 @@ def test_known_displacement(shared_path: Path, solver: str, regularization: str)
     _images(shared_path)
     team = Team(MPI.COMM_WORLD)
     ears = Ears()
-    measured = _measure(team, _case(shared_path, solver + regularization), ears)
-    errors = [rms_error(q, part.subdomain.mesh.nodes, WAVES)
-              for part, q in zip(measured.parts, measured.field.q, strict=True)]
+    measured = measure(team, _case(shared_path, solver + regularization), ears)
+    errors = [rms_error(u, s.mesh.nodes, WAVES)
+              for s, u in zip(measured.subdomains, measured.displacements, strict=True)]
     # Bilinear cells of 16 px miss these waves by up to (2 pi 16/256)^2 / 8 x 0.5 = 1e-2 px; the waves are no
     # elastic equilibrium, so that regularization costs as much again at the region's edges.
     assert max(errors) <= (2e-2 if regularization else 1e-2)
-    assert ears.settings == [measured.setting]
+    assert ears.sizes == [measured.size]
     assert [r.number for r in ears.records] == list(range(1, len(ears.records) + 1))
     # Krylov to 1e-6 leaves jumps of a millionth of a pixel or so.
-    assert measured.field.largest_jump <= 1e-4
+    assert measured.largest_jump <= 1e-4
 
 
 @pytest.mark.parallel(RANKS)
-def test_setting_counts_the_whole_region(shared_path: Path) -> None:
+def test_size_counts_the_whole_region(shared_path: Path) -> None:
     _images(shared_path)
     team = Team(MPI.COMM_WORLD)
-    setting = _measure(team, _case(shared_path, TIGHT_SOLVER + REGULARIZED)).setting
-    assert (setting.n_dofs, setting.n_cells, setting.n_subdomains, setting.n_ranks) == (200, 81, 8, team.size)
-    assert setting.n_pixels in {144**2, 145**2, 144 * 145}
-    assert 100 < setting.dynamic_range <= 255
-    assert setting.eta > 0
+    size = measure(team, _case(shared_path, TIGHT_SOLVER + REGULARIZED)).size
+    assert (size.n_unknowns, size.n_cells, size.n_subdomains, size.n_ranks) == (200, 81, 8, team.size)
+    assert size.n_pixels in {144**2, 145**2, 144 * 145}
+    assert 100 < size.dynamic_range <= 255
+    assert size.eta > 0
 
 
 @pytest.mark.parallel(RANKS)
 def test_identical_images_converge_at_once(shared_path: Path) -> None:
     _images(shared_path)
-    measured = _measure(Team(MPI.COMM_WORLD), _case(shared_path, TIGHT_SOLVER + REGULARIZED, deformed="f.tif"))
+    measured = measure(Team(MPI.COMM_WORLD), _case(shared_path, TIGHT_SOLVER + REGULARIZED, deformed="f.tif"))
     assert len(measured.records) == 1
     # The spline returns a pixel's value to float32 rounding.
-    assert max(np.abs(q).max() for q in measured.field.q) < 1e-6
+    assert max(np.abs(q).max() for q in measured.q) < 1e-6
 
 
 @pytest.mark.parallel(RANKS)
@@ -168,11 +142,11 @@ def test_grey_correction_is_one_for_all_ranks(shared_path: Path, correction: str
         tifffile.imwrite(shared_path / "dim.tif", ((f - 20.0) / 0.8).astype(np.float32))  # f = 0.8 g + 20
     MPI.COMM_WORLD.barrier()
     more = f'[correlation]\ngrey_correction = "{correction}"\n' + TIGHT_SOLVER
-    measured = _measure(Team(MPI.COMM_WORLD), _case(shared_path, more, deformed="dim.tif"))
+    measured = measure(Team(MPI.COMM_WORLD), _case(shared_path, more, deformed="dim.tif"))
     # Without displacement nothing is interpolated: what is left is float32 rounding.
-    assert measured.grey[0].gain == pytest.approx(gain, abs=1e-5)
-    assert measured.grey[0].residual_std < 1e-3
-    assert max(np.abs(q).max() for q in measured.field.q) < 1e-4
+    assert measured.evaluation.grey[0].gain == pytest.approx(gain, abs=1e-5)
+    assert measured.evaluation.grey[0].residual_std < 1e-3
+    assert max(np.abs(q).max() for q in measured.q) < 1e-4
 
 
 @pytest.mark.parallel(RANKS)
@@ -180,7 +154,7 @@ def test_non_convergence_is_raised_on_all_ranks(shared_path: Path) -> None:
     _images(shared_path)
     path = _case(shared_path, TIGHT_SOLVER + "[gauss_newton]\nmax_iterations = 1\n" + NO_START)
     with pytest.raises(ConvergenceError, match="did not converge in 1 iterations") as caught:
-        _measure(Team(MPI.COMM_WORLD), path)
+        measure(Team(MPI.COMM_WORLD), path)
     assert is_on_all_ranks(caught.value)
 
 
@@ -195,7 +169,7 @@ def test_a_subdomain_without_texture_is_named_on_all_ranks(shared_path: Path) ->
     path = _case(shared_path, '[solver]\npartition = "blocks"\nblocks = [2, 2]\n')
     with pytest.raises(SingularSubdomainError, match=r"^subdomain 3 \(columns 88 to 168, rows 88 to 168\).*"
                                                      "too little texture") as caught:
-        _measure(Team(MPI.COMM_WORLD), path)
+        measure(Team(MPI.COMM_WORLD), path)
     assert is_on_all_ranks(caught.value)
 
 
@@ -203,18 +177,18 @@ def test_a_subdomain_without_texture_is_named_on_all_ranks(shared_path: Path) ->
 def test_a_shift_larger_than_the_windows_is_followed(shared_path: Path) -> None:
     field = Translation((-21.0, 18.0))
     _images(shared_path, displacement=field, side=224)
-    measured = _measure(Team(MPI.COMM_WORLD), _case(shared_path, TIGHT_SOLVER, region="region = [40, 40, 184, 184]"))
+    measured = measure(Team(MPI.COMM_WORLD), _case(shared_path, TIGHT_SOLVER, region="region = [40, 40, 184, 184]"))
     # A whole number of pixels: grey levels match exactly, up to the rest of the last correction.
-    assert max(rms_error(q, p.subdomain.mesh.nodes, field)
-               for p, q in zip(measured.parts, measured.field.q, strict=True)) <= 2e-4
-    assert measured.grey[0].n_pixels == measured.setting.n_pixels
+    assert max(rms_error(u, s.mesh.nodes, field)
+               for s, u in zip(measured.subdomains, measured.displacements, strict=True)) <= 2e-4
+    assert measured.evaluation.grey[0].n_pixels == measured.size.n_pixels
 
 
 @pytest.mark.parallel(RANKS)
 def test_pixels_that_leave_the_image_are_counted(shared_path: Path) -> None:
     _images(shared_path, displacement=Translation((10.0, 0.0)))
     team = Team(MPI.COMM_WORLD)
-    measured = _measure(team, _case(shared_path, TIGHT_SOLVER, region="region = [47, 24, 191, 168]"))
-    lost = measured.setting.n_pixels - measured.grey[0].n_pixels
+    measured = measure(team, _case(shared_path, TIGHT_SOLVER, region="region = [47, 24, 191, 168]"))
+    lost = measured.size.n_pixels - measured.evaluation.grey[0].n_pixels
     # Ten columns, or eleven with a shift a hair above 10 px, of 144 or 145 rows.
     assert 9 * 144 <= lost <= 11 * 145

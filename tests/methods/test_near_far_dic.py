@@ -7,23 +7,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tifffile
-from ddic.methods.near_far_dic import near_far_dic
 from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ddic.case.loader import load_case
 from ddic.errors import InputError, is_on_all_ranks
 from ddic.io.mapping_file import MappingFile, write_mapping
-from ddic.methods.dd_dic import Measurement
 from ddic.methods.run import run_case
-from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.results.listener import Silence
+from ddic.results.measurement import Measurement
 from ddic.synth.fields import DisplacementField
 from ddic.synth.hole import Hole
 from ddic.synth.kirsch import Kirsch
 from ddic.synth.near_far_scene import SetUpMotion
 from support.cases import Ears
+from support.measuring import measure, subdomain_numbers, whole_field
 from support.near_far_cases import (
     ALPHA,
     FOCUS,
@@ -65,39 +64,29 @@ def _rewritten(path: Path, text: str) -> Path:
 
 
 def _measure(path: Path, team: Team | None = None, ears: Ears | None = None) -> Measurement:
-    return near_far_dic(team or Team(MPI.COMM_WORLD), load_case(path).case, ears or Silence(), PhaseClock())
+    return measure(team or Team(MPI.COMM_WORLD), path, ears)
 
 
 def _alone(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Field and motion that rank 0 finds by itself, on all ranks."""
     found = None
     if MPI.COMM_WORLD.rank == 0:
-        team = Team(MPI.COMM_SELF)
-        measured = _measure(path, team)
-        found = _whole_field(team, measured), _motion(measured)
+        measured = _measure(path, Team.alone())
+        found = whole_field(measured), _motion(measured)
     return MPI.COMM_WORLD.bcast(found)
-
-
-def _whole_field(team: Team, measurement: Measurement) -> NDArray[np.float64]:
-    """Displacement (n_nodes, 2) on all ranks."""
-    whole = np.full((measurement.region.n_nodes, 2), np.nan)
-    for ids, q in team.gather_lists([(p.subdomain.node_ids, q) for p, q in
-                                     zip(measurement.parts, measurement.field.q, strict=True)]):
-        whole[ids] = q.reshape(-1, 2)
-    return whole
 
 
 def _motion(measurement: Measurement) -> NDArray[np.float64]:
     """Alpha in px and theta in px at the field's end, of each near camera, one after the other."""
-    return np.concatenate([[*m.alpha, m.theta * m.rig.length] for m in measurement.motions])
+    return np.concatenate([[*m.alpha, m.theta * m.setup.length] for m in measurement.motions])
 
 
 def _rms_error(measurement: Measurement, field: DisplacementField, camera: int | None = None) -> float:
     """RMS over nodes (their copies) of all ranks, or of one camera's, far px."""
     pieces = Team(MPI.COMM_WORLD).gather_lists([
-        (q.reshape(-1, 2) - field.displacement(p.subdomain.mesh.nodes)).ravel()
-        for p, q in zip(measurement.parts, measurement.field.q, strict=True)
-        if camera is None or p.subdomain.camera == camera])
+        (u.reshape(-1, 2) - field.displacement(s.mesh.nodes)).ravel()
+        for s, u in zip(measurement.subdomains, measurement.displacements, strict=True)
+        if camera is None or s.camera == camera])
     return float(np.sqrt(np.mean(np.concatenate(pieces) ** 2)))
 
 
@@ -106,14 +95,14 @@ def _rms_error(measurement: Measurement, field: DisplacementField, camera: int |
 def test_a_stretched_plate(shared_path: Path, regularization: str) -> None:
     measured = _measure(_on_root(shared_path, case_text(near_section(), more=TIGHT_SOLVER + TIGHT + regularization)))
     (motion,) = measured.motions
-    assert {p.subdomain.camera for p in measured.parts} <= {0, 1}
+    assert {s.camera for s in measured.subdomains} <= {0, 1}
     # The mesh holds this field, grey levels are not rounded: what is left is interpolation between grey levels, some
     # 1e-3 px at spots of 5 px; alpha hangs on the nodes of the near field's edge, less exact than those inside.
     assert np.abs(motion.alpha - ALPHA).max() <= 3e-3
     assert motion.theta == 0.0
     assert _rms_error(measured, STRETCHED) <= 4e-3
-    assert measured.field.largest_jump <= 1e-10
-    np.testing.assert_allclose(motion.rig.centre, FOCUS, atol=1e-12)
+    assert measured.largest_jump <= 1e-10
+    np.testing.assert_allclose(motion.setup.centre, FOCUS, atol=1e-12)
 
 
 @pytest.mark.parallel([1, 3])
@@ -127,10 +116,10 @@ def test_a_set_up_that_turns(shared_path: Path, tilt: tuple[float, float]) -> No
     measured = _measure(_rewritten(path, path.read_text()))
     (motion,) = measured.motions
     # X0 is the point in the picture's middle, tilted or not.
-    np.testing.assert_allclose(motion.rig.centre, FOCUS, atol=1e-9)
+    np.testing.assert_allclose(motion.setup.centre, FOCUS, atol=1e-9)
     assert np.abs(motion.alpha - ALPHA).max() <= 4e-3
     # As much at the near field's corners, 39 px from its centre.
-    assert abs(motion.theta - np.deg2rad(0.8)) * motion.rig.length <= 4e-3
+    assert abs(motion.theta - np.deg2rad(0.8)) * motion.setup.length <= 4e-3
     assert _rms_error(measured, STRETCHED) <= 4e-3
 
 
@@ -154,11 +143,11 @@ def test_field_depends_neither_on_ranks_nor_on_the_solver(shared_path: Path, mor
     path = _on_root(shared_path, text(TIGHT_SOLVER))
     team = Team(MPI.COMM_WORLD)
     measured = _measure(path, team)
-    field, motion = _whole_field(team, measured), _motion(measured)
+    field, motion = whole_field(measured), _motion(measured)
     one_rank = _alone(path)
-    assert team.gather_lists([p.subdomain.index for p in measured.parts]) == list(range(5))
+    assert subdomain_numbers(measured) == list(range(5))
     other = _measure(_rewritten(path, text(TIGHT_SOLVER + 'method = "assembled"\n')), team)
-    for u, alpha in (one_rank, (_whole_field(team, other), _motion(other))):
+    for u, alpha in (one_rank, (whole_field(other), _motion(other))):
         assert np.abs(field - u).max() <= SAME_PX
         assert np.abs(motion - alpha).max() <= SAME_PX
     # 2 sigma^2 A^-1 M A^-1 to the linear solvers' tolerance.
@@ -201,7 +190,7 @@ def test_noise_is_estimated_or_given(shared_path: Path) -> None:
     assert given.noise == sigma
     assert ears.notes[-1] == "near field 1: noise of 1.50 grey levels (given)"
     # Squared grey levels are counted in units of each camera's noise, the far field's for both.
-    weights = {(v.camera, v.pose.weight) for p in given.parts for v in p.views if v.pose is not None}
+    weights = {(v.camera, v.view.weight) for of_subdomain in given.model.views for v in of_subdomain.views}
     assert weights <= {(0, 1.0), (1, (sigma[0] / sigma[1]) ** 2)}
 
 
@@ -252,8 +241,8 @@ def test_start_from_an_earlier_result(shared_path: Path, motion: str, degrees: f
     start = '[start]\nfrom_result = "result.vtkhdf"\nindependent = false\n'
     again = _measure(_rewritten(path, case_text(section, images=images, more=solver + start)), team)
     # From its own solution on; a rotation is found anew from its tangent, theta^2 / 2 of 39 px off.
-    assert again.records[0].rms <= first_rms
-    assert np.abs(_whole_field(team, again) - _whole_field(team, first)).max() <= SAME_PX
+    assert again.records[0].size.rms <= first_rms
+    assert np.abs(whole_field(again) - whole_field(first)).max() <= SAME_PX
     np.testing.assert_allclose(_motion(again), _motion(first), atol=SAME_PX)
 
 
@@ -308,7 +297,7 @@ def test_more_ranks_than_subdomains_are_refused(shared_path: Path) -> None:
 def test_without_a_number_each_camera_and_each_rank_gets_a_subdomain(shared_path: Path) -> None:
     measured = _measure(_on_root(shared_path, case_text(near_section(PLAIN), more="")))
     team = Team(MPI.COMM_WORLD)
-    cameras = team.gather_lists([p.subdomain.camera for p in measured.parts])
+    cameras = team.gather_lists([s.camera for s in measured.subdomains])
     assert len(cameras) == max(2, team.size)
     assert set(cameras) == {0, 1}
 

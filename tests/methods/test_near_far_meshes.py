@@ -7,17 +7,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tifffile
-from ddic.problem.check_cameras import check_inputs
-from ddic.problem.near_far_parts import cut_by_camera
 from mpi4py import MPI
 
 from ddic.case.loader import load_case
 from ddic.errors import InputError
 from ddic.io.result_reader import read_result
+from ddic.kinematics.tied import TiedKinematics
 from ddic.methods.run import run_case
 from ddic.parallel.team import Team
-from ddic.problem.cameras import measured_by, open_cameras
+from ddic.partition.by_camera import find_cameras_at_nodes
+from ddic.problem.cameras import assign_cells, open_cameras, open_in_headers
+from ddic.problem.check_inputs import check_inputs
+from ddic.problem.inputs import Inputs
 from ddic.problem.mesh_source import build_meshes
+from ddic.problem.region_mesh import build_region_mesh, split_region
 from ddic.synth.speckle_texture import SpeckleTexture
 from support.cases import Ears
 
@@ -125,7 +128,7 @@ def test_the_result_starts_another_run(shared_path: Path) -> None:
                   NEAR_MESH.format(size=3.4), "again")
     run_case(team, again, ears)
     # Every node, and those that are tied, are where the first run left them.
-    assert ears.records[0].rms <= 1e-8
+    assert ears.records[0].size.rms <= 1e-8
 
 
 @pytest.mark.parametrize(("near", "message"), [
@@ -148,23 +151,25 @@ def test_near_fields_with_and_without_a_mesh(tmp_path: Path) -> None:
               "margin = 2.0\n")
     case = load_case(write(tmp_path, "[solver]\nsubdomains = 9\n", NEAR_MESH.format(size=3.4) + second)).case
     mesh, tying = build_meshes(case, *FAR)
-    cameras = open_cameras(case)
-    labels = measured_by(case, cameras, mesh, tying)
+    cameras = open_cameras(case, open_in_headers)
+    labels = assign_cells(cameras, mesh, tying)
     np.testing.assert_array_equal(labels == 1, tying.cameras == 1)
     far = tying.cameras == 0
     low = np.minimum.reduceat(mesh.nodes[mesh.connectivity], mesh.offsets[:-1], axis=0)
     high = np.maximum.reduceat(mesh.nodes[mesh.connectivity], mesh.offsets[:-1], axis=0)
     seen = (RATIO * low - (232, 130) >= 2).all(axis=1) & (RATIO * high - (232, 130) <= np.array(NEAR) - 3).all(axis=1)
     np.testing.assert_array_equal(labels[far], 2 * seen[far])
-    cut = cut_by_camera(case, mesh, cameras, 1, tying)
-    assert [s.camera for s in cut.whole.subdomains] == sorted(labels[s.cell_ids[0]] for s in cut.whole.subdomains)
-    assert {s.camera for s in cut.whole.subdomains} == {0, 1, 2}
-    assert {s.camera for s in cut.whole.subdomains if s.tie is not None} == {1}
+    region_mesh = build_region_mesh(Inputs(case, cameras, lambda: (mesh, tying)))
+    subdomains, _ = region_mesh.cut(split_region(region_mesh, 1))
+    assert [s.camera for s in subdomains] == sorted(labels[s.cell_ids[0]] for s in subdomains)
+    assert {s.camera for s in subdomains} == {0, 1, 2}
+    assert {s.camera for s in subdomains if isinstance(s.kinematics, TiedKinematics)} == {1}
     # The right side of the near mesh touches elements of the second near field.
     masters = np.unique(tying.weights[tying.n_unknown_nodes:].indices)
     right = masters[mesh.nodes[masters, 0] == 104]
     assert len(right) == 5
-    assert set(right.tolist()) <= set(cut.shared.tolist())
+    at_nodes = find_cameras_at_nodes(mesh, labels, 3, tying.weights)
+    assert at_nodes[right].sum(axis=1).min() > 1
 
 
 def test_a_coarse_near_mesh_is_refused(tmp_path: Path) -> None:

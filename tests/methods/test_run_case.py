@@ -9,9 +9,8 @@ from pathlib import Path
 import pytest
 from mpi4py import MPI
 
-from ddic.case.loader import load_case
 from ddic.errors import ConvergenceError, InputError, is_on_all_ranks
-from ddic.methods.run import rank_problem, run_case
+from ddic.methods.run import run_case
 from ddic.parallel.phases import Phase
 from ddic.parallel.team import Team
 from support.cases import Ears, write_case, write_images
@@ -102,16 +101,6 @@ def test_more_ranks_than_subdomains(shared_path: Path, solver: str, line: str) -
     with pytest.raises(InputError, match=line) as caught:
         run_case(Team(MPI.COMM_WORLD), _write(shared_path, f"[solver]\n{solver}\n"), Ears())
     assert is_on_all_ranks(caught.value)
-
-
-@pytest.mark.parametrize(("solver", "n_ranks", "fits"), [
-    ("subdomains = 4", 4, True), ("subdomains = 4", 5, False), ("", 99, True),
-    ('partition = "blocks"\nblocks = [2, 3]', 6, True), ('partition = "blocks"\nblocks = [2, 3]', 7, False),
-    ('method = "monolithic"', 1, True), ('method = "monolithic"', 2, False),
-])
-def test_rank_problem(tmp_path: Path, solver: str, n_ranks: int, fits: bool) -> None:
-    case = load_case(write_case(tmp_path, f"[solver]\n{solver}\n")).case
-    assert (rank_problem(case, n_ranks) is None) == fits
 
 
 @pytest.mark.parallel(1)

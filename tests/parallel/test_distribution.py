@@ -6,14 +6,13 @@ from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
-from ddic.partition.connectivity import build_subdomains
 from hypothesis import given
 from hypothesis import strategies as st
-from mpi4py import MPI
 
 from ddic.errors import InputError, is_on_all_ranks
 from ddic.parallel.distribution import scatter_subdomains, split_evenly
 from ddic.parallel.team import Team
+from ddic.partition.build_subdomains import build_subdomains
 from support.linear import linear_step, split
 
 RANKS = [1, 2, 3, 4]
@@ -59,23 +58,23 @@ def test_more_ranks_than_subdomains_are_refused() -> None:
 
 @pytest.mark.parallel(RANKS)
 def test_every_rank_gets_its_own_subdomains_whole() -> None:
-    team = Team(MPI.COMM_WORLD)
+    team = Team.world()
     problem = linear_step(wavelength=32.0)
-    everything = build_subdomains(problem.mesh, split(problem.mesh, "metis", 9), problem.controlled)
+    everything = build_subdomains(problem.region, split(problem.mesh, "metis", 9), problem.controlled)
     costs = np.array([5.0, 1, 1, 1, 1, 1, 1, 1, 5])
     mine = scatter_subdomains(team, lambda: (everything, costs))
     assert [s.index for s in mine] == list(split_evenly(costs, team.size)[team.rank])
     for s in mine:
         np.testing.assert_array_equal(s.node_ids, everything[s.index].node_ids)
         np.testing.assert_array_equal(s.mesh.nodes, everything[s.index].mesh.nodes)
-        np.testing.assert_array_equal(s.reaction.first_row, everything[s.index].reaction.first_row)
+        np.testing.assert_array_equal(s.reactions.first_row, everything[s.index].reactions.first_row)
 
 
 @pytest.mark.parallel([2, 3, 4])
 def test_too_few_subdomains_are_an_error_on_all_ranks() -> None:
-    team = Team(MPI.COMM_WORLD)
+    team = Team.world()
     problem = linear_step()
     whole = np.zeros(problem.mesh.n_cells, dtype=np.int64)
     with pytest.raises(InputError, match="MPI ranks for 1 subdomains") as caught:
-        scatter_subdomains(team, lambda: (build_subdomains(problem.mesh, whole, problem.controlled), np.ones(1)))
+        scatter_subdomains(team, lambda: (build_subdomains(problem.region, whole, problem.controlled), np.ones(1)))
     assert is_on_all_ranks(caught.value)

@@ -6,14 +6,23 @@ import itertools
 
 import numpy as np
 import pytest
-from ddic.partition.connectivity import build_subdomains
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from ddic.errors import InputError
+from ddic.kinematics.nodal import NodalRegion
 from ddic.mesh.mesh import Mesh
-from ddic.partition.by_camera import camera_of_cells, cameras_at_nodes, kept_apart, split_by_camera, with_cameras
+from ddic.mesh.structured import build_structured_mesh
+from ddic.partition.build_subdomains import build_subdomains
+from ddic.partition.by_camera import (
+    add_motions,
+    assign_cameras,
+    find_cameras_at_nodes,
+    keep_cameras_apart,
+    split_by_camera,
+)
+from ddic.partition.ties import tied_mesh
 from support.random_meshes import PARTITIONS, SEEDS, delaunay_meshes, grid_mesh, grid_meshes, random_partition
 
 MESHES = st.one_of(grid_meshes(), delaunay_meshes())
@@ -37,7 +46,7 @@ def evenly(cells: NDArray[np.int64], n: int) -> NDArray[np.int64]:
 def test_a_cell_is_of_the_first_near_camera_that_sees_all_its_nodes(mesh: Mesh, n_near: int, share: float,
                                                                     seed: int) -> None:
     seen = np.random.default_rng(seed).random((n_near, mesh.n_nodes)) < share
-    labels = camera_of_cells(mesh, list(seen))
+    labels = assign_cameras(mesh, list(seen))
     for cell in range(mesh.n_cells):
         whole = [k + 1 for k in range(n_near) if all(seen[k, n] for n in nodes_of(mesh, cell))]
         assert labels[cell] == (whole[0] if whole else 0)
@@ -47,7 +56,7 @@ def test_a_cell_is_of_the_first_near_camera_that_sees_all_its_nodes(mesh: Mesh, 
 @given(mesh=MESHES, n_cameras=st.integers(1, 4), seed=SEEDS)
 def test_cameras_at_a_node_are_those_of_its_cells(mesh: Mesh, n_cameras: int, seed: int) -> None:
     labels = random_labels(mesh, n_cameras, seed)
-    present = cameras_at_nodes(mesh, labels, n_cameras)
+    present = find_cameras_at_nodes(mesh, labels, n_cameras)
     expected: list[set[int]] = [set() for _ in range(mesh.n_nodes)]
     for cell in range(mesh.n_cells):
         for n in nodes_of(mesh, cell):
@@ -100,56 +109,78 @@ def test_more_cameras_than_subdomains_are_refused() -> None:
 def test_a_given_partition_is_cut_where_the_camera_changes(mesh: Mesh, kind: str, n: int, n_cameras: int,
                                                            seed: int) -> None:
     labels, given_ = random_labels(mesh, n_cameras, seed), random_partition(mesh, kind, n, seed)
-    parts = kept_apart(given_, labels)
+    parts = keep_cameras_apart(given_, labels)
     pairs = sorted({(int(c), int(p)) for c, p in zip(labels, given_, strict=True)})
     # One subdomain a pair, numbered by camera and then as given.
     assert [pairs[s] for s in parts] == [(int(c), int(p)) for c, p in zip(labels, given_, strict=True)]
 
 
 @settings(max_examples=40)
-@given(mesh=MESHES, kind=PARTITIONS, n=st.integers(1, 6), shifts=st.lists(st.sampled_from([0, 2, 3]), min_size=1,
-                                                                          max_size=3), seed=SEEDS)
-def test_subdomains_number_the_motions(mesh: Mesh, kind: str, n: int, shifts: list[int], seed: int) -> None:
-    n_shifts = [0, *shifts]
-    labels = random_labels(mesh, len(n_shifts), seed)
-    parts = kept_apart(random_partition(mesh, kind, n, seed), labels)
-    plain = build_subdomains(mesh, parts, np.ones(mesh.n_dofs, dtype=bool))
-    far_inside = np.random.default_rng(seed).random(mesh.n_nodes) < 0.5
-    found = with_cameras(plain, labels, n_shifts, far_inside, mesh.n_dofs)
+@given(mesh=MESHES, kind=PARTITIONS, n=st.integers(1, 6),
+       sizes=st.lists(st.sampled_from([0, 2, 3]), min_size=1, max_size=3), seed=SEEDS)
+def test_subdomains_number_the_motions(mesh: Mesh, kind: str, n: int, sizes: list[int], seed: int) -> None:
+    n_motion_unknowns = [0, *sizes]
+    labels = random_labels(mesh, len(n_motion_unknowns), seed)
+    parts = keep_cameras_apart(random_partition(mesh, kind, n, seed), labels)
+    plain = build_subdomains(NodalRegion(mesh), parts, np.ones(mesh.n_dofs, dtype=bool))
+    cameras = [int(labels[s.cell_ids[0]]) for s in plain]
+    found = add_motions(plain, cameras, n_motion_unknowns, mesh.n_dofs)
     n_chains = sum(s.n_owned_rows for s in plain)
-    # All rows have an owner, those of the motions the last subdomain; numbers follow the dofs, rows the chains.
+    # All rows have an owner, those of the motions the last subdomain; numbers follow the field's, rows the chains.
     assert [s.n_owned_rows for s in found[:-1]] == [s.n_owned_rows for s in plain[:-1]]
-    assert sum(s.n_owned_rows for s in found) == n_chains + sum(n_shifts)
+    assert sum(s.n_owned_rows for s in found) == n_chains + sum(n_motion_unknowns)
     owners: dict[int, list[int]] = {}
     for part in found:
         assert {int(c) for c in labels[part.cell_ids]} == {part.camera}
-        np.testing.assert_array_equal(part.interior, far_inside[part.node_ids])
-        before, own = sum(n_shifts[:part.camera]), n_shifts[part.camera]
+        before, own = sum(n_motion_unknowns[:part.camera]), n_motion_unknowns[part.camera]
+        assert (part.n_field, part.n_motion, part.n_unknowns) == (part.mesh.n_dofs, own, part.mesh.n_dofs + own)
         if own == 0:
-            assert part.shifts is None
-            np.testing.assert_array_equal(part.unknowns, part.dofs)
+            assert part.motion is None
+            np.testing.assert_array_equal(part.numbers, part.kinematics.numbers)
             continue
-        assert part.shifts is not None
-        assert part.shifts.numbers.tolist() == [mesh.n_dofs + before + k for k in range(own)]
-        assert part.shifts.rows.tolist() == [n_chains + before + k for k in range(own)]
-        assert part.shifts.n_subdomains == sum(s.camera == part.camera for s in found)
-        np.testing.assert_array_equal(part.unknowns[-own:], part.shifts.numbers)
-        np.testing.assert_array_equal(part.unknown_multiplicity[-own:], part.shifts.n_subdomains)
-        owners.setdefault(part.camera, []).extend([part.index] if part.shifts.owned else [])
+        assert part.motion is not None
+        assert part.motion.numbers.tolist() == [mesh.n_dofs + before + k for k in range(own)]
+        assert part.motion.rows.tolist() == [n_chains + before + k for k in range(own)]
+        assert part.motion.n_subdomains == sum(s.camera == part.camera for s in found)
+        np.testing.assert_array_equal(part.numbers[-own:], part.motion.numbers)
+        np.testing.assert_array_equal(part.all_multiplicity[-own:], part.motion.n_subdomains)
+        owners.setdefault(part.camera, []).extend([part.index] if part.motion.owned else [])
     # One owner a camera, its lowest subdomain.
     assert owners == {c: [min(s.index for s in found if s.camera == c)] for c in owners}
-    every = np.concatenate([s.unknowns[s.owned_unknowns] for s in found])
+    every = np.concatenate([s.numbers[s.owned] for s in found])
     assert len(every) == len(set(every.tolist()))
-    assert set(every.tolist()) == set(np.concatenate([s.unknowns for s in found]).tolist())
+    assert set(every.tolist()) == set(np.concatenate([s.numbers for s in found]).tolist())
+
+
+@settings(max_examples=20)
+@given(mesh=MESHES, kind=PARTITIONS, n=st.integers(1, 6), seed=SEEDS)
+def test_subdomains_know_which_nodes_are_said_to_be_inside(mesh: Mesh, kind: str, n: int, seed: int) -> None:
+    parts = random_partition(mesh, kind, n, seed)
+    interior = np.random.default_rng(seed).random(mesh.n_nodes) < 0.5
+    for part in build_subdomains(NodalRegion(mesh), parts, np.ones(mesh.n_dofs, dtype=bool), interior):
+        np.testing.assert_array_equal(part.interior, interior[part.node_ids])
 
 
 def test_only_nodes_among_far_cells_weigh_texture_against_mechanics() -> None:
     mesh = grid_mesh(4, 4, (10.0, 10.0))
     labels = np.zeros(16, dtype=np.int64)
     labels[5] = 1
-    inside = ~cameras_at_nodes(mesh, labels, 2)[:, 1:].any(axis=1)
-    parts = with_cameras(build_subdomains(mesh, labels, np.zeros(mesh.n_dofs, dtype=bool)), labels, [0, 2], inside,
-                         mesh.n_dofs)
-    assert not parts[1].interior.any()
+    inside = ~find_cameras_at_nodes(mesh, labels, 2)[:, 1:].any(axis=1)
+    far, near = build_subdomains(NodalRegion(mesh), labels, np.zeros(mesh.n_dofs, dtype=bool), inside)
+    assert not near.interior.any()
     # The far cells have all nodes, four of them those of the near cell.
-    assert parts[0].interior.sum() == mesh.n_nodes - 4
+    assert far.interior.sum() == mesh.n_nodes - 4
+
+
+def test_an_unknown_node_has_the_cameras_of_the_nodes_tied_to_it() -> None:
+    far = build_structured_mesh((20, 20, 116, 116), 8)
+    mesh, tying = tied_mesh(far, {1: build_structured_mesh((44, 36, 84, 76), 3.1)})
+    at_nodes = find_cameras_at_nodes(mesh, tying.cameras, 2)
+    at_unknown_nodes = find_cameras_at_nodes(mesh, tying.cameras, 2, tying.weights)
+    weights = tying.weights.toarray()
+    assert at_unknown_nodes.shape == (tying.n_unknown_nodes, 2)
+    for node in range(tying.n_unknown_nodes):
+        np.testing.assert_array_equal(at_unknown_nodes[node], at_nodes[weights[:, node] != 0].any(axis=0))
+    # Masters on the common boundary have both cameras.
+    masters = np.unique(tying.weights[tying.n_unknown_nodes:].indices)
+    assert at_unknown_nodes[masters].all()

@@ -5,22 +5,23 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from ddic.partition.connectivity import build_subdomains
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from ddic.kinematics.nodal import NodalRegion
 from ddic.mesh.mesh import Mesh
+from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.incidence import copies_of, rows_of, scaled_incidence, signed_incidence
 from ddic.partition.subdomain import Interface, Subdomain
 from support.random_meshes import PARTITIONS, SEEDS, grid_mesh, grid_meshes, random_partition
 
-KINDS: tuple[Callable[[Subdomain], Interface], ...] = (lambda s: s.displacement, lambda s: s.reaction)
+KINDS: tuple[Callable[[Subdomain], Interface], ...] = (lambda s: s.jumps, lambda s: s.reactions)
 
 
 def cut(mesh: Mesh, kind: str, n: int, seed: int) -> list[Subdomain]:
     parts = random_partition(mesh, kind, n, seed)
-    return build_subdomains(mesh, parts, np.random.default_rng(seed).random(mesh.n_dofs) < 0.6)
+    return build_subdomains(NodalRegion(mesh), parts, np.random.default_rng(seed).random(mesh.n_dofs) < 0.6)
 
 
 def both(subdomains: list[Subdomain], d: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
@@ -31,8 +32,8 @@ def both(subdomains: list[Subdomain], d: NDArray[np.float64]) -> tuple[NDArray[n
         for interface in (kind(s) for kind in KINDS):
             copy = interface.first_copy + interface.position
             assert (plain[:, copy] == 0).all()
-            plain[:, copy] = signed_incidence(interface, np.arange(n_rows), n_rows).toarray()
-            scaled[:, copy] = scaled_incidence(interface, d, np.arange(n_copies), np.arange(n_rows), n_rows).toarray()
+            plain[:, copy] = signed_incidence(interface, np.arange(n_rows)).toarray()
+            scaled[:, copy] = scaled_incidence(interface, d, np.arange(n_copies), np.arange(n_rows)).toarray()
     return plain, scaled
 
 
@@ -90,38 +91,38 @@ def test_a_subdomains_own_rows_and_copies_suffice(mesh: Mesh, kind: str, n: int,
     for s in subdomains:
         for interface in (kind(s) for kind in KINDS):
             rows, copies = np.sort(rows_of(interface)), np.sort(copies_of(interface))
-            plain = signed_incidence(interface, rows, len(rows)).toarray()
-            scaled = scaled_incidence(interface, d[copies], copies, rows, len(rows)).toarray()
-            whole = signed_incidence(interface, np.arange(n_rows), n_rows).toarray()
+            plain = signed_incidence(interface, rows).toarray()
+            scaled = scaled_incidence(interface, d[copies], copies, rows).toarray()
+            whole = signed_incidence(interface, np.arange(n_rows)).toarray()
             np.testing.assert_array_equal(plain, whole[rows])
             assert np.abs(whole).sum() == np.abs(plain).sum()
-            all_weights = scaled_incidence(interface, d, np.arange(len(d)), np.arange(n_rows), n_rows).toarray()
+            all_weights = scaled_incidence(interface, d, np.arange(len(d)), np.arange(n_rows)).toarray()
             np.testing.assert_array_equal(scaled, all_weights[rows])
 
 
 def test_rows_and_copies_of_a_cross_point() -> None:
     mesh = grid_mesh(2, 2, (4.0, 4.0))
-    subdomains = build_subdomains(mesh, np.arange(4), np.zeros(18, dtype=bool))
+    subdomains = build_subdomains(NodalRegion(mesh), np.arange(4), np.zeros(18, dtype=bool))
     # Per direction: four sides with one row and two copies, the centre with three rows and four copies.
     assert sum(s.n_owned_rows for s in subdomains) == 2 * (4 + 3)
     assert sum(s.n_owned_copies for s in subdomains) == 2 * (4 * 2 + 4)
     for s in subdomains:
-        assert len(set(rows_of(s.displacement).tolist())) == 2 * (2 + 3)
-        assert len(set(copies_of(s.displacement).tolist())) == 2 * (2 * 2 + 4)
+        assert len(set(rows_of(s.jumps).tolist())) == 2 * (2 + 3)
+        assert len(set(copies_of(s.jumps).tolist())) == 2 * (2 * 2 + 4)
 
 
 def test_equal_weights_share_a_jump_of_two_by_halves() -> None:
     mesh = grid_mesh(2, 1, (4.0, 4.0))
-    left, right = build_subdomains(mesh, np.array([0, 1]), np.zeros(12, dtype=bool))
+    left, right = build_subdomains(NodalRegion(mesh), np.array([0, 1]), np.zeros(12, dtype=bool))
     for s, share in ((left, 0.5), (right, -0.5)):
-        found = scaled_incidence(s.displacement, np.ones(8), np.arange(8), np.arange(4), 4).toarray()
+        found = scaled_incidence(s.jumps, np.ones(8), np.arange(8), np.arange(4)).toarray()
         np.testing.assert_array_equal(found, share * np.eye(4))
 
 
 def test_no_interface_gives_empty_matrices() -> None:
     mesh = grid_mesh(2, 2, (4.0, 4.0))
-    (only,) = build_subdomains(mesh, np.zeros(4, dtype=np.int64), np.ones(18, dtype=bool))
+    (only,) = build_subdomains(NodalRegion(mesh), np.zeros(4, dtype=np.int64), np.ones(18, dtype=bool))
     nothing = np.zeros(0, dtype=np.int64)
-    assert signed_incidence(only.displacement, nothing, 0).shape == (0, 0)
-    assert scaled_incidence(only.displacement, np.zeros(0), nothing, nothing, 0).shape == (0, 0)
-    assert rows_of(only.displacement).tolist() == copies_of(only.displacement).tolist() == []
+    assert signed_incidence(only.jumps, nothing).shape == (0, 0)
+    assert scaled_incidence(only.jumps, np.zeros(0), nothing, nothing).shape == (0, 0)
+    assert rows_of(only.jumps).tolist() == copies_of(only.jumps).tolist() == []

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from ddic.partition.connectivity import build_subdomains, node_sharing
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -13,11 +12,13 @@ from scipy import sparse
 from ddic.errors import InputError
 from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import controlled_stiffness
-from ddic.kinematics.cell_interpolation import interpolate_cells
+from ddic.kinematics.nodal import NodalKinematics, component_numbers
+from ddic.kinematics.tied import TiedKinematics, TiedRegion
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_areas
 from ddic.mesh.structured import build_structured_mesh
 from ddic.mesh.topology import find_boundary_nodes
+from ddic.partition.build_subdomains import build_subdomains, share_nodes, share_unknowns
 from ddic.partition.ties import Tying, tied_mesh
 
 FAR = build_structured_mesh((20, 20, 116, 116), 8)
@@ -42,7 +43,8 @@ def test_a_linear_field_is_kept_and_in_equilibrium(region: tuple[float, ...], el
     field = mesh.nodes @ np.array(gradient).reshape(2, 2) + (3.0, -1.0)
     unknown = field[:tying.n_unknown_nodes]
     np.testing.assert_allclose(tying.weights @ unknown, field, rtol=0, atol=1e-12)
-    k = controlled_stiffness(mesh, interpolate_cells(mesh), Material(), np.ones(mesh.n_dofs))
+    of_nodes = NodalKinematics(mesh, np.arange(mesh.n_dofs))
+    k = controlled_stiffness(of_nodes, Material(), np.ones(mesh.n_dofs))
     forces = (by_dof(tying.weights).T @ k @ field.ravel()).reshape(-1, 2)
     inside = np.ones(tying.n_unknown_nodes, dtype=bool)
     inside[tying.boundary[tying.boundary < len(inside)]] = False
@@ -93,22 +95,24 @@ def test_matching_meshes_are_one() -> None:
 def test_subdomains_have_the_masters_of_their_slaves() -> None:
     mesh, tying = tied_mesh(FAR, {1: near_mesh(ISLAND, 3.1)})
     parts = tying.cameras
-    sharing = node_sharing(mesh, parts, tying.weights)
+    region = TiedRegion(mesh, tying.weights)
+    sharing = share_unknowns(share_nodes(mesh, parts), region)
     slaves = tying.weights[tying.n_unknown_nodes:]
     masters = np.unique(slaves.indices)
-    assert np.flatnonzero(sharing.multiplicity == 2).tolist() == masters.tolist()
-    far, near = build_subdomains(mesh, parts, np.ones(2 * tying.n_unknown_nodes, dtype=bool), tying.weights)
-    assert far.tie is None
-    assert near.tie is not None
-    q = np.random.default_rng(0).normal(size=2 * tying.n_unknown_nodes)
+    shared = np.flatnonzero(sharing.multiplicity == 2)
+    assert shared.tolist() == component_numbers(masters.astype(np.int64), 2).tolist()
+    far, near = build_subdomains(region, parts, np.ones(region.n_unknowns, dtype=bool))
+    assert isinstance(far.kinematics, NodalKinematics)
+    assert isinstance(near.kinematics, TiedKinematics)
+    q = np.random.default_rng(0).normal(size=region.n_unknowns)
     everywhere = by_dof(tying.weights) @ q
     for part in (far, near):
-        np.testing.assert_allclose(part.on_mesh(q[part.dofs]).reshape(-1, 2),
-                                   everywhere.reshape(-1, 2)[part.mesh_node_ids], atol=1e-14)
-        np.testing.assert_array_equal(mesh.nodes[part.node_ids], part.nodes)
-        np.testing.assert_array_equal(mesh.nodes[part.mesh_node_ids], part.mesh.nodes)
+        np.testing.assert_allclose(part.displacement(q[part.numbers]).reshape(-1, 2),
+                                   everywhere.reshape(-1, 2)[part.node_ids], atol=1e-14)
+        np.testing.assert_array_equal(mesh.nodes[part.node_ids], part.mesh.nodes)
     # The unknowns come back from what they make: condition numbers of the weights are below 100.
-    np.testing.assert_allclose(near.tie.inverse @ near.on_mesh(q[near.dofs]), q[near.dofs], atol=1e-12)
+    found = near.kinematics.fit(near.displacement(q[near.numbers]))
+    np.testing.assert_allclose(found, q[near.numbers], atol=1e-12)
 
 
 @pytest.mark.parametrize(("region", "message"), [

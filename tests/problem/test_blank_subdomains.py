@@ -14,18 +14,17 @@ from numpy.typing import NDArray
 from ddic.case.loader import load_case
 from ddic.errors import InputError, SingularSubdomainError, is_on_all_ranks
 from ddic.io.result_reader import read_result
-from ddic.methods.dd_dic import Measurement, dd_dic
 from ddic.methods.run import run_case
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.assembly import correlate, own_parts, seen_parts
-from ddic.problem.blank_subdomains import Correlated, with_texture
-from ddic.problem.inputs import open_pair, share_out
-from ddic.problem.mesh_source import build_mesh
-from ddic.results.listener import Silence
-from ddic.start.coarse_field import coarse_field, coarse_task
+from ddic.problem.inputs import open_inputs
+from ddic.problem.reference_problem import build_whole_mesh, prepare_reference
+from ddic.results.measurement import Measurement
 from ddic.synth.fields import Affine
 from support.cases import Ears, write_case, write_images
+from support.measuring import field_on_one_rank, measure, subdomain_numbers, whole_field
+from support.near_far_cases import case_text as near_far_text
+from support.near_far_cases import near_section, write_pairs
 
 RANKS = [1, 2, 4]
 SIDE = 256
@@ -94,27 +93,18 @@ def _write(folder: Path, plate: Plate, more: str, noise: float = 0.0, images: st
     return folder / "case.toml"
 
 
-def _measure(team: Team, path: Path, ears: Ears | None = None) -> Measurement:
-    return dd_dic(team, load_case(path).case, ears or Silence(), PhaseClock())
-
-
-def _field(team: Team, measurement: Measurement) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _field(measurement: Measurement) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Nodes and displacement of the whole plate, (n_nodes, 2), on all ranks."""
-    nodes, field = (np.full((measurement.region.n_nodes, 2), np.nan) for _ in range(2))
-    for s, q in team.gather_lists([(p.subdomain, q) for p, q in
-                                   zip(measurement.parts, measurement.field.q, strict=True)]):
-        nodes[s.node_ids], field[s.node_ids] = s.mesh.nodes, q.reshape(-1, 2)
-    return nodes, field
+    nodes = np.full((measurement.region.n_nodes, 2), np.nan)
+    for s in measurement.team.gather_lists(measurement.subdomains):
+        nodes[s.node_ids] = s.mesh.nodes
+    return nodes, whole_field(measurement)
 
 
 def _monolithic(folder: Path, plate: Plate, noise: float = 0.0) -> NDArray[np.float64]:
     """The field that rank 0 finds on one domain, on all ranks."""
     path = _write(folder, plate, MONOLITHIC + TIGHT + plate.regularization, noise)
-    field = None
-    if MPI.COMM_WORLD.rank == 0:
-        alone = Team(MPI.COMM_SELF)
-        field = _field(alone, _measure(alone, path))[1]
-    return np.asarray(MPI.COMM_WORLD.bcast(field))
+    return field_on_one_rank(path)
 
 
 def _rms(values: NDArray[np.float64]) -> float:
@@ -128,10 +118,10 @@ def test_blank_quarter(shared_path: Path, plate: Plate, solver: str) -> None:
     team = Team(MPI.COMM_WORLD)
     monolithic = _monolithic(shared_path, plate)
     ears = Ears()
-    measured = _measure(team, _write(shared_path, plate, solver + TIGHT + plate.regularization), ears)
-    nodes, field = _field(team, measured)
+    measured = measure(team, _write(shared_path, plate, solver + TIGHT + plate.regularization), ears)
+    nodes, field = _field(measured)
     assert np.abs(field - monolithic).max() <= SAME_PX
-    assert measured.field.largest_jump <= SAME_PX
+    assert measured.largest_jump <= SAME_PX
     error = field - plate.field.displacement(nodes)
     textured = _contrast(nodes, plate.blank) > 0.0
     assert 0.6 < textured.mean() < 0.9
@@ -144,14 +134,13 @@ def test_blank_quarter(shared_path: Path, plate: Plate, solver: str) -> None:
         listed = ", ".join(str(s) for s in plate.blocks)
         assert note == (f"partition: 4 of 16 subdomains without texture ({listed}); 4 joined a neighbour, "
                         "12 are left")
-        assert measured.setting.n_subdomains == 12
+        assert measured.size.n_subdomains == 12
     else:
         # A quarter of 13, of which those on the border hold some texture and stay, or lose a piece that hangs on the
         # rest by a node (in the middle one), without which nothing holds it.
-        assert 9 <= measured.setting.n_subdomains <= 13
+        assert 9 <= measured.size.n_subdomains <= 13
     assert measured.notes[0] == note
-    assert [s for owned in team.comm.allgather([p.subdomain.index for p in measured.parts])
-            for s in owned] == list(range(measured.setting.n_subdomains))
+    assert subdomain_numbers(measured) == list(range(measured.size.n_subdomains))
 
 
 @pytest.mark.parallel(4)
@@ -160,9 +149,9 @@ def test_the_assembled_operator_needs_no_texture_in_every_subdomain(shared_path:
     team = Team(MPI.COMM_WORLD)
     monolithic = _monolithic(shared_path, CORNER)
     solver = '[solver]\nmethod = "assembled"\npartition = "blocks"\nblocks = [2, 2]\n'
-    measured = _measure(team, _write(shared_path, CORNER, solver + TIGHT + CORNER.regularization))
-    assert measured.setting.n_subdomains == 4
-    assert np.abs(_field(team, measured)[1] - monolithic).max() <= SAME_PX
+    measured = measure(team, _write(shared_path, CORNER, solver + TIGHT + CORNER.regularization))
+    assert measured.size.n_subdomains == 4
+    assert np.abs(_field(measured)[1] - monolithic).max() <= SAME_PX
 
 
 @pytest.mark.parallel(RANKS)
@@ -170,9 +159,9 @@ def test_noise_is_no_texture(shared_path: Path) -> None:
     team = Team(MPI.COMM_WORLD)
     monolithic = _monolithic(shared_path, MIDDLE, noise=2.0)
     path = _write(shared_path, MIDDLE, BLOCKS + TIGHT + MIDDLE.regularization, noise=2.0)
-    measured = _measure(team, path)
-    assert measured.setting.n_subdomains == 12
-    assert np.abs(_field(team, measured)[1] - monolithic).max() <= SAME_PX
+    measured = measure(team, path)
+    assert measured.size.n_subdomains == 12
+    assert np.abs(_field(measured)[1] - monolithic).max() <= SAME_PX
 
 
 HIDDEN = Plate((-200.0, -200.0, -100.0, -100.0), MIDDLE.field, MIDDLE.not_controlled, (5,))
@@ -188,39 +177,67 @@ def _hidden(folder: Path) -> Path:
 
 
 @pytest.mark.parallel(RANKS)
-def test_pixels_hidden_in_the_deformed_image_are_no_texture(shared_path: Path) -> None:
+def test_pixels_hidden_in_the_deformed_image_blank_no_subdomain(shared_path: Path) -> None:
+    # A subdomain is blank because the reference says so; what a frame hides renews M of the subdomains that lose it.
     team = Team(MPI.COMM_WORLD)
-    measured = _measure(team, _hidden(shared_path))
-    assert "1 of 16 subdomains without texture (5)" in measured.notes[0]
-    assert 48**2 < measured.setting.n_pixels - measured.grey[0].n_pixels < 70**2
-    nodes, field = _field(team, measured)
+    measured = measure(team, _hidden(shared_path))
+    assert measured.size.n_subdomains == 16
+    assert not any(note.startswith("partition: ") for note in measured.notes)
+    # The mask reaches 10 of 48 px into the blocks at each side of block 5, and 10 x 10 px into those at its corners.
+    renewed = next(note for note in measured.notes if "are renewed" in note)
+    assert renewed.startswith("9 subdomains (0, 1, 2, 4, 5, 6, 8, 9, 10) lost or gained more pixels")
+    assert 48**2 < measured.size.n_pixels - measured.evaluation.grey[0].n_pixels < 70**2
+    nodes, field = _field(measured)
     assert _rms(field - HIDDEN.field.displacement(nodes)) <= 3e-3
 
 
 @pytest.mark.parallel(RANKS)
-def test_start_and_hidden_pixels_move_along(shared_path: Path) -> None:
+def test_joined_subdomains_have_their_pixels_and_their_m(shared_path: Path) -> None:
     team = Team(MPI.COMM_WORLD)
-    case = load_case(_hidden(shared_path)).case
-    pair = open_pair(case)
-    mesh = build_mesh(case, SIDE, SIDE) if team.is_root else None
-    subdomains, region = share_out(team, case, mesh)
-    found = coarse_task(team, case, pair, mesh)()
-    start = coarse_field(team, case, found, [s.mesh.nodes for s in subdomains])
-    parts = seen_parts(own_parts(subdomains, pair, 3), start.q)
-    given = Correlated(parts, correlate(team, parts), region, start)
-    joined = with_texture(team, case, pair, mesh, given)
-    merged, region, moved = joined.parts, joined.region, joined.start
-    for part, hessian in zip(merged, joined.hessians, strict=True):
-        np.testing.assert_array_equal(hessian.diagonal(), part.view.correlation.assemble_hessian().diagonal())
-    expected = coarse_field(team, case, found, [p.subdomain.mesh.nodes for p in merged])
-    assert region.n_subdomains == 15
-    assert len(merged) == len(moved.q) > 0
-    for found, wanted in zip(moved.q, expected.q, strict=True):
-        np.testing.assert_array_equal(found, wanted)
-    assert moved.notes[1:] == start.notes
-    before, after = (sum(team.gather_lists([p.view.correlation.n_usable_pixels for p in which]))
-                     for which in (parts, merged))
-    assert before == after < 192**2 - 48**2
+    inputs, _ = open_inputs(team, load_case(_write(shared_path, CORNER, BLOCKS + CORNER.regularization)))
+    region_mesh = build_whole_mesh(team, inputs)
+    problem, _ = prepare_reference(team, inputs, region_mesh, PhaseClock(), lambda: None)
+    assert problem.region.n_subdomains == 12
+    assert team.gather_lists([s.index for s in problem.subdomains]) == list(range(12))
+    for reference, (hessian,) in zip(problem.references, problem.hessians, strict=True):
+        np.testing.assert_array_equal(hessian.toarray(), reference.own.assemble_hessian().toarray())
+    cells = np.concatenate(team.gather_lists([s.cell_ids for s in problem.subdomains]))
+    assert sorted(cells.tolist()) == list(range(144))
+    # Columns 32 to 223 or 224 of as many rows, whichever the fill rule gives the edges.
+    assert problem.n_pixels in {192**2, 192 * 193, 193**2}
+    n_pixels = team.gather_lists([reference.own.n_pixels for reference in problem.references])
+    assert sum(n_pixels) == problem.n_pixels
+
+
+@pytest.mark.parallel(RANKS)
+def test_blank_subdomains_of_several_cameras_join_neighbours_of_their_own(shared_path: Path) -> None:
+    team = Team(MPI.COMM_WORLD)
+    if team.is_root:
+        write_pairs(shared_path)
+        for name in ("far_reference", "far_deformed"):
+            image = tifffile.imread(shared_path / f"{name}.tif")
+            pixels = np.stack(np.meshgrid(np.arange(image.shape[1]), np.arange(image.shape[0])), axis=-1).astype(float)
+            contrast = _contrast(pixels, (-100.0, -100.0, 64.0, 300.0))
+            tifffile.imwrite(shared_path / f"{name}.tif", (128.0 + (image - 128.0) * contrast).astype(np.float32))
+    team.wait_for_all()
+    measured = {}
+    for method in ("dual", "assembled"):
+        solver = f'[solver]\nmethod = "{method}"\npartition = "blocks"\nblocks = [5, 4]\ntolerance = 1e-12\n'
+        more = '[regularization]\ncut_off_wavelength = 80.0\nnot_controlled = []\n' + solver + TIGHT
+        if team.is_root:
+            text = near_far_text(near_section(more="noise = 0.5"), images="noise = 0.5", more=more)
+            (shared_path / "case.toml").write_text(text, encoding="utf-8")
+        team.wait_for_all()
+        measured[method] = measure(team, shared_path / "case.toml")
+    note = measured["dual"].notes[0]
+    # Texture begins at column 64; blocks of 40 px from column 20 on: the first of each of four rows hold none.
+    assert note.startswith("partition: 4 of "), note
+    assert note.endswith(f"4 joined a neighbour, {measured['dual'].size.n_subdomains} are left")
+    assert measured["dual"].size.n_subdomains == measured["assembled"].size.n_subdomains - 4
+    cells = team.gather_lists([(s.camera, s.index) for s in measured["dual"].subdomains])
+    assert sorted({camera for camera, _ in cells}) == [0, 1]
+    difference = whole_field(measured["dual"]) - whole_field(measured["assembled"])
+    assert np.abs(difference).max() <= SAME_PX
 
 
 @pytest.mark.parallel(RANKS)
@@ -243,7 +260,7 @@ def test_the_whole_run_knows_the_new_subdomains(shared_path: Path) -> None:
 ], ids=["uncontrolled edges, blocks", "uncontrolled edges, METIS", "FE-DIC"])
 def test_a_blank_part_that_nothing_holds_is_singular(shared_path: Path, solver: str, regularization: str) -> None:
     with pytest.raises(SingularSubdomainError, match=r"^subdomain \d+ \(columns .*too little texture") as caught:
-        _measure(Team(MPI.COMM_WORLD), _write(shared_path, CORNER, solver + regularization))
+        measure(Team(MPI.COMM_WORLD), _write(shared_path, CORNER, solver + regularization))
     assert is_on_all_ranks(caught.value)
 
 
@@ -256,5 +273,5 @@ def test_fewer_subdomains_than_ranks_are_refused(shared_path: Path) -> None:
     path = _write(shared_path, plate, f'[solver]\npartition = "blocks"\nblocks = {blocks}\n' + plate.regularization)
     with pytest.raises(InputError, match=rf"^1 of {team.size} subdomains hold no texture.*start at most "
                                          rf"{team.size - 1} ranks or ask for more subdomains") as caught:
-        _measure(team, path)
+        measure(team, path)
     assert is_on_all_ranks(caught.value)

@@ -10,12 +10,9 @@ import pytest
 import tifffile
 from mpi4py import MPI
 
-from ddic.case.loader import load_case
-from ddic.methods.dd_dic import dd_dic
-from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.results.listener import Silence
 from support.cases import write_case, write_images
+from support.measuring import measure
 
 RANKS = [1, 2, 3, 4]
 MORE = "[regularization]\ncut_off_wavelength = 48.0\n[solver]\nsubdomains = 4\n"
@@ -34,8 +31,7 @@ def test_png_gives_the_field_of_tiff_with_two_decodings(shared_path: Path, monke
     team.comm.barrier()
     decoded = []
     monkeypatch.setattr(cv2, "imread", lambda *a, read=cv2.imread: decoded.append(Path(a[0]).name) or read(*a))
-    fields = [dd_dic(team, load_case(shared_path / name).case, Silence(), PhaseClock()).field.q
-              for name in ("case.toml", "png.toml")]
+    fields = [measure(team, shared_path / name).q for name in ("case.toml", "png.toml")]
     assert sorted(team.gather_lists(decoded)) == ["f.png", "g.png"]
     for tiff, png in zip(*fields, strict=True):
         # The same pixels and the same operations; only PETSc's dot products may be summed differently.

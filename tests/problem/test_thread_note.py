@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mpi4py import MPI
 
 from ddic.case.loader import parse_case
 from ddic.errors import InputError
@@ -17,8 +16,8 @@ from ddic.images.threads import Threads
 from ddic.io.result_schema import CELL_DATA, POINT_DATA, RESIDUAL_IMAGE
 from ddic.methods.run import run_case
 from ddic.parallel.team import Team
-from ddic.problem import assembly
-from ddic.problem.thread_note import own_cores, thread_note
+from ddic.problem import views
+from ddic.problem.thread_note import list_own_cores, note_crowded_cores
 from support.cases import Ears, case_text, contents, write_case, write_images
 
 RANKS = [1, 2, 3, 4]
@@ -30,14 +29,14 @@ def _on_cores(monkeypatch: pytest.MonkeyPatch, cores: set[int]) -> None:
 
 @pytest.mark.parallel(RANKS)
 def test_note_compares_threads_of_a_node_with_its_cores(monkeypatch: pytest.MonkeyPatch) -> None:
-    team = Team(MPI.COMM_WORLD)
+    team = Team.world()
     _on_cores(monkeypatch, set(range(2 * team.size)))
-    fitting, crowded = thread_note(team, 2), thread_note(team, 3)
+    fitting, crowded = note_crowded_cores(team, 2), note_crowded_cores(team, 3)
     # Ranks that are bound to a core each have as many cores as there are ranks.
     _on_cores(monkeypatch, {team.rank})
-    single, bound = thread_note(team, 1), thread_note(team, 2)
+    single, bound = note_crowded_cores(team, 1), note_crowded_cores(team, 2)
     _on_cores(monkeypatch, {0})
-    alone = thread_note(team, 1)
+    alone = note_crowded_cores(team, 1)
     assert fitting == single == alone == ()
     assert crowded == (f"threads: solver.threads = 3 x {team.size} MPI ranks of a node = {3 * team.size} threads, but "
                        f"these ranks may run on {2 * team.size} cores only: fewer threads are as fast",)
@@ -47,7 +46,7 @@ def test_note_compares_threads_of_a_node_with_its_cores(monkeypatch: pytest.Monk
 def test_cores_are_counted_where_the_system_tells_no_affinity(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(os, "sched_getaffinity", raising=False)
     monkeypatch.setattr(os, "cpu_count", lambda: 6)
-    assert len(own_cores()) == 6
+    assert len(list_own_cores()) == 6
 
 
 MORE = """
@@ -71,14 +70,14 @@ def test_case_has_one_thread_unless_it_asks_for_more() -> None:
 @pytest.mark.parallel([1, 2])
 def test_threads_of_the_case_reach_the_pixels_and_change_no_digit(shared_path: Path,
                                                                   monkeypatch: pytest.MonkeyPatch) -> None:
-    team = Team(MPI.COMM_WORLD)
+    team = Team.world()
     made = []
 
     def threads(n: int) -> Threads:
         made.append(n)
         return Threads(n)
 
-    monkeypatch.setattr(assembly, "Threads", threads)
+    monkeypatch.setattr(views, "Threads", threads)
     # So that there is something to share out on 81 cells and 192 rows.
     monkeypatch.setattr(correlation, "FEWEST", 4)
     monkeypatch.setattr(spline, "_BAND_ROWS", 32)
@@ -90,12 +89,13 @@ def test_threads_of_the_case_reach_the_pixels_and_change_no_digit(shared_path: P
             files[-1].parent.mkdir()
             write_images(files[-1].parent)
             write_case(files[-1].parent, MORE.format(n))
-        team.comm.barrier()
+        team.wait_for_all()
         summary = run_case(team, files[-1].parent / "case.toml", heard)
         assert list(summary.notes) == heard.notes
-    assert made == [1, 3]
+    # Of the reference images and of the frame, once each.
+    assert made == [1, 1, 3, 3]
     assert [sum("threads" in line for line in heard.notes) for heard in ears] == [0, 1]
-    team.comm.barrier()
+    team.wait_for_all()
     one, three = (contents(file) for file in files)
     names = [name for name in one if name.startswith((POINT_DATA, CELL_DATA, RESIDUAL_IMAGE)) and "@" not in name]
     assert any(name.startswith(RESIDUAL_IMAGE) for name in names)

@@ -16,7 +16,7 @@ from ddic.io.image_chunks import ChunkGrid
 from ddic.parallel.distribution import split_evenly
 from ddic.parallel.team import Team
 from ddic.results import residual_image
-from ddic.results.residual_image import PackedChunk, Patch, packed_chunks, share_chunks, stream_chunks
+from ddic.results.residual_image import PackedChunk, Patch, pack_chunks, share_chunks, stream_chunks
 
 RANKS = [1, 2, 3, 4]
 WIDTH, HEIGHT = 900, 700
@@ -58,7 +58,7 @@ def test_root_gets_every_pixel_once_compressed(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(residual_image, "CHUNKS_A_MESSAGE", 2)
     team = Team(MPI.COMM_WORLD)
     mine = patches(split_evenly(np.ones(N_PARTS), team.size)[team.rank])
-    held = packed_chunks(team, GRID, [p.window for p in mine], iter(mine))
+    held = pack_chunks(team, GRID, [p.window for p in mine], iter(mine))
     everything = list(stream_chunks(team, held))
     image = np.full((HEIGHT, WIDTH), np.nan, np.float32)
     for chunk in everything:
@@ -99,7 +99,7 @@ def test_patches_are_asked_for_one_by_one_and_chunks_let_go_when_complete() -> N
             yield patch
 
     everything = patches(range(N_PARTS))
-    for number, _ in residual_image._completed(GRID, [p.window for p in everything], told()):
+    for number, _ in residual_image._complete_chunks(GRID, [p.window for p in everything], told()):
         events.append(number)
     # The windows of the first four stripes reach the upper left chunk, that of the fifth does not.
     assert events.index(0) < events.index("patch 4")

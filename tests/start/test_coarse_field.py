@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NoReturn
 
@@ -13,13 +13,16 @@ from mpi4py import MPI
 from ddic.case.loader import load_case
 from ddic.images.sub_image import MaskedSource
 from ddic.images.window import Window
+from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.inputs import ImagePair
-from ddic.start.coarse_field import coarse_field, coarse_task
+from ddic.problem.cameras import Frame
+from ddic.problem.inputs import Inputs, open_inputs
+from ddic.problem.reference_problem import ReferenceProblem, build_whole_mesh, prepare_reference
+from ddic.start.coarse_field import CoarseSearch, fit_coarse_fields, prepare_search
 from ddic.start.multilevel import multilevel_start
 from ddic.start.pyramid_level import BinnedPair
-from support.cases import write_case, write_images
-from support.pictures import source, square_mesh
+from support.cases import WAVES, write_case, write_images
+from support.pictures import rms_error, source, square_mesh
 
 RANKS = [1, 2, 3, 4]
 
@@ -37,20 +40,57 @@ class _Unread:
         raise AssertionError(f"{window} was read")
 
 
+def _inputs(folder: Path, team: Team, more: str) -> tuple[Inputs, Frame]:
+    if team.is_root:
+        write_images(folder)
+        write_case(folder, more)
+    team.wait_for_all()
+    return open_inputs(team, load_case(folder / "case.toml"))
+
+
+def _prepare(team: Team, inputs: Inputs) -> tuple[CoarseSearch, ReferenceProblem]:
+    region_mesh = build_whole_mesh(team, inputs)
+    meshes = None if region_mesh is None else [cells.seen for cells in region_mesh.measured]
+    problem, _ = prepare_reference(team, inputs, region_mesh, PhaseClock(), lambda: None)
+    return prepare_search(team, inputs, meshes), problem
+
+
 @pytest.mark.parallel(RANKS)
 def test_a_start_from_zero_reads_no_image(shared_path: Path) -> None:
     team = Team(MPI.COMM_WORLD)
-    if team.is_root:
-        write_images(shared_path)
-        write_case(shared_path, "[start]\nrigid = false\npyramid = false\n")
-    team.comm.barrier()
-    case = load_case(shared_path / "case.toml").case
-    mesh = square_mesh(24, 168)
+    inputs, _ = _inputs(shared_path, team, "[start]\nrigid = false\npyramid = false\n")
+    search, problem = _prepare(team, inputs)
     unread = MaskedSource(_Unread())
-    found = coarse_task(team, case, ImagePair(unread, unread), mesh if team.is_root else None)()
-    start = coarse_field(team, case, found, [mesh.nodes])
-    np.testing.assert_array_equal(start.q[0], np.zeros(mesh.n_dofs))
+    blind = replace(search, cameras=tuple(replace(camera, reference=unread) for camera in search.cameras))
+    found = blind.share(team.together(blind.prepare((unread,))))
+    assert found is not None
+    start = fit_coarse_fields(inputs.cameras, problem.references, found)
+    for subdomain, q in zip(problem.subdomains, start.q, strict=True):
+        np.testing.assert_array_equal(q, np.zeros(subdomain.n_field))
     assert start.notes == ()
+
+
+@pytest.mark.parallel(RANKS)
+def test_a_frame_that_is_not_known_is_not_searched(shared_path: Path) -> None:
+    team = Team(MPI.COMM_WORLD)
+    inputs, _ = _inputs(shared_path, team, "")
+    search, _ = _prepare(team, inputs)
+    assert search.share(team.together(search.prepare(None))) is None
+
+
+@pytest.mark.parallel(RANKS)
+def test_subdomains_start_from_the_coarse_field_of_the_whole(shared_path: Path) -> None:
+    team = Team(MPI.COMM_WORLD)
+    inputs, frame = _inputs(shared_path, team, "[solver]\nsubdomains = 4\n")
+    search, problem = _prepare(team, inputs)
+    found = search.share(team.together(search.prepare(frame)))
+    assert found is not None
+    start = fit_coarse_fields(inputs.cameras, problem.references, found)
+    for subdomain, q in zip(problem.subdomains, start.q, strict=True):
+        np.testing.assert_array_equal(q.reshape(-1, 2), found[0].field.at(subdomain.mesh.nodes))
+        # The pyramid's cells of 16 blocks follow these waves to a tenth of a pixel or so.
+        assert rms_error(q, subdomain.mesh.nodes, WAVES) <= 0.2
+    assert [word in note for word, note in zip(("rigid shift", "pyramid"), start.notes, strict=True)] == [True, True]
 
 
 def test_zero_is_what_switching_everything_off_comes_to() -> None:

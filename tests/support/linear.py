@@ -67,7 +67,7 @@ class StepProblem:
     def system(self, subdomain: Subdomain, weights: NDArray[np.float64]) -> LocalSystem:
         """M_s and the weighted Kbar_s of one subdomain; weights: of its rows, (n_field,)."""
         kinematics = subdomain.kinematics
-        hessian = kinematics.project_matrix(read_correlation(subdomain.mesh, self.image, 3).hessian())
+        hessian = kinematics.project_matrix(read_correlation(subdomain.mesh, self.image, 3).assemble_hessian())
         if self.eta == 0:
             return LocalSystem(subdomain, hessian, None, np.zeros(0), 0.0)
         weights = weights * subdomain.controlled
@@ -101,7 +101,7 @@ def linear_step(n: int = 16, wavelength: float | None = None) -> StepProblem:
     inside[find_boundary_nodes(mesh)] = False
     controlled = np.repeat(inside, 2) if wavelength else np.zeros(mesh.n_dofs, dtype=bool)
     part = read_correlation(mesh, image, 3)
-    hessian = part.hessian()
+    hessian = part.assemble_hessian()
     eta = 0.0
     if wavelength:
         wave = np.zeros(mesh.n_dofs)

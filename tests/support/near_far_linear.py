@@ -239,7 +239,7 @@ def _texture(camera: Camera, mesh: Mesh) -> tuple[sparse.csr_matrix, sparse.csr_
     mapping = camera.setup.mapping
     seen = Mesh(mapping.to_image(mesh.nodes), mesh.connectivity, mesh.offsets, mesh.types)
     jacobian = sparse.block_diag(list(mapping.jacobian(mesh.nodes))).tocsr()
-    return (jacobian.T @ read_correlation(seen, camera.reference, 3).hessian() @ jacobian).tocsr(), jacobian
+    return (jacobian.T @ read_correlation(seen, camera.reference, 3).assemble_hessian() @ jacobian).tocsr(), jacobian
 
 
 def _rigid(setup: CameraSetup, nodes: Array) -> Array:

@@ -9,7 +9,7 @@ from petsc4py import PETSc
 
 from ddic.parallel.team import Team
 
-_LINE = re.compile(r"^ *(\w[\w ]*?) {2,}(\d+) {2,}(\d+)\b", re.MULTILINE)
+_LINE = re.compile(r"^ *(\S.*?) +(\d+) +(\d+)(?: .*)?$", re.MULTILINE)
 
 
 def count_live_objects(team: Team, folder: Path) -> dict[str, int]:

@@ -1,15 +1,27 @@
-"""Pixel sums written out with numpy, pixel by pixel, as the reference of the compiled kernels."""
+"""A correlation by the readable kernels, and the pixels of its cells from its mesh alone."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from unittest import mock
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
+from ddic.functionals import pixel_kernels, readable_kernels
 from ddic.functionals.correlation import Correlation
 from ddic.mesh.cell_type import Q4
+
+KERNELS = ("hessian_cells", "residual_sums", "residual_pixels")
+
+
+@contextmanager
+def readable_kernels_instead() -> Iterator[None]:
+    """Within it, correlations call the readable kernels where they call compiled ones."""
+    with mock.patch.multiple(pixel_kernels, **{name: getattr(readable_kernels, name) for name in KERNELS}):
+        yield
 
 
 @dataclass(frozen=True)
@@ -17,7 +29,7 @@ class CellPixels:
     """Pixels of one cell.
 
     x, y: (n,); shapes: (n, nodes) values of the shape functions; nodes: (nodes,) node numbers;
-    f, gradient: (n,), (n, 2) of the reference image; counts: (n,) whether f counts there.
+    f, gradient: (n,), (n, 2) of the reference image.
     """
 
     x: NDArray[np.int64]
@@ -26,17 +38,6 @@ class CellPixels:
     nodes: NDArray[np.int64]
     f: NDArray[np.float64]
     gradient: NDArray[np.float64]
-    counts: NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class SlowSums:
-    """M (n_dofs, n_dofs), b (n_dofs,), grey sums by cell (n_cells, 6) and the residual by cell and pixel."""
-
-    hessian: NDArray[np.float64]
-    b: NDArray[np.float64]
-    grey: NDArray[np.float64]
-    residuals: list[NDArray[np.float64]]
 
 
 def shape_functions(kind: int, local: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -73,39 +74,5 @@ def cell_pixels(part: Correlation) -> list[CellPixels]:
         local = local_points(kind, mesh.nodes[nodes], np.column_stack([x, y]).astype(float))
         place = (y - f.window.y0, x - f.window.x0)
         gradient = np.stack([f.by_x[place], f.by_y[place]], axis=1).astype(float)
-        counts = np.ones(len(x), dtype=bool) if f.usable is None else f.usable[place] > 0
-        out.append(CellPixels(x, y, shape_functions(kind, local), nodes, f.values[place].astype(float), gradient,
-                              counts))
+        out.append(CellPixels(x, y, shape_functions(kind, local), nodes, f.values[place].astype(float), gradient))
     return out
-
-
-def slow_sums(part: Correlation, deformed: NDArray[np.float64], degree: int, q: NDArray[np.float64],
-              mask: NDArray[np.bool_] | None = None) -> SlowSums:
-    """Sums over the pixels of a mesh; deformed: the whole image g; mask: where g counts."""
-    u = q.reshape(-1, 2)
-    height, width = deformed.shape
-    hessian, b = np.zeros((len(q), len(q))), np.zeros(len(q))
-    grey, residuals = [], []
-    for cell in cell_pixels(part):
-        dofs = (2 * cell.nodes[:, None] + np.arange(2)).ravel()
-        # Row j of N . grad f of each pixel.
-        slopes = (cell.shapes[:, :, None] * cell.gradient[:, None, :]).reshape(len(cell.x), -1)
-        hessian[np.ix_(dofs, dofs)] += slopes[cell.counts].T @ slopes[cell.counts]
-        px, py = (np.stack([cell.x, cell.y], axis=1) + cell.shapes @ u[cell.nodes]).T
-        counts = cell.counts & (px >= 0) & (px <= width - 1) & (py >= 0) & (py <= height - 1)
-        counts &= np.array([mask is None or _all_four_count(mask, a, c) for a, c in zip(px, py, strict=True)],
-                           dtype=bool)
-        g = ndimage.map_coordinates(deformed, [py, px], order=degree, mode="mirror")
-        r = cell.f - g
-        b[dofs] += slopes[counts].T @ r[counts]
-        r_, g_ = r[counts], g[counts]
-        grey.append([len(r_), r_.sum(), g_.sum(), (r_**2).sum(), (g_**2).sum(), (r_ * g_).sum()])
-        residuals.append(np.where(counts, r, np.nan))
-    return SlowSums(hessian, b, np.array(grey), residuals)
-
-
-def _all_four_count(mask: NDArray[np.bool_], px: float, py: float) -> bool:
-    """Whether the four pixels around a point count; beyond the image's last pixel there is none."""
-    height, width = mask.shape
-    x, y = min(max(int(np.floor(px)), 0), width - 1), min(max(int(np.floor(py)), 0), height - 1)
-    return bool(mask[y: y + 2, x: x + 2].all())

@@ -188,7 +188,7 @@ def multiplier_solution(problem: TiedStep) -> tuple[Array, Array]:
                 rigid[0::2, 2], rigid[1::2, 2] = -arm[:, 1], arm[:, 0]
         pick = sparse.csr_matrix((np.ones(len(dofs)), (np.arange(len(dofs)), dofs)), shape=(len(dofs), mesh.n_dofs))
         tangent = jacobian @ sparse.hstack([pick, sparse.csr_matrix(rigid)])
-        m = read_correlation(seen, camera.reference, 3).hessian()
+        m = read_correlation(seen, camera.reference, 3).assemble_hessian()
         matrix = matrix + WEIGHTS[number] * (tangent.T @ m @ tangent)
         right += WEIGHTS[number] * (tangent.T @ problem.forces[number].reshape(-1, 2)[ids].ravel())
     jumps = sparse.kron(sparse.csr_matrix(_jumps(problem)), sparse.identity(2)).tocsr()

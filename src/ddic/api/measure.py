@@ -25,8 +25,9 @@ from ddic.methods.dd_dic import Session as RecipeSession
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.cameras import Camera, Frame, make_setup
-from ddic.problem.check_case import check_mesh, check_output_file
 from ddic.problem.check_inputs import check_inputs
+from ddic.problem.check_mesh_uses import check_mesh
+from ddic.problem.check_output import check_output_file
 from ddic.problem.check_ranks import check_ranks
 from ddic.problem.inputs import Inputs, open_inputs
 from ddic.problem.mesh_source import accept_mesh, convert_mapping

@@ -37,7 +37,6 @@ def run(case_file: Path, petsc_options: tuple[str, ...]) -> None:
 def _run_everywhere(case_file: Path) -> int:
     """Run on all ranks; an error that only this rank has ends the job."""
     import cv2
-    from mpi4py import MPI
 
     from ddic.cli.console import RunConsole
     from ddic.methods.run import run_case
@@ -45,7 +44,7 @@ def _run_everywhere(case_file: Path) -> int:
     from ddic.results.listener import Silence
 
     cv2.setNumThreads(1)
-    team = Team(MPI.COMM_WORLD)
+    team = Team.world()
     try:
         with _warnings_told_once(team.is_root):
             if not team.is_root:
@@ -99,7 +98,7 @@ def _failed(team: object, error: BaseException) -> int:
         click.echo("\n".join(lines), err=True)
         sys.stderr.flush()
     if team.size > 1 and not everywhere:
-        team.comm.Abort(code)
+        team.abort(code)
     return code
 
 

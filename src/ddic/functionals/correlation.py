@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -153,7 +154,7 @@ class Correlation:
             M_e, node-major, grey levels squared per pixel squared; Eq. 5 of [BP17].
         """
         shapes = kernels.Shapes(self.interpolation.shapes, self.interpolation.kinds)
-        reference = self._reference_pixels()
+        reference = self._reference_pixels
         n_cells = len(self.order)
         hessians = np.zeros((n_cells, 4, 2, 4, 2))
 
@@ -193,7 +194,7 @@ class Correlation:
         """
         n_cells = len(self.order)
         u = self.interpolation.monomial_coefficients(q)
-        reference = self._reference_pixels()
+        reference = self._reference_pixels
         pixels = self._deformed_pixels(deformed.covering(self.displaced_window(q)))
         sums = kernels.CellSums(np.zeros((n_cells, 3, 2, 4)), np.zeros((n_cells, kernels.N_SUMS)))
 
@@ -250,7 +251,7 @@ class Correlation:
         """
         n_cells = len(self.order)
         u = self.interpolation.monomial_coefficients(q)
-        reference = self._reference_pixels()
+        reference = self._reference_pixels
         pixels = self._deformed_pixels(deformed.covering(self.displaced_window(q)))
         gains = np.array(np.broadcast_to(np.asarray(gain, dtype=float), n_cells))
         offsets = np.array(np.broadcast_to(np.asarray(offset, dtype=float), n_cells))
@@ -263,12 +264,17 @@ class Correlation:
         return image
 
     def displaced_window(self, q: NDArray[np.float64]) -> Window:
-        """Window of the deformed image that holds all displaced pixels and their neighbours.
+        """Find the window of the deformed image that holds all displaced pixels and their neighbours.
 
         Parameters
         ----------
         q : (n_dofs,) array
             Nodal displacement, pixels.
+
+        Returns
+        -------
+        Window
+            It may leave the image.
         """
         # u is a convex combination of nodal values, so the displaced nodes' box holds all displaced pixels.
         displaced = self._displaced_nodes(q)
@@ -300,8 +306,9 @@ class Correlation:
         return kernels.Cells(self.order[place], self.interpolation.geometry, raster.first_row, raster.row_ptr,
                              raster.starts, raster.stops)
 
+    @cached_property
     def _reference_pixels(self) -> kernels.ReferencePixels:
-        """The reference image as kernels take it."""
+        """The reference image as kernels take it; kept, because on a small subdomain it would cost some per cent."""
         f = self.reference
         return kernels.ReferencePixels(_flatten(f.values), _flatten(f.by_x), _flatten(f.by_y), _row_length(f.values),
                                        f.window.x0, f.window.y0, _or_nothing(f.usable))
@@ -387,6 +394,11 @@ def restrict_to_cells(whole: Correlation, cells: NDArray[np.int64]) -> Correlati
         The subdomain.
     cells : (n,) int64 array
         Their numbers.
+
+    Returns
+    -------
+    Correlation
+        Of these cells.
     """
     mesh, _ = whole.mesh.submesh(cells)
     return _correlation(mesh, rasterize(mesh), whole.reference, whole.extent, whole.threads)

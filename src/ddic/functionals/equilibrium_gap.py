@@ -15,7 +15,7 @@ PHASES = (0.0, np.pi / 2)
 """Phases of the plane waves, radians: cosine and sine, of which one at least does not vanish on the nodes."""
 
 _CHUNK_CELLS = 2_000
-"""Cells whose stiffness is held at once; a larger value takes more memory and no less time."""
+"""Cells whose stiffness is held at once; a larger value takes more memory."""
 
 
 def controlled_stiffness(kinematics: Kinematics, material: Material,
@@ -87,7 +87,7 @@ def measure_gap_energies(mesh: Mesh, material: Material, interior_nodes: NDArray
     Returns
     -------
     (n_waves,) array
-        Square pixels, one for each column of ``plane_waves``.
+        Square pixels, one for each column of ``evaluate_plane_waves``.
     """
     waves = evaluate_plane_waves(mesh.nodes, wavelength)
     forces = np.zeros_like(waves)
@@ -118,7 +118,7 @@ def measure_texture_energies(nodes: NDArray[np.float64], hessian: sparse.csr_mat
     Returns
     -------
     (n_waves,) array
-        Grey levels squared, one for each column of ``plane_waves``.
+        Grey levels squared, one for each column of ``evaluate_plane_waves``.
     """
     waves = evaluate_plane_waves(nodes, wavelength)
     rows = np.repeat(interior_nodes, nodes.shape[1])
@@ -133,7 +133,7 @@ def find_cut_off_weight(texture: NDArray[np.float64], gap: NDArray[np.float64]) 
     Parameters
     ----------
     texture, gap : (n_waves,) arrays
-        ``texture_energies`` and ``gap_energies`` on the same nodes.
+        ``measure_texture_energies`` and ``measure_gap_energies`` on the same nodes.
 
     Returns
     -------

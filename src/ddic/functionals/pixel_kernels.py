@@ -247,7 +247,17 @@ class Batch(NamedTuple):
 
 
 class Segment(NamedTuple):
-    """Neighbouring pixels of one row: the first one's column and row, their number, and the first one's lane."""
+    """Neighbouring pixels of one row.
+
+    Attributes
+    ----------
+    x, y : int64
+        Column and row of the first one.
+    length : int64
+        Number of pixels.
+    lane : int64
+        The first one's lane in the batch; the others follow.
+    """
 
     x: Any
     y: Any
@@ -751,10 +761,10 @@ def residual_sums(cells, displacement, reference, deformed, all_kinds, sums):
     scratch = _new_scratch()
     flat_geometry = cells.geometry.reshape(-1)
     flat_moments, flat_grey = sums.moments.reshape(-1), sums.grey.reshape(-1)
-    for i in range(len(cells.order)):
-        e = _U(cells.order[i])
-        if i + AHEAD < len(cells.order):
-            later = _U(cells.order[i + AHEAD])
+    for visit in range(len(cells.order)):
+        e = _U(cells.order[visit])
+        if visit + AHEAD < len(cells.order):
+            later = _U(cells.order[visit + AHEAD])
             _fetch_spline(deformed, displacement, cells, later)
             _fetch_reference(reference, cells, later)
             _fetch_numbers(flat_geometry, later, 8)
@@ -778,8 +788,14 @@ def residual_pixels(cells, displacement, reference, deformed, gain, offset, out)
 
     Parameters
     ----------
-    cells, displacement, reference, deformed
-        As of ``residual_sums``.
+    cells : Cells
+        Cells to visit, and their pixels.
+    displacement : (n_cells, 2, 4) float64 array
+        Coefficients of u on the monomials, pixels.
+    reference : ReferencePixels
+        f.
+    deformed : DeformedPixels
+        g, on a window that holds all x + u(x) that lie in the image.
     gain, offset : (n_cells,) float64 arrays
         Grey-level correction f = gain g + offset of each cell; the offset in grey levels.
     out : (height, width) float32 array
@@ -790,10 +806,10 @@ def residual_pixels(cells, displacement, reference, deformed, gain, offset, out)
     # Slopes are not needed: what is read in their place is in the cache.
     values = ReferencePixels(reference.values, reference.values, reference.values, reference.row_length,
                              reference.x0, reference.y0, reference.usable)
-    for i in range(len(cells.order)):
-        e = _U(cells.order[i])
-        if i + AHEAD < len(cells.order):
-            later = _U(cells.order[i + AHEAD])
+    for visit in range(len(cells.order)):
+        e = _U(cells.order[visit])
+        if visit + AHEAD < len(cells.order):
+            later = _U(cells.order[visit + AHEAD])
             _fetch_spline(deformed, displacement, cells, later)
             _fetch_rows(reference.values, reference.row_length, reference.x0, reference.y0, cells, later)
             _fetch_rows(flat_out, out.shape[1], reference.x0, reference.y0, cells, later)
@@ -806,11 +822,12 @@ def residual_pixels(cells, displacement, reference, deformed, gain, offset, out)
             for s in range(batch.n_segments):
                 segment = _segment(scratch, s)
                 row, column = segment.y - reference.y0, segment.x - reference.x0
-                for k in range(segment.length):
-                    lane = _U(segment.lane + k)
-                    f = reference.values[row * reference.row_length + column + k]
-                    r = f - gain[e] * scratch.lanes[lane + _G] - offset[e]
-                    out[row, column + k] = r if scratch.lanes[lane + _WEIGHT] > 0.0 else np.nan
+                i_f, i_out = _U(row * reference.row_length + column), _U(row * out.shape[1] + column)
+                lane = _U(segment.lane)
+                for k in range(_U(segment.length)):
+                    g = scratch.lanes[k + lane + _G]
+                    r = reference.values[k + i_f] - gain[e] * g - offset[e]
+                    flat_out[k + i_out] = r if scratch.lanes[k + lane + _WEIGHT] > 0.0 else np.nan
 
 
 @numba.njit(**INLINED)
@@ -951,10 +968,10 @@ def hessian_cells(cells, shapes, reference, out):
     # Values are not needed: what is read in their place is in the cache.
     slopes = ReferencePixels(reference.by_x, reference.by_x, reference.by_y, reference.row_length,
                              reference.x0, reference.y0, reference.usable)
-    for i in range(len(cells.order)):
-        e = _U(cells.order[i])
-        if i + AHEAD < len(cells.order):
-            _fetch_reference(slopes, cells, _U(cells.order[i + AHEAD]))
+    for visit in range(len(cells.order)):
+        e = _U(cells.order[visit])
+        if visit + AHEAD < len(cells.order):
+            _fetch_reference(slopes, cells, _U(cells.order[visit + AHEAD]))
         S[:] = 0.0
         linear = _has_linear_shapes(shapes, e)
         place = _begin_cell(cells, e)

@@ -15,9 +15,21 @@ and would drive each other out of it."""
 
 @intrinsic  # type: ignore[untyped-decorator]
 def prefetch(typing_context: Any, array: Any, index: Any) -> Any:
-    """Fetch array[index] into the second-level cache; array: (n,), contiguous.
+    """Fetch array[index] into the second-level cache; an index beyond the array's ends does no harm.
 
-    An index beyond its ends does no harm.
+    Parameters
+    ----------
+    typing_context : numba's typing context
+        Given by numba.
+    array : (n,) array
+        Contiguous.
+    index : int
+        Of a number in the line.
+
+    Returns
+    -------
+    signature, generate
+        Of the call, for numba.
     """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:

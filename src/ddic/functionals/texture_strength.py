@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.functionals.correlation import Correlation
+from ddic.images.spline import GradientImage
 
 NOISE_GAIN = {3: 1.392305, 5: 1.893960}
 """Variance of the spline's slope at a pixel for white noise of variance 1: mean over w of |slope(w)/value(w)|^2 of the
@@ -35,8 +37,13 @@ ENOUGH_PIXELS = 200_000
 class Texture:
     """How well a subdomain's pixels hold it against rigid motion, the null space of its mechanics.
 
-    energy: least v^T M_s v / v^T v over rigid modes v, grey^2/px^2, hence none where the grey level varies in one
-    direction only; noise: what white noise as strong as the image's finest detail would give.
+    Attributes
+    ----------
+    energy : float
+        Least v^T M_s v / v^T v over rigid modes v, grey levels squared per pixel squared; none where the grey level
+        varies in one direction only.
+    noise : float
+        What white noise as strong as the image's finest detail would give.
     """
 
     energy: float
@@ -44,23 +51,48 @@ class Texture:
 
 
 def measure_texture(correlation: Correlation, hessian: sparse.csr_matrix, degree: int) -> Texture:
-    """Measure a subdomain's texture on the pixels that count; hessian: its M_s; degree: of the spline (3 or 5).
+    """Measure a subdomain's texture on the pixels that count.
 
     White noise of variance v gives every pixel's slopes the variance NOISE_GAIN v and holds all rigid modes alike: the
     sum over pixels of N_a N_b summed over nodes is 1, so that a translation of unit norm has the energy of the
     pixels' mean times their number over that of the nodes.
+
+    Parameters
+    ----------
+    correlation : Correlation
+        The subdomain's pixels.
+    hessian : (n_dofs, n_dofs) csr_matrix
+        Its M_s, grey levels squared per pixel squared.
+    degree : int
+        Of the spline, 3 or 5.
+
+    Returns
+    -------
+    Texture
+        Energy of the subdomain and of noise.
     """
     modes = np.linalg.qr(rigid_modes(correlation.mesh.nodes))[0]
-    noise = (NOISE_GAIN[degree] * noise_variance(correlation) * correlation.n_usable_pixels
-             / correlation.mesh.n_nodes)
-    return Texture(float(np.linalg.eigvalsh(modes.T @ (hessian @ modes))[0]), noise)
+    energies = np.linalg.eigvalsh(modes.T @ (hessian @ modes))
+    slope_variance = NOISE_GAIN[degree] * estimate_noise_variance(correlation)
+    noise = slope_variance * correlation.n_usable_pixels / correlation.mesh.n_nodes
+    return Texture(float(energies[0]), noise)
 
 
-def noise_variance(correlation: Correlation) -> float:
-    """Variance of white noise as strong as the image's finest detail on the subdomain, grey^2; 0 without pixels.
+def estimate_noise_variance(correlation: Correlation) -> float:
+    """Estimate the variance of white noise as strong as the image's finest detail on the subdomain.
 
     J. Immerkaer's operator, Computer Vision and Image Understanding 64 (1996) 300-302, which texture can only raise,
     on rows enough for a good mean; pixels beside masked ones do not count.
+
+    Parameters
+    ----------
+    correlation : Correlation
+        The subdomain's pixels.
+
+    Returns
+    -------
+    float
+        Grey levels squared; 0 without pixels.
     """
     f, raster = correlation.reference, correlation.raster
     height, width = f.values.shape
@@ -68,21 +100,35 @@ def noise_variance(correlation: Correlation) -> float:
     rows = np.arange(1, height - 1, step)
     if width < 3 or len(rows) == 0:
         return 0.0
-    # (1, -2, 1) / sqrt(6) along both axes is blind to curvature along one, and keeps the variance of white noise.
-    across = f.values[rows - 1] - 2.0 * f.values[rows] + f.values[rows + 1]
-    squares = ((across[:, :-2] - 2.0 * across[:, 1:-1] + across[:, 2:]) / 6.0).astype(np.float64) ** 2
-    counted = np.ones(squares.shape, dtype=bool)
-    if f.usable is not None:
-        column = (f.usable[rows - 1] & f.usable[rows] & f.usable[rows + 1]) > 0
-        counted = column[:, :-2] & column[:, 1:-1] & column[:, 2:]
+    squares = _squared_details(f, rows)
+    counted = _with_usable_neighbours(f, rows)
+    # Runs of the cells' pixels on those rows; the window's outermost pixels have no detail.
     run = raster.rows - f.window.y0 - 1
     kept = np.flatnonzero((run >= 0) & (run < height - 2) & (run % step == 0))
-    ends = [np.clip(edge[kept] - f.window.x0 - 1, 0, width - 2) for edge in (raster.starts, raster.stops)]
-    total, n = (_between(values, run[kept] // step, *ends) for values in (squares * counted, counted))
-    return total / n if n else 0.0
+    starts = np.clip(raster.starts[kept] - f.window.x0 - 1, 0, width - 2)
+    stops = np.clip(raster.stops[kept] - f.window.x0 - 1, 0, width - 2)
+    total = _sum_runs(squares * counted, run[kept] // step, starts, stops)
+    n_pixels = _sum_runs(counted, run[kept] // step, starts, stops)
+    return total / n_pixels if n_pixels else 0.0
 
 
-def _between(values: NDArray[Any], row: NDArray[np.int64], start: NDArray[np.int64], stop: NDArray[np.int64]) -> float:
+def _squared_details(f: GradientImage, rows: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Squares of the finest detail on some rows of an image, without its outermost columns."""
+    # (1, -2, 1) / sqrt(6) along both axes is blind to curvature along one, and keeps the variance of white noise.
+    across = f.values[rows - 1] - 2.0 * f.values[rows] + f.values[rows + 1]
+    detail = (across[:, :-2] - 2.0 * across[:, 1:-1] + across[:, 2:]) / 6.0
+    return np.asarray(detail.astype(np.float64) ** 2)
+
+
+def _with_usable_neighbours(f: GradientImage, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which pixels of some rows, without the outermost columns, are excluded neither themselves nor beside one."""
+    if f.usable is None:
+        return np.ones((len(rows), f.values.shape[1] - 2), dtype=bool)
+    column = (f.usable[rows - 1] & f.usable[rows] & f.usable[rows + 1]) > 0
+    return np.asarray(column[:, :-2] & column[:, 1:-1] & column[:, 2:])
+
+
+def _sum_runs(values: NDArray[Any], row: NDArray[np.int64], start: NDArray[np.int64], stop: NDArray[np.int64]) -> float:
     """Sum of values (height, width) over runs of columns start to stop - 1."""
     up_to = np.zeros((values.shape[0], values.shape[1] + 1))
     np.cumsum(values, axis=1, out=up_to[:, 1:])
@@ -90,20 +136,43 @@ def _between(values: NDArray[Any], row: NDArray[np.int64], start: NDArray[np.int
 
 
 def rigid_modes(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Translations, then infinitesimal rotations about the centre, of nodes (n, dim); (n dim, dim (dim + 1) / 2)."""
+    """Build translations, then infinitesimal rotations about the centre.
+
+    Parameters
+    ----------
+    nodes : (n, dim) array
+        Positions, pixels.
+
+    Returns
+    -------
+    (n dim, dim (dim + 1) / 2) array
+        A mode a column, node-major; rotations in pixels.
+    """
     n, dim = nodes.shape
     centred = nodes - nodes.mean(axis=0)
     modes = [np.tile(row, (n, 1)) for row in np.eye(dim)]
     for a in range(dim):
         for b in range(a + 1, dim):
             rotation = np.zeros((n, dim))
-            rotation[:, a], rotation[:, b] = -centred[:, b], centred[:, a]
+            rotation[:, a] = -centred[:, b]
+            rotation[:, b] = centred[:, a]
             modes.append(rotation)
     return np.stack([mode.ravel() for mode in modes], axis=1)
 
 
-def find_blank_subdomains(textures: list[Texture]) -> NDArray[np.bool_]:
-    """Which of all subdomains (or pieces of them) hold no usable texture, (n,)."""
+def find_blank_subdomains(textures: Sequence[Texture]) -> NDArray[np.bool_]:
+    """Find the subdomains, or pieces of them, that hold no usable texture.
+
+    Parameters
+    ----------
+    textures : sequence of Texture
+        Of all of the region.
+
+    Returns
+    -------
+    (n,) bool array
+        True where there is nothing, or where there is no more than noise and little beside what others have.
+    """
     energy = np.array([t.energy for t in textures])
     noise = np.array([t.noise for t in textures])
     empty = energy <= EMPTY * energy.max()
@@ -111,4 +180,5 @@ def find_blank_subdomains(textures: list[Texture]) -> NDArray[np.bool_]:
     textured = ~empty & ~noisy
     if not textured.any():
         return np.asarray(empty)
-    return np.asarray(empty | noisy & (energy <= WEAK * np.median(energy[textured])))
+    weak = energy <= WEAK * np.median(energy[textured])
+    return np.asarray(empty | noisy & weak)

@@ -1,4 +1,9 @@
-"""Write the widest vector of float32 at once: what a loop would do after a test of overlap for every row of pixels."""
+"""Write the widest vector of float32 at once: what a loop would do after a test of overlap for every row of pixels.
+
+Intrinsics are functions that numba asks, while it compiles a call of them, for the types and then for the
+instructions: the function below a docstring takes types, ``generate`` writes the instructions for the values.
+Arrays are float32 and contiguous, and the caller minds their ends.
+"""
 
 from __future__ import annotations
 
@@ -17,24 +22,50 @@ _STEPS = ir.Constant(_VECTOR, [float(k) for k in range(WIDTH)])
 
 
 def _address(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
+    """Address of array[index], as that of a vector."""
     data = context.make_array(array_type)(context, builder, array).data
-    return builder.bitcast(builder.gep(data, [index]), _VECTOR.as_pointer())
+    first = builder.gep(data, [index])
+    return builder.bitcast(first, _VECTOR.as_pointer())
 
 
 def _splat(builder: Any, value: Any) -> Any:
-    lanes = ir.Constant(ir.VectorType(ir.IntType(32), WIDTH), [0] * WIDTH)
-    one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), value, ir.IntType(32)(0))
-    return builder.shuffle_vector(one, ir.Constant(_VECTOR, ir.Undefined), lanes)
+    """A vector whose numbers are all one value."""
+    undefined = ir.Constant(_VECTOR, ir.Undefined)
+    one = builder.insert_element(undefined, value, ir.IntType(32)(0))
+    all_from_first = ir.Constant(ir.VectorType(ir.IntType(32), WIDTH), [0] * WIDTH)
+    return builder.shuffle_vector(one, undefined, all_from_first)
 
 
 @intrinsic  # type: ignore[untyped-decorator]
 def copy_vector(typing_context: Any, to: Any, j: Any, source: Any, i: Any) -> Any:
-    """Copy source[i : i + WIDTH] to to[j : j + WIDTH], float32, contiguous; the caller minds their ends."""
+    """Copy source[i : i + WIDTH] to to[j : j + WIDTH].
+
+    Parameters
+    ----------
+    typing_context : numba's typing context
+        Given by numba.
+    to : (n,) float32 array
+        Is written.
+    j : int
+        Where.
+    source : (n,) float32 array
+        Is read.
+    i : int
+        Where.
+
+    Returns
+    -------
+    signature, generate
+        Of the call, for numba.
+    """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         to_type, _, source_type, _ = signature.args
-        values = builder.load(_address(context, builder, source_type, arguments[2], arguments[3]), align=_ALIGNMENT)
-        builder.store(values, _address(context, builder, to_type, arguments[0], arguments[1]), align=_ALIGNMENT)
+        to_array, to_index, source_array, source_index = arguments
+        source_address = _address(context, builder, source_type, source_array, source_index)
+        values = builder.load(source_address, align=_ALIGNMENT)
+        to_address = _address(context, builder, to_type, to_array, to_index)
+        builder.store(values, to_address, align=_ALIGNMENT)
         return context.get_dummy_value()
 
     return types.void(to, j, source, i), generate
@@ -42,16 +73,39 @@ def copy_vector(typing_context: Any, to: Any, j: Any, source: Any, i: Any) -> An
 
 @intrinsic  # type: ignore[untyped-decorator]
 def copy_some(typing_context: Any, to: Any, j: Any, source: Any, i: Any, n: Any) -> Any:
-    """Copy source[i : i + n] to to[j : j + n], float32, contiguous and apart: a call, where a loop is unrolled."""
+    """Copy source[i : i + n] to to[j : j + n], which lie apart: a call, where a loop is unrolled.
+
+    Parameters
+    ----------
+    typing_context : numba's typing context
+        Given by numba.
+    to : (n,) float32 array
+        Is written.
+    j : int
+        Where.
+    source : (n,) float32 array
+        Is read.
+    i : int
+        Where.
+    n : int
+        How many numbers.
+
+    Returns
+    -------
+    signature, generate
+        Of the call, for numba.
+    """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         to_type, _, source_type, _, _ = signature.args
+        to_array, to_index, source_array, source_index, count = arguments
         bytes_ = ir.IntType(8).as_pointer()
-        ends = [builder.bitcast(_address(context, builder, *end), bytes_)
-                for end in ((to_type, arguments[0], arguments[1]), (source_type, arguments[2], arguments[3]))]
-        size = builder.mul(arguments[4], ir.IntType(64)(4))
+        to_bytes = builder.bitcast(_address(context, builder, to_type, to_array, to_index), bytes_)
+        source_bytes = builder.bitcast(_address(context, builder, source_type, source_array, source_index), bytes_)
+        size = builder.mul(count, ir.IntType(64)(4))
         copy = builder.module.declare_intrinsic("llvm.memcpy", [bytes_, bytes_, ir.IntType(64)])
-        builder.call(copy, [*ends, size, ir.IntType(1)(0)])
+        is_volatile = ir.IntType(1)(0)
+        builder.call(copy, [to_bytes, source_bytes, size, is_volatile])
         return context.get_dummy_value()
 
     return types.void(to, j, source, i, types.int64), generate
@@ -59,11 +113,29 @@ def copy_some(typing_context: Any, to: Any, j: Any, source: Any, i: Any, n: Any)
 
 @intrinsic  # type: ignore[untyped-decorator]
 def fill_vector(typing_context: Any, to: Any, j: Any, value: Any) -> Any:
-    """Set to[j : j + WIDTH], float32, contiguous, to a float32 value; the caller minds its end."""
+    """Set to[j : j + WIDTH] to one value.
+
+    Parameters
+    ----------
+    typing_context : numba's typing context
+        Given by numba.
+    to : (n,) float32 array
+        Is written.
+    j : int
+        Where.
+    value : float32
+        The value.
+
+    Returns
+    -------
+    signature, generate
+        Of the call, for numba.
+    """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        values = _splat(builder, arguments[2])
-        builder.store(values, _address(context, builder, signature.args[0], *arguments[:2]), align=_ALIGNMENT)
+        to_array, to_index, one = arguments
+        values = _splat(builder, one)
+        builder.store(values, _address(context, builder, signature.args[0], to_array, to_index), align=_ALIGNMENT)
         return context.get_dummy_value()
 
     return types.void(to, j, types.float32), generate
@@ -71,11 +143,29 @@ def fill_vector(typing_context: Any, to: Any, j: Any, value: Any) -> Any:
 
 @intrinsic  # type: ignore[untyped-decorator]
 def count_vector(typing_context: Any, to: Any, j: Any, value: Any) -> Any:
-    """Set to[j : j + WIDTH], float32, contiguous, to value, value + 1, and so on; the caller minds its end."""
+    """Set to[j : j + WIDTH] to value, value + 1, and so on.
+
+    Parameters
+    ----------
+    typing_context : numba's typing context
+        Given by numba.
+    to : (n,) float32 array
+        Is written.
+    j : int
+        Where.
+    value : float32
+        The first value.
+
+    Returns
+    -------
+    signature, generate
+        Of the call, for numba.
+    """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        values = builder.fadd(_splat(builder, arguments[2]), _STEPS)
-        builder.store(values, _address(context, builder, signature.args[0], *arguments[:2]), align=_ALIGNMENT)
+        to_array, to_index, first = arguments
+        values = builder.fadd(_splat(builder, first), _STEPS)
+        builder.store(values, _address(context, builder, signature.args[0], to_array, to_index), align=_ALIGNMENT)
         return context.get_dummy_value()
 
     return types.void(to, j, types.float32), generate

@@ -103,7 +103,7 @@ def bin_image(source: MaskedSource, factor: int) -> MaskedSource:
     MaskedSource
         In memory, a pixel a block; pixels that fill no block are left out.
     """
-    return binned_source(source, [bin_rows(source, factor, range(source.image.height // factor))])
+    return join_blocks(source, [bin_rows(source, factor, range(source.image.height // factor))])
 
 
 def bin_rows(source: MaskedSource, factor: int, rows: range) -> Blocks:
@@ -141,7 +141,7 @@ def bin_rows(source: MaskedSource, factor: int, rows: range) -> Blocks:
     return Blocks(values, usable if anything_excluded else None)
 
 
-def binned_source(source: MaskedSource, bands: Sequence[Blocks]) -> MaskedSource:
+def join_blocks(source: MaskedSource, bands: Sequence[Blocks]) -> MaskedSource:
     """Join all rows of blocks to the binned image.
 
     Parameters

@@ -73,7 +73,7 @@ def prefilter_rows(block: NDArray[np.float64], degree: int) -> None:
     _filter_rows(block, POLES[degree], TERMS[degree], np.empty((block.shape[1], TURNED)))
 
 
-def row_slopes(block: NDArray[np.float64], first: int, degree: int, out: NDArray[np.float32]) -> None:
+def write_row_slopes(block: NDArray[np.float64], first: int, degree: int, out: NDArray[np.float32]) -> None:
     """Write the spline's slopes along x at pixel centres.
 
     Only rows are filtered for that: along columns, values at pixel centres would undo it.
@@ -93,7 +93,7 @@ def row_slopes(block: NDArray[np.float64], first: int, degree: int, out: NDArray
                 np.empty((block.shape[1], TURNED)))
 
 
-def column_slopes(coefficients: NDArray[np.float64], first: int, degree: int, out: NDArray[np.float32]) -> None:
+def write_column_slopes(coefficients: NDArray[np.float64], first: int, degree: int, out: NDArray[np.float32]) -> None:
     """Write the spline's slopes along y at pixel centres.
 
     Parameters
@@ -126,11 +126,17 @@ def _reflected(k, n):
 
 @numba.njit(**FLAGS)
 def _filter_strip(a, begin, end, poles, terms):
+    """Filter columns begin to end - 1 of a (n, width), in place: for each pole z, c+ downwards, then c- upwards.
+
+    c+[k] = gain a[k] + z c+[k - 1] and c-[k] = z (c-[k + 1] - c+[k]): M. Unser, A. Aldroubi and M. Eden, IEEE
+    Transactions on Signal Processing 41 (1993) 821-833 and 834-848.
+    """
     # Rows as sequences and unsigned columns: numba would allow for negative ones, and no loop would be vectorised.
     begin, width, n = _U(begin), _U(end - begin), a.shape[0]
     sums = np.empty(end - begin)
     for z in poles:
         gain = (1.0 - z) * (1.0 - 1.0 / z)
+        # c+[0] = gain sum_k z^k a[k], reflected.
         sums[:] = 0.0
         power = gain
         for k in range(terms):
@@ -145,6 +151,7 @@ def _filter_strip(a, begin, end, poles, terms):
             row, before = a[k], a[k - 1]
             for j in range(width):
                 row[j + begin] = gain * row[j + begin] + z * before[j + begin]
+        # Reflection makes c+ known on both sides of the last pixel, which gives c- there.
         last, before = a[n - 1], a[_reflected(n, n)]
         for j in range(width):
             last[j + begin] = z / (z * z - 1.0) * (last[j + begin] + z * before[j + begin])
@@ -156,12 +163,14 @@ def _filter_strip(a, begin, end, poles, terms):
 
 @numba.njit(**FLAGS)
 def _filter_columns(a, poles, terms):
+    """Filter all columns of a, strip by strip."""
     for begin in range(0, a.shape[1], STRIP):
         _filter_strip(a, begin, min(begin + STRIP, a.shape[1]), poles, terms)
 
 
 @numba.njit(**FLAGS)
 def _filter_rows(a, poles, terms, turned):
+    """Filter the rows of a, some turned into columns at a time."""
     for first in range(0, a.shape[0], TURNED):
         rows = min(TURNED, a.shape[0] - first)
         for k in range(_U(a.shape[1])):
@@ -175,6 +184,7 @@ def _filter_rows(a, poles, terms, turned):
 
 @numba.njit(**FLAGS)
 def _row_slopes(a, first, poles, terms, taps, out, turned):
+    """Filter the rows of a as ``_filter_rows`` does and write slopes straight from the turned ones."""
     n = a.shape[1]
     for begin in range(0, a.shape[0], TURNED):
         rows = min(TURNED, a.shape[0] - begin)
@@ -184,7 +194,8 @@ def _row_slopes(a, first, poles, terms, taps, out, turned):
         _filter_strip(turned, 0, rows, poles, terms)
         for k in range(out.shape[1]):
             c, to = first + k, _U(k)
-            ahead, behind = turned[_reflected(c + 1, n)], turned[_reflected(c - 1, n)]
+            ahead = turned[_reflected(c + 1, n)]
+            behind = turned[_reflected(c - 1, n)]
             if len(taps) == 1:
                 for i in range(_U(rows)):
                     out[_U(begin) + i, to] = taps[0] * (ahead[i] - behind[i])
@@ -196,9 +207,12 @@ def _row_slopes(a, first, poles, terms, taps, out, turned):
 
 @numba.njit(**FLAGS)
 def _column_slopes(c, first, taps, out):
+    """Write slopes along y of coefficients c (height, width) from row ``first`` on."""
     n = c.shape[0]
     for k in range(out.shape[0]):
-        row, ahead, behind = out[k], c[_reflected(first + k + 1, n)], c[_reflected(first + k - 1, n)]
+        row = out[k]
+        ahead = c[_reflected(first + k + 1, n)]
+        behind = c[_reflected(first + k - 1, n)]
         if len(taps) == 1:
             for j in range(_U(out.shape[1])):
                 row[j] = taps[0] * (ahead[j] - behind[j])

@@ -9,7 +9,15 @@ from numpy.typing import NDArray
 from scipy import fft
 
 LEAST_OVERLAP = 0.5
-"""Share of the region's pixels that a candidate translation must keep inside the deformed image."""
+"""Share of the region's pixels that a candidate translation must keep inside the deformed image. A larger one misses
+large translations, a smaller one takes chance likeness of few pixels for one."""
+
+FLAT = 1e-9
+"""Sum of squares about the mean, relative to the largest of all shifts, up to which an image is flat there: rounding
+of the Fourier transforms leaves some 1e-13."""
+
+_TINY = 1e-300
+"""A sum of squares below any that is not 0."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +36,7 @@ class RigidShift:
     coefficient: float
 
 
-def rigid_shift(f: NDArray[np.float64], g: NDArray[np.float64], region: NDArray[np.bool_]) -> RigidShift:
+def find_rigid_shift(f: NDArray[np.float64], g: NDArray[np.float64], region: NDArray[np.bool_]) -> RigidShift:
     """Find the translation of a region of f in g to sub-pixel accuracy.
 
     Parameters
@@ -45,35 +53,46 @@ def rigid_shift(f: NDArray[np.float64], g: NDArray[np.float64], region: NDArray[
     RigidShift
         With the largest correlation coefficient.
     """
-    m = region.astype(np.float64)
+    weight = region.astype(np.float64)
+    # Sums of squares of small numbers lose fewer digits.
     centre = f[region].mean()
-    f, g = (f - centre) * m, g - centre
+    f, g = (f - centre) * weight, g - centre
+    # Twice the size, or what leaves the image on one side would enter it on the other.
     shape = [fft.next_fast_len(2 * n, real=True) for n in f.shape]
 
     def correlate(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Sums over pixels x of a(x) b(x + shift), for all shifts at once."""
         return np.asarray(fft.irfft2(np.conj(fft.rfft2(a, shape)) * fft.rfft2(b, shape), shape))
 
+    # Of the region's pixels that a shift keeps in the deformed image: number, sums, sums of squares, of products.
     inside = np.ones_like(g)
-    n = correlate(m, inside)
+    n = correlate(weight, inside)
     n_safe = np.maximum(n, 1.0)
-    f_sum, g_sum = correlate(f, inside), correlate(m, g)
+    f_sum, g_sum = correlate(f, inside), correlate(weight, g)
     f_power = correlate(f**2, inside) - f_sum**2 / n_safe
-    g_power = correlate(m, g**2) - g_sum**2 / n_safe
+    g_power = correlate(weight, g**2) - g_sum**2 / n_safe
     covariance = correlate(f, g) - f_sum * g_sum / n_safe
-    floor = 1e-9 * max(float(f_power.max()), float(g_power.max()), 1e-300)
-    good = (n >= LEAST_OVERLAP * m.sum()) & (f_power > floor) & (g_power > floor)
+    floor = FLAT * max(float(f_power.max()), float(g_power.max()), _TINY)
+    good = (n >= LEAST_OVERLAP * weight.sum()) & (f_power > floor) & (g_power > floor)
     coefficient = np.where(good, covariance / np.sqrt(np.where(good, f_power * g_power, 1.0)), -1.0)
-    row, column = np.unravel_index(int(np.argmax(coefficient)), coefficient.shape)
-    shift_y = _wrapped(int(row), shape[0]) + _peak(coefficient[:, column], int(row))
-    shift_x = _wrapped(int(column), shape[1]) + _peak(coefficient[row], int(column))
+    return _find_peak(coefficient)
+
+
+def _find_peak(coefficient: NDArray[np.float64]) -> RigidShift:
+    """The shift with the largest coefficient, refined along each axis; negative ones are at the array's ends."""
+    height, width = coefficient.shape
+    row, column = (int(k) for k in np.unravel_index(int(np.argmax(coefficient)), coefficient.shape))
+    shift_y = _wrap(row, height) + _vertex(coefficient[:, column], row)
+    shift_x = _wrap(column, width) + _vertex(coefficient[row], column)
     return RigidShift((shift_x, shift_y), float(coefficient[row, column]))
 
 
-def _wrapped(index: int, size: int) -> int:
+def _wrap(index: int, size: int) -> int:
+    """Where an index of a periodic sequence lies about 0."""
     return index - size if index > size // 2 else index
 
 
-def _peak(line: NDArray[np.float64], index: int) -> float:
+def _vertex(line: NDArray[np.float64], index: int) -> float:
     """Vertex of the parabola through a maximum and its neighbours, relative to it."""
     left, middle, right = line[index - 1], line[index], line[(index + 1) % len(line)]
     curvature = left - 2 * middle + right

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ddic.images.prefilter import TURNED, column_slopes, prefilter, prefilter_columns, row_slopes
+from ddic.images.prefilter import TURNED, prefilter, prefilter_columns, write_column_slopes, write_row_slopes
 from ddic.images.source import ImageSource
 from ddic.images.threads import ONE_THREAD, Threads
 from ddic.images.window import Window
@@ -90,7 +90,7 @@ class GradientImage:
                              None if self.usable is None else self.usable[inside].copy())
 
 
-def spline_coefficients(values: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
+def compute_coefficients(values: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
     """Prefilter an image for B-spline interpolation with reflection at its edges.
 
     Parameters
@@ -184,7 +184,7 @@ def read_gradient(source: ImageSource, window: Window, degree: int,
         buffer = held.buffer(n_rows)
         for rows in blocks:
             block = held.read(Window(wide.x0, rows.y0, wide.x1, rows.y1), buffer)
-            row_slopes(block, window.x0 - wide.x0, degree, by_x[rows.y0 - window.y0: rows.y1 - window.y0])
+            write_row_slopes(block, window.x0 - wide.x0, degree, by_x[rows.y0 - window.y0: rows.y1 - window.y0])
 
     def along_y(bands: Iterator[Window]) -> None:
         buffer = held.buffer(_BAND_ROWS + 2 * halo)
@@ -193,7 +193,7 @@ def read_gradient(source: ImageSource, window: Window, degree: int,
             tall = band.grown(halo).intersection(wide)
             block = held.read(Window(window.x0, tall.y0, window.x1, tall.y1), buffer)
             prefilter_columns(block, degree)
-            column_slopes(block, band.y0 - tall.y0, degree, by_y[place])
+            write_column_slopes(block, band.y0 - tall.y0, degree, by_y[place])
             values[place] = held.part(band)
 
     threads.share(_bands(window, n_rows), along_x)

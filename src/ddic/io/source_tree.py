@@ -5,8 +5,6 @@ from __future__ import annotations
 import subprocess
 from pathlib import Path
 
-import ddic
-
 
 def source_commit() -> str:
     """Find the commit of the source tree that ddic runs from.
@@ -16,7 +14,7 @@ def source_commit() -> str:
     str
         Hexadecimal digits; "unknown" for an installed package.
     """
-    root = Path(ddic.__file__).resolve().parents[2]
+    root = Path(__file__).resolve().parents[3]
     if not (root / ".git").exists():
         return "unknown"
     try:

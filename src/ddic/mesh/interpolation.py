@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -36,17 +37,25 @@ class Located:
     local: NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class _Buckets:
-    """A grid of squares over a mesh: cells whose bounding boxes touch each, in ascending order.
+class _Polygons(NamedTuple):
+    """A mesh's arrays, as the kernels take them."""
 
-    low: (2,) corner of the grid, pixels; size: of a square, pixels; counts: (columns, rows); bucket k, numbered row by
-    row, holds cells[first[k]:first[k + 1]].
+    nodes: NDArray[np.float64]
+    connectivity: NDArray[np.int64]
+    offsets: NDArray[np.int64]
+
+
+class _Buckets(NamedTuple):
+    """A grid of squares over a mesh, and the cells whose bounding boxes touch each, in ascending order.
+
+    low: (2,) corner of the grid, pixels; size: of a square, pixels; bucket k, numbered row by row, holds
+    cells[first[k]:first[k + 1]].
     """
 
     low: NDArray[np.float64]
     size: float
-    counts: tuple[int, int]
+    columns: int
+    rows: int
     first: NDArray[np.int64]
     cells: NDArray[np.int64]
 
@@ -89,8 +98,9 @@ def interpolate_located(mesh: Mesh, values: NDArray[np.float64], located: Locate
         Values at the points, nan where they are in no cell.
     """
     found = np.full((len(located.cells), values.shape[1]), np.nan)
-    # Of a point without a cell the type is that of the last cell, and not asked for.
-    types = np.where(located.cells >= 0, mesh.types[located.cells], 0)
+    held = located.cells >= 0
+    types = np.zeros(len(located.cells), dtype=mesh.types.dtype)
+    types[held] = mesh.types[located.cells[held]]
     for block in mesh.cell_blocks:
         members = np.flatnonzero(types == block.type.vtk)
         shapes = block.type.evaluate_shapes(located.local[members])
@@ -123,9 +133,8 @@ def locate(mesh: Mesh, points: NDArray[np.float64]) -> Located:
     cells = np.full(len(points), -1, dtype=np.int64)
     local = np.full(points.shape, np.nan)
     if mesh.n_cells:
-        grid = _sort_into_buckets(mesh)
-        _find_cells(points, mesh.nodes, mesh.connectivity, mesh.offsets, grid.low, grid.size, *grid.counts,
-                    grid.first, grid.cells, EDGE, cells)
+        polygons = _Polygons(mesh.nodes, mesh.connectivity, mesh.offsets)
+        _find_cells(points, polygons, _sort_into_buckets(mesh), EDGE, cells)
         _find_local_coordinates(points, cells, compute_geometry(mesh), local)
     return Located(cells, local)
 
@@ -142,7 +151,7 @@ def _sort_into_buckets(mesh: Mesh) -> _Buckets:
     begin = np.floor((lowest - low) / size).astype(np.int64)
     end = np.floor((highest - low) / size).astype(np.int64) + 1
     first, cells = _fill_buckets(begin, end, columns, rows)
-    return _Buckets(low, size, (columns, rows), first, cells)
+    return _Buckets(low, size, columns, rows, first, cells)
 
 
 @numba.njit(cache=True)
@@ -166,13 +175,14 @@ def _fill_buckets(begin, end, columns, rows):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _depth(x, y, e, nodes, connectivity, offsets):  # type: ignore[no-untyped-def]
+def _depth(x, y, e, polygons):  # type: ignore[no-untyped-def]
     """Least signed distance of a point from the lines through a convex cell's edges, positive inside."""
+    nodes = polygons.nodes
+    begin, end = polygons.offsets[e], polygons.offsets[e + 1]
     least = np.inf
-    begin, end = offsets[e], offsets[e + 1]
-    b = connectivity[end - 1]
+    b = polygons.connectivity[end - 1]
     for i in range(begin, end):
-        a, b = b, connectivity[i]
+        a, b = b, polygons.connectivity[i]
         along_x, along_y = nodes[b, 0] - nodes[a, 0], nodes[b, 1] - nodes[a, 1]
         across = along_x * (y - nodes[a, 1]) - along_y * (x - nodes[a, 0])
         least = min(least, across / np.sqrt(along_x * along_x + along_y * along_y))
@@ -180,20 +190,19 @@ def _depth(x, y, e, nodes, connectivity, offsets):  # type: ignore[no-untyped-de
 
 
 @numba.njit(cache=True)
-def _find_cells(points, nodes, connectivity, offsets, low, size, columns, rows,  # type: ignore[no-untyped-def]
-                first, bucket_cells, edge, cells):
+def _find_cells(points, polygons, buckets, edge, cells):  # type: ignore[no-untyped-def]
     """The first cell that holds each point, or else the nearest one within the distance ``edge``."""
     for k in range(len(points)):
         x, y = points[k, 0], points[k, 1]
         # Compared before they are whole numbers, so that nan and infinity are nowhere.
-        column, row = (x - low[0]) / size, (y - low[1]) / size
-        if not (0.0 <= column < columns and 0.0 <= row < rows):
+        column, row = (x - buckets.low[0]) / buckets.size, (y - buckets.low[1]) / buckets.size
+        if not (0.0 <= column < buckets.columns and 0.0 <= row < buckets.rows):
             continue
-        bucket = int(row) * columns + int(column)
+        bucket = int(row) * buckets.columns + int(column)
         deepest = -edge
-        for i in range(first[bucket], first[bucket + 1]):
-            e = bucket_cells[i]
-            depth = _depth(x, y, e, nodes, connectivity, offsets)
+        for i in range(buckets.first[bucket], buckets.first[bucket + 1]):
+            e = buckets.cells[i]
+            depth = _depth(x, y, e, polygons)
             if depth >= deepest:
                 cells[k] = e
                 deepest = depth

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
+from ddic.mesh.plane import multiply_across
+
 NOTHING = 1e-14
 """Weight below which a master is none: rounding. A larger value drops masters that matter."""
 
@@ -199,7 +201,7 @@ def _overlap_edge(far: int, ends: NDArray[np.float64], near: _Lines, tolerance: 
     along, length = near.along[:, None], near.length[:, None]
     apart = ends[None] - near.begin[:, None]
     place = (apart * along).sum(axis=2) / length**2
-    height = (apart[..., 1] * along[..., 0] - apart[..., 0] * along[..., 1]) / length
+    height = multiply_across(along, apart) / length
     small = tolerance / near.length
     near_ends = _clip_to_edge(np.sort(place, axis=1), small[:, None])
     span = place[:, 1] - place[:, 0]

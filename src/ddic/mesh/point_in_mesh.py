@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.mesh.mesh import Mesh
+from ddic.mesh.plane import multiply_across
 from ddic.mesh.topology import find_boundary_facets
 
 _CHUNK = 1 << 22
@@ -27,8 +28,10 @@ def lie_inside_outline(points: NDArray[np.float64], mesh: Mesh) -> NDArray[np.bo
     (n,) bool array
         False in its holes.
     """
-    edges = mesh.nodes[find_boundary_facets(mesh)[:, :2]]
+    ends = find_boundary_facets(mesh)[:, :2]
+    edges = mesh.nodes[ends]
     low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
+    # Points outside the bounding box need no ray.
     in_box = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
     inside = np.zeros(len(points), dtype=bool)
     step = max(1, _CHUNK // max(len(edges), 1))
@@ -63,25 +66,30 @@ def find_cells_with_points(mesh: Mesh, points: NDArray[np.float64], margin: floa
     found = np.zeros(mesh.n_cells, dtype=bool)
     for cell in np.flatnonzero(near):
         in_box = ((points > lowest[cell]) & (points < highest[cell])).all(axis=1)
-        own = corners[mesh.offsets[cell]: mesh.offsets[cell + 1]]
-        found[cell] = (_edge_distances(points[in_box], own) > margin).all(axis=1).any()
+        own_corners = corners[mesh.offsets[cell]: mesh.offsets[cell + 1]]
+        distances = _edge_distances(points[in_box], own_corners)
+        well_inside = (distances > margin).all(axis=1)
+        found[cell] = well_inside.any()
     return np.flatnonzero(found).astype(np.int64)
 
 
 def _count_crossings(points: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArray[np.int64]:
     """How many edges (m, 2 ends, 2) the rays from points (n, 2) to the right cross, (n,)."""
-    (x0, y0), (x1, y1) = edges[:, 0].T, edges[:, 1].T
-    x, y = points.T[..., None]
+    x0, y0 = edges[:, 0].T
+    x1, y1 = edges[:, 1].T
+    # Points down the rows, edges along the columns.
+    x, y = points[:, 0, None], points[:, 1, None]
     # Half-open, so that a ray through a common end crosses one of two edges that go on, and none or both at a tip.
     spans = (y0 > y) != (y1 > y)
     height = np.where(y1 == y0, 1.0, y1 - y0)
     crossing = x0 + (y - y0) * (x1 - x0) / height
-    return np.asarray((spans & (crossing > x)).sum(axis=1))
+    to_the_right = crossing > x
+    return np.asarray((spans & to_the_right).sum(axis=1))
 
 
 def _edge_distances(points: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.float64]:
     """Signed distances (n, m) of points (n, 2) from the lines through a polygon's edges, positive inside."""
     along = np.roll(corners, -1, axis=0) - corners
     apart = points[:, None] - corners
-    across = along[:, 0] * apart[..., 1] - along[:, 1] * apart[..., 0]
-    return np.asarray(across / np.linalg.norm(along, axis=1))
+    length = np.linalg.norm(along, axis=1)
+    return np.asarray(multiply_across(along, apart) / length)

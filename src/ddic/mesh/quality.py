@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.mesh.mesh import Mesh
+from ddic.mesh.plane import multiply_across
 
 
 def measure_areas(mesh: Mesh) -> NDArray[np.float64]:
@@ -24,7 +25,7 @@ def measure_areas(mesh: Mesh) -> NDArray[np.float64]:
     points = _corners(mesh)
     # Relative to the first corner, so that far from the origin no digits are lost.
     local = points - points[:, :1]
-    return np.asarray(0.5 * _cross(local, _next_corner(local)).sum(axis=1))
+    return np.asarray(0.5 * multiply_across(local, _next_corner(local)).sum(axis=1))
 
 
 def measure_shape_quality(mesh: Mesh) -> NDArray[np.float64]:
@@ -44,7 +45,7 @@ def measure_shape_quality(mesh: Mesh) -> NDArray[np.float64]:
     ahead = _next_corner(points) - points
     behind = _previous_corner(mesh, points) - points
     lengths = np.linalg.norm(ahead, axis=2) * np.linalg.norm(behind, axis=2)
-    sines = np.divide(_cross(ahead, behind), lengths, out=np.zeros_like(lengths), where=lengths > 0)
+    sines = np.divide(multiply_across(ahead, behind), lengths, out=np.zeros_like(lengths), where=lengths > 0)
     sines[mesh.cells < 0] = np.inf
     return np.asarray(sines.min(axis=1, initial=np.inf))
 
@@ -69,8 +70,3 @@ def _previous_corner(mesh: Mesh, points: NDArray[np.float64]) -> NDArray[np.floa
     # Before the first corner comes the last, not the padding.
     previous[:, 0] = points[np.arange(len(points)), counts - 1]
     return previous
-
-
-def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Product a x b of plane vectors (..., 2)."""
-    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])

@@ -15,7 +15,7 @@ from ddic.problem.mesh_source import build_meshes
 from ddic.problem.reference_problem import build_whole_mesh, prepare_reference
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.solvers.monolithic import MonolithicStep
-from ddic.solvers.noise_floor import expected_noise_rms
+from ddic.solvers.noise_floor import estimate_noise_rms
 
 
 def expected_noise(case: Case, sigma: float, nodes: NDArray[np.bool_]) -> float:
@@ -60,4 +60,4 @@ def _noise_rms(solver: LinearSolver, sigma: float, dofs: NDArray[np.bool_]) -> f
     step = solver.step
     if not isinstance(step, MonolithicStep):
         raise TypeError("the noise is predicted from the factor of the whole region")
-    return expected_noise_rms(solver.assembly.systems[0], step.operator, sigma, dofs)
+    return estimate_noise_rms(solver.assembly.systems[0], step.operator, sigma, dofs)

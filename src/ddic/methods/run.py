@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ddic.case.loader import LoadedCase, load_case
 from ddic.io.result_schema import summary_path
 from ddic.methods.dd_dic import Session
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.check_inputs import check_inputs
-from ddic.problem.check_ranks import check_ranks
+from ddic.problem.check_ranks import load_checked_case
 from ddic.problem.inputs import open_inputs
 from ddic.results.listener import Listener
 from ddic.results.phase_times import gather_phase_times
@@ -41,7 +39,7 @@ def run_case(team: Team, path: Path, listener: Listener) -> Summary:
     DdicError
         On all ranks; nothing is written unless the measurement converged.
     """
-    loaded = team.on_root(lambda: _check(path, team.size))
+    loaded = team.on_root(lambda: load_checked_case(path, team.size))
     output = loaded.case.output
     clock = PhaseClock(entered=listener.phase, waiting=team.waiting)
     with clock.phase(Phase.MESH):
@@ -54,9 +52,3 @@ def run_case(team: Team, path: Path, listener: Listener) -> Summary:
     team.on_root(lambda: write_summary(summary_path(output.file), summary))
     return summary
 
-
-def _check(path: Path, n_ranks: int) -> LoadedCase:
-    loaded = load_case(path)
-    check_inputs(loaded)
-    check_ranks(loaded, n_ranks)
-    return loaded

@@ -20,7 +20,17 @@ from ddic.parallel.team import Team, held
 
 @dataclass(frozen=True)
 class _Offer:
-    """What the first rank of a node opened; pixels: where it is alone; file, shape, dtype: where others map them."""
+    """What the first rank of a node opened.
+
+    Attributes
+    ----------
+    source : ImageSource
+        The image.
+    pixels : (height, width) array or None
+        Where the rank is alone on its node, and the image had to be decoded whole.
+    file, shape, dtype
+        Where other ranks map the pixels from.
+    """
 
     source: ImageSource
     pixels: NDArray[Any] | None = None
@@ -32,10 +42,25 @@ class _Offer:
 def open_once_a_node(team: Team, opened: Callable[[], tuple[ImageSource, NDArray[Any] | None]]) -> ImageSource:
     """Open an image on the first rank of each node and share it with the node's other ranks; collective.
 
-    opened: gives the image and, where it had to be decoded whole, its pixels (height, width). Several ranks of a node
-    map these from a temporary file (in TMPDIR) that is unlinked at once: the node holds one copy, which goes with the
-    last rank that lets go of the image. Raises on all ranks what ``opened`` raises, and InputError where the
-    temporary file cannot be written.
+    Several ranks of a node map the pixels of an image that had to be decoded whole from a temporary file (in TMPDIR)
+    that is unlinked at once: the node holds one copy, which goes with the last rank that lets go of the image.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    opened : callable
+        Gives the image and, where it had to be decoded whole, its pixels, (height, width).
+
+    Returns
+    -------
+    ImageSource
+        The image, on all ranks.
+
+    Raises
+    ------
+    InputError
+        On all ranks, where the temporary file cannot be written; and what ``opened`` raises.
     """
     # A map of a file and no MPI window: where shared memory is short, MPI_Win_allocate_shared fails on one rank
     # alone and leaves the others waiting (Open MPI 4.1), and a window could only be freed by all ranks together.
@@ -44,20 +69,21 @@ def open_once_a_node(team: Team, opened: Callable[[], tuple[ImageSource, NDArray
         # Pixels that nobody else needs are not copied through MPI.
         offer = held(own) if node.size == 1 else node.broadcast(own)
         try:
-            return team.together(partial(_accepted, offer))
+            return team.together(partial(_accept, offer))
         finally:
             if node.is_root and offer.file is not None:
                 offer.file.unlink(missing_ok=True)
 
 
 def _offer(source: ImageSource, pixels: NDArray[Any] | None, *, alone: bool) -> _Offer:
+    """What the node's other ranks are given."""
     if pixels is None or alone:
         return _Offer(source, pixels)
-    return _Offer(source, None, _stored(source.path, pixels), pixels.shape, pixels.dtype)
+    return _Offer(source, None, _store(source.path, pixels), pixels.shape, pixels.dtype)
 
 
-def _stored(path: Path, pixels: NDArray[Any]) -> Path:
-    """Write pixels to a temporary file; returns its name."""
+def _store(path: Path, pixels: NDArray[Any]) -> Path:
+    """Write pixels to a temporary file and return its name."""
     file: Path | None = None
     try:
         with tempfile.NamedTemporaryFile(prefix="ddic-image-", delete=False) as stream:
@@ -73,7 +99,8 @@ def _stored(path: Path, pixels: NDArray[Any]) -> Path:
     return file
 
 
-def _accepted(offer: _Offer) -> ImageSource:
+def _accept(offer: _Offer) -> ImageSource:
+    """The image that was offered."""
     pixels = offer.pixels
     if offer.file is not None:
         pixels = np.asarray(np.memmap(offer.file, offer.dtype, mode="r", shape=offer.shape))

@@ -133,7 +133,7 @@ def _merge(region_mesh: RegionMesh, cells: Sequence[NDArray[np.int64]], owner: N
 
 
 def _adjacency_within_cameras(region_mesh: RegionMesh) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Cells that share a facet, of one camera, as ``cell_adjacency`` gives them."""
+    """Cells that share a facet, of one camera, as ``find_adjacent_cells`` gives them."""
     indptr, indices = find_adjacent_cells(region_mesh.mesh)
     cameras = region_mesh.cameras
     row = np.repeat(np.arange(len(indptr) - 1), np.diff(indptr))

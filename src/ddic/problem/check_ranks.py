@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from ddic.case.loader import LoadedCase
+from pathlib import Path
+
+from ddic.case.loader import LoadedCase, load_case
 from ddic.errors import InputError
+from ddic.problem.check_inputs import check_inputs
 
 
 def check_ranks(loaded: LoadedCase, n_ranks: int) -> None:
@@ -32,3 +35,29 @@ def check_ranks(loaded: LoadedCase, n_ranks: int) -> None:
         key = "solver.subdomains" if solver.blocks is None else "solver.blocks"
         raise InputError(f"{loaded.path}: {key}: {largest} subdomains for {n_ranks} MPI ranks, but every rank needs at "
                          f"least one; start at most {largest} ranks or ask for more subdomains")
+
+
+def load_checked_case(path: Path, n_ranks: int) -> LoadedCase:
+    """Load a case file and check everything that it names, free of communication.
+
+    Parameters
+    ----------
+    path : Path
+        The case file.
+    n_ranks : int
+        MPI ranks that were started.
+
+    Returns
+    -------
+    LoadedCase
+        Ready to run.
+
+    Raises
+    ------
+    InputError
+        With all problems, one line each.
+    """
+    loaded = load_case(path)
+    check_inputs(loaded)
+    check_ranks(loaded, n_ranks)
+    return loaded

@@ -38,6 +38,17 @@ larger value keeps one level for longer."""
 class LinearSolver:
     """The factorised linear step of a case; use it in a ``with`` statement, which frees what PETSc holds.
 
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    case : Case
+        Says the method.
+    assembly : Assembly
+        Of the reference images.
+    clock : PhaseClock
+        Of the phases "factorize" and "interface set-up".
+
     Attributes
     ----------
     assembly : Assembly
@@ -48,17 +59,6 @@ class LinearSolver:
 
     def __init__(self, team: Team, case: Case, assembly: Assembly, clock: PhaseClock) -> None:
         """Factorise; collective.
-
-        Parameters
-        ----------
-        team : Team
-            All ranks.
-        case : Case
-            Says the method.
-        assembly : Assembly
-            Of the reference images.
-        clock : PhaseClock
-            Of the phases "factorize" and "interface set-up".
 
         Raises
         ------
@@ -91,6 +91,11 @@ class LinearSolver:
         return self._step
 
     @property
+    def is_set_up(self) -> bool:
+        """Whether there is a step: not after a renewal that failed."""
+        return self._step is not None
+
+    @property
     def n_interface(self) -> int:
         """Number of interface unknowns."""
         return self._step.n_interface if isinstance(self._step, DualStep) else 0
@@ -108,12 +113,19 @@ class LinearSolver:
         SingularSubdomainError, FactorizationError
             On all ranks.
         """
+        before = self.assembly
         systems = [system if hessian is None else replace(system, hessian=hessian)
-                   for system, hessian in zip(self.assembly.systems, hessians, strict=True)]
-        self.assembly = replace(self.assembly, systems=systems)
+                   for system, hessian in zip(before.systems, hessians, strict=True)]
+        self.assembly = replace(before, systems=systems)
         # The interface operators refer to the factors: they go first.
         self._free_step()
-        self._set_up([hessian is not None for hessian in hessians])
+        try:
+            self._set_up([hessian is not None for hessian in hessians])
+        except BaseException:
+            # What was held before is held again at the next call, which then factorises all of it.
+            self.destroy()
+            self.assembly = before
+            raise
 
     def destroy(self) -> None:
         """Free PETSc's objects."""
@@ -140,24 +152,24 @@ class LinearSolver:
     def _factorize(self, changed: Sequence[bool]) -> None:
         """Factorise A_s where it changed; old factors are freed before new ones need their memory."""
         old: list[LocalOperator | None] = list(self._operators) or [None] * len(changed)
-        for operator, is_new in zip(old, changed, strict=True):
+        for place, is_new in enumerate(changed):
+            operator = old[place]
             if is_new and operator is not None:
                 operator.destroy()
-        self._operators = [operator for operator, is_new in zip(old, changed, strict=True)
-                           if operator is not None and not is_new]
-        kept = iter(list(self._operators))
+                old[place] = None
+        # In step with the systems as far as it goes, so that an error on any rank leaves nothing behind.
+        self._operators = [operator for operator in old if operator is not None]
 
         def factorize() -> list[LocalOperator]:
-            made: list[LocalOperator] = []
-            try:
-                for system, is_new in zip(self.assembly.systems, changed, strict=True):
-                    made.append(self._factor(system) if is_new else next(kept))
-            except BaseException:
-                for operator in made:
-                    operator.destroy()
-                self._operators = []
-                raise
-            return made
+            operators = []
+            for system, kept in zip(self.assembly.systems, old, strict=True):
+                if kept is not None:
+                    operators.append(kept)
+                    continue
+                factored = self._factor(system)
+                self._operators.append(factored)
+                operators.append(factored)
+            return operators
 
         self._operators = self._team.together(factorize)
 
@@ -176,7 +188,7 @@ def _make_step(team: Team, case: Case, assembly: Assembly, operators: Sequence[L
         return AssembledStep(team, assembly.systems, assembly.smallest_eigenvalue)
     if solver.method == "conjugate_gradient":
         return ConjugateGradientStep(team, assembly.systems, solver.tolerance, solver.max_iterations)
-    settings = DualSettings(_choose_preconditioner(team, solver, assembly, _wavelength(case)), solver.tolerance,
+    settings = DualSettings(_choose_preconditioner(team, solver, assembly, cut_off_wavelength(case)), solver.tolerance,
                             solver.max_iterations, solver.recycle, solver.local_inverse)
     return DualStep(team, assembly.systems, operators, assembly.reaction_scale, settings)
 
@@ -196,8 +208,19 @@ def _side(subdomain: Subdomain) -> float:
     return float(np.prod(extent) ** (1 / subdomain.mesh.dim))
 
 
-def _wavelength(case: Case) -> float:
-    """Cut-off wavelength, pixels: 0 without regularization, infinite where eta is given."""
+def cut_off_wavelength(case: Case) -> float:
+    """Find the wavelength below which mechanics hold the displacement.
+
+    Parameters
+    ----------
+    case : Case
+        Says the regularization.
+
+    Returns
+    -------
+    float
+        Pixels: 0 without regularization, infinite where eta is given.
+    """
     section = case.regularization
     if section is None:
         return 0.0

@@ -16,7 +16,7 @@ from ddic.problem.assembly import Hessians, assemble_hessians
 from ddic.problem.blank_subdomains import join_blank_subdomains
 from ddic.problem.inputs import Inputs
 from ddic.problem.region_mesh import Region, RegionMesh, build_region_mesh, scatter_region, split_region
-from ddic.problem.thread_note import thread_note
+from ddic.problem.thread_note import note_crowded_cores
 from ddic.problem.views import ReferenceViews, read_reference_views
 
 T = TypeVar("T")
@@ -133,5 +133,5 @@ def _read_and_assemble(team: Team, inputs: Inputs, region_mesh: RegionMesh | Non
         n_pixels = sum(team.gather_lists([view.n_pixels for r in references for view in r.views]))
     with clock.phase(Phase.ASSEMBLE):
         hessians = assemble_hessians(team, references)
-    notes = (*notes, *thread_note(team, case.solver.threads))
+    notes = (*notes, *note_crowded_cores(team, case.solver.threads))
     return ReferenceProblem(inputs, region, references, hessians, n_pixels, notes)

@@ -13,29 +13,76 @@ from ddic.errors import first_of
 from ddic.functionals.view import FrameView, View
 from ddic.parallel.team import Team
 from ddic.problem.assembly import Hessians
+from ddic.problem.held_unknowns import refuse_unheld
 from ddic.problem.views import FrameViews
 
-CHANGED_SHARE = 0.1
+CHANGED_SHARE = 0.02
 """Share of a subdomain's pixels that must have come or gone since its M was assembled for M to be assembled again. The
 fixed point does not depend on M, the speed of convergence does: a larger share costs iterations, a smaller one
 factors."""
 
-HELD_SHARE = 0.01
-"""Share of what hidden pixels gave to M that stays in it where mechanics find the displacement of hidden cells: enough
-to keep operators regular; the less, the faster equilibrium fills what is hidden."""
+CHANGED_SIDE = 0.5
+"""Side, in cut-off wavelengths, of a square of as many pixels as may come or go whatever the share: where more is
+hidden together, waves fit in that mechanics do not hold, and the old M holds them back. A larger value costs
+iterations."""
+
+HELD_SHARE = 1e-6
+"""Share of what hidden pixels gave to M that stays in it where mechanics find the displacement of hidden cells. It
+keeps the operator of a subdomain regular that is hidden altogether, and slows down waves that mechanics hold by less,
+those longer than 30 cut-off wavelengths. A larger share slows shorter ones."""
+
+
+@dataclass(frozen=True)
+class RenewalRule:
+    """When M is renewed.
+
+    Attributes
+    ----------
+    wavelength : float
+        Cut-off wavelength, pixels; infinite where eta is given, 0 without regularization.
+    """
+
+    wavelength: float
+
+    @property
+    def is_regularized(self) -> bool:
+        """Whether mechanics find the displacement of hidden cells."""
+        return self.wavelength > 0
+
+    def limit(self, n_pixels: int) -> float:
+        """Give the largest number of pixels that may come or go without a renewal.
+
+        Parameters
+        ----------
+        n_pixels : int
+            Pixels of the subdomain in the reference images.
+
+        Returns
+        -------
+        float
+            Pixels.
+        """
+        share = CHANGED_SHARE * n_pixels
+        return min(share, (CHANGED_SIDE * self.wavelength) ** 2) if self.is_regularized else share
+
+
+CellCounts = tuple[NDArray[np.int64], ...]
+"""Pixels of each cell, (n_cells,), by view of a subdomain."""
 
 
 @dataclass(frozen=True)
 class VisiblePixels:
     """Pixels that M of owned subdomains counts.
 
+    By cell: a frame may hide as many pixels as the one before, but others.
+
     Attributes
     ----------
-    by_view : list of tuple of int
+    by_view : list of tuple of (n_cells,) array
         Of each subdomain and view.
     """
 
-    by_view: list[tuple[int, ...]]
+    by_view: list[CellCounts]
 
     @classmethod
     def all_of(cls, hessian_views: Sequence[Sequence[View]]) -> VisiblePixels:
@@ -51,7 +98,7 @@ class VisiblePixels:
         VisiblePixels
             Of these views.
         """
-        return cls([tuple(view.n_pixels for view in views) for views in hessian_views])
+        return cls([tuple(view.count_pixels() for view in views) for views in hessian_views])
 
 
 @dataclass(frozen=True)
@@ -60,8 +107,8 @@ class Renewal:
 
     Attributes
     ----------
-    hessians : list of csr_matrix or None
-        New M_s in the unknowns, (n_unknowns, n_unknowns); None where it stays.
+    hessians : list of (n_unknowns, n_unknowns) csr_matrix or None
+        New M_s in the unknowns; None where it stays.
     visible : VisiblePixels
         What M counts from now on.
     note : str
@@ -74,7 +121,7 @@ class Renewal:
 
 
 def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np.float64]],
-                 assembled: tuple[VisiblePixels, Sequence[Hessians]], *, keep_held: bool) -> Renewal:
+                 assembled: tuple[VisiblePixels, Sequence[Hessians]], rule: RenewalRule) -> Renewal:
     """Compare the pixels that M counts with those that a frame shows; collective.
 
     Parameters
@@ -87,28 +134,35 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
         Where the frame is thought to show them.
     assembled : tuple of VisiblePixels and sequence of list of csr_matrix
         What M counts, and M of each view with all pixels of the reference, on displacements of nodes in its image.
-    keep_held : bool
-        Whether hidden pixels keep ``HELD_SHARE`` of their part in M: with regularization, which fills what they leave.
+    rule : RenewalRule
+        When M is renewed.
 
     Returns
     -------
     Renewal
-        New M where more than ``CHANGED_SHARE`` of a subdomain's pixels has come or gone, or, without regularization,
-        where a cell has lost all of its pixels.
+        New M where more than ``rule.limit`` of a subdomain's pixels have come or gone.
+
+    Raises
+    ------
+    SingularSubdomainError
+        On all ranks, where the frame leaves an unknown to neither pixels nor mechanics.
     """
     counted, whole = assembled
 
-    def renew() -> tuple[list[sparse.csr_matrix | None], list[tuple[int, ...]]]:
+    shown = team.together(lambda: [tuple(view.without_hidden(q_s) for view in of_subdomain.views)
+                                   for of_subdomain, q_s in zip(views, q, strict=True)])
+    refuse_unheld(team, views, shown)
+
+    def renew() -> tuple[list[sparse.csr_matrix | None], list[CellCounts]]:
         hessians: list[sparse.csr_matrix | None] = []
-        by_view: list[tuple[int, ...]] = []
-        for of_subdomain, q_s, before, hessian in zip(views, q, counted.by_view, whole, strict=True):
-            shown = tuple(view.without_hidden(q_s) for view in of_subdomain.views)
-            now = tuple(view.n_pixels for view in shown)
-            if _is_kept(of_subdomain, shown, before, now, keep_held=keep_held):
+        by_view: list[CellCounts] = []
+        for of_subdomain, of_shown, before, hessian in zip(views, shown, counted.by_view, whole, strict=True):
+            now = tuple(view.count_pixels() for view in of_shown)
+            if _is_kept(of_subdomain, before, now, rule):
                 hessians.append(None)
                 by_view.append(before)
             else:
-                hessians.append(_assemble_shown(of_subdomain.views, shown, hessian, keep_held=keep_held))
+                hessians.append(_assemble_shown(of_subdomain.views, of_shown, hessian, rule))
                 by_view.append(now)
         return hessians, by_view
 
@@ -117,36 +171,25 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
                                  in zip(views, hessians, strict=True) if hessian is not None])
     note = ""
     if changed:
-        note = (f"{len(changed)} subdomains ({first_of(changed)}) lost or gained more than {100 * CHANGED_SHARE:.0f} % "
-                "of their pixels: their operators are renewed")
+        note = (f"{len(changed)} subdomains ({first_of(changed)}) lost or gained more pixels than their operators "
+                "bear: these are renewed")
     return Renewal(hessians, VisiblePixels(by_view), note)
 
 
-def _is_kept(of_subdomain: FrameViews, shown: Sequence[View], before: Sequence[int], now: Sequence[int], *,
-             keep_held: bool) -> bool:
-    """Whether a subdomain's M still fits the pixels shown."""
-    if now == before:
-        return True
-    if not keep_held and _has_lost_a_cell(of_subdomain, shown):
-        return False
-    all_pixels = sum(view.view.n_pixels for view in of_subdomain.views)
-    return abs(sum(now) - sum(before)) <= CHANGED_SHARE * max(all_pixels, 1)
+def _is_kept(of_subdomain: FrameViews, before: CellCounts, now: CellCounts, rule: RenewalRule) -> bool:
+    """Whether a subdomain's M, which counts the pixels before, still fits those that are shown now."""
+    n_changed = sum(int(np.abs(a - b).sum()) for a, b in zip(before, now, strict=True))
+    n_reference = sum(view.view.n_pixels for view in of_subdomain.views)
+    return n_changed <= rule.limit(n_reference)
 
 
-def _has_lost_a_cell(of_subdomain: FrameViews, shown: Sequence[View]) -> bool:
-    """Whether some cell that the reference images show is not shown at all."""
-    in_reference = np.sum([view.view.count_pixels() for view in of_subdomain.views], axis=0)
-    left = np.sum([view.count_pixels() for view in shown], axis=0)
-    return bool(((in_reference > 0) & (left == 0)).any())
-
-
-def _assemble_shown(views: Sequence[FrameView], shown: Sequence[View], whole: Sequence[sparse.csr_matrix], *,
-                    keep_held: bool) -> sparse.csr_matrix:
-    """M_s of the pixels shown, with a share of the others' where these are to be held."""
+def _assemble_shown(views: Sequence[FrameView], shown: Sequence[View], whole: Sequence[sparse.csr_matrix],
+                    rule: RenewalRule) -> sparse.csr_matrix:
+    """M_s of the pixels shown, with a share of the others' where mechanics fill what these leave."""
     total = None
     for view, of_shown, of_whole in zip(views, shown, whole, strict=True):
         hessian = of_shown.assemble_hessian()
-        if keep_held:
+        if rule.is_regularized:
             hessian = (1.0 - HELD_SHARE) * hessian + HELD_SHARE * of_whole
         projected = view.view.project(hessian)
         total = projected if total is None else total + projected

@@ -11,10 +11,14 @@ from ddic.functionals.view import FrameView
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.assembly import assemble
-from ddic.problem.linear_solver import LinearSolver
+from ddic.problem.cameras import Frame
+from ddic.problem.linear_solver import LinearSolver, cut_off_wavelength
+from ddic.problem.problem_size import ProblemSize, measure_problem_size
 from ddic.problem.reference_problem import ReferenceProblem
-from ddic.problem.renewal import VisiblePixels, find_renewal
-from ddic.problem.views import FrameViews, ReferenceViews
+from ddic.problem.renewal import RenewalRule, VisiblePixels, find_renewal
+from ddic.problem.residual_model import ResidualModel
+from ddic.problem.views import FrameViews, ReferenceViews, open_frame_views
+from ddic.solvers.gauss_newton import Tolerances
 
 
 class WeightedProblem:
@@ -22,6 +26,15 @@ class WeightedProblem:
 
     One camera weighs 1. Several are weighted by their noise; where the case does not give it, the first frame does, and
     nothing is factorised before.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    reference : ReferenceProblem
+        What the reference images give.
+    clock : PhaseClock
+        Of the phases.
 
     Attributes
     ----------
@@ -33,32 +46,21 @@ class WeightedProblem:
         Of each camera, grey levels; empty with one camera, and before it is known.
     n_assembled : int
         Times that M_s of an owned subdomain was assembled.
+
+    Raises
+    ------
+    InputError, SingularSubdomainError, FactorizationError
+        On all ranks.
     """
 
     def __init__(self, team: Team, reference: ReferenceProblem, clock: PhaseClock) -> None:
-        """Set up what is known without a frame; collective.
-
-        Parameters
-        ----------
-        team : Team
-            All ranks.
-        reference : ReferenceProblem
-            What the reference images give.
-        clock : PhaseClock
-            Of the phases.
-
-        Raises
-        ------
-        InputError, SingularSubdomainError, FactorizationError
-            On all ranks.
-        """
         self.team, self.reference = team, reference
         self.noise: tuple[float, ...] = ()
         self.n_assembled = len(reference.references)
         self._clock = clock
         self._weights: list[float] = []
-        self._is_spoiled = False
         self._solver: LinearSolver | None = None
+        self._size: ProblemSize | None = None
         self._visible = VisiblePixels.all_of([r.views for r in reference.references])
         cameras = reference.inputs.cameras
         given = [camera.noise for camera in cameras]
@@ -78,6 +80,52 @@ class WeightedProblem:
         if self._solver is None:
             raise RuntimeError("the noise of the cameras is not known yet")
         return self._solver
+
+    @property
+    def size(self) -> ProblemSize:
+        """How large the problem is."""
+        if self._size is None:
+            raise RuntimeError("the noise of the cameras is not known yet")
+        return self._size
+
+    @property
+    def tolerances(self) -> Tolerances:
+        """When Gauss-Newton stops."""
+        case = self.reference.inputs.case
+        section = case.gauss_newton
+        return Tolerances(section.tolerance, section.rms_tolerance, section.max_iterations, case.solver.inexact)
+
+    def open_frame(self, frame: Frame) -> list[FrameViews]:
+        """Look at a frame, cameras not yet weighted; its windows are read when unknowns say where.
+
+        Parameters
+        ----------
+        frame : Frame
+            One deformed image of each camera.
+
+        Returns
+        -------
+        list of FrameViews
+            Owned subdomains in the frame.
+        """
+        return open_frame_views(self.reference.inputs.case, frame, self.reference.references)
+
+    def model_residual(self, views: Sequence[FrameViews]) -> ResidualModel:
+        """Model the residual of a frame, cameras weighted.
+
+        Parameters
+        ----------
+        views : sequence of FrameViews
+            Owned subdomains in the frame.
+
+        Returns
+        -------
+        ResidualModel
+            What Gauss-Newton asks of the images.
+        """
+        inputs = self.reference.inputs
+        correction = inputs.case.correlation.grey_correction
+        return ResidualModel(self.team, self.weigh(views), correction, len(inputs.cameras))
 
     def set_noise(self, noise: Sequence[float]) -> None:
         """Weight the cameras by their noise and factorise; collective.
@@ -116,7 +164,7 @@ class WeightedProblem:
             weighted.append(FrameViews(reference, frame_views))
         return weighted
 
-    def renew(self, views: Sequence[FrameViews], q: Sequence[NDArray[np.float64]]) -> str:
+    def renew(self, views: Sequence[FrameViews], q: Sequence[NDArray[np.float64]]) -> tuple[str, ...]:
         """Assemble and factorise again where a frame shows other pixels than M counts; collective.
 
         Parameters
@@ -128,41 +176,28 @@ class WeightedProblem:
 
         Returns
         -------
-        str
-            What the log says; empty where nothing changes.
+        tuple of str
+            What the log says; nothing where nothing changes.
 
         Raises
         ------
         SingularSubdomainError, FactorizationError
             On all ranks.
         """
-        if self._is_spoiled:
-            self._restore()
-        is_regularized = self.reference.inputs.case.regularization is not None
-        renewal = find_renewal(self.team, views, q, (self._visible, self.reference.hessians), keep_held=is_regularized)
-        if renewal.note:
+        rule = RenewalRule(cut_off_wavelength(self.reference.inputs.case))
+        renewal = find_renewal(self.team, views, q, (self._visible, self.reference.hessians), rule)
+        if renewal.note or not self.solver.is_set_up:
             self.n_assembled += sum(hessian is not None for hessian in renewal.hessians)
-            # True until it has worked: a factorisation that fails leaves some factors without the others.
-            self._is_spoiled = True
             self.solver.renew(renewal.hessians)
-            self._is_spoiled = False
+            # Not before: where the factorisation fails, the next frame asks for it again.
             self._visible = renewal.visible
-        return renewal.note
+        return (renewal.note,) if renewal.note else ()
 
     def destroy(self) -> None:
         """Free PETSc's objects."""
         if self._solver is not None:
             self._solver.destroy()
             self._solver = None
-
-    def _restore(self) -> None:
-        """Go back to the factors of the reference images, after a frame for which they could not be renewed."""
-        n_factorized = self.solver.n_factorized
-        self.solver.destroy()
-        self._visible = VisiblePixels.all_of([r.views for r in self.reference.references])
-        self._set_up(self._weights)
-        self.solver.n_factorized += n_factorized
-        self._is_spoiled = False
 
     def _set_up(self, weights: list[float]) -> None:
         self._weights = weights
@@ -171,3 +206,4 @@ class WeightedProblem:
             weighted: list[ReferenceViews] = [r.weigh(weights) for r in reference.references]
             assembly = assemble(self.team, reference.inputs.case, reference.region, weighted, reference.hessians)
         self._solver = LinearSolver(self.team, reference.inputs.case, assembly, self._clock)
+        self._size = measure_problem_size(self.team, reference, self._solver)

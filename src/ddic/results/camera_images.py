@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from ddic.io.image_chunks import ChunkGrid
 from ddic.io.result_writer import ResultWriter
-from ddic.results.residual_image import Patch, packed_chunks, stream_chunks
+from ddic.results.residual_image import Patch, pack_chunks, stream_chunks
 
 if TYPE_CHECKING:
     from ddic.results.measurement import Measurement
@@ -32,7 +32,7 @@ def write_residual_images(measurement: Measurement, writer: ResultWriter | None)
                    for of_subdomain in measurement.model.views for view in of_subdomain.views
                    if view.camera == camera.number]
         patches = _make_patches(measurement, camera.number)
-        for chunk in stream_chunks(measurement.team, packed_chunks(measurement.team, grid, windows, patches)):
+        for chunk in stream_chunks(measurement.team, pack_chunks(measurement.team, grid, windows, patches)):
             if writer is not None:
                 writer.write_residual_chunk(chunk.number, chunk.data)
 

@@ -15,13 +15,13 @@ from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.cameras import Camera, Frame
 from ddic.problem.inputs import Inputs
+from ddic.problem.problem_size import ProblemSize
 from ddic.problem.region_mesh import Region
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.results.camera_images import write_residual_images
 from ddic.results.field_pieces import write_pieces
 from ddic.results.histories import write_attributes, write_histories
-from ddic.results.listener import ProblemSize
 from ddic.results.provenance import image_attributes
 from ddic.results.setup_motion import SetupMotion, collect_motions, describe_motions, estimate_covariances
 from ddic.solvers.dual.continuity import average_copies
@@ -147,7 +147,7 @@ class Measurement:
 
 
 def finish_measurement(problem: WeightedProblem, model: ResidualModel, frame: Frame, solution: Solution,
-                       about: tuple[ProblemSize, tuple[str, ...]]) -> Measurement:
+                       notes: tuple[str, ...]) -> Measurement:
     """Average the copies of interface unknowns and evaluate the residual there; collective.
 
     Parameters
@@ -160,8 +160,8 @@ def finish_measurement(problem: WeightedProblem, model: ResidualModel, frame: Fr
         The deformed images.
     solution : Solution
         Of Gauss-Newton.
-    about : tuple of ProblemSize and tuple of str
-        Size of the problem, and notes.
+    notes : tuple of str
+        What the user should know.
 
     Returns
     -------
@@ -173,7 +173,6 @@ def finish_measurement(problem: WeightedProblem, model: ResidualModel, frame: Fr
     ConvergenceError
         On all ranks, where the field turns cells inside out or leaves no pixel of a camera.
     """
-    size, notes = about
     team, inputs = problem.team, problem.reference.inputs
     subdomains = problem.reference.subdomains
     field = average_copies(team, subdomains, solution.q)
@@ -184,7 +183,7 @@ def finish_measurement(problem: WeightedProblem, model: ResidualModel, frame: Fr
         spread = estimate_covariances(team, solver.assembly.systems, solver.step, problem.noise[0])
         motions = describe_motions(inputs.cameras, collect_motions(team, inputs.cameras, subdomains, field.q), spread)
     return Measurement(inputs, frame, problem.reference.region, model, field.q, field.largest_jump,
-                       model.evaluate(field.q), size, solution.records, notes, motions, problem.noise)
+                       model.evaluate(field.q), problem.size, solution.records, notes, motions, problem.noise)
 
 
 def refuse_inverted_cells(team: Team, subdomains: Sequence[Subdomain], q: Sequence[Array]) -> None:

@@ -15,14 +15,24 @@ from ddic.io.image_chunks import ChunkGrid, packed
 from ddic.parallel.team import Team
 
 CHUNKS_A_MESSAGE = 16
+"""Compressed chunks sent to rank 0 at a time: more make fewer messages and take more memory there."""
 
 LARGE = 0.5
-"""Share of a chunk's largest part from which on a rank may own it; of these the one with the fewest chunks does."""
+"""Share of a chunk's largest part from which on a rank may own it; of these the one with the fewest chunks does. A
+larger share sends less and spreads the compression less evenly."""
 
 
 @dataclass(frozen=True)
 class Patch:
-    """A rectangle of the residual image, NaN where its subdomain has no pixel; window: its pixels."""
+    """A rectangle of the residual image.
+
+    Attributes
+    ----------
+    window : Window
+        Its pixels.
+    values : (height, width) array
+        Grey levels, NaN where its subdomain has no pixel.
+    """
 
     window: Window
     values: NDArray[np.float32]
@@ -30,7 +40,15 @@ class Patch:
 
 @dataclass(frozen=True)
 class PackedChunk:
-    """A compressed chunk; number: its place in the grid."""
+    """A compressed chunk.
+
+    Attributes
+    ----------
+    number : int
+        Its place in the grid.
+    data : bytes
+        As the file holds it.
+    """
 
     number: int
     data: bytes
@@ -40,7 +58,12 @@ class PackedChunk:
 class ChunkShares:
     """Who holds pixels of which chunk, the same on every rank.
 
-    sharers: ranks whose windows touch each touched chunk; owner: one of them with a large part.
+    Attributes
+    ----------
+    sharers : dict
+        Ranks whose windows touch it, by touched chunk.
+    owner : dict
+        One of them with a large part, by touched chunk.
     """
 
     sharers: dict[int, list[int]]
@@ -48,51 +71,91 @@ class ChunkShares:
 
 
 def share_chunks(team: Team, grid: ChunkGrid, windows: Iterable[Window]) -> ChunkShares:
-    """Agree on the owner of every chunk; windows: of the owned subdomains, pixels. Collective."""
+    """Agree on the owner of every chunk; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    grid : ChunkGrid
+        The chunks of the image.
+    windows : iterable of Window
+        Of the owned subdomains.
+
+    Returns
+    -------
+    ChunkShares
+        The same on every rank.
+    """
     area: Counter[int] = Counter()
     for window in windows:
         for number in grid.touching(window):
             area[number] += window.intersection(grid.window(number)).n_pixels
-    parts: dict[int, dict[int, int]] = {}
+
+    # By chunk and rank, the pixels of the windows.
+    n_pixels_of: dict[int, dict[int, int]] = {}
     for rank, areas in enumerate(team.gather_lists([dict(area)])):
         for number, n_pixels in areas.items():
-            parts.setdefault(number, {})[rank] = n_pixels
+            n_pixels_of.setdefault(number, {})[rank] = n_pixels
+
     n_owned: Counter[int] = Counter()
     owner: dict[int, int] = {}
-    for number, held in sorted(parts.items()):
-        large = [rank for rank, n_pixels in held.items() if n_pixels >= LARGE * max(held.values())]
-        owner[number] = min(large, key=lambda rank: n_owned[rank])
+    for number, of_rank in sorted(n_pixels_of.items()):
+        enough = LARGE * max(of_rank.values())
+        candidates = [rank for rank, n_pixels in of_rank.items() if n_pixels >= enough]
+        owner[number] = min(candidates, key=lambda rank: n_owned[rank])
         n_owned[owner[number]] += 1
-    return ChunkShares({number: list(held) for number, held in parts.items()}, owner)
+    sharers = {number: list(of_rank) for number, of_rank in n_pixels_of.items()}
+    return ChunkShares(sharers, owner)
 
 
-def packed_chunks(team: Team, grid: ChunkGrid, windows: list[Window], patches: Iterator[Patch]) -> list[PackedChunk]:
-    """Chunks of this rank, compressed; those without a correlated pixel are left out. Collective.
+def pack_chunks(team: Team, grid: ChunkGrid, windows: list[Window], patches: Iterator[Patch]) -> list[PackedChunk]:
+    """Put the chunks of this rank together and compress them; collective.
 
-    windows: of the owned subdomains; patches: of the same, in this order, computed one by one. A chunk is sent or
-    compressed as soon as no further subdomain of this rank touches it.
+    A chunk is sent or compressed as soon as no further subdomain of this rank touches it.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    grid : ChunkGrid
+        The chunks of the image.
+    windows : list of Window
+        Of the owned subdomains.
+    patches : iterator of Patch
+        Of the same, in this order, computed one by one.
+
+    Returns
+    -------
+    list of PackedChunk
+        Those that this rank owns; without those that have no correlated pixel.
     """
     shares = share_chunks(team, grid, windows)
-    mine = [n for n, rank in shares.owner.items() if rank == team.rank]
-    awaited = Counter(rank for n in mine for rank in shares.sharers[n] if rank != team.rank)
     done: list[PackedChunk] = []
-    kept: dict[int, NDArray[np.float32]] = {}
+    waiting: dict[int, NDArray[np.float32]] = {}
     sent = []
-    for number, chunk in _completed(grid, windows, patches):
+    for number, chunk in _complete_chunks(grid, windows, patches):
         if shares.owner[number] != team.rank:
             sent.append(team.begin_send((number, chunk), shares.owner[number]))
         elif len(shares.sharers[number]) > 1:
-            kept[number] = chunk
+            waiting[number] = chunk
         else:
-            done += _packed(number, chunk)
-    for rank, n_chunks in awaited.items():
-        for _ in range(n_chunks):
-            number, chunk = team.receive(rank)
-            np.copyto(kept[number], chunk, where=~np.isnan(chunk))
-    for number, chunk in kept.items():
-        done += _packed(number, chunk)
+            done += _pack(number, chunk)
+    _receive_parts(team, shares, waiting)
+    for number, chunk in waiting.items():
+        done += _pack(number, chunk)
     team.finish_sends(sent)
     return done
+
+
+def _receive_parts(team: Team, shares: ChunkShares, chunks: dict[int, NDArray[np.float32]]) -> None:
+    """Complete this rank's chunks with what other ranks send of them."""
+    mine = [number for number, rank in shares.owner.items() if rank == team.rank]
+    awaited = Counter(rank for number in mine for rank in shares.sharers[number] if rank != team.rank)
+    for rank, n_chunks in awaited.items():
+        for _ in range(n_chunks):
+            number, part = team.receive(rank)
+            np.copyto(chunks[number], part, where=~np.isnan(part))
 
 
 def stream_chunks(team: Team, chunks: list[PackedChunk]) -> Iterator[PackedChunk]:
@@ -114,11 +177,8 @@ def stream_chunks(team: Team, chunks: list[PackedChunk]) -> Iterator[PackedChunk
     return itertools.chain.from_iterable(team.stream_to_root(batches))
 
 
-to_root = stream_chunks
-
-
-def _completed(grid: ChunkGrid, windows: list[Window],
-               patches: Iterator[Patch]) -> Iterator[tuple[int, NDArray[np.float32]]]:
+def _complete_chunks(grid: ChunkGrid, windows: list[Window],
+                     patches: Iterator[Patch]) -> Iterator[tuple[int, NDArray[np.float32]]]:
     """Chunks with all that this rank's subdomains hold of them, each as soon as that is so."""
     left = Counter(number for window in windows for number in grid.touching(window))
     open_chunks: dict[int, NDArray[np.float32]] = {}
@@ -133,11 +193,19 @@ def _completed(grid: ChunkGrid, windows: list[Window],
 
 def _lay(patch: Patch, place: Window, chunk: NDArray[np.float32]) -> None:
     """Copy the part of a patch that lies in a chunk; place: the chunk's pixels."""
-    common, origin = patch.window.intersection(place), patch.window
-    values = patch.values[common.y0 - origin.y0:common.y1 - origin.y0, common.x0 - origin.x0:common.x1 - origin.x0]
-    target = chunk[common.y0 - place.y0:common.y1 - place.y0, common.x0 - place.x0:common.x1 - place.x0]
+    common = patch.window.intersection(place)
+    values = patch.values[_places(common, patch.window)]
+    target = chunk[_places(common, place)]
     np.copyto(target, values, where=~np.isnan(values))
 
 
-def _packed(number: int, chunk: NDArray[np.float32]) -> list[PackedChunk]:
+def _places(part: Window, whole: Window) -> tuple[slice, slice]:
+    """Rows and columns of a part in an array of a whole window."""
+    rows = slice(part.y0 - whole.y0, part.y1 - whole.y0)
+    columns = slice(part.x0 - whole.x0, part.x1 - whole.x0)
+    return rows, columns
+
+
+def _pack(number: int, chunk: NDArray[np.float32]) -> list[PackedChunk]:
+    """A chunk compressed; nothing where it has no pixel."""
     return [] if np.isnan(chunk).all() else [PackedChunk(number, packed(chunk))]

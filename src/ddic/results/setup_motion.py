@@ -12,7 +12,7 @@ from ddic.kinematics.camera_kinematics import CameraSetup
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.cameras import Camera
-from ddic.solvers.dual.motion import motion_scales
+from ddic.solvers.dual.motion import sum_motion_scales
 from ddic.solvers.linear_step import AllowedError, LinearStep
 from ddic.solvers.local_system import LocalSystem
 
@@ -71,7 +71,7 @@ def estimate_covariances(team: Team, systems: Sequence[LocalSystem], step: Linea
         (n_motion_unknowns, n_motion_unknowns) array by camera, pixels squared.
     """
     found = {}
-    for camera, scale in motion_scales(team, systems).items():
+    for camera, scale in sum_motion_scales(team, systems).items():
         columns = [_solve_for_unit(systems, step, camera, k, kappa) for k, kappa in enumerate(scale)]
         products = [np.stack([x[s] for x in columns], axis=1) for s in range(len(systems))]
         total = team.ordered_sum([x.T @ (system.hessian @ x) for x, system in zip(products, systems, strict=True)])

@@ -5,10 +5,13 @@ from __future__ import annotations
 import ctypes
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD, _MMAP_MAX = -1, -3, -4
+"""Keys of the C library's mallopt."""
+
 _LARGE = 2**22
+"""Bytes from which an array is mapped: a larger value keeps more freed memory on the heap."""
 
 
-def give_back_freed_memory() -> None:
+def release_freed_memory() -> None:
     """Undo what SuperLU_DIST, which PETSc may be linked with, does to the C library's malloc when it is loaded.
 
     It forbids mmap and trimming (M_MMAP_MAX = 0), so that a freed factor stays with the process, mostly in pieces

@@ -38,6 +38,3 @@ def estimate_noise_rms(system: LocalSystem, operator: LocalOperator, sigma: floa
     y = operator.solve_many(tangent.T @ signs)
     trace = (y * (system.hessian @ y)).sum() / _PROBES
     return float(sigma * np.sqrt(2.0 * trace / components.sum()))
-
-
-expected_noise_rms = estimate_noise_rms

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from petsc4py import PETSc
 
-from ddic.solvers.freed_memory import give_back_freed_memory
+from ddic.solvers.freed_memory import release_freed_memory
 
 # At import, for PETSc's libraries change malloc when they are loaded, and assembly comes before the first solver.
-give_back_freed_memory()
+release_freed_memory()
 
 LOCAL = "local_"
 DUAL = "dual_"

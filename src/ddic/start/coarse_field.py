@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ddic.case.schema import StartSection
 from ddic.errors import InputError
 from ddic.functionals.grey_statistics import GreyCorrection
-from ddic.images.binned import bin_rows, binned_source
+from ddic.images.binned import bin_rows, join_blocks
 from ddic.images.grid_field import uniform_field
 from ddic.images.sub_image import MaskedSource
 from ddic.io.result_reader import displacement_at, read_result
@@ -22,6 +22,7 @@ from ddic.kinematics.camera_kinematics import CameraSetup
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.team import Team, held
 from ddic.problem.cameras import Camera, Frame
+from ddic.problem.inputs import Inputs
 from ddic.problem.views import ReferenceViews
 from ddic.start.multilevel import MultilevelStart, finest_block, multilevel_start
 from ddic.start.pyramid_level import BinnedPair
@@ -69,19 +70,21 @@ class CoarseSearch:
     correction: GreyCorrection
     meshes: list[Mesh] | None
 
-    def prepare(self, frame: Frame) -> Callable[[], list[MultilevelStart] | None]:
+    def prepare(self, frame: Frame | None) -> Callable[[], list[MultilevelStart] | None]:
         """Bin the images on all ranks; collective.
 
         Parameters
         ----------
-        frame : Frame
-            One deformed image of each camera.
+        frame : Frame or None
+            One deformed image of each camera; None where there is nothing to search for yet.
 
         Returns
         -------
         callable
             What this rank has to do next, free of communication: the search itself on the last rank.
         """
+        if frame is None or self.section.from_result is not None:
+            return lambda: None
         if not (self.section.rigid or self.section.pyramid):
             zero = MultilevelStart(uniform_field((0.0, 0.0)), None, (), ())
             return lambda: [zero] * len(self.cameras)
@@ -89,7 +92,7 @@ class CoarseSearch:
                  for camera, deformed in zip(self.cameras, frame, strict=True)]
         return partial(self._search, pairs)
 
-    def share(self, found: list[MultilevelStart] | None) -> list[MultilevelStart]:
+    def share(self, found: list[MultilevelStart] | None) -> list[MultilevelStart] | None:
         """Give all ranks what the last one found; collective.
 
         Parameters
@@ -99,10 +102,12 @@ class CoarseSearch:
 
         Returns
         -------
-        list of MultilevelStart
-            By camera.
+        list of MultilevelStart or None
+            By camera; None where nothing was sought.
         """
-        return self.team.broadcast(found, root=self.team.size - 1)
+        # Not held by the last rank either where there was nothing to search for.
+        shared: list[MultilevelStart] | None = self.team.broadcast(found, root=self.team.size - 1)
+        return shared
 
     def _search(self, pairs: Sequence[BinnedPair | None]) -> list[MultilevelStart] | None:
         if self.meshes is None:
@@ -112,20 +117,15 @@ class CoarseSearch:
                 for pair, mesh in zip(pairs, self.meshes, strict=True)]
 
 
-def prepare_search(team: Team, cameras: tuple[Camera, ...], section: StartSection, correction: GreyCorrection,
-                   meshes: list[Mesh] | None) -> CoarseSearch:
+def prepare_search(team: Team, inputs: Inputs, meshes: list[Mesh] | None) -> CoarseSearch:
     """Give the last rank the meshes that rank 0 holds, so that rank 0 may split them meanwhile; collective.
 
     Parameters
     ----------
     team : Team
         All ranks.
-    cameras : tuple of Camera
-        With their reference images.
-    section : StartSection
-        Of the case.
-    correction : GreyCorrection
-        Of grey levels.
+    inputs : Inputs
+        Reference images and settings.
     meshes : list of Mesh or None
         Cells of each camera in its pixels, on rank 0.
 
@@ -134,7 +134,9 @@ def prepare_search(team: Team, cameras: tuple[Camera, ...], section: StartSectio
     CoarseSearch
         For any number of frames.
     """
-    return CoarseSearch(team, cameras, section, correction, team.send_from_root(meshes, team.size - 1))
+    case = inputs.case
+    return CoarseSearch(team, inputs.cameras, case.start, case.correlation.grey_correction,
+                        team.send_from_root(meshes, team.size - 1))
 
 
 def fit_coarse_fields(cameras: Sequence[Camera], references: Sequence[ReferenceViews],
@@ -190,7 +192,7 @@ def _bin_together(team: Team, reference: MaskedSource, deformed: MaskedSource) -
     bands = team.gather_to(own, team.size - 1)
     if bands is None:
         return None
-    binned = [binned_source(source, [of_rank[k] for of_rank in bands]) for k, source in enumerate(sources)]
+    binned = [join_blocks(source, [of_rank[k] for of_rank in bands]) for k, source in enumerate(sources)]
     return BinnedPair(binned[0], binned[1], factor)
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ddic.errors import first_of
 from ddic.kinematics.camera_kinematics import CameraKinematics
 from ddic.parallel.phases import Phase, PhaseClock
-from ddic.parallel.team import Team
+from ddic.parallel.team import Team, held
 from ddic.problem.cameras import Frame
 from ddic.problem.views import FrameViews, ReferenceViews, read_frame_windows
 from ddic.problem.weighted_problem import WeightedProblem
@@ -117,7 +117,10 @@ def _find_coarse_fields(by: FrameStart, frame: Frame, references: Sequence[Refer
     cameras, path = by.search.cameras, by.search.section.from_result
     if path is not None:
         return read_earlier_fields(by.team, path, cameras, references)
-    coarse = by.search.share(by.team.together(by.search.prepare(frame))) if found is None else found
+    if found is None:
+        search = by.search.prepare(frame)
+        found = by.search.share(by.team.together(search))
+    coarse = held(found)
     return by.team.together(lambda: fit_coarse_fields(cameras, references, coarse))
 
 

@@ -47,7 +47,9 @@ class DualSettings:
 
 
 class DualStep:
-    """Solves Eq. 24-25 of [BP17] for dq, with two cameras Eq. 23, with factors kept, warm-started with the previous multipliers.
+    """Solves Eq. 24-25 of [BP17] for dq, with two cameras Eq. 23.
+
+    Factors are kept, and the interface problem starts from the previous multipliers.
 
     PETSc options (prefix ``dual_``): ``-dual_ksp_monitor``, ``-dual_ksp_type``, ``-dual_ksp_rtol``...
 

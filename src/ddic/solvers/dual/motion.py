@@ -126,6 +126,3 @@ def sum_motion_scales(team: Team, systems: Sequence[LocalSystem]) -> dict[int, N
     for camera, diagonal in team.gather_lists(mine):
         scales[camera] = scales.get(camera, 0.0) + diagonal
     return scales
-
-
-motion_scales = sum_motion_scales

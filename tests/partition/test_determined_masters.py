@@ -1,17 +1,18 @@
-"""Partitions in which every subdomain's slaves tell its masters."""
+"""Partitions in which every subdomain's slaves determine its masters."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from ddic.partition.connectivity import build_subdomains
-from ddic.partition.tied_parts import LEAST, with_told_masters
 from numpy.typing import NDArray
 
 from ddic.errors import InputError
+from ddic.kinematics.tied import TiedRegion
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import build_structured_mesh
-from ddic.partition.by_camera import kept_apart
+from ddic.partition.build_subdomains import build_subdomains
+from ddic.partition.by_camera import keep_cameras_apart
+from ddic.partition.determined_masters import LEAST, keep_masters_determined
 from ddic.partition.split import split_by_metis
 from ddic.partition.ties import Tying, tied_mesh
 
@@ -20,8 +21,9 @@ FAR = build_structured_mesh((20, 20, 116, 116), 8)
 
 def smallest_values(mesh: Mesh, tying: Tying, parts: NDArray[np.int64]) -> list[float]:
     """Of each subdomain's map from its unknowns to its mesh nodes."""
-    subdomains = build_subdomains(mesh, parts, np.ones(2 * tying.n_unknown_nodes, dtype=bool), tying.weights)
-    return [1.0 if s.tie is None else _smallest(s.tie.matrix.toarray()) for s in subdomains]
+    region = TiedRegion(mesh, tying.weights)
+    subdomains = build_subdomains(region, parts, np.ones(region.n_unknowns, dtype=bool))
+    return [_smallest(s.kinematics.tangent.toarray()) for s in subdomains]
 
 
 def _smallest(matrix: NDArray[np.float64]) -> float:
@@ -30,13 +32,13 @@ def _smallest(matrix: NDArray[np.float64]) -> float:
 
 @pytest.mark.parametrize("n", [2, 5, 9, 16])
 @pytest.mark.parametrize("element", [2.9, 4.0, 5.3])
-def test_no_subdomain_has_masters_it_cannot_tell(n: int, element: float) -> None:
+def test_no_subdomain_has_masters_that_it_does_not_determine(n: int, element: float) -> None:
     mesh, tying = tied_mesh(FAR, {1: build_structured_mesh((44, 36, 84, 76), element)})
     near = np.flatnonzero(tying.cameras == 1)
     given = np.zeros(mesh.n_cells, dtype=np.int64)
     given[near] = split_by_metis(mesh.submesh(near)[0], n)
-    given = kept_apart(given, tying.cameras)
-    parts = with_told_masters(mesh, tying, given)
+    given = keep_cameras_apart(given, tying.cameras)
+    parts = keep_masters_determined(mesh, tying, given)
     assert min(smallest_values(mesh, tying, parts)) >= LEAST
     assert all(len(set(tying.cameras[parts == s].tolist())) == 1 for s in range(parts.max() + 1))
     # Only cells at the common boundary move.
@@ -50,7 +52,7 @@ def test_single_cells_at_the_boundary_are_too_small() -> None:
     mesh, tying = tied_mesh(FAR, {1: build_structured_mesh((44, 36, 84, 76), 2.9)})
     given = np.arange(mesh.n_cells)
     assert min(smallest_values(mesh, tying, given)) < 1e-12
-    assert min(smallest_values(mesh, tying, with_told_masters(mesh, tying, given))) >= LEAST
+    assert min(smallest_values(mesh, tying, keep_masters_determined(mesh, tying, given))) >= LEAST
 
 
 def test_a_partition_that_is_well_stays() -> None:
@@ -58,10 +60,10 @@ def test_a_partition_that_is_well_stays() -> None:
     inside = ((centre > (44, 36)) & (centre < (84, 76))).all(axis=1)
     mesh, tying = tied_mesh(FAR, {1: FAR.submesh(np.flatnonzero(inside))[0]})
     given = np.arange(mesh.n_cells)
-    np.testing.assert_array_equal(with_told_masters(mesh, tying, given), given)
+    np.testing.assert_array_equal(keep_masters_determined(mesh, tying, given), given)
 
 
 def test_near_meshes_coarser_than_the_far_one_are_refused() -> None:
     mesh, tying = tied_mesh(FAR, {1: build_structured_mesh((44, 36, 84, 76), 13.3)})
     with pytest.raises(InputError, match="near, entry 1: its mesh has too few nodes on the boundary"):
-        with_told_masters(mesh, tying, tying.cameras)
+        keep_masters_determined(mesh, tying, tying.cameras)

@@ -1,17 +1,18 @@
-"""Which subdomains share which dofs, and the numbering of the interface rows."""
+"""Which subdomains share which unknowns, and the numbering of the interface rows."""
 
 from __future__ import annotations
 
 from collections import defaultdict
 
 import numpy as np
-from ddic.partition.connectivity import build_subdomains, node_sharing
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from ddic.kinematics.nodal import NodalRegion, component_numbers
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import find_boundary_nodes
+from ddic.partition.build_subdomains import build_subdomains, share_nodes
 from ddic.partition.incidence import signed_incidence
 from ddic.partition.subdomain import Interface, Subdomain
 from support.random_meshes import PARTITIONS, SEEDS, delaunay_meshes, grid_mesh, grid_meshes, random_partition
@@ -22,7 +23,7 @@ MESHES = st.one_of(grid_meshes(most=4), delaunay_meshes())
 def cut(mesh: Mesh, kind: str, n: int, seed: int) -> tuple[list[Subdomain], NDArray[np.int64], NDArray[np.bool_]]:
     parts = random_partition(mesh, kind, n, seed)
     controlled = np.random.default_rng(seed).random(mesh.n_dofs) < 0.6
-    return build_subdomains(mesh, parts, controlled), parts, controlled
+    return build_subdomains(NodalRegion(mesh), parts, controlled), parts, controlled
 
 
 def sharers(mesh: Mesh, parts: NDArray[np.int64]) -> dict[int, list[int]]:
@@ -34,17 +35,13 @@ def sharers(mesh: Mesh, parts: NDArray[np.int64]) -> dict[int, list[int]]:
     return {node: sorted(of) for node, of in found.items()}
 
 
-def global_dofs(subdomain: Subdomain) -> NDArray[np.int64]:
-    return np.asarray((2 * subdomain.node_ids[:, None] + np.arange(2)).ravel())
-
-
 def jump_matrix(subdomains: list[Subdomain]) -> NDArray[np.float64]:
     """All C_s side by side, the rows of reactions being zero."""
     n_rows = sum(s.n_owned_rows for s in subdomains)
     blocks = []
     for s in subdomains:
-        c = np.zeros((n_rows, s.mesh.n_dofs))
-        c[:, s.displacement.dofs] = signed_incidence(s.displacement, np.arange(n_rows), n_rows).toarray()
+        c = np.zeros((n_rows, s.n_field))
+        c[:, s.jumps.unknowns] = signed_incidence(s.jumps, np.arange(n_rows)).toarray()
         blocks.append(c)
     return np.hstack(blocks)
 
@@ -61,24 +58,25 @@ def test_subdomains_hold_their_cells_and_what_belongs_to_them(mesh: Mesh, kind: 
         np.testing.assert_array_equal(s.mesh.nodes, mesh.nodes[s.node_ids])
         np.testing.assert_array_equal(s.node_ids[s.mesh.connectivity], np.concatenate(
             [mesh.connectivity[mesh.offsets[e]: mesh.offsets[e + 1]] for e in s.cell_ids]))
-        assert s.multiplicity.tolist() == [len(shared[int(node)]) for node in s.node_ids]
+        assert s.node_multiplicity.tolist() == [len(shared[int(node)]) for node in s.node_ids]
         assert s.interior.tolist() == [int(node) not in on_boundary for node in s.node_ids]
-        np.testing.assert_array_equal(s.controlled, controlled[global_dofs(s)])
-        np.testing.assert_array_equal(s.dof_multiplicity, np.repeat(s.multiplicity, 2))
+        np.testing.assert_array_equal(s.numbers, component_numbers(s.node_ids, 2))
+        np.testing.assert_array_equal(s.controlled, controlled[s.numbers])
+        np.testing.assert_array_equal(s.multiplicity, np.repeat(s.node_multiplicity, 2))
 
 
 @settings(max_examples=60)
 @given(mesh=MESHES, kind=PARTITIONS, n=st.integers(1, 6), seed=SEEDS)
-def test_a_dof_of_m_subdomains_has_m_minus_one_rows(mesh: Mesh, kind: str, n: int, seed: int) -> None:
+def test_an_unknown_of_m_subdomains_has_m_minus_one_rows(mesh: Mesh, kind: str, n: int, seed: int) -> None:
     subdomains, parts, controlled = cut(mesh, kind, n, seed)
     shared = sharers(mesh, parts)
     rows, copies = [], []
     for reaction in (False, True):
         chains: dict[int, set[tuple[int, int, int]]] = defaultdict(set)
         for s in subdomains:
-            interface = s.reaction if reaction else s.displacement
-            dofs = global_dofs(s)[interface.dofs]
-            wanted = [d for d in global_dofs(s) if len(shared[d // 2]) > 1 and (not reaction or controlled[d])]
+            interface = s.reactions if reaction else s.jumps
+            dofs = s.numbers[interface.unknowns]
+            wanted = [d for d in s.numbers if len(shared[d // 2]) > 1 and (not reaction or controlled[d])]
             assert dofs.tolist() == wanted
             for k, dof in enumerate(dofs):
                 assert interface.position[k] == shared[dof // 2].index(s.index)
@@ -105,7 +103,7 @@ def test_kernel_of_the_jumps_are_the_continuous_fields(mesh: Mesh, kind: str, n:
     subdomains, _, _ = cut(mesh, kind, n, seed)
     c = jump_matrix(subdomains)
     u = np.random.default_rng(seed).normal(size=mesh.n_dofs)
-    assert (c @ np.concatenate([u[global_dofs(s)] for s in subdomains]) == 0).all()
+    assert (c @ np.concatenate([u[s.numbers] for s in subdomains]) == 0).all()
     used = np.abs(c).sum(axis=1) > 0
     n_rows = int(used.sum())
     # Entries are 0 and +-1 and chains are short: singular values lie above 2 sin(pi / 12) = 0.5.
@@ -117,10 +115,10 @@ def test_kernel_of_the_jumps_are_the_continuous_fields(mesh: Mesh, kind: str, n:
 
 def test_rows_are_differences_along_the_chain() -> None:
     mesh = grid_mesh(2, 2, (4.0, 4.0))
-    subdomains = build_subdomains(mesh, np.array([2, 0, 3, 1]), np.ones(18, dtype=bool))
+    subdomains = build_subdomains(NodalRegion(mesh), np.array([2, 0, 3, 1]), np.ones(18, dtype=bool))
     values = [np.full(s.mesh.n_dofs, 10.0 ** s.index) for s in subdomains]
     jumps = jump_matrix(subdomains) @ np.concatenate(values)
-    centre: Interface = subdomains[0].displacement
+    centre: Interface = subdomains[0].jumps
     at_centre = np.flatnonzero(centre.multiplicity == 4)[0]
     first = centre.first_row[at_centre]
     assert jumps[first: first + 3].tolist() == [1 - 10, 10 - 100, 100 - 1000]
@@ -128,18 +126,18 @@ def test_rows_are_differences_along_the_chain() -> None:
 
 def test_no_reaction_rows_where_nothing_is_controlled() -> None:
     mesh = grid_mesh(4, 4, (4.0, 4.0))
-    for s in build_subdomains(mesh, np.arange(16) % 4, np.zeros(mesh.n_dofs, dtype=bool)):
-        assert len(s.reaction.dofs) == 0
-        assert len(s.displacement.dofs) > 0
+    for s in build_subdomains(NodalRegion(mesh), np.arange(16) % 4, np.zeros(mesh.n_dofs, dtype=bool)):
+        assert len(s.reactions.unknowns) == 0
+        assert len(s.jumps.unknowns) > 0
 
 
 def test_one_subdomain_has_no_interface() -> None:
     mesh = grid_mesh(3, 3, (4.0, 4.0))
-    (only,) = build_subdomains(mesh, np.zeros(9, dtype=np.int64), np.ones(mesh.n_dofs, dtype=bool))
-    assert (only.n_owned_rows, only.n_owned_copies, len(only.displacement.dofs)) == (0, 0, 0)
+    (only,) = build_subdomains(NodalRegion(mesh), np.zeros(9, dtype=np.int64), np.ones(mesh.n_dofs, dtype=bool))
+    assert (only.n_owned_rows, only.n_owned_copies, len(only.jumps.unknowns)) == (0, 0, 0)
 
 
 def test_nodes_of_no_cell_are_shared_by_none() -> None:
     mesh = grid_mesh(2, 1, (4.0, 4.0))
     bare = Mesh(np.vstack([mesh.nodes, [[99.0, 99.0]]]), mesh.connectivity, mesh.offsets, mesh.types)
-    assert node_sharing(bare, np.array([0, 1])).multiplicity.tolist() == [1, 2, 1, 1, 2, 1, 0]
+    assert share_nodes(bare, np.array([0, 1])).multiplicity.tolist() == [1, 2, 1, 1, 2, 1, 0]

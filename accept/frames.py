@@ -1,0 +1,256 @@
+"""Many frames in one session against separate runs: how often M is assembled, memory, time, and the field."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from accept.table import Scale
+from bench.support.rows import Row, append_result
+from bench.support.runs import ddic_run, images, run_job
+from ddic.io.result_reader import read_result
+
+JOB = "accept.support.frames_job"
+SAME_FIELD_PX = 1e-6
+"""Largest difference of a displacement component from a separate run's, pixels."""
+
+MOST_GROWTH = 0.02
+"""Growth of the resident memory of all ranks from an early frame to the last, as a share."""
+
+EARLY = 5
+"""Frame after which memory should not grow."""
+
+N_RANKS, SUBDOMAINS = 2, 8
+MARGIN = 20
+"""Edge of the reference image without elements, pixels."""
+
+SEED = 4
+"""One seed: all pairs have the same reference image."""
+
+
+@dataclass(frozen=True)
+class Series:
+    """Frames of one specimen.
+
+    Attributes
+    ----------
+    name : str
+        Of its folder.
+    size : int
+        Side of the images, pixels.
+    element : int
+        Side of the elements, pixels.
+    wavelength : int
+        Cut-off wavelength, pixels.
+    n_frames : int
+        Number of frames.
+    stretch : float
+        Strain along x that the last frame has.
+    shift : float
+        Displacement of the middle along x that the last frame has, as a share of the specimen's width.
+    not_controlled : str
+        Edges whose forces are unknown, as a case file lists them. What leaves the image is found by equilibrium alone,
+        which takes free edges.
+    from_last : bool
+        Whether a frame starts from the field of the one before, which is within a pixel where steps are small.
+    """
+
+    name: str
+    size: int
+    element: int
+    wavelength: int
+    n_frames: int
+    stretch: float
+    shift: float
+    not_controlled: str = '["boundary"]'
+    from_last: bool = True
+
+    def arguments(self, frame: int) -> list[str]:
+        """Give the arguments of ``ddic synth`` of a frame.
+
+        Parameters
+        ----------
+        frame : int
+            From 1.
+
+        Returns
+        -------
+        list of str
+            An affine field.
+        """
+        share = frame / self.n_frames
+        strain = self.stretch * share
+        # A tenth of a pixel off, so that no pixel lies on the image's edge but for rounding.
+        shift = self.shift * (self.size - 2 * MARGIN) * share + 0.1
+        return ["affine", "--gradient", f"{strain:.6f}", "0", "0", f"{-0.3 * strain:.6f}", "--vector", f"{shift:.3f}",
+                "0.3", "--size", f"{self.size}x{self.size}", "--noise", "1", "--seed", str(SEED)]
+
+    def case(self, folder: Path, frame: int) -> str:
+        """Give the case file of a frame.
+
+        Parameters
+        ----------
+        folder : Path
+            Of the series.
+        frame : int
+            From 1.
+
+        Returns
+        -------
+        str
+            TOML text without ``[output]``.
+        """
+        end = MARGIN + self.element * ((self.size - 2 * MARGIN) // self.element)
+        return (f'[images]\nreference = "{folder}/1/reference.tif"\ndeformed = "{folder}/{frame}/deformed.tif"\n'
+                f"[mesh.structured]\nregion = [{MARGIN}, {MARGIN}, {end}, {end}]\nelement_size = {self.element}\n"
+                f"[regularization]\ncut_off_wavelength = {self.wavelength}\nnot_controlled = {self.not_controlled}\n"
+                f"[solver]\nsubdomains = {SUBDOMAINS}\ntolerance = 1e-10\n"
+                "[gauss_newton]\ntolerance = 1e-12\nrms_tolerance = 1e-9\nmax_iterations = 2000\n")
+
+
+STAYING = Series("frames", 1000, 20, 80, 50, 0.02, 0.005)
+LEAVING = Series("leaving_frames", 1000, 20, 80, 20, 0.0, 0.25, '["left"]', False)
+SMALL_STAYING = Series("frames", 240, 20, 80, 3, 0.01, 0.005)
+SMALL_LEAVING = Series("leaving_frames", 240, 20, 80, 3, 0.0, 0.25, '["left"]', False)
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a session and separate runs found.
+
+    Attributes
+    ----------
+    frames : list of dict
+        What the job printed of each frame.
+    difference : float
+        Largest difference of a displacement component from a separate run's, pixels.
+    compared : tuple of int
+        Frames that were measured separately.
+    separate_s : float
+        Median seconds of a separate run, its start included.
+    """
+
+    frames: list[dict[str, Any]]
+    difference: float
+    compared: tuple[int, ...]
+    separate_s: float
+
+    @property
+    def last(self) -> dict[str, Any]:
+        """What the job printed of the last frame."""
+        return self.frames[-1]
+
+    @property
+    def later_s(self) -> float:
+        """Median seconds of the frames after the first."""
+        return float(median(frame["seconds"] for frame in self.frames[1:]))
+
+
+def measure_many_frames(scale: Scale) -> list[Row]:
+    """Measure frames that all stay in the image: nothing of the reference is done twice.
+
+    Parameters
+    ----------
+    scale : Scale
+        A smoke run takes three small frames.
+
+    Returns
+    -------
+    list of Row
+        Operators, field, memory, time.
+    """
+    series = SMALL_STAYING if scale.smoke else STAYING
+    found = _measure(series, scale.folder(series.name))
+    what = f"{series.n_frames} frames in one session, {series.size} x {series.size} px, {N_RANKS} ranks"
+    assembled, factorized = found.last["n_assembled"], found.last["n_factorized"]
+    early = found.frames[min(EARLY, series.n_frames - 1) - 1]
+    growth = found.last["resident_bytes"] / early["resident_bytes"] - 1
+    return [
+        Row(f"{what}: M and factors of {SUBDOMAINS} subdomains", "each assembled once, factorised once",
+            f"{assembled} assembled, {factorized} factorised", assembled == factorized == SUBDOMAINS),
+        _field_row(what, found),
+        Row(f"{what}: memory of all ranks after frame {series.n_frames} against that after frame {early['frame']}",
+            f"within {MOST_GROWTH:.0%}", f"{found.last['resident_bytes'] / 2**20:.0f} against "
+            f"{early['resident_bytes'] / 2**20:.0f} MiB ({growth:+.2%})", growth <= MOST_GROWTH),
+        _time_row(what, found),
+    ]
+
+
+def measure_leaving_frames(scale: Scale) -> list[Row]:
+    """Measure frames that a quarter of the specimen leaves: operators are renewed only where pixels go.
+
+    Parameters
+    ----------
+    scale : Scale
+        A smoke run takes three small frames.
+
+    Returns
+    -------
+    list of Row
+        Operators, field, time.
+    """
+    series = SMALL_LEAVING if scale.smoke else LEAVING
+    found = _measure(series, scale.folder(series.name))
+    what = (f"{series.n_frames} frames of which a quarter of the specimen leaves the image, {series.size} x "
+            f"{series.size} px, {N_RANKS} ranks")
+    renewed = {s for frame in found.frames for s in frame["renewed"]}
+    losing = {s for frame in found.frames for s in frame["losing"]}
+    n_renewals = sum(len(frame["renewed"]) for frame in found.frames)
+    return [
+        Row(f"{what}: M and factors of {SUBDOMAINS} subdomains", "renewed only in subdomains that lose pixels",
+            f"{n_renewals} renewals in {series.n_frames} frames, of subdomains {sorted(renewed)}; pixels are lost by "
+            f"{sorted(losing)}", bool(renewed) and renewed <= losing),
+        _field_row(what, found),
+        _time_row(what, found),
+    ]
+
+
+def _field_row(what: str, found: Measured) -> Row:
+    return Row(f"{what}: field against separate runs of frames {', '.join(map(str, found.compared))}",
+               f"largest difference <= {SAME_FIELD_PX:.0e} px", f"{found.difference:.1e} px",
+               found.difference <= SAME_FIELD_PX)
+
+
+def _time_row(what: str, found: Measured) -> Row:
+    return Row(f"{what}: time of a frame after the first", "reported beside that of a separate run",
+               f"{found.later_s:.2f} s (first {found.frames[0]['seconds']:.2f} s, preparation "
+               f"{found.frames[0]['preparation_seconds']:.2f} s); a separate run {found.separate_s:.2f} s", True)
+
+
+def _measure(series: Series, folder: Path) -> Measured:
+    """Measure the series in one session and some of its frames separately."""
+    for frame in range(1, series.n_frames + 1):
+        images(*series.arguments(frame), folder=folder / str(frame))
+    compared = _choose(series.n_frames)
+    case = folder / "session.toml"
+    case.write_text(series.case(folder, 1), encoding="utf-8")
+    deformed = [str(folder / str(frame) / "deformed.tif") for frame in range(1, series.n_frames + 1)]
+    task = {"case": str(case), "deformed": deformed, "keep": list(compared), "folder": str(folder),
+            "from_last": series.from_last}
+    frames = run_job(N_RANKS, JOB, json.dumps(task))
+    for record in frames:
+        append_result("frames_runs", {"series": series.name, **record})
+    differences, seconds = [], []
+    for frame in compared:
+        begin = time.perf_counter()
+        ddic_run(series.case(folder, frame), folder, N_RANKS, f"separate_{frame}")
+        seconds.append(time.perf_counter() - begin)
+        alone = read_result(folder / f"separate_{frame}.vtkhdf").displacement
+        in_session = np.load(folder / f"session_{frame}.npy")
+        differences.append(float(np.abs(in_session - alone).max()))
+    found = Measured(frames, max(differences), compared, float(median(seconds)))
+    append_result("frames_runs", {"series": series.name, **{k: v for k, v in asdict(found).items() if k != "frames"}})
+    return found
+
+
+def _choose(n_frames: int) -> tuple[int, ...]:
+    """The first frame, the last, and two between."""
+    between: Sequence[int] = (n_frames // 3, 2 * n_frames // 3)
+    return tuple(sorted({1, *(k for k in between if k > 1), n_frames}))

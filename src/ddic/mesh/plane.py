@@ -1,0 +1,24 @@
+"""Vectors of the plane."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def multiply_across(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Multiply vectors of the plane across: a_x b_y - a_y b_x, twice the area of the triangle that they span.
+
+    Parameters
+    ----------
+    a, b : (..., 2) arrays
+        Of shapes that broadcast.
+
+    Returns
+    -------
+    (...,) array
+        Positive where b lies to the side of +y from a along +x.
+    """
+    ax, ay = a[..., 0], a[..., 1]
+    bx, by = b[..., 0], b[..., 1]
+    return np.asarray(ax * by - ay * bx)
