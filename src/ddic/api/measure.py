@@ -25,8 +25,9 @@ from ddic.methods.dd_dic import Session as RecipeSession
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.cameras import Camera, Frame, make_setup
-from ddic.problem.check_case import check_mesh, check_output_file
 from ddic.problem.check_inputs import check_inputs
+from ddic.problem.check_mesh_uses import check_mesh
+from ddic.problem.check_output import check_output_file
 from ddic.problem.check_ranks import check_ranks
 from ddic.problem.inputs import Inputs, open_inputs
 from ddic.problem.mesh_source import accept_mesh, convert_mapping
@@ -262,6 +263,8 @@ def _pair(source: object) -> tuple[Any, Any]:
     if not isinstance(source, list | tuple | np.ndarray):
         raise InputError(f"images: {type(source).__name__} given; give a case file, a case or a pair (reference image, "
                          "deformed image)")
+    if isinstance(source, np.ndarray) and source.ndim < 3:
+        raise InputError("images: one array is given, a pair expected: (reference image, deformed image)")
     if len(source) != 2:
         raise InputError(f"images: {len(source)} are given, two expected: the reference image and the deformed one")
     return source[0], source[1]

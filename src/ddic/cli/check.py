@@ -12,7 +12,7 @@ import click
 from ddic.errors import InputError
 
 if TYPE_CHECKING:
-    from ddic.problem.check_case import CheckReport
+    from ddic.problem.check_report import CheckReport
 
 
 @click.command()

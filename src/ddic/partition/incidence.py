@@ -8,6 +8,9 @@ from scipy import sparse
 
 from ddic.partition.subdomain import Interface
 
+Entries = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]
+"""Of a sparse matrix: numbers of rows, columns, values; each (n_entries,)."""
+
 
 def signed_incidence(interface: Interface, row_index: NDArray[np.int64]) -> sparse.csr_matrix:
     """Build B_s: +1 on the row that a copy opens, -1 on the row that it closes.
@@ -24,14 +27,17 @@ def signed_incidence(interface: Interface, row_index: NDArray[np.int64]) -> spar
     (n_rows, n interface unknowns) csr_matrix
         B_s, no unit.
     """
-    opens = np.flatnonzero(interface.position < interface.multiplicity - 1)
-    closes = np.flatnonzero(interface.position > 0)
+    # On a chain of m copies, row k leads from copy k to copy k + 1.
+    is_not_last = interface.position < interface.multiplicity - 1
+    is_not_first = interface.position > 0
+    opens = np.flatnonzero(is_not_last)
+    closes = np.flatnonzero(is_not_first)
     opened_rows = interface.first_row[opens] + interface.position[opens]
     closed_rows = interface.first_row[closes] + interface.position[closes] - 1
-    rows = np.searchsorted(row_index, np.concatenate([opened_rows, closed_rows]))
+    rows = np.concatenate([opened_rows, closed_rows])
     columns = np.concatenate([opens, closes])
     signs = np.repeat([1.0, -1.0], [len(opens), len(closes)])
-    return sparse.csr_matrix((signs, (rows, columns)), shape=(len(row_index), len(interface.unknowns)))
+    return _build_matrix(interface, row_index, (rows, columns, signs))
 
 
 def scaled_incidence(interface: Interface, weights: NDArray[np.float64], weight_index: NDArray[np.int64],
@@ -58,23 +64,38 @@ def scaled_incidence(interface: Interface, weights: NDArray[np.float64], weight_
     (n_rows, n interface unknowns) csr_matrix
         No unit.
     """
-    rows = [np.zeros(0, np.int64)]
-    columns = [np.zeros(0, np.int64)]
-    values = [np.zeros(0)]
-    for m in np.unique(interface.multiplicity):
-        members = np.flatnonzero(interface.multiplicity == m)
-        copies = interface.first_copy[members][:, None] + np.arange(m)
-        d = weights[np.searchsorted(weight_index, copies)]
-        share = d / d.sum(axis=1, keepdims=True)
-        share_up_to = np.cumsum(share, axis=1)[:, :-1]
-        is_before = interface.position[members][:, None] <= np.arange(m - 1)
-        chain_rows = interface.first_row[members][:, None] + np.arange(m - 1)
-        rows.append(chain_rows.ravel())
-        columns.append(np.repeat(members, m - 1))
-        values.append(np.where(is_before, 1.0 - share_up_to, -share_up_to).ravel())
-    places = np.searchsorted(row_index, np.concatenate(rows))
-    entries = (np.concatenate(values), (places, np.concatenate(columns)))
-    return sparse.csr_matrix(entries, shape=(len(row_index), len(interface.unknowns)))
+    no_entries = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
+    entries = [no_entries]
+    for multiplicity in np.unique(interface.multiplicity):
+        members = np.flatnonzero(interface.multiplicity == multiplicity)
+        entries.append(_scaled_entries(interface, members, weights, weight_index))
+    rows, columns, values = (np.concatenate(parts) for parts in zip(*entries, strict=True))
+    return _build_matrix(interface, row_index, (rows, columns, values))
+
+
+def _scaled_entries(interface: Interface, members: NDArray[np.int64], weights: NDArray[np.float64],
+                    weight_index: NDArray[np.int64]) -> Entries:
+    """Entries at those interface unknowns, given by place, that are on chains of one length."""
+    n_copies = int(interface.multiplicity[members[0]])
+    n_rows = n_copies - 1
+    copies = interface.first_copy[members, None] + np.arange(n_copies)
+    rows = interface.first_row[members, None] + np.arange(n_rows)
+    # By member and copy of its chain: the share of D; then by member and row: the share up to the row.
+    of_copies = weights[np.searchsorted(weight_index, copies)]
+    share = of_copies / of_copies.sum(axis=1, keepdims=True)
+    share_up_to_row = np.cumsum(share, axis=1)[:, :n_rows]
+    is_before_row = interface.position[members, None] <= np.arange(n_rows)
+    values = np.where(is_before_row, 1.0 - share_up_to_row, -share_up_to_row)
+    columns = np.repeat(members, n_rows)
+    return rows.ravel(), columns, values.ravel()
+
+
+def _build_matrix(interface: Interface, row_index: NDArray[np.int64], entries: Entries) -> sparse.csr_matrix:
+    """From entries by number of row to a matrix of the rows that there are here."""
+    rows, columns, values = entries
+    places = np.searchsorted(row_index, rows)
+    shape = (len(row_index), len(interface.unknowns))
+    return sparse.csr_matrix((values, (places, columns)), shape=shape)
 
 
 def rows_of(interface: Interface) -> NDArray[np.int64]:
@@ -112,4 +133,7 @@ def copies_of(interface: Interface) -> NDArray[np.int64]:
 def _count_from(first: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.int64]:
     """Counts of numbers from each first one on, one sequence after the other."""
     ends = np.cumsum(counts)
-    return np.asarray(np.repeat(first - (ends - counts), counts) + np.arange(counts.sum()))
+    starts = ends - counts
+    # Counting on through all sequences gives each number plus the place where its sequence starts.
+    counted_on = np.arange(counts.sum())
+    return np.asarray(counted_on + np.repeat(first - starts, counts))

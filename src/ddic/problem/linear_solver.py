@@ -38,6 +38,17 @@ larger value keeps one level for longer."""
 class LinearSolver:
     """The factorised linear step of a case; use it in a ``with`` statement, which frees what PETSc holds.
 
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    case : Case
+        Says the method.
+    assembly : Assembly
+        Of the reference images.
+    clock : PhaseClock
+        Of the phases "factorize" and "interface set-up".
+
     Attributes
     ----------
     assembly : Assembly
@@ -48,17 +59,6 @@ class LinearSolver:
 
     def __init__(self, team: Team, case: Case, assembly: Assembly, clock: PhaseClock) -> None:
         """Factorise; collective.
-
-        Parameters
-        ----------
-        team : Team
-            All ranks.
-        case : Case
-            Says the method.
-        assembly : Assembly
-            Of the reference images.
-        clock : PhaseClock
-            Of the phases "factorize" and "interface set-up".
 
         Raises
         ------

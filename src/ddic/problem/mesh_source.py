@@ -19,27 +19,73 @@ from ddic.partition.ties import Tying, tied_mesh
 def build_mesh(case: Case, width: int, height: int) -> Mesh:
     """Read or make the case's mesh, repair it and check that it lies in the image.
 
-    width, height: size of the images, pixels; the case's paths are absolute. Raises InputError, with the
-    mesh's file or section named, on all that read_mesh, build_structured_mesh, repair and check_inside refuse.
+    Parameters
+    ----------
+    case : Case
+        With absolute paths.
+    width, height : int
+        Size of the images, pixels.
+
+    Returns
+    -------
+    Mesh
+        Fit for measuring, pixels.
+
+    Raises
+    ------
+    InputError
+        With the mesh's file or section named, on all that ``read_mesh``, ``build_structured_mesh``, ``repair`` and
+        ``check_inside`` refuse.
     """
     return _mesh_of(case.mesh, mesh_name(case), width, height)
 
 
 def build_meshes(case: Case, width: int, height: int) -> tuple[Mesh, Tying | None]:
-    """``build_mesh``, with the near fields' own meshes in it, tied to what is left of the far elements.
+    """Build the case's mesh with the near fields' own meshes in it, tied to what is left of the far elements.
 
-    The second is None where no near field has a mesh of its own. Raises InputError as ``build_mesh`` and ``tied_mesh``.
+    Parameters
+    ----------
+    case : Case
+        With absolute paths.
+    width, height : int
+        Size of the far-field images, pixels.
+
+    Returns
+    -------
+    mesh : Mesh
+        Fit for measuring, far-field pixels.
+    tying : Tying or None
+        How its nodes are tied; None where no near field has a mesh of its own.
+
+    Raises
+    ------
+    InputError
+        On all that ``build_mesh`` and ``tied_mesh`` refuse.
     """
     far = build_mesh(case, width, height)
     near = {}
     for number, section in enumerate(case.near, start=1):
         if section.mesh is not None:
-            near[number] = _mesh_of(section.mesh, f"near, entry {number}: {_name(section.mesh)}", width, height)
-    return tied_mesh(far, near) if near else (far, None)
+            name = f"near, entry {number}: {_name(section.mesh)}"
+            near[number] = _mesh_of(section.mesh, name, width, height)
+    if not near:
+        return far, None
+    return tied_mesh(far, near)
 
 
 def mesh_name(case: Case) -> str:
-    """The mesh file, or the section that describes the built-in mesh, for messages."""
+    """Name the mesh for messages.
+
+    Parameters
+    ----------
+    case : Case
+        Says where it comes from.
+
+    Returns
+    -------
+    str
+        The mesh file, or the section that describes the built-in mesh.
+    """
     return _name(case.mesh)
 
 

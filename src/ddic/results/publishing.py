@@ -30,15 +30,38 @@ class Publishable(Protocol):
         ...
 
     def write(self, writer: ResultWriter | None) -> None:
-        """Write everything that was measured; writer: open on rank 0, None elsewhere."""
+        """Write everything that was measured.
+
+        Parameters
+        ----------
+        writer : ResultWriter or None
+            Open on rank 0, None elsewhere.
+        """
         ...
 
     def describe_origin(self) -> dict[str, str | int]:
-        """Say what it was measured from: images and sizes; on rank 0."""
+        """Say what it was measured from.
+
+        Returns
+        -------
+        dict
+            Images and sizes, by name; on rank 0.
+        """
         ...
 
     def at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Interpolate the displacement at points (n, 2), pixels; nan where nothing was measured."""
+        """Interpolate the displacement.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Where, pixels.
+
+        Returns
+        -------
+        (n, 2) array
+            Pixels; nan where nothing was measured.
+        """
         ...
 
 
@@ -91,6 +114,7 @@ def gather(measurement: Publishable) -> Result:
 
 
 def _write(measurement: Publishable, destination: Destination, *, read_back: bool = False) -> Result | None:
+    # Only rank 0 has a writer; the others take part in the collective calls.
     if not measurement.team.is_root:
         measurement.write(None)
         return None

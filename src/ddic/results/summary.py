@@ -15,9 +15,22 @@ from ddic.parallel.phases import Phase
 
 @dataclass(frozen=True)
 class NearSummary:
-    """Measured motion of a near-field set-up and what its images say, with standard deviations.
+    """Measured motion of a near-field set-up and what its images say.
 
-    alpha_px: pixels of the far field; theta_rad: radians; residual_std_grey, noise_grey: of the near images.
+    Attributes
+    ----------
+    alpha_px : (x, y)
+        Translation, far-field pixels.
+    alpha_std_px : (x, y)
+        Its standard deviation, far-field pixels.
+    theta_rad : float
+        Rotation, radians.
+    theta_std_rad : float
+        Its standard deviation, radians.
+    residual_std_grey : float
+        Standard deviation of the near images' residual, grey levels.
+    noise_grey : float
+        Standard deviation of the near images' noise, grey levels.
     """
 
     alpha_px: tuple[float, float]
@@ -32,17 +45,54 @@ class NearSummary:
 class Summary:
     """What a run did and measured.
 
-    iterations: of Gauss-Newton at full resolution; krylov_iterations: of each of them.
-    residual_std_grey: grey levels; residual_percent_of_range: the same in % of the dynamic range.
-    seconds: wall seconds by phase, the slowest rank's; cpu_seconds: by phase, all ranks'; imbalance: by phase, the
-    busiest rank's CPU seconds over the ranks' mean, without those spent waiting for other ranks outside PETSc;
-    peak_memory_bytes: by rank. eta, cut_off_wavelength (px): None without regularization.
-    largest_jump_px: largest displacement jump left at an interface node; linear_error_px: estimated RMS error of
-    the displacement that the last linear step left (0 if direct, None if unknown).
-    n_pixels: correlated; n_pixels_outside: left out because they are mapped outside the deformed image or
-    onto its excluded pixels. notes: how the start was found, and warnings.
-    grey_correction: what was corrected. result_file: name of the result file. near: near-field set-ups in order; the
-    residual is then that of the far images.
+    Attributes
+    ----------
+    converged : bool
+        Whether Gauss-Newton did.
+    iterations : int
+        Of Gauss-Newton at full resolution.
+    residual_std_grey : float
+        Standard deviation of the residual, grey levels; of the first camera's images.
+    residual_percent_of_range : float
+        The same in percent of the dynamic range.
+    n_dofs : int
+        Unknowns of the whole problem.
+    n_subdomains : int
+        Subdomains.
+    n_ranks : int
+        MPI ranks.
+    krylov_iterations : sequence of int
+        Of each iteration of Gauss-Newton.
+    seconds : dict
+        Wall seconds by phase, the slowest rank's.
+    cpu_seconds : dict
+        CPU seconds by phase, all ranks'.
+    peak_memory_bytes : sequence of int
+        By rank.
+    largest_jump_px : float
+        Largest displacement jump left at an interface node, pixels.
+    linear_error_px : float
+        Estimated RMS error of the displacement that the last linear step left, pixels; 0 for a direct solver, nan if
+        unknown.
+    n_pixels : int
+        Correlated pixels.
+    n_pixels_outside : int
+        Pixels left out because they are mapped outside the deformed image or onto its excluded pixels.
+    grey_correction : str
+        What was corrected of grey levels.
+    result_file : str
+        Name of the result file.
+    eta : float or None
+        Weight of the equilibrium gap, grey levels squared per pixel squared; None without regularization.
+    cut_off_wavelength : float or None
+        Pixels; None without regularization.
+    notes : sequence of str
+        How the start was found, and warnings.
+    imbalance : dict
+        By phase the busiest rank's CPU seconds over the ranks' mean, without those spent waiting for other ranks
+        outside PETSc.
+    near : sequence of NearSummary
+        Near-field set-ups in order.
     """
 
     converged: bool
@@ -70,9 +120,19 @@ class Summary:
 
 
 def write_summary(path: Path, summary: Summary) -> None:
-    """Write a summary as JSON (temporary name, then renamed); numbers that are not finite become null.
+    """Write a summary as JSON, under a temporary name that is then changed; numbers that are not finite become null.
 
-    Raises InputError if the folder cannot be written to.
+    Parameters
+    ----------
+    path : Path
+        The file.
+    summary : Summary
+        Its content.
+
+    Raises
+    ------
+    InputError
+        Where the folder cannot be written to.
     """
     text = json.dumps(_plain(asdict(summary)), indent=2, allow_nan=False)
     with replaced_on_exit(path) as temporary:
@@ -80,10 +140,13 @@ def write_summary(path: Path, summary: Summary) -> None:
 
 
 def _plain(value: Any) -> Any:
+    """A value made of what JSON knows."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, Sequence) and not isinstance(value, str):
         return [_plain(item) for item in value]
     if hasattr(value, "tolist"):
         return _plain(value.tolist())
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,41 @@
+"""Leave out pixels that do not show the specimen.
+
+A wire hangs before the specimen and does not move with it. Without a mask it is taken for the specimen; with one, its
+pixels are left out of both images, and the elements under it follow from what is seen beside the wire.
+
+    python examples/mask.py
+
+prints
+
+    without a mask: largest error 1.93 px
+    with a mask: largest error 0.08 px
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+import ddic
+
+
+def shear(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.column_stack([0.6 + 0.004 * points[:, 1], 0.3 - 0.002 * points[:, 0]])
+
+
+reference, deformed = ddic.synthetic_pair(shear, (300, 240), noise=1, seed=3)
+wire = (slice(None), slice(140, 152))  # all rows, twelve columns
+reference[wire] = deformed[wire] = 200
+
+# A mask is 0 where pixels are left out. The wire is hidden in both images, so both have the mask.
+mask = np.ones(reference.shape, dtype=bool)
+mask[wire] = False
+
+mesh = ddic.structured_mesh((20, 20, 280, 220), element_size=20)
+options = {"regularization": {"cut_off_wavelength": 60}}
+pairs = {
+    "without": (ddic.Image(reference), ddic.Image(deformed)),
+    "with": (ddic.Image(reference, mask), ddic.Image(deformed, mask)),
+}
+for name, pair in pairs.items():
+    result = ddic.measure(pair, mesh, options=options)
+    error = np.abs(result.displacement - shear(result.mesh.nodes)).max()
+    print(f"{name} a mask: largest error {error:.2f} px")

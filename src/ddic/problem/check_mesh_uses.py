@@ -1,0 +1,145 @@
+"""Whether what refers to the mesh fits it: pixels, node sets, wavelength, partition."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.case.loader import LoadedCase
+from ddic.case.schema import Case
+from ddic.errors import InputError
+from ddic.io.partition_file import read_partition
+from ddic.mesh.control import find_not_controlled_nodes
+from ddic.mesh.mesh import Mesh
+from ddic.mesh.quality import measure_areas
+from ddic.mesh.raster import rasterize
+from ddic.mesh.repair import check_pixels
+from ddic.partition.ties import Tying
+from ddic.problem.gather_problems import Problems
+from ddic.problem.mesh_source import mesh_name
+
+SHORTEST_WAVELENGTH = 3.0
+"""Elements per cut-off wavelength below which a plane wave is not one on the mesh (aliasing)."""
+
+LONGEST_WAVELENGTH = 1000.0
+"""Elements per cut-off wavelength beyond which M is lost in A = M + eta Kbar^T Kbar, whose ratio grows as its
+fourth power (1e12 here, of 1e16)."""
+
+
+@dataclass(frozen=True)
+class CheckedMesh:
+    """The mesh of a case.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        The whole mesh, pixels.
+    tying : Tying or None
+        How near fields' own meshes are tied in it; None where there are none.
+    pixel_counts : (n_cells,) array of int64
+        Pixels of each cell in the images that measure it.
+    """
+
+    mesh: Mesh
+    tying: Tying | None
+    pixel_counts: NDArray[np.int64]
+
+
+def check_mesh_uses(loaded: LoadedCase, checked: CheckedMesh, problems: Problems) -> NDArray[np.int64]:
+    """Check what refers to the mesh.
+
+    Parameters
+    ----------
+    loaded : LoadedCase
+        The case file.
+    checked : CheckedMesh
+        Its mesh.
+    problems : Problems
+        Takes what is found.
+
+    Returns
+    -------
+    (n,) array of int64
+        Nodes that are not controlled.
+    """
+    case = loaded.case
+    mesh = checked.mesh
+    with problems.gathered():
+        check_pixels(mesh, checked.pixel_counts, mesh_name(case))
+    not_controlled = np.zeros(0, np.int64)
+    with problems.gathered(loaded.path):
+        not_controlled = _find_not_controlled(case, checked)
+    with problems.gathered(loaded.path):
+        check_wavelength(case, mesh)
+    with problems.gathered():
+        if case.solver.partition_file is not None:
+            read_partition(case.solver.partition_file, mesh.n_cells)
+    with problems.gathered(loaded.path):
+        _check_subdomains(case.solver.subdomains, mesh)
+    return not_controlled
+
+
+def check_mesh(loaded: LoadedCase, mesh: Mesh) -> None:
+    """Check what a case with one camera asks of a mesh.
+
+    Parameters
+    ----------
+    loaded : LoadedCase
+        The case.
+    mesh : Mesh
+        The whole mesh, pixels.
+
+    Raises
+    ------
+    InputError
+        With a line for each problem: cells without pixels, node sets, cut-off wavelength, partition.
+    """
+    problems = Problems()
+    check_mesh_uses(loaded, CheckedMesh(mesh, None, rasterize(mesh).pixel_counts), problems)
+    if problems.lines:
+        raise InputError(problems.lines)
+
+
+def _find_not_controlled(case: Case, checked: CheckedMesh) -> NDArray[np.int64]:
+    section = case.regularization
+    if section is None:
+        return np.zeros(0, np.int64)
+    boundary = None if checked.tying is None else checked.tying.boundary
+    return find_not_controlled_nodes(checked.mesh, section.not_controlled, section.boxes, boundary)
+
+
+def _check_subdomains(n_subdomains: int | None, mesh: Mesh) -> None:
+    if n_subdomains is not None and n_subdomains > mesh.n_cells:
+        raise InputError(f"solver.subdomains = {n_subdomains}: the mesh has only {mesh.n_cells} cells; ask for fewer "
+                         "subdomains")
+
+
+def check_wavelength(case: Case, mesh: Mesh) -> None:
+    """Check that the cut-off wavelength is one that the mesh carries.
+
+    Parameters
+    ----------
+    case : Case
+        Says it.
+    mesh : Mesh
+        The whole mesh, pixels.
+
+    Raises
+    ------
+    InputError
+        Where it is shorter than SHORTEST_WAVELENGTH elements or longer than LONGEST_WAVELENGTH.
+    """
+    wavelength = None if case.regularization is None else case.regularization.cut_off_wavelength
+    if wavelength is None:
+        return
+    size = float(np.sqrt(measure_areas(mesh).mean()))
+    if wavelength < SHORTEST_WAVELENGTH * size:
+        raise InputError(f"regularization.cut_off_wavelength = {wavelength:g}: the mesh, of elements of {size:.3g} px, "
+                         f"carries no wave shorter than {SHORTEST_WAVELENGTH:g} elements; give at least "
+                         f"{SHORTEST_WAVELENGTH * size:.3g}, or leave the regularization out")
+    if wavelength > LONGEST_WAVELENGTH * size:
+        raise InputError(f"regularization.cut_off_wavelength = {wavelength:g}: more than {LONGEST_WAVELENGTH:g} "
+                         f"elements of {size:.3g} px, where rounding hides the images (eta grows as its fourth "
+                         f"power); give at most {LONGEST_WAVELENGTH * size:.3g}")

@@ -1,0 +1,91 @@
+"""Whether the result can be written where a case wants it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from ddic.case.loader import LoadedCase
+from ddic.case.schema import Case, ImagesSection, MeshSection, NearSection
+from ddic.errors import InputError
+from ddic.io.result_schema import sidecar_path, summary_path
+
+
+def check_output(loaded: LoadedCase) -> None:
+    """Check that the result and what stands beside it can be written and overwrite no input.
+
+    Parameters
+    ----------
+    loaded : LoadedCase
+        The case file.
+
+    Raises
+    ------
+    InputError
+        At the first problem.
+    """
+    case = loaded.case
+    check_output_file(case.output.file)
+    if case.output.file.suffix == ".json":
+        raise InputError(f"output.file: {case.output.file} is the name of the summary that is written beside the "
+                         "result; choose another ending, such as .vtkhdf")
+    _check_nothing_is_overwritten(loaded)
+
+
+def check_output_file(file: Path) -> None:
+    """Check that a file can be written.
+
+    Parameters
+    ----------
+    file : Path
+        The result file.
+
+    Raises
+    ------
+    InputError
+        Where it is a folder, or its folder is not there or cannot be written to.
+    """
+    folder = file.parent
+    if file.is_dir():
+        raise InputError(f"output.file: {file} is a folder; give the name of a file")
+    if not folder.is_dir():
+        raise InputError(f"output.file: there is no folder {folder}; make it first")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise InputError(f"output.file: the folder {folder} cannot be written to; choose another")
+
+
+def _check_nothing_is_overwritten(loaded: LoadedCase) -> None:
+    result = loaded.case.output.file
+    n_cameras = 1 + len(loaded.case.near)
+    sidecars = [sidecar_path(result, camera) for camera in range(n_cameras)]
+    written = {path.resolve() for path in (result, summary_path(result), *sidecars)}
+    for path in (loaded.path, *_list_inputs(loaded.case)):
+        if path is not None and path.resolve() in written:
+            raise InputError(f"output.file: {result} would overwrite the input {path}; choose another name")
+
+
+def _list_inputs(case: Case) -> Iterator[Path | None]:
+    """Files that a case reads; None for each that it does not name."""
+    yield from _list_images(case.images)
+    yield case.solver.partition_file
+    yield from _list_mesh_files(case.mesh)
+    for near in case.near:
+        if near.mesh is not None:
+            yield from _list_mesh_files(near.mesh)
+    for near in case.near:
+        yield from _list_images(near)
+        yield near.mapping_file
+
+
+def _list_images(images: ImagesSection | NearSection) -> Iterator[Path | None]:
+    yield images.reference
+    yield images.deformed
+    yield images.reference_mask
+    yield images.deformed_mask
+
+
+def _list_mesh_files(mesh: MeshSection) -> Iterator[Path | None]:
+    yield mesh.file
+    if mesh.structured is not None:
+        yield mesh.structured.mask

@@ -1,0 +1,98 @@
+"""What the inputs of a case are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.case.schema import Case
+from ddic.images.source import ImageSource
+from ddic.mesh.cell_type import CELL_TYPES
+from ddic.problem.check_mesh_uses import CheckedMesh
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """What the inputs of a case are.
+
+    Attributes
+    ----------
+    image_size : (width, height)
+        Of the first camera's images, pixels.
+    bits : int or None
+        Bits per pixel of the images' integers; None for floats.
+    n_nodes : int
+        Nodes of the mesh.
+    n_cells : int
+        Cells of the mesh.
+    n_dofs : int
+        Unknowns of the field.
+    cell_counts : dict of int
+        Number of cells by name (T3, Q4).
+    node_sets : dict of int
+        Number of nodes by name of the set.
+    pixels_min : int
+        Pixels of the cell that has fewest.
+    pixels_mean : float
+        Pixels per cell.
+    n_controlled_dofs : int
+        Unknowns that the equilibrium gap controls; 0 without regularization.
+    output : Path
+        The result file.
+    """
+
+    image_size: tuple[int, int]
+    bits: int | None
+    n_nodes: int
+    n_cells: int
+    n_dofs: int
+    cell_counts: dict[str, int]
+    node_sets: dict[str, int]
+    pixels_min: int
+    pixels_mean: float
+    n_controlled_dofs: int
+    output: Path
+
+
+def describe_inputs(case: Case, reference: ImageSource, checked: CheckedMesh,
+                    not_controlled: NDArray[np.int64]) -> CheckReport:
+    """Describe inputs that were found fit.
+
+    Parameters
+    ----------
+    case : Case
+        The settings.
+    reference : ImageSource
+        The first camera's reference image.
+    checked : CheckedMesh
+        The mesh.
+    not_controlled : (n,) array of int64
+        Nodes that are not controlled.
+
+    Returns
+    -------
+    CheckReport
+        Numbers for the user.
+    """
+    mesh = checked.mesh
+    n_unknown_nodes = mesh.n_nodes if checked.tying is None else checked.tying.n_unknown_nodes
+    n_not_controlled = int((not_controlled < n_unknown_nodes).sum())
+    n_controlled_nodes = 0 if case.regularization is None else n_unknown_nodes - n_not_controlled
+    types, n_of_type = np.unique(mesh.types, return_counts=True)
+    saturation = reference.saturation
+    return CheckReport(
+        image_size=(reference.width, reference.height),
+        bits=None if saturation is None else int(saturation).bit_length(),
+        n_nodes=mesh.n_nodes,
+        n_cells=mesh.n_cells,
+        n_dofs=mesh.dim * n_unknown_nodes,
+        cell_counts={CELL_TYPES[int(t)].name: int(n) for t, n in zip(types, n_of_type, strict=True)},
+        node_sets={name: len(nodes) for name, nodes in mesh.node_sets.items()},
+        pixels_min=int(checked.pixel_counts.min()),
+        pixels_mean=float(checked.pixel_counts.mean()),
+        n_controlled_dofs=mesh.dim * n_controlled_nodes,
+        output=case.output.file,
+    )
