@@ -14,6 +14,11 @@ from types import ModuleType
 import numpy as np
 from mpi4py import MPI
 
+import ddic
+
+N_SUBDOMAINS = 4
+"""As in the examples: as many as the largest number of ranks."""
+
 
 def load_example(path: Path) -> ModuleType:
     """Import an example, whose own measurement is not run.
@@ -26,7 +31,7 @@ def load_example(path: Path) -> ModuleType:
     Returns
     -------
     module
-        With a function ``measure``.
+        With IMAGES, MESH and a function ``kinematics``.
     """
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None:
@@ -44,7 +49,12 @@ def main(example: str, method: str, sections: str, output: str) -> None:
     example, method, sections, output : str
         Of the command line.
     """
-    result = load_example(Path(example)).measure(method, MPI.COMM_WORLD, **json.loads(sections))
+    module = load_example(Path(example))
+    settings = json.loads(sections)
+    cut = {} if method == "monolithic" else {"subdomains": N_SUBDOMAINS}
+    settings["solver"] = {**settings.get("solver", {}), "method": method, **cut}
+    options = ddic.Options(settings, module.kinematics)
+    result = ddic.measure(module.IMAGES, module.MESH, options=options)
     if MPI.COMM_WORLD.rank == 0:
         np.save(output, result.displacement)
 
