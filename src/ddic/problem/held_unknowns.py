@@ -4,67 +4,137 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from ddic.errors import SingularSubdomainError, on_all_ranks
-from ddic.functionals.view import View
-from ddic.parallel.team import Team
+from ddic.parallel.team import Team, held
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.views import FrameViews
+from ddic.problem.assembly import Assembly
+from ddic.solvers.local_operator import LocalOperator
+from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.singularity import describe_singular
 
+DETERMINED = 1e-5
+"""Lowest eigenvalue of eta K^T K, relative to the mean diagonal of M, with which equilibrium determines unknowns that
+neither pixels nor rows of their own hold. Along an edge whose forces are unknown it falls tenfold with every element;
+a larger value refuses more, a smaller one lets errors of the field grow more on their way along the edge."""
 
-def refuse_unheld(team: Team, views: Sequence[FrameViews], shown: Sequence[Sequence[View]]) -> None:
+CellCounts = tuple[NDArray[np.int64], ...]
+"""Pixels of each cell, (n_cells,), by view of a subdomain."""
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """What a subdomain adds to rows of K that are controlled, in columns of unknowns that no pixel holds.
+
+    rows, columns: (n,) numbers in the whole problem; values: (n,).
+    """
+
+    rows: NDArray[np.int64]
+    columns: NDArray[np.int64]
+    values: NDArray[np.float64]
+
+
+def find_held(subdomain: Subdomain, counts: CellCounts) -> NDArray[np.bool_]:
+    """Find the unknowns that pixels hold: those that displace a node of a cell with pixels.
+
+    Parameters
+    ----------
+    subdomain : Subdomain
+        Its cells and unknowns.
+    counts : tuple of (n_cells,) array
+        Pixels of each cell, by view.
+
+    Returns
+    -------
+    (n_field,) array of bool
+        Whether pixels hold each unknown of the field.
+    """
+    mesh = subdomain.mesh
+    n_pixels = np.sum(counts, axis=0)
+    cell_of_node = np.repeat(np.arange(mesh.n_cells), np.diff(mesh.offsets))
+    node_sees = np.zeros(mesh.n_nodes, dtype=bool)
+    node_sees[mesh.connectivity[n_pixels[cell_of_node] > 0]] = True
+    by_component = np.repeat(node_sees, mesh.dim).astype(np.float64)
+    return np.asarray(abs(subdomain.kinematics.tangent).T @ by_component > 0)
+
+
+def refuse_unheld(team: Team, unseen: Sequence[NDArray[np.bool_]], assembly: Assembly) -> None:
     """Refuse a frame that leaves an unknown to nothing: such a one would keep what it started from; collective.
 
-    An unknown is held by a pixel in a cell of a node that it displaces, in any subdomain, or by its row of equilibrium,
-    where that is controlled.
+    Unknowns that no pixel holds in any subdomain must follow from the others by equilibrium. They do where each has a
+    controlled row of its own. Where some have none, the rows that there are decide: around a corner, say, that of the
+    one inner node.
 
     Parameters
     ----------
     team : Team
         All ranks.
-    views : sequence of FrameViews
-        Owned subdomains in the frame.
-    shown : sequence of sequence of View
-        Views of each, without the pixels that the frame hides.
+    unseen : sequence of (n_field,) array of bool
+        Unknowns of owned subdomains that the frame leaves without pixels there.
+    assembly : Assembly
+        The systems of the same subdomains.
 
     Raises
     ------
     SingularSubdomainError
         On all ranks, with the place.
     """
-    candidates = []
-    for of_subdomain, of_shown in zip(views, shown, strict=True):
-        subdomain = of_subdomain.subdomain
-        n_shown = sum(view.n_pixels for view in of_shown)
-        if n_shown == sum(view.view.n_pixels for view in of_subdomain.views):
-            # Nothing is hidden: the factor of the reference said what holds it.
-            continue
-        unheld = ~_is_held(subdomain, of_shown) & ~subdomain.controlled
-        for place in np.flatnonzero(unheld):
-            number = int(subdomain.kinematics.numbers[place])
-            candidates.append((number, int(subdomain.multiplicity[place]), _find_position(subdomain, int(place))))
-    gathered = team.gather_lists(candidates)
+    subdomains = [system.subdomain for system in assembly.systems]
+    copies = [copy for s, is_unseen in zip(subdomains, unseen, strict=True)
+              for copy in zip(s.kinematics.numbers[is_unseen].tolist(), s.multiplicity[is_unseen].tolist(),
+                              s.controlled[is_unseen].tolist(), strict=True)]
+    gathered = team.gather_lists(copies)
     n_copies = Counter(number for number, _, _ in gathered)
-    for number, multiplicity, (x, y) in gathered:
-        # Held in none of the subdomains that share it.
-        if n_copies[number] == multiplicity:
-            raise on_all_ranks(SingularSubdomainError(
-                describe_singular(f"the region around column {x:.0f}, row {y:.0f}")))
+    # Held in none of the subdomains that share it.
+    unheld = {number for number, multiplicity, _ in gathered if n_copies[number] == multiplicity}
+    uncontrolled = {number for number, _, is_controlled in gathered if not is_controlled} & unheld
+    if not uncontrolled:
+        return
+    where = _describe_place(team, subdomains, min(uncontrolled))
+    if assembly.eta == 0:
+        raise on_all_ranks(SingularSubdomainError(describe_singular(where)))
+    numbers = np.array(sorted(unheld))
+    rows = team.gather_to([_find_rows(system, numbers) for system in assembly.systems])
+
+    def check() -> None:
+        found = [of_subdomain for of_rank in held(rows) for of_subdomain in of_rank]
+        gap = _join_rows(found, numbers)
+        operator = (assembly.eta * (gap.T @ gap)).tocsr()
+        LocalOperator(operator, smallest_eigenvalue=DETERMINED * assembly.mean_diagonal, where=where).destroy()
+
+    team.on_root(check)
 
 
-def _is_held(subdomain: Subdomain, views: Sequence[View]) -> NDArray[np.bool_]:
-    """Whether a pixel shown lies in a cell of a node that each unknown of the field displaces, (n_field,)."""
-    mesh = subdomain.mesh
-    n_pixels = np.sum([view.count_pixels() for view in views], axis=0)
-    cell_of_node = np.repeat(np.arange(mesh.n_cells), np.diff(mesh.offsets))
-    node_sees = np.zeros(mesh.n_nodes, dtype=bool)
-    node_sees[mesh.connectivity[n_pixels[cell_of_node] > 0]] = True
-    by_component = np.repeat(node_sees, mesh.dim).astype(np.float64)
-    return np.asarray(abs(subdomain.kinematics.tangent).T @ by_component > 0)
+def _find_rows(system: LocalSystem, unheld: NDArray[np.int64]) -> _Rows:
+    """A subdomain's part of K in the controlled rows and in the columns of unheld unknowns, given by number."""
+    numbers = system.subdomain.kinematics.numbers
+    columns = np.flatnonzero(np.isin(numbers, unheld))
+    if system.controlled_stiffness is None:
+        return _Rows(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
+    entries = system.controlled_stiffness[:, columns].tocoo()
+    # Without the weights of interface rows, a row of the whole K is the sum of the subdomains'.
+    return _Rows(numbers[entries.row], numbers[columns[entries.col]], entries.data / system.row_weights[entries.row])
+
+
+def _join_rows(found: Sequence[_Rows], unheld: NDArray[np.int64]) -> sparse.csr_matrix:
+    """Sum the subdomains' parts of rows: (n_rows, n_unheld)."""
+    row_numbers, rows = np.unique(np.concatenate([part.rows for part in found]), return_inverse=True)
+    columns = np.searchsorted(unheld, np.concatenate([part.columns for part in found]))
+    values = np.concatenate([part.values for part in found])
+    return sparse.csr_matrix((values, (rows.ravel(), columns)), shape=(len(row_numbers), len(unheld)))
+
+
+def _describe_place(team: Team, subdomains: Sequence[Subdomain], number: int) -> str:
+    """Say where the node lies that an unknown displaces most; collective."""
+    positions = team.gather_lists([_find_position(s, int(place)) for s in subdomains
+                                   for place in np.flatnonzero(s.kinematics.numbers == number)])
+    x, y = positions[0]
+    return f"the region around column {x:.0f}, row {y:.0f}"
 
 
 def _find_position(subdomain: Subdomain, place: int) -> NDArray[np.float64]:

@@ -12,8 +12,8 @@ from scipy import sparse
 from ddic.errors import first_of
 from ddic.functionals.view import FrameView, View
 from ddic.parallel.team import Team
-from ddic.problem.assembly import Hessians
-from ddic.problem.held_unknowns import refuse_unheld
+from ddic.problem.assembly import Assembly, Hessians
+from ddic.problem.held_unknowns import CellCounts, find_held, refuse_unheld
 from ddic.problem.views import FrameViews
 
 CHANGED_SHARE = 0.02
@@ -64,10 +64,6 @@ class RenewalRule:
         """
         share = CHANGED_SHARE * n_pixels
         return min(share, (CHANGED_SIDE * self.wavelength) ** 2) if self.is_regularized else share
-
-
-CellCounts = tuple[NDArray[np.int64], ...]
-"""Pixels of each cell, (n_cells,), by view of a subdomain."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +117,8 @@ class Renewal:
 
 
 def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np.float64]],
-                 assembled: tuple[VisiblePixels, Sequence[Hessians]], rule: RenewalRule) -> Renewal:
+                 assembled: tuple[VisiblePixels, Sequence[Hessians]], rule: RenewalRule,
+                 assembly: Assembly) -> Renewal:
     """Compare the pixels that M counts with those that a frame shows; collective.
 
     Parameters
@@ -136,6 +133,8 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
         What M counts, and M of each view with all pixels of the reference, on displacements of nodes in its image.
     rule : RenewalRule
         When M is renewed.
+    assembly : Assembly
+        The systems of the same subdomains.
 
     Returns
     -------
@@ -148,16 +147,17 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
         On all ranks, where the frame leaves an unknown to neither pixels nor mechanics.
     """
     counted, whole = assembled
-
     shown = team.together(lambda: [tuple(view.without_hidden(q_s) for view in of_subdomain.views)
                                    for of_subdomain, q_s in zip(views, q, strict=True)])
-    refuse_unheld(team, views, shown)
+    counts = [tuple(view.count_pixels() for view in of_shown) for of_shown in shown]
+    refuse_unheld(team, [_find_unseen(of_subdomain, now) for of_subdomain, now in zip(views, counts, strict=True)],
+                  assembly)
 
     def renew() -> tuple[list[sparse.csr_matrix | None], list[CellCounts]]:
         hessians: list[sparse.csr_matrix | None] = []
         by_view: list[CellCounts] = []
-        for of_subdomain, of_shown, before, hessian in zip(views, shown, counted.by_view, whole, strict=True):
-            now = tuple(view.count_pixels() for view in of_shown)
+        for of_subdomain, of_shown, before, now, hessian in zip(views, shown, counted.by_view, counts, whole,
+                                                                strict=True):
             if _is_kept(of_subdomain, before, now, rule):
                 hessians.append(None)
                 by_view.append(before)
@@ -176,9 +176,25 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
     return Renewal(hessians, VisiblePixels(by_view), note)
 
 
+def _find_unseen(of_subdomain: FrameViews, counts: CellCounts) -> NDArray[np.bool_]:
+    """Which unknowns have pixels in the reference images and none in the frame, (n_field,)."""
+    in_reference = tuple(view.view.count_pixels() for view in of_subdomain.views)
+    if all(np.array_equal(a, b) for a, b in zip(in_reference, counts, strict=True)):
+        return np.zeros(of_subdomain.subdomain.n_field, dtype=bool)
+    # What the reference images do not show either is held as the factor of the reference found.
+    return find_held(of_subdomain.subdomain, in_reference) & ~find_held(of_subdomain.subdomain, counts)
+
+
 def _is_kept(of_subdomain: FrameViews, before: CellCounts, now: CellCounts, rule: RenewalRule) -> bool:
     """Whether a subdomain's M, which counts the pixels before, still fits those that are shown now."""
     n_changed = sum(int(np.abs(a - b).sum()) for a, b in zip(before, now, strict=True))
+    if n_changed == 0:
+        return True
+    subdomain = of_subdomain.subdomain
+    lost = find_held(subdomain, before) & ~find_held(subdomain, now)
+    if (lost & ~subdomain.controlled).any():
+        # Without a row of its own it would follow the others by what M leaves it, hardly at all.
+        return False
     n_reference = sum(view.view.n_pixels for view in of_subdomain.views)
     return n_changed <= rule.limit(n_reference)
 

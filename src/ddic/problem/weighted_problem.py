@@ -185,7 +185,8 @@ class WeightedProblem:
             On all ranks.
         """
         rule = RenewalRule(cut_off_wavelength(self.reference.inputs.case))
-        renewal = find_renewal(self.team, views, q, (self._visible, self.reference.hessians), rule)
+        renewal = find_renewal(self.team, views, q, (self._visible, self.reference.hessians), rule,
+                               self.solver.assembly)
         if renewal.note or not self.solver.is_set_up:
             self.n_assembled += sum(hessian is not None for hessian in renewal.hessians)
             self.solver.renew(renewal.hessians)
