@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -16,8 +18,10 @@ from ddic.parallel.distribution import split_evenly
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.split import split_by_blocks
+from ddic.problem.assembly import Assembly
 from ddic.problem.renewal import CHANGED_SHARE, CHANGED_SIDE, HELD_SHARE, RenewalRule, VisiblePixels, find_renewal
 from ddic.problem.views import FrameViews, ReferenceViews
+from ddic.solvers.local_system import LocalSystem
 from ddic.synth.fields import Translation
 from support.pictures import pair_of, source, square_mesh
 
@@ -44,6 +48,8 @@ class Region:
         self.hessians = [[r.own.assemble_hessian()] for r in self.references]
         self.q = [np.zeros(s.n_unknowns) for s in self.own]
         self.whole = VisiblePixels.all_of([r.views for r in self.references])
+        systems = [LocalSystem(s, m, None, np.zeros(0), 0.0) for s, (m,) in zip(self.own, self.hessians, strict=True)]
+        self.assembly = Assembly(systems, 0.0, 1.0)
 
     def frame(self, *hidden: Rectangle) -> list[FrameViews]:
         mask = np.ones(IMAGE.shape, dtype=bool)
@@ -54,7 +60,8 @@ class Region:
     def renew(self, counted: VisiblePixels, rule: RenewalRule, *hidden: Rectangle,
               ) -> tuple[list[int], VisiblePixels, list[NDArray[np.float64] | None], str]:
         """Subdomains renewed on all ranks, what M counts then, this rank's new M, and what the log says."""
-        renewal = find_renewal(self.team, self.frame(*hidden), self.q, (counted, self.hessians), rule)
+        renewal = find_renewal(self.team, self.frame(*hidden), self.q, (counted, self.hessians), rule,
+                               self.assembly)
         renewed = [s.index for s, m in zip(self.own, renewal.hessians, strict=True) if m is not None]
         dense = [None if m is None else m.toarray() for m in renewal.hessians]
         return self.team.gather_lists(renewed), renewal.visible, dense, renewal.note
@@ -139,13 +146,19 @@ def test_as_many_other_pixels_renew_as_well(rule: RenewalRule) -> None:
 
 
 @pytest.mark.parallel([1, 2])
-def test_without_regularization_a_lost_cell_renews() -> None:
-    # A cell of 8 px is less of its 72 x 144 px than the share; without it nothing holds the node at the corner.
-    region = Region(build_structured_mesh((24, 24, 168, 168), 8), (2, 1))
+def test_a_node_without_a_row_that_loses_its_pixels_renews() -> None:
+    # A cell of 8 px is less of its 72 x 144 px than the share, but M would hold the node at the corner.
+    mesh = build_structured_mesh((24, 24, 168, 168), 8)
     cell = (24, 32, 24, 32)
     assert CHANGED_SHARE * 72 * 144 > (32 + 2 - 24)**2
+    region = Region(mesh, (2, 1))
     assert region.renew(region.whole, LONG, cell)[0] == []
-    renewed, visible, _, _ = region.renew(region.whole, NONE, cell)
+    # A subdomain of another thinks that it sees the corner: else nothing would hold it here, where there is no K.
+    region.own = [replace(s, controlled=np.arange(s.n_field) >= 2, multiplicity=s.multiplicity + 1) for s in region.own]
+    region.references = [replace(r, subdomain=s) for r, s in zip(region.references, region.own, strict=True)]
+    region.assembly = replace(region.assembly, systems=[replace(system, subdomain=s) for system, s in zip(
+        region.assembly.systems, region.own, strict=True)])
+    renewed, visible, _, _ = region.renew(region.whole, LONG, cell)
     assert renewed == [0]
-    # It is lost once.
-    assert region.renew(visible, NONE, cell)[0] == []
+    # They are lost once.
+    assert region.renew(visible, LONG, cell)[0] == []
