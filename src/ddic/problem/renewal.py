@@ -26,6 +26,10 @@ CHANGED_SIDE = 0.5
 hidden together, waves fit in that mechanics do not hold, and the old M holds them back. A larger value costs
 iterations."""
 
+GAINED_SHARE = 0.2
+"""Share of the pixels that M counts in a cell by which these may grow without a renewal: too small an M makes steps too
+large, and a cell that M counts nothing of is held by nothing. At 1 Gauss-Newton would diverge there."""
+
 HELD_SHARE = 1e-6
 """Share of what hidden pixels gave to M that stays in it where mechanics find the displacement of hidden cells. It
 keeps the operator of a subdomain regular that is hidden altogether, and slows down waves that mechanics hold by less,
@@ -140,7 +144,8 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
     Returns
     -------
     Renewal
-        New M where more than ``rule.limit`` of a subdomain's pixels have come or gone.
+        New M where more than ``rule.limit`` of a subdomain's pixels have come or gone, or a cell has gained more than
+        ``GAINED_SHARE``.
 
     Raises
     ------
@@ -178,6 +183,9 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
 
 def _is_kept(of_subdomain: FrameViews, before: CellCounts, now: CellCounts, rule: RenewalRule) -> bool:
     """Whether a subdomain's M, which counts the pixels before, still fits those that are shown now."""
+    counted, shown = np.sum(before, axis=0), np.sum(now, axis=0)
+    if (shown > (1.0 + GAINED_SHARE) * counted).any():
+        return False
     n_changed = sum(int(np.abs(a - b).sum()) for a, b in zip(before, now, strict=True))
     n_reference = sum(view.view.n_pixels for view in of_subdomain.views)
     return n_changed <= rule.limit(n_reference)

@@ -229,12 +229,14 @@ def read_earlier_fields(team: Team, path: Path, cameras: Sequence[Camera],
 
     displacements = team.scatter_from_root(read)
     motions = team.on_root(lambda: [_stored_motion(path, camera) for camera in cameras])
-    q = []
-    for reference, u in zip(references, displacements, strict=True):
+
+    def fit(reference: ReferenceViews, u: Array) -> Array:
         subdomain = reference.subdomain
         nodes = subdomain.mesh.nodes
         moved = cameras[subdomain.camera].setup.move(nodes + u, motions[subdomain.camera])
-        q.append(subdomain.kinematics.fit((moved - nodes).ravel()))
+        return subdomain.kinematics.fit((moved - nodes).ravel())
+
+    q = team.together(lambda: [fit(reference, u) for reference, u in zip(references, displacements, strict=True)])
     labels = [""] if len(cameras) == 1 else [f"{camera.label}, " for camera in cameras]
     return StartField(q, tuple(f"{label}start: displacement of {path}" for label in labels))
 

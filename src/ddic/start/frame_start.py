@@ -95,7 +95,7 @@ def find_start(by: FrameStart, frame: Frame, views: Sequence[FrameViews], found:
     with by.clock.phase(Phase.START):
         coarse = _find_coarse_fields(by, frame, references, found)
     with by.clock.phase(Phase.READ):
-        by.team.together(lambda: read_frame_windows([v.alone() for v in views], coarse.q))
+        by.team.together(lambda: read_frame_windows([of_subdomain.alone() for of_subdomain in views], coarse.q))
     with by.clock.phase(Phase.INDEPENDENT_START):
         fields, notes = _refine_independently(by, views, coarse)
         if len(by.search.cameras) == 1:
@@ -107,8 +107,8 @@ def find_start(by: FrameStart, frame: Frame, views: Sequence[FrameViews], found:
             noise = estimate_noise(by.team, by.search.cameras, views, fields, by.search.correction)
     if not by.problem.is_set_up:
         by.problem.set_noise(noise)
-    q = [_join_motion(reference, field, motions[reference.subdomain.camera])
-         for reference, field in zip(references, fields, strict=True)]
+    q = by.team.together(lambda: [_join_motion(reference, field, motions[reference.subdomain.camera])
+                                  for reference, field in zip(references, fields, strict=True)])
     return StartedFrame(q, (*notes, *describe_noise(by.search.cameras, noise)))
 
 

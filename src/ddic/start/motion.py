@@ -68,8 +68,8 @@ def start_motions(team: Team, cameras: Sequence[Camera], subdomains: Sequence[Su
     InputError
         On all ranks, where a camera shares too few unknowns with others.
     """
-    owned = [_interface_field(cameras[subdomain.camera], subdomain, field)
-             for subdomain, field in zip(subdomains, fields, strict=True)]
+    owned = team.together(lambda: [_interface_field(cameras[subdomain.camera], subdomain, field)
+                                   for subdomain, field in zip(subdomains, fields, strict=True)])
     pieces = team.gather_lists(owned)
     by_camera = [_mean_of_copies([piece for piece in pieces if piece.camera == camera.number]) for camera in cameras]
     n_motion_unknowns = [camera.setup.n_motion_unknowns for camera in cameras]
