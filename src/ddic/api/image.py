@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.errors import InputError, on_all_ranks
+from ddic.errors import InputError, as_collective
 from ddic.images.binned import ArraySource
 from ddic.images.grey_levels import check_finite
 from ddic.images.source import ImageSource
@@ -82,8 +82,8 @@ def _refuse_other_pixels(team: Team, image: ArraySource, name: str) -> None:
     """Refuse an array that is not the same on all ranks, each of which would correlate its own; collective."""
     checksums = set(team.gather_lists([(image.values.shape, zlib.crc32(image.values.tobytes()))]))
     if len(checksums) > 1:
-        raise on_all_ranks(InputError(f"{name}: the ranks were given different arrays; give all ranks the same image, "
-                                      "or its file"))
+        raise as_collective(InputError(f"{name}: the ranks were given different arrays; give all ranks the same image, "
+                                       "or its file"))
 
 
 def check_same_size(image: MaskedSource, reference: MaskedSource, name: str) -> None:

@@ -99,7 +99,7 @@ class Session:
             first_found, self._first_frame = self._found_first, None
         views = problem.open_frame(frame)
         started = find_start(self._start, frame, views, first_found, None if start is None else start.q)
-        model = problem.model_residual(views)
+        model = problem.build_residual_model(views)
         self._tell(started.notes)
         solution, renewals = solve_frame(problem, model, started.q, self._listener, self._clock)
         with self._clock.phase(Phase.FINISH):

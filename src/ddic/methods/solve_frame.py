@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.errors import ConvergenceError, on_all_ranks
+from ddic.errors import ConvergenceError, as_collective
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.views import read_frame_windows
@@ -64,6 +64,6 @@ def solve_frame(problem: WeightedProblem, model: ResidualModel, q: list[NDArray[
         for line in renewed:
             listener.note(line)
         notes = (*notes, *renewed)
-    raise on_all_ranks(ConvergenceError(
+    raise as_collective(ConvergenceError(
         f"the pixels that the frame shows still change after {MOST_RENEWALS} solutions; look at the masks and the "
         "start, or give a longer regularization.cut_off_wavelength"))

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from ddic.errors import first_of
+from ddic.errors import list_first
 from ddic.functionals.view import FrameView, View
 from ddic.parallel.team import Team
 from ddic.problem.assembly import Hessians
-from ddic.problem.held_unknowns import refuse_unheld
+from ddic.problem.held_unknowns import refuse_undetermined
 from ddic.problem.views import FrameViews
 
 CHANGED_SHARE = 0.02
@@ -53,7 +53,7 @@ class RenewalRule:
         """Whether mechanics find the displacement of hidden cells."""
         return self.wavelength > 0
 
-    def limit(self, n_pixels: int) -> float:
+    def bound_changes(self, n_pixels: int) -> float:
         """Give the largest number of pixels that may come or go without a renewal.
 
         Parameters
@@ -156,7 +156,7 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
 
     shown = team.together(lambda: [tuple(view.without_hidden(q_s) for view in of_subdomain.views)
                                    for of_subdomain, q_s in zip(views, q, strict=True)])
-    refuse_unheld(team, views, shown)
+    refuse_undetermined(team, views, shown)
 
     def renew() -> tuple[list[sparse.csr_matrix | None], list[CellCounts]]:
         hessians: list[sparse.csr_matrix | None] = []
@@ -176,7 +176,7 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
                                  in zip(views, hessians, strict=True) if hessian is not None])
     note = ""
     if changed:
-        note = (f"{len(changed)} subdomains ({first_of(changed)}) lost or gained more pixels than their operators "
+        note = (f"{len(changed)} subdomains ({list_first(changed)}) lost or gained more pixels than their operators "
                 "bear: these are renewed")
     return Renewal(hessians, VisiblePixels(by_view), note)
 
@@ -188,7 +188,7 @@ def _is_kept(of_subdomain: FrameViews, before: CellCounts, now: CellCounts, rule
         return False
     n_changed = sum(int(np.abs(a - b).sum()) for a, b in zip(before, now, strict=True))
     n_reference = sum(view.view.n_pixels for view in of_subdomain.views)
-    return n_changed <= rule.limit(n_reference)
+    return n_changed <= rule.bound_changes(n_reference)
 
 
 def _assemble_shown(views: Sequence[FrameView], shown: Sequence[View], whole: Sequence[sparse.csr_matrix],
