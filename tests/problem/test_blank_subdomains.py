@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ddic.case.loader import load_case
 from ddic.errors import InputError, SingularSubdomainError, is_on_all_ranks
 from ddic.io.result_reader import read_result
-from ddic.methods.run import run_case
+from ddic.methods.run_case import run_case
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.inputs import open_inputs

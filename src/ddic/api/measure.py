@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
+from ddic.api.given_mesh import convert_given_mesh
 from ddic.api.image import ImageLike, check_same_size, open_given_image
-from ddic.api.mesh import convert_given_mesh
 from ddic.api.options import Options, check_kinematics, choose_options, choose_team, make_case
 from ddic.case.loader import LoadedCase, load_case
 from ddic.case.schema import Case

@@ -39,7 +39,7 @@ def _run_everywhere(case_file: Path) -> int:
     import cv2
 
     from ddic.cli.console import RunConsole
-    from ddic.methods.run import run_case
+    from ddic.methods.run_case import run_case
     from ddic.parallel.team import Team
     from ddic.results.listener import Silence
 

@@ -18,8 +18,8 @@ from ddic.problem.weighted_problem import WeightedProblem
 from ddic.start.camera_noise import describe_noise, estimate_noise
 from ddic.start.coarse_field import CoarseSearch, StartField, fit_coarse_fields, read_earlier_fields
 from ddic.start.independent import measure_independently
-from ddic.start.motion import start_motions
 from ddic.start.multilevel import MultilevelStart
+from ddic.start.start_motions import start_motions
 
 Array = NDArray[np.float64]
 
