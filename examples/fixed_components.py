@@ -40,7 +40,7 @@ def kinematics(mesh: ddic.Mesh) -> ddic.LinearRegion:
 
 def measure(method: str, comm: MPI.Comm, **sections: dict[str, Any]) -> ddic.Result:
     solver = {"method": method} if method == "monolithic" else {"method": method, "subdomains": 4}
-    images = ddic.synthetic_pair(slide, (300, 200), noise=1, seed=6)
+    images = ddic.make_synthetic_pair(slide, (300, 200), noise=1, seed=6)
     mesh = ddic.structured_mesh((20, 20, 280, 180), element_size=15)
     settings = {**sections, "solver": solver | sections.get("solver", {})}
     return ddic.measure(images, mesh, options=ddic.Options(settings, kinematics, comm))

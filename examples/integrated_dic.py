@@ -43,7 +43,7 @@ def kinematics(mesh: ddic.Mesh) -> ddic.LinearRegion:
 
 def measure(method: str, comm: MPI.Comm, **sections: dict[str, Any]) -> ddic.Result:
     solver = {"method": method} if method == "monolithic" else {"method": method, "subdomains": 4}
-    images = ddic.synthetic_pair(lambda points: (modes(points) @ AMPLITUDES).reshape(-1, 2), SIZE, noise=2, seed=5)
+    images = ddic.make_synthetic_pair(lambda points: (modes(points) @ AMPLITUDES).reshape(-1, 2), SIZE, noise=2, seed=5)
     mesh = ddic.structured_mesh((20, 20, 300, 220), element_size=10)
     settings = {**sections, "solver": solver | sections.get("solver", {})}
     return ddic.measure(images, mesh, options=ddic.Options(settings, kinematics, comm))

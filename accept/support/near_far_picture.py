@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accept.support.near_far_case import Fields
-from ddic.io.plots.camera_fields import CellPanel, panels_figure
-from ddic.io.plots.canvas import mesh_bounds, save_figure
+from ddic.io.plots.camera_fields import CellPanel, draw_cell_panels
+from ddic.io.plots.canvas import find_mesh_bounds, save_figure
 from ddic.kinematics.strain import compute_strain
 
 AROUND = 0.35
@@ -23,7 +23,7 @@ def draw_panels(fields: Mapping[str, Fields], path: Path) -> None:
     panels = [_panel("(a) far field alone", alone, [0]), _panel("(b) near field alone", alone, [1]),
               _panel("(c) continuous, Eq. 21", joint, [0, 1]), _panel("(d) regularized, Eq. 23", regularized, [0, 1])]
     path.parent.mkdir(parents=True, exist_ok=True)
-    save_figure(panels_figure(panels, [near], mesh_bounds(near.nodes, AROUND), r"$\varepsilon_{yy}$ [-]"), path)
+    save_figure(draw_cell_panels(panels, [near], find_mesh_bounds(near.nodes, AROUND), r"$\varepsilon_{yy}$ [-]"), path)
 
 
 def _panel(title: str, fields: Fields, cameras: list[int]) -> CellPanel:

@@ -55,7 +55,7 @@ def calls_on(mesh: Mesh, degree: int) -> dict[str, Callable[[], Any]]:
     part = of_any_checkout(functional, "read_correlations")([mesh], source, degree)[0][0]
     deformed = DeformedSubImage(source, degree)
     q = displacement(mesh.nodes)
-    window = part.displaced_window(q)
+    window = part.find_displaced_window(q)
     deformed.covering(window)
     hessians = of_any_checkout(part, "compute_cell_hessians")
     residual = of_any_checkout(part, "compute_residual")

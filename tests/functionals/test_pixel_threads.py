@@ -46,7 +46,7 @@ def everything(n_threads: int, n_parts: int, degree: int, masked: bool) -> dict[
         q = np.random.default_rng(s).uniform(-15, 15, part.mesh.n_dofs)
         residual = part.compute_residual(deformed, q, all_kinds=True)
         gain, offset = residual.cell_sums.fit_gain_and_offset()
-        reference, spline = part.reference, deformed.covering(part.displaced_window(q))
+        reference, spline = part.reference, deformed.covering(part.find_displaced_window(q))
         seen = part.without_hidden(deformed, q)
         assert seen.threads is part.threads is threads
         found |= {f"{name} of part {s}": array for name, array in {

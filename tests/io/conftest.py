@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from ddic.io import result_schema as schema
-from ddic.io.image_chunks import ChunkGrid, packed
+from ddic.io.image_chunks import ChunkGrid, pack_chunk
 from ddic.io.result_writer import Piece, PieceSize, ResultWriter
 from ddic.mesh.cell_type import Q4, T3
 from ddic.mesh.mesh import Mesh, build_mesh
@@ -89,7 +89,7 @@ def write_result() -> Callable[..., Path]:
             if residual:
                 image = residual_of(60, 50)
                 writer.create_residual_image(ChunkGrid(60, 50))
-                writer.write_residual_chunk(0, packed(image))
+                writer.write_residual_chunk(0, pack_chunk(image))
             writer.write_table(schema.GAUSS_NEWTON, {"iteration": [1, 2], "residual_std_grey": [3.0, 2.5]})
             writer.write_curves(schema.KRYLOV, [[1.0, 0.1, 0.001], [1.0, 1e-4]] if curves else [[], []])
             writer.write_attributes(schema.CASE, {"toml": "title = 'é'\n" * 20_000, "eta": 0.5})

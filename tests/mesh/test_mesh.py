@@ -61,7 +61,7 @@ def test_mapping_of_points_and_of_displacements_agree(scale: float, angle: float
     points, moves = rng.uniform(-10, 10, (8, 2)), rng.uniform(-1, 1, (8, 2))
     in_pixels = mapping.to_pixels(points + moves) - mapping.to_pixels(points)
     # Coordinates of up to a thousand pixels are rounded by 1e-13, then divided by the scale.
-    np.testing.assert_allclose(mapping.vector_to_mesh_units(in_pixels), moves, atol=1e-11)
+    np.testing.assert_allclose(mapping.map_vectors_to_mesh_units(in_pixels), moves, atol=1e-11)
 
 
 def test_angle_turns_x_towards_y() -> None:

@@ -165,7 +165,7 @@ def test_counts_in_a_window_of_an_image(mesh: Mesh, seed: int) -> None:
     raster = rasterize(mesh)
     expected = [sum(int(image[y - y0, x - x0]) for x, y in pixels if x0 <= x < x0 + 23 and y0 <= y < y0 + 15)
                 for pixels in pixels_of(raster)]
-    assert raster.counts_in(image, x0, y0).tolist() == expected
+    assert raster.sum_by_cell(image, x0, y0).tolist() == expected
 
 
 def test_coverage_is_clipped_to_the_image() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ddic.errors import InputError, is_on_all_ranks
+from ddic.errors import InputError, is_collective
 from ddic.kinematics.camera_kinematics import MotionKind
 from ddic.parallel.team import Team
 from ddic.partition.by_camera import find_cameras_at_nodes
@@ -79,7 +79,7 @@ def test_too_few_shared_nodes_are_refused(motion: MotionKind, n_shared: int) -> 
     u = [np.zeros(s.n_field) for s in subdomains]
     with pytest.raises(InputError, match=r"too few nodes.*near.region") as caught:
         start_motions(cut.team, problem.cameras, subdomains, u)
-    assert is_on_all_ranks(caught.value)
+    assert is_collective(caught.value)
 
 
 @pytest.mark.parallel(RANKS)

@@ -118,7 +118,7 @@ class Window:
                 and self.x1 >= other.x1 and self.y1 >= other.y1)
 
 
-def shared_windows(windows: Sequence[Window], halo: int) -> list[tuple[Window, list[int]]]:
+def merge_windows(windows: Sequence[Window], halo: int) -> list[tuple[Window, list[int]]]:
     """Put neighbours together whose common window holds no more pixels than theirs do, a halo around each.
 
     Parameters

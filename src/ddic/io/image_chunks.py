@@ -88,7 +88,7 @@ class ChunkGrid:
                 for column in range(part.x0 // columns, (part.x1 - 1) // columns + 1)]
 
 
-def packed(chunk: NDArray[np.float32]) -> bytes:
+def pack_chunk(chunk: NDArray[np.float32]) -> bytes:
     """Pack a chunk as HDF5's shuffle and deflate filters would store it.
 
     The bytes of equal weight lie together (shuffle). Each of these planes is a piece of one zlib stream by itself,

@@ -51,7 +51,7 @@ class Similarity:
         """
         return np.asarray(self.scale * points @ self.rotation.T + np.asarray(self.translation))
 
-    def vector_to_mesh_units(self, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    def map_vectors_to_mesh_units(self, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
         """Map displacements to mesh units.
 
         Parameters

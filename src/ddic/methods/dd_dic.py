@@ -98,7 +98,7 @@ class Session:
         views = problem.open_frame(frame)
         found, self._found_first = self._found_first, None
         started = find_start(self._start, frame, views, found, None if start is None else start.q)
-        model = problem.model_residual(views)
+        model = problem.build_residual_model(views)
         with clock.phase(Phase.ASSEMBLE):
             renewed = problem.renew(model.views, started.q)
         notes = (*started.notes, *renewed)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ddic.errors import InputError
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.mortar import Mortar, Overlaps, Sides, find_overlaps, integrate_mortar
-from ddic.mesh.point_in_mesh import lie_inside_outline
+from ddic.mesh.point_in_mesh import is_inside_outline
 from ddic.mesh.topology import find_boundary_facets, find_facets
 
 TOLERANCE = 1e-6
@@ -150,7 +150,7 @@ def _find_replaced_cells(far: Mesh, near: Mapping[int, Mesh]) -> NDArray[np.int6
     """Number of the near camera whose mesh covers the centre of each far cell, (n_cells,), 0 for none."""
     replaced_by = np.zeros(far.n_cells, dtype=np.int64)
     for number, mesh in near.items():
-        inside = lie_inside_outline(far.centroids, mesh)
+        inside = is_inside_outline(far.centroids, mesh)
         earlier = int(replaced_by[inside].max(initial=0))
         if earlier > 0:
             raise InputError(f"near, entry {number}: its mesh overlaps that of entry {earlier}; "

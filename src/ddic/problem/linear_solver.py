@@ -188,8 +188,9 @@ def _make_step(team: Team, case: Case, assembly: Assembly, operators: Sequence[L
         return AssembledStep(team, assembly.systems, assembly.smallest_eigenvalue)
     if solver.method == "conjugate_gradient":
         return ConjugateGradientStep(team, assembly.systems, solver.tolerance, solver.max_iterations)
-    settings = DualSettings(_choose_preconditioner(team, solver, assembly, cut_off_wavelength(case)), solver.tolerance,
-                            solver.max_iterations, solver.recycle, solver.local_inverse)
+    preconditioner = _choose_preconditioner(team, solver, assembly, compute_cut_off_wavelength(case))
+    settings = DualSettings(preconditioner, solver.tolerance, solver.max_iterations, solver.recycle,
+                            solver.local_inverse)
     return DualStep(team, assembly.systems, operators, assembly.reaction_scale, settings)
 
 
@@ -208,7 +209,7 @@ def _side(subdomain: Subdomain) -> float:
     return float(np.prod(extent) ** (1 / subdomain.mesh.dim))
 
 
-def cut_off_wavelength(case: Case) -> float:
+def compute_cut_off_wavelength(case: Case) -> float:
     """Find the wavelength below which mechanics hold the displacement.
 
     Parameters

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from ddic.errors import first_of
+from ddic.errors import list_first
 from ddic.functionals.view import FrameView, View
 from ddic.parallel.team import Team
 from ddic.problem.assembly import Hessians
@@ -156,7 +156,7 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
                                  in zip(views, hessians, strict=True) if hessian is not None])
     note = ""
     if changed:
-        note = (f"{len(changed)} subdomains ({first_of(changed)}) lost or gained more pixels than their operators "
+        note = (f"{len(changed)} subdomains ({list_first(changed)}) lost or gained more pixels than their operators "
                 "bear: these are renewed")
     return Renewal(hessians, VisiblePixels(by_view), note)
 

@@ -12,7 +12,7 @@ from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.assembly import assemble
 from ddic.problem.cameras import Frame
-from ddic.problem.linear_solver import LinearSolver, cut_off_wavelength
+from ddic.problem.linear_solver import LinearSolver, compute_cut_off_wavelength
 from ddic.problem.problem_size import ProblemSize, measure_problem_size
 from ddic.problem.reference_problem import ReferenceProblem
 from ddic.problem.renewal import RenewalRule, VisiblePixels, find_renewal
@@ -110,7 +110,7 @@ class WeightedProblem:
         """
         return open_frame_views(self.reference.inputs.case, frame, self.reference.references)
 
-    def model_residual(self, views: Sequence[FrameViews]) -> ResidualModel:
+    def build_residual_model(self, views: Sequence[FrameViews]) -> ResidualModel:
         """Model the residual of a frame, cameras weighted.
 
         Parameters
@@ -184,7 +184,7 @@ class WeightedProblem:
         SingularSubdomainError, FactorizationError
             On all ranks.
         """
-        rule = RenewalRule(cut_off_wavelength(self.reference.inputs.case))
+        rule = RenewalRule(compute_cut_off_wavelength(self.reference.inputs.case))
         renewal = find_renewal(self.team, views, q, (self._visible, self.reference.hessians), rule)
         if renewal.note or not self.solver.is_set_up:
             self.n_assembled += sum(hessian is not None for hessian in renewal.hessians)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.images.window import Window
-from ddic.io.image_chunks import ChunkGrid, packed
+from ddic.io.image_chunks import ChunkGrid, pack_chunk
 from ddic.parallel.team import Team
 
 CHUNKS_A_MESSAGE = 16
@@ -192,4 +192,4 @@ def _lay(patch: Patch, place: Window, chunk: NDArray[np.float32]) -> None:
 
 def _pack(number: int, chunk: NDArray[np.float32]) -> list[PackedChunk]:
     """A chunk compressed; nothing where it has no pixel."""
-    return [] if np.isnan(chunk).all() else [PackedChunk(number, packed(chunk))]
+    return [] if np.isnan(chunk).all() else [PackedChunk(number, pack_chunk(chunk))]

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.errors import ConvergenceError, on_all_ranks
+from ddic.errors import ConvergenceError, as_collective
 from ddic.functionals.grey_statistics import GreyState
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
@@ -232,7 +232,7 @@ def gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, tolerances:
         progress.report(records[-1])
         if model.team.on_root(partial(_decide, size, tolerances)):
             return Solution(current, records)
-    raise on_all_ranks(ConvergenceError(_not_converged(records[-1], tolerances)))
+    raise as_collective(ConvergenceError(_not_converged(records[-1], tolerances)))
 
 
 def _solve_as_far_as_it_pays(model: Model, step: LinearStep, system: tuple[Sequence[Array], Sequence[Array]],

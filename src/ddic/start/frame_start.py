@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.errors import first_of
+from ddic.errors import list_first
 from ddic.kinematics.camera_kinematics import CameraKinematics
 from ddic.parallel.phases import Phase, PhaseClock
-from ddic.parallel.team import Team, held
+from ddic.parallel.team import Team, require_held
 from ddic.problem.cameras import Frame
 from ddic.problem.views import FrameViews, ReferenceViews, read_frame_windows
 from ddic.problem.weighted_problem import WeightedProblem
@@ -120,7 +120,7 @@ def _find_coarse_fields(by: FrameStart, frame: Frame, references: Sequence[Refer
     if found is None:
         search = by.search.prepare(frame)
         found = by.search.share(by.team.together(search))
-    return fit_coarse_fields(cameras, references, held(found))
+    return fit_coarse_fields(cameras, references, require_held(found))
 
 
 def _refine_independently(by: FrameStart, views: Sequence[FrameViews],
@@ -136,7 +136,7 @@ def _refine_independently(by: FrameStart, views: Sequence[FrameViews],
     kept = by.team.gather_lists(refined.kept)
     note = "start: independent FE-DIC on every subdomain"
     if kept:
-        note += f"; {len(kept)} kept the coarse field for want of texture or convergence ({first_of(kept)})"
+        note += f"; {len(kept)} kept the coarse field for want of texture or convergence ({list_first(kept)})"
     return refined.q, (*coarse.notes, note)
 
 

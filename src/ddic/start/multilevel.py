@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from ddic.errors import ConvergenceError, SingularSubdomainError
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.images.binned import bin_image
-from ddic.images.grid_field import GridField, uniform_field
+from ddic.images.grid_field import GridField, build_uniform_field
 from ddic.images.rigid import RigidShift, find_rigid_shift
 from ddic.images.sub_image import MaskedSource
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
-from ddic.start.pyramid_level import CELL, BinnedPair, active_blocks, correlate_level, scaled_mesh
+from ddic.start.pyramid_level import CELL, BinnedPair, correlate_level, find_active_blocks, scale_mesh
 
 LARGEST_COARSE_IMAGE = 1_000_000
 """Pixels of the finest image of the pyramid: what one rank is asked to hold and correlate."""
@@ -54,14 +54,14 @@ class MultilevelStart:
     warnings: tuple[str, ...]
 
 
-def multilevel_start(pair: BinnedPair, mesh: Mesh, *, rigid: bool, pyramid: bool,
-                     correction: GreyCorrection) -> MultilevelStart:
+def find_multilevel_start(pair: BinnedPair, mesh: Mesh, *, rigid: bool, pyramid: bool,
+                          correction: GreyCorrection) -> MultilevelStart:
     """Find a coarse field on the region of ``mesh`` (the whole mesh, pixels).
 
-    pair: the images, binned at most as far as ``finest_block`` says.
+    pair: the images, binned at most as far as ``choose_finest_block`` says.
     """
     n_pixels = pair.n_blocks * pair.factor**2
-    sizes = block_sizes(n_pixels, mesh) if pyramid else []
+    sizes = choose_block_sizes(n_pixels, mesh) if pyramid else []
     rigid_size = _rigid_block_size(n_pixels, mesh)
     pairs = _binned_pairs(pair, [*sizes, *([rigid_size] if rigid else [])])
     shift = _rigid(pairs[rigid_size], mesh) if rigid else None
@@ -70,7 +70,7 @@ def multilevel_start(pair: BinnedPair, mesh: Mesh, *, rigid: bool, pyramid: bool
         warnings.append(f"start: no rigid translation stands out (best correlation coefficient {shift.coefficient:.2f}"
                         "); starting from zero")
         shift = None
-    field = rigid_field = uniform_field((0.0, 0.0) if shift is None else shift.shift)
+    field = rigid_field = build_uniform_field((0.0, 0.0) if shift is None else shift.shift)
     done: list[int] = []
     for size in sizes:
         try:
@@ -82,7 +82,7 @@ def multilevel_start(pair: BinnedPair, mesh: Mesh, *, rigid: bool, pyramid: bool
     return MultilevelStart(field, shift, tuple(done), tuple(warnings))
 
 
-def finest_block(n_pixels: int) -> int:
+def choose_finest_block(n_pixels: int) -> int:
     """Side of the smallest blocks that the start looks at, pixels."""
     return 1 if n_pixels <= LARGEST_FFT_IMAGE else _finest_level(n_pixels)
 
@@ -94,7 +94,7 @@ def _finest_level(n_pixels: int) -> int:
     return finest
 
 
-def block_sizes(n_pixels: int, mesh: Mesh) -> list[int]:
+def choose_block_sizes(n_pixels: int, mesh: Mesh) -> list[int]:
     """Block sizes of the pyramid's levels, pixels, coarsest first."""
     side = float((mesh.nodes.max(axis=0) - mesh.nodes.min(axis=0)).min())
     sizes = [_finest_level(n_pixels)]
@@ -124,7 +124,7 @@ def _binned_pairs(pair: BinnedPair, sizes: Iterable[int]) -> dict[int, BinnedPai
 
 
 def _rigid(pair: BinnedPair, mesh: Mesh) -> RigidShift:
-    region = active_blocks(pair.reference, rasterize(scaled_mesh(mesh, pair.factor))).astype(bool)
+    region = find_active_blocks(pair.reference, rasterize(scale_mesh(mesh, pair.factor))).astype(bool)
     if region.sum() < SMALLEST_SIDE:
         return RigidShift((0.0, 0.0), 0.0)
     found = find_rigid_shift(_values(pair.reference), _values(pair.deformed), region)

@@ -90,8 +90,8 @@ def correlate_level(pair: BinnedPair, mesh: Mesh, starts: Sequence[GridField],
 
     Raises ConvergenceError or SingularSubdomainError.
     """
-    coarse = scaled_mesh(mesh, pair.factor)
-    active = active_blocks(pair.reference, rasterize(coarse))
+    coarse = scale_mesh(mesh, pair.factor)
+    active = find_active_blocks(pair.reference, rasterize(coarse))
     if not active.any():
         raise SingularSubdomainError("no block of the region is usable: everything is masked")
     grid = _grid(coarse, active)
@@ -103,13 +103,13 @@ def correlate_level(pair: BinnedPair, mesh: Mesh, starts: Sequence[GridField],
     return GridField((origin[0], origin[1]), (spacing[0], spacing[1]), fill_absent(values))
 
 
-def scaled_mesh(mesh: Mesh, factor: int) -> Mesh:
+def scale_mesh(mesh: Mesh, factor: int) -> Mesh:
     """The mesh in blocks of factor x factor pixels."""
     nodes = (mesh.nodes - (factor - 1) / 2) / factor
     return Mesh(nodes, mesh.connectivity, mesh.offsets, mesh.types)
 
 
-def active_blocks(coarse: MaskedSource, raster: Raster) -> NDArray[np.uint8]:
+def find_active_blocks(coarse: MaskedSource, raster: Raster) -> NDArray[np.uint8]:
     """1 on the blocks whose centre lies in the mesh and that are not masked."""
     covered = raster.coverage(coarse.image.width, coarse.image.height)
     usable = coarse.usable(coarse.extent)
@@ -171,5 +171,5 @@ def _grid(mesh: Mesh, active: NDArray[np.uint8]) -> Grid:
     corner = (np.arange(counts[1])[:, None] * columns + np.arange(counts[0])).ravel()
     full = build_mesh(nodes, {Q4: np.stack(
         [corner, corner + 1, corner + columns + 1, corner + columns], axis=1)})
-    part, numbers = full.submesh(np.flatnonzero(rasterize(full).counts_in(active) > 0))
+    part, numbers = full.submesh(np.flatnonzero(rasterize(full).sum_by_cell(active) > 0))
     return Grid(part, numbers, (int(counts[1]) + 1, int(columns)), low, (high - low) / counts)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.errors import InputError, on_all_ranks
+from ddic.errors import InputError, as_collective
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.cameras import Camera
@@ -73,7 +73,7 @@ def start_motions(team: Team, cameras: Sequence[Camera], subdomains: Sequence[Su
             jumps.append(of_a.values[at_a] - of_b.values[at_b])
     motions, _, rank, _ = np.linalg.lstsq(np.concatenate(rows), np.concatenate(jumps), rcond=1e-9)
     if rank < n_columns:
-        raise on_all_ranks(InputError(
+        raise as_collective(InputError(
             "near: the elements of a near-field image share too few nodes with those of other images to tell how its "
             "set-up moved; enlarge the mesh around it, or give near.region"))
     return [motions[first[k]:first[k + 1]] for k in range(len(cameras))]

@@ -22,7 +22,7 @@ WIDTH_INCHES = 7.0
 TALLEST_INCHES = 9.0
 
 
-def image_figure(bounds: tuple[float, float, float, float], title: str) -> tuple[Figure, Axes]:
+def make_image_figure(bounds: tuple[float, float, float, float], title: str) -> tuple[Figure, Axes]:
     """Make a figure whose axes are those of the image: pixels, equal scales, y down.
 
     Parameters
@@ -55,7 +55,7 @@ def image_figure(bounds: tuple[float, float, float, float], title: str) -> tuple
     return figure, axes
 
 
-def mesh_bounds(nodes: NDArray[np.float64], margin: float = 0.03) -> tuple[float, float, float, float]:
+def find_mesh_bounds(nodes: NDArray[np.float64], margin: float = 0.03) -> tuple[float, float, float, float]:
     """Find the box around nodes.
 
     Parameters
@@ -92,7 +92,7 @@ def add_colour_bar(figure: Figure, axes: Axes, mappable: Any, label: str) -> Non
     figure.colorbar(mappable, cax=axes.inset_axes((1.02, 0.0, 0.03, 1.0)), label=label)
 
 
-def cell_polygons(mesh: Mesh, nodes: NDArray[np.float64], **style: Any) -> PolyCollection:
+def make_cell_polygons(mesh: Mesh, nodes: NDArray[np.float64], **style: Any) -> PolyCollection:
     """Make polygons of the cells.
 
     Parameters
@@ -113,7 +113,7 @@ def cell_polygons(mesh: Mesh, nodes: NDArray[np.float64], **style: Any) -> PolyC
     return PolyCollection(corners, **style)
 
 
-def triangulation(mesh: Mesh, nodes: NDArray[np.float64]) -> Triangulation:
+def make_triangulation(mesh: Mesh, nodes: NDArray[np.float64]) -> Triangulation:
     """Cut the cells into triangles.
 
     Parameters
@@ -152,7 +152,7 @@ def pick_component(vectors: NDArray[np.float64], component: Component) -> NDArra
     return vectors[:, 0 if component == "x" else 1]
 
 
-def component_symbol(symbol: str, component: Component) -> str:
+def format_component(symbol: str, component: Component) -> str:
     """Write a component of a vector as a label does.
 
     Parameters

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 STYLES = ("-", "--", "-.", ":")
 
 
-def krylov_figure(curves: Mapping[str, Sequence[NDArray[np.float64]]]) -> Figure:
+def draw_krylov(curves: Mapping[str, Sequence[NDArray[np.float64]]]) -> Figure:
     """Draw the relative residual against the iteration.
 
     Each label has a line style; its Gauss-Newton iterations run through the colours.

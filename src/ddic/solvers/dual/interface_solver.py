@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-from ddic.errors import ConvergenceError, on_all_ranks
+from ddic.errors import ConvergenceError, as_collective
 from ddic.solvers.dual.coarse_space import CoarseSpace
 from ddic.solvers.dual.recycling import RecycledSpace
 from ddic.solvers.dual.schur_operator import DualSchurOperator
@@ -130,7 +130,7 @@ class InterfaceSolver:
             On all ranks.
         """
         if not np.isfinite(stop):
-            raise on_all_ranks(ConvergenceError(
+            raise as_collective(ConvergenceError(
                 "the right-hand side of the interface problem is not finite; check the start of the displacement and "
                 "the texture"))
         # The system is solved for the change of v, whose right-hand side is no measure of the residual: hence atol.
@@ -140,7 +140,7 @@ class InterfaceSolver:
         self.ksp.solve(self.residual, self._change)
         n_iterations = int(self.ksp.getIterationNumber())
         if self.ksp.getConvergedReason() < 0:
-            raise on_all_ranks(ConvergenceError(
+            raise as_collective(ConvergenceError(
                 f"the interface problem did not converge in {n_iterations} Krylov iterations "
                 f"(relative residual {self.ksp.getResidualNorm() / (right.norm() or 1.0):.1e}); raise "
                 'solver.max_iterations, or choose solver.preconditioner = "two_level" or fewer, larger subdomains'))
