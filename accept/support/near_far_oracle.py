@@ -107,7 +107,7 @@ def _look(whole: RegionMesh, frame: Frame, number: int, at: State) -> OneCamera:
     """What a camera brings."""
     case, mesh = whole.inputs.case, whole.mesh
     far, camera = whole.inputs.cameras[0], whole.inputs.cameras[number]
-    part, ids = mesh.submesh(np.flatnonzero(whole.cameras == number))
+    part, ids = mesh.create_submesh(np.flatnonzero(whole.cameras == number))
     dofs = (2 * ids[:, None] + np.arange(2)).ravel()
     seen = at.u[dofs] + (np.tile(at.alpha, len(ids)) if number else 0.0)
     ratio = float(camera.setup.mapping.homography[0, 0])

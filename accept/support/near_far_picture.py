@@ -19,7 +19,7 @@ AROUND = 0.35
 def draw_panels(fields: Mapping[str, Fields], path: Path) -> None:
     """Strain along y around the near field; fields: independent, continuous, regularized."""
     alone, joint, regularized = (fields[name] for name in ("independent", "continuous", "regularized"))
-    near = alone.mesh.submesh(np.flatnonzero(alone.cells == 1))[0]
+    near = alone.mesh.create_submesh(np.flatnonzero(alone.cells == 1))[0]
     panels = [_panel("(a) far field alone", alone, [0]), _panel("(b) near field alone", alone, [1]),
               _panel("(c) continuous, Eq. 21", joint, [0, 1]), _panel("(d) regularized, Eq. 23", regularized, [0, 1])]
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -27,12 +27,12 @@ def draw_panels(fields: Mapping[str, Fields], path: Path) -> None:
 
 
 def _panel(title: str, fields: Fields, cameras: list[int]) -> CellPanel:
-    shown = fields.mesh.submesh(np.flatnonzero(np.isin(fields.cells, cameras)))[0]
+    shown = fields.mesh.create_submesh(np.flatnonzero(np.isin(fields.cells, cameras)))[0]
     values = np.concatenate([_strain(fields, camera) for camera in cameras])
     order = np.argsort(np.concatenate([np.flatnonzero(fields.cells == camera) for camera in cameras]))
     return CellPanel(title, shown, values[order])
 
 
 def _strain(fields: Fields, camera: int) -> NDArray[np.float64]:
-    part, _ = fields.mesh.submesh(np.flatnonzero(fields.cells == camera))
+    part, _ = fields.mesh.create_submesh(np.flatnonzero(fields.cells == camera))
     return compute_strain(part, fields.u[camera].ravel()).infinitesimal[:, 1]

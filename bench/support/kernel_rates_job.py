@@ -56,7 +56,7 @@ def calls_on(mesh: Mesh, degree: int) -> dict[str, Callable[[], Any]]:
     deformed = DeformedSubImage(source, degree)
     q = displacement(mesh.nodes)
     window = part.find_displaced_window(q)
-    deformed.covering(window)
+    deformed.get_spline(window)
     hessians = of_any_checkout(part, "compute_cell_hessians")
     residual = of_any_checkout(part, "compute_residual")
     image = of_any_checkout(part, "compute_residual_image")

@@ -74,7 +74,7 @@ def test_subdomains_add_up_to_the_whole(mesh: Mesh, kind: str, n: int, degree: i
     whole_residual = whole.compute_residual(DeformedSubImage(g, degree), q, all_kinds=True)
     parts, residuals, dofs = [], [], []
     for s in range(int(cells.max()) + 1):
-        part_mesh, node_ids = mesh.submesh(np.flatnonzero(cells == s))
+        part_mesh, node_ids = mesh.create_submesh(np.flatnonzero(cells == s))
         if not rasterize(part_mesh).pixel_counts.any():
             continue
         dofs.append((2 * node_ids[:, None] + np.arange(2)).ravel())

@@ -42,7 +42,7 @@ def pieces_of(mesh: Mesh, extra: str | None = None) -> list[Piece]:
     pieces = []
     for s in (0, 1):
         cells = np.flatnonzero(subdomain_of(mesh) == s)[::-1].copy()
-        sub, node_ids = mesh.submesh(cells)
+        sub, node_ids = mesh.create_submesh(cells)
         u = quadratic(sub.nodes)
         tensor = np.arange(6.0) + cells[:, None]
         points = {schema.DISPLACEMENT: u, schema.DISPLACEMENT_MESH_UNITS: u / 4, schema.GLOBAL_NODE_ID: node_ids}

@@ -75,6 +75,7 @@ def test_chunks_under_a_window_are_those_that_hold_its_pixels(width: int, height
     window = Window(x0, y0, x0 + data.draw(st.integers(0, 600)), y0 + data.draw(st.integers(0, 600)))
     n_rows = -(-height // grid.shape[0])
     seen = [n for n in range(grid.n_columns * n_rows)
-            if grid.window(n).clipped(width, height).intersection(window).n_pixels]
-    assert grid.touching(window) == seen
-    assert sum(grid.window(n).clipped(width, height).n_pixels for n in range(grid.n_columns * n_rows)) == width * height
+            if grid.locate_chunk(n).clip(width, height).intersection(window).n_pixels]
+    assert grid.find_chunks(window) == seen
+    parts = [grid.locate_chunk(n).clip(width, height) for n in range(grid.n_columns * n_rows)]
+    assert sum(part.n_pixels for part in parts) == width * height

@@ -141,7 +141,7 @@ def test_near_fields_are_outlined_and_shown_in_their_own_colours(near_far: Resul
 def test_panels_share_the_colours_of_the_last_one(near_far: Result) -> None:
     mesh = near_far.mesh
     values = np.arange(mesh.n_cells, dtype=float)
-    near = mesh.submesh(np.flatnonzero(near_far.cell_data["Camera"] == 1))[0]
+    near = mesh.create_submesh(np.flatnonzero(near_far.cell_data["Camera"] == 1))[0]
     figure = draw_cell_panels([CellPanel("a", mesh, 100 * values), CellPanel("b", mesh, values)], [near],
                               (0, 0, 50, 50), "value")
     drawn = [cells_drawn(axes)[0] for axes in figure.axes[:2]]

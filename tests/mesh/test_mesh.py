@@ -32,7 +32,7 @@ def test_centroids_are_means_of_the_nodes() -> None:
 
 
 def test_restriction_renumbers_nodes_and_sets() -> None:
-    part, node_ids = small_mesh().submesh(np.array([2, 1]))
+    part, node_ids = small_mesh().create_submesh(np.array([2, 1]))
     assert node_ids.tolist() == [1, 2, 4, 5]
     assert part.cells.tolist() == [[0, 3, 2], [0, 1, 3]]
     assert part.nodes.tolist() == NODES[[1, 2, 4, 5]].tolist()
@@ -45,7 +45,7 @@ def test_restriction_renumbers_nodes_and_sets() -> None:
 def test_restriction_keeps_the_cells_where_they_are(mesh: Mesh, seed: int, share: float) -> None:
     kept = np.flatnonzero(np.random.default_rng(seed).random(mesh.n_cells) < share)
     kept = kept if len(kept) else np.array([0])
-    part, node_ids = mesh.submesh(kept)
+    part, node_ids = mesh.create_submesh(kept)
     assert (np.diff(node_ids) > 0).all()
     assert np.unique(part.connectivity).tolist() == list(range(part.n_nodes))
     np.testing.assert_array_equal(part.types, mesh.types[kept])

@@ -36,7 +36,7 @@ def test_no_subdomain_has_masters_that_it_does_not_determine(n: int, element: fl
     mesh, tying = tie_meshes(FAR, {1: build_structured_mesh((44, 36, 84, 76), element)})
     near = np.flatnonzero(tying.cameras == 1)
     given = np.zeros(mesh.n_cells, dtype=np.int64)
-    given[near] = split_by_metis(mesh.submesh(near)[0], n)
+    given[near] = split_by_metis(mesh.create_submesh(near)[0], n)
     given = keep_cameras_apart(given, tying.cameras)
     parts = keep_masters_determined(mesh, tying, given)
     assert min(smallest_values(mesh, tying, parts)) >= LEAST
@@ -58,7 +58,7 @@ def test_single_cells_at_the_boundary_are_too_small() -> None:
 def test_a_partition_that_is_well_stays() -> None:
     centre = FAR.centroids
     inside = ((centre > (44, 36)) & (centre < (84, 76))).all(axis=1)
-    mesh, tying = tie_meshes(FAR, {1: FAR.submesh(np.flatnonzero(inside))[0]})
+    mesh, tying = tie_meshes(FAR, {1: FAR.create_submesh(np.flatnonzero(inside))[0]})
     given = np.arange(mesh.n_cells)
     np.testing.assert_array_equal(keep_masters_determined(mesh, tying, given), given)
 

@@ -75,7 +75,7 @@ def test_the_joined_mesh(region: tuple[float, ...]) -> None:
 
 def _of(mesh: Mesh, tying: Tying, camera: int) -> NDArray[np.bool_]:
     nodes = np.zeros(mesh.n_nodes, dtype=bool)
-    nodes[mesh.submesh(np.flatnonzero(tying.cameras == camera))[1]] = True
+    nodes[mesh.create_submesh(np.flatnonzero(tying.cameras == camera))[1]] = True
     return nodes
 
 
@@ -83,7 +83,7 @@ def test_matching_meshes_are_one() -> None:
     """The far mesh's own cells as the near mesh: every slave is the far node at its place."""
     centre = FAR.centroids
     inside = ((centre > ISLAND[:2]) & (centre < ISLAND[2:])).all(axis=1)
-    mesh, tying = tie_meshes(FAR, {1: FAR.submesh(np.flatnonzero(inside))[0]})
+    mesh, tying = tie_meshes(FAR, {1: FAR.create_submesh(np.flatnonzero(inside))[0]})
     assert mesh.n_cells == FAR.n_cells
     assert tying.n_unknown_nodes == FAR.n_nodes
     slaves = tying.weights[tying.n_unknown_nodes:]

@@ -145,7 +145,7 @@ def test_the_window_grows_with_the_displacement() -> None:
     mesh = square_mesh(64.0, 160.0)
     pair_model = model(source(pair.reference), source(pair.deformed), mesh)
     frame_view = pair_model.views[0].views[0]
-    frame_view.deformed.covering(frame_view.view.correlation.raster.window)  # the window of a start at zero
+    frame_view.deformed.get_spline(frame_view.view.correlation.raster.window)  # the window of a start at zero
     near = np.tile([-29.5, 30.5], mesh.n_nodes)
     solution = measure_alone(pair_model, q=near)
     assert rms_error(solution.q[0], mesh.nodes, field) <= 2e-3

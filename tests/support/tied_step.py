@@ -175,7 +175,7 @@ def multiplier_solution(problem: TiedStep) -> tuple[Array, Array]:
     n = mesh.n_dofs + n_motion
     matrix, right = sparse.csr_matrix((n, n)), np.zeros(n)
     for number, camera in enumerate(problem.cameras):
-        part, ids = mesh.submesh(np.flatnonzero(problem.tying.cameras == number))
+        part, ids = mesh.create_submesh(np.flatnonzero(problem.tying.cameras == number))
         dofs = (ids[:, None] * 2 + np.arange(2)).ravel()
         mapping = camera.setup.mapping
         seen = Mesh(mapping.to_image(part.nodes), part.connectivity, part.offsets, part.types)

@@ -53,7 +53,7 @@ def test_grey_levels_are_conserved_in_both_cameras(options):
     # Slopes below 0.5 of full scale per far px times the 1e-12 px left by the inversion.
     np.testing.assert_allclose(scene.far.deformed_grey(moved), scene.far.reference_grey(points), rtol=0, atol=3e-12)
     near, camera = scene.near, scene.near.camera
-    seen, seen_moved = camera.mapping.to_image(points), camera.mapping.to_image(camera.motion.moved(moved))
+    seen, seen_moved = camera.mapping.to_image(points), camera.mapping.to_image(camera.motion.move(moved))
     # Slopes are five times as steep in the specimen's frame.
     np.testing.assert_allclose(near.deformed_grey(seen_moved), near.reference_grey(seen), rtol=0, atol=1.5e-11)
     np.testing.assert_allclose(seen + near.displacement(seen), seen_moved, rtol=0, atol=1e-10)
@@ -63,9 +63,9 @@ def test_grey_levels_are_conserved_in_both_cameras(options):
 def test_the_motion_and_its_inverse(alpha, degrees):
     motion = SetUpMotion(alpha, degrees, FOCUS)
     points = np.array([[0.0, 0.0], FOCUS, (139.0, 20.0)])
-    moved = motion.moved(points)
+    moved = motion.move(points)
     np.testing.assert_allclose(moved[1] - FOCUS, alpha, atol=1e-13)
-    np.testing.assert_allclose(motion.unmoved(moved), points, atol=1e-12)
+    np.testing.assert_allclose(motion.move_back(moved), points, atol=1e-12)
     arm, moved_arm = points[2] - points[0], moved[2] - moved[0]
     c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
     np.testing.assert_allclose(moved_arm, [c * arm[0] - s * arm[1], s * arm[0] + c * arm[1]], atol=1e-12)

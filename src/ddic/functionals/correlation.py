@@ -161,7 +161,7 @@ class Correlation:
         def accumulate(place: slice) -> None:
             kernels.hessian_cells(self._cells(place), shapes, reference, hessians)
 
-        self.threads.over(n_cells, FEWEST, accumulate)
+        self.threads.run_over(n_cells, FEWEST, accumulate)
         return hessians.reshape(n_cells, 8, 8)
 
     def assemble_hessian(self) -> sparse.csr_matrix:
@@ -195,13 +195,13 @@ class Correlation:
         n_cells = len(self.order)
         u = self.interpolation.monomial_coefficients(q)
         reference = self._reference_pixels
-        pixels = self._deformed_pixels(deformed.covering(self.find_displaced_window(q)))
+        pixels = self._deformed_pixels(deformed.get_spline(self.find_displaced_window(q)))
         sums = kernels.CellSums(np.zeros((n_cells, 3, 2, 4)), np.zeros((n_cells, kernels.N_SUMS)))
 
         def accumulate(place: slice) -> None:
             kernels.residual_sums(self._cells(place), u, reference, pixels, all_kinds, sums)
 
-        self.threads.over(n_cells, FEWEST, accumulate)
+        self.threads.run_over(n_cells, FEWEST, accumulate)
         return Residual(sums.moments, GreySums(sums.grey))
 
     def assemble_right_hand_side(self, residual: Residual, gain: NDArray[np.float64] | float = 1.0,
@@ -252,7 +252,7 @@ class Correlation:
         n_cells = len(self.order)
         u = self.interpolation.monomial_coefficients(q)
         reference = self._reference_pixels
-        pixels = self._deformed_pixels(deformed.covering(self.find_displaced_window(q)))
+        pixels = self._deformed_pixels(deformed.get_spline(self.find_displaced_window(q)))
         gains = np.array(np.broadcast_to(np.asarray(gain, dtype=float), n_cells))
         offsets = np.array(np.broadcast_to(np.asarray(offset, dtype=float), n_cells))
         image = np.full(self.reference.values.shape, np.nan, dtype=np.float32)
@@ -260,7 +260,7 @@ class Correlation:
         def write(place: slice) -> None:
             kernels.fill_residual_pixels(self._cells(place), u, reference, pixels, gains, offsets, image)
 
-        self.threads.over(n_cells, FEWEST, write)
+        self.threads.run_over(n_cells, FEWEST, write)
         return image
 
     def find_displaced_window(self, q: NDArray[np.float64]) -> Window:
@@ -381,7 +381,8 @@ def read_correlations(meshes: Sequence[Mesh], reference: MaskedSource, degree: i
     groups = []
     for common, members in merge_windows(windows, HALO[degree] + PADDING[degree]):
         image = read_reference(reference, common, degree, threads)
-        groups.append([_correlation(meshes[k], rasters[k], image.part(windows[k]), extent, threads) for k in members])
+        groups.append([_correlation(meshes[k], rasters[k], image.restrict(windows[k]), extent, threads)
+                       for k in members])
     return groups
 
 
@@ -400,7 +401,7 @@ def restrict_to_cells(whole: Correlation, cells: NDArray[np.int64]) -> Correlati
     Correlation
         Of these cells.
     """
-    mesh, _ = whole.mesh.submesh(cells)
+    mesh, _ = whole.mesh.create_submesh(cells)
     return _correlation(mesh, rasterize(mesh), whole.reference, whole.extent, whole.threads)
 
 

@@ -225,7 +225,7 @@ class ResultWriter:
         """
         if not self._grids:
             raise ValueError("create_residual_image comes before write_residual_chunk")
-        window = self._grids[-1].window(number)
+        window = self._grids[-1].locate_chunk(number)
         self._residual.write_direct_chunk((window.y0, window.x0), data)
 
     def write_table(self, group: str, columns: Mapping[str, Sequence[Any] | NDArray[Any]]) -> None:

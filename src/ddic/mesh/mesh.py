@@ -158,7 +158,7 @@ class Mesh:
         sums = np.add.reduceat(self.nodes[self.connectivity], self.offsets[:-1], axis=0)
         return np.asarray(sums / np.diff(self.offsets)[:, None])
 
-    def submesh(self, cells: NDArray[np.int64]) -> tuple[Mesh, NDArray[np.int64]]:
+    def create_submesh(self, cells: NDArray[np.int64]) -> tuple[Mesh, NDArray[np.int64]]:
         """Restrict the mesh to some of its cells and to their nodes.
 
         Parameters

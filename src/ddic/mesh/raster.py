@@ -65,7 +65,7 @@ class Raster:
         return Window(int(self.starts[filled].min()), int(rows.min()),
                       int(self.stops[filled].max()), int(rows.max()) + 1)
 
-    def coverage(self, width: int, height: int) -> NDArray[np.uint8]:
+    def find_covered(self, width: int, height: int) -> NDArray[np.uint8]:
         """Draw the pixels that belong to a cell.
 
         Parameters

@@ -39,7 +39,7 @@ def repair(mesh: Mesh) -> Mesh:
     _refuse_bad_numbers(mesh)
     oriented = _orient(mesh)
     _refuse_bad_cells(oriented)
-    return oriented.submesh(np.arange(mesh.n_cells))[0]
+    return oriented.create_submesh(np.arange(mesh.n_cells))[0]
 
 
 def check_inside(mesh: Mesh, width: int, height: int) -> None:

@@ -183,7 +183,7 @@ def build_subdomains(kinematics: RegionKinematics, parts: NDArray[np.int64], con
     copies_of = _group_by(unknowns.subdomains, n_subdomains)
     subdomains = []
     for s in range(n_subdomains):
-        part, node_ids = mesh.submesh(cells_of[s])
+        part, node_ids = mesh.create_submesh(cells_of[s])
         copies = copies_of[s]
         numbers = unknowns.numbers[copies]
         multiplicity = unknowns.multiplicity[numbers]

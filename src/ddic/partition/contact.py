@@ -49,12 +49,12 @@ class FarSide:
     @cached_property
     def rest(self) -> Mesh:
         """The cells that are kept."""
-        return self.whole.submesh(self.kept_cells)[0]
+        return self.whole.create_submesh(self.kept_cells)[0]
 
     @cached_property
     def node_ids(self) -> NDArray[np.int64]:
         """Numbers in the whole far mesh of the nodes of the rest, (rest.n_nodes,)."""
-        return self.whole.submesh(self.kept_cells)[1]
+        return self.whole.create_submesh(self.kept_cells)[1]
 
     @cached_property
     def edges(self) -> NDArray[np.int64]:
@@ -89,7 +89,7 @@ class NearSide:
     @cached_property
     def cover(self) -> NDArray[np.float64]:
         """Share of each edge that far edges cover, (n_edges,)."""
-        return self.overlaps.near_cover(len(self.edges))
+        return self.overlaps.measure_near_cover(len(self.edges))
 
     @property
     def free_edges(self) -> NDArray[np.int64]:
@@ -116,7 +116,7 @@ class Contact:
     def far_cover(self) -> NDArray[np.float64]:
         """Share of each far edge that near edges cover, (n_edges,)."""
         n_edges = len(self.far.edges)
-        by_mesh = [near.overlaps.far_cover(n_edges) for near in self.near]
+        by_mesh = [near.overlaps.measure_far_cover(n_edges) for near in self.near]
         return np.asarray(np.sum(by_mesh, axis=0), dtype=np.float64)
 
 

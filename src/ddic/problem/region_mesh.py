@@ -201,7 +201,7 @@ def split_region(region_mesh: RegionMesh, n_ranks: int) -> NDArray[np.int64]:
     else:
         n_subdomains = solver.subdomains or max(n_ranks, n_cameras)
         parts = split_by_camera(labels, costs, n_subdomains,
-                                lambda cells, n: split_by_metis(mesh.submesh(cells)[0], n, costs[cells]))
+                                lambda cells, n: split_by_metis(mesh.create_submesh(cells)[0], n, costs[cells]))
     if region_mesh.tying is not None:
         parts = keep_masters_determined(mesh, region_mesh.tying, parts)
     return parts

@@ -47,7 +47,7 @@ class RenewalRule:
         """Whether mechanics find the displacement of hidden cells."""
         return self.wavelength > 0
 
-    def limit(self, n_pixels: int) -> float:
+    def bound_changes(self, n_pixels: int) -> float:
         """Give the largest number of pixels that may come or go without a renewal.
 
         Parameters
@@ -170,7 +170,7 @@ def _is_kept(of_subdomain: FrameViews, shown: Sequence[View], counts: tuple[Sequ
     if not rule.is_regularized and _has_lost_a_cell(of_subdomain, shown):
         return False
     n_reference = sum(view.view.n_pixels for view in of_subdomain.views)
-    return abs(sum(now) - sum(before)) <= rule.limit(n_reference)
+    return abs(sum(now) - sum(before)) <= rule.bound_changes(n_reference)
 
 
 def _has_lost_a_cell(of_subdomain: FrameViews, shown: Sequence[View]) -> bool:

@@ -227,4 +227,4 @@ def read_frame_windows(views: Sequence[FrameViews], q: Sequence[NDArray[np.float
             union = window if known is None else window.union(known[1])
             wanted[id(view.deformed)] = (view.deformed, union)
     for deformed, window in wanted.values():
-        deformed.covering(window)
+        deformed.get_spline(window)

@@ -89,8 +89,8 @@ def share_chunks(team: Team, grid: ChunkGrid, windows: Iterable[Window]) -> Chun
     """
     area: Counter[int] = Counter()
     for window in windows:
-        for number in grid.touching(window):
-            area[number] += window.intersection(grid.window(number)).n_pixels
+        for number in grid.find_chunks(window):
+            area[number] += window.intersection(grid.locate_chunk(number)).n_pixels
     parts: dict[int, dict[int, int]] = {}
     for rank, areas in enumerate(team.gather_lists([dict(area)])):
         for number, n_pixels in areas.items():
@@ -171,12 +171,12 @@ def stream_chunks(team: Team, chunks: list[PackedChunk]) -> Iterator[PackedChunk
 def _complete_chunks(grid: ChunkGrid, windows: list[Window],
                      patches: Iterator[Patch]) -> Iterator[tuple[int, NDArray[np.float32]]]:
     """Chunks with all that this rank's subdomains hold of them, each as soon as that is so."""
-    left = Counter(number for window in windows for number in grid.touching(window))
+    left = Counter(number for window in windows for number in grid.find_chunks(window))
     open_chunks: dict[int, NDArray[np.float32]] = {}
     for patch in patches:
-        for number in grid.touching(patch.window):
+        for number in grid.find_chunks(patch.window):
             chunk = open_chunks.setdefault(number, np.full(grid.shape, np.nan, dtype=np.float32))
-            _lay(patch, grid.window(number), chunk)
+            _lay(patch, grid.locate_chunk(number), chunk)
             left[number] -= 1
             if left[number] == 0:
                 yield number, open_chunks.pop(number)

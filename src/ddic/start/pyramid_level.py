@@ -111,8 +111,8 @@ def scale_mesh(mesh: Mesh, factor: int) -> Mesh:
 
 def find_active_blocks(coarse: MaskedSource, raster: Raster) -> NDArray[np.uint8]:
     """1 on the blocks whose centre lies in the mesh and that are not masked."""
-    covered = raster.coverage(coarse.image.width, coarse.image.height)
-    usable = coarse.usable(coarse.extent)
+    covered = raster.find_covered(coarse.image.width, coarse.image.height)
+    usable = coarse.find_usable(coarse.extent)
     return covered if usable is None else covered & usable
 
 
@@ -171,5 +171,5 @@ def _grid(mesh: Mesh, active: NDArray[np.uint8]) -> Grid:
     corner = (np.arange(counts[1])[:, None] * columns + np.arange(counts[0])).ravel()
     full = build_mesh(nodes, {Q4: np.stack(
         [corner, corner + 1, corner + columns + 1, corner + columns], axis=1)})
-    part, numbers = full.submesh(np.flatnonzero(rasterize(full).sum_by_cell(active) > 0))
+    part, numbers = full.create_submesh(np.flatnonzero(rasterize(full).sum_by_cell(active) > 0))
     return Grid(part, numbers, (int(counts[1]) + 1, int(columns)), low, (high - low) / counts)

@@ -51,7 +51,7 @@ class SetUpMotion:
     def __post_init__(self) -> None:
         require_finite("near set-up", alpha=self.alpha, rotation_degrees=self.rotation_degrees, centre=self.centre)
 
-    def moved(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def move(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Evaluate T.
 
         Parameters
@@ -67,7 +67,7 @@ class SetUpMotion:
         turned = (points - self.centre) @ self._rotation().T
         return np.asarray(turned + self.centre + self.alpha)
 
-    def unmoved(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def move_back(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Evaluate the inverse of T.
 
         Parameters
@@ -155,7 +155,7 @@ class NearScene:
             Fractions of full scale.
         """
         moved = self.camera.mapping.to_specimen(points)
-        return self.surface.deformed_grey(self.camera.motion.unmoved(moved))
+        return self.surface.deformed_grey(self.camera.motion.move_back(moved))
 
     def displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Evaluate phi(T(X + u(X))) - phi(X).
@@ -171,7 +171,7 @@ class NearScene:
             Near pixels.
         """
         specimen = self.camera.mapping.to_specimen(points)
-        moved = self.camera.motion.moved(specimen + self.surface.field.displacement(specimen))
+        moved = self.camera.motion.move(specimen + self.surface.field.displacement(specimen))
         return np.asarray(self.camera.mapping.to_image(moved) - points)
 
 

@@ -85,7 +85,7 @@ class NearFarTruth:
         (n, 2) array
             Near pixels.
         """
-        moved = self.motion.moved(points + self.field.displacement(points))
+        moved = self.motion.move(points + self.field.displacement(points))
         return np.asarray(self.mapping.to_image(moved) - self.mapping.to_image(points))
 
     def is_in_near_field(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:

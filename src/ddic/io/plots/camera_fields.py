@@ -66,7 +66,7 @@ def find_near_mesh(result: Result, camera: int) -> Mesh:
     Mesh
         Pixels of the far field.
     """
-    return result.mesh.submesh(np.flatnonzero(result.cell_data[CAMERA] == camera))[0]
+    return result.mesh.create_submesh(np.flatnonzero(result.cell_data[CAMERA] == camera))[0]
 
 
 def draw_near_far(result: Result, component: Component = "magnitude") -> Figure:
