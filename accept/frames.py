@@ -55,6 +55,11 @@ class Series:
         Strain along x that the last frame has.
     shift : float
         Displacement of the middle along x that the last frame has, as a share of the specimen's width.
+    not_controlled : str
+        Edges whose forces are unknown, as a case file lists them. What leaves the image is found by equilibrium alone,
+        which takes free edges.
+    from_last : bool
+        Whether a frame starts from the field of the one before, which is within a pixel where steps are small.
     """
 
     name: str
@@ -64,6 +69,8 @@ class Series:
     n_frames: int
     stretch: float
     shift: float
+    not_controlled: str = '["boundary"]'
+    from_last: bool = True
 
     def arguments(self, frame: int) -> list[str]:
         """Give the arguments of ``ddic synth`` of a frame.
@@ -103,15 +110,15 @@ class Series:
         end = MARGIN + self.element * ((self.size - 2 * MARGIN) // self.element)
         return (f'[images]\nreference = "{folder}/1/reference.tif"\ndeformed = "{folder}/{frame}/deformed.tif"\n'
                 f"[mesh.structured]\nregion = [{MARGIN}, {MARGIN}, {end}, {end}]\nelement_size = {self.element}\n"
-                f"[regularization]\ncut_off_wavelength = {self.wavelength}\n"
+                f"[regularization]\ncut_off_wavelength = {self.wavelength}\nnot_controlled = {self.not_controlled}\n"
                 f"[solver]\nsubdomains = {SUBDOMAINS}\ntolerance = 1e-10\n"
                 "[gauss_newton]\ntolerance = 1e-12\nrms_tolerance = 1e-9\nmax_iterations = 2000\n")
 
 
 STAYING = Series("frames", 1000, 20, 80, 50, 0.02, 0.005)
-LEAVING = Series("leaving_frames", 1000, 20, 80, 20, 0.0, 0.25)
+LEAVING = Series("leaving_frames", 1000, 20, 80, 20, 0.0, 0.25, '["left"]', False)
 SMALL_STAYING = Series("frames", 240, 20, 80, 3, 0.01, 0.005)
-SMALL_LEAVING = Series("leaving_frames", 240, 20, 80, 3, 0.0, 0.25)
+SMALL_LEAVING = Series("leaving_frames", 240, 20, 80, 3, 0.0, 0.25, '["left"]', False)
 
 
 @dataclass(frozen=True)
@@ -225,7 +232,8 @@ def _measure(series: Series, folder: Path) -> Measured:
     case = folder / "session.toml"
     case.write_text(series.case(folder, 1), encoding="utf-8")
     deformed = [str(folder / str(frame) / "deformed.tif") for frame in range(1, series.n_frames + 1)]
-    task = {"case": str(case), "deformed": deformed, "keep": list(compared), "folder": str(folder)}
+    task = {"case": str(case), "deformed": deformed, "keep": list(compared), "folder": str(folder),
+            "from_last": series.from_last}
     frames = run_job(N_RANKS, JOB, json.dumps(task))
     for record in frames:
         append_result("frames_runs", {"series": series.name, **record})

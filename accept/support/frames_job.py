@@ -73,7 +73,7 @@ def find_losing(inputs: Inputs, frame: Frame, session: Session, measurement: Mea
 
 
 def measure_frames(team: Team, task: dict[str, Any]) -> None:
-    """Measure all frames, each from the field of the one before; collective.
+    """Measure all frames; collective.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def measure_frames(team: Team, task: dict[str, Any]) -> None:
             before = list(session.problem.solver.assembly.systems)
             team.wait_for_all()
             begin = time.perf_counter()
-            last = session.measure(frame, last)
+            last = session.measure(frame, last if task["from_last"] else None)
             team.wait_for_all()
             seconds = time.perf_counter() - begin
             record = describe(team, session, before)

@@ -13,6 +13,7 @@ from ddic.errors import list_first
 from ddic.functionals.view import FrameView, View
 from ddic.parallel.team import Team
 from ddic.problem.assembly import Hessians
+from ddic.problem.held_unknowns import refuse_unheld
 from ddic.problem.views import FrameViews
 
 CHANGED_SHARE = 0.02
@@ -25,9 +26,10 @@ CHANGED_SIDE = 0.5
 hidden together, waves fit in that mechanics do not hold, and the old M holds them back. A larger value costs
 iterations."""
 
-HELD_SHARE = 0.01
-"""Share of what hidden pixels gave to M that stays in it where mechanics find the displacement of hidden cells: enough
-to keep operators regular; the less, the faster equilibrium fills what is hidden."""
+HELD_SHARE = 1e-6
+"""Share of what hidden pixels gave to M that stays in it where mechanics find the displacement of hidden cells. It keeps
+the operator of a subdomain regular that is hidden altogether, and slows down waves that mechanics hold by less, those
+longer than 30 cut-off wavelengths. A larger share slows shorter ones."""
 
 
 @dataclass(frozen=True)
@@ -132,22 +134,29 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
     Returns
     -------
     Renewal
-        New M where more than ``rule.limit`` of a subdomain's pixels have come or gone, or, without regularization,
-        where a cell has lost all of its pixels.
+        New M where more than ``rule.limit`` of a subdomain's pixels have come or gone.
+
+    Raises
+    ------
+    SingularSubdomainError
+        On all ranks, where the frame leaves an unknown to neither pixels nor mechanics.
     """
     counted, whole = assembled
+
+    shown = team.together(lambda: [tuple(view.without_hidden(q_s) for view in of_subdomain.views)
+                                   for of_subdomain, q_s in zip(views, q, strict=True)])
+    refuse_unheld(team, [of_subdomain.subdomain for of_subdomain in views], shown)
 
     def renew() -> tuple[list[sparse.csr_matrix | None], list[tuple[int, ...]]]:
         hessians: list[sparse.csr_matrix | None] = []
         by_view: list[tuple[int, ...]] = []
-        for of_subdomain, q_s, before, hessian in zip(views, q, counted.by_view, whole, strict=True):
-            shown = tuple(view.without_hidden(q_s) for view in of_subdomain.views)
-            now = tuple(view.n_pixels for view in shown)
-            if _is_kept(of_subdomain, shown, (before, now), rule):
+        for of_subdomain, of_shown, before, hessian in zip(views, shown, counted.by_view, whole, strict=True):
+            now = tuple(view.n_pixels for view in of_shown)
+            if _is_kept(of_subdomain, (before, now), rule):
                 hessians.append(None)
                 by_view.append(before)
             else:
-                hessians.append(_assemble_shown(of_subdomain.views, shown, hessian, rule))
+                hessians.append(_assemble_shown(of_subdomain.views, of_shown, hessian, rule))
                 by_view.append(now)
         return hessians, by_view
 
@@ -161,23 +170,11 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
     return Renewal(hessians, VisiblePixels(by_view), note)
 
 
-def _is_kept(of_subdomain: FrameViews, shown: Sequence[View], counts: tuple[Sequence[int], Sequence[int]],
-             rule: RenewalRule) -> bool:
+def _is_kept(of_subdomain: FrameViews, counts: tuple[Sequence[int], Sequence[int]], rule: RenewalRule) -> bool:
     """Whether a subdomain's M still fits the pixels shown; counts: by view, those that M counts and those shown."""
     before, now = counts
-    if now == before:
-        return True
-    if not rule.is_regularized and _has_lost_a_cell(of_subdomain, shown):
-        return False
     n_reference = sum(view.view.n_pixels for view in of_subdomain.views)
     return abs(sum(now) - sum(before)) <= rule.bound_changes(n_reference)
-
-
-def _has_lost_a_cell(of_subdomain: FrameViews, shown: Sequence[View]) -> bool:
-    """Whether some cell that the reference images show is not shown at all."""
-    in_reference = np.sum([view.view.count_pixels() for view in of_subdomain.views], axis=0)
-    left = np.sum([view.count_pixels() for view in shown], axis=0)
-    return bool(((in_reference > 0) & (left == 0)).any())
 
 
 def _assemble_shown(views: Sequence[FrameView], shown: Sequence[View], whole: Sequence[sparse.csr_matrix],
