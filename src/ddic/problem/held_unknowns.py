@@ -8,14 +8,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.errors import SingularSubdomainError, on_all_ranks
+from ddic.errors import SingularSubdomainError, as_collective
 from ddic.functionals.view import View
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.solvers.singularity import describe_singular
 
 
-def refuse_unheld(team: Team, subdomains: Sequence[Subdomain], shown: Sequence[Sequence[View]]) -> None:
+def refuse_undetermined(team: Team, subdomains: Sequence[Subdomain], shown: Sequence[Sequence[View]]) -> None:
     """Refuse a frame that leaves an unknown to nothing: such a one would keep what it started from; collective.
 
     An unknown is held by a pixel in a cell of a node that it displaces, in any subdomain, or by its row of equilibrium,
@@ -46,7 +46,7 @@ def refuse_unheld(team: Team, subdomains: Sequence[Subdomain], shown: Sequence[S
     for number, multiplicity, (x, y) in gathered:
         # Held in none of the subdomains that share it.
         if n_copies[number] == multiplicity:
-            raise on_all_ranks(SingularSubdomainError(
+            raise as_collective(SingularSubdomainError(
                 describe_singular(f"the region around column {x:.0f}, row {y:.0f}")))
 
 

@@ -13,7 +13,7 @@ from ddic.errors import list_first
 from ddic.functionals.view import FrameView, View
 from ddic.parallel.team import Team
 from ddic.problem.assembly import Hessians
-from ddic.problem.held_unknowns import refuse_unheld
+from ddic.problem.held_unknowns import refuse_undetermined
 from ddic.problem.views import FrameViews
 
 CHANGED_SHARE = 0.02
@@ -27,9 +27,9 @@ hidden together, waves fit in that mechanics do not hold, and the old M holds th
 iterations."""
 
 HELD_SHARE = 1e-6
-"""Share of what hidden pixels gave to M that stays in it where mechanics find the displacement of hidden cells. It keeps
-the operator of a subdomain regular that is hidden altogether, and slows down waves that mechanics hold by less, those
-longer than 30 cut-off wavelengths. A larger share slows shorter ones."""
+"""Share of what hidden pixels gave to M that stays in it where mechanics find the displacement of hidden cells. It
+keeps the operator of a subdomain regular that is hidden altogether, and slows down waves that mechanics hold by less,
+those longer than 30 cut-off wavelengths. A larger share slows shorter ones."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
 
     shown = team.together(lambda: [tuple(view.without_hidden(q_s) for view in of_subdomain.views)
                                    for of_subdomain, q_s in zip(views, q, strict=True)])
-    refuse_unheld(team, [of_subdomain.subdomain for of_subdomain in views], shown)
+    refuse_undetermined(team, [of_subdomain.subdomain for of_subdomain in views], shown)
 
     def renew() -> tuple[list[sparse.csr_matrix | None], list[tuple[int, ...]]]:
         hessians: list[sparse.csr_matrix | None] = []
