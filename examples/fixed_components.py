@@ -13,7 +13,6 @@ where the method is dual (default), assembled, conjugate_gradient or monolithic 
 """
 
 import sys
-from typing import Any
 
 import numpy as np
 from mpi4py import MPI
@@ -38,16 +37,14 @@ def kinematics(mesh: ddic.Mesh) -> ddic.LinearRegion:
     return ddic.LinearRegion(mesh, matrix)
 
 
-def measure(method: str, comm: MPI.Comm, **sections: dict[str, Any]) -> ddic.Result:
-    solver = {"method": method} if method == "monolithic" else {"method": method, "subdomains": 4}
-    images = ddic.make_synthetic_pair(slide, (300, 200), noise=1, seed=6)
-    mesh = ddic.structured_mesh((20, 20, 280, 180), element_size=15)
-    settings = {**sections, "solver": solver | sections.get("solver", {})}
-    return ddic.measure(images, mesh, options=ddic.Options(settings, kinematics, comm))
+IMAGES = ddic.make_synthetic_pair(slide, (300, 200), noise=1, seed=6)
+MESH = ddic.structured_mesh((20, 20, 280, 180), element_size=15)
 
 
 if __name__ == "__main__":
-    result = measure(sys.argv[1] if len(sys.argv) > 1 else "dual", MPI.COMM_WORLD)
+    method = sys.argv[1] if len(sys.argv) > 1 else "dual"
+    solver = {"method": method} if method == "monolithic" else {"method": method, "subdomains": 4}
+    result = ddic.measure(IMAGES, MESH, options=ddic.Options({"solver": solver}, kinematics))
     u_y = result.displacement[:, 1]
     held = np.arange(result.mesh.n_nodes) % HELD_EVERY == 0
     if MPI.COMM_WORLD.rank == 0:

@@ -13,7 +13,6 @@ where the method is dual (default), assembled, conjugate_gradient or monolithic 
 """
 
 import sys
-from typing import Any
 
 import numpy as np
 from mpi4py import MPI
@@ -41,16 +40,14 @@ def kinematics(mesh: ddic.Mesh) -> ddic.LinearRegion:
     return ddic.LinearRegion(mesh, modes(mesh.nodes))
 
 
-def measure(method: str, comm: MPI.Comm, **sections: dict[str, Any]) -> ddic.Result:
-    solver = {"method": method} if method == "monolithic" else {"method": method, "subdomains": 4}
-    images = ddic.make_synthetic_pair(lambda points: (modes(points) @ AMPLITUDES).reshape(-1, 2), SIZE, noise=2, seed=5)
-    mesh = ddic.structured_mesh((20, 20, 300, 220), element_size=10)
-    settings = {**sections, "solver": solver | sections.get("solver", {})}
-    return ddic.measure(images, mesh, options=ddic.Options(settings, kinematics, comm))
+IMAGES = ddic.make_synthetic_pair(lambda points: (modes(points) @ AMPLITUDES).reshape(-1, 2), SIZE, noise=2, seed=5)
+MESH = ddic.structured_mesh((20, 20, 300, 220), element_size=10)
 
 
 if __name__ == "__main__":
-    result = measure(sys.argv[1] if len(sys.argv) > 1 else "dual", MPI.COMM_WORLD)
+    method = sys.argv[1] if len(sys.argv) > 1 else "dual"
+    solver = {"method": method} if method == "monolithic" else {"method": method, "subdomains": 4}
+    result = ddic.measure(IMAGES, MESH, options=ddic.Options({"solver": solver}, kinematics))
     found = np.linalg.lstsq(modes(result.mesh.nodes), result.displacement.ravel(), rcond=None)[0]
     error = np.abs(found - AMPLITUDES).max()
     if MPI.COMM_WORLD.rank == 0:

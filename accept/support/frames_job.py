@@ -1,7 +1,8 @@
 """The MPI part of ``accept.frames``: measures frames in one session, prints a JSON line for each from rank 0.
 
 Usage: frames_job TASK, a JSON object with "case" (a case file), "deformed" (an image for each frame), "keep" (frames,
-from 1, whose displacement is kept) and "folder" (where it goes).
+from 1, whose displacement is kept), "folder" (where it goes) and "from_last" (whether a frame starts from the field of
+the one before).
 """
 
 from __future__ import annotations

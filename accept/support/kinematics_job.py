@@ -14,6 +14,11 @@ from types import ModuleType
 import numpy as np
 from mpi4py import MPI
 
+import ddic
+
+SUBDOMAINS = 5
+"""More than ranks, so that the partition is the same on any number of them."""
+
 
 def load_example(path: Path) -> ModuleType:
     """Import an example, whose own measurement is not run.
@@ -26,7 +31,7 @@ def load_example(path: Path) -> ModuleType:
     Returns
     -------
     module
-        With a function ``measure``.
+        With IMAGES, MESH and a function ``kinematics``.
     """
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None:
@@ -44,7 +49,12 @@ def main(example: str, method: str, sections: str, output: str) -> None:
     example, method, sections, output : str
         Of the command line.
     """
-    result = load_example(Path(example)).measure(method, MPI.COMM_WORLD, **json.loads(sections))
+    page = load_example(Path(example))
+    settings = json.loads(sections)
+    settings["solver"]["method"] = method
+    if method != "monolithic":
+        settings["solver"]["subdomains"] = SUBDOMAINS
+    result = ddic.measure(page.IMAGES, page.MESH, options=ddic.Options(settings, page.kinematics))
     if MPI.COMM_WORLD.rank == 0:
         np.save(output, result.displacement)
 

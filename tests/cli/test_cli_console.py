@@ -7,6 +7,7 @@ import os
 import pty
 import sys
 import time
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -52,13 +53,73 @@ def test_a_log_has_plain_lines(capsys: pytest.CaptureFixture[str]) -> None:
     assert "start: a note with [brackets]" in lines
     assert any(line.startswith("200 unknowns, 81 elements, 20736 pixels; 4 subdomains on 2 ranks, "
                                "60 interface unknowns, eta = 12.5") for line in lines)
-    assert [p for p in Phase if any(line.startswith(f"{p}: ") and line.endswith(" s") for line in lines)] == [
-        p for p in Phase if p not in REPEATED]
     assert "result: /a/[b]/result.vtkhdf" in lines
     assert "largest jump left at an interface node: 2.0e-09 px" in lines
     assert "estimated displacement error left by the linear solver: 3.0e-06 px RMS" in lines
     assert any("converged in 2 iterations; residual 1.500 grey levels (0.75 %" in line for line in lines)
     assert "peak memory by rank [MiB]: 128, 256" in lines
+
+
+@dataclasses.dataclass
+class _Clock:
+    """Seconds that pass when a test says so."""
+
+    now: float = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def _log_phases(monkeypatch: pytest.MonkeyPatch, spent: Sequence[tuple[Phase, float]]) -> None:
+    """A run before its iteration table."""
+    clock = _Clock()
+    monkeypatch.setattr("ddic.cli.console.time.perf_counter", clock)
+    with RunConsole() as console:
+        for phase, seconds in spent:
+            console.phase(phase)
+            clock.now += seconds
+        console.problem_size(SIZE)
+
+
+def _phase_lines(out: str) -> list[str]:
+    return [line for line in out.splitlines() if line.partition(":")[0] in list(Phase)]
+
+
+def test_a_log_names_each_phase_once_before_the_table(monkeypatch: pytest.MonkeyPatch,
+                                                      capsys: pytest.CaptureFixture[str]) -> None:
+    _log_phases(monkeypatch, [(phase, 0.5) for phase in Phase])
+    out = capsys.readouterr().out
+    assert _phase_lines(out) == [f"{phase}: 0.50 s" for phase in Phase if phase not in REPEATED]
+    assert out.index("write: 0.50 s") < out.index("200 unknowns")
+
+
+def test_a_log_adds_up_a_phase_that_is_entered_again(monkeypatch: pytest.MonkeyPatch,
+                                                     capsys: pytest.CaptureFixture[str]) -> None:
+    _log_phases(monkeypatch, [(Phase.MESH, 0.02), (Phase.MESH, 0.1), (Phase.START, 0.2), (Phase.MESH, 0.3),
+                              (Phase.START, 0.0), (Phase.READ, 0.4)])
+    assert _phase_lines(capsys.readouterr().out) == ["mesh: 0.42 s", "start: 0.20 s", "read: 0.40 s"]
+
+
+def test_a_log_says_at_once_what_came_before_a_long_phase(monkeypatch: pytest.MonkeyPatch,
+                                                          capsys: pytest.CaptureFixture[str]) -> None:
+    _log_phases(monkeypatch, [(Phase.MESH, 0.1), (Phase.START, 2.0), (Phase.MESH, 3.0), (Phase.READ, 0.4)])
+    assert _phase_lines(capsys.readouterr().out) == ["mesh: 0.10 s", "start: 2.00 s", "mesh: 3.00 s", "read: 0.40 s"]
+
+
+def test_a_log_is_silent_about_phases_that_nobody_waits_for(monkeypatch: pytest.MonkeyPatch,
+                                                            capsys: pytest.CaptureFixture[str]) -> None:
+    _log_phases(monkeypatch, [(Phase.MESH, 0.04), (Phase.START, 1.5), (Phase.READ, 0.02), (Phase.READ, 0.04)])
+    assert _phase_lines(capsys.readouterr().out) == ["start: 1.50 s", "read: 0.06 s"]
+
+
+def test_a_log_ends_with_the_phase_in_which_a_run_stops(monkeypatch: pytest.MonkeyPatch,
+                                                        capsys: pytest.CaptureFixture[str]) -> None:
+    clock = _Clock()
+    monkeypatch.setattr("ddic.cli.console.time.perf_counter", clock)
+    with RunConsole() as console:
+        console.phase(Phase.ASSEMBLE)
+        clock.now += 0.7
+    assert _phase_lines(capsys.readouterr().out) == ["assemble: 0.70 s"]
 
 
 def test_table_rows_hold_each_iterations_own_seconds(capsys: pytest.CaptureFixture[str]) -> None:

@@ -83,5 +83,5 @@ def _as_array(given: Any, name: str) -> NDArray[Any]:
         return np.asarray(given)
     except ValueError as error:
         # Rows of different lengths.
-        raise InputError(f"mesh: {name} are no array ({error}); a mesh of triangles and quadrilaterals together can be "
-                         "given as one of meshio") from error
+        raise InputError(f"mesh: {name} in rows of different lengths; give a mesh of triangles and quadrilaterals "
+                         "together as one of meshio") from error

@@ -143,7 +143,7 @@ def _as_array(convert: Callable[[], NDArray[Any]], name: str) -> NDArray[Any]:
     try:
         values = convert()
     except ValueError as error:
-        raise InputError(f"{name}: no array of grey levels ({error})") from error
+        raise InputError(f"{name}: rows of different lengths, an array (height, width) expected") from error
     if values.dtype == object:
         raise InputError(f"{name}: no array of grey levels, but {values.dtype.name}s; give an array (height, width), a "
                          "file or ddic.Image")

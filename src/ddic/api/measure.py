@@ -263,6 +263,8 @@ def _pair(source: object) -> tuple[Any, Any]:
     if not isinstance(source, list | tuple | np.ndarray):
         raise InputError(f"images: {type(source).__name__} given; give a case file, a case or a pair (reference image, "
                          "deformed image)")
+    if isinstance(source, np.ndarray) and source.ndim < 3:
+        raise InputError("images: one array is given, a pair expected: (reference image, deformed image)")
     if len(source) != 2:
         raise InputError(f"images: {len(source)} are given, two expected: the reference image and the deformed one")
     return source[0], source[1]

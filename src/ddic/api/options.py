@@ -27,9 +27,8 @@ _IN_MEMORY = {
     "images": ("pixel_size", "length_unit", "reference_time", "deformed_time"),
     "mesh": ("mapping",),
     "output": ("residual_image", "flip_y"),
-    "near": (),
 }
-"""Keys that settings may hold of the sections for which arguments stand; near fields need a case."""
+"""Keys that settings may hold of the sections for which arguments stand."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,12 +159,12 @@ def _refuse_what_arguments_say(data: Mapping[str, Any]) -> None:
         given = data.get(name)
         # Of another type it is a mistake that the schema tells.
         unknown = [key for key in given if key not in keys] if isinstance(given, dict) else []
-        if name in data and (unknown or not keys):
-            key = f"{name}.{unknown[0]}" if unknown else name
+        if unknown:
             listed = ", ".join(f"{name}.{known}" for known in keys)
-            remedy = f"; valid here: {listed}" if keys else ""
-            raise InputError(f"options: {key} is for case files: give what it says as an argument, or measure a "
-                             f"case{remedy}")
+            raise InputError(f"options: {name}.{unknown[0]} is for case files; give what it says as an argument. Valid "
+                             f"here: {listed}")
+    if "near" in data:
+        raise InputError("options: near fields need a case; measure a case file, or prepare one and measure its frames")
 
 
 def _complete(data: Mapping[str, Any]) -> dict[str, Any]:

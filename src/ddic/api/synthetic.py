@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.errors import InputError
 from ddic.synth.digitise import Digitiser
 from ddic.synth.fields import DisplacementField
 from ddic.synth.hole import Hole
@@ -74,6 +75,7 @@ def make_synthetic_pair(displacement: Callable[[Array], Any] | DisplacementField
     ConvergenceError
         Where the displacement is not smooth enough to be inverted.
     """
+    _refuse_impossible(displacement, size)
     field: Any = displacement if hasattr(displacement, "gradient") else _GivenField(_as_arrays(displacement))
     picture = Picture(*size, Digitiser(noise=noise, seed=seed))
     scene = Scene(SpeckleTexture(seed), field, None if hole is None else Hole(*hole))
@@ -81,6 +83,22 @@ def make_synthetic_pair(displacement: Callable[[Array], Any] | DisplacementField
     return pair.reference, pair.deformed
 
 
+def _refuse_impossible(displacement: object, size: object) -> None:
+    numbers = np.asarray(size)
+    if numbers.shape != (2,) or numbers.dtype.kind not in "iu":
+        raise InputError(f"size = {size}: expected (width, height), whole numbers of pixels")
+    if not (callable(displacement) or hasattr(displacement, "gradient")):
+        raise InputError(f"displacement: {type(displacement).__name__} given, a function of points (n, 2) expected")
+
+
 def _as_arrays(displacement: Callable[[Array], Any]) -> Callable[[Array], Array]:
-    """Give arrays of their own, of floats: the renderer adds to what it gets."""
-    return lambda points: np.array(displacement(points), dtype=np.float64)
+    """Give arrays of their own, of floats and as many as there are points: the renderer adds to what it gets."""
+
+    def evaluate(points: Array) -> Array:
+        found = np.array(displacement(points), dtype=np.float64)
+        if found.shape != points.shape:
+            raise InputError(f"displacement: the function returned an array of shape {found.shape} for points of shape "
+                             f"{points.shape}; return one of the same shape")
+        return found
+
+    return evaluate

@@ -21,7 +21,17 @@ _COLUMNS = ("iter", "|dq|/|q|", "RMS dq [px]", "residual [grey]", "[% range]", "
             "residual [s]", "step [s]")
 
 
+NOTICEABLE = 0.05
+"""Seconds below which a batch log does not mention a phase. A larger value prints fewer lines."""
+
+LONG = 1.0
+"""Seconds of a phase after which the lines of those before it are printed. A larger value adds up more and prints
+later."""
+
+
 class _Bar(Protocol):
+    """What shows the phases."""
+
     def phase(self, phase: Phase) -> None: ...
     def settle(self) -> None: ...
     def stop(self) -> None: ...
@@ -156,28 +166,47 @@ class _ProgressBar:
 
 
 class _PhaseLines:
-    """A plain line for each phase that takes long enough to be waited for."""
+    """A plain line for each phase that takes long enough to be waited for.
+
+    A run enters some phases several times. What it spends in one adds up, and its line comes when another phase has
+    taken long, at the latest before the iteration table.
+    """
 
     def __init__(self, console: Console) -> None:
         self._console = console
         self._phase: Phase | None = None
-        self._began = time.perf_counter()
+        self._began = 0.0
+        self._unprinted: dict[Phase, float] = {}
 
     def phase(self, phase: Phase) -> None:
         self._close()
-        self._phase, self._began = phase, time.perf_counter()
+        self._phase = phase
+        self._began = time.perf_counter()
 
     def settle(self) -> None:
-        # So that the line of the phase before does not land in the iteration table.
-        self._close()
+        # So that no line of a phase before lands in the iteration table.
+        self.stop()
 
     def stop(self) -> None:
         self._close()
+        self._print_all_but(None)
+        self._unprinted.clear()
 
     def _close(self) -> None:
-        if self._phase is not None and self._phase not in REPEATED:
-            self._console.print(f"{self._phase}: {time.perf_counter() - self._began:.2f} s", markup=False)
-        self._phase = None
+        """Add the time of the phase that ends to its earlier time."""
+        ended, self._phase = self._phase, None
+        if ended is None or ended in REPEATED:
+            return
+        spent = time.perf_counter() - self._began
+        self._unprinted[ended] = self._unprinted.get(ended, 0.0) + spent
+        if spent >= LONG:
+            self._print_all_but(ended)
+
+    def _print_all_but(self, kept: Phase | None) -> None:
+        for phase, seconds in list(self._unprinted.items()):
+            if phase != kept and seconds >= NOTICEABLE:
+                self._console.print(f"{phase}: {seconds:.2f} s", markup=False)
+                del self._unprinted[phase]
 
 
 def is_on_terminal() -> bool:

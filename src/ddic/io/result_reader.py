@@ -90,8 +90,17 @@ class Result:
         -------
         (n, 2) array
             Pixels; nan outside the mesh and in its holes.
+
+        Raises
+        ------
+        InputError
+            Where the points have another shape.
         """
-        return interpolate(self.mesh, self.displacement, np.asarray(points, np.float64))
+        positions = np.asarray(points, np.float64)
+        if positions.ndim != 2 or positions.shape[1] != self.mesh.dim:
+            raise InputError(f"points: an array of shape {positions.shape}, (n, {self.mesh.dim}) expected: x and y of "
+                             "each point, pixels")
+        return interpolate(self.mesh, self.displacement, positions)
 
     def to_meshio(self) -> Any:
         """Make a meshio mesh with all fields.
@@ -143,6 +152,8 @@ def read_result(path: Path | str) -> Result:
     InputError
         Where it is missing, foreign, damaged or of a newer major schema.
     """
+    if not isinstance(path, str | Path):
+        raise InputError(f"result: {type(path).__name__} given, the name of a file expected")
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such result file; check the path")

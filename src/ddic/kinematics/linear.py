@@ -73,7 +73,13 @@ class LinearKinematics(Kinematics):
     @cached_property
     def _solve_normal_equations(self) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
         """From r to q with T^T T q = r; regular where T has independent columns."""
-        factor = linalg.splu((self.matrix.T @ self.matrix).tocsc())
+        try:
+            factor = linalg.splu((self.matrix.T @ self.matrix).tocsc())
+        except RuntimeError as error:
+            low, high = self.mesh.nodes.min(axis=0), self.mesh.nodes.max(axis=0)
+            raise InputError(f"kinematics: between columns {low[0]:.0f} and {high[0]:.0f}, rows {low[1]:.0f} and "
+                             f"{high[1]:.0f}, some unknowns do what others do together, so that no image tells them "
+                             "apart; leave them out, or ask for fewer subdomains") from error
         solve: Callable[[NDArray[np.float64]], NDArray[np.float64]] = factor.solve
         return solve
 
@@ -100,7 +106,10 @@ class LinearRegion(RegionKinematics):
     matrix: sparse.csr_matrix
 
     def __post_init__(self) -> None:
-        matrix = sparse.csr_matrix(self.matrix, dtype=np.float64)
+        try:
+            matrix = sparse.csr_matrix(self.matrix, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"kinematics: {type(self.matrix).__name__} is no matrix of numbers ({error})") from error
         matrix.eliminate_zeros()
         if matrix.shape[0] != self.mesh.n_dofs:
             raise InputError(f"kinematics: the matrix has {matrix.shape[0]} rows, the mesh {self.mesh.n_dofs} "

@@ -85,7 +85,9 @@ class TiedRegion(RegionKinematics):
         """
         rows = self.weights[nodes]
         dim = self.mesh.dim
-        return component_numbers(rows.indices.astype(np.int64), dim), np.diff(rows.indptr).astype(np.int64) * dim
+        unknown_nodes = rows.indices.astype(np.int64)
+        n_unknown_nodes = np.diff(rows.indptr).astype(np.int64)
+        return component_numbers(unknown_nodes, dim), dim * n_unknown_nodes
 
     def controlled(self, nodes: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Tell which unknowns are controlled: those of controlled nodes, whatever is tied to these.
@@ -100,7 +102,8 @@ class TiedRegion(RegionKinematics):
         (n_unknowns,) array of bool
             Whether an unknown's is.
         """
-        return np.repeat(nodes[:self.weights.shape[1]], self.mesh.dim)
+        n_unknown_nodes = self.weights.shape[1]
+        return np.repeat(nodes[:n_unknown_nodes], self.mesh.dim)
 
     def restrict(self, part: Mesh, node_ids: NDArray[np.int64], numbers: NDArray[np.int64]) -> Kinematics:
         """Give a subdomain its kinematics: nodal where none of its nodes is tied.
@@ -122,7 +125,8 @@ class TiedRegion(RegionKinematics):
         unknown_nodes = numbers[::self.mesh.dim] // self.mesh.dim
         if np.array_equal(unknown_nodes, node_ids):
             return NodalKinematics(part, numbers)
-        return tie(part, numbers, self.weights[node_ids][:, unknown_nodes].tocsr())
+        weights = self.weights[node_ids][:, unknown_nodes]
+        return tie(part, numbers, weights.tocsr())
 
 
 def tie(mesh: Mesh, numbers: NDArray[np.int64], weights: sparse.csr_matrix) -> TiedKinematics:
@@ -157,8 +161,9 @@ def _fit_of_weights(weights: sparse.csr_matrix) -> sparse.csr_matrix:
     slaves = np.flatnonzero(counts > 1)
 
     # The free node of each unknown node; masters that are not nodes of this mesh have none.
+    unknown_of_free = weights.indices[weights.indptr[free_nodes]]
     node_of = np.full(n_unknown_nodes, -1)
-    node_of[weights.indices[weights.indptr[free_nodes]]] = free_nodes
+    node_of[unknown_of_free] = free_nodes
     masters = np.flatnonzero(node_of < 0)
     known = np.flatnonzero(node_of >= 0)
 
@@ -167,10 +172,13 @@ def _fit_of_weights(weights: sparse.csr_matrix) -> sparse.csr_matrix:
     place_masters = _selection(masters, np.arange(len(masters)), (n_unknown_nodes, len(masters)))
 
     # What the free nodes leave of the slaves' displacement is the masters'.
-    left_to_masters = take_slaves - weights[slaves] @ take_free
-    fit_masters = sparse.csr_matrix(np.linalg.pinv(weights[slaves][:, masters].toarray()))
+    weights_of_slaves = weights[slaves]
+    left_to_masters = take_slaves - weights_of_slaves @ take_free
+    fit_masters = sparse.csr_matrix(np.linalg.pinv(weights_of_slaves[:, masters].toarray()))
     return take_free + place_masters @ fit_masters @ left_to_masters
 
 
 def _selection(rows: NDArray[np.intp], columns: NDArray[np.intp], shape: tuple[int, int]) -> sparse.csr_matrix:
-    return sparse.csr_matrix((np.ones(len(rows)), (rows, columns)), shape=shape)
+    """1 at some places, 0 elsewhere."""
+    ones = np.ones(len(rows))
+    return sparse.csr_matrix((ones, (rows, columns)), shape=shape)

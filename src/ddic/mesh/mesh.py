@@ -86,7 +86,7 @@ class CellBlock:
     nodes: NDArray[np.int64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Mesh:
     """Nodes and cells in pixel coordinates (x = column, y = row, pixel centres at integers).
 

@@ -93,8 +93,9 @@ def build_structured_mesh(region: Sequence[float], element_size: float, cell: Li
     Raises
     ------
     InputError
-        Where a hole removes no cell, or where no cell is left.
+        Where an argument is impossible, a hole removes no cell, or no cell is left.
     """
+    _refuse_impossible(region, element_size, cell, mask)
     grid = _fit_grid(region, element_size)
     holes: list[Hole] = [CircularHole(center, radius) for center, radius in circles]
     holes += [PolygonalHole(np.asarray(vertices, dtype=np.float64)) for vertices in polygons]
@@ -111,6 +112,21 @@ def build_structured_mesh(region: Sequence[float], element_size: float, cell: Li
     mesh = build_mesh(nodes, {Q4: quads, T3: triangles}, sets)
     # Without the nodes that no cell uses any more.
     return mesh.create_submesh(np.arange(mesh.n_cells))[0]
+
+
+def _refuse_impossible(region: Sequence[float], element_size: float, cell: str,
+                       mask: NDArray[np.bool_] | None) -> None:
+    """Refuse arguments of which no mesh can be made; case files say them with types and ranges of their own."""
+    given = f"mesh.structured: region = {region}, element_size = {element_size}"
+    numbers = np.asarray([*region, element_size])
+    if len(region) != 4 or numbers.dtype.kind not in "iuf" or not np.isfinite(numbers).all():
+        raise InputError(f"{given}: expected (x0, y0, x1, y1) and a size, finite numbers of pixels")
+    if not (region[0] < region[2] and region[1] < region[3] and element_size > 0):
+        raise InputError(f"{given}: expected x0 < x1, y0 < y1 and a size above 0")
+    if cell not in ("Q4", "T3"):
+        raise InputError(f'mesh.structured: cell = "{cell}": expected "Q4" or "T3"')
+    if mask is not None and np.ndim(mask) != 2:
+        raise InputError(f"mesh.structured: a mask of shape {np.shape(mask)}, (height, width) expected")
 
 
 def _fit_grid(region: Sequence[float], element_size: float) -> Grid:
@@ -130,7 +146,7 @@ def _kept_cells(grid: Grid, in_holes: Sequence[NDArray[np.bool_]],
     for inside in in_holes:
         kept &= ~inside
     if mask is not None:
-        kept &= _cells_in_mask(grid, mask)
+        kept &= _cells_in_mask(grid, np.asarray(mask) != 0)
     if not kept.any():
         raise InputError("mesh.structured: no cell is left; holes and mask cover the whole region")
     return kept

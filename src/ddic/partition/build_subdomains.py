@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,10 +107,11 @@ def share_unknowns(nodes: Sharing, kinematics: RegionKinematics) -> Sharing:
 
 
 def _share(numbers: NDArray[np.int64], subdomains: NDArray[np.int64], n_things: int) -> Sharing:
+    """Pairs of a thing and a subdomain, each once, sorted by thing and then by subdomain."""
     n_subdomains = int(subdomains.max()) + 1
     pairs = np.unique(numbers * n_subdomains + subdomains)
-    things = pairs // n_subdomains
-    return Sharing(things, pairs % n_subdomains, np.bincount(things, minlength=n_things))
+    things, of_things = np.divmod(pairs, n_subdomains)
+    return Sharing(things, of_things, np.bincount(things, minlength=n_things))
 
 
 def number_chains(sharing: Sharing, controlled: NDArray[np.bool_], n_subdomains: int) -> Chains:
@@ -174,30 +176,61 @@ def build_subdomains(kinematics: RegionKinematics, parts: NDArray[np.int64], con
     n_subdomains = int(parts.max()) + 1
     nodes = share_nodes(mesh, parts)
     unknowns = share_unknowns(nodes, kinematics)
-    position = unknowns.position
     chains = number_chains(unknowns, controlled, n_subdomains)
     if interior is None:
         interior = np.ones(mesh.n_nodes, dtype=bool)
         interior[find_boundary_nodes(mesh)] = False
+    whole = _Whole(kinematics, controlled, interior, nodes, unknowns, chains)
     cells_of = _group_by(parts, n_subdomains)
     copies_of = _group_by(unknowns.subdomains, n_subdomains)
-    subdomains = []
-    for s in range(n_subdomains):
-        part, node_ids = mesh.create_submesh(cells_of[s])
-        copies = copies_of[s]
-        numbers = unknowns.numbers[copies]
-        multiplicity = unknowns.multiplicity[numbers]
-        jumps, reactions = (_interface(kind, numbers, multiplicity, position[copies], chains)
-                            for kind in (JUMPS, REACTIONS))
-        subdomains.append(Subdomain(
-            index=s, mesh=part, node_ids=node_ids, cell_ids=cells_of[s],
-            kinematics=kinematics.restrict(part, node_ids, numbers),
-            controlled=controlled[numbers], interior=interior[node_ids],
-            node_multiplicity=nodes.multiplicity[node_ids], multiplicity=multiplicity,
-            jumps=jumps, reactions=reactions,
-            n_owned_rows=int(chains.owned_rows[s]), n_owned_copies=int(chains.owned_copies[s]),
-        ))
-    return subdomains
+    return [whole.cut(s, cells_of[s], copies_of[s]) for s in range(n_subdomains)]
+
+
+@dataclass(frozen=True)
+class _Whole:
+    """What subdomains are cut from."""
+
+    kinematics: RegionKinematics
+    controlled: NDArray[np.bool_]
+    interior: NDArray[np.bool_]
+    nodes: Sharing
+    unknowns: Sharing
+    chains: Chains
+
+    @cached_property
+    def position(self) -> NDArray[np.int64]:
+        """Place of each copy of an unknown in its chain, (n_copies,)."""
+        return self.unknowns.position
+
+    def cut(self, number: int, cells: NDArray[np.int64], copies: NDArray[np.int64]) -> Subdomain:
+        """A subdomain of these cells, which has these copies of unknowns."""
+        mesh, node_ids = self.kinematics.mesh.create_submesh(cells)
+        numbers = self.unknowns.numbers[copies]
+        return Subdomain(
+            index=number, mesh=mesh, node_ids=node_ids, cell_ids=cells,
+            kinematics=self.kinematics.restrict(mesh, node_ids, numbers),
+            controlled=self.controlled[numbers],
+            interior=self.interior[node_ids],
+            node_multiplicity=self.nodes.multiplicity[node_ids],
+            multiplicity=self.unknowns.multiplicity[numbers],
+            jumps=self._interface(JUMPS, copies),
+            reactions=self._interface(REACTIONS, copies),
+            n_owned_rows=int(self.chains.owned_rows[number]),
+            n_owned_copies=int(self.chains.owned_copies[number]),
+        )
+
+    def _interface(self, kind: int, copies: NDArray[np.int64]) -> Interface:
+        """The chains of one kind at a subdomain's copies of unknowns."""
+        first_row = self.chains.first_row[kind, self.unknowns.numbers[copies]]
+        at = np.flatnonzero(first_row >= 0)
+        numbers = self.unknowns.numbers[copies[at]]
+        return Interface(
+            unknowns=at,
+            multiplicity=self.unknowns.multiplicity[numbers],
+            position=self.position[copies[at]],
+            first_row=first_row[at],
+            first_copy=self.chains.first_copy[kind, numbers],
+        )
 
 
 def _group_by(labels: NDArray[np.int64], n_groups: int) -> list[NDArray[np.int64]]:
@@ -205,11 +238,3 @@ def _group_by(labels: NDArray[np.int64], n_groups: int) -> list[NDArray[np.int64
     order = np.argsort(labels, kind="stable")
     ends = np.cumsum(np.bincount(labels, minlength=n_groups))
     return [np.asarray(places, dtype=np.int64) for places in np.split(order, ends[:-1])]
-
-
-def _interface(kind: int, numbers: NDArray[np.int64], multiplicity: NDArray[np.int64],
-               position: NDArray[np.int64], chains: Chains) -> Interface:
-    """The chains of one kind at a subdomain's unknowns, which are given by their numbers in the whole problem."""
-    first_row = chains.first_row[kind, numbers]
-    at = np.flatnonzero(first_row >= 0)
-    return Interface(at, multiplicity[at], position[at], first_row[at], chains.first_copy[kind, numbers[at]])

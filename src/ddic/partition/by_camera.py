@@ -34,9 +34,11 @@ def assign_cameras(mesh: Mesh, seen: Sequence[NDArray[np.bool_]]) -> NDArray[np.
         Number of the camera that measures each cell, 0 the first.
     """
     labels = np.zeros(mesh.n_cells, dtype=np.int64)
-    for number in reversed(range(len(seen))):
-        whole = np.logical_and.reduceat(seen[number][mesh.connectivity], mesh.offsets[:-1])
-        labels[whole] = number + 1
+    # The first near camera comes last, so that what it sees is its own.
+    for place in reversed(range(len(seen))):
+        is_corner_seen = seen[place][mesh.connectivity]
+        is_cell_seen = np.logical_and.reduceat(is_corner_seen, mesh.offsets[:-1])
+        labels[is_cell_seen] = place + 1
     return labels
 
 
@@ -60,11 +62,13 @@ def find_cameras_at_nodes(mesh: Mesh, labels: NDArray[np.int64], n_cameras: int,
     (n_nodes, n_cameras) array of bool
         Whether a camera measures a cell at a node; with weights of the unknown nodes, (n_unknown_nodes, n_cameras).
     """
+    camera_of_corner = np.repeat(labels, np.diff(mesh.offsets))
     present = np.zeros((mesh.n_nodes, n_cameras), dtype=bool)
-    present[mesh.connectivity, np.repeat(labels, np.diff(mesh.offsets))] = True
+    present[mesh.connectivity, camera_of_corner] = True
     if weights is None:
         return present
-    n_tied = (weights != 0).T @ present.astype(np.int64)
+    is_tied_to = weights != 0
+    n_tied = is_tied_to.T @ present.astype(np.int64)
     return np.asarray(n_tied > 0)
 
 
@@ -97,13 +101,12 @@ def split_by_camera(labels: NDArray[np.int64], costs: NDArray[np.float64], n_sub
     if n_subdomains < len(cameras):
         raise InputError(f"solver.subdomains = {n_subdomains}: {len(cameras)} cameras measure elements, and each needs "
                          f"a subdomain of its own; ask for at least {len(cameras)}")
-    work = np.array([costs[labels == camera].sum() for camera in cameras])
-    n_cells = [int((labels == camera).sum()) for camera in cameras]
-    counts = _apportion(work, n_subdomains, n_cells)
+    cells_of = [np.flatnonzero(labels == camera) for camera in cameras]
+    work = np.array([costs[cells].sum() for cells in cells_of])
+    counts = _apportion(work, n_subdomains, [len(cells) for cells in cells_of])
     parts = np.zeros(len(labels), dtype=np.int64)
     first = 0
-    for camera, count in zip(cameras, counts, strict=True):
-        cells = np.flatnonzero(labels == camera)
+    for cells, count in zip(cells_of, counts, strict=True):
         parts[cells] = first + split(cells, count)
         first += count
     return parts
@@ -124,7 +127,9 @@ def keep_cameras_apart(parts: NDArray[np.int64], labels: NDArray[np.int64]) -> N
     (n_cells,) array of int64
         New subdomain of each cell, numbered by camera without gaps.
     """
-    return renumber(labels * (int(parts.max()) + 1) + parts, 0)
+    n_parts = int(parts.max()) + 1
+    by_camera_and_part = labels * n_parts + parts
+    return renumber(by_camera_and_part, 0)
 
 
 def add_motions(subdomains: Sequence[Subdomain], cameras: Sequence[int], n_motion_unknowns: Sequence[int],
@@ -147,26 +152,30 @@ def add_motions(subdomains: Sequence[Subdomain], cameras: Sequence[int], n_motio
     list of Subdomain
         The same; the last owns the interface rows of all motions.
     """
-    n_chain_rows = sum(s.n_owned_rows for s in subdomains)
+    n_chain_rows = sum(subdomain.n_owned_rows for subdomain in subdomains)
+    # Unknowns of all motions, camera after camera; each has a row of its own after those of the chains.
     first = np.concatenate([[0], np.cumsum(n_motion_unknowns)]).astype(np.int64)
-    last = len(subdomains) - 1
-    out = []
-    for k, (subdomain, camera) in enumerate(zip(subdomains, cameras, strict=True)):
+    cameras = list(cameras)
+    with_motion = []
+    for place, (subdomain, camera) in enumerate(zip(subdomains, cameras, strict=True)):
         of_camera = np.arange(first[camera], first[camera + 1])
         motion = None
         if len(of_camera):
-            is_lowest = list(cameras).index(camera) == k
-            motion = MotionUnknowns(n_field + of_camera, n_chain_rows + of_camera, list(cameras).count(camera),
-                                    is_lowest)
-        n_rows = subdomain.n_owned_rows + (int(first[-1]) if k == last else 0)
-        out.append(replace(subdomain, camera=camera, motion=motion, n_owned_rows=n_rows))
-    return out
+            is_lowest = cameras.index(camera) == place
+            motion = MotionUnknowns(n_field + of_camera, n_chain_rows + of_camera, cameras.count(camera), is_lowest)
+        with_motion.append(replace(subdomain, camera=camera, motion=motion))
+    last = with_motion[-1]
+    n_motion_rows = int(first[-1])
+    with_motion[-1] = replace(last, n_owned_rows=last.n_owned_rows + n_motion_rows)
+    return with_motion
 
 
 def _apportion(work: NDArray[np.float64], total: int, most: Sequence[int]) -> list[int]:
     """Whole numbers from 1 to ``most`` that add up to ``total``, so that the largest work a piece is least."""
-    counts = [1] * len(work)
+    limits = np.asarray(most)
+    counts = np.ones(len(work), dtype=np.int64)
     for _ in range(total - len(work)):
-        loads = [w / n if n < limit else -1.0 for w, n, limit in zip(work, counts, most, strict=True)]
-        counts[int(np.argmax(loads))] += 1
-    return counts
+        # One piece more where pieces are largest; -1 where there can be no more.
+        loads = np.where(counts < limits, work / counts, -1.0)
+        counts[loads.argmax()] += 1
+    return [int(count) for count in counts]

@@ -28,7 +28,8 @@ def find_connected_pieces(adjacency: Adjacency) -> NDArray[np.int64]:
     """
     indptr, indices = adjacency
     n_cells = len(indptr) - 1
-    graph = sparse.csr_matrix((np.ones(len(indices), dtype=np.int64), indices, indptr), shape=(n_cells, n_cells))
+    ones = np.ones(len(indices), dtype=np.int64)
+    graph = sparse.csr_matrix((ones, indices, indptr), shape=(n_cells, n_cells))
     _, pieces = csgraph.connected_components(graph, directed=False)
     return np.asarray(pieces, dtype=np.int64)
 
@@ -57,25 +58,35 @@ def merge_blank(pieces: NDArray[np.int64], owner: NDArray[np.int64], adjacency: 
     (n_cells,) int64 array
         New subdomain of each cell, from 0 without gaps, in the old order.
     """
-    shared = _count_shared_facets(pieces, adjacency, len(blank))
-    host = np.arange(len(blank))
+    n_pieces = len(blank)
+    n_shared = _count_shared_facets(pieces, adjacency, n_pieces)
     blank_pieces = np.flatnonzero(blank)
-    among_blank = shared[blank_pieces][:, blank_pieces]
-    n_groups, group = csgraph.connected_components(among_blank, directed=False)
-    for g in range(n_groups):
-        members = blank_pieces[group == g]
-        with_textured = np.asarray(shared[members].sum(axis=0)).ravel() * ~blank
+    among_blank = n_shared[blank_pieces][:, blank_pieces]
+    n_groups, group_of = csgraph.connected_components(among_blank, directed=False)
+
+    # The piece whose subdomain each piece will be part of.
+    host = np.arange(n_pieces)
+    for group in range(n_groups):
+        members = blank_pieces[group_of == group]
+        with_others = np.asarray(n_shared[members].sum(axis=0)).ravel()
+        with_textured = np.where(blank, 0, with_others)
         if with_textured.any():
             host[members] = int(with_textured.argmax())
-    _, new = np.unique(owner[host][pieces], return_inverse=True)
+
+    owner_of_piece = owner[host]
+    owner_of_cell = owner_of_piece[pieces]
+    _, new = np.unique(owner_of_cell, return_inverse=True)
     return np.asarray(new.reshape(-1), dtype=np.int64)
 
 
 def _count_shared_facets(pieces: NDArray[np.int64], adjacency: Adjacency, n_pieces: int) -> sparse.csr_matrix:
     """Number of facets that each two different pieces share, (n_pieces, n_pieces)."""
     indptr, indices = adjacency
-    one, other = np.repeat(pieces, np.diff(indptr)), pieces[indices]
-    apart = one != other
-    counts = np.ones(int(apart.sum()), dtype=np.int64)
-    shape = (n_pieces, n_pieces)
-    return sparse.csr_matrix((counts, (one[apart], other[apart])), shape=shape)
+    # Each pair of adjacent cells: the piece of one, the piece of the other.
+    one = np.repeat(pieces, np.diff(indptr))
+    other = pieces[indices]
+    is_apart = one != other
+    pairs = (one[is_apart], other[is_apart])
+    ones = np.ones(len(pairs[0]), dtype=np.int64)
+    # Entries of one place add up.
+    return sparse.csr_matrix((ones, pairs), shape=(n_pieces, n_pieces))

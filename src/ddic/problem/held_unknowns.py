@@ -12,10 +12,11 @@ from ddic.errors import SingularSubdomainError, as_collective
 from ddic.functionals.view import View
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
+from ddic.problem.views import FrameViews
 from ddic.solvers.singularity import describe_singular
 
 
-def refuse_undetermined(team: Team, subdomains: Sequence[Subdomain], shown: Sequence[Sequence[View]]) -> None:
+def refuse_undetermined(team: Team, views: Sequence[FrameViews], shown: Sequence[Sequence[View]]) -> None:
     """Refuse a frame that leaves an unknown to nothing: such a one would keep what it started from; collective.
 
     An unknown is held by a pixel in a cell of a node that it displaces, in any subdomain, or by its row of equilibrium,
@@ -25,8 +26,8 @@ def refuse_undetermined(team: Team, subdomains: Sequence[Subdomain], shown: Sequ
     ----------
     team : Team
         All ranks.
-    subdomains : sequence of Subdomain
-        Owned ones.
+    views : sequence of FrameViews
+        Owned subdomains in the frame.
     shown : sequence of sequence of View
         Views of each, without the pixels that the frame hides.
 
@@ -36,8 +37,13 @@ def refuse_undetermined(team: Team, subdomains: Sequence[Subdomain], shown: Sequ
         On all ranks, with the place.
     """
     candidates = []
-    for subdomain, views in zip(subdomains, shown, strict=True):
-        unheld = ~_is_held(subdomain, views) & ~subdomain.controlled
+    for of_subdomain, of_shown in zip(views, shown, strict=True):
+        subdomain = of_subdomain.subdomain
+        n_shown = sum(view.n_pixels for view in of_shown)
+        if n_shown == sum(view.view.n_pixels for view in of_subdomain.views):
+            # Nothing is hidden: the factor of the reference said what holds it.
+            continue
+        unheld = ~_is_held(subdomain, of_shown) & ~subdomain.controlled
         for place in np.flatnonzero(unheld):
             number = int(subdomain.kinematics.numbers[place])
             candidates.append((number, int(subdomain.multiplicity[place]), _find_position(subdomain, int(place))))

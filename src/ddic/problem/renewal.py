@@ -66,17 +66,23 @@ class RenewalRule:
         return min(share, (CHANGED_SIDE * self.wavelength) ** 2) if self.is_regularized else share
 
 
+CellCounts = tuple[NDArray[np.int64], ...]
+"""Pixels of each cell, (n_cells,), by view of a subdomain."""
+
+
 @dataclass(frozen=True)
 class VisiblePixels:
     """Pixels that M of owned subdomains counts.
 
+    By cell: a frame may hide as many pixels as the one before, but others.
+
     Attributes
     ----------
-    by_view : list of tuple of int
+    by_view : list of tuple of (n_cells,) array
         Of each subdomain and view.
     """
 
-    by_view: list[tuple[int, ...]]
+    by_view: list[CellCounts]
 
     @classmethod
     def all_of(cls, hessian_views: Sequence[Sequence[View]]) -> VisiblePixels:
@@ -92,7 +98,7 @@ class VisiblePixels:
         VisiblePixels
             Of these views.
         """
-        return cls([tuple(view.n_pixels for view in views) for views in hessian_views])
+        return cls([tuple(view.count_pixels() for view in views) for views in hessian_views])
 
 
 @dataclass(frozen=True)
@@ -101,8 +107,8 @@ class Renewal:
 
     Attributes
     ----------
-    hessians : list of csr_matrix or None
-        New M_s in the unknowns, (n_unknowns, n_unknowns); None where it stays.
+    hessians : list of (n_unknowns, n_unknowns) csr_matrix or None
+        New M_s in the unknowns; None where it stays.
     visible : VisiblePixels
         What M counts from now on.
     note : str
@@ -145,14 +151,14 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
 
     shown = team.together(lambda: [tuple(view.without_hidden(q_s) for view in of_subdomain.views)
                                    for of_subdomain, q_s in zip(views, q, strict=True)])
-    refuse_undetermined(team, [of_subdomain.subdomain for of_subdomain in views], shown)
+    refuse_undetermined(team, views, shown)
 
-    def renew() -> tuple[list[sparse.csr_matrix | None], list[tuple[int, ...]]]:
+    def renew() -> tuple[list[sparse.csr_matrix | None], list[CellCounts]]:
         hessians: list[sparse.csr_matrix | None] = []
-        by_view: list[tuple[int, ...]] = []
+        by_view: list[CellCounts] = []
         for of_subdomain, of_shown, before, hessian in zip(views, shown, counted.by_view, whole, strict=True):
-            now = tuple(view.n_pixels for view in of_shown)
-            if _is_kept(of_subdomain, (before, now), rule):
+            now = tuple(view.count_pixels() for view in of_shown)
+            if _is_kept(of_subdomain, before, now, rule):
                 hessians.append(None)
                 by_view.append(before)
             else:
@@ -170,11 +176,11 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
     return Renewal(hessians, VisiblePixels(by_view), note)
 
 
-def _is_kept(of_subdomain: FrameViews, counts: tuple[Sequence[int], Sequence[int]], rule: RenewalRule) -> bool:
-    """Whether a subdomain's M still fits the pixels shown; counts: by view, those that M counts and those shown."""
-    before, now = counts
+def _is_kept(of_subdomain: FrameViews, before: CellCounts, now: CellCounts, rule: RenewalRule) -> bool:
+    """Whether a subdomain's M, which counts the pixels before, still fits those that are shown now."""
+    n_changed = sum(int(np.abs(a - b).sum()) for a, b in zip(before, now, strict=True))
     n_reference = sum(view.view.n_pixels for view in of_subdomain.views)
-    return abs(sum(now) - sum(before)) <= rule.bound_changes(n_reference)
+    return n_changed <= rule.bound_changes(n_reference)
 
 
 def _assemble_shown(views: Sequence[FrameView], shown: Sequence[View], whole: Sequence[sparse.csr_matrix],

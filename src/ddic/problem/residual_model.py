@@ -82,9 +82,11 @@ class ResidualModel:
         corrected = None
         if self.correction == "element":
             corrected = self._sum_by_camera(residuals, _sums_corrected_by_cell)
-        grey = tuple(self._grey_state(GreySums(sums[k]), None if corrected is None else corrected[k])
-                     for k in range(self.n_cameras))
-        return Evaluation(residuals, grey)
+        grey = []
+        for camera in range(self.n_cameras):
+            of_camera = None if corrected is None else corrected[camera]
+            grey.append(self._grey_state(GreySums(sums[camera]), of_camera))
+        return Evaluation(residuals, tuple(grey))
 
     def assemble_right_hand_sides(self, evaluation: Evaluation) -> list[Array]:
         """Assemble b_s of all owned subdomains, Eq. 5 of [BP17]; free of communication.
@@ -101,9 +103,11 @@ class ResidualModel:
         """
         b = []
         for of_subdomain, residuals in zip(self.views, evaluation.residuals, strict=True):
-            terms = [view.assemble_right_hand_side(residual, *self.find_correction(evaluation, view.camera, residual))
-                     for view, residual in zip(of_subdomain.views, residuals, strict=True)]
-            b.append(np.sum(terms, axis=0))
+            of_views = []
+            for view, residual in zip(of_subdomain.views, residuals, strict=True):
+                gain, offset = self.find_correction(evaluation, view.camera, residual)
+                of_views.append(view.assemble_right_hand_side(residual, gain, offset))
+            b.append(np.sum(of_views, axis=0))
         return b
 
     def find_correction(self, evaluation: Evaluation, camera: int, residual: Residual) -> tuple[Array, Array]:
@@ -191,11 +195,15 @@ class ResidualModel:
             raise as_collective(ConvergenceError(
                 "no pixel is left: every pixel of the mesh is masked or mapped outside the deformed image; "
                 "check the start of the displacement and the masks"))
-        gain, offset = total.fit_gain_and_offset() if self.correction == "global" else (np.ones(()), np.zeros(()))
-        first, second = total.sum_residual(gain, offset) if corrected is None else (corrected[0], corrected[1])
+        gain, offset = np.ones(()), np.zeros(())
+        if self.correction == "global":
+            gain, offset = total.fit_gain_and_offset()
+        first, second = total.sum_residual(gain, offset) if corrected is None else corrected
         mean = float(first) / n
-        variance = max(float(second) / n - mean**2, 0.0)
-        return GreyState(float(np.sqrt(variance)), float(np.sqrt(second / n)), int(n), float(gain), float(offset))
+        mean_square = float(second) / n
+        # Rounding may leave a variance of nothing below zero.
+        variance = max(mean_square - mean**2, 0.0)
+        return GreyState(float(np.sqrt(variance)), float(np.sqrt(mean_square)), int(n), float(gain), float(offset))
 
 
 def _sums_corrected_by_cell(residual: Residual) -> Array:

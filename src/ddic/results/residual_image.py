@@ -91,18 +91,22 @@ def share_chunks(team: Team, grid: ChunkGrid, windows: Iterable[Window]) -> Chun
     for window in windows:
         for number in grid.find_chunks(window):
             area[number] += window.intersection(grid.locate_chunk(number)).n_pixels
-    parts: dict[int, dict[int, int]] = {}
+
+    # By chunk and rank, the pixels of the windows.
+    n_pixels_of: dict[int, dict[int, int]] = {}
     for rank, areas in enumerate(team.gather_lists([dict(area)])):
         for number, n_pixels in areas.items():
-            parts.setdefault(number, {})[rank] = n_pixels
+            n_pixels_of.setdefault(number, {})[rank] = n_pixels
+
     n_owned: Counter[int] = Counter()
     owner: dict[int, int] = {}
-    for number, n_pixels_of in sorted(parts.items()):
-        enough = LARGE * max(n_pixels_of.values())
-        candidates = [rank for rank, n_pixels in n_pixels_of.items() if n_pixels >= enough]
+    for number, of_rank in sorted(n_pixels_of.items()):
+        enough = LARGE * max(of_rank.values())
+        candidates = [rank for rank, n_pixels in of_rank.items() if n_pixels >= enough]
         owner[number] = min(candidates, key=lambda rank: n_owned[rank])
         n_owned[owner[number]] += 1
-    return ChunkShares({number: list(n_pixels_of) for number, n_pixels_of in parts.items()}, owner)
+    sharers = {number: list(of_rank) for number, of_rank in n_pixels_of.items()}
+    return ChunkShares(sharers, owner)
 
 
 def pack_chunks(team: Team, grid: ChunkGrid, windows: list[Window], patches: Iterator[Patch]) -> list[PackedChunk]:
@@ -127,26 +131,31 @@ def pack_chunks(team: Team, grid: ChunkGrid, windows: list[Window], patches: Ite
         Those that this rank owns; without those that have no correlated pixel.
     """
     shares = share_chunks(team, grid, windows)
-    mine = [n for n, rank in shares.owner.items() if rank == team.rank]
-    awaited = Counter(rank for n in mine for rank in shares.sharers[n] if rank != team.rank)
     done: list[PackedChunk] = []
-    kept: dict[int, NDArray[np.float32]] = {}
+    waiting: dict[int, NDArray[np.float32]] = {}
     sent = []
     for number, chunk in _complete_chunks(grid, windows, patches):
         if shares.owner[number] != team.rank:
             sent.append(team.begin_send((number, chunk), shares.owner[number]))
         elif len(shares.sharers[number]) > 1:
-            kept[number] = chunk
+            waiting[number] = chunk
         else:
             done += _pack(number, chunk)
-    for rank, n_chunks in awaited.items():
-        for _ in range(n_chunks):
-            number, chunk = team.receive(rank)
-            np.copyto(kept[number], chunk, where=~np.isnan(chunk))
-    for number, chunk in kept.items():
+    _receive_parts(team, shares, waiting)
+    for number, chunk in waiting.items():
         done += _pack(number, chunk)
     team.finish_sends(sent)
     return done
+
+
+def _receive_parts(team: Team, shares: ChunkShares, chunks: dict[int, NDArray[np.float32]]) -> None:
+    """Complete this rank's chunks with what other ranks send of them."""
+    mine = [number for number, rank in shares.owner.items() if rank == team.rank]
+    awaited = Counter(rank for number in mine for rank in shares.sharers[number] if rank != team.rank)
+    for rank, n_chunks in awaited.items():
+        for _ in range(n_chunks):
+            number, part = team.receive(rank)
+            np.copyto(chunks[number], part, where=~np.isnan(part))
 
 
 def stream_chunks(team: Team, chunks: list[PackedChunk]) -> Iterator[PackedChunk]:
@@ -184,10 +193,17 @@ def _complete_chunks(grid: ChunkGrid, windows: list[Window],
 
 def _lay(patch: Patch, place: Window, chunk: NDArray[np.float32]) -> None:
     """Copy the part of a patch that lies in a chunk; place: the chunk's pixels."""
-    common, origin = patch.window.intersection(place), patch.window
-    values = patch.values[common.y0 - origin.y0:common.y1 - origin.y0, common.x0 - origin.x0:common.x1 - origin.x0]
-    target = chunk[common.y0 - place.y0:common.y1 - place.y0, common.x0 - place.x0:common.x1 - place.x0]
+    common = patch.window.intersection(place)
+    values = patch.values[_places(common, patch.window)]
+    target = chunk[_places(common, place)]
     np.copyto(target, values, where=~np.isnan(values))
+
+
+def _places(part: Window, whole: Window) -> tuple[slice, slice]:
+    """Rows and columns of a part in an array of a whole window."""
+    rows = slice(part.y0 - whole.y0, part.y1 - whole.y0)
+    columns = slice(part.x0 - whole.x0, part.x1 - whole.x0)
+    return rows, columns
 
 
 def _pack(number: int, chunk: NDArray[np.float32]) -> list[PackedChunk]:

@@ -50,8 +50,9 @@ def estimate_noise(team: Team, cameras: Sequence[Camera], views: Sequence[FrameV
     noise = []
     for camera in cameras:
         of_camera = [std for number, std in deviations if number == camera.number]
-        estimated = max(float(np.median(of_camera)) / np.sqrt(2), SMALLEST_NOISE)
-        noise.append(estimated if camera.noise is None else camera.noise)
+        # The residual has the noise of two images.
+        estimated = float(np.median(of_camera)) / np.sqrt(2)
+        noise.append(max(estimated, SMALLEST_NOISE) if camera.noise is None else camera.noise)
     return noise
 
 
@@ -70,9 +71,11 @@ def describe_noise(cameras: Sequence[Camera], noise: Sequence[float]) -> tuple[s
     tuple of str
         A line for each.
     """
-    return tuple(f"{camera.label}: noise of {sigma:.2f} grey levels "
-                 f"({'estimated from the residual' if camera.noise is None else 'given'})"
-                 for camera, sigma in zip(cameras, noise, strict=True))
+    lines = []
+    for camera, sigma in zip(cameras, noise, strict=True):
+        origin = "estimated from the residual" if camera.noise is None else "given"
+        lines.append(f"{camera.label}: noise of {sigma:.2f} grey levels ({origin})")
+    return tuple(lines)
 
 
 def _by_own_camera(of_subdomain: FrameViews) -> FrameViews:
@@ -87,6 +90,8 @@ def _deviation(model: ResidualModel, evaluation: Evaluation, place: int) -> floa
     residual = evaluation.residuals[place][0]
     camera = model.views[place].views[0].camera
     first, second = residual.cell_sums.sum_residual(*model.find_correction(evaluation, camera, residual))
-    n = max(float(residual.sums.n_pixels), 1.0)
-    mean = first.sum() / n
-    return float(np.sqrt(max(second.sum() / n - mean**2, 0.0)))
+    n_pixels = max(float(residual.sums.n_pixels), 1.0)
+    mean = first.sum() / n_pixels
+    variance = second.sum() / n_pixels - mean**2
+    # Rounding may leave a variance of nothing below zero.
+    return float(np.sqrt(max(variance, 0.0)))

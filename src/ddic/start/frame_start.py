@@ -120,7 +120,8 @@ def _find_coarse_fields(by: FrameStart, frame: Frame, references: Sequence[Refer
     if found is None:
         search = by.search.prepare(frame)
         found = by.search.share(by.team.together(search))
-    return fit_coarse_fields(cameras, references, require_held(found))
+    coarse = require_held(found)
+    return by.team.together(lambda: fit_coarse_fields(cameras, references, coarse))
 
 
 def _refine_independently(by: FrameStart, views: Sequence[FrameViews],

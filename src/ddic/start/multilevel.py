@@ -20,32 +20,50 @@ from ddic.images.rigid import RigidShift, find_rigid_shift
 from ddic.images.sub_image import MaskedSource
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
-from ddic.start.pyramid_level import CELL, BinnedPair, correlate_level, find_active_blocks, scale_mesh
+from ddic.start.coarse_grid import CELL
+from ddic.start.pyramid_level import BinnedPair, correlate_level, find_active_blocks, scale_mesh
 
 LARGEST_COARSE_IMAGE = 1_000_000
-"""Pixels of the finest image of the pyramid: what one rank is asked to hold and correlate."""
+"""Pixels of the finest image of the pyramid: what one rank is asked to hold and correlate. A larger value gives a
+better start later."""
 
 LARGEST_FFT_IMAGE = 500_000
+"""Most blocks of the image in which a rigid translation is sought. A larger value takes longer."""
+
 ENOUGH_FFT_IMAGE = 200_000
+"""Blocks of the image enough for a rigid translation, if ENOUGH_BLOCKS of them show the region. A larger value takes
+longer."""
+
 ENOUGH_BLOCKS = 2000
-"""Blocks of the image enough for a rigid translation, if that many of them show the region: coefficients of unrelated
-images then stay below 0.11 (2000 samples, 200 000 translations), far from LEAST_COEFFICIENT."""
+"""Blocks of the region enough for a rigid translation: coefficients of unrelated images then stay below 0.11 (2000
+samples, 200 000 translations), far from LEAST_COEFFICIENT. A larger value keeps more blocks of small regions."""
 
 SMALLEST_SIDE = 1.5 * CELL
-"""Least side of the region on the coarsest level, blocks: there the grid is hardly more than an affine map."""
+"""Least side of the region on the coarsest level, blocks: there the grid is hardly more than an affine map. A larger
+value leaves out coarse levels."""
 
 COARSEST = 64
-"""Largest block, pixels. A level finds displacements of about a block beyond its start."""
+"""Largest block, pixels. A level finds displacements of about a block beyond its start; a larger value reaches
+further."""
 
 LEAST_COEFFICIENT = 0.3
-"""Correlation coefficient below which a rigid translation is noise."""
+"""Correlation coefficient below which a rigid translation is noise. A larger value starts from zero more often."""
 
 
 @dataclass(frozen=True)
 class MultilevelStart:
     """A coarse field and what the user should know about how it was found.
 
-    rigid: the translation found first, pixels (None where switched off); levels: block sizes, pixels.
+    Attributes
+    ----------
+    field : GridField
+        The displacement, pixels.
+    rigid : RigidShift or None
+        The translation found first, pixels; None where it was not sought, or none stands out.
+    levels : tuple of int
+        Block sizes of the pyramid's levels that were measured, pixels, coarsest first.
+    warnings : tuple of str
+        What did not work.
     """
 
     field: GridField
@@ -56,38 +74,72 @@ class MultilevelStart:
 
 def find_multilevel_start(pair: BinnedPair, mesh: Mesh, *, rigid: bool, pyramid: bool,
                           correction: GreyCorrection) -> MultilevelStart:
-    """Find a coarse field on the region of ``mesh`` (the whole mesh, pixels).
+    """Find a coarse field on the region of a mesh.
 
-    pair: the images, binned at most as far as ``choose_finest_block`` says.
+    Parameters
+    ----------
+    pair : BinnedPair
+        The images, binned at most as far as ``choose_finest_block`` says.
+    mesh : Mesh
+        The whole mesh, pixels.
+    rigid : bool
+        Whether a rigid translation is sought first.
+    pyramid : bool
+        Whether the coarse-graining pyramid follows.
+    correction : GreyCorrection
+        Of grey levels.
+
+    Returns
+    -------
+    MultilevelStart
+        The field of the finest level that worked.
     """
     n_pixels = pair.n_blocks * pair.factor**2
     sizes = choose_block_sizes(n_pixels, mesh) if pyramid else []
     rigid_size = _rigid_block_size(n_pixels, mesh)
-    pairs = _binned_pairs(pair, [*sizes, *([rigid_size] if rigid else [])])
-    shift = _rigid(pairs[rigid_size], mesh) if rigid else None
+    all_sizes = [*sizes, rigid_size] if rigid else sizes
+    pairs = _binned_pairs(pair, all_sizes)
+
     warnings: list[str] = []
+    shift = _rigid(pairs[rigid_size], mesh) if rigid else None
     if shift is not None and shift.coefficient < LEAST_COEFFICIENT:
         warnings.append(f"start: no rigid translation stands out (best correlation coefficient {shift.coefficient:.2f}"
                         "); starting from zero")
         shift = None
-    field = rigid_field = build_uniform_field((0.0, 0.0) if shift is None else shift.shift)
+
+    rigid_field = build_uniform_field((0.0, 0.0) if shift is None else shift.shift)
+    starts = [rigid_field]
     done: list[int] = []
     for size in sizes:
         try:
-            # A coarse level of a ragged region may have gone astray: the residual of the next one tells.
-            field = correlate_level(pairs[size], mesh, [field, rigid_field] if done else [field], correction)
-            done.append(size)
+            field = correlate_level(pairs[size], mesh, starts, correction)
         except (ConvergenceError, SingularSubdomainError) as error:
             warnings.append(f"start: the pyramid's level with blocks of {size} px was left out ({error})")
-    return MultilevelStart(field, shift, tuple(done), tuple(warnings))
+        else:
+            # A coarse level of a ragged region may have gone astray: the residual of the next one tells.
+            starts = [field, rigid_field]
+            done.append(size)
+    return MultilevelStart(starts[0], shift, tuple(done), tuple(warnings))
 
 
 def choose_finest_block(n_pixels: int) -> int:
-    """Side of the smallest blocks that the start looks at, pixels."""
+    """Find the side of the smallest blocks that the start looks at.
+
+    Parameters
+    ----------
+    n_pixels : int
+        Of an image.
+
+    Returns
+    -------
+    int
+        Pixels.
+    """
     return 1 if n_pixels <= LARGEST_FFT_IMAGE else _finest_level(n_pixels)
 
 
 def _finest_level(n_pixels: int) -> int:
+    """Side of the smallest blocks of the pyramid, pixels."""
     finest = 2
     while n_pixels / finest**2 > LARGEST_COARSE_IMAGE:
         finest *= 2
@@ -95,8 +147,21 @@ def _finest_level(n_pixels: int) -> int:
 
 
 def choose_block_sizes(n_pixels: int, mesh: Mesh) -> list[int]:
-    """Block sizes of the pyramid's levels, pixels, coarsest first."""
-    side = float((mesh.nodes.max(axis=0) - mesh.nodes.min(axis=0)).min())
+    """Choose the block sizes of the pyramid's levels.
+
+    Parameters
+    ----------
+    n_pixels : int
+        Of an image.
+    mesh : Mesh
+        The whole mesh, pixels.
+
+    Returns
+    -------
+    list of int
+        Pixels, coarsest first; none where the region is smaller than a cell of each.
+    """
+    side = float(np.ptp(mesh.nodes, axis=0).min())
     sizes = [_finest_level(n_pixels)]
     while sizes[-1] < COARSEST and side / (2 * sizes[-1]) >= SMALLEST_SIDE:
         sizes.append(2 * sizes[-1])
@@ -104,12 +169,17 @@ def choose_block_sizes(n_pixels: int, mesh: Mesh) -> list[int]:
 
 
 def _rigid_block_size(n_pixels: int, mesh: Mesh) -> int:
-    region = float(np.prod(mesh.nodes.max(axis=0) - mesh.nodes.min(axis=0)))
+    """Side of the blocks in which a rigid translation is sought, pixels."""
+    region = float(np.prod(np.ptp(mesh.nodes, axis=0)))
     size = 1
-    while n_pixels / size**2 > LARGEST_FFT_IMAGE or (
-            n_pixels / size**2 > ENOUGH_FFT_IMAGE and region / (2 * size) ** 2 >= ENOUGH_BLOCKS):
+    while True:
+        n_blocks = n_pixels / size**2
+        n_larger_blocks_of_region = region / (2 * size) ** 2
+        is_too_large = n_blocks > LARGEST_FFT_IMAGE
+        is_more_than_enough = n_blocks > ENOUGH_FFT_IMAGE and n_larger_blocks_of_region >= ENOUGH_BLOCKS
+        if not (is_too_large or is_more_than_enough):
+            return size
         size *= 2
-    return size
 
 
 def _binned_pairs(pair: BinnedPair, sizes: Iterable[int]) -> dict[int, BinnedPair]:
@@ -124,12 +194,15 @@ def _binned_pairs(pair: BinnedPair, sizes: Iterable[int]) -> dict[int, BinnedPai
 
 
 def _rigid(pair: BinnedPair, mesh: Mesh) -> RigidShift:
+    """The translation of the region between two binned images, pixels."""
     region = find_active_blocks(pair.reference, rasterize(scale_mesh(mesh, pair.factor))).astype(bool)
     if region.sum() < SMALLEST_SIDE:
         return RigidShift((0.0, 0.0), 0.0)
     found = find_rigid_shift(_values(pair.reference), _values(pair.deformed), region)
-    return RigidShift((pair.factor * found.shift[0], pair.factor * found.shift[1]), found.coefficient)
+    x, y = found.shift
+    return RigidShift((pair.factor * x, pair.factor * y), found.coefficient)
 
 
 def _values(source: MaskedSource) -> NDArray[np.float64]:
+    """All grey levels of an image."""
     return source.image.read(source.extent).astype(np.float64)

@@ -21,11 +21,10 @@ from ddic.functionals.equilibrium_gap import (
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.functionals.view import FrameView, View
 from ddic.images.binned import ArraySource
-from ddic.images.grid_field import GridField, fill_absent
+from ddic.images.grid_field import GridField
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.kinematics.nodal import NodalRegion
-from ddic.mesh.cell_type import Q4
-from ddic.mesh.mesh import Mesh, build_mesh
+from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import Raster, rasterize
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
@@ -37,23 +36,40 @@ from ddic.solvers.gauss_newton import Progress, Tolerances, gauss_newton, stay_s
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.monolithic import MonolithicStep
-
-CELL = 16
-"""Side of the grid's cells, blocks."""
+from ddic.start.coarse_grid import CELL, build_grid, locate_block_centre
 
 CUT_OFF = 4.0 * CELL
+"""Cut-off wavelength of a level, blocks. A larger value finds smoother fields, and strays less where texture is
+poor."""
+
 FREE_EDGE = 0.03
 """Weight of the equilibrium of the grid's edge relative to its inside. Cells at the edge may hold a few blocks only,
-which do not determine all of their nodes; a thousandth of the energy does, and is nothing where there is texture."""
+which do not determine all of their nodes; a thousandth of the energy does, and is nothing where there is texture. A
+larger value stiffens the edge."""
+
+DEGREE = 3
+"""Of the splines between blocks."""
 
 TOLERANCES = Tolerances(relative=1e-12, rms=0.01, max_iterations=30)
+"""Of Gauss-Newton on a level: the RMS of a correction, in blocks, decides."""
+
 SINGULAR = 1e-10
-"""Lowest eigenvalue of a usable operator, relative to the mean diagonal of M."""
+"""Lowest eigenvalue of a usable operator, relative to the mean diagonal of M. A larger value refuses more levels."""
 
 
 @dataclass(frozen=True)
 class BinnedPair:
-    """An image pair binned over blocks of factor x factor pixels."""
+    """An image pair binned over blocks of factor x factor pixels.
+
+    Attributes
+    ----------
+    reference : MaskedSource
+        The reference image, a pixel a block.
+    deformed : MaskedSource
+        The deformed image, a pixel a block.
+    factor : int
+        Side of a block, pixels.
+    """
 
     reference: MaskedSource
     deformed: MaskedSource
@@ -67,76 +83,120 @@ class BinnedPair:
     @property
     def centre(self) -> float:
         """Position of block 0's centre, pixels."""
-        return (self.factor - 1) / 2
-
-
-@dataclass(frozen=True)
-class Grid:
-    """Square cells that hold active blocks, within a regular grid over the region's bounding box.
-
-    mesh: the cells, in blocks; numbers: its nodes in the full grid; shape: (rows, columns) of nodes.
-    """
-
-    mesh: Mesh
-    numbers: NDArray[np.int64]
-    shape: tuple[int, int]
-    origin: NDArray[np.float64]
-    spacing: NDArray[np.float64]
+        return locate_block_centre(self.factor)
 
 
 def correlate_level(pair: BinnedPair, mesh: Mesh, starts: Sequence[GridField],
                     correction: GreyCorrection) -> GridField:
-    """Correlate one level from the best of ``starts``; mesh is the whole mesh in pixels, fields are in pixels.
+    """Correlate one level from the best of some starts.
 
-    Raises ConvergenceError or SingularSubdomainError.
+    Parameters
+    ----------
+    pair : BinnedPair
+        The images.
+    mesh : Mesh
+        The whole mesh, pixels.
+    starts : sequence of GridField
+        At least one, pixels; that of least residual is taken.
+    correction : GreyCorrection
+        Of grey levels.
+
+    Returns
+    -------
+    GridField
+        The displacement, pixels.
+
+    Raises
+    ------
+    ConvergenceError
+        Where Gauss-Newton does not converge.
+    SingularSubdomainError
+        Where the blocks do not determine the displacement.
     """
-    coarse = scale_mesh(mesh, pair.factor)
-    active = find_active_blocks(pair.reference, rasterize(coarse))
+    region = scale_mesh(mesh, pair.factor)
+    active = find_active_blocks(pair.reference, rasterize(region))
     if not active.any():
         raise SingularSubdomainError("no block of the region is usable: everything is masked")
-    grid = _grid(coarse, active)
-    candidates = [start.at(grid.mesh.nodes * pair.factor + pair.centre).ravel() / pair.factor for start in starts]
-    q = _solve(pair, grid.mesh, active, candidates, correction)
-    values = np.full((*grid.shape, 2), np.nan)
-    values.reshape(-1, 2)[grid.numbers] = q.reshape(-1, 2) * pair.factor
-    origin, spacing = grid.origin * pair.factor + pair.centre, grid.spacing * pair.factor
-    return GridField((origin[0], origin[1]), (spacing[0], spacing[1]), fill_absent(values))
+    grid = build_grid(region, active)
+    nodes_in_pixels = grid.mesh.nodes * pair.factor + pair.centre
+    candidates = [start.at(nodes_in_pixels).ravel() / pair.factor for start in starts]
+    displacement = _solve(_read_level(pair, grid.mesh, active, correction), candidates)
+    return grid.make_field(displacement, pair.factor)
 
 
 def scale_mesh(mesh: Mesh, factor: int) -> Mesh:
-    """The mesh in blocks of factor x factor pixels."""
-    nodes = (mesh.nodes - (factor - 1) / 2) / factor
+    """Scale a mesh from pixels to blocks.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Pixels.
+    factor : int
+        Side of a block, pixels.
+
+    Returns
+    -------
+    Mesh
+        The same cells, blocks.
+    """
+    nodes = (mesh.nodes - locate_block_centre(factor)) / factor
     return Mesh(nodes, mesh.connectivity, mesh.offsets, mesh.types)
 
 
 def find_active_blocks(coarse: MaskedSource, raster: Raster) -> NDArray[np.uint8]:
-    """1 on the blocks whose centre lies in the mesh and that are not masked."""
+    """Mark the blocks whose centre lies in the mesh and that are not masked.
+
+    Parameters
+    ----------
+    coarse : MaskedSource
+        A binned image.
+    raster : Raster
+        Of the mesh in blocks.
+
+    Returns
+    -------
+    (rows, columns) array of uint8
+        1 on active blocks, 0 elsewhere.
+    """
     covered = raster.find_covered(coarse.image.width, coarse.image.height)
     usable = coarse.find_usable(coarse.extent)
     return covered if usable is None else covered & usable
 
 
-def _solve(pair: BinnedPair, grid: Mesh, active: NDArray[np.uint8], starts: Sequence[NDArray[np.float64]],
-           correction: GreyCorrection) -> NDArray[np.float64]:
-    """R-DIC with cut-off wavelength CUT_OFF on one domain; lengths are blocks."""
+@dataclass(frozen=True)
+class _Level:
+    """A level with its pixels, one subdomain that is the whole grid; lengths are blocks."""
+
+    view: View
+    subdomain: Subdomain
+    model: ResidualModel
+    name: str
+
+
+def _read_level(pair: BinnedPair, grid: Mesh, active: NDArray[np.uint8], correction: GreyCorrection) -> _Level:
     everywhere = np.ones(grid.n_dofs, dtype=bool)
     one_domain = np.zeros(grid.n_cells, dtype=np.int64)
     subdomain = build_subdomains(NodalRegion(grid), one_domain, everywhere)[0]
-    region = MaskedSource(pair.reference.image, ArraySource(pair.reference.image.path, active.astype(np.float32)))
-    view = View(read_correlation(grid, region, 3), subdomain.kinematics)
-    reference = ReferenceViews(subdomain, (view,))
-    frame_view = FrameView(view, DeformedSubImage(pair.deformed, 3))
-    model = ResidualModel(Team.alone(), [FrameViews(reference, (frame_view,))], correction)
+    image = pair.reference.image
+    active_pixels = MaskedSource(image, ArraySource(image.path, active.astype(np.float32)))
+    view = View(read_correlation(grid, active_pixels, DEGREE), subdomain.kinematics)
+    frame_view = FrameView(view, DeformedSubImage(pair.deformed, DEGREE))
+    views = FrameViews(ReferenceViews(subdomain, (view,)), (frame_view,))
+    model = ResidualModel(Team.alone(), [views], correction)
+    return _Level(view, subdomain, model, f"pyramid level with blocks of {pair.factor} px")
+
+
+def _solve(level: _Level, starts: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """R-DIC with cut-off wavelength CUT_OFF from the best start."""
     q = starts[0]
     if len(starts) > 1:
-        q = min(starts, key=lambda start: _residual_rms(model, start))
-    system = _regularize(subdomain, view.assemble_hessian())
-    operator = LocalOperator(system.operator,
-                             smallest_eigenvalue=SINGULAR * float(system.hessian.diagonal().mean()),
-                             where=f"pyramid level with blocks of {pair.factor} px")
+        q = min(starts, key=lambda start: _residual_rms(level.model, start))
+    system = _regularize(level.subdomain, level.view.assemble_hessian())
+    smallest_eigenvalue = SINGULAR * float(system.hessian.diagonal().mean())
+    operator = LocalOperator(system.operator, smallest_eigenvalue=smallest_eigenvalue, where=level.name)
     try:
-        solution = gauss_newton(model, [q], MonolithicStep(system, operator), TOLERANCES,
-                                Progress(PhaseClock(), stay_silent))
+        silent = Progress(PhaseClock(), stay_silent)
+        solution = gauss_newton(level.model, [q], MonolithicStep(system, operator), TOLERANCES, silent)
     finally:
         operator.destroy()
     return solution.q[0]
@@ -150,7 +210,8 @@ def _regularize(subdomain: Subdomain, hessian: sparse.csr_matrix) -> LocalSystem
     eta = 0.0
     if interior.any():
         texture = measure_texture_energies(grid.nodes, hessian, interior, CUT_OFF)
-        eta = find_cut_off_weight(texture, measure_gap_energies(grid, Material(), interior, CUT_OFF))
+        gap = measure_gap_energies(grid, Material(), interior, CUT_OFF)
+        eta = find_cut_off_weight(texture, gap)
     return LocalSystem(subdomain, hessian, kbar, row_weights, eta)
 
 
@@ -160,16 +221,3 @@ def _residual_rms(model: ResidualModel, q: NDArray[np.float64]) -> float:
         return model.evaluate([q]).grey[0].residual_rms
     except ConvergenceError:
         return np.inf
-
-
-def _grid(mesh: Mesh, active: NDArray[np.uint8]) -> Grid:
-    low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
-    counts = np.maximum(np.round((high - low) / CELL).astype(int), 1)
-    xs, ys = (np.linspace(low[axis], high[axis], counts[axis] + 1) for axis in range(2))
-    nodes = np.stack([a.ravel() for a in np.meshgrid(xs, ys)], axis=1)
-    columns = counts[0] + 1
-    corner = (np.arange(counts[1])[:, None] * columns + np.arange(counts[0])).ravel()
-    full = build_mesh(nodes, {Q4: np.stack(
-        [corner, corner + 1, corner + columns + 1, corner + columns], axis=1)})
-    part, numbers = full.create_submesh(np.flatnonzero(rasterize(full).sum_by_cell(active) > 0))
-    return Grid(part, numbers, (int(counts[1]) + 1, int(columns)), low, (high - low) / counts)

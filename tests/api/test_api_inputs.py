@@ -1,0 +1,264 @@
+"""What is wrong is told in one clear line, before anything is measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import meshio
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import ddic
+
+Pair = tuple[NDArray[np.uint8], NDArray[np.uint8]]
+NAN = np.where(np.arange(160 * 140).reshape(140, 160) == 60 + 50 * 160, np.nan, 100.0)
+
+
+def told(call: Callable[[], object]) -> str:
+    """The line that a call is refused with."""
+    with pytest.raises(ddic.InputError) as caught:
+        call()
+    line = str(caught.value)
+    assert "\n" not in line
+    assert len(line) < 400
+    return line
+
+
+@pytest.mark.parametrize(("image", "words"), [
+    (np.ones((140, 160, 3)), "shape (140, 160, 3), (height, width) expected; convert colours to grey levels first"),
+    (np.ones(160), "shape (160,), (height, width) expected"),
+    (np.ones((0, 160)), "holds no pixel"),
+    (np.ones((140, 160), dtype=bool), "an array of bool, grey levels of an integer or float type expected"),
+    (np.ones((140, 160), dtype=complex), "an array of complex128"),
+    (np.array([["a"]]), "grey levels of an integer or float type expected"),
+    (None, "no array of grey levels"),
+    ([[1, 2], [3]], "rows of different lengths"),
+    (NAN, "1 pixel(s) are NaN or infinite, the first at (x, y) = (60, 50); leave them out with a mask"),
+    ("no_such.tif", "no_such.tif: no such image file"),
+    (Path("no_such.tif"), "no_such.tif: no such image file"),
+])
+def test_images(pair: Pair, mesh: ddic.Mesh, image: Any, words: str) -> None:
+    for place, given in (("reference image", (image, pair[1])), ("deformed image", (pair[0], image))):
+        line = told(lambda given=given: ddic.measure(given, mesh))
+        assert words in line
+        assert line.startswith(place) or "no_such.tif" in line
+
+
+def test_images_of_two_sizes(pair: Pair, mesh: ddic.Mesh) -> None:
+    assert told(lambda: ddic.measure((pair[0], pair[1][:100]), mesh)) == (
+        "deformed image: 160 x 100 px, but the reference image has 160 x 140 px; give images of one size")
+
+
+@pytest.mark.parametrize(("mask", "words"), [
+    (np.ones((5, 160)), "its mask has shape (5, 160), the image (140, 160); give one value for each pixel"),
+    (np.ones(()), "its mask has shape ()"),
+    ("no_such.png", "no_such.png: no such image file"),
+    ([[1], [1, 2]], "mask: rows of different lengths"),
+])
+def test_masks(pair: Pair, mesh: ddic.Mesh, mask: Any, words: str) -> None:
+    assert words in told(lambda: ddic.measure((ddic.Image(pair[0], mask), pair[1]), mesh))
+    assert words in told(lambda: ddic.measure((pair[0], ddic.Image(pair[1], mask)), mesh))
+
+
+@pytest.mark.parametrize(("source", "words"), [
+    ((1,), "1 are given, two expected: the reference image and the deformed one"),
+    ((1, 2, 3), "3 are given, two expected"),
+    (np.ones((140, 160)), "one array is given, a pair expected"),
+    (None, "NoneType given; give a case file, a case or a pair"),
+    (ddic.Image(np.ones((140, 160))), "Image given; give a case file"),
+    ({"reference": 1}, "dict given; give a case file"),
+])
+def test_pairs(mesh: ddic.Mesh, source: Any, words: str) -> None:
+    assert words in told(lambda: ddic.measure(source, mesh))
+
+
+def change(of_nodes: Callable[[Any], Any] = lambda nodes: nodes, of_cells: Callable[[Any], Any] = lambda cells: cells,
+           ) -> Callable[[ddic.Mesh], Any]:
+    return lambda mesh: (of_nodes(mesh.nodes), of_cells(mesh.cells))
+
+
+@pytest.mark.parametrize(("given", "words"), [
+    (lambda mesh: None, "mesh: none is given; ddic.structured_mesh makes one, meshio reads one"),
+    (lambda mesh: "mesh.msh", "mesh: str is no mesh; give one of ddic.structured_mesh or meshio"),
+    (lambda mesh: 3, "mesh: int is no mesh"),
+    (lambda mesh: (mesh.nodes,), "a tuple of 1, two arrays expected"),
+    (lambda mesh: (mesh.nodes, mesh.cells, 1), "a tuple of 3, two arrays expected"),
+    (lambda mesh: (mesh.cells, mesh.nodes), "nodes of shape (30, 4) and type int64, numbers of shape (n_nodes, 2)"),
+    (change(lambda nodes: nodes.T), "nodes of shape (2, 42)"),
+    (change(lambda nodes: nodes * np.nan), "have coordinates that are not finite numbers"),
+    (change(lambda nodes: nodes + 100), "the mesh lies outside the image"),
+    (change(lambda nodes: [["a", "b"]]), "numbers of shape (n_nodes, 2) expected"),
+    (change(of_cells=lambda cells: cells.astype(float)), "cells of shape (30, 4) and type float64, whole numbers"),
+    (change(of_cells=lambda cells: cells[:, [0, 1]]), "(n_cells, 3 or 4) expected"),
+    (change(of_cells=lambda cells: [[0, 1, 2], [0, 1, 2, 3]]), "cells in rows of different lengths"),
+    (change(of_cells=lambda cells: cells + 1), "name nodes that do not exist"),
+    (change(of_cells=lambda cells: cells - 1), "name nodes that do not exist"),
+    (change(of_cells=lambda cells: cells[:0]), "the mesh has no cell"),
+    (change(of_cells=lambda cells: cells[:, [0, 2, 1, 3]]), "are flat, crossed or not convex"),
+    (lambda mesh: ddic.structured_mesh((20, 20, 24, 24), 0.4), "hold no pixel"),
+    (lambda mesh: meshio.Mesh(np.eye(4, 3), [("tetra", [[0, 1, 2, 3]])]), "only linear triangles and quadrilaterals"),
+    (lambda mesh: meshio.Mesh(np.c_[mesh.nodes, mesh.nodes[:, 0]], [("quad", mesh.cells)]), "the mesh is not plane"),
+])
+def test_meshes(pair: Pair, mesh: ddic.Mesh, given: Callable[[ddic.Mesh], Any], words: str) -> None:
+    assert words in told(lambda: ddic.measure(pair, given(mesh)))
+
+
+def test_grid_of_pyvista(pair: Pair, mesh: ddic.Mesh) -> None:
+    pytest.importorskip("pyvista")
+    grid = ddic.measure(pair, mesh).to_pyvista()
+    assert "UnstructuredGrid is no mesh; give one of ddic.structured_mesh or meshio" in told(
+        lambda: ddic.measure(pair, grid))
+
+
+@pytest.mark.parametrize(("arguments", "words"), [
+    (((0, 0, 10, 10), 0), "a size above 0"),
+    (((10, 0, 0, 10), 2), "expected x0 < x1, y0 < y1"),
+    (((0, 0, 10), 2), "expected (x0, y0, x1, y1) and a size"),
+    (((0, 0, np.nan, 10), 2), "finite numbers"),
+    (((0, 0, 10, 10), "a"), "finite numbers"),
+    (((0, 0, 10, 10), 2, "Q8"), 'cell = "Q8": expected "Q4" or "T3"'),
+    (((0, 0, 10, 10), 2, "Q4", [((5, 5), -3)]), "hole_0 holds the centre of no cell"),
+    (((0, 0, 10, 10), 2, "Q4", (), (), np.ones(3)), "a mask of shape (3,), (height, width) expected"),
+    (((0, 0, 10, 10), 2, "Q4", (), (), np.zeros((10, 10))), "no cell is left"),
+])
+def test_structured_meshes(arguments: Any, words: str) -> None:
+    assert words in told(lambda: ddic.structured_mesh(*arguments))
+
+
+def test_mask_of_a_structured_mesh_may_be_an_image() -> None:
+    mask = np.zeros((100, 100), dtype=np.uint8)
+    mask[:, :50] = 255
+    assert ddic.structured_mesh((0, 0, 99, 99), 11, mask=mask).nodes[:, 0].max() < 60
+
+
+@pytest.mark.parametrize(("options", "words"), [
+    ({"regularisation": {}}, 'regularisation: unknown key; did you mean "regularization"?'),
+    ({"regularization": {"cutoff": 3}}, "regularization.cutoff: unknown key; valid here: cut_off_wavelength, eta"),
+    ({"solver": {"subdomains": "4"}}, 'solver.subdomains = "4": expected a whole number'),
+    ({"solver": {"subdomains": {1}}}, "a value of type set; give numbers, texts, lists and mappings"),
+    ({"solver": {"subdomains": 1000}}, "the mesh has only 30 cells; ask for fewer subdomains"),
+    ({"solver": 3}, "solver = 3: expected a section"),
+    ({3: 4}, "3: unknown key"),
+    ({("a", "b"): 4}, "keys must be str"),
+    ({"regularization": {"cut_off_wavelength": np.nan}}, "cut_off_wavelength = nan: expected a finite number"),
+    ({"regularization": {"cut_off_wavelength": -3}}, "expected more than 0"),
+    ({"regularization": {"cut_off_wavelength": 30}}, "carries no wave shorter than 3 elements; give at least 60"),
+    ({"regularization": {"cut_off_wavelength": 1e6}}, "give at most 2e+04"),
+    ({"regularization": {"cut_off_wavelength": 80, "not_controlled": ["lefft"]}}, 'did you mean "left"?'),
+    ({"near": [{}]}, "near fields need a case"),
+    ({"output": {"file": "a"}}, "output.file is for case files; give what it says as an argument"),
+    ({"images": {"reference": "a"}}, "images.reference is for case files"),
+    ({"images": {"exclude_saturated": True}}, "images.exclude_saturated is for case files"),
+    ({"images": 3}, "images = 3: expected a section"),
+    ({"mesh": {"structured": {}}}, "mesh.structured is for case files"),
+    ({"mesh": {"mapping": {"scale": 0}}}, "mesh.mapping.scale = 0: expected more than 0"),
+    ({"start": {"from_result": "no_such.vtkhdf"}}, "no_such.vtkhdf: no such result file"),
+    ({"solver": {"partition": "file", "partition_file": "no_such.txt"}}, "no_such.txt: cannot read"),
+    ([1], "options: list given; give sections and keys of a case file"),
+    ("case.toml", "options: str given"),
+    (ddic.Options(comm=3), "comm is of type int; give a communicator of mpi4py"),  # type: ignore[arg-type]
+    (ddic.Options(3), "options: int given"),  # type: ignore[arg-type]
+])
+def test_options(pair: Pair, mesh: ddic.Mesh, options: Any, words: str) -> None:
+    assert words in told(lambda: ddic.measure(pair, mesh, options=options))
+
+
+def test_all_wrong_options_are_told_at_once(pair: Pair, mesh: ddic.Mesh) -> None:
+    with pytest.raises(ddic.InputError) as caught:
+        ddic.measure(pair, mesh, options={"solver": {"subdomain": 4, "threads": 0}})
+    assert len(caught.value.problems) == 2
+    assert all(line.startswith("options: solver.") for line in caught.value.problems)
+
+
+@pytest.mark.parametrize(("kinematics", "words"), [
+    (3, "kinematics is of type int; give a function that makes it of the mesh"),
+    (lambda mesh: None, "the function returned NoneType; return a ddic.RegionKinematics"),
+    (lambda mesh: ddic.NodalRegion(ddic.structured_mesh((0, 0, 9, 9), 3)), "made of another mesh"),
+    (lambda mesh: ddic.LinearRegion(mesh, np.eye(3)), "the matrix has 3 rows, the mesh 84 displacements"),
+    (lambda mesh: ddic.LinearRegion(mesh, np.zeros((mesh.n_dofs, 2))), "unknown 0 displaces no node"),
+    (lambda mesh: ddic.LinearRegion(mesh, np.full((mesh.n_dofs, 1), np.nan)), "entries that are not finite"),
+    (lambda mesh: ddic.LinearRegion(mesh, "abc"), "str is no matrix of numbers"),
+])
+def test_own_kinematics(pair: Pair, mesh: ddic.Mesh, kinematics: Any, words: str) -> None:
+    assert words in told(lambda: ddic.measure(pair, mesh, options=ddic.Options(kinematics=kinematics)))
+
+
+def test_matrix_of_kinematics_needs_its_mesh(pair: Pair, mesh: ddic.Mesh) -> None:
+    made = ddic.NodalRegion(mesh)
+    assert "give a function that makes it of the mesh" in told(
+        lambda: ddic.measure(pair, mesh, options=ddic.Options(kinematics=made)))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("method", ["dual", "assembled", "conjugate_gradient", "monolithic"])
+def test_unknowns_that_do_the_same(pair: Pair, mesh: ddic.Mesh, method: str) -> None:
+    options = ddic.Options({"solver": {"method": method}},
+                           lambda given: ddic.LinearRegion(given, np.ones((given.n_dofs, 2))))
+    with pytest.raises((ddic.InputError, ddic.SingularSubdomainError)):
+        ddic.measure(pair, mesh, options=options)
+
+
+def test_errors_of_the_users_own_function_come_through(pair: Pair, mesh: ddic.Mesh) -> None:
+    with pytest.raises(ZeroDivisionError):
+        ddic.measure(pair, mesh, options=ddic.Options(kinematics=lambda given: 1 / 0))  # type: ignore[arg-type,return-value]
+
+
+@pytest.mark.parametrize(("output", "words"), [
+    ("no_such_folder/r.vtkhdf", "there is no folder no_such_folder; make it first"),
+    (".", "is a folder; give the name of a file"),
+    (3, "int given, the name of a file expected"),
+])
+def test_outputs(pair: Pair, mesh: ddic.Mesh, output: Any, words: str) -> None:
+    assert words in told(lambda: ddic.measure(pair, mesh, output=output))
+
+
+def test_output_does_not_overwrite_an_image(files: tuple[Path, Path], mesh: ddic.Mesh) -> None:
+    for path in files:
+        assert "would overwrite an image" in told(lambda path=path: ddic.measure(files, mesh, output=path))
+        assert path.stat().st_size > 20_000
+
+
+def test_cases(case_file: Path, pair: Pair, mesh: ddic.Mesh) -> None:
+    assert "no_such.toml: cannot read this case file" in told(lambda: ddic.measure("no_such.toml"))
+    assert "no_such.toml: cannot read this case file" in told(lambda: ddic.prepare("no_such.toml"))
+    assert "a case says its mesh and settings itself" in told(lambda: ddic.measure(case_file, mesh))
+    assert "a case says its mesh and settings itself" in told(lambda: ddic.measure(case_file, options={"solver": {}}))
+    assert "there is no folder" in told(lambda: ddic.measure(case_file, output="no_such_folder/r.vtkhdf"))
+    case_file.write_text(case_file.read_text().replace("deformed.tif", "missing.tif"))
+    assert "missing.tif: no such image file" in told(lambda: ddic.measure(case_file))
+
+
+def test_sessions(pair: Pair, mesh: ddic.Mesh) -> None:
+    assert "mesh: none is given" in told(lambda: ddic.prepare(pair[0]))
+    assert "mesh: none is given" in told(lambda: ddic.prepare("reference.tif"))
+    session = ddic.prepare(pair[0], mesh)
+    assert told(lambda: session.measure(pair[1], from_last=True)) == (
+        "from_last: this session has measured nothing yet")
+    session.close()
+    session.close()
+    assert "session: it is closed" in told(lambda: session.measure(pair[1]))
+    assert "session: it is closed" in told(lambda: session.n_factorized)
+
+
+def test_results(pair: Pair, mesh: ddic.Mesh, tmp_path: Path) -> None:
+    assert "no such result file" in told(lambda: ddic.open("no_such.vtkhdf"))
+    assert "no such result file" in told(lambda: ddic.open(tmp_path))
+    assert "not a readable ddic result file" in told(lambda: ddic.open(__file__))
+    assert "int given, the name of a file expected" in told(lambda: ddic.open(3))  # type: ignore[arg-type]
+    result = ddic.measure(pair, mesh)
+    for points in (np.zeros(2), np.zeros((4, 3)), np.zeros((2, 2, 2))):
+        assert "(n, 2) expected: x and y of each point" in told(lambda points=points: result.at(points))
+
+
+@pytest.mark.parametrize(("arguments", "words"), [
+    ((np.zeros_like, (0, 30)), "must be at least 1x1 pixels"),
+    ((np.zeros_like, (30.5, 30)), "whole numbers of pixels"),
+    ((np.zeros_like, 30), "expected (width, height)"),
+    ((3, (30, 30)), "int given, a function of points (n, 2) expected"),
+    ((lambda points: points[:, 0], (30, 30)), "returned an array of shape (900,) for points of shape (900, 2)"),
+    ((lambda points: -1.5 * points * [1, 0], (30, 30)), "folds the image"),
+])
+def test_synthetic_pairs(arguments: Any, words: str) -> None:
+    assert words in told(lambda: ddic.make_synthetic_pair(*arguments))

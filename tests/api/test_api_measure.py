@@ -1,0 +1,340 @@
+"""Measuring from Python, in all the ways in which images, meshes and settings can be given."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from pathlib import Path
+from typing import Any
+
+import meshio
+import numpy as np
+import pytest
+import tifffile
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+import ddic
+from ddic.kinematics.kinematics import RegionKinematics
+from support.small_pair import REGULARIZED, WITHIN, largest_error, move
+
+Pair = tuple[NDArray[np.uint8], NDArray[np.uint8]]
+HIDDEN = (slice(50, 70), slice(60, 75))
+"""Rows and columns of the pixels that masks leave out."""
+BESIDE_A_MASK = 2 * WITHIN
+"""What lies under a mask reaches two pixels out of it, through the spline; where it is nan, nothing does."""
+
+
+@pytest.fixture(scope="module")
+def measured(pair: Pair, mesh: ddic.Mesh) -> ddic.Result:
+    return ddic.measure(pair, mesh)
+
+
+@pytest.fixture
+def used() -> NDArray[np.bool_]:
+    mask = np.ones((140, 160), dtype=bool)
+    mask[HIDDEN] = False
+    return mask
+
+
+def test_arrays(measured: ddic.Result) -> None:
+    assert largest_error(measured) < WITHIN
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16", ">u2", "int16", "uint32", "int64", "float16", "float32",
+                                   "float64", ">f4", ">f8"])
+def test_every_type_of_grey_level_gives_the_same_field(pair: Pair, mesh: ddic.Mesh, measured: ddic.Result,
+                                                       dtype: str) -> None:
+    reference, deformed = (image.astype(dtype) for image in pair)
+    assert np.array_equal(ddic.measure((reference, deformed), mesh).displacement, measured.displacement)
+
+
+@pytest.mark.parametrize("change", [
+    np.asfortranarray, lambda image: np.repeat(image, 2, axis=1)[:, ::2], lambda image: image.tolist(),
+    ddic.Image], ids=["columns", "strides", "lists", "Image"])
+def test_every_layout_gives_the_same_field(pair: Pair, mesh: ddic.Mesh, measured: ddic.Result, change: Any) -> None:
+    result = ddic.measure([change(image) for image in pair], mesh)
+    assert np.array_equal(result.displacement, measured.displacement)
+
+
+def test_stack_of_two_images(pair: Pair, mesh: ddic.Mesh, measured: ddic.Result) -> None:
+    assert np.array_equal(ddic.measure(np.stack(pair), mesh).displacement, measured.displacement)
+
+
+def test_images_of_the_user_stay_as_they_are(pair: Pair, mesh: ddic.Mesh) -> None:
+    reference, deformed = (image.copy() for image in pair)
+    ddic.measure((reference, deformed), mesh)
+    assert np.array_equal(reference, pair[0])
+    reference[0, 0] = 0
+    deformed[0, 0] = 0
+
+
+def test_files(files: tuple[Path, Path], mesh: ddic.Mesh, measured: ddic.Result) -> None:
+    for given in (files, tuple(map(str, files)), (ddic.Image(files[0]), files[1])):
+        assert np.array_equal(ddic.measure(given, mesh).displacement, measured.displacement)
+
+
+# ------------------------------------------------------------------------------------------------------------ masks
+
+
+def test_masks_leave_pixels_out(pair: Pair, mesh: ddic.Mesh, used: NDArray[np.bool_], tmp_path: Path) -> None:
+    spoiled = [image.copy() for image in pair]
+    for image in spoiled:
+        image[HIDDEN] = 255
+    assert largest_error(ddic.measure(spoiled, mesh, options=REGULARIZED)) > 4 * WITHIN
+    tifffile.imwrite(tmp_path / "mask.tif", used.astype(np.uint8))
+    fields = []
+    path = tmp_path / "mask.tif"
+    for mask in (used, used.astype(np.uint8) * 7, used.astype(float), path, str(path)):
+        result = ddic.measure([ddic.Image(image, mask) for image in spoiled], mesh, options=REGULARIZED)
+        fields.append(result.displacement)
+        assert largest_error(result) < BESIDE_A_MASK
+    assert all(np.array_equal(field, fields[0]) for field in fields)
+
+
+def test_nan_under_a_mask_and_in_a_masked_array(pair: Pair, mesh: ddic.Mesh, used: NDArray[np.bool_]) -> None:
+    spoiled = [np.where(used, image, np.nan) for image in pair]
+    by_mask = ddic.measure([ddic.Image(image, used) for image in spoiled], mesh, options=REGULARIZED)
+    by_array = ddic.measure([np.ma.masked_invalid(image) for image in spoiled], mesh, options=REGULARIZED)
+    assert largest_error(by_mask) < WITHIN
+    assert np.array_equal(by_mask.displacement, by_array.displacement)
+
+
+def test_saturated_pixels_of_the_reference_image_count_in_no_image(pair: Pair, mesh: ddic.Mesh) -> None:
+    spoiled = [image.copy() for image in pair]
+    for image in spoiled:
+        image[HIDDEN] = 255
+    result = ddic.measure((ddic.Image(spoiled[0], exclude_saturated=True), spoiled[1]), mesh, options=REGULARIZED)
+    assert largest_error(result) < BESIDE_A_MASK
+
+
+# ----------------------------------------------------------------------------------------------------------- meshes
+
+
+def test_meshes_of_all_kinds(pair: Pair, mesh: ddic.Mesh, measured: ddic.Result) -> None:
+    quads, nodes = mesh.cells, mesh.nodes
+    for given in ((nodes, quads), (nodes.tolist(), quads.tolist()), (nodes, quads.astype(np.uint32)),
+                  meshio.Mesh(nodes, [("quad", quads)]), measured.to_meshio()):
+        result = ddic.measure(pair, given)
+        assert np.array_equal(result.displacement, measured.displacement)
+
+
+def test_clockwise_cells_are_turned(pair: Pair, mesh: ddic.Mesh, measured: ddic.Result) -> None:
+    result = ddic.measure(pair, (mesh.nodes, mesh.cells[:, ::-1]))
+    assert np.abs(result.displacement - measured.displacement).max() < 1e-12
+
+
+def test_mixed_mesh_and_node_sets_of_meshio(pair: Pair, mesh: ddic.Mesh) -> None:
+    quads = mesh.cells
+    mixed = meshio.Mesh(mesh.nodes, [("quad", quads[1:]), ("triangle", quads[:1, [0, 1, 2]]),
+                                     ("triangle", quads[:1, [0, 2, 3]])],
+                        point_sets={"ends": np.flatnonzero(np.isin(mesh.nodes[:, 0], [20, 140]))})
+    result = ddic.measure(pair, mixed, options={"regularization": {"cut_off_wavelength": 80,
+                                                                   "not_controlled": ["ends"]}})
+    assert result.mesh.n_cells == len(quads) + 1
+    assert largest_error(result) < WITHIN
+
+
+@pytest.mark.parametrize("kind", ["arrays", "meshio", "ddic"])
+def test_mesh_in_millimetres(pair: Pair, mesh: ddic.Mesh, measured: ddic.Result, kind: str) -> None:
+    millimetres = (mesh.nodes - [20, 20]) / 10
+    given: Any = (millimetres, mesh.cells)
+    if kind == "meshio":
+        given = meshio.Mesh(millimetres, [("quad", mesh.cells)])
+    elif kind == "ddic":
+        given = ddic.structured_mesh((0, 0, 12, 10), 2)
+    result = ddic.measure(pair, given, options={"mesh": {"mapping": {"scale": 10, "translation": [20, 20]}}})
+    assert np.abs(result.displacement - measured.displacement).max() < 1e-9
+    assert result.fields["displacement_mesh_units"] == pytest.approx(result.displacement / 10, abs=1e-12)
+
+
+# --------------------------------------------------------------------------------------------- settings, kinematics
+
+
+@pytest.mark.parametrize("method", ["dual", "assembled", "conjugate_gradient", "monolithic"])
+def test_options_choose_the_method(pair: Pair, mesh: ddic.Mesh, measured: ddic.Result, method: str) -> None:
+    solver: dict[str, Any] = {"method": method} if method == "monolithic" else {"method": method, "subdomains": 4}
+    result = ddic.measure(pair, mesh, options={"solver": solver})
+    assert result.n_subdomains == solver.get("subdomains", 1)
+    assert np.abs(result.displacement - measured.displacement).max() < 1e-3
+
+
+def test_numbers_of_numpy_in_options(pair: Pair, mesh: ddic.Mesh) -> None:
+    settings = {"solver": {"subdomains": np.int64(4)},
+                "regularization": {"cut_off_wavelength": np.float32(80), "boxes": np.array([[0, 0, 30, 30]]),
+                                   "not_controlled": ("boundary",)}}
+    assert ddic.measure(pair, mesh, options=settings).n_subdomains == 4
+
+
+def test_residual_image_can_be_left_out(pair: Pair, mesh: ddic.Mesh) -> None:
+    assert ddic.measure(pair, mesh, options={"output": {"residual_image": False}}).residual_image is None
+
+
+def test_lengths_in_millimetres(pair: Pair, mesh: ddic.Mesh) -> None:
+    result = ddic.measure(pair, mesh, options={"images": {"pixel_size": 0.05, "length_unit": "mm"}})
+    assert result.attributes["units"]["length_unit"] == "mm"
+    assert result.fields["displacement_physical"] == pytest.approx(0.05 * result.displacement, abs=1e-12)
+
+
+def shift_whole(mesh: ddic.Mesh) -> ddic.LinearRegion:
+    return ddic.LinearRegion(mesh, np.tile(np.eye(2), (mesh.n_nodes, 1)))
+
+
+def test_own_kinematics(pair: Pair, mesh: ddic.Mesh) -> None:
+    result = ddic.measure(pair, mesh, options=ddic.Options(kinematics=shift_whole))
+    assert np.ptp(result.displacement, axis=0) == pytest.approx([0, 0], abs=1e-12)
+    assert result.displacement[0] == pytest.approx(move(np.array([[80.0, 70.0]]))[0], abs=0.02)
+
+
+def test_own_kinematics_sees_the_repaired_mesh(pair: Pair, mesh: ddic.Mesh) -> None:
+    seen = []
+
+    def kinematics(given: ddic.Mesh) -> RegionKinematics:
+        seen.append(given)
+        return ddic.NodalRegion(given)
+
+    unused = np.vstack([[[0.0, 0.0]], mesh.nodes])
+    result = ddic.measure(pair, (unused, mesh.cells + 1), options=ddic.Options(kinematics=kinematics))
+    assert seen[0].n_nodes == result.mesh.n_nodes == mesh.n_nodes
+
+
+def test_ranks_can_measure_alone(pair: Pair, mesh: ddic.Mesh) -> None:
+    result = ddic.measure(pair, mesh, options=ddic.Options(comm=MPI.COMM_SELF))
+    assert largest_error(result) < WITHIN
+
+
+# --------------------------------------------------------------------------------------------------------- results
+
+
+@pytest.mark.parametrize("flip_y", [False, True])
+def test_file_holds_what_was_returned(pair: Pair, mesh: ddic.Mesh, tmp_path: Path, flip_y: bool) -> None:
+    path = tmp_path / "result.vtkhdf"
+    options = REGULARIZED | {"solver": {"subdomains": 4}, "output": {"flip_y": flip_y}}
+    returned = ddic.measure(pair, mesh, options=options, output=path)
+    read = ddic.open(path)
+    assert np.array_equal(read.displacement, returned.displacement)
+    assert np.array_equal(read.mesh.nodes, returned.mesh.nodes)
+    assert np.array_equal(read.mesh.cells, returned.mesh.cells)
+    assert list(read.fields) == list(returned.fields)
+    for name, values in returned.fields.items():
+        assert np.array_equal(read.fields[name], values), name
+    assert list(read.gauss_newton) == list(returned.gauss_newton)
+    for name, values in returned.gauss_newton.items():
+        assert np.array_equal(read.gauss_newton[name], values, equal_nan=True), name
+    assert len(read.krylov) == len(returned.krylov)
+    assert read.residual_image is not None
+    assert np.array_equal(read.residual_image, returned.residual_image, equal_nan=True)
+    assert read.attributes["case"] == returned.attributes["case"]
+    points = np.array([[33.3, 44.4], [139.0, 119.0]])
+    assert np.array_equal(read.at(points), returned.at(points))
+
+
+def test_fields_have_a_row_for_each_node_or_cell(measured: ddic.Result) -> None:
+    mesh = measured.mesh
+    assert measured.fields["displacement"].shape == (mesh.n_nodes, 2)
+    assert np.array_equal(measured.fields["displacement"], measured.displacement)
+    assert measured.fields["strain_infinitesimal"].shape == (mesh.n_cells, 6)
+    assert measured.fields["residual_rms"].shape == (mesh.n_cells,)
+    strain = measured.fields["strain_infinitesimal"].mean(axis=0)
+    assert strain[[0, 1]] == pytest.approx([0.004, -0.002], abs=3e-4)
+
+
+def test_at_points(measured: ddic.Result) -> None:
+    nodes = measured.mesh.nodes
+    assert measured.at(nodes) == pytest.approx(measured.displacement, abs=1e-12)
+    middle = measured.mesh.centroids
+    corners = measured.displacement[measured.mesh.cells].mean(axis=1)
+    assert measured.at(middle) == pytest.approx(corners, abs=1e-12)
+    assert np.isnan(measured.at([[5, 5], [np.nan, 50]])).all()
+    assert measured.at(np.zeros((0, 2))).shape == (0, 2)
+
+
+def test_to_meshio_and_pyvista(measured: ddic.Result, tmp_path: Path) -> None:
+    exported = measured.to_meshio()
+    exported.write(tmp_path / "field.vtu")
+    read = meshio.read(tmp_path / "field.vtu")
+    assert np.array_equal(read.point_data["displacement"][:, :2], measured.displacement)
+    pyvista = pytest.importorskip("pyvista")
+    grid = measured.to_pyvista()
+    assert isinstance(grid, pyvista.UnstructuredGrid)
+    assert grid.n_cells == measured.mesh.n_cells
+    assert np.array_equal(grid["displacement"][:, :2], measured.displacement)
+
+
+def test_results_can_be_pickled_and_copied(measured: ddic.Result) -> None:
+    for other in (pickle.loads(pickle.dumps(measured)), copy.deepcopy(measured)):
+        assert np.array_equal(other.displacement, measured.displacement)
+        assert np.array_equal(other.residual_image, measured.residual_image, equal_nan=True)
+        assert other.at(np.array([[50.0, 50.0]])) == pytest.approx(measured.at(np.array([[50.0, 50.0]])))
+
+
+def test_results_and_meshes_can_be_compared_and_kept_in_sets(measured: ddic.Result, mesh: ddic.Mesh) -> None:
+    assert measured == measured  # noqa: PLR0124  # arrays would make this an error
+    assert len({measured, mesh, measured.mesh}) == 3
+
+
+# ----------------------------------------------------------------------------------------------- cases and sessions
+
+
+def test_case_file_case_and_loaded_case(case_file: Path, measured: ddic.Result) -> None:
+    loaded = ddic.load_case(str(case_file))
+    for source in (case_file, str(case_file), loaded, loaded.case):
+        # The case names a folder that is not there, but nothing is written to it.
+        result = ddic.measure(source)
+        assert result.n_subdomains == 4
+        assert np.abs(result.displacement - measured.displacement).max() < 1e-3
+
+
+def test_case_writes_where_it_is_told(case_file: Path, tmp_path: Path) -> None:
+    returned = ddic.measure(case_file, output=tmp_path / "r.vtkhdf")
+    assert np.array_equal(ddic.open(str(tmp_path / "r.vtkhdf")).displacement, returned.displacement)
+
+
+def test_case_with_own_kinematics(case_file: Path) -> None:
+    result = ddic.measure(case_file, options=ddic.Options(kinematics=shift_whole))
+    assert np.ptp(result.displacement, axis=0) == pytest.approx([0, 0], abs=1e-12)
+
+
+def test_session_measures_frames_with_one_factor(pair: Pair, mesh: ddic.Mesh, tmp_path: Path) -> None:
+    reference, deformed = pair
+    with ddic.prepare(reference, mesh, options={"solver": {"subdomains": 4}}) as session:
+        first = session.measure(deformed)
+        still = session.measure(reference, output=tmp_path / "still.vtkhdf")
+        again = session.measure(deformed, from_last=True)
+        assert (session.n_assembled, session.n_factorized) == (4, 4)
+    assert largest_error(first) < WITHIN
+    assert np.abs(still.displacement).max() < 1e-4
+    assert np.abs(again.displacement - first.displacement).max() < 1e-3
+    assert np.array_equal(ddic.open(tmp_path / "still.vtkhdf").displacement, still.displacement)
+
+
+def test_session_of_a_case(case_file: Path, pair: Pair, measured: ddic.Result) -> None:
+    with ddic.prepare(case_file) as session:
+        assert np.abs(session.measure(pair[0]).displacement).max() < 1e-4
+        result = session.measure(case_file.with_name("deformed.tif"))
+    assert np.abs(result.displacement - measured.displacement).max() < 1e-3
+
+
+def test_session_goes_on_after_a_frame_that_fails(pair: Pair, mesh: ddic.Mesh) -> None:
+    reference, deformed = pair
+    with ddic.prepare(reference, mesh) as session:
+        good = session.measure(deformed)
+        with pytest.raises(ddic.InputError):
+            session.measure(deformed[:100])
+        with pytest.raises(ddic.ConvergenceError):
+            session.measure(255 - deformed)
+        with pytest.raises(ddic.SingularSubdomainError):
+            session.measure(ddic.Image(deformed, np.zeros(deformed.shape)))
+        assert np.abs(session.measure(deformed).displacement - good.displacement).max() < 1e-6
+        assert np.abs(session.measure(deformed, from_last=True).displacement - good.displacement).max() < 1e-3
+
+
+def test_synthetic_pair_takes_functions_and_fields(pair: Pair) -> None:
+    from ddic.synth.fields import Affine
+
+    field = Affine(((0.004, 0.0), (0.0, -0.002)), (0.4, -0.3), (80.0, 70.0))
+    exact = ddic.make_synthetic_pair(field, (160, 140), noise=1, seed=1)
+    assert all(np.array_equal(a, b) for a, b in zip(exact, pair, strict=True))
+    assert pair[0].shape == (140, 160)
+    dark, _ = ddic.make_synthetic_pair(np.zeros_like, (60, 50), hole=((30, 25), 10))
+    assert dark[25, 30] < 20

@@ -1,0 +1,151 @@
+"""When M no longer fits the pixels that a frame shows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ddic.functionals.correlation import read_correlation
+from ddic.functionals.view import FrameView, View
+from ddic.images.sub_image import DeformedSubImage
+from ddic.kinematics.nodal import NodalRegion
+from ddic.mesh.mesh import Mesh
+from ddic.mesh.structured import build_structured_mesh
+from ddic.parallel.distribution import split_evenly
+from ddic.parallel.team import Team
+from ddic.partition.build_subdomains import build_subdomains
+from ddic.partition.split import split_by_blocks
+from ddic.problem.renewal import CHANGED_SHARE, CHANGED_SIDE, HELD_SHARE, RenewalRule, VisiblePixels, find_renewal
+from ddic.problem.views import FrameViews, ReferenceViews
+from ddic.synth.fields import Translation
+from support.pictures import pair_of, source, square_mesh
+
+RANKS = [1, 2, 3, 4]
+SIDE = 192
+MESH = square_mesh(24.0, 168.0)
+IMAGE = pair_of(Translation((0.0, 0.0)), SIDE, 8).reference
+LONG, NONE = RenewalRule(1000.0), RenewalRule(0.0)
+
+Rectangle = tuple[int, int, int, int]
+"""Columns and rows from and to, pixels of the image; displacements are zero."""
+
+
+class Region:
+    """2 x 2 subdomains of 72 x 72 px, those of this rank; frames show the reference image, a part of it hidden."""
+
+    def __init__(self, mesh: Mesh = MESH, blocks: tuple[int, int] = (2, 2)) -> None:
+        self.team = Team.world()
+        controlled = np.ones(mesh.n_dofs, dtype=bool)
+        everything = build_subdomains(NodalRegion(mesh), split_by_blocks(mesh, blocks), controlled)
+        self.own = [everything[k] for k in split_evenly(np.ones(len(everything)), self.team.size)[self.team.rank]]
+        self.references = [ReferenceViews(s, (View(read_correlation(s.mesh, source(IMAGE), 3), s.kinematics),))
+                           for s in self.own]
+        self.hessians = [[r.own.assemble_hessian()] for r in self.references]
+        self.q = [np.zeros(s.n_unknowns) for s in self.own]
+        self.whole = VisiblePixels.all_of([r.views for r in self.references])
+
+    def frame(self, *hidden: Rectangle) -> list[FrameViews]:
+        mask = np.ones(IMAGE.shape, dtype=bool)
+        for x0, x1, y0, y1 in hidden:
+            mask[y0:y1, x0:x1] = False
+        return [FrameViews(r, (FrameView(r.own, DeformedSubImage(source(IMAGE, mask), 3)),)) for r in self.references]
+
+    def renew(self, counted: VisiblePixels, rule: RenewalRule, *hidden: Rectangle,
+              ) -> tuple[list[int], VisiblePixels, list[NDArray[np.float64] | None], str]:
+        """Subdomains renewed on all ranks, what M counts then, this rank's new M, and what the log says."""
+        renewal = find_renewal(self.team, self.frame(*hidden), self.q, (counted, self.hessians), rule)
+        renewed = [s.index for s, m in zip(self.own, renewal.hessians, strict=True) if m is not None]
+        dense = [None if m is None else m.toarray() for m in renewal.hessians]
+        return self.team.gather_lists(renewed), renewal.visible, dense, renewal.note
+
+
+@pytest.mark.parallel(RANKS)
+@pytest.mark.parametrize("rule", [LONG, NONE], ids=["regularized", "plain"])
+def test_nothing_changes_where_nothing_is_hidden(rule: RenewalRule) -> None:
+    region = Region()
+    assert region.renew(region.whole, rule)[0] == []
+    # Somewhere else than on the mesh.
+    renewed, _, _, note = region.renew(region.whole, rule, (0, 20, 0, SIDE))
+    assert (renewed, note) == ([], "")
+
+
+@pytest.mark.parallel(RANKS)
+def test_a_few_hidden_pixels_change_nothing_and_a_share_renews_one() -> None:
+    region = Region()
+    # 72 x 72 px, of which a mask of n x n hides (n + 2)^2 and something through the taps of the spline.
+    assert 8**2 < CHANGED_SHARE * 72**2 < 14**2
+    assert region.renew(region.whole, LONG, (40, 44, 40, 44))[0] == []
+    renewed, _, _, note = region.renew(region.whole, LONG, (40, 54, 40, 54))
+    assert renewed == [0]
+    assert note.startswith("1 subdomains (0) lost or gained")
+
+
+@pytest.mark.parallel(RANKS)
+def test_less_may_be_hidden_where_shorter_waves_pass() -> None:
+    region = Region()
+    # A mask of 4 x 4 px is below the share, but above the square of half a wavelength of 6 px.
+    assert (CHANGED_SIDE * 6.0) ** 2 < 4**2
+    assert region.renew(region.whole, RenewalRule(6.0), (40, 44, 40, 44))[0] == [0]
+
+
+@pytest.mark.parallel(RANKS)
+def test_new_m_is_that_of_the_pixels_shown_and_a_share_of_the_others() -> None:
+    region = Region()
+    hidden = (30, 70, 30, 70)
+    for rule, share in ((LONG, HELD_SHARE), (NONE, 0.0)):
+        _, visible, found, _ = region.renew(region.whole, rule, hidden)
+        for of_subdomain, m, (whole,) in zip(region.frame(hidden), found, region.hessians, strict=True):
+            if of_subdomain.subdomain.index != 0:
+                assert m is None
+                continue
+            shown = of_subdomain.views[0].without_hidden(np.zeros(of_subdomain.subdomain.n_unknowns))
+            assert m is not None
+            expected = (1 - share) * shown.assemble_hessian().toarray() + share * whole.toarray()
+            # The same sums once more.
+            np.testing.assert_allclose(m, expected, rtol=1e-14, atol=0)
+        # What M counts now asks for no other.
+        assert region.renew(visible, rule, hidden)[0] == []
+
+
+@pytest.mark.parallel(RANKS)
+def test_pixels_that_come_back_renew_as_well() -> None:
+    region = Region()
+    hidden = (30, 70, 30, 70)
+    _, visible, _, _ = region.renew(region.whole, LONG, hidden)
+    renewed, visible, found, _ = region.renew(visible, LONG)
+    assert renewed == [0]
+    for s, m, (whole,) in zip(region.own, found, region.hessians, strict=True):
+        if s.index == 0:
+            assert m is not None
+            # 0.99 M + 0.01 M.
+            np.testing.assert_allclose(m, whole.toarray(), rtol=1e-14, atol=0)
+    assert region.renew(visible, LONG)[0] == []
+
+
+@pytest.mark.parallel(RANKS)
+@pytest.mark.parametrize("rule", [LONG, NONE], ids=["regularized", "plain"])
+def test_as_many_other_pixels_renew_as_well(rule: RenewalRule) -> None:
+    # M that lacks the pixels that are shown would be too small there, and overshoot.
+    region = Region()
+    left, right = (30, 44, 34, 62), (66, 80, 34, 62)
+    renewed, visible, _, _ = region.renew(region.whole, rule, left)
+    assert renewed == [0]
+    _, others, _, _ = region.renew(region.whole, rule, right)
+    # Guards the test: the numbers are the same within what M bears.
+    totals = [sum(int(np.sum(of_view)) for of_views in v.by_view for of_view in of_views) for v in (visible, others)]
+    assert abs(totals[0] - totals[1]) <= 0.2 * CHANGED_SHARE * 72**2
+    assert region.renew(visible, rule, right)[0] == [0]
+
+
+@pytest.mark.parallel([1, 2])
+def test_without_regularization_a_lost_cell_renews() -> None:
+    # A cell of 8 px is less of its 72 x 144 px than the share; without it nothing holds the node at the corner.
+    region = Region(build_structured_mesh((24, 24, 168, 168), 8), (2, 1))
+    cell = (24, 32, 24, 32)
+    assert CHANGED_SHARE * 72 * 144 > (32 + 2 - 24)**2
+    assert region.renew(region.whole, LONG, cell)[0] == []
+    renewed, visible, _, _ = region.renew(region.whole, NONE, cell)
+    assert renewed == [0]
+    # It is lost once.
+    assert region.renew(visible, NONE, cell)[0] == []
