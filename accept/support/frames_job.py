@@ -102,10 +102,10 @@ def measure_frames(team: Team, task: dict[str, Any]) -> None:
             record |= {"frame": number, "seconds": seconds, "preparation_seconds": preparation,
                        "iterations": len(last.records),
                        "losing": team.gather_lists(find_losing(inputs, frame, session, last))}
-            if number in task["keep"]:
-                result = gather(last)
-                if team.is_root:
-                    np.save(Path(task["folder"]) / f"session_{number}.npy", result.displacement)
+            # Of every frame, as a user has it: what it takes must be free again with the next one.
+            displacement = gather(last).displacement
+            if number in task["keep"] and team.is_root:
+                np.save(Path(task["folder"]) / f"session_{number}.npy", displacement)
             if team.is_root:
                 print(json.dumps(record), flush=True)
 

@@ -16,8 +16,8 @@ from mpi4py import MPI
 
 import ddic
 
-SUBDOMAINS = 5
-"""More than ranks, so that the partition is the same on any number of them."""
+N_SUBDOMAINS = 4
+"""As in the examples: as many as the largest number of ranks."""
 
 
 def load_example(path: Path) -> ModuleType:
@@ -49,12 +49,12 @@ def main(example: str, method: str, sections: str, output: str) -> None:
     example, method, sections, output : str
         Of the command line.
     """
-    page = load_example(Path(example))
+    module = load_example(Path(example))
     settings = json.loads(sections)
-    settings["solver"]["method"] = method
-    if method != "monolithic":
-        settings["solver"]["subdomains"] = SUBDOMAINS
-    result = ddic.measure(page.IMAGES, page.MESH, options=ddic.Options(settings, page.kinematics))
+    cut = {} if method == "monolithic" else {"subdomains": N_SUBDOMAINS}
+    settings["solver"] = {**settings.get("solver", {}), "method": method, **cut}
+    options = ddic.Options(settings, module.kinematics)
+    result = ddic.measure(module.IMAGES, module.MESH, options=options)
     if MPI.COMM_WORLD.rank == 0:
         np.save(output, result.displacement)
 

@@ -9,6 +9,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from ddic.version import __version__
+
 if TYPE_CHECKING:
     from ddic.api.image import Image
     from ddic.api.measure import Session, measure, prepare
@@ -24,8 +26,6 @@ if TYPE_CHECKING:
     from ddic.kinematics.nodal import NodalRegion
     from ddic.mesh.mesh import Mesh
     from ddic.mesh.structured import build_structured_mesh as structured_mesh
-
-__version__ = "0.1.0"
 
 _HOMES = {
     "Image": "api.image",

@@ -238,3 +238,20 @@ def test_matrices_that_are_no_kinematics_are_refused(spoil: Callable[[sparse.csr
     mesh = grid_mesh(3, 3, (4.0, 4.0))
     with pytest.raises(InputError, match=message):
         LinearRegion(mesh, spoil(move_affinely(mesh).matrix))
+
+
+def test_a_part_too_small_to_tell_modes_apart_fits_what_they_do_there() -> None:
+    mesh = grid_mesh(8, 6, (14.0, 11.0), origin=(30.0, 50.0), seed=4, jitter=0.2)
+    x, y = ((mesh.nodes - mesh.nodes.mean(axis=0)) / 50.0).T
+    modes = [np.column_stack([x**a * y**b, np.zeros_like(x)]).ravel() for a in range(4) for b in range(3)]
+    region = LinearRegion(mesh, sparse.csr_matrix(np.stack(modes, axis=1)))
+    # Twelve unknowns that move four nodes along x.
+    kinematics = restrict(region, np.array([13]))[0]
+    assert np.linalg.matrix_rank(kinematics.tangent.toarray()) == 4
+    q = np.random.default_rng(8).normal(size=12)
+    u = kinematics.displacement(q)
+    found = kinematics.fit(u)
+    # The share that is added to the normal equations, relative to their lowest eigenvalue of about 1e-3.
+    np.testing.assert_allclose(kinematics.displacement(found), u, atol=1e-8)
+    # No larger than need be.
+    assert np.linalg.norm(found) <= np.linalg.norm(q) * (1 + 1e-6)

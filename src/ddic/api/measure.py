@@ -42,6 +42,13 @@ class Session:
     """A reference image prepared once, for any number of deformed images; use it in a ``with`` statement.
 
     ``ddic.prepare`` makes it. Every call is collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    inputs : Inputs
+        Reference images, mesh and settings.
     """
 
     def __init__(self, team: Team, inputs: Inputs) -> None:

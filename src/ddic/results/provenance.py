@@ -12,11 +12,11 @@ import mpi4py.MPI
 import numpy as np
 import petsc4py.PETSc
 
-import ddic
 from ddic.images.source import ImageSource
 from ddic.images.window import Window
 from ddic.io.image_file import compute_sha256
 from ddic.io.source_tree import find_source_commit
+from ddic.version import __version__
 
 _LIBRARIES = ("numpy", "scipy", "numba", "h5py", "mpi4py", "petsc4py")
 
@@ -37,7 +37,7 @@ def collect_provenance(origin: dict[str, str | int]) -> dict[str, str | int]:
     facts: dict[str, str | int] = {
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": " ".join(sys.argv),
-        "ddic": ddic.__version__,
+        "ddic": __version__,
         "commit": find_source_commit(),
         "python": platform.python_version(),
         "petsc": ".".join(str(n) for n in petsc4py.PETSc.Sys.getVersion()),
