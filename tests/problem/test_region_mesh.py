@@ -163,5 +163,5 @@ def test_near_meshes_and_own_kinematics_exclude_each_other(tmp_path: Path) -> No
     assert isinstance(found.kinematics, TiedRegion)
     assert found.tying is not None
     assert found.describe(1).n_field == 2 * found.tying.n_unknown_nodes < 2 * found.mesh.n_nodes
-    with pytest.raises(InputError, match="leave near.mesh or the kinematics out"):
+    with pytest.raises(InputError, match=r"leave near\.mesh or the kinematics out"):
         build_region_mesh(Inputs(inputs.case, inputs.cameras, inputs.build_mesh, NodalRegion))

@@ -42,7 +42,7 @@ class OneLineErrors(click.Group):
 
         Raises
         ------
-        ClickException
+        InputFailure, ClickException
             In place of any error made for the user, shown as one line.
         """
         try:

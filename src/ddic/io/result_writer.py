@@ -55,8 +55,8 @@ class Piece:
         Of each piece.
     types : (n_cells,) array
         VTK cell types.
-    point_data, cell_data : dict
-        Name -> (n,) scalars, (n, dim) or (n, 3) vectors, (n, 6) symmetric tensors.
+    point_data, cell_data : dict of (n,), (n, dim), (n, 3) or (n, 6) array
+        By name: scalars, vectors, symmetric tensors.
     """
 
     points: NDArray[np.float64]
@@ -235,8 +235,8 @@ class ResultWriter:
         ----------
         group : str
             Name of the table.
-        columns : dict
-            Name -> (n_rows,) values.
+        columns : dict of (n_rows,) array
+            By name.
 
         Raises
         ------

@@ -100,7 +100,7 @@ class Mesh:
         Cell e owns connectivity[offsets[e]:offsets[e + 1]].
     types : (n_cells,) uint8 array
         VTK numbers of the cells' types, keys of ``CELL_TYPES``.
-    node_sets : mapping of str to int64 arrays
+    node_sets : mapping of str to (n,) array of int64
         Sorted node numbers by name.
     mapping : Similarity
         From the mesh file's units to pixels.
@@ -194,7 +194,7 @@ def build_mesh(nodes: NDArray[np.float64],
         Pixels.
     blocks : mapping of CellType to (n, type.n_nodes) arrays, or such pairs
         Nodes of the cells; the mesh's cells are in this order.
-    node_sets : mapping of str to int64 arrays, optional
+    node_sets : mapping of str to (n,) array of int64, optional
         Sorted node numbers by name.
     mapping : Similarity, optional
         From the mesh file's units to pixels.

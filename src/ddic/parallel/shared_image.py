@@ -50,7 +50,7 @@ def open_once_a_node(team: Team, opened: Callable[[], tuple[ImageSource, NDArray
     team : Team
         All ranks.
     opened : callable
-        Gives the image and, where it had to be decoded whole, its pixels, (height, width).
+        Gives the image and, where it had to be decoded whole, its pixels, of shape (height, width).
 
     Returns
     -------

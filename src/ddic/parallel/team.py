@@ -218,7 +218,7 @@ class Team:
         Returns
         -------
         array
-            The sum on all ranks, which to the last bit does not depend on how subdomains are spread over ranks.
+            The sum on all ranks, of the same shape, which to the last bit does not depend on how subdomains are spread over ranks.
         """
         everything = self.gather_lists([np.asarray(v, dtype=np.float64) for v in values])
         return np.asarray(np.sum(np.stack(everything), axis=0))

@@ -100,11 +100,35 @@ class Model(Protocol):
         ...
 
     def linearize(self, q: Sequence[Array]) -> tuple[list[Array], tuple[GreyState, ...]]:
-        """Pass over all pixels: b_s of owned subdomains, and each camera's statistics; collective."""
+        """Pass over all pixels; collective.
+
+        Parameters
+        ----------
+        q : sequence of (n_unknowns,) array
+            Unknowns of each owned subdomain.
+
+        Returns
+        -------
+        b : list of (n_unknowns,) array
+            b_s of each, grey levels squared per pixel.
+        grey : tuple of GreyState
+            Statistics of each camera.
+        """
         ...
 
     def measure_correction(self, dq: Sequence[Array], q: Sequence[Array]) -> CorrectionSize:
-        """Measure a correction dq of unknowns q on displacements of nodes; collective."""
+        """Measure a correction on displacements of nodes; collective.
+
+        Parameters
+        ----------
+        dq, q : sequence of (n_unknowns,) array
+            Correction, and unknowns before it, of each owned subdomain.
+
+        Returns
+        -------
+        CorrectionSize
+            No unit, and pixels.
+        """
         ...
 
 
