@@ -21,7 +21,7 @@ from ddic.kinematics.tied import TiedKinematics, TiedRegion
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import build_structured_mesh
 from ddic.mesh.topology import find_boundary_nodes
-from ddic.partition.ties import Tying, tied_mesh
+from ddic.partition.ties import Tying, tie_meshes
 from support.random_meshes import SEEDS, delaunay_meshes, grid_mesh, grid_meshes
 
 MESHES = st.one_of(grid_meshes(most=4), delaunay_meshes())
@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 
 def tied() -> tuple[Mesh, Tying]:
-    return tied_mesh(build_structured_mesh((20, 20, 116, 116), 8), {1: build_structured_mesh((44, 36, 84, 76), 3.1)})
+    return tie_meshes(build_structured_mesh((20, 20, 116, 116), 8), {1: build_structured_mesh((44, 36, 84, 76), 3.1)})
 
 
 def fix_every_third_along_y(mesh: Mesh) -> LinearRegion:
@@ -51,7 +51,7 @@ def move_affinely(mesh: Mesh) -> LinearRegion:
 
 def restrict(region: RegionKinematics, cells: NDArray[np.int64]) -> tuple[Kinematics, NDArray[np.int64]]:
     """Kinematics of some cells, and their nodes in the whole mesh."""
-    part, node_ids = region.mesh.submesh(cells)
+    part, node_ids = region.mesh.create_submesh(cells)
     numbers = np.unique(region.unknowns_at(node_ids)[0])
     return region.restrict(part, node_ids, numbers), node_ids
 

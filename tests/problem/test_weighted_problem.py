@@ -94,7 +94,7 @@ def test_given_noise_sets_up_at_once(shared_path: Path) -> None:
         assert problem.is_set_up
         views = problem.open_frame(frame)
         assert {view.view.weight for of_subdomain in views for view in of_subdomain.views} == {1.0}
-        weighted = problem.model_residual(views).views
+        weighted = problem.build_residual_model(views).views
         for before, after in zip(views, weighted, strict=True):
             for old, new in zip(before.views, after.views, strict=True):
                 assert new.view.weight == {0: 1.0, 1: 4.0}[new.camera]

@@ -158,7 +158,7 @@ class ResultWriter:
         indices : range
             Numbers of the pieces.
         pieces : Piece
-            These, joined to one (``joined``).
+            These, joined to one (``join_pieces``).
 
         Raises
         ------
@@ -216,7 +216,7 @@ class ResultWriter:
         number : int
             Of the chunk.
         data : bytes
-            As ``packed`` makes it.
+            As ``pack_chunk`` makes it.
 
         Raises
         ------
@@ -225,7 +225,7 @@ class ResultWriter:
         """
         if not self._grids:
             raise ValueError("create_residual_image comes before write_residual_chunk")
-        window = self._grids[-1].window(number)
+        window = self._grids[-1].locate_chunk(number)
         self._residual.write_direct_chunk((window.y0, window.x0), data)
 
     def write_table(self, group: str, columns: Mapping[str, Sequence[Any] | NDArray[Any]]) -> None:
@@ -348,7 +348,7 @@ def _start_of(pieces: _Pieces, index: int) -> PieceSize:
     return PieceSize(*(int(n) for n in pieces.starts[index]))
 
 
-def joined(pieces: Sequence[Piece]) -> Piece:
+def join_pieces(pieces: Sequence[Piece]) -> Piece:
     """Join pieces, one after the other, as the file holds them.
 
     Parameters

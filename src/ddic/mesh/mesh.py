@@ -51,7 +51,7 @@ class Similarity:
         """
         return np.asarray(self.scale * points @ self.rotation.T + np.asarray(self.translation))
 
-    def vector_to_mesh_units(self, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    def map_vectors_to_mesh_units(self, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
         """Map displacements to mesh units.
 
         Parameters
@@ -158,7 +158,7 @@ class Mesh:
         sums = np.add.reduceat(self.nodes[self.connectivity], self.offsets[:-1], axis=0)
         return np.asarray(sums / np.diff(self.offsets)[:, None])
 
-    def submesh(self, cells: NDArray[np.int64]) -> tuple[Mesh, NDArray[np.int64]]:
+    def create_submesh(self, cells: NDArray[np.int64]) -> tuple[Mesh, NDArray[np.int64]]:
         """Restrict the mesh to some of its cells and to their nodes.
 
         Parameters

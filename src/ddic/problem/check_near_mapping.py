@@ -111,7 +111,7 @@ def _sample_blurred(image: ImageSource, points: NDArray[np.float64],
     """An image averaged over far pixels, at the pixels nearest to some points, (n,), and whether each lies in it."""
     low = np.floor(points.min(axis=0)).astype(int) - 1
     high = np.ceil(points.max(axis=0)).astype(int) + 2
-    part = Window(int(low[0]), int(low[1]), int(high[0]), int(high[1])).clipped(image.width, image.height)
+    part = Window(int(low[0]), int(low[1]), int(high[0]), int(high[1])).clip(image.width, image.height)
     side = max(round(magnification), 1)
     values = cv2.blur(np.asarray(image.read(part), dtype=np.float32), (side, side))
     first_pixel = (part.x0, part.y0)

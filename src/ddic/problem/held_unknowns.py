@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from ddic.errors import SingularSubdomainError, on_all_ranks
+from ddic.errors import SingularSubdomainError, as_collective
 from ddic.parallel.team import Team, held
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.assembly import Assembly
@@ -63,7 +63,7 @@ def find_held(subdomain: Subdomain, counts: CellCounts) -> NDArray[np.bool_]:
     return np.asarray(abs(subdomain.kinematics.tangent).T @ by_component > 0)
 
 
-def refuse_unheld(team: Team, unseen: Sequence[NDArray[np.bool_]], assembly: Assembly) -> None:
+def refuse_undetermined(team: Team, unseen: Sequence[NDArray[np.bool_]], assembly: Assembly) -> None:
     """Refuse a frame that leaves an unknown to nothing: such a one would keep what it started from; collective.
 
     Unknowns that no pixel holds in any subdomain must follow from the others by equilibrium. They do where each has a
@@ -97,7 +97,7 @@ def refuse_unheld(team: Team, unseen: Sequence[NDArray[np.bool_]], assembly: Ass
         return
     where = _describe_place(team, subdomains, min(uncontrolled))
     if assembly.eta == 0:
-        raise on_all_ranks(SingularSubdomainError(describe_singular(where)))
+        raise as_collective(SingularSubdomainError(describe_singular(where)))
     numbers = np.array(sorted(unheld))
     rows = team.gather_to([_find_rows(system, numbers) for system in assembly.systems])
 

@@ -17,11 +17,11 @@ from ddic.io.plots.canvas import (
     WIDTH_INCHES,
     Component,
     add_colour_bar,
-    cell_polygons,
-    component_symbol,
-    mesh_bounds,
+    find_mesh_bounds,
+    format_component,
+    make_cell_polygons,
+    make_triangulation,
     pick_component,
-    triangulation,
 )
 from ddic.io.result_reader import Result
 from ddic.io.result_schema import CAMERA, near_group
@@ -56,7 +56,7 @@ class CellPanel:
     values: NDArray[np.float64]
 
 
-def near_mesh(result: Result, camera: int) -> Mesh:
+def find_near_mesh(result: Result, camera: int) -> Mesh:
     """Find the cells that a camera measured.
 
     Parameters
@@ -71,10 +71,10 @@ def near_mesh(result: Result, camera: int) -> Mesh:
     Mesh
         Pixels of the far field.
     """
-    return result.mesh.submesh(np.flatnonzero(result.cell_data[CAMERA] == camera))[0]
+    return result.mesh.create_submesh(np.flatnonzero(result.cell_data[CAMERA] == camera))[0]
 
 
-def near_far_figure(result: Result, component: Component = "magnitude") -> Figure:
+def draw_near_far(result: Result, component: Component = "magnitude") -> Figure:
     """Draw the displacement of the whole mesh, then around each near field in colours of its own.
 
     Near fields are outlined; titles tell alpha, by which each near set-up moved.
@@ -93,22 +93,22 @@ def near_far_figure(result: Result, component: Component = "magnitude") -> Figur
     """
     last_camera = int(result.cell_data[CAMERA].max())
     cameras = range(1, last_camera + 1)
-    near = [near_mesh(result, camera) for camera in cameras]
+    near = [find_near_mesh(result, camera) for camera in cameras]
     titles = ["far field", *(_moved(result, camera) for camera in cameras)]
-    boxes = [mesh_bounds(result.mesh.nodes), *(mesh_bounds(mesh.nodes, AROUND) for mesh in near)]
+    boxes = [find_mesh_bounds(result.mesh.nodes), *(find_mesh_bounds(mesh.nodes, AROUND) for mesh in near)]
     figure, panels = _page(len(boxes), boxes[0])
     values = pick_component(result.displacement, component)
     for axes, title, box in zip(panels, titles, boxes, strict=True):
         inside = values[_in_box(result.mesh.nodes, box)]
-        colours = axes.tripcolor(triangulation(result.mesh, result.mesh.nodes), values, shading="gouraud",
+        colours = axes.tripcolor(make_triangulation(result.mesh, result.mesh.nodes), values, shading="gouraud",
                                  cmap=COLOURS, vmin=inside.min(), vmax=inside.max())
         _finish(axes, title, box, near)
-        add_colour_bar(figure, axes, colours, f"{component_symbol('u', component)} [px]")
+        add_colour_bar(figure, axes, colours, f"{format_component('u', component)} [px]")
     return figure
 
 
-def panels_figure(panels: Sequence[CellPanel], outlined: Sequence[Mesh], box: tuple[float, float, float, float],
-                  label: str) -> Figure:
+def draw_cell_panels(panels: Sequence[CellPanel], outlined: Sequence[Mesh], box: tuple[float, float, float, float],
+                     label: str) -> Figure:
     """Draw panels of one part of the image with common colours, two in a row.
 
     Colours span what the last panel shows, without the outermost 0.5 % on either side.
@@ -135,8 +135,8 @@ def panels_figure(panels: Sequence[CellPanel], outlined: Sequence[Mesh], box: tu
     low, high = np.percentile(shown, [HIDDEN_PERCENT, 100 - HIDDEN_PERCENT])
     figure, all_axes = _page(len(panels), box)
     for axes, panel in zip(all_axes, panels, strict=True):
-        cells = cell_polygons(panel.mesh, panel.mesh.nodes, array=panel.values, cmap=COLOURS, edgecolors="face",
-                              linewidths=0.1, clim=(low, high))
+        cells = make_cell_polygons(panel.mesh, panel.mesh.nodes, array=panel.values, cmap=COLOURS, edgecolors="face",
+                                   linewidths=0.1, clim=(low, high))
         axes.add_collection(cells)
         _finish(axes, panel.title, box, outlined)
     figure.colorbar(cells, ax=all_axes, label=label, extend="both", shrink=0.7)

@@ -40,7 +40,7 @@ COLOUR_BAR_INCHES = 2.0
 """Width of labels and the colour bar beside the axes."""
 
 
-def image_figure(bounds: tuple[float, float, float, float], title: str) -> tuple[Figure, Axes]:
+def make_image_figure(bounds: tuple[float, float, float, float], title: str) -> tuple[Figure, Axes]:
     """Make a figure whose axes are those of the image: pixels, equal scales, y down.
 
     Parameters
@@ -76,7 +76,7 @@ def image_figure(bounds: tuple[float, float, float, float], title: str) -> tuple
     return figure, axes
 
 
-def mesh_bounds(nodes: NDArray[np.float64], margin: float = 0.03) -> tuple[float, float, float, float]:
+def find_mesh_bounds(nodes: NDArray[np.float64], margin: float = 0.03) -> tuple[float, float, float, float]:
     """Find the box around nodes.
 
     Parameters
@@ -117,7 +117,7 @@ def add_colour_bar(figure: Figure, axes: Axes, mappable: Any, label: str) -> Non
     figure.colorbar(mappable, cax=beside, label=label)
 
 
-def cell_polygons(mesh: Mesh, nodes: NDArray[np.float64], **style: Any) -> PolyCollection:
+def make_cell_polygons(mesh: Mesh, nodes: NDArray[np.float64], **style: Any) -> PolyCollection:
     """Make polygons of the cells.
 
     Parameters
@@ -139,7 +139,7 @@ def cell_polygons(mesh: Mesh, nodes: NDArray[np.float64], **style: Any) -> PolyC
     return PolyCollection(corners, **style)
 
 
-def triangulation(mesh: Mesh, nodes: NDArray[np.float64]) -> Triangulation:
+def make_triangulation(mesh: Mesh, nodes: NDArray[np.float64]) -> Triangulation:
     """Cut the cells into triangles.
 
     Parameters
@@ -179,7 +179,7 @@ def pick_component(vectors: NDArray[np.float64], component: Component) -> NDArra
     return vectors[:, axis]
 
 
-def component_symbol(symbol: str, component: Component) -> str:
+def format_component(symbol: str, component: Component) -> str:
     """Write a component of a vector as a label does.
 
     Parameters

@@ -18,7 +18,7 @@ LIGHTEST = 0.85
 """Place in the colours of the last iteration, 0 to 1; a larger value is lighter."""
 
 
-def krylov_figure(curves: Mapping[str, Sequence[NDArray[np.float64]]]) -> Figure:
+def draw_krylov(curves: Mapping[str, Sequence[NDArray[np.float64]]]) -> Figure:
     """Draw the relative residual against the iteration.
 
     Each label has a line style; its Gauss-Newton iterations run through the colours.

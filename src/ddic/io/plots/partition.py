@@ -7,7 +7,7 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from ddic.io.plots.canvas import cell_polygons, image_figure, mesh_bounds
+from ddic.io.plots.canvas import find_mesh_bounds, make_cell_polygons, make_image_figure
 from ddic.io.plots.preview import Preview
 from ddic.io.result_reader import Result
 
@@ -18,7 +18,7 @@ MARGIN = 0.1
 """Around the mesh, relative to its longer side."""
 
 
-def partition_figure(result: Result, image: Preview | None = None) -> Figure:
+def draw_partition(result: Result, image: Preview | None = None) -> Figure:
     """Draw subdomains in colour with the bounding box of each (its sub-image without halo).
 
     Parameters
@@ -34,11 +34,11 @@ def partition_figure(result: Result, image: Preview | None = None) -> Figure:
         The page.
     """
     mesh = result.mesh
-    bounds = mesh_bounds(mesh.nodes, MARGIN)
+    bounds = find_mesh_bounds(mesh.nodes, MARGIN)
     if image is not None:
         bounds = _clip(bounds, image)
     title = f"Partition: {mesh.n_cells} cells, {result.n_subdomains} subdomains"
-    figure, axes = image_figure(bounds, title)
+    figure, axes = make_image_figure(bounds, title)
     if image is not None:
         image.draw(axes)
         # Drawing an image moves the limits to its own.
@@ -46,7 +46,7 @@ def partition_figure(result: Result, image: Preview | None = None) -> Figure:
         axes.set_xlim(x0, x1)
         axes.set_ylim(y1, y0)
     colours = PALETTE[result.subdomain_ids % len(PALETTE)]
-    cells = cell_polygons(mesh, mesh.nodes, facecolors=colours, edgecolors="black", linewidths=0.15, alpha=0.45)
+    cells = make_cell_polygons(mesh, mesh.nodes, facecolors=colours, edgecolors="black", linewidths=0.15, alpha=0.45)
     axes.add_collection(cells)
     for subdomain in np.unique(result.subdomain_ids):
         axes.add_patch(_draw_box(result, int(subdomain)))
