@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from ddic.errors import SingularSubdomainError, is_on_all_ranks
+from ddic.errors import SingularSubdomainError, is_collective
 from ddic.parallel.team import Team
 from support.cases import write_case, write_images
 from support.measuring import field_on_one_rank, measure, whole_field
@@ -72,4 +72,4 @@ def test_what_nothing_holds_is_refused(shared_path: Path, hidden: Rectangle, edg
     team = Team.world()
     with pytest.raises(SingularSubdomainError, match=r"^the region around column 24, row \d+") as caught:
         measure(team, write(team, shared_path, solver + TIGHT + edges, hidden))
-    assert is_on_all_ranks(caught.value)
+    assert is_collective(caught.value)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.errors import SingularSubdomainError, as_collective
-from ddic.parallel.team import Team, held
+from ddic.parallel.team import Team, require_held
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.assembly import Assembly
 from ddic.solvers.local_operator import LocalOperator
@@ -102,7 +102,7 @@ def refuse_undetermined(team: Team, unseen: Sequence[NDArray[np.bool_]], assembl
     rows = team.gather_to([_find_rows(system, numbers) for system in assembly.systems])
 
     def check() -> None:
-        found = [of_subdomain for of_rank in held(rows) for of_subdomain in of_rank]
+        found = [of_subdomain for of_rank in require_held(rows) for of_subdomain in of_rank]
         gap = _join_rows(found, numbers)
         operator = (assembly.eta * (gap.T @ gap)).tocsr()
         LocalOperator(operator, smallest_eigenvalue=DETERMINED * assembly.mean_diagonal, where=where).destroy()
