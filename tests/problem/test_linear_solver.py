@@ -41,7 +41,9 @@ def _prepare(team: Team, folder: Path, solver: str, more: str = REGULARIZED) -> 
 
 
 def _solver(team: Team, problem: ReferenceProblem, assembly: Assembly) -> LinearSolver:
-    return LinearSolver(team, problem.inputs.case, assembly, PhaseClock())
+    solver = LinearSolver(team, problem.inputs.case, assembly, PhaseClock())
+    solver.set_up()
+    return solver
 
 
 def _solve(problem: ReferenceProblem, solver: LinearSolver) -> list[Array]:
@@ -70,6 +72,8 @@ def test_the_step_is_that_of_the_case(shared_path: Path, method: str, kind: type
     problem, assembly = _prepare(team, shared_path, f'method = "{method}"')
     clock = PhaseClock()
     with LinearSolver(team, problem.inputs.case, assembly, clock) as solver:
+        assert not solver.is_set_up
+        solver.set_up()
         assert isinstance(solver.step, kind)
         assert solver.is_set_up
         assert solver.n_factorized == 1

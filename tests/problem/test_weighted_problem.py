@@ -44,9 +44,13 @@ def test_one_camera_is_set_up_at_once(shared_path: Path) -> None:
     gauss_newton = "[gauss_newton]\ntolerance = 2e-5\nrms_tolerance = 3e-6\nmax_iterations = 7\n"
     path = _one_camera(team, shared_path, gauss_newton)
     clock = PhaseClock()
+    inputs, _ = open_inputs(team, load_case(path))
     problem = WeightedProblem(team, prepare(team, path), clock)
     try:
         assert problem.is_set_up
+        # Operators are known for good when a frame has been looked at.
+        q = [np.zeros(s.n_unknowns) for s in problem.reference.subdomains]
+        assert problem.renew(problem.open_frame((inputs.cameras[0].reference,)), q) == ()
         assert problem.noise == ()
         assert problem.n_assembled == problem.solver.n_factorized == len(problem.reference.references)
         assert {Phase.ASSEMBLE, Phase.FACTORIZE, Phase.INTERFACE_SET_UP} <= set(clock.wall)

@@ -139,6 +139,7 @@ class TiedCut:
     def step(self) -> Iterator[LinearStep]:
         """The step that the case asks for."""
         with LinearSolver(self.team, self.case, self.assembly, PhaseClock()) as solver:
+            solver.set_up()
             yield solver.step
 
     def solve(self, step: LinearStep) -> StepResult:
