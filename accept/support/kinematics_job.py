@@ -1,6 +1,7 @@
-"""The MPI part of ``accept.kinematics``: measures as an example does, by a method, and keeps the displacement.
+"""The MPI part of ``accept.kinematics``: measures with an example's images, mesh and kinematics, by a method.
 
-Usage: kinematics_job EXAMPLE METHOD SECTIONS OUTPUT; SECTIONS is a JSON object of further sections of a case.
+Usage: kinematics_job EXAMPLE METHOD SECTIONS OUTPUT; SECTIONS is a JSON object of further sections of a case, OUTPUT
+the file that takes the displacement of all nodes.
 """
 
 from __future__ import annotations
@@ -14,6 +15,11 @@ from types import ModuleType
 import numpy as np
 from mpi4py import MPI
 
+import ddic
+
+SUBDOMAINS = 4
+"""As many as there are ranks at most."""
+
 
 def load_example(path: Path) -> ModuleType:
     """Import an example, whose own measurement is not run.
@@ -26,7 +32,7 @@ def load_example(path: Path) -> ModuleType:
     Returns
     -------
     module
-        With a function ``measure``.
+        With ``IMAGES``, ``MESH`` and ``kinematics``.
     """
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None:
@@ -44,7 +50,12 @@ def main(example: str, method: str, sections: str, output: str) -> None:
     example, method, sections, output : str
         Of the command line.
     """
-    result = load_example(Path(example)).measure(method, MPI.COMM_WORLD, **json.loads(sections))
+    chosen = load_example(Path(example))
+    settings = json.loads(sections)
+    settings["solver"] |= {"method": method}
+    if method != "monolithic":
+        settings["solver"] |= {"subdomains": SUBDOMAINS}
+    result = ddic.measure(chosen.IMAGES, chosen.MESH, options=ddic.Options(settings, chosen.kinematics))
     if MPI.COMM_WORLD.rank == 0:
         np.save(output, result.displacement)
 
