@@ -37,9 +37,10 @@ demo: setup ## render a plate with a hole in tension, measure it on two ranks, p
 test: setup ## run all tests: serial, then on 1, 2, 3 and 4 ranks
 	@bash scripts/run_tests.sh
 
-lint: setup ## ruff, mypy, the import contracts, and the import under numpy 2
+lint: setup ## ruff, mypy, docstrings, the import contracts, and the import under numpy 2
 	$(PYTHON) -m ruff check .
 	$(PYTHON) -m mypy
+	$(PYTHON) scripts/check_docstrings.py
 	$(PYTHON) -c "from importlinter.cli import lint_imports_command as run; run()"
 	bash scripts/check_numpy2.sh
 

@@ -113,14 +113,14 @@ def build_problem(kind: Kind, size: int) -> Problem:
     pixels = np.random.default_rng(0).integers(0, 256, (size, size), dtype=np.uint8)
     source = MaskedSource(ArraySource(Path("memory"), pixels, 255.0))
     labels = split_by_metis(mesh, n_parts) if n_parts > 1 else np.zeros(mesh.n_cells, dtype=np.int64)
-    meshes = [mesh.submesh(np.flatnonzero(labels == s))[0] for s in range(n_parts)]
+    meshes = [mesh.create_submesh(np.flatnonzero(labels == s))[0] for s in range(n_parts)]
     groups = read_correlations(meshes, source, degree)
     parts, q = [part for group in groups for part in group], [field(m.nodes) for m in meshes]
     deformed = [image for group in groups for image in [DeformedSubImage(source, degree)] * len(group)]
     windows = [reduce(Window.union, (part.reference.window for part in group)) for group in groups]
-    reach = [part.displaced_window(q_s) for part, q_s in zip(parts, q, strict=True)]
+    reach = [part.find_displaced_window(q_s) for part, q_s in zip(parts, q, strict=True)]
     for image in deformed:
-        image.covering(reduce(Window.union, (r for r, of in zip(reach, deformed, strict=True) if of is image)))
+        image.get_spline(reduce(Window.union, (r for r, of in zip(reach, deformed, strict=True) if of is image)))
     return Problem(name, parts, deformed, q, source, degree, windows)
 
 
@@ -145,7 +145,7 @@ def c_calls(p: Problem) -> dict[str, Callable[[], object]]:
         runs = []
         for part, deformed, q in zip(p.parts, p.deformed, p.q, strict=True):
             ours = part.compute_residual(deformed, q)
-            run = right_hand_side(library, part, deformed.covering(part.displaced_window(q)),
+            run = right_hand_side(library, part, deformed.get_spline(part.find_displaced_window(q)),
                                   part.interpolation.monomial_coefficients(q))
             moments, sums = run()
             for a, b in ((moments, ours.moments[:, 0]), (sums, ours.cell_sums.values)):

@@ -54,7 +54,7 @@ def pixel_calls(folder: Path, size: int, n_threads: int) -> dict[str, Callable[[
     part = read_correlations([mesh], reference, 3, threads)[0][0]
     q = load_truth(folder / "truth.json").displacement(mesh.nodes).ravel()
     image = DeformedSubImage(deformed, 3, threads)
-    window = image.covering(part.displaced_window(q)).window
+    window = image.get_spline(part.find_displaced_window(q)).window
     return {
         "f and its gradient": lambda: read_gradient(reference.image, part.reference.window, 3, None, threads),
         "spline of g": lambda: read_spline(deformed.image, window, 3, None, threads),

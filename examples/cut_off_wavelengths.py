@@ -30,8 +30,8 @@ def wave(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 # One seed: both frames have the same reference image.
-reference, moved = ddic.synthetic_pair(wave, SIZE, noise=3, seed=4)
-_, still = ddic.synthetic_pair(np.zeros_like, SIZE, noise=3, seed=4)
+reference, moved = ddic.make_synthetic_pair(wave, SIZE, noise=3, seed=4)
+_, still = ddic.make_synthetic_pair(np.zeros_like, SIZE, noise=3, seed=4)
 
 mesh = ddic.structured_mesh((20, 20, 380, 380), element_size=10)
 print("l_c [px]  noise [px]  left of the wave")

@@ -37,7 +37,7 @@ def kinematics(mesh: ddic.Mesh) -> ddic.LinearRegion:
     return ddic.LinearRegion(mesh, matrix)
 
 
-IMAGES = ddic.synthetic_pair(slide, (300, 200), noise=1, seed=6)
+IMAGES = ddic.make_synthetic_pair(slide, (300, 200), noise=1, seed=6)
 MESH = ddic.structured_mesh((20, 20, 280, 180), element_size=15)
 
 

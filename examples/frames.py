@@ -28,7 +28,7 @@ def pull(points: NDArray[np.float64], strain: float) -> NDArray[np.float64]:
 
 def take_picture(strain: float) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     # One seed: the reference image is the same in all pairs.
-    return ddic.synthetic_pair(lambda points: pull(points, strain), (250, 250), noise=1, seed=7)
+    return ddic.make_synthetic_pair(lambda points: pull(points, strain), (250, 250), noise=1, seed=7)
 
 
 reference, _ = take_picture(0.0)

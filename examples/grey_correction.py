@@ -23,7 +23,7 @@ def move(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.column_stack([0.4 + 0.003 * points[:, 0], -0.3 + 0.002 * points[:, 1]])
 
 
-reference, deformed = ddic.synthetic_pair(move, (300, 240), noise=1, seed=9)
+reference, deformed = ddic.make_synthetic_pair(move, (300, 240), noise=1, seed=9)
 # A weaker lamp, and a shadow that grows from left to right.
 light = 0.85 - 0.3 * np.arange(300) / 300
 deformed = np.rint(light * deformed).astype(np.uint8)

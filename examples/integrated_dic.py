@@ -40,7 +40,7 @@ def kinematics(mesh: ddic.Mesh) -> ddic.LinearRegion:
     return ddic.LinearRegion(mesh, modes(mesh.nodes))
 
 
-IMAGES = ddic.synthetic_pair(lambda points: (modes(points) @ AMPLITUDES).reshape(-1, 2), SIZE, noise=2, seed=5)
+IMAGES = ddic.make_synthetic_pair(lambda points: (modes(points) @ AMPLITUDES).reshape(-1, 2), SIZE, noise=2, seed=5)
 MESH = ddic.structured_mesh((20, 20, 300, 220), element_size=10)
 
 

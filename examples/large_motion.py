@@ -30,7 +30,7 @@ def turn(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(CENTRE + turned + SHIFT - points)
 
 
-images = ddic.synthetic_pair(turn, (400, 400), noise=1, seed=16)
+images = ddic.make_synthetic_pair(turn, (400, 400), noise=1, seed=16)
 mesh = ddic.structured_mesh((60, 60, 340, 340), element_size=20)
 result = ddic.measure(images, mesh)
 

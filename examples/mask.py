@@ -21,7 +21,7 @@ def shear(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.column_stack([0.6 + 0.004 * points[:, 1], 0.3 - 0.002 * points[:, 0]])
 
 
-reference, deformed = ddic.synthetic_pair(shear, (300, 240), noise=1, seed=3)
+reference, deformed = ddic.make_synthetic_pair(shear, (300, 240), noise=1, seed=3)
 wire = (slice(None), slice(140, 152))  # all rows, twelve columns
 reference[wire] = deformed[wire] = 200
 

@@ -23,7 +23,7 @@ def stretch(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 # Two arrays (rows, columns). x runs along columns, y down the rows; the first pixel's centre is (0, 0).
-reference, deformed = ddic.synthetic_pair(stretch, (300, 240), noise=1, seed=1)
+reference, deformed = ddic.make_synthetic_pair(stretch, (300, 240), noise=1, seed=1)
 
 mesh = ddic.structured_mesh((20, 20, 280, 220), element_size=20)
 result = ddic.measure((reference, deformed), mesh)

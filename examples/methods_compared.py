@@ -24,7 +24,7 @@ def bend(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return 5e-5 * np.column_stack([-x * y, 0.5 * (x**2 + 0.3 * y**2)])
 
 
-images = ddic.synthetic_pair(bend, (300, 200), noise=2, seed=10)
+images = ddic.make_synthetic_pair(bend, (300, 200), noise=2, seed=10)
 mesh = ddic.structured_mesh((20, 20, 280, 180), element_size=10)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 import ddic
 
 SIGMA = 2.0  # grey levels
-images = ddic.synthetic_pair(np.zeros_like, (440, 440), noise=SIGMA, seed=14)
+images = ddic.make_synthetic_pair(np.zeros_like, (440, 440), noise=SIGMA, seed=14)
 
 # Rounding to whole grey levels is noise as well, of variance 1/12.
 sigma = np.sqrt(SIGMA**2 + 1 / 12)

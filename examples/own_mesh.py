@@ -27,7 +27,7 @@ def growth(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return 0.004 * (points - CENTRE_PX)
 
 
-reference, deformed = ddic.synthetic_pair(growth, (300, 300), noise=1, seed=2)
+reference, deformed = ddic.make_synthetic_pair(growth, (300, 300), noise=1, seed=2)
 
 # Rings of nodes, millimetres from the centre of the disc.
 rings = [np.zeros((1, 2))]

@@ -24,7 +24,7 @@ def stretch(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.column_stack([0.008 * (points[:, 0] - 150), np.full(len(points), 0.45)])
 
 
-images = ddic.synthetic_pair(stretch, (300, 240), noise=1, seed=8)
+images = ddic.make_synthetic_pair(stretch, (300, 240), noise=1, seed=8)
 mesh = ddic.structured_mesh((20, 20, 280, 220), element_size=20)
 result = ddic.measure(images, mesh, options={"regularization": {"cut_off_wavelength": 80}})
 

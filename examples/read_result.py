@@ -18,7 +18,7 @@ import numpy as np
 
 import ddic
 
-images = ddic.synthetic_pair(lambda points: 0.01 * (points - 100), (240, 200), noise=1, seed=13)
+images = ddic.make_synthetic_pair(lambda points: 0.01 * (points - 100), (240, 200), noise=1, seed=13)
 mesh = ddic.structured_mesh((20, 20, 220, 180), element_size=22)
 options = {"images": {"pixel_size": 0.05, "length_unit": "mm"}}
 measured = ddic.measure(images, mesh, options=options, output="result.vtkhdf")

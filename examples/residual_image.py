@@ -22,7 +22,7 @@ def move(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.column_stack([1.3 + 0.004 * points[:, 0], -0.7 - 0.001 * points[:, 1]])
 
 
-reference, deformed = ddic.synthetic_pair(move, (300, 200), noise=1, seed=15)
+reference, deformed = ddic.make_synthetic_pair(move, (300, 200), noise=1, seed=15)
 rows, columns = np.indices(deformed.shape)
 drop = np.hypot(columns - 192, rows - 79) < 5
 deformed[drop] = 20

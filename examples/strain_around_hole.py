@@ -21,7 +21,7 @@ from ddic.synth.kirsch import Kirsch
 CENTRE, RADIUS = (199.5, 199.5), 50.0
 plate = Kirsch(center=CENTRE, radius=RADIUS, strain=0.005)
 
-images = ddic.synthetic_pair(plate, (400, 400), noise=2, seed=12, hole=(CENTRE, RADIUS))
+images = ddic.make_synthetic_pair(plate, (400, 400), noise=2, seed=12, hole=(CENTRE, RADIUS))
 mesh = ddic.structured_mesh((25, 25, 375, 375), element_size=14, circles=[(CENTRE, RADIUS)])
 regularization = {"cut_off_wavelength": 45, "not_controlled": ["left", "right", "top", "bottom"]}
 result = ddic.measure(images, mesh, options={"regularization": regularization})

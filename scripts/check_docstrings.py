@@ -261,7 +261,7 @@ def raised(node: ast.AST) -> set[str]:
             continue
         if isinstance(child, ast.Raise) and isinstance(child.exc, ast.Call):
             name = ast.unparse(child.exc.func).split(".")[-1]
-            # on_all_ranks(error) and the like wrap an error; NotImplementedError says that a child class must do it.
+            # as_collective(error) and the like wrap an error; NotImplementedError says that a child class must do it.
             if name[0].isupper() and name != "NotImplementedError":
                 found.add(name)
         found |= raised(child)

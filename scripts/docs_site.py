@@ -35,7 +35,9 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     sections["Examples"][:] = ["examples/index.md", *(page_of_example(path) for path in examples())]
     sections["Python"][:] = ["api/index.md", *(page_of_api(entry) for entry in config.extra["api"])]
     guides = sorted((ROOT / "docs" / "guides").glob("*.md"))
-    sections["Developers"].extend(f"guides/{path.name}" for path in guides)
+    # The others than those for users, which are listed by hand.
+    names = [f"guides/{path.name}" for path in guides]
+    sections["Developers"].extend(name for name in names if name not in sections["Guide"])
     # Tests and a person at work both want to know about files that nothing lists.
     config.watch.append(str(ROOT / "examples"))
     return config

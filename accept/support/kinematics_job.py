@@ -1,7 +1,6 @@
-"""The MPI part of ``accept.kinematics``: measures with an example's images, mesh and kinematics, by a method.
+"""The MPI part of ``accept.kinematics``: measures as an example does, by a method, and keeps the displacement.
 
-Usage: kinematics_job EXAMPLE METHOD SECTIONS OUTPUT; SECTIONS is a JSON object of further sections of a case, OUTPUT
-the file that takes the displacement of all nodes.
+Usage: kinematics_job EXAMPLE METHOD SECTIONS OUTPUT; SECTIONS is a JSON object of further sections of a case.
 """
 
 from __future__ import annotations
@@ -17,8 +16,8 @@ from mpi4py import MPI
 
 import ddic
 
-SUBDOMAINS = 4
-"""As many as there are ranks at most."""
+N_SUBDOMAINS = 4
+"""As in the examples: as many as the largest number of ranks."""
 
 
 def load_example(path: Path) -> ModuleType:
@@ -32,7 +31,7 @@ def load_example(path: Path) -> ModuleType:
     Returns
     -------
     module
-        With ``IMAGES``, ``MESH`` and ``kinematics``.
+        With IMAGES, MESH and a function ``kinematics``.
     """
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None:
@@ -50,12 +49,12 @@ def main(example: str, method: str, sections: str, output: str) -> None:
     example, method, sections, output : str
         Of the command line.
     """
-    chosen = load_example(Path(example))
+    module = load_example(Path(example))
     settings = json.loads(sections)
-    settings["solver"] |= {"method": method}
-    if method != "monolithic":
-        settings["solver"] |= {"subdomains": SUBDOMAINS}
-    result = ddic.measure(chosen.IMAGES, chosen.MESH, options=ddic.Options(settings, chosen.kinematics))
+    cut = {} if method == "monolithic" else {"subdomains": N_SUBDOMAINS}
+    settings["solver"] = {**settings.get("solver", {}), "method": method, **cut}
+    options = ddic.Options(settings, module.kinematics)
+    result = ddic.measure(module.IMAGES, module.MESH, options=options)
     if MPI.COMM_WORLD.rank == 0:
         np.save(output, result.displacement)
 

@@ -148,7 +148,7 @@ def joint_case(far: Pair, near: Pair, mesh: str, rest: str) -> str:
 
 def measured_alone(joint: Result, camera: int, pair: Pair, folder: Path, rest: str) -> Alone:
     """FE-DIC of one camera's images alone, on the elements that it measures in a joint result, in its own pixels."""
-    part, ids = joint.mesh.submesh(np.flatnonzero(joint.cell_data["Camera"] == camera))
+    part, ids = joint.mesh.create_submesh(np.flatnonzero(joint.cell_data["Camera"] == camera))
     nodes = pair.mapping.to_image(part.nodes)
     name = f"alone_{camera}"
     folder.mkdir(parents=True, exist_ok=True)
@@ -177,7 +177,7 @@ def independent(joint: Result, alone: Sequence[Alone]) -> Fields:
 def continuous(joint: Result) -> Fields:
     """The one field of a joint result, as fields of its cameras."""
     cells = joint.cell_data["Camera"].astype(np.int64)
-    nodes = [joint.mesh.submesh(np.flatnonzero(cells == camera))[1] for camera in range(2)]
+    nodes = [joint.mesh.create_submesh(np.flatnonzero(cells == camera))[1] for camera in range(2)]
     return Fields(joint.mesh, cells, nodes, [joint.displacement[n] for n in nodes], alpha_of(joint))
 
 

@@ -19,7 +19,7 @@ from ddic.functionals.elasticity import assemble_stiffness
 from ddic.images.sub_image import DeformedSubImage
 from ddic.mesh.mesh import Mesh
 from ddic.problem.cameras import Camera, Frame
-from ddic.problem.region_mesh import RegionMesh, material_of
+from ddic.problem.region_mesh import RegionMesh, build_material
 
 Array = NDArray[np.float64]
 
@@ -107,7 +107,7 @@ def _look(whole: RegionMesh, frame: Frame, number: int, at: State) -> OneCamera:
     """What a camera brings."""
     case, mesh = whole.inputs.case, whole.mesh
     far, camera = whole.inputs.cameras[0], whole.inputs.cameras[number]
-    part, ids = mesh.submesh(np.flatnonzero(whole.cameras == number))
+    part, ids = mesh.create_submesh(np.flatnonzero(whole.cameras == number))
     dofs = (2 * ids[:, None] + np.arange(2)).ravel()
     seen = at.u[dofs] + (np.tile(at.alpha, len(ids)) if number else 0.0)
     ratio = float(camera.setup.mapping.homography[0, 0])
@@ -119,7 +119,7 @@ def _look(whole: RegionMesh, frame: Frame, number: int, at: State) -> OneCamera:
     gap = sparse.csr_matrix((mesh.n_dofs, len(dofs)))
     if case.regularization is not None:
         rows = sparse.csr_matrix((np.ones(len(dofs)), (dofs, np.arange(len(dofs)))), shape=(mesh.n_dofs, len(dofs)))
-        gap = rows @ assemble_stiffness(part, material_of(case.regularization))
+        gap = rows @ assemble_stiffness(part, build_material(case.regularization))
     return OneCamera(dofs, weight * ratio**2 * hessian, weight * ratio * force, gap, seen)
 
 

@@ -21,10 +21,10 @@ from ddic.functionals.equilibrium_gap import (
     measure_gap_energies,
     measure_texture_energies,
 )
-from ddic.parallel.team import held
+from ddic.parallel.team import require_held
 from ddic.partition.subdomain import Subdomain, interface_weights
 from ddic.problem.assembly import Assembly
-from ddic.problem.region_mesh import RegionMesh, material_of
+from ddic.problem.region_mesh import RegionMesh, build_material
 from ddic.solvers.local_system import LocalSystem
 
 
@@ -101,7 +101,7 @@ def read_texture(case: Case) -> TexturedMesh:
     right = problem.right_hand_sides([np.zeros(s.n_unknowns) for s in problem.subdomains])
     hessians = [reference.project(m) for reference, m in zip(problem.references, problem.hessians, strict=True)]
     stiffnesses = [weighted_stiffness(s, case.regularization, _weights(s)) for s in problem.subdomains]
-    return TexturedMesh(held(problem.whole), problem.subdomains, hessians, right, stiffnesses)
+    return TexturedMesh(require_held(problem.whole), problem.subdomains, hessians, right, stiffnesses)
 
 
 def assemble_at(problem: TexturedMesh, section: RegularizationSection) -> Assembly:
@@ -125,7 +125,7 @@ def assemble_at(problem: TexturedMesh, section: RegularizationSection) -> Assemb
     texture = sum((measure_texture_energies(s.mesh.nodes, m, s.interior, wavelength)
                    for s, m in zip(problem.subdomains, problem.hessians, strict=True)), start=np.zeros(1))
     whole = problem.whole
-    eta = find_cut_off_weight(texture, measure_gap_energies(whole.mesh, material_of(section), whole.interior,
+    eta = find_cut_off_weight(texture, measure_gap_energies(whole.mesh, build_material(section), whole.interior,
                                                             wavelength))
     systems = [LocalSystem(s, m, k, _weights(s), eta) for s, m, k
                in zip(problem.subdomains, problem.hessians, problem.stiffnesses, strict=True)]
@@ -166,7 +166,7 @@ def assemble_one_domain(problem: TexturedMesh, section: RegularizationSection,
     hessian = sparse.coo_matrix((np.concatenate(values), places), shape=(n, n)).tocsr()
     whole = problem.whole
     kinematics = whole.kinematics.restrict(whole.mesh, np.arange(whole.mesh.n_nodes), np.arange(n))
-    kbar = controlled_stiffness(kinematics, material_of(section), whole.controlled.astype(float))
+    kbar = controlled_stiffness(kinematics, build_material(section), whole.controlled.astype(float))
     return (hessian + eta * (kbar.T @ kbar)).tocsr(), right
 
 

@@ -30,6 +30,8 @@ FORMER_NAMES = {
     "compute_cell_hessians": "hessian_cells",
     "compute_residual": "residual",
     "compute_residual_image": "residual_image",
+    "find_displaced_window": "displaced_window",
+    "get_spline": "covering",
 }
 """What the functions of today were called in older checkouts."""
 
@@ -55,8 +57,8 @@ def calls_on(mesh: Mesh, degree: int) -> dict[str, Callable[[], Any]]:
     part = of_any_checkout(functional, "read_correlations")([mesh], source, degree)[0][0]
     deformed = DeformedSubImage(source, degree)
     q = displacement(mesh.nodes)
-    window = part.displaced_window(q)
-    deformed.covering(window)
+    window = of_any_checkout(part, "find_displaced_window")(q)
+    of_any_checkout(deformed, "get_spline")(window)
     hessians = of_any_checkout(part, "compute_cell_hessians")
     residual = of_any_checkout(part, "compute_residual")
     image = of_any_checkout(part, "compute_residual_image")

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ddic.case.loader import load_case
 from ddic.images.spline import HALO, PADDING
 from ddic.images.sub_image import read_reference
-from ddic.images.window import shared_windows
+from ddic.images.window import merge_windows
 from ddic.io.result_reader import read_result
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
@@ -81,7 +81,7 @@ def do_once(team: Team, inputs: Inputs, frame: Frame, subdomains: list[Subdomain
     views = open_frame_views(case, frame, references)
     watch("deformed", lambda: read_frame_windows(views, q))
     rasters = [reference.own.correlation.raster.window for reference in references]
-    shared = shared_windows(rasters, HALO[degree] + PADDING[degree])
+    shared = merge_windows(rasters, HALO[degree] + PADDING[degree])
     watch("gradient", lambda: [read_reference(camera.reference, window, degree) for window, _ in shared])
     watch("M", lambda: [reference.own.correlation.compute_cell_hessians() for reference in references])
     model = ResidualModel(team, views, case.correlation.grey_correction)

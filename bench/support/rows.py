@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from bench.support.runs import ROOT
-from ddic.io.source_tree import source_commit
+from ddic.io.source_tree import find_source_commit
 
 RESULTS = ROOT / "bench" / "results"
 """JSON lines of all that was measured; not part of the repository."""
@@ -49,7 +49,7 @@ def append_result(name: str, record: dict[str, Any]) -> None:
         What was found; commit and date are added.
     """
     RESULTS.mkdir(parents=True, exist_ok=True)
-    stamped = {"commit": source_commit(), "date": datetime.now(UTC).isoformat(timespec="seconds"), **record}
+    stamped = {"commit": find_source_commit(), "date": datetime.now(UTC).isoformat(timespec="seconds"), **record}
     with (RESULTS / f"{name}.jsonl").open("a", encoding="utf-8") as file:
         file.write(json.dumps(stamped) + "\n")
 

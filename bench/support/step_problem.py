@@ -26,8 +26,8 @@ from ddic.problem.inputs import open_inputs
 from ddic.problem.region_mesh import (
     Region,
     RegionMesh,
+    build_material,
     build_region_mesh,
-    material_of,
     scatter_region,
     split_region,
 )
@@ -274,7 +274,7 @@ def weighted_stiffness(subdomain: Subdomain, section: RegularizationSection, wei
     (n_field, n_field) csr_matrix
         Kbar_s.
     """
-    return controlled_stiffness(subdomain.kinematics, material_of(section), weights)
+    return controlled_stiffness(subdomain.kinematics, build_material(section), weights)
 
 
 def find_relative_difference(problem: StepProblem, dq: Sequence[Vector], reference: Vector) -> float:

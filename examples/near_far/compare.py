@@ -23,7 +23,7 @@ def main(folder: Path) -> None:
           f"exact {truth.motion.alpha}")
     error = result.displacement - truth.displacement(result.mesh.nodes)
     for camera, name in enumerate(("far", "near")):
-        nodes = result.mesh.submesh(np.flatnonzero(result.cell_data["Camera"] == camera))[1]
+        nodes = result.mesh.create_submesh(np.flatnonzero(result.cell_data["Camera"] == camera))[1]
         print(f"{name} field: RMS error {np.sqrt((error[nodes] ** 2).mean()):.5f} far px per component")
 
 

@@ -9,11 +9,13 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from ddic.version import __version__
+
 if TYPE_CHECKING:
     from ddic.api.image import Image
     from ddic.api.measure import Session, measure, prepare
     from ddic.api.options import Options
-    from ddic.api.synthetic import synthetic_pair
+    from ddic.api.synthetic import make_synthetic_pair
     from ddic.case.loader import load_case
     from ddic.case.schema import Case
     from ddic.errors import ConvergenceError, DdicError, FactorizationError, InputError, SingularSubdomainError
@@ -25,15 +27,13 @@ if TYPE_CHECKING:
     from ddic.mesh.mesh import Mesh
     from ddic.mesh.structured import build_structured_mesh as structured_mesh
 
-__version__ = "0.1.0"
-
 _HOMES = {
     "Image": "api.image",
     "Options": "api.options",
     "Session": "api.measure",
     "measure": "api.measure",
     "prepare": "api.measure",
-    "synthetic_pair": "api.synthetic",
+    "make_synthetic_pair": "api.synthetic",
     "load_case": "case.loader",
     "Case": "case.schema",
     "ConvergenceError": "errors",
@@ -70,11 +70,11 @@ __all__ = [
     "SingularSubdomainError",
     "__version__",
     "load_case",
+    "make_synthetic_pair",
     "measure",
     "open",
     "prepare",
     "structured_mesh",
-    "synthetic_pair",
 ]
 
 

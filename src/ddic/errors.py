@@ -44,7 +44,7 @@ class FactorizationError(DdicError):
 _LISTED = 10
 
 
-def first_of(numbers: Iterable[int]) -> str:
+def list_first(numbers: Iterable[int]) -> str:
     """List the first ten numbers, for a message.
 
     Parameters
@@ -64,7 +64,7 @@ def first_of(numbers: Iterable[int]) -> str:
 E = TypeVar("E", bound=BaseException)
 
 
-def on_all_ranks(error: E) -> E:
+def as_collective(error: E) -> E:
     """Mark an error as raised by every rank at the same place: the job may end without an abort.
 
     Parameters
@@ -81,7 +81,7 @@ def on_all_ranks(error: E) -> E:
     return error
 
 
-def is_on_all_ranks(error: BaseException) -> bool:
+def is_collective(error: BaseException) -> bool:
     """Tell whether every rank raised this error.
 
     Parameters

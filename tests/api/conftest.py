@@ -14,7 +14,7 @@ from support.small_pair import SIZE, move
 
 @pytest.fixture(scope="session")
 def pair() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    return ddic.synthetic_pair(move, SIZE, noise=1, seed=1)
+    return ddic.make_synthetic_pair(move, SIZE, noise=1, seed=1)
 
 
 @pytest.fixture(scope="session")

@@ -46,7 +46,7 @@ def test_unknown_name_is_an_attribute_error() -> None:
 def test_measures_in_one_process_without_a_launcher() -> None:
     code = """
 import numpy as np, ddic
-images = ddic.synthetic_pair(lambda points: np.full_like(points, 0.3), (120, 100), seed=2)
+images = ddic.make_synthetic_pair(lambda points: np.full_like(points, 0.3), (120, 100), seed=2)
 result = ddic.measure(images, ddic.structured_mesh((20, 20, 100, 80), 20))
 print(abs(result.displacement - 0.3).max() < 0.01, result)
 """

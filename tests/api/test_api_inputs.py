@@ -261,4 +261,4 @@ def test_results(pair: Pair, mesh: ddic.Mesh, tmp_path: Path) -> None:
     ((lambda points: -1.5 * points * [1, 0], (30, 30)), "folds the image"),
 ])
 def test_synthetic_pairs(arguments: Any, words: str) -> None:
-    assert words in told(lambda: ddic.synthetic_pair(*arguments))
+    assert words in told(lambda: ddic.make_synthetic_pair(*arguments))

@@ -333,8 +333,8 @@ def test_synthetic_pair_takes_functions_and_fields(pair: Pair) -> None:
     from ddic.synth.fields import Affine
 
     field = Affine(((0.004, 0.0), (0.0, -0.002)), (0.4, -0.3), (80.0, 70.0))
-    exact = ddic.synthetic_pair(field, (160, 140), noise=1, seed=1)
+    exact = ddic.make_synthetic_pair(field, (160, 140), noise=1, seed=1)
     assert all(np.array_equal(a, b) for a, b in zip(exact, pair, strict=True))
     assert pair[0].shape == (140, 160)
-    dark, _ = ddic.synthetic_pair(np.zeros_like, (60, 50), hole=((30, 25), 10))
+    dark, _ = ddic.make_synthetic_pair(np.zeros_like, (60, 50), hole=((30, 25), 10))
     assert dark[25, 30] < 20

@@ -12,7 +12,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 import ddic
-from ddic.errors import is_on_all_ranks
+from ddic.errors import is_collective
 from support.small_pair import REGULARIZED, TIGHT, WITHIN, largest_error
 
 Pair = tuple[NDArray[np.uint8], NDArray[np.uint8]]
@@ -31,7 +31,7 @@ def refused(call: Any) -> ddic.InputError:
         call()
     except Exception as caught:
         error = caught
-    told = MPI.COMM_WORLD.allgather((type(error).__name__, str(error), error is not None and is_on_all_ranks(error)))
+    told = MPI.COMM_WORLD.allgather((type(error).__name__, str(error), error is not None and is_collective(error)))
     assert told[0][0] == "InputError"
     assert all(of_rank == told[0] for of_rank in told)
     assert isinstance(error, ddic.InputError)

@@ -7,7 +7,7 @@ import pytest
 from pydantic import BaseModel, Field
 
 from ddic.case import schema
-from ddic.case.reference import table_of, write_tables
+from ddic.case.reference import format_table, write_tables
 from ddic.errors import InputError
 
 SECTIONS = [value for value in vars(schema).values()
@@ -34,7 +34,7 @@ class Example(BaseModel):
 
 
 def test_a_line_tells_type_default_unit_and_meaning() -> None:
-    assert table_of(Example)[2:] == [
+    assert format_table(Example)[2:] == [
         "| `file` | path | required | | A file. |",
         "| `length` | number > 0 | none | px | A length. |",
         "| `ratio` | number > 0 and < 1 | `1e-6` | | A ratio. |",

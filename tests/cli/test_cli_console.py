@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from ddic.cli.console import RunConsole, on_terminal
+from ddic.cli.console import RunConsole, is_on_terminal
 from ddic.parallel.phases import REPEATED, Phase
 from ddic.problem.problem_size import ProblemSize
 from ddic.results.summary import Summary
@@ -148,7 +148,7 @@ def test_long_lines_are_not_broken(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_file_is_no_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     with open(os.devnull, "w") as nowhere:
         monkeypatch.setattr(sys, "stdout", nowhere)
-        assert not on_terminal()
+        assert not is_on_terminal()
 
 
 def test_a_terminal_gets_a_bar(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -158,7 +158,7 @@ def test_a_terminal_gets_a_bar(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TERM", "xterm")
     with os.fdopen(inner, "w") as screen:
         monkeypatch.setattr(sys, "stdout", screen)
-        assert on_terminal()
+        assert is_on_terminal()
         with RunConsole() as console:
             console.phase(Phase.ASSEMBLE)
             console.note("a note")

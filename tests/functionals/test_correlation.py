@@ -74,7 +74,7 @@ def test_subdomains_add_up_to_the_whole(mesh: Mesh, kind: str, n: int, degree: i
     whole_residual = whole.compute_residual(DeformedSubImage(g, degree), q, all_kinds=True)
     parts, residuals, dofs = [], [], []
     for s in range(int(cells.max()) + 1):
-        part_mesh, node_ids = mesh.submesh(np.flatnonzero(cells == s))
+        part_mesh, node_ids = mesh.create_submesh(np.flatnonzero(cells == s))
         if not rasterize(part_mesh).pixel_counts.any():
             continue
         dofs.append((2 * node_ids[:, None] + np.arange(2)).ravel())
@@ -202,14 +202,14 @@ def test_pixels_hidden_in_the_deformed_image_leave_m_too() -> None:
     one, deformed = read_correlation(mesh, f, 3), DeformedSubImage(g, 3)
     still = np.zeros(mesh.n_dofs)
     assert one.without_hidden(deformed, still) is one
-    assert one.visible_pixels(deformed, still) == one.n_usable_pixels
+    assert one.count_visible_pixels(deformed, still) == one.n_usable_pixels
     # Moved left by the margin and two cells' width, what lay within that distance of the edge is out of sight.
     moved = np.tile([-(MARGIN + 18.0), 0.0], mesh.n_nodes)
     seen = one.without_hidden(deformed, moved)
     counted = one.compute_residual(deformed, moved).sums.n_pixels
-    assert 0 < seen.n_usable_pixels == counted == one.visible_pixels(deformed, moved) < one.n_usable_pixels
+    assert 0 < seen.n_usable_pixels == counted == one.count_visible_pixels(deformed, moved) < one.n_usable_pixels
     assert seen.compute_residual(deformed, moved).sums.n_pixels == counted
-    hidden = seen.raster.counts_in(seen.reference.usable, seen.reference.window.x0, seen.reference.window.y0) == 0
+    hidden = seen.raster.sum_by_cell(seen.reference.usable, seen.reference.window.x0, seen.reference.window.y0) == 0
     assert hidden.any()
     assert (seen.compute_cell_hessians()[hidden] == 0).all()
     assert (one.compute_cell_hessians()[hidden] != 0).any()

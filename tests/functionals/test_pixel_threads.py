@@ -27,7 +27,7 @@ def parts_of_mesh(n_parts: int) -> tuple[Mesh, ...]:
     """Some 9000 distorted T3 and Q4 of about 6 px, cut into bands of rows."""
     mesh = grid_mesh(COLUMNS, ROWS, (6.0, 6.0), origin=(25.3, 24.8), cells="mixed", seed=3, jitter=0.2)
     labels = split_by_blocks(mesh, (1, n_parts))
-    return tuple(mesh.submesh(np.flatnonzero(labels == s))[0] for s in range(n_parts))
+    return tuple(mesh.create_submesh(np.flatnonzero(labels == s))[0] for s in range(n_parts))
 
 
 @cache
@@ -46,7 +46,7 @@ def everything(n_threads: int, n_parts: int, degree: int, masked: bool) -> dict[
         q = np.random.default_rng(s).uniform(-15, 15, part.mesh.n_dofs)
         residual = part.compute_residual(deformed, q, all_kinds=True)
         gain, offset = residual.cell_sums.fit_gain_and_offset()
-        reference, spline = part.reference, deformed.covering(part.displaced_window(q))
+        reference, spline = part.reference, deformed.get_spline(part.find_displaced_window(q))
         seen = part.without_hidden(deformed, q)
         assert seen.threads is part.threads is threads
         found |= {f"{name} of part {s}": array for name, array in {

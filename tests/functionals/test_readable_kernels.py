@@ -9,7 +9,7 @@ from scipy import ndimage
 from scipy.interpolate import BSpline
 
 from ddic.functionals.correlation import Correlation, read_correlation
-from ddic.functionals.readable_kernels import b_spline, find_local_coordinates, monomials
+from ddic.functionals.readable_kernels import evaluate_b_spline, find_local_coordinates, monomials
 from ddic.images.sub_image import DeformedSubImage
 from support.pictures import source
 from support.random_meshes import grid_mesh
@@ -94,7 +94,7 @@ def test_b_and_the_residual_are_those_of_scipys_spline(degree: int, masked: bool
 def test_b_splines_are_scipys(degree: int) -> None:
     t = np.linspace(-4, 4, 33)
     one = BSpline.basis_element(np.arange(degree + 2) - (degree + 1) / 2, extrapolate=False)
-    np.testing.assert_allclose([b_spline(s, degree) for s in t], np.nan_to_num(one(t)), atol=1e-15)
+    np.testing.assert_allclose([evaluate_b_spline(s, degree) for s in t], np.nan_to_num(one(t)), atol=1e-15)
 
 
 def test_local_coordinates_are_those_of_the_position() -> None:

@@ -199,7 +199,7 @@ def test_the_one_camera_of_a_plain_case_is_its_correlation(placed: bool) -> None
     # phi(X + u) - phi(X) of the identity rounds positions of 1e2 px.
     close = {"rtol": 1e-12, "atol": 1e-9} if placed else {"rtol": 0.0, "atol": 0.0}
     np.testing.assert_allclose(kinematics.displacement(q), q, **close)
-    assert seen.displaced_window(q) == part.displaced_window(q)
+    assert seen.find_displaced_window(q) == part.find_displaced_window(q)
     np.testing.assert_allclose(hessian_of(seen), part.assemble_hessian().toarray(), **close)
     np.testing.assert_allclose(found.cell_sums.values, expected.cell_sums.values, rtol=close["rtol"], atol=1e-6)
     np.testing.assert_allclose(seen.assemble_right_hand_side(found, 0.9, 3.0),

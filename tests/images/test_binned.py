@@ -28,7 +28,7 @@ def test_pixels_are_means_of_blocks(factor: int) -> None:
                 for y in range(height)]
     # float32 means of float32 values.
     np.testing.assert_allclose(whole(found), expected, rtol=5e-7)
-    assert found.usable(found.extent) is None
+    assert found.find_usable(found.extent) is None
 
 
 @pytest.mark.parametrize("factor", [2, 4])
@@ -48,11 +48,11 @@ def test_block_counts_where_all_its_pixels_do() -> None:
     mask = np.ones(values.shape, dtype=bool)
     mask[2, 2] = mask[11, 0] = False
     found = bin_image(source(values, mask, exclude_saturated=True), 3)
-    usable = found.usable(found.extent)
+    usable = found.find_usable(found.extent)
     assert usable is not None
     assert np.argwhere(usable == 0).tolist() == [[0, 0], [2, 2], [3, 0]]
     assert np.isfinite(whole(found)).all()
-    part = found.usable(Window(1, 1, 4, 4))
+    part = found.find_usable(Window(1, 1, 4, 4))
     assert part is not None
     assert np.argwhere(part == 0).tolist() == [[1, 1]]
 
@@ -64,7 +64,7 @@ def test_bands_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(binned, "_BAND_PIXELS", 200)
     in_bands = bin_image(image, 2)
     np.testing.assert_array_equal(whole(in_bands), whole(at_once))
-    np.testing.assert_array_equal(in_bands.usable(in_bands.extent), at_once.usable(at_once.extent))
+    np.testing.assert_array_equal(in_bands.find_usable(in_bands.extent), at_once.find_usable(at_once.extent))
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ddic.images.grid_field import GridField, fill_absent, uniform_field
+from ddic.images.grid_field import GridField, build_uniform_field, fill_absent
 
 
 @given(seed=st.integers(0, 2**32 - 1))
@@ -35,7 +35,7 @@ def test_field_is_constant_beyond_the_grid() -> None:
 
 def test_uniform_field_is_the_shift_everywhere() -> None:
     points = np.array([[0.0, 0.0], [1e4, -3.5], [-7.25, 12.0]])
-    np.testing.assert_array_equal(uniform_field((1.5, -2.25)).at(points), [[1.5, -2.25]] * 3)
+    np.testing.assert_array_equal(build_uniform_field((1.5, -2.25)).at(points), [[1.5, -2.25]] * 3)
 
 
 def test_absent_nodes_take_the_nearest_value() -> None:

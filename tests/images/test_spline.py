@@ -48,7 +48,7 @@ def values_at_displaced_pixels(image: NDArray[np.float64], degree: int, low: int
 def test_coefficients_of_a_window_equal_the_whole_images(degree: int, x0: int, y0: int, width: int,
                                                          height: int) -> None:
     image = noise(200, 210)
-    window = Window(x0, y0, x0 + width, y0 + height).clipped(210, 200)
+    window = Window(x0, y0, x0 + width, y0 + height).clip(210, 200)
     pad = PADDING[degree]
     found = read_spline(source(image).image, window, degree).coefficients
     whole = np.pad(compute_coefficients(image, degree), pad, mode="reflect")
@@ -63,7 +63,7 @@ def test_coefficients_of_a_window_equal_the_whole_images(degree: int, x0: int, y
 def test_gradient_of_a_window_equals_the_whole_images(degree: int, x0: int, y0: int, width: int,
                                                       height: int) -> None:
     image = noise(200, 210)
-    window = Window(x0, y0, x0 + width, y0 + height).clipped(210, 200)
+    window = Window(x0, y0, x0 + width, y0 + height).clip(210, 200)
     found = read_gradient(source(image).image, window, degree)
     whole = read_gradient(source(image).image, Window(0, 0, 210, 200), degree)
     part = np.s_[window.y0: window.y1, window.x0: window.x1]

@@ -50,11 +50,11 @@ def recorder() -> Recorder:
 def test_nothing_is_read_again_until_the_window_is_outgrown() -> None:
     image = recorder()
     deformed = DeformedSubImage(MaskedSource(image), 3)
-    first = deformed.covering(Window(100, 80, 140, 120))
+    first = deformed.get_spline(Window(100, 80, 140, 120))
     assert first.window == Window(100 - GROWTH, 80 - GROWTH, 140 + GROWTH, 120 + GROWTH)
-    assert deformed.covering(Window(95, 75, 148, 128)) is first
+    assert deformed.get_spline(Window(95, 75, 148, 128)) is first
     assert len(image.reads) == 1
-    second = deformed.covering(Window(120, 80, 160, 120))
+    second = deformed.get_spline(Window(120, 80, 160, 120))
     assert second.window.contains(first.window)
     assert second.window.contains(Window(120, 80, 160, 120))
     assert len(image.reads) == 2
@@ -62,9 +62,9 @@ def test_nothing_is_read_again_until_the_window_is_outgrown() -> None:
 
 def test_only_the_window_and_its_halo_are_read() -> None:
     image = recorder()
-    DeformedSubImage(MaskedSource(image), 3).covering(Window(100, 80, 140, 120))
+    DeformedSubImage(MaskedSource(image), 3).get_spline(Window(100, 80, 140, 120))
     margin = GROWTH + PADDING[3] + HALO[3]
-    assert image.reads == [Window(100, 80, 140, 120).grown(margin)]
+    assert image.reads == [Window(100, 80, 140, 120).grow(margin)]
 
 
 @settings(max_examples=60)
@@ -76,9 +76,9 @@ def test_every_window_asked_for_is_held_with_the_whole_images_coefficients(data:
     for _ in range(3):
         x0, y0 = data.draw(st.integers(-400, 500)), data.draw(st.integers(-400, 500))
         wanted = Window(x0, y0, x0 + data.draw(st.integers(1, 120)), y0 + data.draw(st.integers(1, 120)))
-        spline = deformed.covering(wanted)
+        spline = deformed.get_spline(wanted)
         held = spline.window
-        assert held.contains(wanted.clipped(WIDTH, HEIGHT))
+        assert held.contains(wanted.clip(WIDTH, HEIGHT))
         assert Window(0, 0, WIDTH, HEIGHT).contains(held)
         assert min(held.width, held.height) >= SMALLEST
         # Points outside the image are evaluated, and left out, at its nearest pixel: it must be held as well.
@@ -97,18 +97,18 @@ def test_usable_pixels_are_those_of_mask_and_saturation_together() -> None:
     mask = np.ones(values.shape, dtype=bool)
     mask[5, 6] = False
     window = Window(2, 1, 12, 9)
-    both = source(values, mask, exclude_saturated=True).usable(window)
+    both = source(values, mask, exclude_saturated=True).find_usable(window)
     assert both is not None
     assert both.shape == (8, 10)
     assert np.argwhere(both == 0).tolist() == [[2, 2], [4, 4]]
-    only_mask = source(values, mask).usable(window)
+    only_mask = source(values, mask).find_usable(window)
     assert only_mask is not None
     assert np.argwhere(only_mask == 0).tolist() == [[4, 4]]
-    assert source(values).usable(window) is None
+    assert source(values).find_usable(window) is None
 
 
 def test_float_images_have_no_saturated_pixels() -> None:
-    assert MaskedSource(recorder(), None, exclude_saturated=True).usable(Window(0, 0, 9, 9)) is None
+    assert MaskedSource(recorder(), None, exclude_saturated=True).find_usable(Window(0, 0, 9, 9)) is None
 
 
 @pytest.mark.parametrize("window", [Window(0, 0, 1, 1), Window(299, 199, 300, 200), Window(100, 0, 101, 200)])
@@ -129,7 +129,7 @@ def test_masked_not_a_number_stays_where_it_is(degree: int) -> None:
     mask = np.isfinite(values)
     masked = MaskedSource(Recorder(values), source(mask.astype(float)).image)
     reference = read_reference(masked, Window(40, 40, 80, 80), degree)
-    spline = DeformedSubImage(masked, degree).covering(Window(40, 40, 80, 80))
+    spline = DeformedSubImage(masked, degree).get_spline(Window(40, 40, 80, 80))
     for array in (reference.values, reference.by_x, reference.by_y, spline.coefficients):
         assert np.isfinite(array).all()
     assert reference.usable is not None

@@ -56,7 +56,7 @@ def test_one_thread_is_the_callers() -> None:
 @pytest.mark.parametrize(("length", "least"), [(0, 4), (3, 4), (100, 4), (101, 7), (5000, 1)])
 def test_slices_cover_a_sequence_once(n: int, length: int, least: int) -> None:
     slices: list[slice] = []
-    Threads(n).over(length, least, slices.append)
+    Threads(n).run_over(length, least, slices.append)
     places = sorted(slices, key=lambda s: s.start)
     assert [i for s in places for i in range(s.start, s.stop)] == list(range(length))
     assert len(slices) == 1 or min(s.stop - s.start for s in slices) >= least
@@ -81,7 +81,7 @@ def test_error_of_a_thread_is_raised_when_none_works_any_more(n: int) -> None:
     assert running == []
     # The threads are still there for the next call.
     done: list[slice] = []
-    threads.over(100, 10, done.append)
+    threads.run_over(100, 10, done.append)
     assert sum(s.stop - s.start for s in done) == 100
 
 

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from ddic.io import result_schema as schema
-from ddic.io.image_chunks import ChunkGrid, packed
+from ddic.io.image_chunks import ChunkGrid, pack_chunk
 from ddic.io.result_writer import Piece, PieceSize, ResultWriter
 from ddic.mesh.cell_type import Q4, T3
 from ddic.mesh.mesh import Mesh, build_mesh
@@ -42,7 +42,7 @@ def pieces_of(mesh: Mesh, extra: str | None = None) -> list[Piece]:
     pieces = []
     for s in (0, 1):
         cells = np.flatnonzero(subdomain_of(mesh) == s)[::-1].copy()
-        sub, node_ids = mesh.submesh(cells)
+        sub, node_ids = mesh.create_submesh(cells)
         u = quadratic(sub.nodes)
         tensor = np.arange(6.0) + cells[:, None]
         points = {schema.DISPLACEMENT: u, schema.DISPLACEMENT_MESH_UNITS: u / 4, schema.GLOBAL_NODE_ID: node_ids}
@@ -89,7 +89,7 @@ def write_result() -> Callable[..., Path]:
             if residual:
                 image = residual_of(60, 50)
                 writer.create_residual_image(ChunkGrid(60, 50))
-                writer.write_residual_chunk(0, packed(image))
+                writer.write_residual_chunk(0, pack_chunk(image))
             writer.write_table(schema.GAUSS_NEWTON, {"iteration": [1, 2], "residual_std_grey": [3.0, 2.5]})
             writer.write_curves(schema.KRYLOV, [[1.0, 0.1, 0.001], [1.0, 1e-4]] if curves else [[], []])
             writer.write_attributes(schema.CASE, {"toml": "title = 'é'\n" * 20_000, "eta": 0.5})

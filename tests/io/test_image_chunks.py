@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from ddic.images.window import Window
-from ddic.io.image_chunks import IMAGE_CHUNK, ChunkGrid, packed
+from ddic.io.image_chunks import IMAGE_CHUNK, ChunkGrid, pack_chunk
 
 SIDE = IMAGE_CHUNK
 
@@ -46,13 +46,13 @@ def test_hdf5_reads_the_very_bytes_back(tmp_path: Path, name: str) -> None:
     with h5py.File(tmp_path / "c.h5", "w") as file:
         data = file.create_dataset("image", chunk.shape, "<f4", chunks=chunk.shape, compression="gzip",
                                    compression_opts=1, shuffle=True)
-        data.id.write_direct_chunk((0, 0), packed(chunk))
+        data.id.write_direct_chunk((0, 0), pack_chunk(chunk))
     with h5py.File(tmp_path / "c.h5") as file:
         assert file["image"][...].tobytes() == chunk.tobytes()
 
 
 def test_a_flipped_byte_does_not_pass() -> None:
-    data = bytearray(packed(noise()))
+    data = bytearray(pack_chunk(noise()))
     data[len(data) // 2] ^= 1
     with pytest.raises(zlib.error):
         zlib.decompress(bytes(data))
@@ -65,7 +65,7 @@ def test_chunks_are_no_larger_than_with_the_filters_themselves(tmp_path: Path, n
         data = file.create_dataset("image", data=chunk, chunks=chunk.shape, compression="gzip", compression_opts=1,
                                    shuffle=True)
         # 5 %: what coding by frequency alone may lose where there are some repetitions; elsewhere it gains.
-        assert len(packed(chunk)) <= 1.05 * data.id.get_storage_size()
+        assert len(pack_chunk(chunk)) <= 1.05 * data.id.get_storage_size()
 
 
 @given(width=st.integers(1, 1000), height=st.integers(1, 1000), data=st.data())
@@ -75,6 +75,7 @@ def test_chunks_under_a_window_are_those_that_hold_its_pixels(width: int, height
     window = Window(x0, y0, x0 + data.draw(st.integers(0, 600)), y0 + data.draw(st.integers(0, 600)))
     n_rows = -(-height // grid.shape[0])
     seen = [n for n in range(grid.n_columns * n_rows)
-            if grid.window(n).clipped(width, height).intersection(window).n_pixels]
-    assert grid.touching(window) == seen
-    assert sum(grid.window(n).clipped(width, height).n_pixels for n in range(grid.n_columns * n_rows)) == width * height
+            if grid.locate_chunk(n).clip(width, height).intersection(window).n_pixels]
+    assert grid.find_chunks(window) == seen
+    parts = [grid.locate_chunk(n).clip(width, height) for n in range(grid.n_columns * n_rows)]
+    assert sum(part.n_pixels for part in parts) == width * height

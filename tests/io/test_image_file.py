@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.images.window import Window
-from ddic.io.image_file import open_image, sha256_of_file
+from ddic.io.image_file import compute_sha256, open_image
 
 WIDTH, HEIGHT = 83, 61
 WHOLE = Window(0, 0, WIDTH, HEIGHT)
@@ -200,7 +200,7 @@ def test_windows_must_lie_in_the_image(tmp_path: Path, window: Window) -> None:
 
 def test_checksum_is_that_of_the_bytes(tmp_path: Path) -> None:
     (tmp_path / "a").write_bytes(b"speckle" * 1000)
-    assert sha256_of_file(tmp_path / "a") == hashlib.sha256(b"speckle" * 1000).hexdigest()
+    assert compute_sha256(tmp_path / "a") == hashlib.sha256(b"speckle" * 1000).hexdigest()
 
 
 @pytest.mark.real_data

@@ -12,14 +12,14 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from ddic.io.image_file import open_image
-from ddic.io.plots.camera_fields import CellPanel, near_far_figure, panels_figure
-from ddic.io.plots.canvas import triangulation
-from ddic.io.plots.deformed import deformed_figure, visible_amplification
-from ddic.io.plots.difference import difference_figure
-from ddic.io.plots.krylov import krylov_figure
-from ddic.io.plots.partition import partition_figure
+from ddic.io.plots.camera_fields import CellPanel, draw_cell_panels, draw_near_far
+from ddic.io.plots.canvas import make_triangulation
+from ddic.io.plots.deformed import choose_amplification, draw_deformed
+from ddic.io.plots.difference import draw_difference
+from ddic.io.plots.krylov import draw_krylov
+from ddic.io.plots.partition import draw_partition
 from ddic.io.plots.preview import read_preview
-from ddic.io.plots.residual import residual_figure
+from ddic.io.plots.residual import draw_residual
 from ddic.io.result_reader import Result, read_result
 from ddic.mesh.mesh import Mesh
 
@@ -37,7 +37,7 @@ def cells_drawn(axes: object) -> list[PolyCollection]:
 
 def test_partition_boxes_bound_the_subdomains_over_the_image(tmp_path: Path, result: Result) -> None:
     tifffile.imwrite(tmp_path / "f.tif", np.zeros((50, 60), np.uint8))
-    axes = partition_figure(result, read_preview(open_image(tmp_path / "f.tif"))).axes[0]
+    axes = draw_partition(result, read_preview(open_image(tmp_path / "f.tif"))).axes[0]
     boxes = sorted(p.get_bbox().extents.tolist() for p in axes.patches if isinstance(p, Rectangle))
     # Two columns of 10 px squares on each side, from (5, 7).
     assert boxes == [[5, 7, 25, 37], [25, 7, 45, 37]]
@@ -51,7 +51,7 @@ def test_partition_boxes_bound_the_subdomains_over_the_image(tmp_path: Path, res
 
 
 def test_deformed_cells_are_drawn_where_amplified_displacement_puts_them(result: Result) -> None:
-    axes = deformed_figure(result, "x", 3.0).axes[0]
+    axes = draw_deformed(result, "x", 3.0).axes[0]
     moved = result.mesh.nodes + 3 * result.displacement
     first = cells_drawn(axes)[-1].get_paths()[0].vertices[:4]
     np.testing.assert_allclose(first, moved[result.mesh.cells[0]])
@@ -59,7 +59,7 @@ def test_deformed_cells_are_drawn_where_amplified_displacement_puts_them(result:
 
 
 def test_chosen_amplification_has_one_digit_and_shows(result: Result) -> None:
-    factor = visible_amplification(result)
+    factor = choose_amplification(result)
     departure = np.abs(result.displacement - result.displacement.mean(axis=0)).max()
     # One digit is at most a third off the wanted 5 % of the longer side (40 px).
     assert 1.3 < factor * departure < 2.7
@@ -67,7 +67,7 @@ def test_chosen_amplification_has_one_digit_and_shows(result: Result) -> None:
 
 def test_residual_map_shows_the_absolute_residual_at_its_pixels(result: Result,
                                                                 residual: NDArray[np.float32]) -> None:
-    figure = residual_figure(result)
+    figure = draw_residual(result)
     picture = figure.axes[0].images[0]
     np.testing.assert_array_equal(picture.get_array().filled(np.nan), np.abs(residual))
     assert picture.get_extent() == [-0.5, 59.5, 49.5, -0.5]
@@ -75,20 +75,20 @@ def test_residual_map_shows_the_absolute_residual_at_its_pixels(result: Result,
 
 def test_residual_by_cell_where_there_is_no_residual_image(tmp_path: Path, write_result: Write) -> None:
     result = read_result(write_result(tmp_path / "r.vtkhdf", residual=False))
-    cells = cells_drawn(residual_figure(result).axes[0])[0]
+    cells = cells_drawn(draw_residual(result).axes[0])[0]
     np.testing.assert_array_equal(cells.get_array(), result.cell_data["residual_rms"])
 
 
 def test_difference_with_itself_is_zero_and_with_a_flipped_file_too(tmp_path: Path, write_result: Write,
                                                                     result: Result) -> None:
     other = read_result(write_result(tmp_path / "up.vtkhdf", flip_y=True))
-    axes = difference_figure(result, other).axes[0]
+    axes = draw_difference(result, other).axes[0]
     assert "RMS 0.00e+00 px" in axes.get_title()
     assert not axes.collections[0].get_array().any()
 
 
 def test_krylov_curves_one_line_per_history(result: Result) -> None:
-    axes = krylov_figure({"a": result.krylov, "b": [np.array([1.0, 0.0]), np.zeros(0)]}).axes[0]
+    axes = draw_krylov({"a": result.krylov, "b": [np.array([1.0, 0.0]), np.zeros(0)]}).axes[0]
     assert [line.get_label() for line in axes.lines] == [
         "a, Gauss-Newton 1", "a, Gauss-Newton 2", "b, Gauss-Newton 1"]
     np.testing.assert_array_equal(axes.lines[0].get_ydata(), [1.0, 0.1, 0.001])
@@ -97,7 +97,7 @@ def test_krylov_curves_one_line_per_history(result: Result) -> None:
 
 
 def test_triangles_cover_the_mesh(mesh: Mesh) -> None:
-    corners = mesh.nodes[triangulation(mesh, mesh.nodes).triangles]
+    corners = mesh.nodes[make_triangulation(mesh, mesh.nodes).triangles]
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     # 12 squares of 100 px^2; float64 products of small integers are exact.
     assert 0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum() == 1200
@@ -120,7 +120,7 @@ def near_far(result: Result) -> Result:
 
 
 def test_near_fields_are_outlined_and_shown_in_their_own_colours(near_far: Result) -> None:
-    far, near = near_far_figure(near_far, "x").axes[:2]
+    far, near = draw_near_far(near_far, "x").axes[:2]
     for axes in (far, near):
         outline, = (c for c in axes.collections if isinstance(c, LineCollection))
         corners = np.concatenate(outline.get_segments())
@@ -141,9 +141,9 @@ def test_near_fields_are_outlined_and_shown_in_their_own_colours(near_far: Resul
 def test_panels_share_the_colours_of_the_last_one(near_far: Result) -> None:
     mesh = near_far.mesh
     values = np.arange(mesh.n_cells, dtype=float)
-    near = mesh.submesh(np.flatnonzero(near_far.cell_data["Camera"] == 1))[0]
-    figure = panels_figure([CellPanel("a", mesh, 100 * values), CellPanel("b", mesh, values)], [near],
-                           (0, 0, 50, 50), "value")
+    near = mesh.create_submesh(np.flatnonzero(near_far.cell_data["Camera"] == 1))[0]
+    figure = draw_cell_panels([CellPanel("a", mesh, 100 * values), CellPanel("b", mesh, values)], [near],
+                              (0, 0, 50, 50), "value")
     drawn = [cells_drawn(axes)[0] for axes in figure.axes[:2]]
     np.testing.assert_array_equal(drawn[0].get_array(), 100 * values)
     expected = np.percentile(values, [0.5, 99.5])

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
-from ddic.io.image_chunks import IMAGE_CHUNK, ChunkGrid, packed
-from ddic.io.result_writer import Piece, PieceSize, ResultWriter, joined
+from ddic.io.image_chunks import IMAGE_CHUNK, ChunkGrid, pack_chunk
+from ddic.io.result_writer import Piece, PieceSize, ResultWriter, join_pieces
 from support.cases import contents
 
 vtk = pytest.importorskip("vtk")
@@ -114,12 +114,12 @@ def test_residual_is_nan_where_no_chunk_was_written(tmp_path: Path, pieces: list
                                                     sizes: list[PieceSize]) -> None:
     path, grid = tmp_path / "r.vtkhdf", ChunkGrid(2 * IMAGE_CHUNK + 6, IMAGE_CHUNK + 5)
     with opened(path, sizes) as writer:
-        writer.write_pieces(range(2), joined(pieces))
+        writer.write_pieces(range(2), join_pieces(pieces))
         with pytest.raises(ValueError, match="create_residual_image comes before"):
             writer.write_residual_chunk(0, b"")
         writer.create_residual_image(grid)
         for number in (1, 5):
-            writer.write_residual_chunk(number, packed(np.full(grid.shape, number, np.float32)))
+            writer.write_residual_chunk(number, pack_chunk(np.full(grid.shape, number, np.float32)))
     with h5py.File(path) as file:
         image = file["residual_image/residual"][...]
     expected = np.full((grid.height, grid.width), np.nan, np.float32)
@@ -133,7 +133,7 @@ def test_joined_pieces_make_the_same_file(tmp_path: Path, pieces: list[Piece], s
         for index, piece in enumerate(pieces):
             writer.write_pieces(range(index, index + 1), piece)
     with opened(tmp_path / "all.vtkhdf", sizes) as writer:
-        writer.write_pieces(range(2), joined(pieces))
+        writer.write_pieces(range(2), join_pieces(pieces))
     one, everything = contents(tmp_path / "one.vtkhdf"), contents(tmp_path / "all.vtkhdf")
     assert set(one) == set(everything)
     for name, values in one.items():

@@ -21,7 +21,7 @@ from ddic.kinematics.tied import TiedKinematics, TiedRegion
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import build_structured_mesh
 from ddic.mesh.topology import find_boundary_nodes
-from ddic.partition.ties import Tying, tied_mesh
+from ddic.partition.ties import Tying, tie_meshes
 from support.random_meshes import SEEDS, delaunay_meshes, grid_mesh, grid_meshes
 
 MESHES = st.one_of(grid_meshes(most=4), delaunay_meshes())
@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 
 def tied() -> tuple[Mesh, Tying]:
-    return tied_mesh(build_structured_mesh((20, 20, 116, 116), 8), {1: build_structured_mesh((44, 36, 84, 76), 3.1)})
+    return tie_meshes(build_structured_mesh((20, 20, 116, 116), 8), {1: build_structured_mesh((44, 36, 84, 76), 3.1)})
 
 
 def fix_every_third_along_y(mesh: Mesh) -> LinearRegion:
@@ -51,7 +51,7 @@ def move_affinely(mesh: Mesh) -> LinearRegion:
 
 def restrict(region: RegionKinematics, cells: NDArray[np.int64]) -> tuple[Kinematics, NDArray[np.int64]]:
     """Kinematics of some cells, and their nodes in the whole mesh."""
-    part, node_ids = region.mesh.submesh(cells)
+    part, node_ids = region.mesh.create_submesh(cells)
     numbers = np.unique(region.unknowns_at(node_ids)[0])
     return region.restrict(part, node_ids, numbers), node_ids
 
@@ -238,3 +238,20 @@ def test_matrices_that_are_no_kinematics_are_refused(spoil: Callable[[sparse.csr
     mesh = grid_mesh(3, 3, (4.0, 4.0))
     with pytest.raises(InputError, match=message):
         LinearRegion(mesh, spoil(move_affinely(mesh).matrix))
+
+
+def test_a_part_too_small_to_tell_modes_apart_fits_what_they_do_there() -> None:
+    mesh = grid_mesh(8, 6, (14.0, 11.0), origin=(30.0, 50.0), seed=4, jitter=0.2)
+    x, y = ((mesh.nodes - mesh.nodes.mean(axis=0)) / 50.0).T
+    modes = [np.column_stack([x**a * y**b, np.zeros_like(x)]).ravel() for a in range(4) for b in range(3)]
+    region = LinearRegion(mesh, sparse.csr_matrix(np.stack(modes, axis=1)))
+    # Twelve unknowns that move four nodes along x.
+    kinematics = restrict(region, np.array([13]))[0]
+    assert np.linalg.matrix_rank(kinematics.tangent.toarray()) == 4
+    q = np.random.default_rng(8).normal(size=12)
+    u = kinematics.displacement(q)
+    found = kinematics.fit(u)
+    # The share that is added to the normal equations, relative to their lowest eigenvalue of about 1e-3.
+    np.testing.assert_allclose(kinematics.displacement(found), u, atol=1e-8)
+    # No larger than need be.
+    assert np.linalg.norm(found) <= np.linalg.norm(q) * (1 + 1e-6)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ddic.mesh.cell_type import Q4
 from ddic.mesh.interpolation import interpolate, interpolate_located, locate
 from ddic.mesh.mesh import Mesh, build_mesh
-from ddic.mesh.point_in_mesh import lie_inside_outline
+from ddic.mesh.point_in_mesh import is_inside_outline
 from ddic.mesh.structured import build_structured_mesh
 from support.random_meshes import SEEDS, delaunay_meshes, grid_mesh, grid_meshes
 
@@ -97,7 +97,7 @@ def test_nothing_outside_and_in_holes(mesh: Mesh, seed: int) -> None:
     found = interpolate(mesh, mesh.nodes, points)
     held = ~np.isnan(found).any(axis=1)
     # A random point is not within 1e-6 px of an edge but once in a million.
-    np.testing.assert_array_equal(held, lie_inside_outline(points, mesh))
+    np.testing.assert_array_equal(held, is_inside_outline(points, mesh))
     np.testing.assert_allclose(found[held], points[held], atol=1e-9)
 
 

@@ -32,7 +32,7 @@ def test_centroids_are_means_of_the_nodes() -> None:
 
 
 def test_restriction_renumbers_nodes_and_sets() -> None:
-    part, node_ids = small_mesh().submesh(np.array([2, 1]))
+    part, node_ids = small_mesh().create_submesh(np.array([2, 1]))
     assert node_ids.tolist() == [1, 2, 4, 5]
     assert part.cells.tolist() == [[0, 3, 2], [0, 1, 3]]
     assert part.nodes.tolist() == NODES[[1, 2, 4, 5]].tolist()
@@ -45,7 +45,7 @@ def test_restriction_renumbers_nodes_and_sets() -> None:
 def test_restriction_keeps_the_cells_where_they_are(mesh: Mesh, seed: int, share: float) -> None:
     kept = np.flatnonzero(np.random.default_rng(seed).random(mesh.n_cells) < share)
     kept = kept if len(kept) else np.array([0])
-    part, node_ids = mesh.submesh(kept)
+    part, node_ids = mesh.create_submesh(kept)
     assert (np.diff(node_ids) > 0).all()
     assert np.unique(part.connectivity).tolist() == list(range(part.n_nodes))
     np.testing.assert_array_equal(part.types, mesh.types[kept])
@@ -61,7 +61,7 @@ def test_mapping_of_points_and_of_displacements_agree(scale: float, angle: float
     points, moves = rng.uniform(-10, 10, (8, 2)), rng.uniform(-1, 1, (8, 2))
     in_pixels = mapping.to_pixels(points + moves) - mapping.to_pixels(points)
     # Coordinates of up to a thousand pixels are rounded by 1e-13, then divided by the scale.
-    np.testing.assert_allclose(mapping.vector_to_mesh_units(in_pixels), moves, atol=1e-11)
+    np.testing.assert_allclose(mapping.map_vectors_to_mesh_units(in_pixels), moves, atol=1e-11)
 
 
 def test_angle_turns_x_towards_y() -> None:

@@ -55,8 +55,8 @@ def test_constants_and_linear_fields_are_kept(corners: Array, far_counts: list[i
     far, near = line(corners, far_counts, seed), line(corners, near_counts, seed + 1)
     found, pieces = tied(far, near)
     assert found.slaves.tolist() == list(range(len(near[0])))
-    np.testing.assert_allclose(pieces.far_cover(len(far[1])), 1.0, atol=1e-12)
-    np.testing.assert_allclose(pieces.near_cover(len(near[1])), 1.0, atol=1e-12)
+    np.testing.assert_allclose(pieces.measure_far_cover(len(far[1])), 1.0, atol=1e-12)
+    np.testing.assert_allclose(pieces.measure_near_cover(len(near[1])), 1.0, atol=1e-12)
     # Rounding of a few sums of numbers up to 1, and of positions up to 80.
     assert np.abs(found.weights.sum(axis=1) - 1.0).max() <= 1e-13
     assert np.abs(found.weights @ far[0] - near[0]).max() <= 1e-13 * 80

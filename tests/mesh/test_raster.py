@@ -133,8 +133,8 @@ def test_masks_of_a_partition_add_up_to_the_mask_of_the_whole(mesh: Mesh, kind: 
     parts = random_partition(mesh, kind, n, seed)
     total = np.zeros((height, width), dtype=int)
     for s in range(int(parts.max()) + 1):
-        total += rasterize(mesh.submesh(np.flatnonzero(parts == s))[0]).coverage(width, height)
-    np.testing.assert_array_equal(total, rasterize(mesh).coverage(width, height))
+        total += rasterize(mesh.create_submesh(np.flatnonzero(parts == s))[0]).find_covered(width, height)
+    np.testing.assert_array_equal(total, rasterize(mesh).find_covered(width, height))
 
 
 def test_half_open_square_takes_its_left_and_top_edges() -> None:
@@ -165,11 +165,11 @@ def test_counts_in_a_window_of_an_image(mesh: Mesh, seed: int) -> None:
     raster = rasterize(mesh)
     expected = [sum(int(image[y - y0, x - x0]) for x, y in pixels if x0 <= x < x0 + 23 and y0 <= y < y0 + 15)
                 for pixels in pixels_of(raster)]
-    assert raster.counts_in(image, x0, y0).tolist() == expected
+    assert raster.sum_by_cell(image, x0, y0).tolist() == expected
 
 
 def test_coverage_is_clipped_to_the_image() -> None:
     raster = rasterize(grid_mesh(2, 2, (10.0, 10.0), origin=(-5.0, -5.0)))
     expected = np.zeros((8, 20), dtype=np.uint8)
     expected[:, :15] = 1
-    np.testing.assert_array_equal(raster.coverage(20, 8), expected)
+    np.testing.assert_array_equal(raster.find_covered(20, 8), expected)

@@ -9,7 +9,7 @@ import pytest
 import tifffile
 from mpi4py import MPI
 
-from ddic.errors import ConvergenceError, SingularSubdomainError, is_on_all_ranks
+from ddic.errors import ConvergenceError, SingularSubdomainError, is_collective
 from ddic.parallel.team import Team
 from ddic.synth.fields import Translation
 from support.cases import WAVES, Ears, write_case, write_images
@@ -155,7 +155,7 @@ def test_non_convergence_is_raised_on_all_ranks(shared_path: Path) -> None:
     path = _case(shared_path, TIGHT_SOLVER + "[gauss_newton]\nmax_iterations = 1\n" + NO_START)
     with pytest.raises(ConvergenceError, match="did not converge in 1 iterations") as caught:
         measure(Team(MPI.COMM_WORLD), path)
-    assert is_on_all_ranks(caught.value)
+    assert is_collective(caught.value)
 
 
 @pytest.mark.parallel(RANKS)
@@ -170,7 +170,7 @@ def test_a_subdomain_without_texture_is_named_on_all_ranks(shared_path: Path) ->
     with pytest.raises(SingularSubdomainError, match=r"^subdomain 3 \(columns 88 to 168, rows 88 to 168\).*"
                                                      "too little texture") as caught:
         measure(Team(MPI.COMM_WORLD), path)
-    assert is_on_all_ranks(caught.value)
+    assert is_collective(caught.value)
 
 
 @pytest.mark.parallel(RANKS)

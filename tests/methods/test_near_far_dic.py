@@ -11,9 +11,9 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ddic.case.loader import load_case
-from ddic.errors import InputError, is_on_all_ranks
+from ddic.errors import InputError, is_collective
 from ddic.io.mapping_file import MappingFile, write_mapping
-from ddic.methods.run import run_case
+from ddic.methods.run_case import run_case
 from ddic.parallel.team import Team
 from ddic.results.listener import Silence
 from ddic.results.measurement import Measurement
@@ -253,7 +253,7 @@ def test_a_result_without_near_images_is_no_start(shared_path: Path) -> None:
     _rewritten(path, case_text(near_section(), more=SOLVER + '[start]\nfrom_result = "result.vtkhdf"\n'))
     with pytest.raises(InputError, match="holds no motion of near field 1") as caught:
         _measure(path)
-    assert is_on_all_ranks(caught.value)
+    assert is_collective(caught.value)
 
 
 @pytest.mark.parallel([1, 2])
@@ -268,7 +268,7 @@ def test_what_leaves_a_camera_nothing_is_refused(shared_path: Path, near: str, k
     path = _on_root(shared_path, case_text(near, **keys))
     with pytest.raises(InputError, match=message) as caught:
         _measure(path)
-    assert is_on_all_ranks(caught.value)
+    assert is_collective(caught.value)
 
 
 @pytest.mark.parallel([1, 2])
@@ -281,7 +281,7 @@ def test_a_run_checks_where_the_near_images_lie(shared_path: Path, near: str, me
     path = _on_root(shared_path, case_text(near))
     with pytest.raises(InputError, match=message) as caught:
         run_case(Team(MPI.COMM_WORLD), path, Silence())
-    assert is_on_all_ranks(caught.value)
+    assert is_collective(caught.value)
     assert not (shared_path / "result.vtkhdf").exists()
 
 
@@ -290,7 +290,7 @@ def test_more_ranks_than_subdomains_are_refused(shared_path: Path) -> None:
     path = _on_root(shared_path, case_text(near_section(), more="[solver]\nsubdomains = 2\n"))
     with pytest.raises(InputError, match=r"2 subdomains for \d MPI ranks") as caught:
         run_case(Team(MPI.COMM_WORLD), path, Silence())
-    assert is_on_all_ranks(caught.value)
+    assert is_collective(caught.value)
 
 
 @pytest.mark.parallel(RANKS)

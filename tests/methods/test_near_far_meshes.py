@@ -13,7 +13,7 @@ from ddic.case.loader import load_case
 from ddic.errors import InputError
 from ddic.io.result_reader import read_result
 from ddic.kinematics.tied import TiedKinematics
-from ddic.methods.run import run_case
+from ddic.methods.run_case import run_case
 from ddic.parallel.team import Team
 from ddic.partition.by_camera import find_cameras_at_nodes
 from ddic.problem.cameras import assign_cells, open_cameras, open_in_headers
@@ -81,7 +81,7 @@ def test_an_affine_field_is_measured(shared_path: Path, more: str, near: str) ->
         assert result.mesh.n_cells == 13 * 11 - 5 * 4 + 12 * 9
         assert summary.n_dofs == 2 * (14 * 12 - 4 * 3 + 11 * 8)
         error = result.displacement - displacement(result.mesh.nodes)
-        near = result.mesh.submesh(np.flatnonzero(result.cell_data["Camera"] == 1))[1]
+        near = result.mesh.create_submesh(np.flatnonzero(result.cell_data["Camera"] == 1))[1]
         # Cubic interpolation of speckles of 5 px on elements of 8 px leaves some thousandths of a far pixel, most of it
         # at corners of the far mesh; the near image shows the same speckles in nine times as many pixels, but tied
         # nodes have the far ones' error.

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import sparse
 
-from ddic.errors import InputError, is_on_all_ranks
+from ddic.errors import InputError, SingularSubdomainError, is_collective
 from ddic.kinematics.linear import LinearRegion
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.team import Team
@@ -149,4 +149,26 @@ def test_a_kinematics_of_another_mesh_is_refused(shared_path: Path) -> None:
 
     with pytest.raises(InputError, match="has 201 rows, the mesh 200 displacements") as caught:
         measure(team, path, choose_kinematics=choose)
-    assert is_on_all_ranks(caught.value)
+    assert is_collective(caught.value)
+
+
+@pytest.mark.parallel([1, 3])
+@pytest.mark.parametrize("method", ["assembled", "conjugate_gradient"])
+def test_subdomains_may_be_too_small_to_tell_modes_apart(shared_path: Path, method: str) -> None:
+    # Every subdomain is a cell, which has eight displacements for twelve modes.
+    team = Team.world()
+    expected = field_on_one_rank(write(team, shared_path, Bent(), solver("monolithic") + TIGHT), bend)
+    team.wait_for_all()
+    path = write(team, shared_path, Bent(), solver(method).replace("subdomains = 4", "subdomains = 81") + TIGHT)
+    measured = measure(team, path, choose_kinematics=bend)
+    assert measured.size.n_subdomains == 81
+    assert np.abs(whole_field(measured) - expected).max() <= AGREE_PX
+
+
+@pytest.mark.parallel([1, 3])
+def test_the_dual_method_refuses_such_subdomains(shared_path: Path) -> None:
+    team = Team.world()
+    path = write(team, shared_path, Bent(), solver("dual").replace("subdomains = 4", "subdomains = 81") + TIGHT)
+    with pytest.raises(SingularSubdomainError, match=r"^subdomain \d+ \(columns") as caught:
+        measure(team, path, choose_kinematics=bend)
+    assert is_collective(caught.value)

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from mpi4py import MPI
 
-from ddic.errors import ConvergenceError, InputError, is_on_all_ranks
-from ddic.methods.run import run_case
+from ddic.errors import ConvergenceError, InputError, is_collective
+from ddic.methods.run_case import run_case
 from ddic.parallel.phases import Phase
 from ddic.parallel.team import Team
 from support.cases import Ears, write_case, write_images
@@ -73,7 +73,7 @@ def test_bad_input_is_refused_on_all_ranks_before_anything_is_read(
     ears = Ears()
     with pytest.raises(InputError, match=line) as caught:
         run_case(Team(MPI.COMM_WORLD), _write(shared_path, more, **sections), ears)
-    assert is_on_all_ranks(caught.value)
+    assert is_collective(caught.value)
     assert ears.phases == []
 
 
@@ -85,7 +85,7 @@ def test_nothing_is_written_without_convergence(shared_path: Path) -> None:
         (shared_path / "result.vtkhdf").write_text("an earlier result")
     with pytest.raises(ConvergenceError) as caught:
         run_case(Team(MPI.COMM_WORLD), path, Ears())
-    assert is_on_all_ranks(caught.value)
+    assert is_collective(caught.value)
     MPI.COMM_WORLD.barrier()
     assert sorted(p.name for p in shared_path.iterdir()) == ["case.toml", "f.tif", "g.tif", "result.vtkhdf"]
     assert (shared_path / "result.vtkhdf").read_text() == "an earlier result"
@@ -100,7 +100,7 @@ def test_nothing_is_written_without_convergence(shared_path: Path) -> None:
 def test_more_ranks_than_subdomains(shared_path: Path, solver: str, line: str) -> None:
     with pytest.raises(InputError, match=line) as caught:
         run_case(Team(MPI.COMM_WORLD), _write(shared_path, f"[solver]\n{solver}\n"), Ears())
-    assert is_on_all_ranks(caught.value)
+    assert is_collective(caught.value)
 
 
 @pytest.mark.parallel(1)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ddic.errors import InputError, is_on_all_ranks
+from ddic.errors import InputError, is_collective
 from ddic.parallel.distribution import scatter_subdomains, split_evenly
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
@@ -77,4 +77,4 @@ def test_too_few_subdomains_are_an_error_on_all_ranks() -> None:
     whole = np.zeros(problem.mesh.n_cells, dtype=np.int64)
     with pytest.raises(InputError, match="MPI ranks for 1 subdomains") as caught:
         scatter_subdomains(team, lambda: (build_subdomains(problem.region, whole, problem.controlled), np.ones(1)))
-    assert is_on_all_ranks(caught.value)
+    assert is_collective(caught.value)

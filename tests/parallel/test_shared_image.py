@@ -12,7 +12,7 @@ import pytest
 import tifffile
 from mpi4py import MPI
 
-from ddic.errors import InputError, is_on_all_ranks
+from ddic.errors import InputError, is_collective
 from ddic.images.binned import ArraySource
 from ddic.images.window import Window
 from ddic.io.image_file import ImageFile, open_decoded
@@ -92,7 +92,7 @@ def test_an_unreadable_image_is_an_error_on_all_ranks(shared_path: Path) -> None
     team = Team(MPI.COMM_WORLD)
     with pytest.raises(InputError, match="no such image file") as caught:
         open_once_a_node(team, lambda: open_decoded(shared_path / "none.png"))
-    assert is_on_all_ranks(caught.value)
+    assert is_collective(caught.value)
 
 
 @pytest.mark.parallel([2, 3, 4])
@@ -102,4 +102,4 @@ def test_no_room_for_the_pixels_is_an_error_on_all_ranks(shared_path: Path, monk
     monkeypatch.setattr(tempfile, "tempdir", str(shared_path / "gone"))
     with pytest.raises(InputError, match=f"its {2 * WIDTH * HEIGHT} bytes.*TMPDIR") as caught:
         open_once_a_node(team, lambda: open_decoded(path))
-    assert is_on_all_ranks(caught.value)
+    assert is_collective(caught.value)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from ddic.errors import InputError, SingularSubdomainError, is_on_all_ranks
+from ddic.errors import InputError, SingularSubdomainError, is_collective
 from ddic.parallel.distribution import split_evenly
-from ddic.parallel.team import Team, held
+from ddic.parallel.team import Team, require_held
 
 RANKS = [1, 2, 3, 4]
 
@@ -46,7 +46,7 @@ def test_only_the_root_works_and_all_ranks_get_its_result(team: Team) -> None:
 def test_an_error_on_the_root_is_raised_on_all_ranks(team: Team) -> None:
     with pytest.raises(InputError, match="first") as caught:
         team.on_root(lambda: _fail(InputError(["first", "second"])))
-    assert is_on_all_ranks(caught.value)
+    assert is_collective(caught.value)
     assert caught.value.problems == ("first", "second")
 
 
@@ -55,7 +55,7 @@ def test_scatter_gives_each_rank_its_item(team: Team) -> None:
     assert team.scatter_from_root(lambda: [10 * rank for rank in range(team.size)]) == 10 * team.rank
     with pytest.raises(InputError) as caught:
         team.scatter_from_root(lambda: _fail(InputError("nothing to give")))
-    assert is_on_all_ranks(caught.value)
+    assert is_collective(caught.value)
 
 
 @pytest.mark.parallel(RANKS)
@@ -74,7 +74,7 @@ def test_an_error_on_one_rank_is_raised_on_all(team: Team, failing: int) -> None
 
     with pytest.raises(SingularSubdomainError, match=f"rank {failing} has no texture") as caught:
         team.together(work)
-    assert is_on_all_ranks(caught.value)
+    assert is_collective(caught.value)
     # The ranks are still in step.
     assert team.comm.allreduce(1) == team.size
 
@@ -104,7 +104,7 @@ def test_an_unexpected_error_brings_the_traceback_of_its_rank(team: Team) -> Non
 def test_an_error_that_cannot_travel_is_still_raised_on_all_ranks(team: Team, operation: str) -> None:
     with pytest.raises(RuntimeError, match="NotPicklable: the reason") as caught:
         getattr(team, operation)(lambda: _fail(NotPicklable("the reason", "lost")))
-    assert is_on_all_ranks(caught.value)
+    assert is_collective(caught.value)
 
 
 @pytest.mark.parallel(RANKS)
@@ -137,16 +137,16 @@ def test_what_the_root_sends_is_the_other_ranks_alone(team: Team) -> None:
 def test_what_is_built_on_the_root_stays_there_and_its_error_does_not(team: Team) -> None:
     built = team.build_on_root(lambda: "a large thing")
     assert built == ("a large thing" if team.is_root else None)
-    assert team.on_root(lambda: held(built).upper()) == "A LARGE THING"
+    assert team.on_root(lambda: require_held(built).upper()) == "A LARGE THING"
     with pytest.raises(InputError, match="no thing") as caught:
         team.build_on_root(lambda: _fail(InputError("no thing")))
-    assert is_on_all_ranks(caught.value)
+    assert is_collective(caught.value)
 
 
 def test_a_rank_that_holds_nothing_is_told_so() -> None:
-    assert held(0) == 0
+    assert require_held(0) == 0
     with pytest.raises(RuntimeError, match="holds nothing"):
-        held(None)
+        require_held(None)
 
 
 @pytest.mark.parallel(RANKS)

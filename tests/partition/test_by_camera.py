@@ -22,7 +22,7 @@ from ddic.partition.by_camera import (
     keep_cameras_apart,
     split_by_camera,
 )
-from ddic.partition.ties import tied_mesh
+from ddic.partition.ties import tie_meshes
 from support.random_meshes import PARTITIONS, SEEDS, delaunay_meshes, grid_mesh, grid_meshes, random_partition
 
 MESHES = st.one_of(grid_meshes(), delaunay_meshes())
@@ -174,7 +174,7 @@ def test_only_nodes_among_far_cells_weigh_texture_against_mechanics() -> None:
 
 def test_an_unknown_node_has_the_cameras_of_the_nodes_tied_to_it() -> None:
     far = build_structured_mesh((20, 20, 116, 116), 8)
-    mesh, tying = tied_mesh(far, {1: build_structured_mesh((44, 36, 84, 76), 3.1)})
+    mesh, tying = tie_meshes(far, {1: build_structured_mesh((44, 36, 84, 76), 3.1)})
     at_nodes = find_cameras_at_nodes(mesh, tying.cameras, 2)
     at_unknown_nodes = find_cameras_at_nodes(mesh, tying.cameras, 2, tying.weights)
     weights = tying.weights.toarray()

@@ -14,7 +14,7 @@ from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.by_camera import keep_cameras_apart
 from ddic.partition.determined_masters import LEAST, keep_masters_determined
 from ddic.partition.split import split_by_metis
-from ddic.partition.ties import Tying, tied_mesh
+from ddic.partition.ties import Tying, tie_meshes
 
 FAR = build_structured_mesh((20, 20, 116, 116), 8)
 
@@ -33,10 +33,10 @@ def _smallest(matrix: NDArray[np.float64]) -> float:
 @pytest.mark.parametrize("n", [2, 5, 9, 16])
 @pytest.mark.parametrize("element", [2.9, 4.0, 5.3])
 def test_no_subdomain_has_masters_that_it_does_not_determine(n: int, element: float) -> None:
-    mesh, tying = tied_mesh(FAR, {1: build_structured_mesh((44, 36, 84, 76), element)})
+    mesh, tying = tie_meshes(FAR, {1: build_structured_mesh((44, 36, 84, 76), element)})
     near = np.flatnonzero(tying.cameras == 1)
     given = np.zeros(mesh.n_cells, dtype=np.int64)
-    given[near] = split_by_metis(mesh.submesh(near)[0], n)
+    given[near] = split_by_metis(mesh.create_submesh(near)[0], n)
     given = keep_cameras_apart(given, tying.cameras)
     parts = keep_masters_determined(mesh, tying, given)
     assert min(smallest_values(mesh, tying, parts)) >= LEAST
@@ -49,7 +49,7 @@ def test_no_subdomain_has_masters_that_it_does_not_determine(n: int, element: fl
 
 
 def test_single_cells_at_the_boundary_are_too_small() -> None:
-    mesh, tying = tied_mesh(FAR, {1: build_structured_mesh((44, 36, 84, 76), 2.9)})
+    mesh, tying = tie_meshes(FAR, {1: build_structured_mesh((44, 36, 84, 76), 2.9)})
     given = np.arange(mesh.n_cells)
     assert min(smallest_values(mesh, tying, given)) < 1e-12
     assert min(smallest_values(mesh, tying, keep_masters_determined(mesh, tying, given))) >= LEAST
@@ -58,12 +58,12 @@ def test_single_cells_at_the_boundary_are_too_small() -> None:
 def test_a_partition_that_is_well_stays() -> None:
     centre = FAR.centroids
     inside = ((centre > (44, 36)) & (centre < (84, 76))).all(axis=1)
-    mesh, tying = tied_mesh(FAR, {1: FAR.submesh(np.flatnonzero(inside))[0]})
+    mesh, tying = tie_meshes(FAR, {1: FAR.create_submesh(np.flatnonzero(inside))[0]})
     given = np.arange(mesh.n_cells)
     np.testing.assert_array_equal(keep_masters_determined(mesh, tying, given), given)
 
 
 def test_near_meshes_coarser_than_the_far_one_are_refused() -> None:
-    mesh, tying = tied_mesh(FAR, {1: build_structured_mesh((44, 36, 84, 76), 13.3)})
+    mesh, tying = tie_meshes(FAR, {1: build_structured_mesh((44, 36, 84, 76), 13.3)})
     with pytest.raises(InputError, match="near, entry 1: its mesh has too few nodes on the boundary"):
         keep_masters_determined(mesh, tying, tying.cameras)

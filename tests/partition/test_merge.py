@@ -113,5 +113,5 @@ def test_a_loose_piece_goes_alone() -> None:
     merged = merge_blank(pieces.ravel(), np.array([0, 1, 1, 2, 3]), find_adjacent_cells(mesh), np.arange(5) == 2)
     # Two facets each with 2 and 3: the lower one takes it.
     assert merged.reshape(4, 4).tolist() == [[0, 0, 0, 0], [0, 0, 0, 1], [2, 2, 2, 3], [2, 2, 2, 3]]
-    labels = find_connected_pieces(find_adjacent_cells(mesh.submesh(np.flatnonzero(parts.ravel() == 1))[0]))
+    labels = find_connected_pieces(find_adjacent_cells(mesh.create_submesh(np.flatnonzero(parts.ravel() == 1))[0]))
     assert labels.tolist() == [0, 1, 1]

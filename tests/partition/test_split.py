@@ -73,7 +73,7 @@ def test_blocks_are_rectangles_row_by_row(cells: Cells) -> None:
 
 def test_blocks_without_cells_are_dropped() -> None:
     mesh = grid_mesh(5, 5, (4.0, 4.0))
-    ring = mesh.submesh(np.array([e for e in range(25) if e != 12]))[0]
+    ring = mesh.create_submesh(np.array([e for e in range(25) if e != 12]))[0]
     parts = split_by_blocks(ring, (5, 5))
     assert np.bincount(parts).tolist() == [1] * 24
     assert parts.tolist() == list(range(24))

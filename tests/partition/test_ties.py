@@ -19,7 +19,7 @@ from ddic.mesh.quality import measure_areas
 from ddic.mesh.structured import build_structured_mesh
 from ddic.mesh.topology import find_boundary_nodes
 from ddic.partition.build_subdomains import build_subdomains, share_nodes, share_unknowns
-from ddic.partition.ties import Tying, tied_mesh
+from ddic.partition.ties import Tying, tie_meshes
 
 FAR = build_structured_mesh((20, 20, 116, 116), 8)
 ISLAND, EDGE = (44.0, 36.0, 84.0, 76.0), (60.0, 20.0, 100.0, 60.0)
@@ -39,7 +39,7 @@ def by_dof(weights: sparse.csr_matrix) -> sparse.csr_matrix:
 def test_a_linear_field_is_kept_and_in_equilibrium(region: tuple[float, ...], element: float, cell: str,
                                                    gradient: list[float]) -> None:
     """The patch test: no force on any unknown node inside, those on the common boundary among them."""
-    mesh, tying = tied_mesh(FAR, {1: near_mesh(region, element, cell)})
+    mesh, tying = tie_meshes(FAR, {1: near_mesh(region, element, cell)})
     field = mesh.nodes @ np.array(gradient).reshape(2, 2) + (3.0, -1.0)
     unknown = field[:tying.n_unknown_nodes]
     np.testing.assert_allclose(tying.weights @ unknown, field, rtol=0, atol=1e-12)
@@ -56,7 +56,7 @@ def test_a_linear_field_is_kept_and_in_equilibrium(region: tuple[float, ...], el
 @pytest.mark.parametrize("region", [ISLAND, EDGE])
 def test_the_joined_mesh(region: tuple[float, ...]) -> None:
     near = near_mesh(region, 3.1)
-    mesh, tying = tied_mesh(FAR, {2: near})
+    mesh, tying = tie_meshes(FAR, {2: near})
     assert measure_areas(mesh).sum() == pytest.approx(96**2)
     assert int((tying.cameras == 2).sum()) == near.n_cells
     assert set(tying.cameras.tolist()) == {0, 2}
@@ -75,7 +75,7 @@ def test_the_joined_mesh(region: tuple[float, ...]) -> None:
 
 def _of(mesh: Mesh, tying: Tying, camera: int) -> NDArray[np.bool_]:
     nodes = np.zeros(mesh.n_nodes, dtype=bool)
-    nodes[mesh.submesh(np.flatnonzero(tying.cameras == camera))[1]] = True
+    nodes[mesh.create_submesh(np.flatnonzero(tying.cameras == camera))[1]] = True
     return nodes
 
 
@@ -83,7 +83,7 @@ def test_matching_meshes_are_one() -> None:
     """The far mesh's own cells as the near mesh: every slave is the far node at its place."""
     centre = FAR.centroids
     inside = ((centre > ISLAND[:2]) & (centre < ISLAND[2:])).all(axis=1)
-    mesh, tying = tied_mesh(FAR, {1: FAR.submesh(np.flatnonzero(inside))[0]})
+    mesh, tying = tie_meshes(FAR, {1: FAR.create_submesh(np.flatnonzero(inside))[0]})
     assert mesh.n_cells == FAR.n_cells
     assert tying.n_unknown_nodes == FAR.n_nodes
     slaves = tying.weights[tying.n_unknown_nodes:]
@@ -93,7 +93,7 @@ def test_matching_meshes_are_one() -> None:
 
 
 def test_subdomains_have_the_masters_of_their_slaves() -> None:
-    mesh, tying = tied_mesh(FAR, {1: near_mesh(ISLAND, 3.1)})
+    mesh, tying = tie_meshes(FAR, {1: near_mesh(ISLAND, 3.1)})
     parts = tying.cameras
     region = TiedRegion(mesh, tying.weights)
     sharing = share_unknowns(share_nodes(mesh, parts), region)
@@ -127,12 +127,12 @@ def test_subdomains_have_the_masters_of_their_slaves() -> None:
 ])
 def test_outlines_that_do_not_fit_are_refused(region: tuple[float, ...], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        tied_mesh(FAR, {1: near_mesh(region, 2.0)})
+        tie_meshes(FAR, {1: near_mesh(region, 2.0)})
 
 
 def test_two_near_meshes() -> None:
     left, right = (36.0, 36.0, 60.0, 76.0), (76.0, 44.0, 100.0, 84.0)
-    mesh, tying = tied_mesh(FAR, {1: near_mesh(left, 3.1), 2: near_mesh(right, 3.5)})
+    mesh, tying = tie_meshes(FAR, {1: near_mesh(left, 3.1), 2: near_mesh(right, 3.5)})
     assert measure_areas(mesh).sum() == pytest.approx(96**2)
     field = mesh.nodes @ np.array([[0.1, 0.4], [-0.2, 0.3]])
     np.testing.assert_allclose(tying.weights @ field[:tying.n_unknown_nodes], field, rtol=0, atol=1e-12)
@@ -144,13 +144,13 @@ def test_two_near_meshes() -> None:
 ])
 def test_near_meshes_that_touch_are_refused(second: tuple[float, ...], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        tied_mesh(FAR, {1: near_mesh((36, 36, 60, 76), 3.1), 2: near_mesh(second, 3.5)})
+        tie_meshes(FAR, {1: near_mesh((36, 36, 60, 76), 3.1), 2: near_mesh(second, 3.5)})
 
 
 def test_an_edge_that_sticks_out_is_refused() -> None:
     """The near mesh ends 4 px above the far one, with elements of 7.33 px."""
     with pytest.raises(InputError, match=r"its mesh around column 60\.0, row 19\.7 touches far elements in part"):
-        tied_mesh(FAR, {1: build_structured_mesh((60, 16, 84, 60), 8)})
+        tie_meshes(FAR, {1: build_structured_mesh((60, 16, 84, 60), 8)})
 
 
 def test_curved_free_edges_may_differ() -> None:
@@ -158,7 +158,7 @@ def test_curved_free_edges_may_differ() -> None:
     hole = [((68.0, 68.0), 13.0)]
     far = build_structured_mesh((20, 20, 116, 116), 8, circles=hole)
     whole = build_structured_mesh((44, 44, 92, 92), 3, circles=hole)
-    mesh, tying = tied_mesh(far, {1: whole})
+    mesh, tying = tie_meshes(far, {1: whole})
     assert set(tying.cameras.tolist()) == {0, 1}
     radius = np.linalg.norm(mesh.nodes[tying.boundary] - 68.0, axis=1)
     assert (np.abs(radius - 13) < 0.5).sum() > 20

@@ -12,9 +12,9 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ddic.case.loader import load_case
-from ddic.errors import InputError, SingularSubdomainError, is_on_all_ranks
+from ddic.errors import InputError, SingularSubdomainError, is_collective
 from ddic.io.result_reader import read_result
-from ddic.methods.run import run_case
+from ddic.methods.run_case import run_case
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.inputs import open_inputs
@@ -261,7 +261,7 @@ def test_the_whole_run_knows_the_new_subdomains(shared_path: Path) -> None:
 def test_a_blank_part_that_nothing_holds_is_singular(shared_path: Path, solver: str, regularization: str) -> None:
     with pytest.raises(SingularSubdomainError, match=r"^subdomain \d+ \(columns .*too little texture") as caught:
         measure(Team(MPI.COMM_WORLD), _write(shared_path, CORNER, solver + regularization))
-    assert is_on_all_ranks(caught.value)
+    assert is_collective(caught.value)
 
 
 @pytest.mark.parallel([2, 4])
@@ -274,4 +274,4 @@ def test_fewer_subdomains_than_ranks_are_refused(shared_path: Path) -> None:
     with pytest.raises(InputError, match=rf"^1 of {team.size} subdomains hold no texture.*start at most "
                                          rf"{team.size - 1} ranks or ask for more subdomains") as caught:
         measure(team, path)
-    assert is_on_all_ranks(caught.value)
+    assert is_collective(caught.value)

@@ -62,8 +62,8 @@ def test_root_gets_every_pixel_once_compressed(monkeypatch: pytest.MonkeyPatch) 
     everything = list(stream_chunks(team, held))
     image = np.full((HEIGHT, WIDTH), np.nan, np.float32)
     for chunk in everything:
-        place = GRID.window(chunk.number)
-        clipped = place.clipped(WIDTH, HEIGHT)
+        place = GRID.locate_chunk(chunk.number)
+        clipped = place.clip(WIDTH, HEIGHT)
         target = image[place.y0:place.y1, place.x0:place.x1]
         target[...] = unpacked(chunk)[:clipped.height, :clipped.width]
     numbers = [chunk.number for chunk in everything]
@@ -83,7 +83,8 @@ def test_ranks_agree_on_owners_and_share_the_work() -> None:
     windows = [p.window for p in patches(split_evenly(np.ones(N_PARTS), team.size)[team.rank])]
     shares = share_chunks(team, GRID, windows)
     assert team.gather_lists([shares]) == [shares] * team.size
-    assert set(shares.owner) == set(shares.sharers) == {n for w in team.gather_lists(windows) for n in GRID.touching(w)}
+    seen = {n for window in team.gather_lists(windows) for n in GRID.find_chunks(window)}
+    assert set(shares.owner) == set(shares.sharers) == seen
     assert all(shares.owner[n] in ranks for n, ranks in shares.sharers.items())
     # Of slanted stripes, whose windows are far larger than they are, no rank is given more than twice its share.
     counts = np.bincount(list(shares.owner.values()), minlength=team.size)

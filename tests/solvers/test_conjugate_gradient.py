@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from petsc4py import PETSc
 
-from ddic.errors import ConvergenceError, SingularSubdomainError, is_on_all_ranks
+from ddic.errors import ConvergenceError, SingularSubdomainError, is_collective
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Weighting
 from ddic.solvers.assembled import AssembledStep
@@ -111,12 +111,12 @@ def test_failures_say_what_to_do() -> None:
         with pytest.raises(ConvergenceError, match=r"5 iterations.*solver\.method = \"dual\"") as failed:
             cut.solve(step)
         step.destroy()
-    assert is_on_all_ranks(failed.value)
+    assert is_collective(failed.value)
     problem = linear_step()
     with (Decomposed(Team.world(), problem, split(problem.mesh, "blocks", 4), "consistent") as cut,
           pytest.raises(SingularSubdomainError, match=r"column 1\d\d, row 1\d\d.*too little") as held):
         ConjugateGradientStep(cut.team, without_texture(cut, corner), TIGHT, 100)
-    assert is_on_all_ranks(held.value)
+    assert is_collective(held.value)
 
 
 @pytest.mark.parallel([1, 2])

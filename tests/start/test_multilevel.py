@@ -7,9 +7,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from ddic.images.grid_field import uniform_field
+from ddic.images.grid_field import build_uniform_field
 from ddic.mesh.structured import build_structured_mesh
-from ddic.start.multilevel import MultilevelStart, block_sizes, multilevel_start
+from ddic.start.multilevel import MultilevelStart, choose_block_sizes, find_multilevel_start
 from ddic.start.pyramid_level import BinnedPair, correlate_level
 from ddic.synth.fields import Affine, DisplacementField, Translation
 from support.pictures import pair_of, rms_error, source, square_mesh
@@ -25,7 +25,8 @@ def _pair(reference: np.ndarray, deformed: np.ndarray) -> BinnedPair:
 
 def _start(field: DisplacementField, *, rigid: bool = True, pyramid: bool = True) -> MultilevelStart:
     pair = pair_of(field, SIDE, 8)
-    return multilevel_start(_pair(pair.reference, pair.deformed), MESH, rigid=rigid, pyramid=pyramid, correction="none")
+    return find_multilevel_start(_pair(pair.reference, pair.deformed), MESH, rigid=rigid, pyramid=pyramid,
+                                 correction="none")
 
 
 def _turned(degrees: float, centre: tuple[float, float]) -> Affine:
@@ -67,7 +68,8 @@ def test_the_pyramid_follows_a_rotation_of_3_degrees() -> None:
     side, mesh = 576, square_mesh(96.0, 480.0)
     field = _turned(3.0, ((side - 1) / 2, (side - 1) / 2))
     pair = pair_of(field, side, 8)
-    start = multilevel_start(_pair(pair.reference, pair.deformed), mesh, rigid=True, pyramid=True, correction="none")
+    start = find_multilevel_start(_pair(pair.reference, pair.deformed), mesh, rigid=True, pyramid=True,
+                                  correction="none")
     assert start.levels == (16, 8, 4, 2)
     assert rms_error(start.field.at(mesh.nodes).ravel(), mesh.nodes, field) <= 0.2
 
@@ -89,18 +91,18 @@ def test_a_gain_between_the_images_does_not_disturb_the_rigid_stage() -> None:
     field = Translation((12.0, -7.0))
     pair = pair_of(field, SIDE, 8)
     dimmed = 0.5 * pair.deformed.astype(np.float32) + 60
-    start = multilevel_start(_pair(pair.reference, dimmed), MESH, rigid=True, pyramid=True, correction="global")
+    start = find_multilevel_start(_pair(pair.reference, dimmed), MESH, rigid=True, pyramid=True, correction="global")
     assert _error(start, field) <= 0.1
     assert start.warnings == ()
 
 
 def test_images_without_texture_give_a_still_start_and_say_so() -> None:
     flat = np.full((SIDE, SIDE), 100.0, dtype=np.float32)
-    start = multilevel_start(_pair(flat, flat), MESH, rigid=True, pyramid=True, correction="none")
+    start = find_multilevel_start(_pair(flat, flat), MESH, rigid=True, pyramid=True, correction="none")
     assert start.rigid is None
     assert start.levels == ()
     assert "no rigid translation stands out" in start.warnings[0]
-    assert len(start.warnings) == 1 + len(block_sizes(SIDE**2, MESH))
+    assert len(start.warnings) == 1 + len(choose_block_sizes(SIDE**2, MESH))
     assert all("was left out" in line for line in start.warnings[1:])
     assert (start.field.at(MESH.nodes) == 0).all()
 
@@ -108,7 +110,7 @@ def test_images_without_texture_give_a_still_start_and_say_so() -> None:
 @pytest.mark.parametrize("n_pixels", [1e4, 1e6, 2.9e7, 1e9])
 @pytest.mark.parametrize("side", [10.0, 100.0, 1000.0, 10000.0])
 def test_block_sizes_double_and_fit_the_region(n_pixels: float, side: float) -> None:
-    sizes = block_sizes(int(n_pixels), square_mesh(0.0, side, side / 4))
+    sizes = choose_block_sizes(int(n_pixels), square_mesh(0.0, side, side / 4))
     assert all(coarse == 2 * fine for coarse, fine in pairwise(sizes))
     assert all(side / size >= 16 for size in sizes)
     assert all(n_pixels / size**2 <= 1_000_000 for size in sizes)
@@ -123,7 +125,8 @@ def test_slivers_at_the_edge_of_a_ragged_region_do_not_stop_a_level(
     # Cells of the pyramid with a few blocks were singular here: one level lost, 8 px of error; two lost, 0.8 px.
     field = Affine(((0.02, 0.0), (0.0, -0.02)), (3.0, -4.0), CENTRE)
     mesh, pair = build_structured_mesh((60.0, 60.0, 324.0, 324.0), 12.0, "Q4", circles=circles), pair_of(field, SIDE, 8)
-    start = multilevel_start(_pair(pair.reference, pair.deformed), mesh, rigid=True, pyramid=True, correction="none")
+    start = find_multilevel_start(_pair(pair.reference, pair.deformed), mesh, rigid=True, pyramid=True,
+                                  correction="none")
     assert not any("left out" in line for line in start.warnings), start.warnings
     # Blocks of 2 px see half of the speckle; 0.012 to 0.021 px on twenty such regions.
     assert rms_error(start.field.at(mesh.nodes).ravel(), mesh.nodes, field) <= 0.05
@@ -132,7 +135,7 @@ def test_slivers_at_the_edge_of_a_ragged_region_do_not_stop_a_level(
 def test_a_level_starts_from_the_field_that_fits_best() -> None:
     field = Translation((5.0, -3.0))
     pair = pair_of(field, SIDE, 8)
-    astray, right = uniform_field((40.0, 35.0)), uniform_field((5.2, -3.1))
+    astray, right = build_uniform_field((40.0, 35.0)), build_uniform_field((5.2, -3.1))
     found = correlate_level(_pair(pair.reference, pair.deformed), MESH, [astray, right], "none")
     # Cubic splines of speckles of 5 px: 1.4e-3 px of bias; from 50 px away there is nothing to follow.
     assert rms_error(found.at(MESH.nodes).ravel(), MESH.nodes, field) <= 5e-3

@@ -9,7 +9,7 @@ from ddic.images.camera import CameraMapping
 from ddic.synth.digitise import Digitiser
 from ddic.synth.fields import Affine, DisplacementField
 from ddic.synth.hole import Hole
-from ddic.synth.near_far_scene import NearCamera, SetUpMotion, near_far_scene, near_mapping, write_near_far
+from ddic.synth.near_far_scene import NearCamera, SetUpMotion, build_near_far_scene, build_near_mapping, write_near_far
 from ddic.synth.picture import Picture
 from ddic.synth.two_scale_texture import two_scale_texture
 
@@ -37,7 +37,7 @@ class NearField:
     @property
     def mapping(self) -> CameraMapping:
         """phi."""
-        return near_mapping(RATIO, self.focus, Picture(WIDTH, HEIGHT), tilt=self.tilt)
+        return build_near_mapping(RATIO, self.focus, Picture(WIDTH, HEIGHT), tilt=self.tilt)
 
     @property
     def offset(self) -> list[float]:
@@ -54,7 +54,7 @@ def write_pairs(folder: Path, near: NearField = PLAIN, field: DisplacementField 
     far, of_near = (Picture(WIDTH, HEIGHT, Digitiser(32, level, 3)) for level in noise)
     folder.mkdir(exist_ok=True)
     camera = NearCamera(near.mapping, near.motion, of_near)
-    write_near_far(folder, near_far_scene(two_scale_texture(RATIO, 3), field, hole, far, camera))
+    write_near_far(folder, build_near_far_scene(two_scale_texture(RATIO, 3), field, hole, far, camera))
 
 
 def near_section(near: NearField = PLAIN, more: str = "", folder: str = "") -> str:

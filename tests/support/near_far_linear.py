@@ -105,7 +105,7 @@ def near_far_step(layout: Layout, kind: str, n_subdomains: int, motion: MotionKi
         parts = keep_cameras_apart(split_by_blocks(mesh, (n_subdomains, 1)), labels)
     else:
         parts = split_by_camera(labels, np.ones(mesh.n_cells), n_subdomains,
-                                lambda cells, n: split_by_metis(mesh.submesh(cells)[0], n))
+                                lambda cells, n: split_by_metis(mesh.create_submesh(cells)[0], n))
     subdomains = build_subdomains(base.region, parts, base.controlled)
     subdomains = add_motions(subdomains, [int(labels[s.cell_ids[0]]) for s in subdomains],
                              [c.setup.n_motion_unknowns for c in cameras], base.region.n_unknowns)
@@ -119,7 +119,7 @@ def near_far_step(layout: Layout, kind: str, n_subdomains: int, motion: MotionKi
 
 def _near_camera(mesh: Mesh, cells: NDArray[np.bool_], motion: MotionKind, seed: int) -> Camera:
     """A camera whose image shows these cells and 20 px around them."""
-    nodes = mesh.submesh(np.flatnonzero(cells))[0].nodes
+    nodes = mesh.create_submesh(np.flatnonzero(cells))[0].nodes
     low, high = nodes.min(axis=0), nodes.max(axis=0)
     centre, side = (low + high) / 2, int(RATIO * 1.2 * (high - low).max()) + 40
     c, s = RATIO * np.cos(0.05 * seed), RATIO * np.sin(0.05 * seed)

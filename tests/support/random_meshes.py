@@ -54,7 +54,7 @@ def delaunay_mesh(seed: int, n_points: int, extent: float, step: float | None = 
     kept = (np.abs(area) > 1e-9 * extent**2) & (rng.random(len(area)) >= holes)
     kept[np.argmax(np.abs(area))] = True
     mesh = build_mesh(points, {T3: triangles[kept]})
-    return mesh.submesh(np.arange(mesh.n_cells))[0]
+    return mesh.create_submesh(np.arange(mesh.n_cells))[0]
 
 
 @st.composite

@@ -14,7 +14,7 @@ from ddic.functionals import pixel_kernels, readable_kernels
 from ddic.functionals.correlation import Correlation
 from ddic.mesh.cell_type import Q4
 
-KERNELS = ("hessian_cells", "residual_sums", "residual_pixels")
+KERNELS = ("hessian_cells", "residual_sums", "fill_residual_pixels")
 
 
 @contextmanager

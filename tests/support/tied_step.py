@@ -36,7 +36,7 @@ from ddic.mesh.structured import build_structured_mesh
 from ddic.parallel.distribution import split_evenly
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.partition.ties import Tying, tied_mesh
+from ddic.partition.ties import Tying, tie_meshes
 from ddic.problem.assembly import assemble, assemble_hessians
 from ddic.problem.cameras import Camera, FieldOfView
 from ddic.problem.inputs import Inputs
@@ -90,7 +90,7 @@ def tied_step(layout: Layout, motion: MotionKind, near_element: float | None = 3
     far = build_structured_mesh(FAR, FAR_ELEMENT)
     low, high = np.array(NEAR[layout][:2]), np.array(NEAR[layout][2:])
     own = build_structured_mesh(NEAR[layout], near_element or FAR_ELEMENT, cell)
-    mesh, tying = tied_mesh(far, {1: own})
+    mesh, tying = tie_meshes(far, {1: own})
     still = CameraSetup(identity(), "none", np.zeros(2), 1.0)
     cameras = (Camera(0, _speckle(0, 140), still, None), _near_camera(low, high, motion))
     rng = np.random.default_rng(7)
@@ -175,7 +175,7 @@ def multiplier_solution(problem: TiedStep) -> tuple[Array, Array]:
     n = mesh.n_dofs + n_motion
     matrix, right = sparse.csr_matrix((n, n)), np.zeros(n)
     for number, camera in enumerate(problem.cameras):
-        part, ids = mesh.submesh(np.flatnonzero(problem.tying.cameras == number))
+        part, ids = mesh.create_submesh(np.flatnonzero(problem.tying.cameras == number))
         dofs = (ids[:, None] * 2 + np.arange(2)).ravel()
         mapping = camera.setup.mapping
         seen = Mesh(mapping.to_image(part.nodes), part.connectivity, part.offsets, part.types)

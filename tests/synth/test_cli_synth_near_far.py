@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from ddic.cli.synth import synth
 from ddic.synth.kirsch import Kirsch
-from ddic.synth.near_far_scene import SetUpMotion, near_mapping
+from ddic.synth.near_far_scene import SetUpMotion, build_near_mapping
 from ddic.synth.near_far_truth import load_near_far_truth
 from ddic.synth.picture import Picture
 from ddic.synth.two_scale_texture import two_scale_texture
@@ -43,7 +43,7 @@ def test_every_option_reaches_the_images(tmp_path):
     truth = load_near_far_truth(tmp_path / "truth.json")
     assert truth.field == Kirsch((60.0, 50.0), 9.0, 0.01, 0.2, (0.3, 0.4))
     assert truth.motion == SetUpMotion((1.0, 0.5), 2.0, (90.0, 50.0))
-    near = near_mapping(4.0, (90.0, 50.0), Picture(160, 120), 3.0, (0.01, 0.02))
+    near = build_near_mapping(4.0, (90.0, 50.0), Picture(160, 120), 3.0, (0.01, 0.02))
     np.testing.assert_array_equal(truth.mapping.homography, near.homography)
     texture = json.loads((tmp_path / "truth.json").read_text())["near"]["texture"]
     assert texture == dataclasses.asdict(two_scale_texture(4.0, 8, 2.0, 0.3))

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from ddic.errors import ConvergenceError, InputError
 from ddic.synth.fields import Affine, Bending, Sinusoidal, Sum, Translation
-from ddic.synth.inverse import reference_points
+from ddic.synth.inverse import find_reference_points
 from ddic.synth.kirsch import Kirsch
 
 POINTS = np.random.default_rng(0).uniform(0, 900, (500, 2))
@@ -30,7 +30,7 @@ class Torn:
                          ids=lambda field: type(field).__name__)
 def test_reference_points_land_on_the_given_points(field):
     y = np.random.default_rng(0).uniform(0, 100, (2000, 2))
-    x = reference_points(field, y)
+    x = find_reference_points(field, y)
     # 1e-12 px asked of the displacement, and the rounding of coordinates of 100 px.
     np.testing.assert_allclose(x + field.displacement(x), y, rtol=0, atol=1.1e-12)
 
@@ -43,24 +43,24 @@ def test_affine_motions_are_inverted_as_by_linear_algebra(a, b, c, d):
     motion = np.eye(2) + np.array(field.matrix)
     expected = np.array(field.center) + (y - field.center - field.vector) @ np.linalg.inv(motion).T
     # The residual of 1e-12 px times the inverse's norm, at most 1 / (1 - 0.4).
-    np.testing.assert_allclose(reference_points(field, y), expected, rtol=0, atol=3e-12)
+    np.testing.assert_allclose(find_reference_points(field, y), expected, rtol=0, atol=3e-12)
 
 
 def test_far_from_the_origin_rounding_of_the_displacement_is_accepted():
     field = Affine(((0.3, 0.0), (0.0, 0.3)))
     y = np.array([[30_000.3, 29_999.7]])
-    np.testing.assert_allclose(reference_points(field, y), y / 1.3, rtol=1e-15)
+    np.testing.assert_allclose(find_reference_points(field, y), y / 1.3, rtol=1e-15)
 
 
 def test_a_fold_is_refused():
     with pytest.raises(InputError, match="folds the image"):
-        reference_points(Sinusoidal(amplitude=(400.0, 0.0)), POINTS)
+        find_reference_points(Sinusoidal(amplitude=(400.0, 0.0)), POINTS)
 
 
 def test_a_gap_does_not_pass_for_a_solution():
     with pytest.raises(ConvergenceError, match=r"at \(50, 3\) px"):
-        reference_points(Torn(), np.array([[10.0, 3.0], [50.0, 3.0]]))
+        find_reference_points(Torn(), np.array([[10.0, 3.0], [50.0, 3.0]]))
 
 
 def test_no_points():
-    assert reference_points(Sinusoidal(), np.zeros((0, 2))).shape == (0, 2)
+    assert find_reference_points(Sinusoidal(), np.zeros((0, 2))).shape == (0, 2)

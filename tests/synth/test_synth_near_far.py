@@ -14,9 +14,9 @@ from ddic.synth.kirsch import Kirsch
 from ddic.synth.near_far_scene import (
     NearCamera,
     SetUpMotion,
-    beside_the_hole,
-    near_far_scene,
-    near_mapping,
+    build_near_far_scene,
+    build_near_mapping,
+    place_beside_hole,
     write_near_far,
 )
 from ddic.synth.picture import Picture
@@ -34,9 +34,10 @@ def picture(width=140, height=110, bit_depth=32, noise=0.0, seed=3):
 
 def build(*, field=FIELD, alpha=(3.7, -2.2), rotation=0.0, angle=0.0, tilt=(0.0, 0.0), seed=3, **near):
     near_picture = picture(**{"width": 280, "height": 150, "seed": seed, **near})
-    camera = NearCamera(near_mapping(RATIO, FOCUS, near_picture, angle, tilt), SetUpMotion(alpha, rotation, FOCUS),
-                        near_picture)
-    return near_far_scene(two_scale_texture(RATIO, seed), field, Hole((70.0, 55.0), 20.0), picture(seed=seed), camera)
+    mapping = build_near_mapping(RATIO, FOCUS, near_picture, angle, tilt)
+    camera = NearCamera(mapping, SetUpMotion(alpha, rotation, FOCUS), near_picture)
+    return build_near_far_scene(two_scale_texture(RATIO, seed), field, Hole((70.0, 55.0), 20.0), picture(seed=seed),
+                                camera)
 
 
 CAMERAS = pytest.mark.parametrize("options", [
@@ -52,7 +53,7 @@ def test_grey_levels_are_conserved_in_both_cameras(options):
     # Slopes below 0.5 of full scale per far px times the 1e-12 px left by the inversion.
     np.testing.assert_allclose(scene.far.deformed_grey(moved), scene.far.reference_grey(points), rtol=0, atol=3e-12)
     near, camera = scene.near, scene.near.camera
-    seen, seen_moved = camera.mapping.to_image(points), camera.mapping.to_image(camera.motion.moved(moved))
+    seen, seen_moved = camera.mapping.to_image(points), camera.mapping.to_image(camera.motion.move(moved))
     # Slopes are five times as steep in the specimen's frame.
     np.testing.assert_allclose(near.deformed_grey(seen_moved), near.reference_grey(seen), rtol=0, atol=1.5e-11)
     np.testing.assert_allclose(seen + near.displacement(seen), seen_moved, rtol=0, atol=1e-10)
@@ -62,9 +63,9 @@ def test_grey_levels_are_conserved_in_both_cameras(options):
 def test_the_motion_and_its_inverse(alpha, degrees):
     motion = SetUpMotion(alpha, degrees, FOCUS)
     points = np.array([[0.0, 0.0], FOCUS, (139.0, 20.0)])
-    moved = motion.moved(points)
+    moved = motion.move(points)
     np.testing.assert_allclose(moved[1] - FOCUS, alpha, atol=1e-13)
-    np.testing.assert_allclose(motion.unmoved(moved), points, atol=1e-12)
+    np.testing.assert_allclose(motion.move_back(moved), points, atol=1e-12)
     arm, moved_arm = points[2] - points[0], moved[2] - moved[0]
     c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
     np.testing.assert_allclose(moved_arm, [c * arm[0] - s * arm[1], s * arm[0] + c * arm[1]], atol=1e-12)
@@ -72,9 +73,9 @@ def test_the_motion_and_its_inverse(alpha, degrees):
 
 def test_the_mapping_is_upright_by_default_and_centres_the_near_field():
     near = picture(280, 150)
-    mapping = near_mapping(RATIO, FOCUS, near)
+    mapping = build_near_mapping(RATIO, FOCUS, near)
     np.testing.assert_allclose(mapping.homography, [[5, 0, 139.5 - 500], [0, 5, 74.5 - 275], [0, 0, 1]], rtol=1e-15)
-    tilted = near_mapping(RATIO, FOCUS, near, 4.0, (0.02, -0.03))
+    tilted = build_near_mapping(RATIO, FOCUS, near, 4.0, (0.02, -0.03))
     np.testing.assert_allclose(tilted.to_image(np.array([FOCUS])), [near.middle], atol=1e-11)
     jacobian = tilted.jacobian(np.array([FOCUS]))[0]
     c, s = 5 * math.cos(math.radians(4)), 5 * math.sin(math.radians(4))
@@ -83,7 +84,7 @@ def test_the_mapping_is_upright_by_default_and_centres_the_near_field():
 
 def test_a_tilted_camera_is_farther_from_the_right_edge():
     near = picture(280, 150)
-    right, left = near_mapping(RATIO, FOCUS, near, tilt=(0.02, 0.0)).to_image(
+    right, left = build_near_mapping(RATIO, FOCUS, near, tilt=(0.02, 0.0)).to_image(
         np.array([[100.0 + 28, 55.0], [100.0 - 28, 55.0]]))
     # 28 far px from the centre, half the near field's width: 140 near px without tilt.
     assert right[0] - 139.5 == pytest.approx(140 / 1.02, abs=1e-10)
@@ -173,9 +174,9 @@ def test_noise_is_independent_in_the_four_images(tmp_path):
     clean, noisy = [], []
     for level, images in ((0.0, clean), (2.0, noisy)):
         near = picture(**size, noise=level)
-        camera = NearCamera(near_mapping(RATIO, FOCUS, near), SetUpMotion((1.0, 0.0), 0.0, FOCUS), near)
-        scene = near_far_scene(two_scale_texture(RATIO), FIELD, Hole((70.0, 55.0), 20.0), picture(noise=2 * level),
-                               camera)
+        camera = NearCamera(build_near_mapping(RATIO, FOCUS, near), SetUpMotion((1.0, 0.0), 0.0, FOCUS), near)
+        scene = build_near_far_scene(two_scale_texture(RATIO), FIELD, Hole((70.0, 55.0), 20.0),
+                                     picture(noise=2 * level), camera)
         images += [tifffile.imread(path).astype(float) for path in write_near_far(tmp_path, scene)]
     noise = [(b - a).ravel() for a, b in zip(clean, noisy, strict=True)]
     n = noise[0].size
@@ -187,8 +188,8 @@ def test_noise_is_independent_in_the_four_images(tmp_path):
 
 def test_the_default_near_field_shows_the_holes_edge_and_plain_material():
     near = picture(1392, 1040)
-    centre = beside_the_hole((695.5, 519.5), 104.0, RATIO, near)
-    x, y = near_mapping(RATIO, centre, near).to_image(np.array([[799.5, 519.5]]))[0]
+    centre = place_beside_hole((695.5, 519.5), 104.0, RATIO, near)
+    x, y = build_near_mapping(RATIO, centre, near).to_image(np.array([[799.5, 519.5]]))[0]
     assert x == pytest.approx(near.middle[0] - 1392 / 4)
     assert y == pytest.approx(near.middle[1])
 
@@ -199,8 +200,8 @@ def test_the_default_near_field_shows_the_holes_edge_and_plain_material():
     ({"tilt": (1.0, 0.0)}, "horizon")])
 def test_impossible_cameras_are_refused(options, message):
     with pytest.raises(InputError, match=message):
-        near_mapping(options.get("ratio", RATIO), options.get("centre", FOCUS), picture(280, 150),
-                     options.get("angle", 0.0), options.get("tilt", (0.0, 0.0)))
+        build_near_mapping(options.get("ratio", RATIO), options.get("centre", FOCUS), picture(280, 150),
+                           options.get("angle", 0.0), options.get("tilt", (0.0, 0.0)))
 
 
 @pytest.mark.parametrize("near", [{"width": 500}, {"height": 600}, {"angle": 85.0, "width": 200, "height": 400}])

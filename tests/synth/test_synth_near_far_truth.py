@@ -8,7 +8,7 @@ from ddic.synth.digitise import Digitiser
 from ddic.synth.fields import Translation
 from ddic.synth.hole import Hole
 from ddic.synth.kirsch import Kirsch
-from ddic.synth.near_far_scene import NearCamera, SetUpMotion, near_far_scene, near_mapping
+from ddic.synth.near_far_scene import NearCamera, SetUpMotion, build_near_far_scene, build_near_mapping
 from ddic.synth.near_far_truth import load_near_far_truth, save_near_far_truth
 from ddic.synth.picture import Picture
 from ddic.synth.render import Scene
@@ -24,9 +24,9 @@ MOTION = SetUpMotion((3.7, -2.2), 0.5, FOCUS)
 @pytest.fixture
 def scene():
     near = Picture(280, 150, Digitiser(16, 1.0, 7))
-    camera = NearCamera(near_mapping(5.0, FOCUS, near, 3.0, (0.01, -0.02)), MOTION, near)
+    camera = NearCamera(build_near_mapping(5.0, FOCUS, near, 3.0, (0.01, -0.02)), MOTION, near)
     far = Picture(140, 110, Digitiser(8, 2.0, 7))
-    return near_far_scene(two_scale_texture(5.0, 7, 1.5), FIELD, Hole((70.0, 55.0), 20.0), far, camera)
+    return build_near_far_scene(two_scale_texture(5.0, 7, 1.5), FIELD, Hole((70.0, 55.0), 20.0), far, camera)
 
 
 @pytest.fixture
@@ -59,7 +59,7 @@ def test_the_rebuilt_displacements_are_those_of_the_images(path, scene):
 def test_the_near_field_is_what_the_near_image_shows(path):
     truth = load_near_far_truth(path)
     pixels = np.array([[0.1, 0.1], [278.9, 148.9], [-1.0, 50.0], [280.0, 50.0], [50.0, 150.0]])
-    assert truth.in_near_field(truth.mapping.to_specimen(pixels)).tolist() == [True, True, False, False, False]
+    assert truth.is_in_near_field(truth.mapping.to_specimen(pixels)).tolist() == [True, True, False, False, False]
 
 
 def test_everything_that_made_the_images_is_recorded(path):

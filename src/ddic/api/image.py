@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.errors import InputError
+from ddic.errors import InputError, as_collective
 from ddic.images.binned import ArraySource
 from ddic.images.grey_levels import check_finite
 from ddic.images.source import ImageSource
@@ -72,7 +73,17 @@ def open_given_image(team: Team, given: ImageLike, name: str) -> MaskedSource:
     if isinstance(pixels, str | Path):
         source = open_on_all_ranks(team)(Path(pixels))
         return team.together(lambda: _leave_pixels_out(image, source, name))
-    return team.together(lambda: _leave_pixels_out(image, _hold_array(pixels, name), name))
+    held = team.together(lambda: _hold_array(pixels, name))
+    _refuse_other_pixels(team, held, name)
+    return team.together(lambda: _leave_pixels_out(image, held, name))
+
+
+def _refuse_other_pixels(team: Team, image: ArraySource, name: str) -> None:
+    """Refuse an array that is not the same on all ranks, each of which would correlate its own; collective."""
+    checksums = set(team.gather_lists([(image.values.shape, zlib.crc32(image.values.tobytes()))]))
+    if len(checksums) > 1:
+        raise as_collective(InputError(f"{name}: the ranks were given different arrays; give all ranks the same image, "
+                                       "or its file"))
 
 
 def check_same_size(image: MaskedSource, reference: MaskedSource, name: str) -> None:

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
+from ddic.api.given_mesh import convert_given_mesh
 from ddic.api.image import ImageLike, check_same_size, open_given_image
-from ddic.api.mesh import convert_given_mesh
 from ddic.api.options import Options, check_kinematics, choose_options, choose_team, make_case
 from ddic.case.loader import LoadedCase, load_case
 from ddic.case.schema import Case
@@ -42,6 +42,13 @@ class Session:
     """A reference image prepared once, for any number of deformed images; use it in a ``with`` statement.
 
     ``ddic.prepare`` makes it. Every call is collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    inputs : Inputs
+        Reference images, mesh and settings.
     """
 
     def __init__(self, team: Team, inputs: Inputs) -> None:
@@ -89,10 +96,9 @@ class Session:
         InputError, ConvergenceError, SingularSubdomainError
             On all ranks; the session can measure other images afterwards.
         """
-        recipe = self._open_recipe
-        if from_last and self._last is None:
-            raise InputError("from_last: this session has measured nothing yet")
-        frame = self._open_frame(deformed)
+        recipe = self._team.together(lambda: self._open_recipe)
+        images = self._team.together(lambda: self._check_images(deformed, from_last=from_last))
+        frame = self._open_frame(images)
         path = None if output is None else self._team.on_root(lambda: self._check_output(output, frame))
         return self._measure_frame(recipe, frame, self._last if from_last else None, path)
 
@@ -117,19 +123,27 @@ class Session:
             publish(measurement, Destination(output, self._inputs.case.output.flip_y))
         return gather(measurement)
 
-    def _open_frame(self, deformed: ImageLike | Sequence[ImageLike]) -> Frame:
+    def _open_frame(self, images: Sequence[ImageLike]) -> Frame:
         """Open a deformed image of each camera; collective."""
         cameras = self._inputs.cameras
-        if len(cameras) == 1:
-            return (self._open_deformed(deformed, cameras[0], "deformed image"),)
-        if not isinstance(deformed, list | tuple) or len(deformed) != len(cameras):
-            raise InputError(f"deformed images: give a list of {len(cameras)}, one of each camera, the far one first")
-        return tuple(self._open_deformed(image, camera, f"deformed image, {camera.label}")
-                     for image, camera in zip(deformed, cameras, strict=True))
+        names = ["deformed image"] if len(cameras) == 1 else [f"deformed image, {camera.label}" for camera in cameras]
+        return tuple(self._open_deformed(image, camera, name)
+                     for image, camera, name in zip(images, cameras, names, strict=True))
+
+    def _check_images(self, deformed: ImageLike | Sequence[ImageLike], *, from_last: bool) -> Sequence[ImageLike]:
+        """Check what can be told before images are opened; one image of each camera."""
+        n_cameras = len(self._inputs.cameras)
+        if from_last and self._last is None:
+            raise InputError("from_last: this session has measured nothing yet")
+        if n_cameras == 1:
+            return [deformed]  # type: ignore[list-item]  # of another type it is refused where it is opened
+        if not isinstance(deformed, list | tuple) or len(deformed) != n_cameras:
+            raise InputError(f"deformed images: give a list of {n_cameras}, one of each camera, the far one first")
+        return deformed
 
     def _open_deformed(self, given: Any, camera: Camera, name: str) -> MaskedSource:
         image = open_given_image(self._team, given, name)
-        check_same_size(image, camera.reference, name)
+        self._team.together(lambda: check_same_size(image, camera.reference, name))
         excludes = image.exclude_saturated or camera.reference.exclude_saturated
         return replace(image, exclude_saturated=excludes)
 
@@ -171,12 +185,13 @@ def measure(source: str | Path | Case | LoadedCase | Sequence[ImageLike],
     InputError, ConvergenceError, SingularSubdomainError
         On all ranks.
     """
+    team = choose_team(options)
     if isinstance(source, str | Path | Case | LoadedCase):
-        chosen = _options_beside_a_case(mesh, options)
-        inputs, frame = _open_case(chosen, source, output)
-        with Session(choose_team(chosen), inputs) as session:
+        chosen = team.together(lambda: _options_beside_a_case(mesh, options))
+        inputs, frame = _open_case(team, chosen, source, output)
+        with Session(team, inputs) as session:
             return session._measure_frame(session._open_recipe, frame, None, None if output is None else Path(output))
-    reference, deformed = _pair(source)
+    reference, deformed = team.together(lambda: _pair(source))
     with prepare(reference, mesh, options=options) as session:
         return session.measure(deformed, output=output)
 
@@ -204,17 +219,23 @@ def prepare(source: ImageLike | Case | LoadedCase, mesh: Mesh | meshio.Mesh | tu
     InputError, SingularSubdomainError
         On all ranks.
     """
+    team = choose_team(options)
     if isinstance(source, Case | LoadedCase) or (isinstance(source, str | Path) and Path(source).suffix == ".toml"):
-        chosen = _options_beside_a_case(mesh, options)
-        return Session(choose_team(chosen), _open_case(chosen, source, None)[0])
-    if mesh is None:
-        raise InputError("mesh: none is given; ddic.structured_mesh makes one, meshio reads one")
-    chosen = choose_options(options)
-    team = choose_team(chosen)
-    case = make_case(chosen.settings)
-    loaded = LoadedCase(case, Path("options"), "")
-    check_ranks(loaded, team.size)
-    given = team.together(lambda: convert_given_mesh(mesh, convert_mapping(case.mesh.mapping)))
+        chosen = team.together(lambda: _options_beside_a_case(mesh, options))
+        return Session(team, _open_case(team, chosen, source, None)[0])
+
+    # What the ranks were given is looked at by all together: it may be wrong on one of them alone.
+    def look() -> tuple[Options, LoadedCase, Mesh]:
+        chosen = choose_options(options)
+        if mesh is None:
+            raise InputError("mesh: none is given; ddic.structured_mesh makes one, meshio reads one (under mpirun give "
+                             "it on every rank)")
+        case = make_case(chosen.settings)
+        loaded = LoadedCase(case, Path("options"), "")
+        check_ranks(loaded, team.size)
+        return chosen, loaded, convert_given_mesh(mesh, convert_mapping(case.mesh.mapping))
+
+    chosen, loaded, given = team.together(look)
     reference = open_given_image(team, source, "reference image")
     camera = Camera(0, reference, make_setup(identity(), reference, "none"), None)
 
@@ -223,7 +244,7 @@ def prepare(source: ImageLike | Case | LoadedCase, mesh: Mesh | meshio.Mesh | tu
         check_mesh(loaded, whole)
         return whole, None
 
-    return Session(team, Inputs(case, (camera,), build, check_kinematics(chosen.kinematics)))
+    return Session(team, Inputs(loaded.case, (camera,), build, check_kinematics(chosen.kinematics)))
 
 
 def _options_beside_a_case(mesh: object, options: Options | Mapping[str, Any] | None) -> Options:
@@ -234,8 +255,7 @@ def _options_beside_a_case(mesh: object, options: Options | Mapping[str, Any] | 
     return chosen
 
 
-def _open_case(options: Options, source: object, output: str | Path | None) -> tuple[Inputs, Frame]:
-    team = choose_team(options)
+def _open_case(team: Team, options: Options, source: object, output: str | Path | None) -> tuple[Inputs, Frame]:
     # A name that can be written, where nothing is: what a case names is looked at only if it is used.
     file = Path(tempfile.gettempdir()) / "ddic-writes-nothing.vtkhdf" if output is None else Path(output).resolve()
 

@@ -80,20 +80,22 @@ def choose_options(options: Options | Mapping[str, Any] | None) -> Options:
     return chosen
 
 
-def choose_team(options: Options) -> Team:
+def choose_team(options: Options | Mapping[str, Any] | None) -> Team:
     """Give the ranks that measure together.
 
     Parameters
     ----------
-    options : Options
-        Name them, or not.
+    options : Options, mapping or None
+        What the user gave; options name the ranks, or not.
 
     Returns
     -------
     Team
         All ranks by default.
     """
-    return Team.world() if options.comm is None else Team(options.comm)
+    if isinstance(options, Options) and isinstance(options.comm, MPI.Comm):
+        return Team(options.comm)
+    return Team.world()
 
 
 def check_kinematics(kinematics: ChooseKinematics | None) -> ChooseKinematics | None:
@@ -117,7 +119,9 @@ def check_kinematics(kinematics: ChooseKinematics | None) -> ChooseKinematics | 
         if not isinstance(found, RegionKinematics):
             raise InputError(f"kinematics: the function returned {type(found).__name__}; return a "
                              "ddic.RegionKinematics, such as ddic.LinearRegion")
-        if found.mesh is not mesh:
+        # One made beforehand will do, where repairing has changed nothing.
+        same = np.array_equal(found.mesh.nodes, mesh.nodes) and np.array_equal(found.mesh.cells, mesh.cells)
+        if not same:
             raise InputError("kinematics: made of another mesh; make it of the one that the function is given, whose "
                              "nodes may be numbered anew")
         return found

@@ -42,9 +42,9 @@ class _GivenField:
         return np.stack(columns, axis=2)
 
 
-def synthetic_pair(displacement: Callable[[Array], Any] | DisplacementField, size: tuple[int, int], *,
-                   noise: float = 0.0, seed: int = 0,
-                   hole: tuple[tuple[float, float], float] | None = None) -> tuple[Image, Image]:
+def make_synthetic_pair(displacement: Callable[[Array], Any] | DisplacementField, size: tuple[int, int], *,
+                        noise: float = 0.0, seed: int = 0,
+                        hole: tuple[tuple[float, float], float] | None = None) -> tuple[Image, Image]:
     """Picture a speckled plane before and after a displacement, without interpolating an image.
 
     The texture is known at any point, so that f(x) = g(x + u(x)) holds but for noise and rounding to 8 bit.

@@ -45,8 +45,8 @@ class NearImage:
 
     Attributes
     ----------
-    coefficients : array
-        Of the spline, padded by PADDING.
+    coefficients : (height + 2 PADDING, width + 2 PADDING) array
+        Of the spline.
     by_x, by_y : (height, width) array
         Gradient, grey levels per near px.
     samples : int

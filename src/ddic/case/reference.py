@@ -15,7 +15,7 @@ from annotated_types import Ge, Gt, Lt
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from ddic.case.sections import find_section, section_in
+from ddic.case.sections import find_section, find_section_in
 from ddic.errors import InputError
 
 HEAD = ("| key | type | default | unit | meaning |", "|---|---|---|---|---|")
@@ -45,7 +45,7 @@ def write_tables(text: str) -> str:
     return TABLE.sub(_marked_table, text)
 
 
-def table_of(section: type[BaseModel]) -> list[str]:
+def format_table(section: type[BaseModel]) -> list[str]:
     """Describe the keys of a section.
 
     Parameters
@@ -68,11 +68,11 @@ def _marked_table(found: re.Match[str]) -> str:
     section = find_section(tuple(name.split(".")) if name else ())
     if section is None:
         raise InputError(f'keys: {name}: no such section of a case file; give one such as "mesh.structured"')
-    lines = table_of(section)
+    lines = format_table(section)
     if not name:
         # The sections have chapters of their own.
         fields = section.model_fields.items()
-        lines = [*HEAD, *(_row(key, field) for key, field in fields if section_in(field.annotation) is None)]
+        lines = [*HEAD, *(_row(key, field) for key, field in fields if find_section_in(field.annotation) is None)]
     return found["mark"] + "\n".join(lines) + "\n"
 
 
@@ -106,7 +106,7 @@ def _type_text(annotation: Any, metadata: list[Any]) -> str:
     if origin is Literal:
         *first, last = (f"`{_toml(value)}`" if isinstance(value, str) else str(value) for value in get_args(annotation))
         return f"{', '.join(first)} or {last}"
-    if section_in(annotation) is not None:
+    if find_section_in(annotation) is not None:
         return "list of sections" if origin is tuple else "section"
     if origin is tuple:
         return f"list of {PLAIN_TYPES[get_args(annotation)[0]]}s"
@@ -119,7 +119,7 @@ def _default_text(field: FieldInfo) -> str:
     """The default as TOML, "required", or "none" where the key has no value if it is left out."""
     if field.is_required():
         return "required"
-    holds_sections = section_in(field.annotation) is not None
+    holds_sections = find_section_in(field.annotation) is not None
     if field.default is None or (holds_sections and field.default == ()):
         return "none"
     return f"`{_toml(field.default)}`"

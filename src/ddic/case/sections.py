@@ -30,14 +30,14 @@ def find_section(location: Location) -> type[BaseModel] | None:
         if isinstance(step, int):
             continue
         field = section.model_fields.get(step)
-        inner = None if field is None else section_in(field.annotation)
+        inner = None if field is None else find_section_in(field.annotation)
         if inner is None:
             return None
         section = inner
     return section
 
 
-def section_in(annotation: Any) -> type[BaseModel] | None:
+def find_section_in(annotation: Any) -> type[BaseModel] | None:
     """Find the section inside an annotation such as ``tuple[Circle, ...]`` or ``Section | None``.
 
     Parameters
@@ -53,7 +53,7 @@ def section_in(annotation: Any) -> type[BaseModel] | None:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     for part in get_args(annotation):
-        found = section_in(part)
+        found = find_section_in(part)
         if found is not None:
             return found
     return None

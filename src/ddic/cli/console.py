@@ -42,7 +42,7 @@ class RunConsole:
 
     def __init__(self) -> None:
         self._console = Console(highlight=False, soft_wrap=True)
-        terminal = on_terminal()
+        terminal = is_on_terminal()
         self._bar: _Bar = _ProgressBar(self._console) if terminal else _PhaseLines(self._console)
         self._range = 1.0
         self._seconds: dict[Phase, float] = {}
@@ -209,7 +209,7 @@ class _PhaseLines:
                 del self._unprinted[phase]
 
 
-def on_terminal() -> bool:
+def is_on_terminal() -> bool:
     """Tell whether a person watches; under mpirun, which gives ranks a terminal of its own, mpirun's output counts.
 
     Returns

@@ -103,25 +103,25 @@ def _reference(result: Result, image: Path | None) -> Preview | None:
 def _figure(kind: str, result: Result, other: Result | None, preview: Preview | None,
             component: Literal["x", "y", "magnitude"], amplification: float | None) -> Figure:
     """One figure, by its kind."""
-    from ddic.io.plots.camera_fields import near_far_figure
-    from ddic.io.plots.deformed import deformed_figure
-    from ddic.io.plots.difference import difference_figure
-    from ddic.io.plots.krylov import krylov_figure
-    from ddic.io.plots.partition import partition_figure
-    from ddic.io.plots.residual import residual_figure
+    from ddic.io.plots.camera_fields import draw_near_far
+    from ddic.io.plots.deformed import draw_deformed
+    from ddic.io.plots.difference import draw_difference
+    from ddic.io.plots.krylov import draw_krylov
+    from ddic.io.plots.partition import draw_partition
+    from ddic.io.plots.residual import draw_residual
 
     if kind == "partition":
-        return partition_figure(result, preview)
+        return draw_partition(result, preview)
     if kind == "deformed":
-        return deformed_figure(result, component, amplification)
+        return draw_deformed(result, component, amplification)
     if kind == "residual":
-        return residual_figure(result)
+        return draw_residual(result)
     if kind == "difference" and other is not None:
-        return difference_figure(result, other, component)
+        return draw_difference(result, other, component)
     if kind == "near-far":
-        return near_far_figure(result, component)
+        return draw_near_far(result, component)
     results = [one for one in (result, other) if one is not None and _has_curves(one)]
-    return krylov_figure({_label(one, results): one.krylov for one in results})
+    return draw_krylov({_label(one, results): one.krylov for one in results})
 
 
 def _label(result: Result, among: list[Result]) -> str:

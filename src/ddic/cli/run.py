@@ -39,7 +39,7 @@ def _run_everywhere(case_file: Path) -> int:
     import cv2
 
     from ddic.cli.console import RunConsole
-    from ddic.methods.run import run_case
+    from ddic.methods.run_case import run_case
     from ddic.parallel.team import Team
     from ddic.results.listener import Silence
 
@@ -78,11 +78,11 @@ def _warnings_told_once(speaks: bool) -> Iterator[None]:
 
 def _failed(team: object, error: BaseException) -> int:
     """Say what went wrong, once, and return the exit code or end the job."""
-    from ddic.errors import DdicError, is_on_all_ranks
+    from ddic.errors import DdicError, is_collective
     from ddic.parallel.team import Team
 
     assert isinstance(team, Team)
-    everywhere = is_on_all_ranks(error)
+    everywhere = is_collective(error)
     code = error.exit_code if isinstance(error, DdicError) else 1
     if team.is_root or not everywhere:
         where = "" if team.size == 1 or everywhere else f"rank {team.rank}: "

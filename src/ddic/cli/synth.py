@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 import click
 
 from ddic.cli.synth_near_far import near_far
-from ddic.cli.synth_options import ImageOptions, image_options, prepare_folder
+from ddic.cli.synth_options import ImageOptions, add_image_options, prepare_folder
 from ddic.errors import DdicError, InputError
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ddic.synth.hole import Hole
 
 Pair = tuple[float, float]
-_pair_options = image_options("512x512", "reference.tif, deformed.tif and truth.json")
+_pair_options = add_image_options("512x512", "reference.tif, deformed.tif and truth.json")
 
 
 class InputFailure(click.ClickException):
@@ -42,7 +42,7 @@ class OneLineErrors(click.Group):
 
         Raises
         ------
-        ClickException
+        InputFailure, ClickException
             In place of any error made for the user, shown as one line.
         """
         try:
@@ -124,11 +124,11 @@ def sinusoidal(offset: Pair, amplitude: Pair, wavelength_x: Pair, wavelength_y: 
 @click.option("--poisson-ratio", type=float, default=0.3, show_default=True)
 @click.option("--translation", type=float, nargs=2, default=(0.0, 0.0), show_default=True,
               help="Rigid displacement added, px.")
-@click.option("--paint-hole/--no-paint-hole", default=True, show_default=True,
+@click.option("--paint-hole/--no-paint-hole", "draw_hole", default=True, show_default=True,
               help="Show the hole as a dark disc, or leave speckles in it.")
 @_pair_options
 def kirsch(center: Pair | None, radius: float | None, strain: float, poisson_ratio: float,
-           translation: Pair, paint_hole: bool, **image: Unpack[ImageOptions]) -> None:
+           translation: Pair, draw_hole: bool, **image: Unpack[ImageOptions]) -> None:
     """Pull a plate with a circular hole along y (Kirsch's solution)."""
     from ddic.synth.hole import Hole
     from ddic.synth.kirsch import Kirsch
@@ -136,7 +136,7 @@ def kirsch(center: Pair | None, radius: float | None, strain: float, poisson_rat
     center = center or _middle(image)
     radius = min(image["size"]) / 10 if radius is None else radius
     field = Kirsch(center, radius, strain, poisson_ratio, translation)
-    _generate(field, Hole(center, radius) if paint_hole else None, image)
+    _generate(field, Hole(center, radius) if draw_hole else None, image)
 
 
 @synth.command()

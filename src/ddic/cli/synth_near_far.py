@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Unpack
 
 import click
 
-from ddic.cli.synth_options import ImageOptions, Size, image_options, parse_size, prepare_folder
+from ddic.cli.synth_options import ImageOptions, Size, add_image_options, parse_size, prepare_folder
 
 if TYPE_CHECKING:
     from ddic.synth.near_far_scene import NearFarScene
@@ -44,7 +44,7 @@ _FILES = "far_reference.tif, far_deformed.tif, near_reference.tif, near_deformed
 @click.option("--noise-near", type=float, default=None, help="Of the near images, grey levels.  [default: --noise]")
 @click.option("--fine-share", type=float, default=0.4, show_default=True,
               help="Of the fine speckles in the near images' contrast, 0 to 1.")
-@image_options("1392x1040", _FILES)
+@add_image_options("1392x1040", _FILES)
 def near_far(ratio: float, near_center: Pair | None, near_angle: float, tilt: Pair, alpha: Pair, rotation: float,
              center: Pair | None, radius: float | None, strain: float, poisson_ratio: float, translation: Pair,
              size_far: Size | None, size_near: Size | None, noise_far: float | None, noise_near: float | None,
@@ -56,7 +56,13 @@ def near_far(ratio: float, near_center: Pair | None, near_angle: float, tilt: Pa
     """
     from ddic.synth.hole import Hole
     from ddic.synth.kirsch import Kirsch
-    from ddic.synth.near_far_scene import NearCamera, SetUpMotion, beside_the_hole, near_far_scene, near_mapping
+    from ddic.synth.near_far_scene import (
+        NearCamera,
+        SetUpMotion,
+        build_near_far_scene,
+        build_near_mapping,
+        place_beside_hole,
+    )
     from ddic.synth.two_scale_texture import two_scale_texture
 
     far = _picture(image, size_far, noise_far)
@@ -64,11 +70,11 @@ def near_far(ratio: float, near_center: Pair | None, near_angle: float, tilt: Pa
     center = center or far.middle
     radius = min(far.width, far.height) / 10 if radius is None else radius
     field = Kirsch(center, radius, strain, poisson_ratio, translation)
-    focus = near_center or beside_the_hole(center, radius, ratio, near)
-    mapping = near_mapping(ratio, focus, near, near_angle, tilt)
+    focus = near_center or place_beside_hole(center, radius, ratio, near)
+    mapping = build_near_mapping(ratio, focus, near, near_angle, tilt)
     camera = NearCamera(mapping, SetUpMotion(alpha, rotation, focus), near)
     texture = two_scale_texture(ratio, image["seed"], image["speckle_size"], fine_share)
-    _write(image, near_far_scene(texture, field, Hole(center, radius), far, camera))
+    _write(image, build_near_far_scene(texture, field, Hole(center, radius), far, camera))
 
 
 def _picture(image: ImageOptions, size: Size | None, noise: float | None) -> Picture:

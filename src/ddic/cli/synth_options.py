@@ -56,7 +56,7 @@ def parse_size(_context: click.Context, _option: click.Parameter, text: str | No
     return int(match[1]), int(match[2])
 
 
-def image_options(size: str, files: str) -> Callable[[Command], Command]:
+def add_image_options(size: str, files: str) -> Callable[[Command], Command]:
     """Make a decorator that adds the options of ImageOptions.
 
     Parameters

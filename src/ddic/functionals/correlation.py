@@ -18,7 +18,7 @@ from ddic.functionals.grey_statistics import GreySums
 from ddic.images.spline import HALO, PADDING, GradientImage, SplineImage
 from ddic.images.sub_image import DeformedSubImage, MaskedSource, read_reference
 from ddic.images.threads import ONE_THREAD, Threads
-from ddic.images.window import Window, shared_windows
+from ddic.images.window import Window, merge_windows
 from ddic.kinematics.cell_interpolation import CellInterpolation, interpolate_cells
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import Raster, rasterize
@@ -97,7 +97,7 @@ class Correlation:
             return int(self.raster.pixel_counts.sum())
         return self._count_pixels(self.reference.usable)
 
-    def visible_pixels(self, deformed: DeformedSubImage, q: NDArray[np.float64]) -> int:
+    def count_visible_pixels(self, deformed: DeformedSubImage, q: NDArray[np.float64]) -> int:
         """Count the pixels that a displacement shows in both images.
 
         Costs one pass over the pixels where some may be hidden; where there is a residual, ``Residual.n_pixels`` says
@@ -161,7 +161,7 @@ class Correlation:
         def accumulate(place: slice) -> None:
             kernels.hessian_cells(self._cells(place), shapes, reference, hessians)
 
-        self.threads.over(n_cells, FEWEST, accumulate)
+        self.threads.run_over(n_cells, FEWEST, accumulate)
         return hessians.reshape(n_cells, 8, 8)
 
     def assemble_hessian(self) -> sparse.csr_matrix:
@@ -195,13 +195,13 @@ class Correlation:
         n_cells = len(self.order)
         u = self.interpolation.monomial_coefficients(q)
         reference = self._reference_pixels
-        pixels = self._deformed_pixels(deformed.covering(self.displaced_window(q)))
+        pixels = self._deformed_pixels(deformed.get_spline(self.find_displaced_window(q)))
         sums = kernels.CellSums(np.zeros((n_cells, 3, 2, 4)), np.zeros((n_cells, kernels.N_SUMS)))
 
         def accumulate(place: slice) -> None:
             kernels.residual_sums(self._cells(place), u, reference, pixels, all_kinds, sums)
 
-        self.threads.over(n_cells, FEWEST, accumulate)
+        self.threads.run_over(n_cells, FEWEST, accumulate)
         return Residual(sums.moments, GreySums(sums.grey))
 
     def assemble_right_hand_side(self, residual: Residual, gain: NDArray[np.float64] | float = 1.0,
@@ -252,18 +252,18 @@ class Correlation:
         n_cells = len(self.order)
         u = self.interpolation.monomial_coefficients(q)
         reference = self._reference_pixels
-        pixels = self._deformed_pixels(deformed.covering(self.displaced_window(q)))
+        pixels = self._deformed_pixels(deformed.get_spline(self.find_displaced_window(q)))
         gains = np.array(np.broadcast_to(np.asarray(gain, dtype=float), n_cells))
         offsets = np.array(np.broadcast_to(np.asarray(offset, dtype=float), n_cells))
         image = np.full(self.reference.values.shape, np.nan, dtype=np.float32)
 
         def write(place: slice) -> None:
-            kernels.residual_pixels(self._cells(place), u, reference, pixels, gains, offsets, image)
+            kernels.fill_residual_pixels(self._cells(place), u, reference, pixels, gains, offsets, image)
 
-        self.threads.over(n_cells, FEWEST, write)
+        self.threads.run_over(n_cells, FEWEST, write)
         return image
 
-    def displaced_window(self, q: NDArray[np.float64]) -> Window:
+    def find_displaced_window(self, q: NDArray[np.float64]) -> Window:
         """Find the window of the deformed image that holds all displaced pixels and their neighbours.
 
         Parameters
@@ -298,7 +298,7 @@ class Correlation:
     def _count_pixels(self, usable: NDArray[np.uint8]) -> int:
         """Number of the cells' pixels that are 1 in an image of the reference window's shape."""
         window = self.reference.window
-        return int(self.raster.counts_in(usable, window.x0, window.y0).sum())
+        return int(self.raster.sum_by_cell(usable, window.x0, window.y0).sum())
 
     def _cells(self, place: slice) -> kernels.Cells:
         """Some of the cells, in the order of visiting."""
@@ -379,9 +379,10 @@ def read_correlations(meshes: Sequence[Mesh], reference: MaskedSource, degree: i
         raise InputError(f"{reference.image.path}: pixels of the mesh lie outside the image "
                          f"({extent.width} x {extent.height} px); move or cut the mesh")
     groups = []
-    for common, members in shared_windows(windows, HALO[degree] + PADDING[degree]):
+    for common, members in merge_windows(windows, HALO[degree] + PADDING[degree]):
         image = read_reference(reference, common, degree, threads)
-        groups.append([_correlation(meshes[k], rasters[k], image.part(windows[k]), extent, threads) for k in members])
+        groups.append([_correlation(meshes[k], rasters[k], image.restrict(windows[k]), extent, threads)
+                       for k in members])
     return groups
 
 
@@ -400,7 +401,7 @@ def restrict_to_cells(whole: Correlation, cells: NDArray[np.int64]) -> Correlati
     Correlation
         Of these cells.
     """
-    mesh, _ = whole.mesh.submesh(cells)
+    mesh, _ = whole.mesh.create_submesh(cells)
     return _correlation(mesh, rasterize(mesh), whole.reference, whole.extent, whole.threads)
 
 

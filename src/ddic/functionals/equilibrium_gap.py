@@ -93,7 +93,7 @@ def measure_gap_energies(mesh: Mesh, material: Material, interior_nodes: NDArray
     forces = np.zeros_like(waves)
     for begin in range(0, mesh.n_cells, _CHUNK_CELLS):
         cells = np.arange(begin, min(begin + _CHUNK_CELLS, mesh.n_cells))
-        part, node_ids = mesh.submesh(cells)
+        part, node_ids = mesh.create_submesh(cells)
         dofs = (node_ids[:, None] * mesh.dim + np.arange(mesh.dim)).ravel()
         forces[dofs] += _wave_forces(part, material, waves[dofs])
     rows = np.repeat(interior_nodes, mesh.dim)

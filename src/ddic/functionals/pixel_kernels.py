@@ -783,7 +783,7 @@ def residual_sums(cells, displacement, reference, deformed, all_kinds, sums):
 
 
 @numba.njit(**FLAGS)
-def residual_pixels(cells, displacement, reference, deformed, gain, offset, out):
+def fill_residual_pixels(cells, displacement, reference, deformed, gain, offset, out):
     """Write f - gain g(x + u) - offset of all cells' pixels.
 
     Parameters

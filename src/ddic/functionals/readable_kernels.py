@@ -68,7 +68,7 @@ def hessian_cells(cells: Cells, shapes: Shapes, reference: ReferencePixels, out:
     """
     for e in cells.order:
         coefficients = shapes.coefficients[shapes.kinds[e]]
-        for pixel in pixels_of_cell(cells, reference, e):
+        for pixel in list_pixels(cells, reference, e):
             if pixel.counts:
                 N = coefficients @ pixel.phi
                 # Entry (a, component) of N^T grad f.
@@ -98,8 +98,8 @@ def residual_sums(cells: Cells, displacement: NDArray[np.float64], reference: Re
         What is added to.
     """
     for e in cells.order:
-        for pixel in pixels_of_cell(cells, reference, e):
-            g = deformed_value(deformed, pixel, displacement[e])
+        for pixel in list_pixels(cells, reference, e):
+            g = evaluate_deformed(deformed, pixel, displacement[e])
             if g is None:
                 continue
             r = pixel.f - g
@@ -109,9 +109,9 @@ def residual_sums(cells: Cells, displacement: NDArray[np.float64], reference: Re
                 sums.moments[e, kind] += value * np.outer(pixel.slope, pixel.phi)
 
 
-def residual_pixels(cells: Cells, displacement: NDArray[np.float64], reference: ReferencePixels,
-                    deformed: DeformedPixels, gain: NDArray[np.float64], offset: NDArray[np.float64],
-                    out: NDArray[np.float32]) -> None:
+def fill_residual_pixels(cells: Cells, displacement: NDArray[np.float64], reference: ReferencePixels,
+                         deformed: DeformedPixels, gain: NDArray[np.float64], offset: NDArray[np.float64],
+                         out: NDArray[np.float32]) -> None:
     """Write f - gain g(x + u) - offset of all cells' pixels.
 
     Parameters
@@ -130,13 +130,13 @@ def residual_pixels(cells: Cells, displacement: NDArray[np.float64], reference: 
         Of the reference window's shape, grey levels; NaN where a cell's pixel does not count.
     """
     for e in cells.order:
-        for pixel in pixels_of_cell(cells, reference, e):
-            g = deformed_value(deformed, pixel, displacement[e])
+        for pixel in list_pixels(cells, reference, e):
+            g = evaluate_deformed(deformed, pixel, displacement[e])
             place = (pixel.y - reference.y0, pixel.x - reference.x0)
             out[place] = np.nan if g is None else pixel.f - gain[e] * g - offset[e]
 
 
-def pixels_of_cell(cells: Cells, reference: ReferencePixels, e: int) -> Iterator[Pixel]:
+def list_pixels(cells: Cells, reference: ReferencePixels, e: int) -> Iterator[Pixel]:
     """Go through the pixels of a cell, row by row.
 
     Parameters
@@ -209,7 +209,7 @@ def find_local_coordinates(geometry: NDArray[np.float64], x: float, y: float) ->
     return float(local[0]), float(local[1])
 
 
-def deformed_value(deformed: DeformedPixels, pixel: Pixel, displacement: NDArray[np.float64]) -> float | None:
+def evaluate_deformed(deformed: DeformedPixels, pixel: Pixel, displacement: NDArray[np.float64]) -> float | None:
     """Evaluate g(x + u(x)) at a pixel.
 
     Parameters
@@ -236,10 +236,10 @@ def deformed_value(deformed: DeformedPixels, pixel: Pixel, displacement: NDArray
     column, row = pixel.x + math.floor(ux), pixel.y + math.floor(uy)
     if deformed.usable.size > 0 and not deformed.usable[row - deformed.y0, column - deformed.x0]:
         return None
-    return spline_value(deformed, column, row, ux - math.floor(ux), uy - math.floor(uy))
+    return evaluate_spline(deformed, column, row, ux - math.floor(ux), uy - math.floor(uy))
 
 
-def spline_value(deformed: DeformedPixels, column: int, row: int, right: float, down: float) -> float:
+def evaluate_spline(deformed: DeformedPixels, column: int, row: int, right: float, down: float) -> float:
     """Evaluate the spline sum_ij c_ij B(x - j) B(y - i) between pixels.
 
     Parameters
@@ -259,8 +259,8 @@ def spline_value(deformed: DeformedPixels, column: int, row: int, right: float, 
     degree = deformed.degree
     # Pixels whose B-splines reach the position, from the one to the left of it and above it.
     taps = np.arange(-(degree // 2), degree // 2 + 2)
-    weights_x = np.array([b_spline(right - j, degree) for j in taps])
-    weights_y = np.array([b_spline(down - i, degree) for i in taps])
+    weights_x = np.array([evaluate_b_spline(right - j, degree) for j in taps])
+    weights_y = np.array([evaluate_b_spline(down - i, degree) for i in taps])
     # The array's first coefficient belongs to the pixel (degree + 1) / 2 to the left of the window and above it.
     padding = (degree + 1) // 2
     rows = row + taps - deformed.y0 + padding
@@ -269,7 +269,7 @@ def spline_value(deformed: DeformedPixels, column: int, row: int, right: float, 
     return float(weights_y @ coefficients @ weights_x)
 
 
-def b_spline(t: float, degree: int) -> float:
+def evaluate_b_spline(t: float, degree: int) -> float:
     """Evaluate the centred B-spline of a degree, degree + 1 boxes of width 1 convolved, by its recursion.
 
     Parameters
@@ -287,6 +287,6 @@ def b_spline(t: float, degree: int) -> float:
     if degree == 0:
         return 1.0 if -0.5 <= t < 0.5 else 0.0
     half = (degree + 1) / 2
-    left = (half + t) * b_spline(t + 0.5, degree - 1)
-    right = (half - t) * b_spline(t - 0.5, degree - 1)
+    left = (half + t) * evaluate_b_spline(t + 0.5, degree - 1)
+    right = (half - t) * evaluate_b_spline(t - 0.5, degree - 1)
     return (left + right) / degree

@@ -57,7 +57,7 @@ class View:
         raster, reference = self.correlation.raster, self.correlation.reference
         if reference.usable is None:
             return raster.pixel_counts
-        return raster.counts_in(reference.usable, reference.window.x0, reference.window.y0)
+        return raster.sum_by_cell(reference.usable, reference.window.x0, reference.window.y0)
 
     def assemble_hessian(self) -> sparse.csr_matrix:
         """Assemble M of this camera on displacements of nodes in its image, Eq. 5 of [BP17].
@@ -116,7 +116,7 @@ class FrameView:
         """Number of the camera, 0 the first."""
         return self.view.camera
 
-    def displaced_window(self, q: NDArray[np.float64]) -> Window:
+    def find_displaced_window(self, q: NDArray[np.float64]) -> Window:
         """Find the window of the deformed image that unknowns need.
 
         Parameters
@@ -129,7 +129,7 @@ class FrameView:
         Window
             Pixels of the deformed image.
         """
-        return self.view.correlation.displaced_window(self._displacement(q))
+        return self.view.correlation.find_displaced_window(self._displacement(q))
 
     def compute_residual(self, q: NDArray[np.float64], *, all_kinds: bool = False) -> Residual:
         """Pass over all pixels once.

@@ -133,7 +133,7 @@ def bin_rows(source: MaskedSource, factor: int, rows: range) -> Blocks:
         window = Window(0, y0 * factor, width * factor, y1 * factor)
         band = slice(y0 - rows.start, y1 - rows.start)
         values[band] = _means(_finite(source.image.read(window)), factor)
-        mask = source.usable(window)
+        mask = source.find_usable(window)
         if mask is not None:
             anything_excluded = True
             # A mean of ones and zeros: 1 only where all are.

@@ -47,7 +47,7 @@ class GridField:
         ], axis=1)
 
 
-def uniform_field(shift: tuple[float, float]) -> GridField:
+def build_uniform_field(shift: tuple[float, float]) -> GridField:
     """Return a rigid translation as a field.
 
     Parameters

@@ -71,7 +71,7 @@ class GradientImage:
     by_y: NDArray[np.float32]
     usable: NDArray[np.uint8] | None = None
 
-    def part(self, window: Window) -> GradientImage:
+    def restrict(self, window: Window) -> GradientImage:
         """Look into a window of it.
 
         Parameters
@@ -134,7 +134,7 @@ def read_spline(source: ImageSource, window: Window, degree: int,
     """
     pad = PADDING[degree]
     out = np.empty((window.height + 2 * pad, window.width + 2 * pad), dtype=np.float32)
-    inner = window.grown(pad).clipped(source.width, source.height)
+    inner = window.grow(pad).clip(source.width, source.height)
     held = _hold(source, inner, degree)
 
     def fill(bands: Iterator[Window]) -> None:
@@ -145,7 +145,7 @@ def read_spline(source: ImageSource, window: Window, degree: int,
 
     # The same bands for any number of threads: the halo's remainder, and with it rounding, depends on them.
     threads.share(_bands(inner, _BAND_ROWS), fill)
-    _reflect(out, inner, window.grown(pad))
+    _reflect(out, inner, window.grow(pad))
     return SplineImage(window, degree, out, None if usable is None else _erode(usable))
 
 
@@ -176,7 +176,7 @@ def read_gradient(source: ImageSource, window: Window, degree: int,
     """
     shape = (window.height, window.width)
     values, by_x, by_y = (np.empty(shape, dtype=np.float32) for _ in range(3))
-    held = _hold(source, window.grown(PADDING[degree]), degree)
+    held = _hold(source, window.grow(PADDING[degree]), degree)
     wide = held.window
     n_rows, halo = max(_BLOCK // wide.width, TURNED), HALO[degree] + PADDING[degree]
 
@@ -190,11 +190,11 @@ def read_gradient(source: ImageSource, window: Window, degree: int,
         buffer = held.buffer(_BAND_ROWS + 2 * halo)
         for band in bands:
             place = slice(band.y0 - window.y0, band.y1 - window.y0)
-            tall = band.grown(halo).intersection(wide)
+            tall = band.grow(halo).intersection(wide)
             block = held.read(Window(window.x0, tall.y0, window.x1, tall.y1), buffer)
             prefilter_columns(block, degree)
             write_column_slopes(block, band.y0 - tall.y0, degree, by_y[place])
-            values[place] = held.part(band)
+            values[place] = held.restrict(band)
 
     threads.share(_bands(window, n_rows), along_x)
     threads.share(_bands(window, _BAND_ROWS), along_y)
@@ -209,14 +209,14 @@ class _Held:
     extent: Window
     pixels: NDArray[Any]
 
-    def part(self, window: Window) -> NDArray[Any]:
+    def restrict(self, window: Window) -> NDArray[Any]:
         return self.pixels[window.y0 - self.window.y0: window.y1 - self.window.y0,
                            window.x0 - self.window.x0: window.x1 - self.window.x0]
 
     def read(self, window: Window, buffer: NDArray[np.float64]) -> NDArray[np.float64]:
         # Memory that is asked for anew for every band costs more than its filtering.
         block = buffer[:window.n_pixels].reshape(window.height, window.width)
-        block[:] = self.part(window)
+        block[:] = self.restrict(window)
         return block
 
     def buffer(self, rows: int) -> NDArray[np.float64]:
@@ -224,7 +224,7 @@ class _Held:
 
 
 def _hold(source: ImageSource, window: Window, degree: int) -> _Held:
-    wide = window.grown(HALO[degree]).clipped(source.width, source.height)
+    wide = window.grow(HALO[degree]).clip(source.width, source.height)
     return _Held(wide, Window(0, 0, source.width, source.height), _finite(source.read(wide)))
 
 
@@ -252,7 +252,7 @@ def _coefficient_bands(held: _Held, bands: Iterable[Window],
                        degree: int) -> Iterator[tuple[Window, NDArray[np.float64]]]:
     buffer = held.buffer(_BAND_ROWS + 2 * HALO[degree])
     for band in bands:
-        wide = band.grown(HALO[degree]).intersection(held.extent)
+        wide = band.grow(HALO[degree]).intersection(held.extent)
         coefficients = held.read(wide, buffer)
         prefilter(coefficients, degree)
         yield band, coefficients[band.y0 - wide.y0: band.y1 - wide.y0, band.x0 - wide.x0: band.x1 - wide.x0]

@@ -51,7 +51,7 @@ class MaskedSource:
     def _without_saturated(self) -> bool:
         return self.exclude_saturated and self.image.saturation is not None
 
-    def usable(self, window: Window) -> NDArray[np.uint8] | None:
+    def find_usable(self, window: Window) -> NDArray[np.uint8] | None:
         """Find the pixels of a window that count.
 
         Parameters
@@ -95,7 +95,7 @@ def read_reference(source: MaskedSource, window: Window, degree: int,
         Of the window, which is made larger where it is too small for a spline.
     """
     window = _sizeable(window, source.extent)
-    return read_gradient(source.image, window, degree, source.usable(window), threads)
+    return read_gradient(source.image, window, degree, source.find_usable(window), threads)
 
 
 @dataclass
@@ -117,7 +117,7 @@ class DeformedSubImage:
     threads: Threads = ONE_THREAD
     _spline: SplineImage | None = field(default=None, repr=False)
 
-    def covering(self, window: Window) -> SplineImage:
+    def get_spline(self, window: Window) -> SplineImage:
         """Give the spline of a window that holds another, read again only if outgrown.
 
         Parameters
@@ -130,17 +130,17 @@ class DeformedSubImage:
         SplineImage
             Of this window or a larger one.
         """
-        needed = window.clipped(self.source.image.width, self.source.image.height)
+        needed = window.clip(self.source.image.width, self.source.image.height)
         if self._spline is None or not self._spline.window.contains(needed):
             grown = window if self._spline is None else window.union(self._spline.window)
-            wanted = _sizeable(grown.grown(GROWTH), self.source.extent)
-            self._spline = read_spline(self.source.image, wanted, self.degree, self.source.usable(wanted),
+            wanted = _sizeable(grown.grow(GROWTH), self.source.extent)
+            self._spline = read_spline(self.source.image, wanted, self.degree, self.source.find_usable(wanted),
                                        self.threads)
         return self._spline
 
 
 def _sizeable(window: Window, extent: Window) -> Window:
-    clipped = window.clipped(extent.x1, extent.y1)
+    clipped = window.clip(extent.x1, extent.y1)
     x0 = max(min(clipped.x0, extent.x1 - SMALLEST), 0)
     y0 = max(min(clipped.y0, extent.y1 - SMALLEST), 0)
     return Window(x0, y0, min(max(clipped.x1, x0 + SMALLEST), extent.x1),

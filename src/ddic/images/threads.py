@@ -59,7 +59,7 @@ class Threads:
         for thread in running:
             thread.result()
 
-    def over(self, n: int, least: int, work: Callable[[slice], None]) -> None:
+    def run_over(self, n: int, least: int, work: Callable[[slice], None]) -> None:
         """Call a function on slices that cover a sequence, and wait for all.
 
         What it raises is raised once no thread works any more.

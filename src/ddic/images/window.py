@@ -39,7 +39,7 @@ class Window:
         """Number of pixels."""
         return max(self.width, 0) * max(self.height, 0)
 
-    def grown(self, halo: int) -> Window:
+    def grow(self, halo: int) -> Window:
         """Extend on every side.
 
         Parameters
@@ -54,7 +54,7 @@ class Window:
         """
         return Window(self.x0 - halo, self.y0 - halo, self.x1 + halo, self.y1 + halo)
 
-    def clipped(self, width: int, height: int) -> Window:
+    def clip(self, width: int, height: int) -> Window:
         """Intersect with an image.
 
         Parameters
@@ -118,7 +118,7 @@ class Window:
                 and self.x1 >= other.x1 and self.y1 >= other.y1)
 
 
-def shared_windows(windows: Sequence[Window], halo: int) -> list[tuple[Window, list[int]]]:
+def merge_windows(windows: Sequence[Window], halo: int) -> list[tuple[Window, list[int]]]:
     """Put neighbours together whose common window holds no more pixels than theirs do, a halo around each.
 
     Parameters
@@ -137,7 +137,7 @@ def shared_windows(windows: Sequence[Window], halo: int) -> list[tuple[Window, l
 
     def divide(members: list[int]) -> None:
         common = reduce(Window.union, (windows[k] for k in members))
-        if common.grown(halo).n_pixels <= sum(windows[k].grown(halo).n_pixels for k in members):
+        if common.grow(halo).n_pixels <= sum(windows[k].grow(halo).n_pixels for k in members):
             groups.append((common, members))
             return
         half = len(members) // 2

@@ -15,7 +15,7 @@ from ddic.io.grey import to_grey
 from ddic.io.pixel_format import PixelFormat
 
 
-def decoded_format(path: Path) -> PixelFormat:
+def read_decoded_format(path: Path) -> PixelFormat:
     """Read size and type of an image file that OpenCV reads.
 
     Parameters

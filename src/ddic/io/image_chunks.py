@@ -49,7 +49,7 @@ class ChunkGrid:
         """Number of chunks side by side."""
         return -(-self.width // self.shape[1])
 
-    def window(self, number: int) -> Window:
+    def locate_chunk(self, number: int) -> Window:
         """Tell which pixels a chunk has, those beyond the image included.
 
         Parameters
@@ -66,7 +66,7 @@ class ChunkGrid:
         row, column = divmod(number, self.n_columns)
         return Window(column * columns, row * rows, (column + 1) * columns, (row + 1) * rows)
 
-    def touching(self, window: Window) -> list[int]:
+    def find_chunks(self, window: Window) -> list[int]:
         """Find the chunks that share pixels with a window.
 
         Parameters
@@ -80,7 +80,7 @@ class ChunkGrid:
             Numbers of the chunks, sorted.
         """
         rows, columns = self.shape
-        part = window.clipped(self.width, self.height)
+        part = window.clip(self.width, self.height)
         if part.n_pixels == 0:
             return []
         return [row * self.n_columns + column
@@ -88,7 +88,7 @@ class ChunkGrid:
                 for column in range(part.x0 // columns, (part.x1 - 1) // columns + 1)]
 
 
-def packed(chunk: NDArray[np.float32]) -> bytes:
+def pack_chunk(chunk: NDArray[np.float32]) -> bytes:
     """Pack a chunk as HDF5's shuffle and deflate filters would store it.
 
     The bytes of equal weight lie together (shuffle). Each of these planes is a piece of one zlib stream by itself,

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.images.window import Window
-from ddic.io.decoded_file import decode_whole, decoded_format, read_decoded
+from ddic.io.decoded_file import decode_whole, read_decoded, read_decoded_format
 from ddic.io.pixel_format import PixelFormat
-from ddic.io.tiff_file import can_decode, is_tiff, read_tiff, tiff_format
+from ddic.io.tiff_file import can_decode, is_tiff, read_tiff, read_tiff_format
 
 T = TypeVar("T")
 
@@ -107,7 +107,7 @@ def open_image(path: Path | str) -> ImageFile:
     """
     path = Path(path)
     windowed, tiff = _kind(path)
-    layout = tiff_format(path) if windowed else _explained(path, tiff, decoded_format)
+    layout = read_tiff_format(path) if windowed else _explained(path, tiff, read_decoded_format)
     _warn_of_what_is_dropped(path, layout)
     return ImageFile(path, layout, windowed)
 
@@ -153,7 +153,7 @@ def _kind(path: Path) -> tuple[bool, bool]:
     return tiff and can_decode(path), tiff
 
 
-def sha256_of_file(path: Path | str) -> str:
+def compute_sha256(path: Path | str) -> str:
     """Reckon the SHA-256 checksum of a file.
 
     Parameters

@@ -10,7 +10,7 @@ from pathlib import Path
 from ddic.errors import InputError
 
 
-def temporary_name(path: Path) -> Path:
+def make_temporary_name(path: Path) -> Path:
     """Name a file under construction.
 
     Parameters
@@ -48,7 +48,7 @@ def replaced_on_exit(path: Path) -> Iterator[Path]:
     if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
         raise InputError(f"{path}: the folder {path.parent} does not exist or cannot be written to; "
                          "make it, or choose another output file")
-    temporary = temporary_name(path)
+    temporary = make_temporary_name(path)
     try:
         yield temporary
         temporary.replace(path)

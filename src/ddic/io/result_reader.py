@@ -34,11 +34,11 @@ class Result:
         Nodes by global node number, cells by global cell number; pixels.
     displacement : (n_nodes, 2) array
         Pixels.
-    point_data, cell_data : dict
-        All fields as the file holds them: (n,) scalars, (n, 3) vectors, (n, 6) symmetric tensors XX YY ZZ XY YZ XZ.
+    point_data, cell_data : dict of (n,), (n, 3) or (n, 6) arrays
+        All fields as the file holds them: scalars, vectors, symmetric tensors XX YY ZZ XY YZ XZ.
     subdomain_ids : (n_cells,) array
         Subdomain of each cell.
-    gauss_newton : dict
+    gauss_newton : dict of (n_iterations,) arrays
         Columns of the table of iterations.
     krylov : tuple of (n,) array
         Relative residuals of the interface problem, of each iteration of Gauss-Newton.

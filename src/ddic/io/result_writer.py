@@ -55,8 +55,8 @@ class Piece:
         Of each piece.
     types : (n_cells,) array
         VTK cell types.
-    point_data, cell_data : dict
-        Name -> (n,) scalars, (n, dim) or (n, 3) vectors, (n, 6) symmetric tensors.
+    point_data, cell_data : dict of (n,), (n, dim), (n, 3) or (n, 6) array
+        By name: scalars, vectors, symmetric tensors.
     """
 
     points: NDArray[np.float64]
@@ -158,7 +158,7 @@ class ResultWriter:
         indices : range
             Numbers of the pieces.
         pieces : Piece
-            These, joined to one (``joined``).
+            These, joined to one (``join_pieces``).
 
         Raises
         ------
@@ -216,7 +216,7 @@ class ResultWriter:
         number : int
             Of the chunk.
         data : bytes
-            As ``packed`` makes it.
+            As ``pack_chunk`` makes it.
 
         Raises
         ------
@@ -225,7 +225,7 @@ class ResultWriter:
         """
         if not self._grids:
             raise ValueError("create_residual_image comes before write_residual_chunk")
-        window = self._grids[-1].window(number)
+        window = self._grids[-1].locate_chunk(number)
         self._residual.write_direct_chunk((window.y0, window.x0), data)
 
     def write_table(self, group: str, columns: Mapping[str, Sequence[Any] | NDArray[Any]]) -> None:
@@ -235,8 +235,8 @@ class ResultWriter:
         ----------
         group : str
             Name of the table.
-        columns : dict
-            Name -> (n_rows,) values.
+        columns : dict of (n_rows,) array
+            By name.
 
         Raises
         ------
@@ -348,7 +348,7 @@ def _start_of(pieces: _Pieces, index: int) -> PieceSize:
     return PieceSize(*(int(n) for n in pieces.starts[index]))
 
 
-def joined(pieces: Sequence[Piece]) -> Piece:
+def join_pieces(pieces: Sequence[Piece]) -> Piece:
     """Join pieces, one after the other, as the file holds them.
 
     Parameters

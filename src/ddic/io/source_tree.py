@@ -6,7 +6,7 @@ import subprocess
 from pathlib import Path
 
 
-def source_commit() -> str:
+def find_source_commit() -> str:
     """Find the commit of the source tree that ddic runs from.
 
     Returns

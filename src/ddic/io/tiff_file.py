@@ -44,7 +44,7 @@ def is_tiff(path: Path) -> bool:
         return stream.read(4) in MAGIC
 
 
-def tiff_format(path: Path) -> PixelFormat:
+def read_tiff_format(path: Path) -> PixelFormat:
     """Read size and type of the first page from the header alone.
 
     Parameters

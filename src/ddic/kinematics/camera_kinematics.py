@@ -77,7 +77,9 @@ class CameraSetup:
             return points
         if self.n_motion_unknowns == 2:
             return np.asarray(points + motion)
-        return np.asarray(self.centre + (points - self.centre) @ self._rotation(motion).T + motion[:2])
+        arms = points - self.centre
+        turned = arms @ self._rotation(motion).T
+        return np.asarray(self.centre + turned + motion[:2])
 
     def move_back(self, points: NDArray[np.float64], motion: NDArray[np.float64]) -> NDArray[np.float64]:
         """Undo the motion T.
@@ -98,7 +100,10 @@ class CameraSetup:
             return points
         if self.n_motion_unknowns == 2:
             return np.asarray(points - motion)
-        return np.asarray(self.centre + (points - motion[:2] - self.centre) @ self._rotation(motion))
+        turned = points - motion[:2] - self.centre
+        # The inverse of a rotation is its transpose.
+        arms = turned @ self._rotation(motion)
+        return np.asarray(self.centre + arms)
 
     def motion_columns(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Differentiate T by the motion's unknowns at rest: R of Eq. 20 of [BP17].

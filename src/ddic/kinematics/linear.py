@@ -16,6 +16,10 @@ from ddic.kinematics.kinematics import Kinematics, RegionKinematics
 from ddic.kinematics.nodal import component_numbers
 from ddic.mesh.mesh import Mesh
 
+TOGETHER = 1e-12
+"""Share of the mean diagonal of T^T T that is added to it: a subdomain may be too small to tell modes of the whole
+region apart, whose sum is then shared out among them; a larger value changes fits that are well determined."""
+
 
 @dataclass(frozen=True, eq=False)
 class LinearKinematics(Kinematics):
@@ -72,15 +76,16 @@ class LinearKinematics(Kinematics):
 
     @cached_property
     def _solve_normal_equations(self) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
-        """From r to q with T^T T q = r; regular where T has independent columns."""
-        try:
-            factor = linalg.splu((self.matrix.T @ self.matrix).tocsc())
-        except RuntimeError as error:
-            low, high = self.mesh.nodes.min(axis=0), self.mesh.nodes.max(axis=0)
-            raise InputError(f"kinematics: between columns {low[0]:.0f} and {high[0]:.0f}, rows {low[1]:.0f} and "
-                             f"{high[1]:.0f}, some unknowns do what others do together, so that no image tells them "
-                             "apart; leave them out, or ask for fewer subdomains") from error
-        solve: Callable[[NDArray[np.float64]], NDArray[np.float64]] = factor.solve
+        """From r to q with T^T T q = r, of small q where there are many."""
+        normal = (self.matrix.T @ self.matrix).tocsc()
+        diagonal = TOGETHER * float(normal.diagonal().mean()) * sparse.identity(normal.shape[0], format="csc")
+        factor = linalg.splu((normal + diagonal).tocsc())
+
+        def solve(right: NDArray[np.float64]) -> NDArray[np.float64]:
+            first = factor.solve(right)
+            # Gives back what the diagonal took where T^T T is regular.
+            return np.asarray(first + factor.solve(right - normal @ first))
+
         return solve
 
 
@@ -106,10 +111,7 @@ class LinearRegion(RegionKinematics):
     matrix: sparse.csr_matrix
 
     def __post_init__(self) -> None:
-        try:
-            matrix = sparse.csr_matrix(self.matrix, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise InputError(f"kinematics: {type(self.matrix).__name__} is no matrix of numbers ({error})") from error
+        matrix = sparse.csr_matrix(self.matrix, dtype=np.float64)
         matrix.eliminate_zeros()
         if matrix.shape[0] != self.mesh.n_dofs:
             raise InputError(f"kinematics: the matrix has {matrix.shape[0]} rows, the mesh {self.mesh.n_dofs} "

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 class Hole(Protocol):
     """A closed outline in the plane."""
 
-    def distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def measure_distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Measure the distance to the outline.
 
         Parameters
@@ -26,7 +26,7 @@ class Hole(Protocol):
             Pixels, negative inside.
         """
 
-    def nearest(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def find_nearest(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Find the nearest point of the outline.
 
         Parameters
@@ -56,7 +56,7 @@ class CircularHole:
     center: tuple[float, float]
     radius: float
 
-    def distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def measure_distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Measure the distance to the circle.
 
         Parameters
@@ -71,7 +71,7 @@ class CircularHole:
         """
         return np.asarray(np.linalg.norm(points - np.array(self.center), axis=1) - self.radius)
 
-    def nearest(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def find_nearest(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Find the nearest point of the circle; the centre itself stays where it is.
 
         Parameters
@@ -102,7 +102,7 @@ class PolygonalHole:
 
     vertices: NDArray[np.float64]
 
-    def distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def measure_distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Measure the distance to the polygon.
 
         Parameters
@@ -115,10 +115,10 @@ class PolygonalHole:
         (n,) array
             Pixels, negative inside.
         """
-        away = np.linalg.norm(self.nearest(points) - points, axis=1)
+        away = np.linalg.norm(self.find_nearest(points) - points, axis=1)
         return np.where(self._inside(points), -away, away)
 
-    def nearest(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def find_nearest(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Find the nearest point of the polygon.
 
         Parameters

@@ -51,7 +51,7 @@ class Similarity:
         """
         return np.asarray(self.scale * points @ self.rotation.T + np.asarray(self.translation))
 
-    def vector_to_mesh_units(self, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    def map_vectors_to_mesh_units(self, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
         """Map displacements to mesh units.
 
         Parameters
@@ -100,7 +100,7 @@ class Mesh:
         Cell e owns connectivity[offsets[e]:offsets[e + 1]].
     types : (n_cells,) uint8 array
         VTK numbers of the cells' types, keys of ``CELL_TYPES``.
-    node_sets : mapping of str to int64 arrays
+    node_sets : mapping of str to (n,) array of int64
         Sorted node numbers by name.
     mapping : Similarity
         From the mesh file's units to pixels.
@@ -158,7 +158,7 @@ class Mesh:
         sums = np.add.reduceat(self.nodes[self.connectivity], self.offsets[:-1], axis=0)
         return np.asarray(sums / np.diff(self.offsets)[:, None])
 
-    def submesh(self, cells: NDArray[np.int64]) -> tuple[Mesh, NDArray[np.int64]]:
+    def create_submesh(self, cells: NDArray[np.int64]) -> tuple[Mesh, NDArray[np.int64]]:
         """Restrict the mesh to some of its cells and to their nodes.
 
         Parameters
@@ -194,7 +194,7 @@ def build_mesh(nodes: NDArray[np.float64],
         Pixels.
     blocks : mapping of CellType to (n, type.n_nodes) arrays, or such pairs
         Nodes of the cells; the mesh's cells are in this order.
-    node_sets : mapping of str to int64 arrays, optional
+    node_sets : mapping of str to (n,) array of int64, optional
         Sorted node numbers by name.
     mapping : Similarity, optional
         From the mesh file's units to pixels.

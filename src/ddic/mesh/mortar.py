@@ -63,7 +63,7 @@ class Overlaps:
     near_ends: NDArray[np.float64]
     far_ends: NDArray[np.float64]
 
-    def far_cover(self, n_edges: int) -> NDArray[np.float64]:
+    def measure_far_cover(self, n_edges: int) -> NDArray[np.float64]:
         """Measure the share of each far edge that near edges cover.
 
         Parameters
@@ -79,7 +79,7 @@ class Overlaps:
         lengths = np.abs(np.diff(self.far_ends)[:, 0])
         return np.asarray(np.bincount(self.far, lengths, n_edges), dtype=np.float64)
 
-    def near_cover(self, n_edges: int) -> NDArray[np.float64]:
+    def measure_near_cover(self, n_edges: int) -> NDArray[np.float64]:
         """Measure the share of each near edge that far edges cover.
 
         Parameters

@@ -13,7 +13,7 @@ _CHUNK = 1 << 22
 """Pairs of a point and an edge that are compared at once; a larger value takes more memory."""
 
 
-def lie_inside_outline(points: NDArray[np.float64], mesh: Mesh) -> NDArray[np.bool_]:
+def is_inside_outline(points: NDArray[np.float64], mesh: Mesh) -> NDArray[np.bool_]:
     """Tell whether points lie inside a mesh's outline: a ray to the right crosses it an odd number of times.
 
     Parameters

@@ -65,7 +65,7 @@ class Raster:
         return Window(int(self.starts[filled].min()), int(rows.min()),
                       int(self.stops[filled].max()), int(rows.max()) + 1)
 
-    def coverage(self, width: int, height: int) -> NDArray[np.uint8]:
+    def find_covered(self, width: int, height: int) -> NDArray[np.uint8]:
         """Draw the pixels that belong to a cell.
 
         Parameters
@@ -86,7 +86,7 @@ class Raster:
         np.add.at(steps, (rows[inside], np.clip(self.stops, 0, width)[inside]), -1)
         return np.asarray(np.cumsum(steps, axis=1)[:, :width] > 0, dtype=np.uint8)
 
-    def counts_in(self, image: NDArray[np.uint8], x0: int = 0, y0: int = 0) -> NDArray[np.int64]:
+    def sum_by_cell(self, image: NDArray[np.uint8], x0: int = 0, y0: int = 0) -> NDArray[np.int64]:
         """Add up an image over each cell's pixels.
 
         Parameters

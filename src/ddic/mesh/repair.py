@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.errors import InputError, first_of
+from ddic.errors import InputError, list_first
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_areas, measure_shape_quality
 
@@ -39,7 +39,7 @@ def repair(mesh: Mesh) -> Mesh:
     _refuse_bad_numbers(mesh)
     oriented = _orient(mesh)
     _refuse_bad_cells(oriented)
-    return oriented.submesh(np.arange(mesh.n_cells))[0]
+    return oriented.create_submesh(np.arange(mesh.n_cells))[0]
 
 
 def check_inside(mesh: Mesh, width: int, height: int) -> None:
@@ -105,7 +105,7 @@ def _refuse_bad_numbers(mesh: Mesh) -> None:
     used = np.unique(mesh.connectivity)
     finite = np.isfinite(mesh.nodes[used]).all(axis=1)
     if not finite.all():
-        raise InputError(f"nodes {first_of(used[~finite])} have coordinates that are not finite numbers")
+        raise InputError(f"nodes {list_first(used[~finite])} have coordinates that are not finite numbers")
 
 
 def _orient(mesh: Mesh) -> Mesh:
@@ -151,4 +151,4 @@ def _duplicates(ordered: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 def _cells(numbers: NDArray[np.int64]) -> str:
     """How many cells, and the first of them."""
-    return f"{len(numbers)} cells (numbered from 0: {first_of(numbers)})"
+    return f"{len(numbers)} cells (numbered from 0: {list_first(numbers)})"

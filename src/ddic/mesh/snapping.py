@@ -63,7 +63,7 @@ def chop_corners(quads: Cells, members: Sequence[Cells], nodes: NDArray[np.float
         tip = tips[chosen].argmax(axis=1)
         # The corner across from the tip must be outside the hole.
         across = nodes[quads[chosen, (tip + 2) % 4]]
-        outside = hole.distance(across) > 0
+        outside = hole.measure_distance(across) > 0
         chosen, tip = chosen[outside], tip[outside]
         others = (tip[:, None] + np.arange(1, 4)) % 4
         triangles.append(quads[chosen[:, None], others])
@@ -115,7 +115,7 @@ def _nearest_hole(members: list[Cells], nodes: NDArray[np.float64], holes: Seque
         return []
     away = np.full((len(holes), len(nodes)), np.inf)
     for k, (member, hole) in enumerate(zip(members, holes, strict=True)):
-        away[k, member] = np.abs(hole.distance(nodes[member]))
+        away[k, member] = np.abs(hole.measure_distance(nodes[member]))
     owner = away.argmin(axis=0)
     return [member[owner[member] == k] for k, member in enumerate(members)]
 
@@ -123,7 +123,7 @@ def _nearest_hole(members: list[Cells], nodes: NDArray[np.float64], holes: Seque
 def _on_outline(points: NDArray[np.float64], hole: Hole, region: Sequence[float]) -> NDArray[np.float64]:
     """Nearest points of the outline; for points on a side of the region, along that side."""
     x0, y0, x1, y1 = region
-    moved = hole.nearest(points)
+    moved = hole.find_nearest(points)
     on_vertical = np.isin(points[:, 0], (x0, x1))
     on_horizontal = np.isin(points[:, 1], (y0, y1))
     corner = on_vertical & on_horizontal
@@ -137,17 +137,17 @@ def _along_axis(points: NDArray[np.float64], hole: Hole, axis: int) -> NDArray[n
     """Slide points along an axis onto the outline, by bisection; those that cannot get there stay."""
     direction = np.zeros(2)
     direction[axis] = 1.0
-    here = hole.distance(points)
+    here = hole.measure_distance(points)
     reach = (2.0 * np.abs(here))[:, None] * direction
     before, after = points - reach, points + reach
     # The outline lies on the side where the sign of the distance changes.
-    lies_after = hole.distance(after) * here < 0
+    lies_after = hole.measure_distance(after) * here < 0
     other = np.where(lies_after[:, None], after, before)
-    bracketed = hole.distance(other) * here < 0
+    bracketed = hole.measure_distance(other) * here < 0
     low, high = points.copy(), other
     for _ in range(BISECTIONS):
         middle = (low + high) / 2
-        same_side = (hole.distance(middle) * here > 0)[:, None]
+        same_side = (hole.measure_distance(middle) * here > 0)[:, None]
         low, high = np.where(same_side, middle, low), np.where(same_side, high, middle)
     return np.where(bracketed[:, None], (low + high) / 2, points)
 

@@ -111,7 +111,7 @@ def build_structured_mesh(region: Sequence[float], element_size: float, cell: Li
     sets = grid.sides | {f"hole_{k}": found for k, found in enumerate(on_holes)}
     mesh = build_mesh(nodes, {Q4: quads, T3: triangles}, sets)
     # Without the nodes that no cell uses any more.
-    return mesh.submesh(np.arange(mesh.n_cells))[0]
+    return mesh.create_submesh(np.arange(mesh.n_cells))[0]
 
 
 def _refuse_impossible(region: Sequence[float], element_size: float, cell: str,
@@ -154,7 +154,7 @@ def _kept_cells(grid: Grid, in_holes: Sequence[NDArray[np.bool_]],
 
 def _cells_in_hole(grid: Grid, hole: Hole, number: int) -> NDArray[np.bool_]:
     """Cells whose centres lie in a hole."""
-    inside = hole.distance(grid.centroids) < 0
+    inside = hole.measure_distance(grid.centroids) < 0
     if not inside.any():
         raise InputError(f"mesh.structured: hole_{number} holds the centre of no cell: it lies outside the "
                          "region, or is too small for element_size; leave it out or use smaller elements")

@@ -8,6 +8,7 @@ from __future__ import annotations
 from types import TracebackType
 from typing import Self
 
+from ddic.methods.solve_frame import solve_frame
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.cameras import Frame
@@ -16,7 +17,6 @@ from ddic.problem.reference_problem import build_whole_mesh, prepare_reference
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.results.listener import Listener
 from ddic.results.measurement import Measurement, finish_measurement
-from ddic.solvers.gauss_newton import Progress, gauss_newton
 from ddic.start.coarse_field import prepare_search
 from ddic.start.frame_start import FrameStart, find_start
 
@@ -54,6 +54,7 @@ class Session:
     def __init__(self, team: Team, inputs: Inputs, listener: Listener, clock: PhaseClock,
                  first_frame: Frame | None = None) -> None:
         self._listener, self._clock = listener, clock
+        self._first_frame = first_frame
         with clock.phase(Phase.MESH):
             region_mesh = build_whole_mesh(team, inputs)
         with clock.phase(Phase.START):
@@ -62,10 +63,9 @@ class Session:
             begin_search = search.prepare(first_frame)
         reference, found = prepare_reference(team, inputs, region_mesh, clock, begin_search)
         self._found_first = search.share(found)
-        self.problem = WeightedProblem(team, reference, clock)
+        self._tell(reference.notes)
+        self.problem = WeightedProblem(team, reference, clock, factorize_now=first_frame is None)
         self._start = FrameStart(team, search, self.problem, clock)
-        for line in reference.notes:
-            listener.note(line)
 
     def __enter__(self) -> Self:
         return self
@@ -94,21 +94,21 @@ class Session:
         InputError, SingularSubdomainError, ConvergenceError
             On all ranks; the session can measure other frames afterwards.
         """
-        problem, clock = self.problem, self._clock
+        problem, first_found = self.problem, None
+        if frame is self._first_frame:
+            first_found, self._first_frame = self._found_first, None
         views = problem.open_frame(frame)
-        found, self._found_first = self._found_first, None
-        started = find_start(self._start, frame, views, found, None if start is None else start.q)
-        model = problem.model_residual(views)
-        with clock.phase(Phase.ASSEMBLE):
-            renewed = problem.renew(model.views, started.q)
-        notes = (*started.notes, *renewed)
+        started = find_start(self._start, frame, views, first_found, None if start is None else start.q)
+        model = problem.build_residual_model(views)
+        self._tell(started.notes)
+        solution, renewals = solve_frame(problem, model, started.q, self._listener, self._clock)
+        with self._clock.phase(Phase.FINISH):
+            notes = (*problem.reference.notes, *started.notes, *renewals)
+            return finish_measurement(problem, model, frame, solution, notes)
+
+    def _tell(self, notes: tuple[str, ...]) -> None:
         for line in notes:
             self._listener.note(line)
-        self._listener.problem_size(problem.size)
-        solution = gauss_newton(model, started.q, problem.solver.step, problem.tolerances,
-                                Progress(clock, self._listener.iteration))
-        with clock.phase(Phase.FINISH):
-            return finish_measurement(problem, model, frame, solution, (*problem.reference.notes, *notes))
 
     def close(self) -> None:
         """Free PETSc's objects."""

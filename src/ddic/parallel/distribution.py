@@ -91,7 +91,7 @@ def scatter_subdomains(team: Team, build: Callable[[], tuple[list[Subdomain], ND
     team : Team
         All ranks.
     build : callable
-        Runs on rank 0 alone; returns all subdomains and the work of each, (n_subdomains,).
+        Runs on rank 0 alone; returns all subdomains and the work of each, of shape (n_subdomains,).
 
     Returns
     -------

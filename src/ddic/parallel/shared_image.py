@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ddic.errors import InputError
 from ddic.images.binned import ArraySource
 from ddic.images.source import ImageSource
-from ddic.parallel.team import Team, held
+from ddic.parallel.team import Team, require_held
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ def open_once_a_node(team: Team, opened: Callable[[], tuple[ImageSource, NDArray
     team : Team
         All ranks.
     opened : callable
-        Gives the image and, where it had to be decoded whole, its pixels, (height, width).
+        Gives the image and, where it had to be decoded whole, its pixels, of shape (height, width).
 
     Returns
     -------
@@ -67,7 +67,7 @@ def open_once_a_node(team: Team, opened: Callable[[], tuple[ImageSource, NDArray
     with team.of_this_node() as node:
         own = team.together(lambda: _offer(*opened(), alone=node.size == 1) if node.is_root else None)
         # Pixels that nobody else needs are not copied through MPI.
-        offer = held(own) if node.size == 1 else node.broadcast(own)
+        offer = require_held(own) if node.size == 1 else node.broadcast(own)
         try:
             return team.together(partial(_accept, offer))
         finally:

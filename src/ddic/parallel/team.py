@@ -14,7 +14,7 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from ddic.errors import DdicError, on_all_ranks
+from ddic.errors import DdicError, as_collective
 
 T = TypeVar("T")
 Summable = TypeVar("Summable", int, float, NDArray[np.float64])
@@ -122,7 +122,7 @@ class Team:
         Returns
         -------
         T or None
-            The result on rank 0, None elsewhere; ``held`` takes the None away where only rank 0 looks.
+            The result on rank 0, None elsewhere; ``require_held`` takes the None away where only rank 0 looks.
 
         Raises
         ------
@@ -138,7 +138,7 @@ class Team:
                 error = _portable(caught, self.rank)
         error = self.broadcast(error)
         if error is not None:
-            raise on_all_ranks(error)
+            raise as_collective(error)
         return outcome
 
     def scatter_from_root(self, work: Callable[[], Sequence[T]]) -> T:
@@ -191,7 +191,7 @@ class Team:
         with self.waiting.counted():
             failed = self.comm.allreduce(self.size if error is None else self.rank, op=MPI.MIN)
         if failed < self.size:
-            raise on_all_ranks(self.broadcast(error, failed))
+            raise as_collective(self.broadcast(error, failed))
         final: T = result
         return final
 
@@ -218,7 +218,8 @@ class Team:
         Returns
         -------
         array
-            The sum on all ranks, which to the last bit does not depend on how subdomains are spread over ranks.
+            The sum on all ranks, of the same shape, which to the last bit does not depend on how subdomains are
+            spread over ranks.
         """
         everything = self.gather_lists([np.asarray(v, dtype=np.float64) for v in values])
         return np.asarray(np.sum(np.stack(everything), axis=0))
@@ -472,7 +473,7 @@ class Team:
             comm.Free()
 
 
-def held(item: T | None) -> T:
+def require_held(item: T | None) -> T:
     """Return what this rank holds, for work on the rank that ``build_on_root``, ``gather_to``... gave it to.
 
     Parameters

@@ -204,7 +204,7 @@ class _Whole:
 
     def cut(self, number: int, cells: NDArray[np.int64], copies: NDArray[np.int64]) -> Subdomain:
         """A subdomain of these cells, which has these copies of unknowns."""
-        mesh, node_ids = self.kinematics.mesh.submesh(cells)
+        mesh, node_ids = self.kinematics.mesh.create_submesh(cells)
         numbers = self.unknowns.numbers[copies]
         return Subdomain(
             index=number, mesh=mesh, node_ids=node_ids, cell_ids=cells,

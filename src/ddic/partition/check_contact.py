@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.errors import InputError, first_of
+from ddic.errors import InputError, list_first
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.point_in_mesh import find_cells_with_points
 from ddic.mesh.topology import Facets, find_facets
@@ -44,8 +44,8 @@ def _refuse_cut_cells(contact: Contact) -> None:
         if len(cut):
             x, y = far.whole.centroids[cut[0]]
             problems.append(f"near, entry {near.number}: the outline of its mesh cuts {len(cut)} far elements "
-                            f"(numbered from 0: {first_of(cut)}; the first around column {x:.0f}, row {y:.0f}); align "
-                            "the near mesh with edges of far elements")
+                            f"(numbered from 0: {list_first(cut)}; the first around column {x:.0f}, row {y:.0f}); "
+                            "align the near mesh with edges of far elements")
     if problems:
         raise InputError(problems)
 

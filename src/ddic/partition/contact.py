@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ddic.errors import InputError
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.mortar import Mortar, Overlaps, Sides, find_overlaps, integrate_mortar
-from ddic.mesh.point_in_mesh import lie_inside_outline
+from ddic.mesh.point_in_mesh import is_inside_outline
 from ddic.mesh.topology import find_boundary_facets, find_facets
 
 TOLERANCE = 1e-6
@@ -49,12 +49,12 @@ class FarSide:
     @cached_property
     def rest(self) -> Mesh:
         """The cells that are kept."""
-        return self.whole.submesh(self.kept_cells)[0]
+        return self.whole.create_submesh(self.kept_cells)[0]
 
     @cached_property
     def node_ids(self) -> NDArray[np.int64]:
         """Numbers in the whole far mesh of the nodes of the rest, (rest.n_nodes,)."""
-        return self.whole.submesh(self.kept_cells)[1]
+        return self.whole.create_submesh(self.kept_cells)[1]
 
     @cached_property
     def edges(self) -> NDArray[np.int64]:
@@ -89,7 +89,7 @@ class NearSide:
     @cached_property
     def cover(self) -> NDArray[np.float64]:
         """Share of each edge that far edges cover, (n_edges,)."""
-        return self.overlaps.near_cover(len(self.edges))
+        return self.overlaps.measure_near_cover(len(self.edges))
 
     @property
     def free_edges(self) -> NDArray[np.int64]:
@@ -116,7 +116,7 @@ class Contact:
     def far_cover(self) -> NDArray[np.float64]:
         """Share of each far edge that near edges cover, (n_edges,)."""
         n_edges = len(self.far.edges)
-        by_mesh = [near.overlaps.far_cover(n_edges) for near in self.near]
+        by_mesh = [near.overlaps.measure_far_cover(n_edges) for near in self.near]
         return np.asarray(np.sum(by_mesh, axis=0), dtype=np.float64)
 
 
@@ -150,7 +150,7 @@ def _find_replaced_cells(far: Mesh, near: Mapping[int, Mesh]) -> NDArray[np.int6
     """Number of the near camera whose mesh covers the centre of each far cell, (n_cells,), 0 for none."""
     replaced_by = np.zeros(far.n_cells, dtype=np.int64)
     for number, mesh in near.items():
-        inside = lie_inside_outline(far.centroids, mesh)
+        inside = is_inside_outline(far.centroids, mesh)
         earlier = int(replaced_by[inside].max(initial=0))
         if earlier > 0:
             raise InputError(f"near, entry {number}: its mesh overlaps that of entry {earlier}; "

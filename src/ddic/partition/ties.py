@@ -39,7 +39,7 @@ class Tying:
         return int(self.weights.shape[1])
 
 
-def tied_mesh(far: Mesh, near: Mapping[int, Mesh]) -> tuple[Mesh, Tying]:
+def tie_meshes(far: Mesh, near: Mapping[int, Mesh]) -> tuple[Mesh, Tying]:
     """Put near meshes in place of the far cells whose centres they cover.
 
     Parameters

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.case.schema import Case, RegularizationSection
-from ddic.errors import InputError, on_all_ranks
+from ddic.errors import InputError, as_collective
 from ddic.functionals.equilibrium_gap import controlled_stiffness, find_cut_off_weight, measure_texture_energies
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain, interface_weights
-from ddic.problem.region_mesh import Region, material_of
+from ddic.problem.region_mesh import Region, build_material
 from ddic.problem.views import ReferenceViews
 from ddic.solvers.local_system import LocalSystem
 
@@ -121,7 +121,7 @@ def _find_eta(team: Team, section: RegularizationSection, region: Region, refere
     gap = region.gap_energies
     wavelength = section.cut_off_wavelength
     if gap is None or wavelength is None or not gap.reshape(-1, 2).any(axis=1).all():
-        raise on_all_ranks(InputError(
+        raise as_collective(InputError(
             "regularization.cut_off_wavelength: the mesh has no interior node, so no wavelength can be given a "
             "weight; use a finer mesh or give regularization.eta"))
     texture = team.ordered_sum([
@@ -134,7 +134,7 @@ def _system(case: Case, section: RegularizationSection, subdomain: Subdomain, he
             eta: float) -> LocalSystem:
     """M_s and Kbar_s = diag(w) P T^T K T of one subdomain, Eq. 11 of [BP17]."""
     weights = interface_weights(subdomain.multiplicity, case.solver.weighting) * subdomain.controlled
-    kbar = controlled_stiffness(subdomain.kinematics, material_of(section), weights)
+    kbar = controlled_stiffness(subdomain.kinematics, build_material(section), weights)
     # A camera's motion is no displacement of matter, hence in no equilibrium.
     of_motion = sparse.csr_matrix((kbar.shape[0], subdomain.n_motion))
     return LocalSystem(subdomain, hessian, sparse.hstack([kbar, of_motion]).tocsr(), weights, eta)

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from ddic.errors import InputError, first_of
+from ddic.errors import InputError, list_first
 from ddic.functionals.correlation import restrict_to_cells
 from ddic.functionals.texture_strength import Texture, find_blank_subdomains, measure_texture
 from ddic.mesh.topology import find_adjacent_cells
-from ddic.parallel.team import Team, held
+from ddic.parallel.team import Team, require_held
 from ddic.partition.merge import find_connected_pieces, merge_blank
 from ddic.problem.region_mesh import RegionMesh
 from ddic.problem.views import ReferenceViews
@@ -85,13 +85,13 @@ def join_blank_subdomains(team: Team, region_mesh: RegionMesh | None, references
     cells = team.gather_to([piece.cells for piece in pieces])
 
     def merge() -> NDArray[np.int64]:
-        by_piece = [c for of_rank in held(cells) for c in of_rank]
-        parts = _merge(held(region_mesh), by_piece, owner, blank)
+        by_piece = [c for of_rank in require_held(cells) for c in of_rank]
+        parts = _merge(require_held(region_mesh), by_piece, owner, blank)
         _refuse_too_few(parts, len(np.unique(owner)), team.size)
         return parts
 
     parts = team.build_on_root(merge)
-    n_left = team.on_root(lambda: int(held(parts).max()) + 1)
+    n_left = team.on_root(lambda: int(require_held(parts).max()) + 1)
     return Joining(parts, _describe(owner, blank, n_left))
 
 
@@ -158,7 +158,7 @@ def _describe(owner: NDArray[np.int64], blank: NDArray[np.bool_], n_left: int) -
     n_loose = int((blank & has_texture).sum())
     lines = []
     if len(whole):
-        lines.append(f"{len(whole)} of {n_before} subdomains without texture ({first_of(whole)}); "
+        lines.append(f"{len(whole)} of {n_before} subdomains without texture ({list_first(whole)}); "
                      f"{n_before - n_left} joined a neighbour, {n_left} are left")
     if n_loose:
         lines.append(f"{n_loose} loose pieces of subdomains without texture, joined with a neighbour")

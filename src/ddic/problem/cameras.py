@@ -267,7 +267,7 @@ def _has_own_mesh(camera: Camera) -> bool:
 
 def _check_own_mesh(camera: Camera, mesh: Mesh, tying: Tying, sees: NDArray[np.bool_]) -> None:
     """Raise InputError where a near camera does not see all of its own mesh; sees: (n_nodes,)."""
-    part, nodes = mesh.submesh(np.flatnonzero(tying.cameras == camera.number))
+    part, nodes = mesh.create_submesh(np.flatnonzero(tying.cameras == camera.number))
     hidden = part.nodes[~sees[nodes]]
     if len(hidden):
         raise InputError(f"{camera.entry}: its images do not show all of near.mesh, for instance column "
@@ -334,6 +334,6 @@ def collect_cells(cameras: Sequence[Camera], mesh: Mesh, labels: NDArray[np.int6
     collected = []
     for camera in cameras:
         cells = np.flatnonzero(labels == camera.number)
-        part, _ = mesh.submesh(cells)
+        part, _ = mesh.create_submesh(cells)
         collected.append(MeasuredCells(cells, part, see_mesh(part, camera.setup)))
     return collected

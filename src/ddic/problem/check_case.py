@@ -59,7 +59,7 @@ def check_case(loaded: LoadedCase, count_pixels: PixelCounter | None = None) -> 
         raise InputError(problems.lines)
     checked = _check_mesh(loaded, reference, count_pixels or _count_pixels, problems)
     not_controlled = check_mesh_uses(loaded, checked, problems)
-    problems.raise_any()
+    problems.require_none()
     return describe_inputs(case, reference, checked, not_controlled)
 
 
@@ -73,7 +73,7 @@ def _check_mesh(loaded: LoadedCase, reference: ImageSource, count_pixels: PixelC
         raise InputError(problems.lines) from error
     # What several cameras see of the mesh cannot be said without all of their images.
     if loaded.case.near:
-        problems.raise_any()
+        problems.require_none()
     try:
         return CheckedMesh(mesh, tying, count_pixels(mesh, tying))
     except InputError as error:

@@ -18,7 +18,7 @@ from ddic.mesh.raster import rasterize
 from ddic.mesh.repair import check_pixels
 from ddic.partition.ties import Tying
 from ddic.problem.gather_problems import Problems
-from ddic.problem.mesh_source import mesh_name
+from ddic.problem.mesh_source import describe_mesh_source
 
 SHORTEST_WAVELENGTH = 3.0
 """Elements per cut-off wavelength below which a plane wave is not one on the mesh (aliasing)."""
@@ -67,7 +67,7 @@ def check_mesh_uses(loaded: LoadedCase, checked: CheckedMesh, problems: Problems
     case = loaded.case
     mesh = checked.mesh
     with problems.gathered():
-        check_pixels(mesh, checked.pixel_counts, mesh_name(case))
+        check_pixels(mesh, checked.pixel_counts, describe_mesh_source(case))
     not_controlled = np.zeros(0, np.int64)
     with problems.gathered(loaded.path):
         not_controlled = _find_not_controlled(case, checked)

@@ -42,7 +42,6 @@ def check_near_mapping(far: Camera, near: Camera) -> None:
     InputError
         Where the mapping puts the near image outside the far one, mirrors it, or puts it in a wrong place.
     """
-    mapping = near.setup.mapping
     far_path = far.reference.image.path
     place = f"{near.entry}: {near.reference.image.path}"
     low, high = _find_corners(near)
@@ -51,7 +50,7 @@ def check_near_mapping(far: Camera, near: Camera) -> None:
     if common.width < 2 or common.height < 2:
         raise InputError(f"{place} lies outside the far-field image {far_path} by its mapping (columns {low[0]} "
                          f"to {high[0]}, rows {low[1]} to {high[1]}); find the mapping with ddic calibrate")
-    if np.linalg.det(mapping.jacobian(near.setup.centre[None])[0]) <= 0:
+    if _measure_area_ratio(near) <= 0:
         raise InputError(f"{place}: its mapping turns the image over; mirror the images, or correct the mapping")
     coefficient = _correlate_references(far, near, common)
     if coefficient < LEAST_COEFFICIENT:
@@ -70,15 +69,19 @@ def _find_corners(near: Camera) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return low, high
 
 
+def _measure_area_ratio(near: Camera) -> float:
+    """Area of a far pixel in the middle of the near image, near pixels; negative where the mapping mirrors."""
+    jacobians = near.setup.mapping.jacobian(near.setup.centre[None])
+    return float(np.linalg.det(jacobians[0]))
+
+
 def _correlate_references(far: Camera, near: Camera, common: Window) -> float:
     """Correlation coefficient of the reference images at far pixels near the middle of a window."""
-    mapping = near.setup.mapping
     # Near pixels a far pixel, along a side.
-    magnification = float(np.sqrt(np.linalg.det(mapping.jacobian(near.setup.centre[None])[0])))
+    magnification = float(np.sqrt(_measure_area_ratio(near)))
     window = _choose_probe(near.setup.centre, magnification, common)
-    columns, rows = np.meshgrid(np.arange(window.x0, window.x1), np.arange(window.y0, window.y1))
-    far_pixels = np.stack([columns.ravel(), rows.ravel()], axis=1).astype(np.float64)
-    near_values, is_inside = _sample_blurred(near.reference.image, mapping.to_image(far_pixels), magnification)
+    seen = near.setup.mapping.to_image(_list_pixels(window))
+    near_values, is_inside = _sample_blurred(near.reference.image, seen, magnification)
     far_values = np.asarray(far.reference.image.read(window), dtype=np.float32)
     near_speckle = _speckle(near_values.reshape(far_values.shape)).ravel()[is_inside]
     far_speckle = _speckle(far_values).ravel()[is_inside]
@@ -95,12 +98,20 @@ def _choose_probe(centre: NDArray[np.float64], magnification: float, common: Win
     return Window(x - half, y - half, x + half, y + half).intersection(common)
 
 
+def _list_pixels(window: Window) -> NDArray[np.float64]:
+    """Positions of all pixels of a window, row after row, (n, 2)."""
+    x = np.arange(window.x0, window.x1)
+    y = np.arange(window.y0, window.y1)
+    columns, rows = np.meshgrid(x, y)
+    return np.asarray(np.stack([columns.ravel(), rows.ravel()], axis=1), dtype=np.float64)
+
+
 def _sample_blurred(image: ImageSource, points: NDArray[np.float64],
                     magnification: float) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """An image averaged over far pixels, at the pixels nearest to some points, (n,), and whether each lies in it."""
     low = np.floor(points.min(axis=0)).astype(int) - 1
     high = np.ceil(points.max(axis=0)).astype(int) + 2
-    part = Window(int(low[0]), int(low[1]), int(high[0]), int(high[1])).clipped(image.width, image.height)
+    part = Window(int(low[0]), int(low[1]), int(high[0]), int(high[1])).clip(image.width, image.height)
     side = max(round(magnification), 1)
     values = cv2.blur(np.asarray(image.read(part), dtype=np.float32), (side, side))
     first_pixel = (part.x0, part.y0)

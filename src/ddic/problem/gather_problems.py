@@ -53,7 +53,7 @@ class Problems:
         prefix = "" if source is None else f"{source}: "
         self.lines += [prefix + line for line in error.problems]
 
-    def raise_any(self) -> None:
+    def require_none(self) -> None:
         """Raise all of them as one.
 
         Raises

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.errors import SingularSubdomainError, on_all_ranks
+from ddic.errors import SingularSubdomainError, as_collective
 from ddic.functionals.view import View
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
@@ -16,7 +16,7 @@ from ddic.problem.views import FrameViews
 from ddic.solvers.singularity import describe_singular
 
 
-def refuse_unheld(team: Team, views: Sequence[FrameViews], shown: Sequence[Sequence[View]]) -> None:
+def refuse_undetermined(team: Team, views: Sequence[FrameViews], shown: Sequence[Sequence[View]]) -> None:
     """Refuse a frame that leaves an unknown to nothing: such a one would keep what it started from; collective.
 
     An unknown is held by a pixel in a cell of a node that it displaces, in any subdomain, or by its row of equilibrium,
@@ -52,7 +52,7 @@ def refuse_unheld(team: Team, views: Sequence[FrameViews], shown: Sequence[Seque
     for number, multiplicity, (x, y) in gathered:
         # Held in none of the subdomains that share it.
         if n_copies[number] == multiplicity:
-            raise on_all_ranks(SingularSubdomainError(
+            raise as_collective(SingularSubdomainError(
                 describe_singular(f"the region around column {x:.0f}, row {y:.0f}")))
 
 

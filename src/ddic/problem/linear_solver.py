@@ -36,7 +36,7 @@ larger value keeps one level for longer."""
 
 
 class LinearSolver:
-    """The factorised linear step of a case; use it in a ``with`` statement, which frees what PETSc holds.
+    """The linear step of a case, factorised by ``set_up``; use it in a ``with`` statement, which frees PETSc's objects.
 
     Parameters
     ----------
@@ -58,23 +58,11 @@ class LinearSolver:
     """
 
     def __init__(self, team: Team, case: Case, assembly: Assembly, clock: PhaseClock) -> None:
-        """Factorise; collective.
-
-        Raises
-        ------
-        SingularSubdomainError, FactorizationError
-            On all ranks.
-        """
         self.assembly = assembly
         self.n_factorized = 0
         self._team, self._case, self._clock = team, case, clock
         self._operators: list[LocalOperator] = []
         self._step: LinearStep | None = None
-        try:
-            self._set_up([True] * len(assembly.systems))
-        except BaseException:
-            self.destroy()
-            raise
 
     def __enter__(self) -> Self:
         return self
@@ -100,6 +88,16 @@ class LinearSolver:
         """Number of interface unknowns."""
         return self._step.n_interface if isinstance(self._step, DualStep) else 0
 
+    def set_up(self) -> None:
+        """Factorise; collective.
+
+        Raises
+        ------
+        SingularSubdomainError, FactorizationError
+            On all ranks.
+        """
+        self.renew([None] * len(self.assembly.systems))
+
     def renew(self, hessians: Sequence[sparse.csr_matrix | None]) -> None:
         """Put new M_s in place of some subdomains' and factorise these again; collective.
 
@@ -117,10 +115,11 @@ class LinearSolver:
         systems = [system if hessian is None else replace(system, hessian=hessian)
                    for system, hessian in zip(before.systems, hessians, strict=True)]
         self.assembly = replace(before, systems=systems)
+        changed = [hessian is not None or not self.is_set_up for hessian in hessians]
         # The interface operators refer to the factors: they go first.
         self._free_step()
         try:
-            self._set_up([hessian is not None for hessian in hessians])
+            self._set_up(changed)
         except BaseException:
             # What was held before is held again at the next call, which then factorises all of it.
             self.destroy()
@@ -188,8 +187,9 @@ def _make_step(team: Team, case: Case, assembly: Assembly, operators: Sequence[L
         return AssembledStep(team, assembly.systems, assembly.smallest_eigenvalue)
     if solver.method == "conjugate_gradient":
         return ConjugateGradientStep(team, assembly.systems, solver.tolerance, solver.max_iterations)
-    settings = DualSettings(_choose_preconditioner(team, solver, assembly, cut_off_wavelength(case)), solver.tolerance,
-                            solver.max_iterations, solver.recycle, solver.local_inverse)
+    preconditioner = _choose_preconditioner(team, solver, assembly, compute_cut_off_wavelength(case))
+    settings = DualSettings(preconditioner, solver.tolerance, solver.max_iterations, solver.recycle,
+                            solver.local_inverse)
     return DualStep(team, assembly.systems, operators, assembly.reaction_scale, settings)
 
 
@@ -208,7 +208,7 @@ def _side(subdomain: Subdomain) -> float:
     return float(np.prod(extent) ** (1 / subdomain.mesh.dim))
 
 
-def cut_off_wavelength(case: Case) -> float:
+def compute_cut_off_wavelength(case: Case) -> float:
     """Find the wavelength below which mechanics hold the displacement.
 
     Parameters

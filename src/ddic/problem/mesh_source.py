@@ -13,7 +13,7 @@ from ddic.io.mesh_file import read_mesh
 from ddic.mesh.mesh import Mesh, Similarity
 from ddic.mesh.repair import check_inside, repair
 from ddic.mesh.structured import build_structured_mesh
-from ddic.partition.ties import Tying, tied_mesh
+from ddic.partition.ties import Tying, tie_meshes
 
 
 def build_mesh(case: Case, width: int, height: int) -> Mesh:
@@ -37,7 +37,7 @@ def build_mesh(case: Case, width: int, height: int) -> Mesh:
         With the mesh's file or section named, on all that ``read_mesh``, ``build_structured_mesh``, ``repair`` and
         ``check_inside`` refuse.
     """
-    return _mesh_of(case.mesh, mesh_name(case), width, height)
+    return _mesh_of(case.mesh, describe_mesh_source(case), width, height)
 
 
 def build_meshes(case: Case, width: int, height: int) -> tuple[Mesh, Tying | None]:
@@ -60,7 +60,7 @@ def build_meshes(case: Case, width: int, height: int) -> tuple[Mesh, Tying | Non
     Raises
     ------
     InputError
-        On all that ``build_mesh`` and ``tied_mesh`` refuse.
+        On all that ``build_mesh`` and ``tie_meshes`` refuse.
     """
     far = build_mesh(case, width, height)
     near = {}
@@ -70,10 +70,10 @@ def build_meshes(case: Case, width: int, height: int) -> tuple[Mesh, Tying | Non
             near[number] = _mesh_of(section.mesh, name, width, height)
     if not near:
         return far, None
-    return tied_mesh(far, near)
+    return tie_meshes(far, near)
 
 
-def mesh_name(case: Case) -> str:
+def describe_mesh_source(case: Case) -> str:
     """Name the mesh for messages.
 
     Parameters

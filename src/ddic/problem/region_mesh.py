@@ -21,7 +21,7 @@ from ddic.mesh.mesh import Mesh, Similarity
 from ddic.mesh.raster import rasterize
 from ddic.mesh.topology import find_boundary_nodes
 from ddic.parallel.distribution import scatter_subdomains
-from ddic.parallel.team import Team, held
+from ddic.parallel.team import Team, require_held
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.by_camera import add_motions, find_cameras_at_nodes, keep_cameras_apart, split_by_camera
 from ddic.partition.cost import estimate_cell_costs, sum_costs
@@ -201,7 +201,7 @@ def split_region(region_mesh: RegionMesh, n_ranks: int) -> NDArray[np.int64]:
     else:
         n_subdomains = solver.subdomains or max(n_ranks, n_cameras)
         parts = split_by_camera(labels, costs, n_subdomains,
-                                lambda cells, n: split_by_metis(mesh.submesh(cells)[0], n, costs[cells]))
+                                lambda cells, n: split_by_metis(mesh.create_submesh(cells)[0], n, costs[cells]))
     if region_mesh.tying is not None:
         parts = keep_masters_determined(mesh, region_mesh.tying, parts)
     return parts
@@ -232,12 +232,12 @@ def scatter_region(team: Team, region_mesh: RegionMesh | None,
     InputError
         On all ranks, where there are fewer subdomains than ranks.
     """
-    subdomains = scatter_subdomains(team, lambda: held(region_mesh).cut(held(parts)))
-    region = team.on_root(lambda: held(region_mesh).describe(int(held(parts).max()) + 1))
+    subdomains = scatter_subdomains(team, lambda: require_held(region_mesh).cut(require_held(parts)))
+    region = team.on_root(lambda: require_held(region_mesh).describe(int(require_held(parts).max()) + 1))
     return subdomains, region
 
 
-def material_of(section: RegularizationSection) -> Material:
+def build_material(section: RegularizationSection) -> Material:
     """Give the elastic constants of the regularization.
 
     Parameters
@@ -295,7 +295,7 @@ def _gap_energies(section: RegularizationSection | None, mesh: Mesh,
                   interior: NDArray[np.bool_]) -> NDArray[np.float64] | None:
     if section is None or section.cut_off_wavelength is None:
         return None
-    return measure_gap_energies(mesh, material_of(section), interior, section.cut_off_wavelength)
+    return measure_gap_energies(mesh, build_material(section), interior, section.cut_off_wavelength)
 
 
 def _given_parts(solver: SolverSection, mesh: Mesh) -> NDArray[np.int64] | None:

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from ddic.errors import first_of
+from ddic.errors import list_first
 from ddic.functionals.view import FrameView, View
 from ddic.parallel.team import Team
 from ddic.problem.assembly import Hessians
-from ddic.problem.held_unknowns import refuse_unheld
+from ddic.problem.held_unknowns import refuse_undetermined
 from ddic.problem.views import FrameViews
 
 CHANGED_SHARE = 0.02
@@ -25,6 +25,10 @@ CHANGED_SIDE = 0.5
 """Side, in cut-off wavelengths, of a square of as many pixels as may come or go whatever the share: where more is
 hidden together, waves fit in that mechanics do not hold, and the old M holds them back. A larger value costs
 iterations."""
+
+GAINED_SHARE = 0.2
+"""Share of the pixels that M counts in a cell by which these may grow without a renewal: too small an M makes steps too
+large, and a cell that M counts nothing of is held by nothing. At 1 Gauss-Newton would diverge there."""
 
 HELD_SHARE = 1e-6
 """Share of what hidden pixels gave to M that stays in it where mechanics find the displacement of hidden cells. It
@@ -49,7 +53,7 @@ class RenewalRule:
         """Whether mechanics find the displacement of hidden cells."""
         return self.wavelength > 0
 
-    def limit(self, n_pixels: int) -> float:
+    def bound_changes(self, n_pixels: int) -> float:
         """Give the largest number of pixels that may come or go without a renewal.
 
         Parameters
@@ -140,7 +144,8 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
     Returns
     -------
     Renewal
-        New M where more than ``rule.limit`` of a subdomain's pixels have come or gone.
+        New M where more than ``rule.limit`` of a subdomain's pixels have come or gone, or a cell has gained more than
+        ``GAINED_SHARE``.
 
     Raises
     ------
@@ -151,7 +156,7 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
 
     shown = team.together(lambda: [tuple(view.without_hidden(q_s) for view in of_subdomain.views)
                                    for of_subdomain, q_s in zip(views, q, strict=True)])
-    refuse_unheld(team, views, shown)
+    refuse_undetermined(team, views, shown)
 
     def renew() -> tuple[list[sparse.csr_matrix | None], list[CellCounts]]:
         hessians: list[sparse.csr_matrix | None] = []
@@ -171,16 +176,19 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
                                  in zip(views, hessians, strict=True) if hessian is not None])
     note = ""
     if changed:
-        note = (f"{len(changed)} subdomains ({first_of(changed)}) lost or gained more pixels than their operators "
+        note = (f"{len(changed)} subdomains ({list_first(changed)}) lost or gained more pixels than their operators "
                 "bear: these are renewed")
     return Renewal(hessians, VisiblePixels(by_view), note)
 
 
 def _is_kept(of_subdomain: FrameViews, before: CellCounts, now: CellCounts, rule: RenewalRule) -> bool:
     """Whether a subdomain's M, which counts the pixels before, still fits those that are shown now."""
+    counted, shown = np.sum(before, axis=0), np.sum(now, axis=0)
+    if (shown > (1.0 + GAINED_SHARE) * counted).any():
+        return False
     n_changed = sum(int(np.abs(a - b).sum()) for a, b in zip(before, now, strict=True))
     n_reference = sum(view.view.n_pixels for view in of_subdomain.views)
-    return n_changed <= rule.limit(n_reference)
+    return n_changed <= rule.bound_changes(n_reference)
 
 
 def _assemble_shown(views: Sequence[FrameView], shown: Sequence[View], whole: Sequence[sparse.csr_matrix],

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.errors import ConvergenceError, on_all_ranks
+from ddic.errors import ConvergenceError, as_collective
 from ddic.functionals.correlation import Residual
 from ddic.functionals.grey_statistics import GreyCorrection, GreyState, GreySums
 from ddic.parallel.team import Team
@@ -192,7 +192,7 @@ class ResidualModel:
         """Statistics of a camera from the sums over its pixels; corrected: of the residual corrected by cell, (2,)."""
         n = float(total.n_pixels)
         if n == 0:
-            raise on_all_ranks(ConvergenceError(
+            raise as_collective(ConvergenceError(
                 "no pixel is left: every pixel of the mesh is masked or mapped outside the deformed image; "
                 "check the start of the displacement and the masks"))
         gain, offset = np.ones(()), np.zeros(())

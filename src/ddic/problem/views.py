@@ -221,10 +221,10 @@ def read_frame_windows(views: Sequence[FrameViews], q: Sequence[NDArray[np.float
     wanted: dict[int, tuple[DeformedSubImage, Window]] = {}
     for of_subdomain, q_s in zip(views, q, strict=True):
         for view in of_subdomain.views:
-            window = view.displaced_window(q_s)
+            window = view.find_displaced_window(q_s)
             known = wanted.get(id(view.deformed))
             # At once for all who share it: one by one, every subdomain would outgrow what the last one read.
             union = window if known is None else window.union(known[1])
             wanted[id(view.deformed)] = (view.deformed, union)
     for deformed, window in wanted.values():
-        deformed.covering(window)
+        deformed.get_spline(window)

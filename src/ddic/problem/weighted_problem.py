@@ -12,7 +12,7 @@ from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.assembly import assemble
 from ddic.problem.cameras import Frame
-from ddic.problem.linear_solver import LinearSolver, cut_off_wavelength
+from ddic.problem.linear_solver import LinearSolver, compute_cut_off_wavelength
 from ddic.problem.problem_size import ProblemSize, measure_problem_size
 from ddic.problem.reference_problem import ReferenceProblem
 from ddic.problem.renewal import RenewalRule, VisiblePixels, find_renewal
@@ -35,6 +35,9 @@ class WeightedProblem:
         What the reference images give.
     clock : PhaseClock
         Of the phases.
+    factorize_now : bool
+        Whether to factorise what is known without a frame; where the first frame is at hand, it may ask for other
+        operators.
 
     Attributes
     ----------
@@ -53,7 +56,8 @@ class WeightedProblem:
         On all ranks.
     """
 
-    def __init__(self, team: Team, reference: ReferenceProblem, clock: PhaseClock) -> None:
+    def __init__(self, team: Team, reference: ReferenceProblem, clock: PhaseClock, *,
+                 factorize_now: bool = True) -> None:
         self.team, self.reference = team, reference
         self.noise: tuple[float, ...] = ()
         self.n_assembled = len(reference.references)
@@ -65,9 +69,15 @@ class WeightedProblem:
         cameras = reference.inputs.cameras
         given = [camera.noise for camera in cameras]
         if len(cameras) == 1:
-            self._set_up([1.0])
+            self._weigh([1.0])
         elif None not in given:
             self.set_noise([noise for noise in given if noise is not None])
+        if factorize_now and self._solver is not None:
+            try:
+                self._solver.set_up()
+            except BaseException:
+                self.destroy()
+                raise
 
     @property
     def is_set_up(self) -> bool:
@@ -110,7 +120,7 @@ class WeightedProblem:
         """
         return open_frame_views(self.reference.inputs.case, frame, self.reference.references)
 
-    def model_residual(self, views: Sequence[FrameViews]) -> ResidualModel:
+    def build_residual_model(self, views: Sequence[FrameViews]) -> ResidualModel:
         """Model the residual of a frame, cameras weighted.
 
         Parameters
@@ -128,7 +138,7 @@ class WeightedProblem:
         return ResidualModel(self.team, self.weigh(views), correction, len(inputs.cameras))
 
     def set_noise(self, noise: Sequence[float]) -> None:
-        """Weight the cameras by their noise and factorise; collective.
+        """Weight the cameras by their noise; collective.
 
         Parameters
         ----------
@@ -141,7 +151,7 @@ class WeightedProblem:
             On all ranks.
         """
         self.noise = tuple(noise)
-        self._set_up([(noise[0] / sigma) ** 2 for sigma in noise])
+        self._weigh([(noise[0] / sigma) ** 2 for sigma in noise])
 
     def weigh(self, views: Sequence[FrameViews]) -> list[FrameViews]:
         """Give the cameras of a frame their weights.
@@ -184,13 +194,16 @@ class WeightedProblem:
         SingularSubdomainError, FactorizationError
             On all ranks.
         """
-        rule = RenewalRule(cut_off_wavelength(self.reference.inputs.case))
-        renewal = find_renewal(self.team, views, q, (self._visible, self.reference.hessians), rule)
+        rule = RenewalRule(compute_cut_off_wavelength(self.reference.inputs.case))
+        with self._clock.phase(Phase.ASSEMBLE):
+            renewal = find_renewal(self.team, views, q, (self._visible, self.reference.hessians), rule)
         if renewal.note or not self.solver.is_set_up:
             self.n_assembled += sum(hessian is not None for hessian in renewal.hessians)
             self.solver.renew(renewal.hessians)
             # Not before: where the factorisation fails, the next frame asks for it again.
             self._visible = renewal.visible
+        if self._size is None:
+            self._size = measure_problem_size(self.team, self.reference, self.solver)
         return (renewal.note,) if renewal.note else ()
 
     def destroy(self) -> None:
@@ -199,11 +212,10 @@ class WeightedProblem:
             self._solver.destroy()
             self._solver = None
 
-    def _set_up(self, weights: list[float]) -> None:
+    def _weigh(self, weights: list[float]) -> None:
         self._weights = weights
         reference = self.reference
         with self._clock.phase(Phase.ASSEMBLE):
             weighted: list[ReferenceViews] = [r.weigh(weights) for r in reference.references]
             assembly = assemble(self.team, reference.inputs.case, reference.region, weighted, reference.hessians)
         self._solver = LinearSolver(self.team, reference.inputs.case, assembly, self._clock)
-        self._size = measure_problem_size(self.team, reference, self._solver)

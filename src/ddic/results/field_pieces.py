@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ddic.functionals.correlation import Residual
 from ddic.io import result_schema as schema
-from ddic.io.result_writer import Piece, PieceSize, ResultWriter, joined
+from ddic.io.result_writer import Piece, PieceSize, ResultWriter, join_pieces
 from ddic.kinematics.strain import compute_strain
 from ddic.partition.subdomain import Subdomain
 
@@ -63,10 +63,10 @@ def _join_batches(pieces: Iterator[Piece]) -> Iterator[_Batch]:
     for piece in pieces:
         waiting.append(piece)
         if sum(len(p.points) for p in waiting) >= BATCH_POINTS:
-            yield _Batch(len(waiting), joined(waiting))
+            yield _Batch(len(waiting), join_pieces(waiting))
             waiting = []
     if waiting:
-        yield _Batch(len(waiting), joined(waiting))
+        yield _Batch(len(waiting), join_pieces(waiting))
 
 
 def _make_pieces(measurement: Measurement) -> Iterator[Piece]:
@@ -81,7 +81,7 @@ def _point_data(measurement: Measurement, subdomain: Subdomain, u: NDArray[np.fl
     vectors = u.reshape(subdomain.mesh.nodes.shape)
     data: dict[str, NDArray[Any]] = {
         schema.DISPLACEMENT: vectors,
-        schema.DISPLACEMENT_MESH_UNITS: measurement.region.mapping.vector_to_mesh_units(vectors),
+        schema.DISPLACEMENT_MESH_UNITS: measurement.region.mapping.map_vectors_to_mesh_units(vectors),
         schema.GLOBAL_NODE_ID: subdomain.node_ids,
     }
     if pixel_size is not None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.errors import ConvergenceError, first_of, on_all_ranks
+from ddic.errors import ConvergenceError, as_collective, list_first
 from ddic.io.result_writer import ResultWriter
 from ddic.kinematics.strain import find_inverted_cells
 from ddic.parallel.team import Team
@@ -22,7 +22,7 @@ from ddic.problem.weighted_problem import WeightedProblem
 from ddic.results.camera_images import write_residual_images
 from ddic.results.field_pieces import write_pieces
 from ddic.results.histories import write_attributes, write_histories
-from ddic.results.provenance import image_attributes
+from ddic.results.provenance import describe_image
 from ddic.results.setup_motion import SetupMotion, collect_motions, describe_motions, estimate_covariances
 from ddic.solvers.dual.continuity import average_copies
 from ddic.solvers.gauss_newton import IterationRecord, Solution
@@ -143,7 +143,7 @@ class Measurement:
         """
         reference, deformed = self.cameras[0].reference.image, self.frame[0].image
         return {"n_ranks": self.size.n_ranks, "n_subdomains": self.size.n_subdomains,
-                **image_attributes("reference", reference), **image_attributes("deformed", deformed)}
+                **describe_image("reference", reference), **describe_image("deformed", deformed)}
 
 
 def finish_measurement(problem: WeightedProblem, model: ResidualModel, frame: Frame, solution: Solution,
@@ -207,6 +207,6 @@ def refuse_inverted_cells(team: Team, subdomains: Sequence[Subdomain], q: Sequen
                                for s, q_s in zip(subdomains, q, strict=True)])
     cells = np.sort(np.concatenate(found))
     if len(cells):
-        raise on_all_ranks(ConvergenceError(
-            f"the measured field turns {len(cells)} elements inside out (numbers {first_of(cells)}): the images do not "
-            "determine it; use larger elements or a longer regularization.cut_off_wavelength"))
+        raise as_collective(ConvergenceError(
+            f"the measured field turns {len(cells)} elements inside out (numbers {list_first(cells)}): the images do "
+            "not determine it; use larger elements or a longer regularization.cut_off_wavelength"))

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ddic.results.provenance import image_attributes
+from ddic.results.provenance import describe_image
 from ddic.results.setup_motion import SetupMotion
 from ddic.results.summary import NearSummary
 
@@ -39,7 +39,7 @@ def describe_near_field(measurement: Measurement, motion: SetupMotion) -> dict[s
         "distortion_radius_px": setup.mapping.radius, "radial": setup.mapping.radial,
         "noise_grey": measurement.noise[number], "far_noise_grey": measurement.noise[0],
         "residual_std_grey": grey.residual_std, "gain": grey.gain, "offset": grey.offset,
-        **image_attributes("reference", reference), **image_attributes("deformed", deformed),
+        **describe_image("reference", reference), **describe_image("deformed", deformed),
     }
 
 

@@ -12,11 +12,11 @@ import mpi4py.MPI
 import numpy as np
 import petsc4py.PETSc
 
-import ddic
 from ddic.images.source import ImageSource
 from ddic.images.window import Window
-from ddic.io.image_file import sha256_of_file
-from ddic.io.source_tree import source_commit
+from ddic.io.image_file import compute_sha256
+from ddic.io.source_tree import find_source_commit
+from ddic.version import __version__
 
 _LIBRARIES = ("numpy", "scipy", "numba", "h5py", "mpi4py", "petsc4py")
 
@@ -37,8 +37,8 @@ def collect_provenance(origin: dict[str, str | int]) -> dict[str, str | int]:
     facts: dict[str, str | int] = {
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": " ".join(sys.argv),
-        "ddic": ddic.__version__,
-        "commit": source_commit(),
+        "ddic": __version__,
+        "commit": find_source_commit(),
         "python": platform.python_version(),
         "petsc": ".".join(str(n) for n in petsc4py.PETSc.Sys.getVersion()),
         "mpi": mpi4py.MPI.Get_library_version().splitlines()[0].strip("\0 "),
@@ -48,7 +48,7 @@ def collect_provenance(origin: dict[str, str | int]) -> dict[str, str | int]:
     return {**facts, **origin}
 
 
-def image_attributes(name: str, image: ImageSource) -> dict[str, str | int]:
+def describe_image(name: str, image: ImageSource) -> dict[str, str | int]:
     """Describe an image by its path, size and checksum.
 
     Parameters
@@ -64,7 +64,7 @@ def image_attributes(name: str, image: ImageSource) -> dict[str, str | int]:
         NAME_path, NAME_size and NAME_sha256: of the file's bytes, or of the pixels in memory.
     """
     if image.path.is_file():
-        checksum = sha256_of_file(image.path)
+        checksum = compute_sha256(image.path)
     else:
         pixels = image.read(Window(0, 0, image.width, image.height))
         checksum = hashlib.sha256(np.ascontiguousarray(pixels).tobytes()).hexdigest()

@@ -114,13 +114,13 @@ def gather(measurement: Publishable) -> Result:
 
 
 def _write(measurement: Publishable, destination: Destination, *, read_back: bool = False) -> Result | None:
-    # Only rank 0 has a writer; the others take part in the collective calls.
-    if not measurement.team.is_root:
-        measurement.write(None)
-        return None
     with ExitStack() as stack:
-        writer = stack.enter_context(ResultWriter(destination.path, flip_y=destination.flip_y))
+        # An error on rank 0 while it opens the file must not leave the others sending to it.
+        writer = measurement.team.build_on_root(
+            lambda: stack.enter_context(ResultWriter(destination.path, flip_y=destination.flip_y)))
         measurement.write(writer)
+        if writer is None:
+            return None
         if destination.times is not None:
             _write_times(writer, destination.times)
         writer.write_attributes(schema.PROVENANCE, collect_provenance(measurement.describe_origin()))

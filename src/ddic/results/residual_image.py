@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.images.window import Window
-from ddic.io.image_chunks import ChunkGrid, packed
+from ddic.io.image_chunks import ChunkGrid, pack_chunk
 from ddic.parallel.team import Team
 
 CHUNKS_A_MESSAGE = 16
@@ -89,8 +89,8 @@ def share_chunks(team: Team, grid: ChunkGrid, windows: Iterable[Window]) -> Chun
     """
     area: Counter[int] = Counter()
     for window in windows:
-        for number in grid.touching(window):
-            area[number] += window.intersection(grid.window(number)).n_pixels
+        for number in grid.find_chunks(window):
+            area[number] += window.intersection(grid.locate_chunk(number)).n_pixels
 
     # By chunk and rank, the pixels of the windows.
     n_pixels_of: dict[int, dict[int, int]] = {}
@@ -180,12 +180,12 @@ def stream_chunks(team: Team, chunks: list[PackedChunk]) -> Iterator[PackedChunk
 def _complete_chunks(grid: ChunkGrid, windows: list[Window],
                      patches: Iterator[Patch]) -> Iterator[tuple[int, NDArray[np.float32]]]:
     """Chunks with all that this rank's subdomains hold of them, each as soon as that is so."""
-    left = Counter(number for window in windows for number in grid.touching(window))
+    left = Counter(number for window in windows for number in grid.find_chunks(window))
     open_chunks: dict[int, NDArray[np.float32]] = {}
     for patch in patches:
-        for number in grid.touching(patch.window):
+        for number in grid.find_chunks(patch.window):
             chunk = open_chunks.setdefault(number, np.full(grid.shape, np.nan, dtype=np.float32))
-            _lay(patch, grid.window(number), chunk)
+            _lay(patch, grid.locate_chunk(number), chunk)
             left[number] -= 1
             if left[number] == 0:
                 yield number, open_chunks.pop(number)
@@ -208,4 +208,4 @@ def _places(part: Window, whole: Window) -> tuple[slice, slice]:
 
 def _pack(number: int, chunk: NDArray[np.float32]) -> list[PackedChunk]:
     """A chunk compressed; nothing where it has no pixel."""
-    return [] if np.isnan(chunk).all() else [PackedChunk(number, packed(chunk))]
+    return [] if np.isnan(chunk).all() else [PackedChunk(number, pack_chunk(chunk))]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-from ddic.errors import FactorizationError, on_all_ranks
+from ddic.errors import FactorizationError, as_collective
 from ddic.parallel.team import Team
 from ddic.solvers.linear_step import AllowedError, StepResult
 from ddic.solvers.local_system import LocalSystem
@@ -102,7 +102,7 @@ class AssembledStep:
             return
         code = factor.getMumpsInfog(1)
         if code < 0 and code != ZERO_PIVOT:
-            raise on_all_ranks(FactorizationError(
+            raise as_collective(FactorizationError(
                 f"MUMPS could not factorise the assembled operator (INFOG(1) = {code}, INFOG(2) = "
                 f"{factor.getMumpsInfog(2)}), most often for want of memory; start more ranks or use "
                 'solver.method = "dual"'))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-from ddic.errors import ConvergenceError, on_all_ranks
+from ddic.errors import ConvergenceError, as_collective
 from ddic.parallel.team import Team
 from ddic.solvers.displacement_size import measure_unit_size
 from ddic.solvers.linear_step import AllowedError, StepResult
@@ -106,7 +106,7 @@ class ConjugateGradientStep:
         iterations = int(self._ksp.getIterationNumber())
         norm = float(self._ksp.getResidualNorm())
         if self._ksp.getConvergedReason() < 0:
-            raise on_all_ranks(ConvergenceError(
+            raise as_collective(ConvergenceError(
                 f"conjugate gradients did not converge in {iterations} iterations (relative "
                 f"residual {norm / (size or 1.0):.1e}): the cut-off wavelength is too long for "
                 'them, or nothing holds a part of the region; use solver.method = "dual", or raise '

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.errors import ConvergenceError, on_all_ranks
+from ddic.errors import ConvergenceError, as_collective
 from ddic.functionals.grey_statistics import GreyState
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
@@ -100,11 +100,35 @@ class Model(Protocol):
         ...
 
     def linearize(self, q: Sequence[Array]) -> tuple[list[Array], tuple[GreyState, ...]]:
-        """Pass over all pixels: b_s of owned subdomains, and each camera's statistics; collective."""
+        """Pass over all pixels; collective.
+
+        Parameters
+        ----------
+        q : sequence of (n_unknowns,) array
+            Unknowns of each owned subdomain.
+
+        Returns
+        -------
+        b : list of (n_unknowns,) array
+            b_s of each, grey levels squared per pixel.
+        grey : tuple of GreyState
+            Statistics of each camera.
+        """
         ...
 
     def measure_correction(self, dq: Sequence[Array], q: Sequence[Array]) -> CorrectionSize:
-        """Measure a correction dq of unknowns q on displacements of nodes; collective."""
+        """Measure a correction on displacements of nodes; collective.
+
+        Parameters
+        ----------
+        dq, q : sequence of (n_unknowns,) array
+            Correction, and unknowns before it, of each owned subdomain.
+
+        Returns
+        -------
+        CorrectionSize
+            No unit, and pixels.
+        """
         ...
 
 
@@ -158,10 +182,13 @@ class Progress:
         Of the phases "residual" and "linear step".
     report : callable
         Told of every iteration.
+    n_before : int
+        Iterations of the same frame before these.
     """
 
     clock: PhaseClock
     report: Report
+    n_before: int = 0
 
 
 def stay_silent(record: IterationRecord) -> None:
@@ -227,12 +254,12 @@ def gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, tolerances:
             last_rms = records[-1].size.rms if records else None
             result, size = _solve_as_far_as_it_pays(model, step, (current, b), tolerances, last_rms)
         current = [q_s + dq for q_s, dq in zip(current, result.dq, strict=True)]
-        records.append(IterationRecord(number, size, grey, result.krylov_iterations, result.krylov_history,
-                                       result.error, dict(clock.wall)))
+        records.append(IterationRecord(progress.n_before + number, size, grey, result.krylov_iterations,
+                                       result.krylov_history, result.error, dict(clock.wall)))
         progress.report(records[-1])
         if model.team.on_root(partial(_decide, size, tolerances)):
             return Solution(current, records)
-    raise on_all_ranks(ConvergenceError(_not_converged(records[-1], tolerances)))
+    raise as_collective(ConvergenceError(_not_converged(records[-1], tolerances)))
 
 
 def _solve_as_far_as_it_pays(model: Model, step: LinearStep, system: tuple[Sequence[Array], Sequence[Array]],

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 from scipy import sparse
 
-from ddic.errors import SingularSubdomainError, on_all_ranks
+from ddic.errors import SingularSubdomainError, as_collective
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.solvers.exchange import Exchange
@@ -216,7 +216,8 @@ class WholeSystem:
                  for system, numbers in zip(self.systems, self.numbers, strict=True)
                  for unknown in np.flatnonzero(numbers == number)]
         x, y = self._team.gather_lists(nodes)[0][:2]
-        return on_all_ranks(SingularSubdomainError(describe_singular(f"the region around column {x:.0f}, row {y:.0f}")))
+        place = f"the region around column {x:.0f}, row {y:.0f}"
+        return as_collective(SingularSubdomainError(describe_singular(place)))
 
     def create_vector(self) -> PETSc.Vec:
         """Create a zero vector of owned unknowns over all ranks.

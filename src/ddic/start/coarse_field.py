@@ -14,17 +14,17 @@ from ddic.case.schema import StartSection
 from ddic.errors import InputError
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.images.binned import bin_rows, join_blocks
-from ddic.images.grid_field import uniform_field
+from ddic.images.grid_field import build_uniform_field
 from ddic.images.sub_image import MaskedSource
 from ddic.io.result_reader import displacement_at, read_result
 from ddic.io.result_schema import near_group
 from ddic.kinematics.camera_kinematics import CameraSetup
 from ddic.mesh.mesh import Mesh
-from ddic.parallel.team import Team, held
+from ddic.parallel.team import Team, require_held
 from ddic.problem.cameras import Camera, Frame
 from ddic.problem.inputs import Inputs
 from ddic.problem.views import ReferenceViews
-from ddic.start.multilevel import MultilevelStart, finest_block, multilevel_start
+from ddic.start.multilevel import MultilevelStart, choose_finest_block, find_multilevel_start
 from ddic.start.pyramid_level import BinnedPair
 
 Array = NDArray[np.float64]
@@ -86,7 +86,7 @@ class CoarseSearch:
         if frame is None or self.section.from_result is not None:
             return lambda: None
         if not (self.section.rigid or self.section.pyramid):
-            zero = MultilevelStart(uniform_field((0.0, 0.0)), None, (), ())
+            zero = MultilevelStart(build_uniform_field((0.0, 0.0)), None, (), ())
             return lambda: [zero] * len(self.cameras)
         pairs = [_bin_together(self.team, camera.reference, deformed)
                  for camera, deformed in zip(self.cameras, frame, strict=True)]
@@ -112,8 +112,8 @@ class CoarseSearch:
     def _search(self, pairs: Sequence[BinnedPair | None]) -> list[MultilevelStart] | None:
         if self.meshes is None:
             return None
-        return [multilevel_start(held(pair), mesh, rigid=self.section.rigid, pyramid=self.section.pyramid,
-                                 correction=self.correction)
+        return [find_multilevel_start(require_held(pair), mesh, rigid=self.section.rigid, pyramid=self.section.pyramid,
+                                      correction=self.correction)
                 for pair, mesh in zip(pairs, self.meshes, strict=True)]
 
 
@@ -184,7 +184,7 @@ def _describe(start: MultilevelStart) -> list[str]:
 def _bin_together(team: Team, reference: MaskedSource, deformed: MaskedSource) -> BinnedPair | None:
     """Both images in the smallest blocks that the start looks at, on the last rank; each rank bins a band of rows."""
     image = reference.image
-    factor = finest_block(image.width * image.height)
+    factor = choose_finest_block(image.width * image.height)
     edges = np.linspace(0, image.height // factor, team.size + 1).astype(int)
     mine = range(int(edges[team.rank]), int(edges[team.rank + 1]))
     sources = (reference, deformed)
@@ -225,16 +225,18 @@ def read_earlier_fields(team: Team, path: Path, cameras: Sequence[Camera],
 
     def read() -> list[list[Array]]:
         result = read_result(path)
-        return [[displacement_at(result, nodes) for nodes in of_rank] for of_rank in held(wanted)]
+        return [[displacement_at(result, nodes) for nodes in of_rank] for of_rank in require_held(wanted)]
 
     displacements = team.scatter_from_root(read)
     motions = team.on_root(lambda: [_stored_motion(path, camera) for camera in cameras])
-    q = []
-    for reference, u in zip(references, displacements, strict=True):
+
+    def fit(reference: ReferenceViews, u: Array) -> Array:
         subdomain = reference.subdomain
         nodes = subdomain.mesh.nodes
         moved = cameras[subdomain.camera].setup.move(nodes + u, motions[subdomain.camera])
-        q.append(subdomain.kinematics.fit((moved - nodes).ravel()))
+        return subdomain.kinematics.fit((moved - nodes).ravel())
+
+    q = team.together(lambda: [fit(reference, u) for reference, u in zip(references, displacements, strict=True)])
     labels = [""] if len(cameras) == 1 else [f"{camera.label}, " for camera in cameras]
     return StartField(q, tuple(f"{label}start: displacement of {path}" for label in labels))
 

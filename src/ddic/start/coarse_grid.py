@@ -57,12 +57,12 @@ class Grid:
         """
         values = np.full((*self.shape, 2), np.nan)
         values.reshape(-1, 2)[self.numbers] = displacement.reshape(-1, 2) * factor
-        x0, y0 = self.origin * factor + centre_of_block(factor)
+        x0, y0 = self.origin * factor + locate_block_centre(factor)
         step_x, step_y = self.spacing * factor
         return GridField((x0, y0), (step_x, step_y), fill_absent(values))
 
 
-def centre_of_block(factor: int) -> float:
+def locate_block_centre(factor: int) -> float:
     """Find the position of the first block's centre.
 
     Parameters
@@ -101,8 +101,8 @@ def build_grid(region: Mesh, active: NDArray[np.uint8]) -> Grid:
     nodes = np.stack([all_x.ravel(), all_y.ravel()], axis=1)
     full = build_mesh(nodes, {Q4: _connect(n_rows, n_columns)})
 
-    n_active = rasterize(full).counts_in(active)
-    mesh, numbers = full.submesh(np.flatnonzero(n_active > 0))
+    n_active = rasterize(full).sum_by_cell(active)
+    mesh, numbers = full.create_submesh(np.flatnonzero(n_active > 0))
     shape = (int(n_rows) + 1, int(n_columns) + 1)
     spacing = (high - low) / (n_columns, n_rows)
     return Grid(mesh, numbers, shape, low, spacing)

@@ -8,18 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.errors import first_of
+from ddic.errors import list_first
 from ddic.kinematics.camera_kinematics import CameraKinematics
 from ddic.parallel.phases import Phase, PhaseClock
-from ddic.parallel.team import Team, held
+from ddic.parallel.team import Team, require_held
 from ddic.problem.cameras import Frame
 from ddic.problem.views import FrameViews, ReferenceViews, read_frame_windows
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.start.camera_noise import describe_noise, estimate_noise
 from ddic.start.coarse_field import CoarseSearch, StartField, fit_coarse_fields, read_earlier_fields
 from ddic.start.independent import measure_independently
-from ddic.start.motion import start_motions
 from ddic.start.multilevel import MultilevelStart
+from ddic.start.start_motions import start_motions
 
 Array = NDArray[np.float64]
 
@@ -95,7 +95,7 @@ def find_start(by: FrameStart, frame: Frame, views: Sequence[FrameViews], found:
     with by.clock.phase(Phase.START):
         coarse = _find_coarse_fields(by, frame, references, found)
     with by.clock.phase(Phase.READ):
-        by.team.together(lambda: read_frame_windows([v.alone() for v in views], coarse.q))
+        by.team.together(lambda: read_frame_windows([of_subdomain.alone() for of_subdomain in views], coarse.q))
     with by.clock.phase(Phase.INDEPENDENT_START):
         fields, notes = _refine_independently(by, views, coarse)
         if len(by.search.cameras) == 1:
@@ -107,8 +107,8 @@ def find_start(by: FrameStart, frame: Frame, views: Sequence[FrameViews], found:
             noise = estimate_noise(by.team, by.search.cameras, views, fields, by.search.correction)
     if not by.problem.is_set_up:
         by.problem.set_noise(noise)
-    q = [_join_motion(reference, field, motions[reference.subdomain.camera])
-         for reference, field in zip(references, fields, strict=True)]
+    q = by.team.together(lambda: [_join_motion(reference, field, motions[reference.subdomain.camera])
+                                  for reference, field in zip(references, fields, strict=True)])
     return StartedFrame(q, (*notes, *describe_noise(by.search.cameras, noise)))
 
 
@@ -120,7 +120,7 @@ def _find_coarse_fields(by: FrameStart, frame: Frame, references: Sequence[Refer
     if found is None:
         search = by.search.prepare(frame)
         found = by.search.share(by.team.together(search))
-    coarse = held(found)
+    coarse = require_held(found)
     return by.team.together(lambda: fit_coarse_fields(cameras, references, coarse))
 
 
@@ -137,7 +137,7 @@ def _refine_independently(by: FrameStart, views: Sequence[FrameViews],
     kept = by.team.gather_lists(refined.kept)
     note = "start: independent FE-DIC on every subdomain"
     if kept:
-        note += f"; {len(kept)} kept the coarse field for want of texture or convergence ({first_of(kept)})"
+        note += f"; {len(kept)} kept the coarse field for want of texture or convergence ({list_first(kept)})"
     return refined.q, (*coarse.notes, note)
 
 

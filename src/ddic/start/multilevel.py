@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from ddic.errors import ConvergenceError, SingularSubdomainError
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.images.binned import bin_image
-from ddic.images.grid_field import GridField, uniform_field
+from ddic.images.grid_field import GridField, build_uniform_field
 from ddic.images.rigid import RigidShift, find_rigid_shift
 from ddic.images.sub_image import MaskedSource
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
 from ddic.start.coarse_grid import CELL
-from ddic.start.pyramid_level import BinnedPair, active_blocks, correlate_level, scaled_mesh
+from ddic.start.pyramid_level import BinnedPair, correlate_level, find_active_blocks, scale_mesh
 
 LARGEST_COARSE_IMAGE = 1_000_000
 """Pixels of the finest image of the pyramid: what one rank is asked to hold and correlate. A larger value gives a
@@ -72,14 +72,14 @@ class MultilevelStart:
     warnings: tuple[str, ...]
 
 
-def multilevel_start(pair: BinnedPair, mesh: Mesh, *, rigid: bool, pyramid: bool,
-                     correction: GreyCorrection) -> MultilevelStart:
+def find_multilevel_start(pair: BinnedPair, mesh: Mesh, *, rigid: bool, pyramid: bool,
+                          correction: GreyCorrection) -> MultilevelStart:
     """Find a coarse field on the region of a mesh.
 
     Parameters
     ----------
     pair : BinnedPair
-        The images, binned at most as far as ``finest_block`` says.
+        The images, binned at most as far as ``choose_finest_block`` says.
     mesh : Mesh
         The whole mesh, pixels.
     rigid : bool
@@ -95,7 +95,7 @@ def multilevel_start(pair: BinnedPair, mesh: Mesh, *, rigid: bool, pyramid: bool
         The field of the finest level that worked.
     """
     n_pixels = pair.n_blocks * pair.factor**2
-    sizes = block_sizes(n_pixels, mesh) if pyramid else []
+    sizes = choose_block_sizes(n_pixels, mesh) if pyramid else []
     rigid_size = _rigid_block_size(n_pixels, mesh)
     all_sizes = [*sizes, rigid_size] if rigid else sizes
     pairs = _binned_pairs(pair, all_sizes)
@@ -107,7 +107,7 @@ def multilevel_start(pair: BinnedPair, mesh: Mesh, *, rigid: bool, pyramid: bool
                         "); starting from zero")
         shift = None
 
-    rigid_field = uniform_field((0.0, 0.0) if shift is None else shift.shift)
+    rigid_field = build_uniform_field((0.0, 0.0) if shift is None else shift.shift)
     starts = [rigid_field]
     done: list[int] = []
     for size in sizes:
@@ -122,7 +122,7 @@ def multilevel_start(pair: BinnedPair, mesh: Mesh, *, rigid: bool, pyramid: bool
     return MultilevelStart(starts[0], shift, tuple(done), tuple(warnings))
 
 
-def finest_block(n_pixels: int) -> int:
+def choose_finest_block(n_pixels: int) -> int:
     """Find the side of the smallest blocks that the start looks at.
 
     Parameters
@@ -146,7 +146,7 @@ def _finest_level(n_pixels: int) -> int:
     return finest
 
 
-def block_sizes(n_pixels: int, mesh: Mesh) -> list[int]:
+def choose_block_sizes(n_pixels: int, mesh: Mesh) -> list[int]:
     """Choose the block sizes of the pyramid's levels.
 
     Parameters
@@ -195,7 +195,7 @@ def _binned_pairs(pair: BinnedPair, sizes: Iterable[int]) -> dict[int, BinnedPai
 
 def _rigid(pair: BinnedPair, mesh: Mesh) -> RigidShift:
     """The translation of the region between two binned images, pixels."""
-    region = active_blocks(pair.reference, rasterize(scaled_mesh(mesh, pair.factor))).astype(bool)
+    region = find_active_blocks(pair.reference, rasterize(scale_mesh(mesh, pair.factor))).astype(bool)
     if region.sum() < SMALLEST_SIDE:
         return RigidShift((0.0, 0.0), 0.0)
     found = find_rigid_shift(_values(pair.reference), _values(pair.deformed), region)

@@ -36,7 +36,7 @@ from ddic.solvers.gauss_newton import Progress, Tolerances, gauss_newton, stay_s
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.monolithic import MonolithicStep
-from ddic.start.coarse_grid import CELL, build_grid, centre_of_block
+from ddic.start.coarse_grid import CELL, build_grid, locate_block_centre
 
 CUT_OFF = 4.0 * CELL
 """Cut-off wavelength of a level, blocks. A larger value finds smoother fields, and strays less where texture is
@@ -83,7 +83,7 @@ class BinnedPair:
     @property
     def centre(self) -> float:
         """Position of block 0's centre, pixels."""
-        return centre_of_block(self.factor)
+        return locate_block_centre(self.factor)
 
 
 def correlate_level(pair: BinnedPair, mesh: Mesh, starts: Sequence[GridField],
@@ -113,8 +113,8 @@ def correlate_level(pair: BinnedPair, mesh: Mesh, starts: Sequence[GridField],
     SingularSubdomainError
         Where the blocks do not determine the displacement.
     """
-    region = scaled_mesh(mesh, pair.factor)
-    active = active_blocks(pair.reference, rasterize(region))
+    region = scale_mesh(mesh, pair.factor)
+    active = find_active_blocks(pair.reference, rasterize(region))
     if not active.any():
         raise SingularSubdomainError("no block of the region is usable: everything is masked")
     grid = build_grid(region, active)
@@ -124,7 +124,7 @@ def correlate_level(pair: BinnedPair, mesh: Mesh, starts: Sequence[GridField],
     return grid.make_field(displacement, pair.factor)
 
 
-def scaled_mesh(mesh: Mesh, factor: int) -> Mesh:
+def scale_mesh(mesh: Mesh, factor: int) -> Mesh:
     """Scale a mesh from pixels to blocks.
 
     Parameters
@@ -139,11 +139,11 @@ def scaled_mesh(mesh: Mesh, factor: int) -> Mesh:
     Mesh
         The same cells, blocks.
     """
-    nodes = (mesh.nodes - centre_of_block(factor)) / factor
+    nodes = (mesh.nodes - locate_block_centre(factor)) / factor
     return Mesh(nodes, mesh.connectivity, mesh.offsets, mesh.types)
 
 
-def active_blocks(coarse: MaskedSource, raster: Raster) -> NDArray[np.uint8]:
+def find_active_blocks(coarse: MaskedSource, raster: Raster) -> NDArray[np.uint8]:
     """Mark the blocks whose centre lies in the mesh and that are not masked.
 
     Parameters
@@ -158,8 +158,8 @@ def active_blocks(coarse: MaskedSource, raster: Raster) -> NDArray[np.uint8]:
     (rows, columns) array of uint8
         1 on active blocks, 0 elsewhere.
     """
-    covered = raster.coverage(coarse.image.width, coarse.image.height)
-    usable = coarse.usable(coarse.extent)
+    covered = raster.find_covered(coarse.image.width, coarse.image.height)
+    usable = coarse.find_usable(coarse.extent)
     return covered if usable is None else covered & usable
 
 

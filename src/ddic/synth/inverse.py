@@ -17,7 +17,7 @@ _MAX_ITERATIONS = 50
 _FAST = 0.01
 
 
-def reference_points(field: DisplacementField, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def find_reference_points(field: DisplacementField, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Solve x + u(x) = y for x at deformed points y.
 
     Newton's method on the displacement v = y - x, stopped when |u(y - v) - v| <= 1e-12 px (or four roundings

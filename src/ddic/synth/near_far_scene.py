@@ -51,7 +51,7 @@ class SetUpMotion:
     def __post_init__(self) -> None:
         require_finite("near set-up", alpha=self.alpha, rotation_degrees=self.rotation_degrees, centre=self.centre)
 
-    def moved(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def move(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Evaluate T.
 
         Parameters
@@ -67,7 +67,7 @@ class SetUpMotion:
         turned = (points - self.centre) @ self._rotation().T
         return np.asarray(turned + self.centre + self.alpha)
 
-    def unmoved(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def move_back(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Evaluate the inverse of T.
 
         Parameters
@@ -155,7 +155,7 @@ class NearScene:
             Fractions of full scale.
         """
         moved = self.camera.mapping.to_specimen(points)
-        return self.surface.deformed_grey(self.camera.motion.unmoved(moved))
+        return self.surface.deformed_grey(self.camera.motion.move_back(moved))
 
     def displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Evaluate phi(T(X + u(X))) - phi(X).
@@ -171,7 +171,7 @@ class NearScene:
             Near pixels.
         """
         specimen = self.camera.mapping.to_specimen(points)
-        moved = self.camera.motion.moved(specimen + self.surface.field.displacement(specimen))
+        moved = self.camera.motion.move(specimen + self.surface.field.displacement(specimen))
         return np.asarray(self.camera.mapping.to_image(moved) - points)
 
 
@@ -212,8 +212,8 @@ class NearFarScene:
                 f"x 0..{limits[0]}, y 0..{limits[1]} px; move its centre, use a larger ratio or a smaller near image")
 
 
-def near_mapping(ratio: float, centre: Pair, picture: Picture, angle_degrees: float = 0.0,
-                 tilt: Pair = (0.0, 0.0)) -> CameraMapping:
+def build_near_mapping(ratio: float, centre: Pair, picture: Picture, angle_degrees: float = 0.0,
+                       tilt: Pair = (0.0, 0.0)) -> CameraMapping:
     """Build the near camera's phi: ``centre`` in the middle of its picture, magnified ``ratio`` times there.
 
     Parameters
@@ -252,7 +252,7 @@ def near_mapping(ratio: float, centre: Pair, picture: Picture, angle_degrees: fl
     return CameraMapping(homography / homography[2, 2])
 
 
-def beside_the_hole(center: Pair, radius: float, ratio: float, near: Picture) -> Pair:
+def place_beside_hole(center: Pair, radius: float, ratio: float, near: Picture) -> Pair:
     """Place a near field so that the hole's right edge is a quarter of its width from its left side.
 
     Parameters
@@ -280,8 +280,8 @@ def beside_the_hole(center: Pair, radius: float, ratio: float, near: Picture) ->
     return center[0] + radius + near.width / (4 * ratio), center[1]
 
 
-def near_far_scene(texture: TwoScaleTexture, field: DisplacementField, hole: Hole, far_picture: Picture,
-                   near: NearCamera) -> NearFarScene:
+def build_near_far_scene(texture: TwoScaleTexture, field: DisplacementField, hole: Hole, far_picture: Picture,
+                         near: NearCamera) -> NearFarScene:
     """Show a specimen to both cameras: the far one sees the coarse speckles alone, at full contrast.
 
     The hole's edge is given for the far picture; in the near one it is sharper, as the fine speckles are smaller than

@@ -85,10 +85,10 @@ class NearFarTruth:
         (n, 2) array
             Near pixels.
         """
-        moved = self.motion.moved(points + self.field.displacement(points))
+        moved = self.motion.move(points + self.field.displacement(points))
         return np.asarray(self.mapping.to_image(moved) - self.mapping.to_image(points))
 
-    def in_near_field(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def is_in_near_field(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Find which points the near reference image shows.
 
         Parameters

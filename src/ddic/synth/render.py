@@ -15,7 +15,7 @@ from ddic.images.window import Window
 from ddic.synth.digitise import Stored
 from ddic.synth.fields import DisplacementField
 from ddic.synth.hole import Hole
-from ddic.synth.inverse import reference_points
+from ddic.synth.inverse import find_reference_points
 from ddic.synth.picture import Picture
 from ddic.synth.speckle_texture import SpeckleTexture
 from ddic.synth.two_scale_texture import TwoScaleTexture
@@ -121,7 +121,7 @@ class Scene:
         (n,) array
             Fractions of full scale.
         """
-        return self.reference_grey(reference_points(self.field, points))
+        return self.reference_grey(find_reference_points(self.field, points))
 
 
 def render_pair(scene: Pictured, picture: Picture, stream: int = 0) -> ImagePair:

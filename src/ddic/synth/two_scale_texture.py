@@ -49,7 +49,7 @@ class TwoScaleTexture:
         Returns
         -------
         array
-            Fractions of full scale.
+            Fractions of full scale, of the shape of x and y.
         """
         coarse = np.tanh(self.coarse.evaluate(x, y))
         fine = np.tanh(self.fine.evaluate(x, y))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from ddic.errors import SingularSubdomainError, is_on_all_ranks
+from ddic.errors import SingularSubdomainError, is_collective
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Weighting
 from ddic.solvers.dual.build_preconditioner import Preconditioner, build_preconditioner
@@ -150,4 +150,4 @@ def test_a_singular_inverse_of_one_rank_raises_on_all(monkeypatch: pytest.Monkey
             monkeypatch.setattr(SparseInverse, "_check_inertia", lambda self, n: healthy(self, n + 1))
         with pytest.raises(SingularSubdomainError) as caught:
             cut.step(DualSettings(local_inverse="sparse"))
-    assert is_on_all_ranks(caught.value)
+    assert is_collective(caught.value)

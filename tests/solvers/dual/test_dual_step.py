@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ddic.errors import ConvergenceError, is_on_all_ranks
+from ddic.errors import ConvergenceError, is_collective
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import share_nodes
 from ddic.partition.subdomain import Weighting
@@ -154,7 +154,7 @@ def test_too_few_iterations_raise_on_all_ranks() -> None:
         step = cut.step(DualSettings("none", 1e-12, 2))
         with pytest.raises(ConvergenceError, match=r"in 2 Krylov iterations.*max_iterations") as caught:
             cut.solve(step)
-    assert is_on_all_ranks(caught.value)
+    assert is_collective(caught.value)
 
 
 @pytest.mark.parallel(RANKS)

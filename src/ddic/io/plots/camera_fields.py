@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,11 +17,11 @@ from ddic.io.plots.canvas import (
     WIDTH_INCHES,
     Component,
     add_colour_bar,
-    cell_polygons,
-    component_symbol,
-    mesh_bounds,
+    find_mesh_bounds,
+    format_component,
+    make_cell_polygons,
+    make_triangulation,
     pick_component,
-    triangulation,
 )
 from ddic.io.result_reader import Result
 from ddic.io.result_schema import CAMERA, near_group
@@ -28,8 +29,12 @@ from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import find_boundary_facets
 
 OUTLINE = "white"
+
 AROUND = 0.12
-SHOWN_PERCENT = 0.5
+"""Around a near field, relative to its longer side."""
+
+HIDDEN_PERCENT = 0.5
+"""Share of the values, on either side, that colours do not span; a larger value shows more of what is between."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +56,7 @@ class CellPanel:
     values: NDArray[np.float64]
 
 
-def near_mesh(result: Result, camera: int) -> Mesh:
+def find_near_mesh(result: Result, camera: int) -> Mesh:
     """Find the cells that a camera measured.
 
     Parameters
@@ -66,10 +71,10 @@ def near_mesh(result: Result, camera: int) -> Mesh:
     Mesh
         Pixels of the far field.
     """
-    return result.mesh.submesh(np.flatnonzero(result.cell_data[CAMERA] == camera))[0]
+    return result.mesh.create_submesh(np.flatnonzero(result.cell_data[CAMERA] == camera))[0]
 
 
-def near_far_figure(result: Result, component: Component = "magnitude") -> Figure:
+def draw_near_far(result: Result, component: Component = "magnitude") -> Figure:
     """Draw the displacement of the whole mesh, then around each near field in colours of its own.
 
     Near fields are outlined; titles tell alpha, by which each near set-up moved.
@@ -86,23 +91,24 @@ def near_far_figure(result: Result, component: Component = "magnitude") -> Figur
     Figure
         A panel for the whole and one for each near field.
     """
-    cameras = range(1, int(result.cell_data[CAMERA].max()) + 1)
-    near = [near_mesh(result, camera) for camera in cameras]
+    last_camera = int(result.cell_data[CAMERA].max())
+    cameras = range(1, last_camera + 1)
+    near = [find_near_mesh(result, camera) for camera in cameras]
     titles = ["far field", *(_moved(result, camera) for camera in cameras)]
-    boxes = [mesh_bounds(result.mesh.nodes), *(mesh_bounds(mesh.nodes, AROUND) for mesh in near)]
+    boxes = [find_mesh_bounds(result.mesh.nodes), *(find_mesh_bounds(mesh.nodes, AROUND) for mesh in near)]
     figure, panels = _page(len(boxes), boxes[0])
     values = pick_component(result.displacement, component)
     for axes, title, box in zip(panels, titles, boxes, strict=True):
         inside = values[_in_box(result.mesh.nodes, box)]
-        colours = axes.tripcolor(triangulation(result.mesh, result.mesh.nodes), values, shading="gouraud",
+        colours = axes.tripcolor(make_triangulation(result.mesh, result.mesh.nodes), values, shading="gouraud",
                                  cmap=COLOURS, vmin=inside.min(), vmax=inside.max())
         _finish(axes, title, box, near)
-        add_colour_bar(figure, axes, colours, f"{component_symbol('u', component)} [px]")
+        add_colour_bar(figure, axes, colours, f"{format_component('u', component)} [px]")
     return figure
 
 
-def panels_figure(panels: Sequence[CellPanel], outlined: Sequence[Mesh], box: tuple[float, float, float, float],
-                  label: str) -> Figure:
+def draw_cell_panels(panels: Sequence[CellPanel], outlined: Sequence[Mesh], box: tuple[float, float, float, float],
+                     label: str) -> Figure:
     """Draw panels of one part of the image with common colours, two in a row.
 
     Colours span what the last panel shows, without the outermost 0.5 % on either side.
@@ -125,11 +131,12 @@ def panels_figure(panels: Sequence[CellPanel], outlined: Sequence[Mesh], box: tu
     """
     last = panels[-1]
     centres = np.array([last.mesh.nodes[cell[cell >= 0]].mean(axis=0) for cell in last.mesh.cells])
-    low, high = np.percentile(last.values[_in_box(centres, box)], [SHOWN_PERCENT, 100 - SHOWN_PERCENT])
+    shown = last.values[_in_box(centres, box)]
+    low, high = np.percentile(shown, [HIDDEN_PERCENT, 100 - HIDDEN_PERCENT])
     figure, all_axes = _page(len(panels), box)
     for axes, panel in zip(all_axes, panels, strict=True):
-        cells = cell_polygons(panel.mesh, panel.mesh.nodes, array=panel.values, cmap=COLOURS, edgecolors="face",
-                              linewidths=0.1, clim=(low, high))
+        cells = make_cell_polygons(panel.mesh, panel.mesh.nodes, array=panel.values, cmap=COLOURS, edgecolors="face",
+                                   linewidths=0.1, clim=(low, high))
         axes.add_collection(cells)
         _finish(axes, panel.title, box, outlined)
     figure.colorbar(cells, ax=all_axes, label=label, extend="both", shrink=0.7)
@@ -138,19 +145,23 @@ def panels_figure(panels: Sequence[CellPanel], outlined: Sequence[Mesh], box: tu
 
 def _page(n: int, box: tuple[float, float, float, float]) -> tuple[Figure, list[Axes]]:
     """A page with so many panels for a box of pixels."""
-    columns = min(n, 2)
-    rows = -(-n // columns)
+    n_columns = min(n, 2)
+    n_rows = math.ceil(n / n_columns)
     x0, y0, x1, y1 = box
-    height = WIDTH_INCHES / columns * (y1 - y0) / (x1 - x0)
-    figure = Figure(figsize=(1.25 * WIDTH_INCHES, 1.1 * rows * height + 0.8), layout="constrained")
-    return figure, [figure.add_subplot(rows, columns, k + 1) for k in range(n)]
+    panel_width = WIDTH_INCHES / n_columns
+    panel_height = panel_width * (y1 - y0) / (x1 - x0)
+    # With room for labels and colour bars, and for the title of the page.
+    size = (1.25 * WIDTH_INCHES, 1.1 * n_rows * panel_height + 0.8)
+    figure = Figure(figsize=size, layout="constrained")
+    return figure, [figure.add_subplot(n_rows, n_columns, k + 1) for k in range(n)]
 
 
 def _finish(axes: Axes, title: str, box: tuple[float, float, float, float], outlined: Sequence[Mesh]) -> None:
     """Outlines, limits and title of a panel."""
     for mesh in outlined:
-        axes.add_collection(LineCollection(list(mesh.nodes[find_boundary_facets(mesh)[:, :2]]), colors=OUTLINE,
-                                           linewidths=1.2))
+        edges = find_boundary_facets(mesh)[:, :2]
+        segments = list(mesh.nodes[edges])
+        axes.add_collection(LineCollection(segments, colors=OUTLINE, linewidths=1.2))
     axes.set_facecolor("0.6")
     axes.set_xlim(box[0], box[2])
     axes.set_ylim(box[3], box[1])
@@ -162,7 +173,9 @@ def _finish(axes: Axes, title: str, box: tuple[float, float, float, float], outl
 
 def _in_box(points: NDArray[np.float64], box: tuple[float, float, float, float]) -> NDArray[np.bool_]:
     """Which points (n, 2) lie in a box, (n,)."""
-    return np.asarray(((points >= box[:2]) & (points <= box[2:])).all(axis=1))
+    low, high = box[:2], box[2:]
+    is_inside = (points >= low) & (points <= high)
+    return np.asarray(is_inside.all(axis=1))
 
 
 def _moved(result: Result, camera: int) -> str:

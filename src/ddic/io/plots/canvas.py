@@ -17,12 +17,30 @@ from ddic.mesh.mesh import Mesh
 Component = Literal["x", "y", "magnitude"]
 COMPONENTS: tuple[Component, ...] = ("x", "y", "magnitude")
 COLOURS = "viridis"
+
 DPI = 150
+"""Dots an inch of a saved page; a larger value gives larger files."""
+
 WIDTH_INCHES = 7.0
+"""Width of a page."""
+
+NARROWEST_INCHES = 4.5
+"""Least width of a page; a larger value leaves more room beside tall meshes."""
+
 TALLEST_INCHES = 9.0
+"""Most height of the axes."""
+
+LOWEST_INCHES = 2.0
+"""Least height of the axes."""
+
+TITLE_INCHES = 0.6
+"""Height of what stands above and below the axes."""
+
+COLOUR_BAR_INCHES = 2.0
+"""Width of labels and the colour bar beside the axes."""
 
 
-def image_figure(bounds: tuple[float, float, float, float], title: str) -> tuple[Figure, Axes]:
+def make_image_figure(bounds: tuple[float, float, float, float], title: str) -> tuple[Figure, Axes]:
     """Make a figure whose axes are those of the image: pixels, equal scales, y down.
 
     Parameters
@@ -41,10 +59,13 @@ def image_figure(bounds: tuple[float, float, float, float], title: str) -> tuple
     """
     x0, y0, x1, y1 = bounds
     ratio = (y1 - y0) / max(x1 - x0, 1e-12)
-    height = float(np.clip(WIDTH_INCHES * ratio, 2.0, TALLEST_INCHES))
-    # A tall mesh gets a narrow page, with room for labels and the colour bar.
-    width = float(np.clip(height / ratio + 2.0, 4.5, WIDTH_INCHES)) if ratio > 0 else WIDTH_INCHES
-    figure = Figure(figsize=(width, height + 0.6), layout="tight")
+    height = float(np.clip(WIDTH_INCHES * ratio, LOWEST_INCHES, TALLEST_INCHES))
+    width = WIDTH_INCHES
+    if ratio > 0:
+        # A tall mesh gets a narrow page, with room for labels and the colour bar.
+        width_of_axes = height / ratio
+        width = float(np.clip(width_of_axes + COLOUR_BAR_INCHES, NARROWEST_INCHES, WIDTH_INCHES))
+    figure = Figure(figsize=(width, height + TITLE_INCHES), layout="tight")
     axes = figure.add_subplot()
     axes.set_xlim(x0, x1)
     axes.set_ylim(y1, y0)
@@ -55,7 +76,7 @@ def image_figure(bounds: tuple[float, float, float, float], title: str) -> tuple
     return figure, axes
 
 
-def mesh_bounds(nodes: NDArray[np.float64], margin: float = 0.03) -> tuple[float, float, float, float]:
+def find_mesh_bounds(nodes: NDArray[np.float64], margin: float = 0.03) -> tuple[float, float, float, float]:
     """Find the box around nodes.
 
     Parameters
@@ -72,7 +93,9 @@ def mesh_bounds(nodes: NDArray[np.float64], margin: float = 0.03) -> tuple[float
     """
     low, high = nodes.min(axis=0), nodes.max(axis=0)
     gap = margin * float((high - low).max())
-    return float(low[0] - gap), float(low[1] - gap), float(high[0] + gap), float(high[1] + gap)
+    x0, y0 = low - gap
+    x1, y1 = high + gap
+    return float(x0), float(y0), float(x1), float(y1)
 
 
 def add_colour_bar(figure: Figure, axes: Axes, mappable: Any, label: str) -> None:
@@ -89,10 +112,12 @@ def add_colour_bar(figure: Figure, axes: Axes, mappable: Any, label: str) -> Non
     label : str
         With its unit.
     """
-    figure.colorbar(mappable, cax=axes.inset_axes((1.02, 0.0, 0.03, 1.0)), label=label)
+    # x, y, width, height, of the axes'.
+    beside = axes.inset_axes((1.02, 0.0, 0.03, 1.0))
+    figure.colorbar(mappable, cax=beside, label=label)
 
 
-def cell_polygons(mesh: Mesh, nodes: NDArray[np.float64], **style: Any) -> PolyCollection:
+def make_cell_polygons(mesh: Mesh, nodes: NDArray[np.float64], **style: Any) -> PolyCollection:
     """Make polygons of the cells.
 
     Parameters
@@ -109,11 +134,12 @@ def cell_polygons(mesh: Mesh, nodes: NDArray[np.float64], **style: Any) -> PolyC
     PolyCollection
         A polygon a cell.
     """
-    corners = [nodes[ids] for ids in np.split(mesh.connectivity, mesh.offsets[1:-1])]
+    nodes_of_cells = np.split(mesh.connectivity, mesh.offsets[1:-1])
+    corners = [nodes[of_cell] for of_cell in nodes_of_cells]
     return PolyCollection(corners, **style)
 
 
-def triangulation(mesh: Mesh, nodes: NDArray[np.float64]) -> Triangulation:
+def make_triangulation(mesh: Mesh, nodes: NDArray[np.float64]) -> Triangulation:
     """Cut the cells into triangles.
 
     Parameters
@@ -149,10 +175,11 @@ def pick_component(vectors: NDArray[np.float64], component: Component) -> NDArra
     """
     if component == "magnitude":
         return np.asarray(np.hypot(vectors[:, 0], vectors[:, 1]))
-    return vectors[:, 0 if component == "x" else 1]
+    axis = 0 if component == "x" else 1
+    return vectors[:, axis]
 
 
-def component_symbol(symbol: str, component: Component) -> str:
+def format_component(symbol: str, component: Component) -> str:
     """Write a component of a vector as a label does.
 
     Parameters

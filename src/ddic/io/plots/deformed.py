@@ -9,12 +9,12 @@ from ddic.io.plots.canvas import (
     COLOURS,
     Component,
     add_colour_bar,
-    cell_polygons,
-    component_symbol,
-    image_figure,
-    mesh_bounds,
+    find_mesh_bounds,
+    format_component,
+    make_cell_polygons,
+    make_image_figure,
+    make_triangulation,
     pick_component,
-    triangulation,
 )
 from ddic.io.result_reader import Result
 
@@ -22,7 +22,7 @@ VISIBLE_SHARE = 0.05
 MOST_CELLS_WITH_EDGES = 20_000
 
 
-def visible_amplification(result: Result) -> float:
+def choose_amplification(result: Result) -> float:
     """Choose an amplification, one digit, that makes the departure from the mean displacement 5 % of the mesh.
 
     Parameters
@@ -43,8 +43,8 @@ def visible_amplification(result: Result) -> float:
     return max(1.0, float(f"{wanted:.0e}"))
 
 
-def deformed_figure(result: Result, component: Component = "magnitude",
-                    amplification: float | None = None) -> Figure:
+def draw_deformed(result: Result, component: Component = "magnitude",
+                  amplification: float | None = None) -> Figure:
     """Draw the mesh moved by its amplified displacement, over its outline at rest in grey.
 
     Parameters
@@ -62,15 +62,15 @@ def deformed_figure(result: Result, component: Component = "magnitude",
         The page.
     """
     mesh = result.mesh
-    factor = visible_amplification(result) if amplification is None else amplification
+    factor = choose_amplification(result) if amplification is None else amplification
     moved = mesh.nodes + factor * result.displacement
-    bounds = mesh_bounds(np.concatenate([mesh.nodes, moved]))
-    figure, axes = image_figure(bounds, f"Deformed mesh, displacement amplified {factor:g} times")
-    axes.add_collection(cell_polygons(mesh, mesh.nodes, facecolors="0.9", edgecolors="0.9", linewidths=0.3))
+    bounds = find_mesh_bounds(np.concatenate([mesh.nodes, moved]))
+    figure, axes = make_image_figure(bounds, f"Deformed mesh, displacement amplified {factor:g} times")
+    axes.add_collection(make_cell_polygons(mesh, mesh.nodes, facecolors="0.9", edgecolors="0.9", linewidths=0.3))
     values = pick_component(result.displacement, component)
-    colours = axes.tripcolor(triangulation(mesh, moved), values, shading="gouraud", cmap=COLOURS)
+    colours = axes.tripcolor(make_triangulation(mesh, moved), values, shading="gouraud", cmap=COLOURS)
     if mesh.n_cells <= MOST_CELLS_WITH_EDGES:
-        axes.add_collection(cell_polygons(mesh, moved, facecolors="none", edgecolors="black",
-                                          linewidths=0.15))
-    add_colour_bar(figure, axes, colours, f"{component_symbol('u', component)} [px]")
+        axes.add_collection(make_cell_polygons(mesh, moved, facecolors="none", edgecolors="black",
+                                               linewidths=0.15))
+    add_colour_bar(figure, axes, colours, f"{format_component('u', component)} [px]")
     return figure

@@ -9,16 +9,16 @@ from ddic.io.plots.canvas import (
     COLOURS,
     Component,
     add_colour_bar,
-    component_symbol,
-    image_figure,
-    mesh_bounds,
+    find_mesh_bounds,
+    format_component,
+    make_image_figure,
+    make_triangulation,
     pick_component,
-    triangulation,
 )
 from ddic.io.result_reader import Result, displacement_at
 
 
-def difference_figure(result: Result, other: Result, component: Component = "magnitude") -> Figure:
+def draw_difference(result: Result, other: Result, component: Component = "magnitude") -> Figure:
     """Draw the displacement of a result minus another's.
 
     Parameters
@@ -38,9 +38,9 @@ def difference_figure(result: Result, other: Result, component: Component = "mag
     mesh = result.mesh
     difference = result.displacement - displacement_at(other, mesh.nodes)
     rms = float(np.sqrt(np.mean(np.sum(difference**2, axis=1))))
-    figure, axes = image_figure(
-        mesh_bounds(mesh.nodes), f"{result.path.name} minus {other.path.name}, RMS {rms:.2e} px")
-    colours = axes.tripcolor(triangulation(mesh, mesh.nodes), pick_component(difference, component),
+    figure, axes = make_image_figure(
+        find_mesh_bounds(mesh.nodes), f"{result.path.name} minus {other.path.name}, RMS {rms:.2e} px")
+    colours = axes.tripcolor(make_triangulation(mesh, mesh.nodes), pick_component(difference, component),
                              shading="gouraud", cmap=COLOURS)
-    add_colour_bar(figure, axes, colours, f"{component_symbol(chr(92) + 'Delta u', component)} [px]")
+    add_colour_bar(figure, axes, colours, f"{format_component(chr(92) + 'Delta u', component)} [px]")
     return figure

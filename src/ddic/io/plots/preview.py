@@ -43,7 +43,7 @@ class Preview:
             In image coordinates.
         """
         axes.imshow(self.pixels, cmap="gray", interpolation="nearest", zorder=0,
-                    extent=thinned_extent(self.pixels.shape, self.step))
+                    extent=find_thinned_extent(self.pixels.shape, self.step))
 
 
 def read_preview(source: ImageSource) -> Preview:
@@ -70,7 +70,7 @@ def read_preview(source: ImageSource) -> Preview:
     return Preview(pixels, step, source.width, source.height)
 
 
-def thinned_extent(shape: tuple[int, ...], step: int) -> tuple[float, float, float, float]:
+def find_thinned_extent(shape: tuple[int, ...], step: int) -> tuple[float, float, float, float]:
     """Find the extent of a thinned image, y down.
 
     Parameters

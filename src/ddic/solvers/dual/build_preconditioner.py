@@ -13,7 +13,7 @@ from ddic.solvers.dual.coarse_space import CoarseColumns, CoarsePart, CoarseSpac
 from ddic.solvers.dual.dual_problem import DualProblem
 from ddic.solvers.dual.local_inverse import LocalInverseKind, SchurPair, build_schur_pair
 from ddic.solvers.dual.local_modes import find_low_energy_modes
-from ddic.solvers.dual.motion import MotionPreconditioner
+from ddic.solvers.dual.motion_preconditioner import MotionPreconditioner
 from ddic.solvers.dual.preconditioner import DualPreconditioner, LocalPreconditioner
 from ddic.solvers.dual.shell import Preconditioning
 from ddic.solvers.dual.two_level import TwoLevelPreconditioner

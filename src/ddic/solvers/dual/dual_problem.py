@@ -13,7 +13,7 @@ from ddic.parallel.team import Team
 from ddic.partition.incidence import rows_of
 from ddic.partition.subdomain import Subdomain
 from ddic.solvers.dual.local_dual import LocalDual, add_motion_rows, build_local_dual
-from ddic.solvers.dual.motion import sum_motion_scales
+from ddic.solvers.dual.motion_preconditioner import sum_motion_scales
 from ddic.solvers.dual.schur_operator import DualSchurOperator
 from ddic.solvers.exchange import Exchange
 from ddic.solvers.local_operator import LocalOperator

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-from ddic.errors import ConvergenceError, on_all_ranks
+from ddic.errors import ConvergenceError, as_collective
 from ddic.solvers.dual.coarse_space import CoarseSpace
 from ddic.solvers.dual.recycling import RecycledSpace
 from ddic.solvers.dual.schur_operator import DualSchurOperator
@@ -101,6 +101,11 @@ class InterfaceSolver:
         """
         self._renew_residual(right)
         norm = float(self.residual.norm())
+        if not norm <= right.norm():
+            # The last solution is further off than none, as it is after a frame that diverged.
+            self.multipliers.set(0.0)
+            right.copy(self.residual)
+            norm = float(self.residual.norm())
         if self._coarse is not None and norm > self.tolerance * right.norm():
             # A-DEF2 expects a residual free of coarse components.
             self._coarse.correct(self.residual, self.multipliers)
@@ -130,17 +135,19 @@ class InterfaceSolver:
             On all ranks.
         """
         if not np.isfinite(stop):
-            raise on_all_ranks(ConvergenceError(
+            raise as_collective(ConvergenceError(
                 "the right-hand side of the interface problem is not finite; check the start of the displacement and "
                 "the texture"))
         # The system is solved for the change of v, whose right-hand side is no measure of the residual: hence atol.
         self.ksp.setTolerances(rtol=1e-50, atol=max(stop, UNREACHED))
         self.ksp.setConvergenceHistory(reset=True)
         self._change.set(0.0)
+        if self._deflated is not None:
+            self._deflated.forget_products()
         self.ksp.solve(self.residual, self._change)
         n_iterations = int(self.ksp.getIterationNumber())
         if self.ksp.getConvergedReason() < 0:
-            raise on_all_ranks(ConvergenceError(
+            raise as_collective(ConvergenceError(
                 f"the interface problem did not converge in {n_iterations} Krylov iterations "
                 f"(relative residual {self.ksp.getResidualNorm() / (right.norm() or 1.0):.1e}); raise "
                 'solver.max_iterations, or choose solver.preconditioner = "two_level" or fewer, larger subdomains'))
@@ -210,6 +217,11 @@ class _Deflated:
         self._directions.append(np.array(x.getArray(readonly=1)))
         self._images.append(np.array(y.getArray(readonly=1)))
         self.space.project(y.getArray())
+
+    def forget_products(self) -> None:
+        """Drop the products noted by a solution that failed."""
+        self._directions.clear()
+        self._images.clear()
 
     def learn(self) -> None:
         """Keep the products noted since the last time."""

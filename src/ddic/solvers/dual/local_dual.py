@@ -171,7 +171,7 @@ def add_motion_rows(local: LocalDual, system: LocalSystem, ghosts: NDArray[np.in
         The subdomain with the motion of its camera.
     ghosts : (n ghost rows,) array of int64
         Sorted numbers of the rows that this rank takes part in.
-    scales : dict
+    scales : dict of (n_motion,) array
         kappa of ``MotionRows`` by camera.
 
     Returns

@@ -32,7 +32,7 @@ class SchurPair:
     Attributes
     ----------
     multiply : callable
-        From X to S_s X, both (n interface unknowns, k) arrays.
+        From X to S_s X, both of shape (n interface unknowns, k).
     inverse : LocalInverse
         S_s^-1.
     """

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ddic.errors import InputError, is_on_all_ranks
+from ddic.errors import InputError, is_collective
 from ddic.kinematics.camera_kinematics import MotionKind
 from ddic.parallel.team import Team
 from ddic.partition.by_camera import find_cameras_at_nodes
 from ddic.partition.subdomain import Interface, Subdomain
-from ddic.start.motion import start_motions
+from ddic.start.start_motions import start_motions
 from support.near_far_linear import NearFarCut, NearFarStep, near_far_step
 
 RANKS = [1, 2, 4]
@@ -79,7 +79,7 @@ def test_too_few_shared_nodes_are_refused(motion: MotionKind, n_shared: int) -> 
     u = [np.zeros(s.n_field) for s in subdomains]
     with pytest.raises(InputError, match=r"too few nodes.*near.region") as caught:
         start_motions(cut.team, problem.cameras, subdomains, u)
-    assert is_on_all_ranks(caught.value)
+    assert is_collective(caught.value)
 
 
 @pytest.mark.parallel(RANKS)

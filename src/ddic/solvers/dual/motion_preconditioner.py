@@ -117,8 +117,8 @@ def sum_motion_scales(team: Team, systems: Sequence[LocalSystem]) -> dict[int, N
 
     Returns
     -------
-    dict
-        (n_motion,) arrays by the camera's number, grey levels squared per pixel squared.
+    dict of (n_motion,) array
+        By the camera's number, grey levels squared per pixel squared.
     """
     mine = [(system.subdomain.camera, system.motion_block.diagonal())
             for system in systems if system.subdomain.motion is not None]

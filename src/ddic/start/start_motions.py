@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.errors import InputError, on_all_ranks
+from ddic.errors import InputError, as_collective
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.cameras import Camera
@@ -68,15 +68,15 @@ def start_motions(team: Team, cameras: Sequence[Camera], subdomains: Sequence[Su
     InputError
         On all ranks, where a camera shares too few unknowns with others.
     """
-    owned = [_interface_field(cameras[subdomain.camera], subdomain, field)
-             for subdomain, field in zip(subdomains, fields, strict=True)]
+    owned = team.together(lambda: [_interface_field(cameras[subdomain.camera], subdomain, field)
+                                   for subdomain, field in zip(subdomains, fields, strict=True)])
     pieces = team.gather_lists(owned)
     by_camera = [_mean_of_copies([piece for piece in pieces if piece.camera == camera.number]) for camera in cameras]
     n_motion_unknowns = [camera.setup.n_motion_unknowns for camera in cameras]
     columns, jumps = _find_jumps(by_camera, n_motion_unknowns)
     motions, _, rank, _ = np.linalg.lstsq(columns, jumps, rcond=SMALLEST_SINGULAR_VALUE)
     if rank < sum(n_motion_unknowns):
-        raise on_all_ranks(InputError(
+        raise as_collective(InputError(
             "near: the elements of a near-field image share too few nodes with those of other images to tell how its "
             "set-up moved; enlarge the mesh around it, or give near.region"))
     return np.split(motions, np.cumsum(n_motion_unknowns)[:-1])
