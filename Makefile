@@ -84,7 +84,7 @@ accept-performance: $(BENCH_STAMP) ## measure the performance acceptance table (
 accept-near-far: setup ## measure the acceptance table of near-field and far-field images (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.near_far $(CHECK)
 
-accept-house: setup ## measure the table of the house: the other four tables, fields and rates as before (CHECK=NAME: one check)
+accept-house: $(BENCH_STAMP) $(DOCS_STAMP) ## measure the table of the house: the other four tables, fields and rates as before (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.house $(CHECK)
 
 smoke: setup ## run every check of every acceptance table on tiny cases: minutes, no bound is judged
