@@ -167,36 +167,14 @@ class CameraKinematics(Kinematics):
         return self.matrix
 
     def displacement(self, unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Displace the nodes in the image, phi(T(X + u)) - phi(X).
-
-        Parameters
-        ----------
-        unknowns : (n_unknowns,) array
-            Unknowns of the field, then those of motions.
-
-        Returns
-        -------
-        (mesh.n_dofs,) array
-            Displacement of the nodes, the camera's pixels.
-        """
+        """Displace the nodes in the image, phi(T(X + u)) - phi(X)."""
         nodes = self.field.mesh.nodes
         u = self.field.displacement(unknowns[:self.field.n_unknowns])
         moved = self.setup.move(nodes + u.reshape(nodes.shape), self._own_motion(unknowns))
         return np.asarray(self.setup.mapping.to_image(moved) - self.mesh.nodes).ravel()
 
     def fit(self, displacement: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Find the field's unknowns that explain a displacement in the image, the motion's being zero.
-
-        Parameters
-        ----------
-        displacement : (mesh.n_dofs,) array
-            Displacement of the nodes, the camera's pixels.
-
-        Returns
-        -------
-        (n_unknowns,) array
-            Unknowns.
-        """
+        """Find the field's unknowns that explain a displacement in the image, the motion's being zero."""
         return self.fit_with_motion(displacement, np.zeros(self.n_unknowns - self.field.n_unknowns))
 
     def fit_with_motion(self, displacement: NDArray[np.float64], motion: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -222,13 +200,7 @@ class CameraKinematics(Kinematics):
         return np.concatenate([field_unknowns, motion])
 
     def hold_still(self) -> CameraKinematics:
-        """Give the same for a set-up that does not move between its pictures.
-
-        Returns
-        -------
-        CameraKinematics
-            With the field's unknowns only.
-        """
+        """Give the same for a set-up that does not move between its pictures."""
         return place_before_camera(self.field, self.setup.hold_still())
 
     def _own_motion(self, unknowns: NDArray[np.float64]) -> NDArray[np.float64]:

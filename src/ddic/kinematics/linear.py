@@ -45,33 +45,11 @@ class LinearKinematics(Kinematics):
         return self.matrix
 
     def displacement(self, unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Displace the mesh's nodes by u = T q.
-
-        Parameters
-        ----------
-        unknowns : (n_unknowns,) array
-            Unknowns q.
-
-        Returns
-        -------
-        (mesh.n_dofs,) array
-            Displacement of the nodes, pixels.
-        """
+        """Displace the mesh's nodes by u = T q."""
         return np.asarray(self.matrix @ unknowns)
 
     def fit(self, displacement: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Find the unknowns that fit a displacement in least squares.
-
-        Parameters
-        ----------
-        displacement : (mesh.n_dofs,) array
-            Displacement of the nodes, pixels.
-
-        Returns
-        -------
-        (n_unknowns,) array
-            Unknowns.
-        """
+        """Find the unknowns that fit a displacement in least squares."""
         return self._solve_normal_equations(self.matrix.T @ displacement)
 
     @cached_property
@@ -130,20 +108,7 @@ class LinearRegion(RegionKinematics):
         return int(self.matrix.shape[1])
 
     def unknowns_at(self, nodes: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Find the unknowns that displace each of some nodes.
-
-        Parameters
-        ----------
-        nodes : (n,) array of int64
-            Numbers of nodes.
-
-        Returns
-        -------
-        unknowns : (sum of counts,) array of int64
-            Numbers of the unknowns, node after node.
-        counts : (n,) array of int64
-            How many of them stand at each node.
-        """
+        """Find the unknowns that displace each of some nodes."""
         rows = self.matrix[component_numbers(nodes, self.mesh.dim)]
         by_component = np.diff(rows.indptr).reshape(len(nodes), self.mesh.dim)
         return rows.indices.astype(np.int64), by_component.sum(axis=1)
@@ -152,37 +117,12 @@ class LinearRegion(RegionKinematics):
         """Tell which unknowns are controlled: those that displace controlled nodes only.
 
         The generalised force of any other unknown has a part in the unknown forces of an edge.
-
-        Parameters
-        ----------
-        nodes : (mesh.n_nodes,) array of bool
-            Whether a node's equilibrium is controlled.
-
-        Returns
-        -------
-        (n_unknowns,) array of bool
-            Whether an unknown's is.
         """
         free_components = np.repeat(~nodes, self.mesh.dim)
         touched = abs(self.matrix).T @ free_components.astype(np.float64)
         return np.asarray(touched == 0)
 
     def restrict(self, part: Mesh, node_ids: NDArray[np.int64], numbers: NDArray[np.int64]) -> LinearKinematics:
-        """Give a subdomain the rows and columns of T that concern it.
-
-        Parameters
-        ----------
-        part : Mesh
-            The subdomain's mesh.
-        node_ids : (part.n_nodes,) array of int64
-            Numbers of its nodes in the whole mesh.
-        numbers : (n,) array of int64
-            Numbers of the unknowns that displace these nodes.
-
-        Returns
-        -------
-        LinearKinematics
-            With these unknowns, in this order.
-        """
+        """Give a subdomain the rows and columns of T that concern it."""
         rows = self.matrix[component_numbers(node_ids, self.mesh.dim)]
         return LinearKinematics(part, numbers, rows[:, numbers].tocsr())

@@ -33,64 +33,20 @@ class NodalKinematics(Kinematics):
         return sparse.identity(self.n_unknowns, format="csr")
 
     def displacement(self, unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Give back the unknowns.
-
-        Parameters
-        ----------
-        unknowns : (n_unknowns,) array
-            Displacement of the nodes, pixels.
-
-        Returns
-        -------
-        (mesh.n_dofs,) array
-            The same.
-        """
+        """Give back the unknowns."""
         return unknowns
 
     def fit(self, displacement: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Give back the displacement.
-
-        Parameters
-        ----------
-        displacement : (mesh.n_dofs,) array
-            Displacement of the nodes, pixels.
-
-        Returns
-        -------
-        (n_unknowns,) array
-            The same.
-        """
+        """Give back the displacement."""
         return displacement
 
     # T is the identity: a product with it would cost as much as the pixels of a small element.
     def project_matrix(self, matrix: sparse.csr_matrix) -> sparse.csr_matrix:
-        """Give back the matrix, as `Kinematics.project_matrix` does for an identity.
-
-        Parameters
-        ----------
-        matrix : (mesh.n_dofs, mesh.n_dofs) csr_matrix
-            Matrix on displacements of the nodes.
-
-        Returns
-        -------
-        (n_unknowns, n_unknowns) csr_matrix
-            The same.
-        """
+        """Give back the matrix, as `Kinematics.project_matrix` does for an identity."""
         return matrix
 
     def project_vector(self, vector: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Give back the vector, as `Kinematics.project_vector` does for an identity.
-
-        Parameters
-        ----------
-        vector : (mesh.n_dofs,) array
-            Forces on the nodes.
-
-        Returns
-        -------
-        (n_unknowns,) array
-            The same.
-        """
+        """Give back the vector, as `Kinematics.project_vector` does for an identity."""
         return vector
 
 
@@ -112,54 +68,15 @@ class NodalRegion(RegionKinematics):
         return self.mesh.n_dofs
 
     def unknowns_at(self, nodes: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Find the components of some nodes' displacements.
-
-        Parameters
-        ----------
-        nodes : (n,) array of int64
-            Numbers of nodes.
-
-        Returns
-        -------
-        unknowns : (n dim,) array of int64
-            Numbers of the unknowns, node after node.
-        counts : (n,) array of int64
-            The number of dimensions, for each node.
-        """
+        """Find the components of some nodes' displacements."""
         return component_numbers(nodes, self.mesh.dim), np.full(len(nodes), self.mesh.dim)
 
     def controlled(self, nodes: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Tell which unknowns are controlled: all components of controlled nodes.
-
-        Parameters
-        ----------
-        nodes : (mesh.n_nodes,) array of bool
-            Whether a node's equilibrium is controlled.
-
-        Returns
-        -------
-        (n_unknowns,) array of bool
-            Whether an unknown's is.
-        """
+        """Tell which unknowns are controlled: all components of controlled nodes."""
         return np.repeat(nodes, self.mesh.dim)
 
     def restrict(self, part: Mesh, node_ids: NDArray[np.int64], numbers: NDArray[np.int64]) -> NodalKinematics:
-        """Give a subdomain its kinematics.
-
-        Parameters
-        ----------
-        part : Mesh
-            The subdomain's mesh.
-        node_ids : (part.n_nodes,) array of int64
-            Numbers of its nodes in the whole mesh.
-        numbers : (part.n_dofs,) array of int64
-            Numbers of their displacements.
-
-        Returns
-        -------
-        NodalKinematics
-            On this mesh.
-        """
+        """Give a subdomain its kinematics."""
         return NodalKinematics(part, numbers)
 
 

@@ -33,18 +33,7 @@ class TiedKinematics(LinearKinematics):
     inverse: sparse.csr_matrix
 
     def fit(self, displacement: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Find the unknowns that fit a displacement: free nodes as they are, masters in least squares.
-
-        Parameters
-        ----------
-        displacement : (mesh.n_dofs,) array
-            Displacement of the nodes, pixels.
-
-        Returns
-        -------
-        (n_unknowns,) array
-            Unknowns.
-        """
+        """Find the unknowns that fit a displacement: free nodes as they are, masters in least squares."""
         return np.asarray(self.inverse @ displacement)
 
 
@@ -69,20 +58,7 @@ class TiedRegion(RegionKinematics):
         return int(self.weights.shape[1]) * self.mesh.dim
 
     def unknowns_at(self, nodes: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Find the unknowns that displace each of some nodes.
-
-        Parameters
-        ----------
-        nodes : (n,) array of int64
-            Numbers of nodes.
-
-        Returns
-        -------
-        unknowns : (sum of counts,) array of int64
-            Numbers of the unknowns, node after node.
-        counts : (n,) array of int64
-            How many of them stand at each node.
-        """
+        """Find the unknowns that displace each of some nodes."""
         rows = self.weights[nodes]
         dim = self.mesh.dim
         unknown_nodes = rows.indices.astype(np.int64)
@@ -90,38 +66,12 @@ class TiedRegion(RegionKinematics):
         return component_numbers(unknown_nodes, dim), dim * n_unknown_nodes
 
     def controlled(self, nodes: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Tell which unknowns are controlled: those of controlled nodes, whatever is tied to these.
-
-        Parameters
-        ----------
-        nodes : (mesh.n_nodes,) array of bool
-            Whether a node's equilibrium is controlled.
-
-        Returns
-        -------
-        (n_unknowns,) array of bool
-            Whether an unknown's is.
-        """
+        """Tell which unknowns are controlled: those of controlled nodes, whatever is tied to these."""
         n_unknown_nodes = self.weights.shape[1]
         return np.repeat(nodes[:n_unknown_nodes], self.mesh.dim)
 
     def restrict(self, part: Mesh, node_ids: NDArray[np.int64], numbers: NDArray[np.int64]) -> Kinematics:
-        """Give a subdomain its kinematics: nodal where none of its nodes is tied.
-
-        Parameters
-        ----------
-        part : Mesh
-            The subdomain's mesh.
-        node_ids : (part.n_nodes,) array of int64
-            Numbers of its nodes in the whole mesh.
-        numbers : (n,) array of int64
-            Numbers of the unknowns that displace these nodes.
-
-        Returns
-        -------
-        Kinematics
-            With these unknowns, in this order.
-        """
+        """Give a subdomain its kinematics: nodal where none of its nodes is tied."""
         unknown_nodes = numbers[::self.mesh.dim] // self.mesh.dim
         if np.array_equal(unknown_nodes, node_ids):
             return NodalKinematics(part, numbers)
