@@ -95,7 +95,7 @@ class WeightedProblem:
     def size(self) -> ProblemSize:
         """How large the problem is."""
         if self._size is None:
-            raise RuntimeError("the noise of the cameras is not known yet")
+            raise RuntimeError("no frame has been looked at yet")
         return self._size
 
     @property
