@@ -192,12 +192,22 @@ def test_matrix_of_kinematics_needs_its_mesh(pair: Pair, mesh: ddic.Mesh) -> Non
         lambda: ddic.measure(pair, mesh, options=ddic.Options(kinematics=made)))  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("method", ["dual", "assembled", "conjugate_gradient", "monolithic"])
-def test_unknowns_that_do_the_same(pair: Pair, mesh: ddic.Mesh, method: str) -> None:
-    options = ddic.Options({"solver": {"method": method}},
-                           lambda given: ddic.LinearRegion(given, np.ones((given.n_dofs, 2))))
+def same_columns(n: int) -> Callable[[ddic.Mesh], ddic.LinearRegion]:
+    return lambda given: ddic.LinearRegion(given, np.ones((given.n_dofs, n)))
+
+
+@pytest.mark.parametrize("method", ["dual", "assembled", "monolithic"])
+def test_unknowns_that_do_the_same_have_no_factor(pair: Pair, mesh: ddic.Mesh, method: str) -> None:
+    options = ddic.Options({"solver": {"method": method}}, same_columns(2))
     with pytest.raises((ddic.InputError, ddic.SingularSubdomainError)):
         ddic.measure(pair, mesh, options=options)
+
+
+def test_unknowns_that_do_the_same_share_the_displacement_by_conjugate_gradients(pair: Pair, mesh: ddic.Mesh) -> None:
+    # Nothing is factorised: the displacement is determined, though the unknowns are not.
+    settings = {"solver": {"method": "conjugate_gradient", "tolerance": 1e-12}, "gauss_newton": {"tolerance": 1e-10}}
+    once, twice = (ddic.measure(pair, mesh, options=ddic.Options(settings, same_columns(n))) for n in (1, 2))
+    np.testing.assert_allclose(twice.displacement, once.displacement, atol=1e-8)
 
 
 def test_errors_of_the_users_own_function_come_through(pair: Pair, mesh: ddic.Mesh) -> None:

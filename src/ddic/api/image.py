@@ -73,9 +73,10 @@ def open_given_image(team: Team, given: ImageLike, name: str) -> MaskedSource:
     if isinstance(pixels, str | Path):
         source = open_on_all_ranks(team)(Path(pixels))
         return team.together(lambda: _leave_pixels_out(image, source, name))
-    held = team.together(lambda: _hold_array(pixels, name))
-    _refuse_other_pixels(team, held, name)
-    return team.together(lambda: _leave_pixels_out(image, held, name))
+    in_memory = team.together(lambda: _hold_array(pixels, name))
+    masked = team.together(lambda: _leave_pixels_out(image, in_memory, name))
+    _refuse_other_pixels(team, in_memory, name)
+    return masked
 
 
 def _refuse_other_pixels(team: Team, image: ArraySource, name: str) -> None:

@@ -82,14 +82,19 @@ class LinearRegion(RegionKinematics):
     Raises
     ------
     InputError
-        Where the shape is wrong, an entry is not finite, or an unknown displaces nothing.
+        Where it is no matrix, the shape is wrong, an entry is not finite, or an unknown displaces nothing.
     """
 
     mesh: Mesh
     matrix: sparse.csr_matrix
 
     def __post_init__(self) -> None:
-        matrix = sparse.csr_matrix(self.matrix, dtype=np.float64)
+        try:
+            matrix = sparse.csr_matrix(self.matrix, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            kind = type(self.matrix).__name__
+            raise InputError(f"kinematics: {kind} is no matrix of numbers; give an array or a sparse matrix with a row "
+                             "for each component of each node") from error
         matrix.eliminate_zeros()
         if matrix.shape[0] != self.mesh.n_dofs:
             raise InputError(f"kinematics: the matrix has {matrix.shape[0]} rows, the mesh {self.mesh.n_dofs} "
