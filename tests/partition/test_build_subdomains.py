@@ -13,8 +13,8 @@ from ddic.kinematics.nodal import NodalRegion, component_numbers
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import find_boundary_nodes
 from ddic.partition.build_subdomains import build_subdomains, share_nodes
-from ddic.partition.incidence import signed_incidence
 from ddic.partition.subdomain import Interface, Subdomain
+from support.interfaces import check_numbering, stack_jumps
 from support.random_meshes import PARTITIONS, SEEDS, delaunay_meshes, grid_mesh, grid_meshes, random_partition
 
 MESHES = st.one_of(grid_meshes(most=4), delaunay_meshes())
@@ -33,17 +33,6 @@ def sharers(mesh: Mesh, parts: NDArray[np.int64]) -> dict[int, list[int]]:
         for node in mesh.connectivity[mesh.offsets[e]: mesh.offsets[e + 1]]:
             found[int(node)].add(int(parts[e]))
     return {node: sorted(of) for node, of in found.items()}
-
-
-def jump_matrix(subdomains: list[Subdomain]) -> NDArray[np.float64]:
-    """All C_s side by side, the rows of reactions being zero."""
-    n_rows = sum(s.n_owned_rows for s in subdomains)
-    blocks = []
-    for s in subdomains:
-        c = np.zeros((n_rows, s.n_field))
-        c[:, s.jumps.unknowns] = signed_incidence(s.jumps, np.arange(n_rows)).toarray()
-        blocks.append(c)
-    return np.hstack(blocks)
 
 
 @settings(max_examples=60)
@@ -70,38 +59,14 @@ def test_subdomains_hold_their_cells_and_what_belongs_to_them(mesh: Mesh, kind: 
 def test_an_unknown_of_m_subdomains_has_m_minus_one_rows(mesh: Mesh, kind: str, n: int, seed: int) -> None:
     subdomains, parts, controlled = cut(mesh, kind, n, seed)
     shared = sharers(mesh, parts)
-    rows, copies = [], []
-    for reaction in (False, True):
-        chains: dict[int, set[tuple[int, int, int]]] = defaultdict(set)
-        for s in subdomains:
-            interface = s.reactions if reaction else s.jumps
-            dofs = s.numbers[interface.unknowns]
-            wanted = [d for d in s.numbers if len(shared[d // 2]) > 1 and (not reaction or controlled[d])]
-            assert dofs.tolist() == wanted
-            for k, dof in enumerate(dofs):
-                assert interface.position[k] == shared[dof // 2].index(s.index)
-                chains[int(dof)].add(tuple(int(a[k]) for a in (
-                    interface.multiplicity, interface.first_row, interface.first_copy)))
-        for dof, seen in chains.items():
-            ((m, first_row, first_copy),) = seen  # every subdomain sees the same chain
-            assert m == len(shared[dof // 2])
-            owner = shared[dof // 2][0]
-            rows += [(first_row + k, owner, reaction, dof) for k in range(m - 1)]
-            copies += [(first_copy + k, owner, reaction, dof) for k in range(m)]
-    for numbered, owned in ((rows, [s.n_owned_rows for s in subdomains]),
-                            (copies, [s.n_owned_copies for s in subdomains])):
-        numbered.sort()
-        assert [number for number, *_ in numbered] == list(range(len(numbered)))
-        # By owner, then kind, then dof: each owner's numbers follow each other.
-        assert [rest for _, *rest in numbered] == sorted(rest for _, *rest in numbered)
-        assert np.bincount([owner for _, owner, *_ in numbered], minlength=len(owned)).tolist() == owned
+    check_numbering(subdomains, {2 * node + i: of for node, of in shared.items() for i in (0, 1)}, controlled)
 
 
 @settings(max_examples=60)
 @given(mesh=grid_meshes(most=4), kind=PARTITIONS, n=st.integers(1, 6), seed=SEEDS)
 def test_kernel_of_the_jumps_are_the_continuous_fields(mesh: Mesh, kind: str, n: int, seed: int) -> None:
     subdomains, _, _ = cut(mesh, kind, n, seed)
-    c = jump_matrix(subdomains)
+    c = stack_jumps(subdomains)
     u = np.random.default_rng(seed).normal(size=mesh.n_dofs)
     assert (c @ np.concatenate([u[s.numbers] for s in subdomains]) == 0).all()
     used = np.abs(c).sum(axis=1) > 0
@@ -117,7 +82,7 @@ def test_rows_are_differences_along_the_chain() -> None:
     mesh = grid_mesh(2, 2, (4.0, 4.0))
     subdomains = build_subdomains(NodalRegion(mesh), np.array([2, 0, 3, 1]), np.ones(18, dtype=bool))
     values = [np.full(s.mesh.n_dofs, 10.0 ** s.index) for s in subdomains]
-    jumps = jump_matrix(subdomains) @ np.concatenate(values)
+    jumps = stack_jumps(subdomains) @ np.concatenate(values)
     centre: Interface = subdomains[0].jumps
     at_centre = np.flatnonzero(centre.multiplicity == 4)[0]
     first = centre.first_row[at_centre]

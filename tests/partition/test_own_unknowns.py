@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -13,8 +11,8 @@ from scipy import sparse
 from ddic.kinematics.linear import LinearRegion
 from ddic.mesh.mesh import Mesh
 from ddic.partition.build_subdomains import build_subdomains, share_nodes, share_unknowns
-from ddic.partition.incidence import signed_incidence
 from ddic.partition.subdomain import Subdomain
+from support.interfaces import check_numbering, stack_jumps
 from support.random_meshes import PARTITIONS, SEEDS, delaunay_meshes, grid_mesh, grid_meshes, random_partition
 
 MESHES = st.one_of(grid_meshes(most=4), delaunay_meshes())
@@ -45,18 +43,6 @@ def find_sharers(region: LinearRegion, parts: NDArray[np.int64]) -> list[list[in
 def cut(region: LinearRegion, parts: NDArray[np.int64], seed: int) -> tuple[list[Subdomain], NDArray[np.bool_]]:
     controlled = np.random.default_rng(seed).random(region.n_unknowns) < 0.6
     return build_subdomains(region, parts, controlled), controlled
-
-
-def jump_matrix(subdomains: list[Subdomain]) -> NDArray[np.float64]:
-    """All C_s side by side, rows of reactions left out."""
-    n_rows = sum(s.n_owned_rows for s in subdomains)
-    blocks = []
-    for s in subdomains:
-        c = np.zeros((n_rows, s.n_field))
-        c[:, s.jumps.unknowns] = signed_incidence(s.jumps, np.arange(n_rows)).toarray()
-        blocks.append(c)
-    stacked = np.hstack(blocks)
-    return np.asarray(stacked[np.abs(stacked).sum(axis=1) > 0])
 
 
 @settings(max_examples=40)
@@ -93,33 +79,7 @@ def test_an_unknown_of_m_subdomains_has_m_minus_one_rows(mesh: Mesh, kind: str, 
     region = fix_every_third_along_y(mesh, n_modes)
     parts = random_partition(mesh, kind, n, seed)
     subdomains, controlled = cut(region, parts, seed)
-    sharers = find_sharers(region, parts)
-    rows: list[tuple[int, int, bool, int]] = []
-    copies: list[tuple[int, int, bool, int]] = []
-    for is_reaction in (False, True):
-        chains: dict[int, set[tuple[int, int, int]]] = defaultdict(set)
-        for s in subdomains:
-            interface = s.reactions if is_reaction else s.jumps
-            numbers = s.numbers[interface.unknowns]
-            assert numbers.tolist() == [k for k in s.numbers
-                                        if len(sharers[k]) > 1 and (controlled[k] or not is_reaction)]
-            for place, number in enumerate(numbers):
-                assert interface.position[place] == sharers[number].index(s.index)
-                chains[int(number)].add((int(interface.multiplicity[place]), int(interface.first_row[place]),
-                                         int(interface.first_copy[place])))
-        for number, seen in chains.items():
-            ((m, first_row, first_copy),) = seen  # every subdomain sees the same chain
-            assert m == len(sharers[number])
-            owner = sharers[number][0]
-            rows += [(first_row + k, owner, is_reaction, number) for k in range(m - 1)]
-            copies += [(first_copy + k, owner, is_reaction, number) for k in range(m)]
-    for numbered, owned in ((rows, [s.n_owned_rows for s in subdomains]),
-                            (copies, [s.n_owned_copies for s in subdomains])):
-        numbered.sort()
-        assert [number for number, *_ in numbered] == list(range(len(numbered)))
-        # By owner, then kind, then unknown: each owner's numbers follow each other.
-        assert [rest for _, *rest in numbered] == sorted(rest for _, *rest in numbered)
-        assert np.bincount([owner for _, owner, *_ in numbered], minlength=len(owned)).tolist() == owned
+    check_numbering(subdomains, dict(enumerate(find_sharers(region, parts))), controlled)
 
 
 @settings(max_examples=40)
@@ -129,7 +89,8 @@ def test_kernel_of_the_jumps_are_the_unknowns_of_the_whole(mesh: Mesh, kind: str
                                                            seed: int) -> None:
     region = fix_every_third_along_y(mesh, n_modes)
     subdomains, _ = cut(region, random_partition(mesh, kind, n, seed), seed)
-    c = jump_matrix(subdomains)
+    c = stack_jumps(subdomains)
+    c = c[np.abs(c).sum(axis=1) > 0]  # without rows of reactions
     q = np.random.default_rng(seed).normal(size=region.n_unknowns)
     assert (c @ np.concatenate([q[s.numbers] for s in subdomains]) == 0).all()
     # Entries are 0 and +-1 and chains are short: singular values lie above 2 sin(pi / 12) = 0.5.
