@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage, sparse
+from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from ddic.case.schema import (
@@ -24,10 +24,9 @@ from ddic.case.schema import (
     SolverSection,
     StructuredSection,
 )
-from ddic.functionals.correlation import read_correlation
 from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import controlled_stiffness
-from ddic.images.camera import CameraMapping, identity
+from ddic.images.camera import identity
 from ddic.kinematics.camera_kinematics import CameraSetup, MotionKind
 from ddic.kinematics.nodal import NodalKinematics
 from ddic.mesh.mesh import Mesh
@@ -45,7 +44,7 @@ from ddic.problem.region_mesh import Region
 from ddic.problem.views import read_reference_views
 from ddic.solvers.linear_step import LinearStep, StepResult
 from support.linear import StepProblem, linear_step
-from support.pictures import source
+from support.near_camera import RATIO, assemble_texture, evaluate_motion, set_up_over_box, speckle
 
 Layout = Literal["island", "edge", "two"]
 Array = NDArray[np.float64]
@@ -54,7 +53,6 @@ Array = NDArray[np.float64]
 SEEN: dict[Layout, list[tuple[int, int, int, int]]] = {
     "island": [(4, 3, 9, 8)], "edge": [(7, 0, 11, 11)], "two": [(2, 3, 5, 9), (6, 3, 9, 8)]}
 N = 12
-RATIO = 3.0
 WAVELENGTH = 32.0
 WEIGHTS = (1.0, 0.37, 1.8)
 
@@ -120,15 +118,8 @@ def near_far_step(layout: Layout, kind: str, n_subdomains: int, motion: MotionKi
 def _near_camera(mesh: Mesh, cells: NDArray[np.bool_], motion: MotionKind, seed: int) -> Camera:
     """A camera whose image shows these cells and 20 px around them."""
     nodes = mesh.create_submesh(np.flatnonzero(cells))[0].nodes
-    low, high = nodes.min(axis=0), nodes.max(axis=0)
-    centre, side = (low + high) / 2, int(RATIO * 1.2 * (high - low).max()) + 40
-    c, s = RATIO * np.cos(0.05 * seed), RATIO * np.sin(0.05 * seed)
-    about = np.array([[c, -s, side / 2], [s, c, side / 2], [2e-4, -1e-4, 1.0]])
-    homography = about @ np.array([[1, 0, -centre[0]], [0, 1, -centre[1]], [0, 0, 1.0]])
-    noise = ndimage.gaussian_filter(np.random.default_rng(seed).normal(size=(side, side)), 1.5)
-    setup = CameraSetup(CameraMapping(homography / homography[2, 2]), motion, centre,
-                        float(np.linalg.norm(high - low)) / 2)
-    return Camera(seed, source(noise / noise.std() * 50 + 128), setup, None)
+    setup, side = set_up_over_box(nodes.min(axis=0), nodes.max(axis=0), motion, 0.05 * seed)
+    return Camera(seed, speckle(seed, side), setup, None)
 
 
 class NearFarCut:
@@ -193,10 +184,10 @@ def saddle_point_solution(problem: NearFarStep, *, paper_weighting: bool = False
     for s, part in enumerate(parts):
         v = _selection(np.arange(first[s], first[s + 1]), n)
         motion = _selection(np.arange(begin[part.camera], begin[part.camera + 1]), n)
-        rigid = sparse.csr_matrix(_rigid(problem.cameras[part.camera].setup, part.mesh.nodes))
+        rigid = sparse.csr_matrix(evaluate_motion(problem.cameras[part.camera].setup, part.mesh.nodes))
         u = v - rigid @ motion
         for camera, seen, force in zip((part.camera, 0), (v, u), problem.forces[s], strict=False):
-            m, jacobian = _texture(problem.cameras[camera], part.mesh)
+            m, jacobian = assemble_texture(problem.cameras[camera], part.mesh)
             matrix = matrix + WEIGHTS[camera] * (seen.T @ m @ seen)
             right += WEIGHTS[camera] * (seen.T @ (jacobian.T @ force))
         if problem.base.eta:
@@ -227,29 +218,13 @@ def dense_operators(problem: NearFarStep) -> tuple[Array, Array]:
     for part in problem.subdomains:
         u = _selection(part.kinematics.numbers, n).toarray()
         v = u.copy()
-        v[:, begin[part.camera]: begin[part.camera + 1]] += _rigid(problem.cameras[part.camera].setup, part.mesh.nodes)
+        motion = slice(begin[part.camera], begin[part.camera + 1])
+        v[:, motion] += evaluate_motion(problem.cameras[part.camera].setup, part.mesh.nodes)
         seen = [(part.camera, v), (0, u)][:1 + bool(problem.use_far and part.camera)]
-        texture += sum(WEIGHTS[c] * (w.T @ (_texture(problem.cameras[c], part.mesh)[0] @ w)) for c, w in seen)
+        texture += sum(WEIGHTS[c] * (w.T @ (assemble_texture(problem.cameras[c], part.mesh)[0] @ w)) for c, w in seen)
         stiffness[part.kinematics.numbers] += _stiffness(part.mesh) @ u
     gap = stiffness[problem.base.controlled]
     return texture + problem.base.eta * gap.T @ gap, texture
-
-
-def _texture(camera: Camera, mesh: Mesh) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
-    """M in displacements of the specimen's frame, unweighted, and d(pixels of the camera) / d(specimen's frame)."""
-    mapping = camera.setup.mapping
-    seen = Mesh(mapping.to_image(mesh.nodes), mesh.connectivity, mesh.offsets, mesh.types)
-    jacobian = sparse.block_diag(list(mapping.jacobian(mesh.nodes))).tocsr()
-    return (jacobian.T @ read_correlation(seen, camera.reference, 3).assemble_hessian() @ jacobian).tocsr(), jacobian
-
-
-def _rigid(setup: CameraSetup, nodes: Array) -> Array:
-    """R: a pixel along x, one along y, and a turn from x towards y by 1 / length about the centre."""
-    columns = np.zeros((nodes.size, 3))
-    columns[0::2, 0] = columns[1::2, 1] = 1.0
-    columns[0::2, 2] = -(nodes[:, 1] - setup.centre[1]) / setup.length
-    columns[1::2, 2] = (nodes[:, 0] - setup.centre[0]) / setup.length
-    return columns[:, :setup.n_motion_unknowns]
 
 
 def _jumps(problem: NearFarStep, displacement: list[sparse.csr_matrix],

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage, sparse
+from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from ddic.case.schema import (
@@ -24,11 +24,9 @@ from ddic.case.schema import (
     SolverSection,
     StructuredSection,
 )
-from ddic.functionals.correlation import read_correlation
 from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import controlled_stiffness
-from ddic.images.camera import CameraMapping, identity
-from ddic.images.sub_image import MaskedSource
+from ddic.images.camera import identity
 from ddic.kinematics.camera_kinematics import CameraSetup, MotionKind
 from ddic.kinematics.nodal import NodalKinematics
 from ddic.mesh.mesh import Mesh
@@ -44,7 +42,7 @@ from ddic.problem.linear_solver import LinearSolver
 from ddic.problem.region_mesh import build_region_mesh, split_region
 from ddic.problem.views import read_reference_views
 from ddic.solvers.linear_step import LinearStep, StepResult
-from support.pictures import source
+from support.near_camera import RATIO, assemble_texture, evaluate_motion, set_up_over_box, speckle
 
 Array = NDArray[np.float64]
 Layout = Literal["island", "edge"]
@@ -53,7 +51,6 @@ FAR = (20.0, 20.0, 116.0, 116.0)
 NEAR: dict[Layout, tuple[float, float, float, float]] = {
     "island": (44.0, 36.0, 84.0, 76.0), "edge": (60.0, 20.0, 100.0, 60.0)}
 FAR_ELEMENT = 8.0
-RATIO = 3.0
 WEIGHTS = (1.0, 0.37)
 
 
@@ -92,7 +89,7 @@ def tied_step(layout: Layout, motion: MotionKind, near_element: float | None = 3
     own = build_structured_mesh(NEAR[layout], near_element or FAR_ELEMENT, cell)
     mesh, tying = tie_meshes(far, {1: own})
     still = CameraSetup(identity(), "none", np.zeros(2), 1.0)
-    cameras = (Camera(0, _speckle(0, 140), still, None), _near_camera(low, high, motion))
+    cameras = (Camera(0, speckle(0, 140), still, None), _near_camera(low, high, motion))
     rng = np.random.default_rng(7)
     n = 2 * tying.n_unknown_nodes + cameras[1].setup.n_motion_unknowns
     forces = tuple(1e4 * rng.normal(size=mesh.n_dofs) for _ in range(2))
@@ -101,20 +98,10 @@ def tied_step(layout: Layout, motion: MotionKind, near_element: float | None = 3
                     (forces[0], forces[1]))
 
 
-def _speckle(seed: int, side: int) -> MaskedSource:
-    noise = ndimage.gaussian_filter(np.random.default_rng(seed).normal(size=(side, side)), 1.5)
-    return source(noise / noise.std() * 50 + 128)
-
-
 def _near_camera(low: Array, high: Array, motion: MotionKind) -> Camera:
     """A camera whose image shows the box and some pixels around it, a little turned and tilted."""
-    centre, side = (low + high) / 2, int(RATIO * 1.2 * (high - low).max()) + 40
-    c, s = RATIO * np.cos(0.05), RATIO * np.sin(0.05)
-    about = np.array([[c, -s, side / 2], [s, c, side / 2], [2e-4, -1e-4, 1.0]])
-    homography = about @ np.array([[1, 0, -centre[0]], [0, 1, -centre[1]], [0, 0, 1.0]])
-    setup = CameraSetup(CameraMapping(homography / homography[2, 2]), motion, centre,
-                        float(np.linalg.norm(high - low)) / 2)
-    return Camera(1, _speckle(1, side), setup, None, FieldOfView(None, 0.0, has_own_mesh=True))
+    setup, side = set_up_over_box(low, high, motion, 0.05)
+    return Camera(1, speckle(1, side), setup, None, FieldOfView(None, 0.0, has_own_mesh=True))
 
 
 class TiedCut:
@@ -178,20 +165,14 @@ def multiplier_solution(problem: TiedStep) -> tuple[Array, Array]:
     for number, camera in enumerate(problem.cameras):
         part, ids = mesh.create_submesh(np.flatnonzero(problem.tying.cameras == number))
         dofs = (ids[:, None] * 2 + np.arange(2)).ravel()
-        mapping = camera.setup.mapping
-        seen = Mesh(mapping.to_image(part.nodes), part.connectivity, part.offsets, part.types)
-        jacobian = sparse.block_diag(list(mapping.jacobian(part.nodes))).tocsr()
+        m, jacobian = assemble_texture(camera, part)
         rigid = np.zeros((part.n_dofs, n_motion))
         if number:
-            rigid[0::2, 0] = rigid[1::2, 1] = 1.0
-            if n_motion == 3:
-                arm = (part.nodes - camera.setup.centre) / camera.setup.length
-                rigid[0::2, 2], rigid[1::2, 2] = -arm[:, 1], arm[:, 0]
+            rigid = evaluate_motion(camera.setup, part.nodes)
         pick = sparse.csr_matrix((np.ones(len(dofs)), (np.arange(len(dofs)), dofs)), shape=(len(dofs), mesh.n_dofs))
-        tangent = jacobian @ sparse.hstack([pick, sparse.csr_matrix(rigid)])
-        m = read_correlation(seen, camera.reference, 3).assemble_hessian()
-        matrix = matrix + WEIGHTS[number] * (tangent.T @ m @ tangent)
-        right += WEIGHTS[number] * (tangent.T @ problem.forces[number].reshape(-1, 2)[ids].ravel())
+        seen = sparse.hstack([pick, sparse.csr_matrix(rigid)])
+        matrix = matrix + WEIGHTS[number] * (seen.T @ m @ seen)
+        right += WEIGHTS[number] * (seen.T @ jacobian.T @ problem.forces[number].reshape(-1, 2)[ids].ravel())
     jumps = sparse.kron(sparse.csr_matrix(_jumps(problem)), sparse.identity(2)).tocsr()
     slaves = _solved(jumps, n_free)
     if problem.eta:
