@@ -95,7 +95,7 @@ def measure_frames(team: Team, task: dict[str, Any]) -> None:
             before = list(session.problem.solver.assembly.systems)
             team.wait_for_all()
             begin = time.perf_counter()
-            last = session.measure(frame, last if task["from_last"] else None)
+            last = session.measure(frame, last.q if last and task["from_last"] else None)
             team.wait_for_all()
             seconds = time.perf_counter() - begin
             record = describe(team, session, before)

@@ -109,8 +109,8 @@ def test_a_frame_can_start_from_an_earlier_one(shared_path: Path) -> None:
     ears = Ears()
     with session_of(team, inputs, ears) as session:
         first = session.measure(frames[0])
-        second = session.measure(frames[1], start=first)
-        again = session.measure(frames[1], start=second)
+        second = session.measure(frames[1], start=first.q)
+        again = session.measure(frames[1], start=second.q)
     assert second.notes[-1] == again.notes[-1] == "start: an earlier frame"
     assert np.abs(whole_field(second) - whole_field(measure(team, shared_path / "1.toml"))).max() <= SAME_PX
     # It is where it ends, to the tolerance that it ended by.
@@ -168,7 +168,7 @@ def test_as_many_other_pixels_renew_as_well(shared_path: Path) -> None:
     inputs, frames = open_frames(team, shared_path)
     with session_of(team, inputs) as session:
         first = session.measure(frames[0])
-        found = session.measure(frames[1], start=first)
+        found = session.measure(frames[1], start=first.q)
     separate = measure(team, shared_path / "1.toml")
     assert any("renewed" in note for note in found.notes)
     assert np.abs(whole_field(found) - whole_field(separate)).max() <= SAME_PX

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,10 @@ import pytest
 from mpi4py import MPI
 
 from ddic.case.loader import load_case
-from ddic.errors import InputError
+from ddic.errors import InputError, is_collective
 from ddic.io import result_schema as schema
 from ddic.io.result_reader import displacement_at, read_result
+from ddic.io.result_writer import ResultWriter
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.results.phase_times import gather_phase_times
@@ -208,3 +210,30 @@ def test_values_at_points_are_those_of_the_result(shared_path: Path) -> None:
     np.testing.assert_allclose(found[:-2], expected, rtol=0, atol=1e-12)
     assert np.isnan(found[-2:]).all()
     assert team.gather_lists([found.tobytes()]) == [found.tobytes()] * team.size
+
+
+WRITES = ("create_pieces", "write_pieces", "write_table", "create_residual_image", "write_residual_chunk",
+          "write_attributes", "_refuse_missing_pieces")
+
+
+@pytest.mark.parallel([1, 2])
+def test_full_disk_is_told_on_all_ranks_and_leaves_an_older_result(shared_path: Path,
+                                                                   monkeypatch: pytest.MonkeyPatch) -> None:
+    team = Team(MPI.COMM_WORLD)
+    measured = measure(team, _write(shared_path))
+    output = shared_path / "older.vtkhdf"
+    if team.is_root:
+        output.write_text("older")
+    before = team.on_root(lambda: sorted(shared_path.iterdir()))
+
+    def fill_disk(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    for name in WRITES:
+        with monkeypatch.context() as patch:
+            patch.setattr(ResultWriter, name, fill_disk)
+            with pytest.raises(OSError, match="No space") as caught:
+                publish(measured, Destination(output))
+        assert is_collective(caught.value), name
+        assert team.on_root(lambda: sorted(shared_path.iterdir())) == before, name
+        assert team.on_root(output.read_text) == "older", name

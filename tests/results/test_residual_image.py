@@ -59,7 +59,8 @@ def test_root_gets_every_pixel_once_compressed(monkeypatch: pytest.MonkeyPatch) 
     team = Team(MPI.COMM_WORLD)
     mine = patches(split_evenly(np.ones(N_PARTS), team.size)[team.rank])
     held = pack_chunks(team, GRID, [p.window for p in mine], iter(mine))
-    everything = list(stream_chunks(team, held))
+    everything: list[PackedChunk] = []
+    stream_chunks(team, held, everything.append)
     image = np.full((HEIGHT, WIDTH), np.nan, np.float32)
     for chunk in everything:
         place = GRID.locate_chunk(chunk.number)

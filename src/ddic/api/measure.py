@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ddic.api.given_mesh import convert_given_mesh
 from ddic.api.image import ImageLike, check_same_size, open_given_image
@@ -32,11 +33,13 @@ from ddic.problem.check_ranks import check_ranks
 from ddic.problem.inputs import Inputs, open_inputs
 from ddic.problem.mesh_source import accept_mesh, convert_mapping
 from ddic.results.listener import Silence
-from ddic.results.measurement import Measurement
 from ddic.results.publishing import Destination, gather, publish
 
 if TYPE_CHECKING:
     import meshio
+
+Array = NDArray[np.float64]
+
 
 class Session:
     """A reference image prepared once, for any number of deformed images; use it in a ``with`` statement.
@@ -54,7 +57,8 @@ class Session:
     def __init__(self, team: Team, inputs: Inputs) -> None:
         self._team, self._inputs = team, inputs
         self._recipe: RecipeSession | None = RecipeSession(team, inputs, Silence(), PhaseClock(waiting=team.waiting))
-        self._last: Measurement | None = None
+        # Unknowns of the last field alone: its images would stay in memory.
+        self._last: list[Array] | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -115,10 +119,10 @@ class Session:
             raise InputError("session: it is closed; measure inside its with statement, or prepare another")
         return self._recipe
 
-    def _measure_frame(self, recipe: RecipeSession, frame: Frame, start: Measurement | None,
+    def _measure_frame(self, recipe: RecipeSession, frame: Frame, start: list[Array] | None,
                        output: Path | None) -> Result:
         measurement = recipe.measure(frame, start)
-        self._last = measurement
+        self._last = measurement.q
         if output is not None:
             publish(measurement, Destination(output, self._inputs.case.output.flip_y))
         return gather(measurement)

@@ -5,8 +5,12 @@ A session prepares what the reference images alone determine, then measures fram
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from types import TracebackType
 from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ddic.methods.solve_frame import solve_frame
 from ddic.parallel.phases import Phase, PhaseClock
@@ -74,15 +78,15 @@ class Session:
                  trace: TracebackType | None) -> None:
         self.close()
 
-    def measure(self, frame: Frame, start: Measurement | None = None) -> Measurement:
+    def measure(self, frame: Frame, start: Sequence[NDArray[np.float64]] | None = None) -> Measurement:
         """Measure the displacement between the reference images and a frame; collective.
 
         Parameters
         ----------
         frame : Frame
             One deformed image of each camera.
-        start : Measurement, optional
-            Of an earlier frame of this session, to start from; by default as the case says.
+        start : sequence of (n_unknowns,) array, optional
+            Unknowns of each owned subdomain to start from, such as an earlier frame's; by default as the case says.
 
         Returns
         -------
@@ -98,7 +102,7 @@ class Session:
         if frame is self._first_frame:
             first_found, self._first_frame = self._found_first, None
         views = problem.open_frame(frame)
-        started = find_start(self._start, frame, views, first_found, None if start is None else start.q)
+        started = find_start(self._start, frame, views, first_found, start)
         model = problem.build_residual_model(views)
         self._tell(started.notes)
         solution, renewals = solve_frame(problem, model, started.q, self._listener, self._clock)

@@ -50,8 +50,8 @@ class Team:
     """A communicator and all operations of several ranks that ddic allows itself outside PETSc.
 
     Every operation is collective unless it says otherwise: all ranks call it, in the same order. Work that a rank does
-    inside one (``on_root``, ``build_on_root``, ``scatter_from_root``, ``together``) is free of communication; an error
-    there is raised on all ranks, so that none is left waiting.
+    inside one (``on_root``, ``build_on_root``, ``scatter_from_root``, ``together``, ``stream_to_root``) is free of
+    communication; an error there is raised on all ranks, so that none is left waiting.
 
     Attributes
     ----------
@@ -187,13 +187,18 @@ class Team:
         try:
             result = work()
         except Exception as caught:
-            error = _portable(caught, self.rank)
+            error = caught
+        self._raise_lowest(error)
+        final: T = result
+        return final
+
+    def _raise_lowest(self, error: Exception | None) -> None:
+        """Raise on all ranks what the lowest rank with an error brings."""
         with self.waiting.counted():
             failed = self.comm.allreduce(self.size if error is None else self.rank, op=MPI.MIN)
         if failed < self.size:
-            raise as_collective(self.broadcast(error, failed))
-        final: T = result
-        return final
+            portable = None if error is None else _portable(error, self.rank)
+            raise as_collective(self.broadcast(portable, failed))
 
     def abort(self, code: int) -> None:
         """End the program on all ranks; not collective.
@@ -376,36 +381,51 @@ class Team:
             result: T | None = self.comm.recv(source=0, tag=_SENT) if self.rank == to else None
         return result
 
-    def stream_to_root(self, items: Iterator[T]) -> Iterator[T]:
+    def stream_to_root(self, items: Iterator[T], take: Callable[[T], object]) -> None:
         """Bring all ranks' items to rank 0 one at a time, so that it never holds all of them.
-
-        Elsewhere the items are made and sent during the call; rank 0 must take all that it is given.
 
         Parameters
         ----------
         items : iterator
             This rank's, each made when it is asked for.
+        take : callable
+            Called on rank 0 alone, with its own items, then with those of the others in the order of ranks.
 
-        Returns
-        -------
-        iterator
-            On rank 0 its own items, then those of the others in the order of ranks; elsewhere nothing.
+        Raises
+        ------
+        Exception
+            What the lowest rank that fails raises while it makes or takes an item, on all ranks.
         """
+        error: Exception | None = None
+        try:
+            for item in items:
+                if self.is_root:
+                    take(item)
+                else:
+                    self._send_in_stream([item])
+        except Exception as caught:
+            error = caught
         if self.is_root:
-            return self._receive_stream(items)
-        for item in items:
-            with self.waiting.counted():
-                self.comm.send([item], dest=0, tag=_STREAM)
-        with self.waiting.counted():
-            self.comm.send([], dest=0, tag=_STREAM)
-        return iter(())
-
-    def _receive_stream(self, own: Iterator[T]) -> Iterator[T]:
-        yield from own
-        for rank in range(1, self.size):
+            error = self._take_streams(take, error)
+        else:
             # An empty message ends a rank's stream.
+            self._send_in_stream([])
+        self._raise_lowest(error)
+
+    def _take_streams(self, take: Callable[[T], object], error: Exception | None) -> Exception | None:
+        """Take what the other ranks send; after an error it is received all the same, for they wait for that."""
+        for rank in range(1, self.size):
             while message := self._receive(rank, _STREAM):
-                yield message[0]
+                if error is None:
+                    try:
+                        take(message[0])
+                    except Exception as caught:
+                        error = caught
+        return error
+
+    def _send_in_stream(self, message: list[T]) -> None:
+        with self.waiting.counted():
+            self.comm.send(message, dest=0, tag=_STREAM)
 
     def begin_send(self, item: object, to: int) -> MPI.Request:
         """Send an item to a rank without waiting until it arrives; not collective.

@@ -13,6 +13,7 @@ from ddic.functionals.correlation import Residual
 from ddic.io import result_schema as schema
 from ddic.io.result_writer import Piece, PieceSize, ResultWriter, join_pieces
 from ddic.kinematics.strain import compute_strain
+from ddic.parallel.team import require_held
 from ddic.partition.subdomain import Subdomain
 
 if TYPE_CHECKING:
@@ -43,13 +44,17 @@ def write_pieces(measurement: Measurement, writer: ResultWriter | None) -> None:
     team, images = measurement.team, measurement.inputs.case.images
     sizes = team.gather_lists([_size(subdomain) for subdomain in measurement.subdomains])
     length_unit = None if images.pixel_size is None else images.length_unit
-    if writer is not None:
-        writer.create_pieces(sizes, schema.point_fields(length_unit), schema.cell_fields(len(measurement.cameras)))
-    begin = 0
-    for batch in team.stream_to_root(_join_batches(_make_pieces(measurement))):
-        if writer is not None:
-            writer.write_pieces(range(begin, begin + batch.n_pieces), batch.pieces)
-        begin += batch.n_pieces
+    team.build_on_root(lambda: require_held(writer).create_pieces(
+        sizes, schema.point_fields(length_unit), schema.cell_fields(len(measurement.cameras))))
+    n_written = 0
+
+    def write(batch: _Batch) -> None:
+        nonlocal n_written
+        numbers = range(n_written, n_written + batch.n_pieces)
+        require_held(writer).write_pieces(numbers, batch.pieces)
+        n_written = numbers.stop
+
+    team.stream_to_root(_join_batches(_make_pieces(measurement)), write)
 
 
 def _size(subdomain: Subdomain) -> PieceSize:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ddic.errors import ConvergenceError, as_collective, list_first
 from ddic.io.result_writer import ResultWriter
 from ddic.kinematics.strain import find_inverted_cells
-from ddic.parallel.team import Team
+from ddic.parallel.team import Team, require_held
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.cameras import Camera, Frame
 from ddic.problem.inputs import Inputs
@@ -127,11 +127,13 @@ class Measurement:
             Open on rank 0, None elsewhere.
         """
         write_pieces(self, writer)
-        if writer is not None:
-            write_histories(self, writer)
-            write_attributes(self, writer)
+        self.team.build_on_root(lambda: self._write_histories(require_held(writer)))
         if self.inputs.case.output.residual_image:
             write_residual_images(self, writer)
+
+    def _write_histories(self, writer: ResultWriter) -> None:
+        write_histories(self, writer)
+        write_attributes(self, writer)
 
     def describe_origin(self) -> dict[str, str | int]:
         """Say what it was measured from.

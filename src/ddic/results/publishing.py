@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ddic.io import result_schema as schema
 from ddic.io.result_reader import Result
 from ddic.io.result_writer import ResultWriter
-from ddic.parallel.team import Team
+from ddic.parallel.team import Team, require_held
 from ddic.results.phase_times import PhaseTimes
 from ddic.results.provenance import collect_provenance
 
@@ -93,6 +93,11 @@ def publish(measurement: Publishable, destination: Destination) -> None:
         What was measured.
     destination : Destination
         Where it goes.
+
+    Raises
+    ------
+    OSError
+        Where it cannot be written, on all ranks.
     """
     _write(measurement, destination)
 
@@ -114,17 +119,24 @@ def gather(measurement: Publishable) -> Result:
 
 
 def _write(measurement: Publishable, destination: Destination, *, read_back: bool = False) -> Result | None:
+    """Write a measurement; what fails on rank 0, a full disk, say, is raised on all ranks, and leaves no file."""
+    team = measurement.team
     with ExitStack() as stack:
-        # An error on rank 0 while it opens the file must not leave the others sending to it.
-        writer = measurement.team.build_on_root(
+        writer = team.build_on_root(
             lambda: stack.enter_context(ResultWriter(destination.path, flip_y=destination.flip_y)))
         measurement.write(writer)
-        if writer is None:
-            return None
-        if destination.times is not None:
-            _write_times(writer, destination.times)
-        writer.write_attributes(schema.PROVENANCE, collect_provenance(measurement.describe_origin()))
-        return writer.read_back() if read_back else None
+
+        def finish() -> Result | None:
+            opened = require_held(writer)
+            if destination.times is not None:
+                _write_times(opened, destination.times)
+            opened.write_attributes(schema.PROVENANCE, collect_provenance(measurement.describe_origin()))
+            return opened.read_back() if read_back else None
+
+        result = team.build_on_root(finish)
+        # Closing writes as well: what is left in HDF5's cache, then the file's name.
+        team.build_on_root(stack.pop_all().close)
+        return result
 
 
 def _write_times(writer: ResultWriter, times: PhaseTimes) -> None:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -158,8 +157,8 @@ def _receive_parts(team: Team, shares: ChunkShares, chunks: dict[int, NDArray[np
             np.copyto(chunks[number], part, where=~np.isnan(part))
 
 
-def stream_chunks(team: Team, chunks: list[PackedChunk]) -> Iterator[PackedChunk]:
-    """Bring all ranks' chunks to rank 0, a few in each message.
+def stream_chunks(team: Team, chunks: list[PackedChunk], write: Callable[[PackedChunk], None]) -> None:
+    """Bring all ranks' chunks to rank 0, a few in each message; collective.
 
     Parameters
     ----------
@@ -167,14 +166,15 @@ def stream_chunks(team: Team, chunks: list[PackedChunk]) -> Iterator[PackedChunk
         All ranks.
     chunks : list of PackedChunk
         This rank's.
-
-    Returns
-    -------
-    iterator of PackedChunk
-        On rank 0, which must take them all; nothing elsewhere, where they are sent during the call.
+    write : callable
+        Called on rank 0 with each.
     """
+    def write_all(batch: list[PackedChunk]) -> None:
+        for chunk in batch:
+            write(chunk)
+
     batches = (chunks[begin:begin + CHUNKS_A_MESSAGE] for begin in range(0, len(chunks), CHUNKS_A_MESSAGE))
-    return itertools.chain.from_iterable(team.stream_to_root(batches))
+    team.stream_to_root(batches, write_all)
 
 
 def _complete_chunks(grid: ChunkGrid, windows: list[Window],
