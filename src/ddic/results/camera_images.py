@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from ddic.io.image_chunks import ChunkGrid
 from ddic.io.result_writer import ResultWriter
 from ddic.parallel.team import require_held
+from ddic.problem.cameras import Camera
 from ddic.results.residual_image import Patch, pack_chunks, stream_chunks
 
 if TYPE_CHECKING:
@@ -24,17 +25,19 @@ def write_residual_images(measurement: Measurement, writer: ResultWriter | None)
     writer : ResultWriter or None
         On rank 0.
     """
-    team = measurement.team
     for camera in measurement.cameras:
-        image = camera.reference.image
-        grid = ChunkGrid(image.width, image.height)
-        team.build_on_root(lambda grid=grid: require_held(writer).create_residual_image(grid))
-        windows = [view.view.correlation.reference.window
-                   for of_subdomain in measurement.model.views for view in of_subdomain.views
-                   if view.camera == camera.number]
-        patches = _make_patches(measurement, camera.number)
-        stream_chunks(team, pack_chunks(team, grid, windows, patches),
-                      lambda chunk: require_held(writer).write_residual_chunk(chunk.number, chunk.data))
+        _write_residual_image(measurement, camera, writer)
+
+
+def _write_residual_image(measurement: Measurement, camera: Camera, writer: ResultWriter | None) -> None:
+    team, image = measurement.team, camera.reference.image
+    grid = ChunkGrid(image.width, image.height)
+    team.build_on_root(lambda: require_held(writer).create_residual_image(grid))
+    windows = [view.view.correlation.reference.window
+               for of_subdomain in measurement.model.views for view in of_subdomain.views
+               if view.camera == camera.number]
+    chunks = pack_chunks(team, grid, windows, _make_patches(measurement, camera.number))
+    stream_chunks(team, chunks, lambda chunk: require_held(writer).write_residual_chunk(chunk.number, chunk.data))
 
 
 def _make_patches(measurement: Measurement, camera: int) -> Iterator[Patch]:
