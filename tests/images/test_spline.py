@@ -144,12 +144,23 @@ def test_gradient_across_the_images_edge_is_zero(degree: int) -> None:
         np.testing.assert_allclose(edge, 0.0, atol=1e-9)
 
 
-def test_a_pixel_of_g_counts_with_its_right_and_lower_neighbours() -> None:
-    usable = np.ones((20, 20), dtype=np.uint8)
-    usable[5, 7] = 0
-    found = read_spline(source(noise(20, 20)).image, Window(0, 0, 20, 20), 3, usable).usable
-    assert found is not None
-    assert np.argwhere(found == 0).tolist() == [[4, 6], [4, 7], [5, 6], [5, 7]]
+@pytest.mark.parametrize("degree", [3, 5])
+def test_what_is_interpolated_from_an_excluded_pixel_is_left_out(degree: int) -> None:
+    mask = np.ones((60, 60), dtype=bool)
+    mask[25, 27] = False
+    masked = source(noise(60, 60), mask)
+    # A window that begins beside the pixel sees it all the same.
+    for window in (Window(0, 0, 60, 60), Window(28, 10, 50, 50)):
+        place = np.s_[window.y0: window.y1, window.x0: window.x1]
+        # Values between two pixels are those of (degree + 1)^2 coefficients; a slope's lie on a cross.
+        between = np.ones((60, 60), dtype=np.uint8)
+        between[25 - degree // 2 - 1: 26 + degree // 2, 27 - degree // 2 - 1: 28 + degree // 2] = 0
+        slopes = np.ones((60, 60), dtype=np.uint8)
+        slopes[25 - degree // 2: 26 + degree // 2, 27] = slopes[25, 27 - degree // 2: 28 + degree // 2] = 0
+        spline = read_spline(masked.image, window, degree, masked.find_usable)
+        gradient = read_gradient(masked.image, window, degree, masked.find_usable)
+        np.testing.assert_array_equal(spline.usable, between[place])
+        np.testing.assert_array_equal(gradient.usable, slopes[place])
 
 
 @pytest.mark.parametrize(("degree", "bound"), [(3, 1.5e-3), (5, 3.4e-4)])

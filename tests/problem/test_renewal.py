@@ -80,7 +80,7 @@ def test_nothing_changes_where_nothing_is_hidden(rule: RenewalRule) -> None:
 @pytest.mark.parallel(RANKS)
 def test_a_few_hidden_pixels_change_nothing_and_a_share_renews_one() -> None:
     region = Region()
-    # 72 x 72 px, of which a mask of n x n hides (n + 2)^2 and something through the taps of the spline.
+    # 72 x 72 px, of which a mask of n x n hides (n + 3)^2 through the taps of the spline.
     assert 8**2 < CHANGED_SHARE * 72**2 < 14**2
     assert region.renew(region.whole, LONG, (40, 44, 40, 44))[0] == []
     renewed, _, _, note = region.renew(region.whole, LONG, (40, 54, 40, 54))
@@ -162,3 +162,17 @@ def test_a_node_without_a_row_that_loses_its_pixels_renews() -> None:
     assert renewed == [0]
     # They are lost once.
     assert region.renew(visible, LONG, cell)[0] == []
+
+
+@pytest.mark.parallel([1, 2])
+def test_a_node_that_is_held_by_pixels_alone_renews_where_it_loses_most() -> None:
+    # Of 72 x 144 px the share bears 207. A mask of n x n hides (n + 3)^2 of the 16 x 16 about the node at (48, 48).
+    mesh = build_structured_mesh((24, 24, 168, 168), 8)
+    most, few = (43, 52, 43, 52), (46, 50, 46, 50)
+    assert 7**2 < 0.5 * 16**2 < 12**2 < CHANGED_SHARE * 72 * 144
+    for controlled, expected in ((True, []), (False, [0])):
+        region = Region(mesh, (2, 1))
+        region.own = [replace(s, controlled=np.full(s.n_field, controlled)) for s in region.own]
+        region.references = [replace(r, subdomain=s) for r, s in zip(region.references, region.own, strict=True)]
+        assert region.renew(region.whole, LONG, few)[0] == []
+        assert region.renew(region.whole, LONG, most)[0] == expected

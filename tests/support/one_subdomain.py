@@ -16,7 +16,8 @@ from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.views import FrameViews, ReferenceViews
-from ddic.solvers.gauss_newton import Progress, Solution, Tolerances, gauss_newton, stay_silent
+from ddic.solvers.correction_size import Tolerances
+from ddic.solvers.gauss_newton import Progress, Solution, gauss_newton, stay_silent
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.monolithic import MonolithicStep

@@ -462,15 +462,21 @@ class SolverSection(Section):
 
 
 class GaussNewtonSection(Section):
-    """When Gauss-Newton stops: |dq|/|q| <= tolerance or RMS dq <= rms_tolerance pixels."""
+    """When Gauss-Newton stops: |dq|/|q| <= tolerance or RMS dq <= rms_tolerance, and all dq <= largest_tolerance."""
 
     tolerance: Annotated[float, Field(gt=0, lt=1)] = Field(
         default=1e-3,
-        description="Relative correction.",
+        description="Correction relative to the field without its affine part: a specimen that moves is measured as "
+        "finely as one at rest.",
     )
     rms_tolerance: NonNegative = Field(
         default=1e-4,
         description="Absolute correction; identical images stop by it at once.",
+        json_schema_extra={"unit": "px"},
+    )
+    largest_tolerance: Positive = Field(
+        default=1e-3,
+        description="Correction at any node.",
         json_schema_extra={"unit": "px"},
     )
     max_iterations: Annotated[int, Field(ge=1)] = Field(

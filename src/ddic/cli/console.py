@@ -17,8 +17,8 @@ from ddic.problem.problem_size import ProblemSize
 from ddic.results.summary import Summary
 from ddic.solvers.gauss_newton import IterationRecord
 
-_COLUMNS = ("iter", "|dq|/|q|", "RMS dq [px]", "residual [grey]", "[% range]", "Krylov", "its error [px]",
-            "residual [s]", "step [s]")
+_COLUMNS = ("iter", "|dq|/|q|", "RMS dq [px]", "max dq [px]", "residual [grey]", "[% range]", "Krylov",
+            "its error [px]", "residual [s]", "step [s]")
 
 
 NOTICEABLE = 0.05
@@ -101,6 +101,7 @@ class RunConsole:
         spent = {phase: record.seconds[phase] - self._seconds.get(phase, 0.0) for phase in REPEATED}
         self._seconds = record.seconds
         cells = (f"{record.number}", f"{record.size.relative:.2e}", f"{record.size.rms:.2e}",
+                 f"{record.size.largest:.2e}",
                  " ".join(f"{camera.residual_std:.3f}" for camera in record.cameras),
                  f"{100 * record.grey.residual_std / self._range:.2f}", f"{record.krylov_iterations}",
                  f"{record.linear_error:.1e}", f"{spent[Phase.RESIDUAL]:.2f}",

@@ -153,7 +153,8 @@ class DeformedPixels(NamedTuple):
     x0, y0 : int
         The window's first pixel.
     usable : (height, width) uint8 array
-        0 where the pixel or its right, lower or lower right neighbour is excluded; (0, 0) where none is.
+        0 where g between the pixel and its lower right neighbour is interpolated from an excluded one; (0, 0) where
+        nothing is excluded.
     image_width, image_height : int
         Size of the whole image, pixels.
     """

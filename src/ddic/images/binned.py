@@ -161,7 +161,7 @@ def join_blocks(source: MaskedSource, bands: Sequence[Blocks]) -> MaskedSource:
     if any(band.usable is not None for band in bands):
         mask = ArraySource(path, np.concatenate([np.ones_like(b.values) if b.usable is None else b.usable
                                                  for b in bands]))
-    return MaskedSource(ArraySource(path, np.concatenate([b.values for b in bands])), mask)
+    return MaskedSource(ArraySource(path, np.concatenate([b.values for b in bands])), mask, excludes_taps=False)
 
 
 def _finite(pixels: NDArray[Any]) -> NDArray[np.float32]:

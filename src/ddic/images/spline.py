@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
+from ddic.images.fill import fill_excluded, without_cross, without_neighbours
 from ddic.images.prefilter import TURNED, prefilter, prefilter_columns, write_column_slopes, write_row_slopes
 from ddic.images.source import ImageSource
 from ddic.images.threads import ONE_THREAD, Threads
@@ -20,6 +20,9 @@ HALO = {3: 28, 5: 44}
 
 PADDING = {3: 2, 5: 3}
 """Coefficients needed beyond the outermost pixel at which the spline is evaluated."""
+
+FindUsable = Callable[[Window], NDArray[np.uint8] | None]
+"""Gives the pixels of a window that count: 0 where one is excluded, None where nothing can be."""
 
 _BAND_ROWS = 512
 _BLOCK = 2**17
@@ -40,7 +43,8 @@ class SplineImage:
         Entry [PADDING, PADDING] belongs to pixel (window.x0, window.y0). Beyond the image's edge they continue by
         reflection.
     usable : (window.height, window.width) array or None
-        0 where the pixel or its right, lower or lower right neighbour is excluded; None where nothing is excluded.
+        0 where a value between the pixel and its lower right neighbour is interpolated from an excluded pixel; None
+        where nothing is excluded.
     """
 
     window: Window
@@ -62,7 +66,7 @@ class GradientImage:
     by_x, by_y : (window.height, window.width) array
         Slopes of the spline at pixel centres, grey levels per pixel.
     usable : (window.height, window.width) array or None
-        0 where the pixel is excluded; None where nothing is excluded.
+        0 where the pixel is excluded, or one that its slope is taken from; None where nothing is.
     """
 
     window: Window
@@ -111,7 +115,8 @@ def compute_coefficients(values: NDArray[np.float64], degree: int) -> NDArray[np
 
 
 def read_spline(source: ImageSource, window: Window, degree: int,
-                usable: NDArray[np.uint8] | None = None, threads: Threads = ONE_THREAD) -> SplineImage:
+                find_usable: FindUsable | None = None, threads: Threads = ONE_THREAD, *,
+                excludes_taps: bool = True) -> SplineImage:
     """Read a window and prefilter it.
 
     Parameters
@@ -122,10 +127,12 @@ def read_spline(source: ImageSource, window: Window, degree: int,
         Inside the image.
     degree : int
         Of the spline, 3 or 5.
-    usable : (window.height, window.width) array, optional
-        0 where a pixel is excluded; None where nothing is.
+    find_usable : callable, optional
+        Gives the pixels of a window that count, as ``MaskedSource.find_usable``; all do where it is left out.
     threads : Threads
         Do the filtering.
+    excludes_taps : bool
+        Whether to leave out all that is interpolated from an excluded pixel, or only what lies beside it.
 
     Returns
     -------
@@ -135,7 +142,7 @@ def read_spline(source: ImageSource, window: Window, degree: int,
     pad = PADDING[degree]
     out = np.empty((window.height + 2 * pad, window.width + 2 * pad), dtype=np.float32)
     inner = window.grow(pad).clip(source.width, source.height)
-    held = _hold(source, inner, degree)
+    held = _hold(source, inner, degree, find_usable)
 
     def fill(bands: Iterator[Window]) -> None:
         for band, coefficients in _coefficient_bands(held, bands, degree):
@@ -146,11 +153,14 @@ def read_spline(source: ImageSource, window: Window, degree: int,
     # The same bands for any number of threads: the halo's remainder, and with it rounding, depends on them.
     threads.share(_bands(inner, _BAND_ROWS), fill)
     _reflect(out, inner, window.grow(pad))
-    return SplineImage(window, degree, out, None if usable is None else _erode(usable))
+    reach = degree // 2 if excludes_taps else 0
+    usable = None if held.usable is None else without_neighbours(held.usable, reach, reach + 1)
+    return SplineImage(window, degree, out, held.restrict_usable(usable, window))
 
 
 def read_gradient(source: ImageSource, window: Window, degree: int,
-                  usable: NDArray[np.uint8] | None = None, threads: Threads = ONE_THREAD) -> GradientImage:
+                  find_usable: FindUsable | None = None, threads: Threads = ONE_THREAD, *,
+                  excludes_taps: bool = True) -> GradientImage:
     """Read a window with its spline gradient at pixel centres.
 
     A slope along x needs coefficients along x alone: the values of the spline at pixel centres of a column undo the
@@ -164,10 +174,12 @@ def read_gradient(source: ImageSource, window: Window, degree: int,
         Inside the image.
     degree : int
         Of the spline, 3 or 5.
-    usable : (window.height, window.width) array, optional
-        0 where a pixel is excluded; None where nothing is.
+    find_usable : callable, optional
+        Gives the pixels of a window that count, as ``MaskedSource.find_usable``; all do where it is left out.
     threads : Threads
         Do the filtering.
+    excludes_taps : bool
+        Whether to leave out the pixels whose slope is taken from an excluded one, or only these.
 
     Returns
     -------
@@ -176,7 +188,7 @@ def read_gradient(source: ImageSource, window: Window, degree: int,
     """
     shape = (window.height, window.width)
     values, by_x, by_y = (np.empty(shape, dtype=np.float32) for _ in range(3))
-    held = _hold(source, window.grow(PADDING[degree]), degree)
+    held = _hold(source, window.grow(PADDING[degree]), degree, find_usable)
     wide = held.window
     n_rows, halo = max(_BLOCK // wide.width, TURNED), HALO[degree] + PADDING[degree]
 
@@ -198,20 +210,29 @@ def read_gradient(source: ImageSource, window: Window, degree: int,
 
     threads.share(_bands(window, n_rows), along_x)
     threads.share(_bands(window, _BAND_ROWS), along_y)
-    return GradientImage(window, values, by_x, by_y, usable)
+    reach = degree // 2 if excludes_taps else 0
+    usable = None if held.usable is None else without_cross(held.usable, reach)
+    return GradientImage(window, values, by_x, by_y, held.restrict_usable(usable, window))
 
 
 @dataclass(frozen=True)
 class _Held:
-    """A part of an image in memory, in its own type: a file is read, or decoded, once per window."""
+    """A part of an image in memory, in its own type, excluded pixels filled: a file is read once per window."""
 
     window: Window
     extent: Window
     pixels: NDArray[Any]
+    usable: NDArray[np.uint8] | None
 
     def restrict(self, window: Window) -> NDArray[Any]:
-        return self.pixels[window.y0 - self.window.y0: window.y1 - self.window.y0,
-                           window.x0 - self.window.x0: window.x1 - self.window.x0]
+        return self.pixels[self._place(window)]
+
+    def restrict_usable(self, usable: NDArray[np.uint8] | None, window: Window) -> NDArray[np.uint8] | None:
+        return None if usable is None else usable[self._place(window)].copy()
+
+    def _place(self, window: Window) -> tuple[slice, slice]:
+        return (slice(window.y0 - self.window.y0, window.y1 - self.window.y0),
+                slice(window.x0 - self.window.x0, window.x1 - self.window.x0))
 
     def read(self, window: Window, buffer: NDArray[np.float64]) -> NDArray[np.float64]:
         # Memory that is asked for anew for every band costs more than its filtering.
@@ -223,24 +244,11 @@ class _Held:
         return np.empty(min(rows, self.window.height) * self.window.width)
 
 
-def _hold(source: ImageSource, window: Window, degree: int) -> _Held:
+def _hold(source: ImageSource, window: Window, degree: int, find_usable: FindUsable | None) -> _Held:
     wide = window.grow(HALO[degree]).clip(source.width, source.height)
-    return _Held(wide, Window(0, 0, source.width, source.height), _finite(source.read(wide)))
-
-
-def _finite(pixels: NDArray[Any]) -> NDArray[Any]:
-    """Give pixels that are not finite the nearest finite value.
-
-    Only masked pixels can be so (the check of the inputs refuses others); a jump there would ring into
-    the gradient of their neighbours, which count.
-    """
-    if np.issubdtype(pixels.dtype, np.integer):
-        return pixels
-    absent = ~np.isfinite(pixels)
-    if not absent.any() or absent.all():
-        return np.nan_to_num(pixels, nan=0.0, posinf=0.0, neginf=0.0)
-    nearest = ndimage.distance_transform_edt(absent, return_distances=False, return_indices=True)
-    return np.asarray(pixels[tuple(nearest)])
+    usable = None if find_usable is None else find_usable(wide)
+    pixels = fill_excluded(source.read(wide), usable)
+    return _Held(wide, Window(0, 0, source.width, source.height), pixels, usable)
 
 
 def _bands(window: Window, height: int) -> Iterator[Window]:
@@ -269,11 +277,3 @@ def _reflect(out: NDArray[np.float32], filled: Window, whole: Window) -> None:
         out[:, left - k] = out[:, left + k]
     for k in range(1, out.shape[1] - right):
         out[:, right + k] = out[:, right - k]
-
-
-def _erode(usable: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    eroded = usable.copy()
-    eroded[:, :-1] &= usable[:, 1:]
-    eroded[:-1] &= usable[1:]
-    eroded[:-1, :-1] &= usable[1:, 1:]
-    return eroded

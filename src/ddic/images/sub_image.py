@@ -31,11 +31,15 @@ class MaskedSource:
         An image of the same size, zero where pixels are left out.
     exclude_saturated : bool
         Whether to leave out pixels at the largest value of the image's integer type.
+    excludes_taps : bool
+        Whether to leave out also what is interpolated from such pixels. Coarse images would lose too much, and only
+        start a measurement.
     """
 
     image: ImageSource
     mask: ImageSource | None = None
     exclude_saturated: bool = False
+    excludes_taps: bool = True
 
     @property
     def extent(self) -> Window:
@@ -95,7 +99,8 @@ def read_reference(source: MaskedSource, window: Window, degree: int,
         Of the window, which is made larger where it is too small for a spline.
     """
     window = _sizeable(window, source.extent)
-    return read_gradient(source.image, window, degree, source.find_usable(window), threads)
+    return read_gradient(source.image, window, degree, source.find_usable, threads,
+                         excludes_taps=source.excludes_taps)
 
 
 @dataclass
@@ -134,8 +139,8 @@ class DeformedSubImage:
         if self._spline is None or not self._spline.window.contains(needed):
             grown = window if self._spline is None else window.union(self._spline.window)
             wanted = _sizeable(grown.grow(GROWTH), self.source.extent)
-            self._spline = read_spline(self.source.image, wanted, self.degree, self.source.find_usable(wanted),
-                                       self.threads)
+            self._spline = read_spline(self.source.image, wanted, self.degree, self.source.find_usable, self.threads,
+                                       excludes_taps=self.source.excludes_taps)
         return self._spline
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-SCHEMA_VERSION = "1.2"
+SCHEMA_VERSION = "1.3"
 VTKHDF_VERSION = (2, 0)
 
 VTKHDF = "VTKHDF"
@@ -38,6 +38,8 @@ STRAIN_INFINITESIMAL = "strain_infinitesimal"
 STRAIN_GREEN_LAGRANGE = "strain_green_lagrange"
 RESIDUAL_RMS = "residual_rms"
 RESIDUAL_N_PIXELS = "residual_n_pixels"
+EQUIVALENT_ERROR = "equivalent_error"
+DOUBTFUL = "doubtful"
 
 VECTOR, SYMMETRIC_TENSOR = 3, 6
 TENSOR_COMPONENTS = ("XX", "YY", "ZZ", "XY", "YZ", "XZ")
@@ -110,6 +112,8 @@ def cell_fields(n_cameras: int = 1) -> tuple[FieldSpec, ...]:
                   "Green-Lagrange strain, cell mean"),
         FieldSpec(RESIDUAL_RMS, 1, np.float64, "grey level", "root mean square of f(x) - g(x + u)"),
         FieldSpec(RESIDUAL_N_PIXELS, 1, np.int64, "px", "number of pixels correlated"),
+        FieldSpec(EQUIVALENT_ERROR, 1, np.float64, "px", "error that would leave the residual beyond noise"),
+        FieldSpec(DOUBTFUL, 1, np.uint8, "1", "1 where the residual is that of an error, or no pixel counts"),
         FieldSpec(SUBDOMAIN_ID, 1, np.int32, "1", "subdomain that owns the cell"),
         FieldSpec(GLOBAL_CELL_ID, 1, np.int64, "1", "number of the cell in the whole mesh"),
     )

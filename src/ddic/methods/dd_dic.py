@@ -1,7 +1,4 @@
-"""FE-DIC and R-DIC by dual domain decomposition: the algorithm box of [BP17], for any number of cameras and frames.
-
-A session prepares what the reference images alone determine, then measures frames.
-"""
+"""FE-DIC and R-DIC by dual domain decomposition: the algorithm box of [BP17], for any number of cameras and frames."""
 
 from __future__ import annotations
 
@@ -86,7 +83,7 @@ class Session:
         frame : Frame
             One deformed image of each camera.
         start : sequence of (n_unknowns,) array, optional
-            Unknowns of each owned subdomain to start from, such as an earlier frame's; by default as the case says.
+            Unknowns of each owned subdomain to start from; by default as the case says.
 
         Returns
         -------
@@ -108,7 +105,9 @@ class Session:
         solution, renewals = solve_frame(problem, model, started.q, self._listener, self._clock)
         with self._clock.phase(Phase.FINISH):
             notes = (*problem.reference.notes, *started.notes, *renewals)
-            return finish_measurement(problem, model, frame, solution, notes)
+            measurement = finish_measurement(problem, model, frame, solution, notes)
+        self._tell(measurement.notes[len(notes):])
+        return measurement
 
     def _tell(self, notes: tuple[str, ...]) -> None:
         for line in notes:

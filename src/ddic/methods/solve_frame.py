@@ -39,7 +39,7 @@ def solve_frame(problem: WeightedProblem, model: ResidualModel, q: list[NDArray[
     solution : Solution
         Unknowns and all iterations.
     notes : tuple of str
-        What was renewed.
+        What was renewed, and which criterion ended the iteration.
 
     Raises
     ------
@@ -60,7 +60,9 @@ def solve_frame(problem: WeightedProblem, model: ResidualModel, q: list[NDArray[
         # Where the start was far off, other pixels are hidden here: that held the step back, or left a node to nothing.
         renewed = problem.renew(model.views, solution.q)
         if not renewed:
-            return solution, notes
+            stopped = found.records[-1].size.describe_stop(problem.tolerances)
+            listener.note(stopped)
+            return solution, (*notes, stopped)
         for line in renewed:
             listener.note(line)
         notes = (*notes, *renewed)

@@ -54,13 +54,29 @@ def find_held(subdomain: Subdomain, counts: CellCounts) -> NDArray[np.bool_]:
     (n_field,) array of bool
         Whether pixels hold each unknown of the field.
     """
+    return sum_pixels(subdomain, counts) > 0
+
+
+def sum_pixels(subdomain: Subdomain, counts: CellCounts) -> NDArray[np.float64]:
+    """Sum the pixels that see each unknown: those of the cells about the nodes that it displaces.
+
+    Parameters
+    ----------
+    subdomain : Subdomain
+        Its cells and unknowns.
+    counts : tuple of (n_cells,) array
+        Pixels of each cell, by view.
+
+    Returns
+    -------
+    (n_field,) array
+        Pixels, weighted by how far the unknown displaces each node.
+    """
     mesh = subdomain.mesh
     n_pixels = np.sum(counts, axis=0)
-    cell_of_node = np.repeat(np.arange(mesh.n_cells), np.diff(mesh.offsets))
-    node_sees = np.zeros(mesh.n_nodes, dtype=bool)
-    node_sees[mesh.connectivity[n_pixels[cell_of_node] > 0]] = True
-    by_component = np.repeat(node_sees, mesh.dim).astype(np.float64)
-    return np.asarray(abs(subdomain.kinematics.tangent).T @ by_component > 0)
+    of_corners = np.repeat(n_pixels, np.diff(mesh.offsets))
+    of_nodes = np.bincount(mesh.connectivity, weights=of_corners, minlength=mesh.n_nodes)
+    return np.asarray(abs(subdomain.kinematics.tangent).T @ np.repeat(of_nodes, mesh.dim))
 
 
 def refuse_undetermined(team: Team, unseen: Sequence[NDArray[np.bool_]], assembly: Assembly) -> None:

@@ -13,7 +13,7 @@ from ddic.errors import list_first
 from ddic.functionals.view import FrameView, View
 from ddic.parallel.team import Team
 from ddic.problem.assembly import Assembly, Hessians
-from ddic.problem.held_unknowns import CellCounts, find_held, refuse_undetermined
+from ddic.problem.held_unknowns import CellCounts, find_held, refuse_undetermined, sum_pixels
 from ddic.problem.views import FrameViews
 
 CHANGED_SHARE = 0.02
@@ -25,6 +25,10 @@ CHANGED_SIDE = 0.5
 """Side, in cut-off wavelengths, of a square of as many pixels as may come or go whatever the share: where more is
 hidden together, waves fit in that mechanics do not hold, and the old M holds them back. A larger value costs
 iterations."""
+
+LOST_SHARE = 0.5
+"""Share of the pixels about an unknown without a row of equilibrium that may be lost without a renewal. The old M
+leaves as large a share of its error in every iteration: a larger value costs iterations, a smaller one factors."""
 
 GAINED_SHARE = 0.2
 """Share of the pixels that M counts in a cell by which these may grow without a renewal: too small an M makes steps too
@@ -144,7 +148,7 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
     -------
     Renewal
         New M where more than ``rule.limit`` of a subdomain's pixels have come or gone, or a cell has gained more than
-        ``GAINED_SHARE``, or a node whose equilibrium is not controlled has lost all of its pixels.
+        ``GAINED_SHARE``, or an unknown whose equilibrium is not controlled has lost more than ``LOST_SHARE``.
 
     Raises
     ------
@@ -200,9 +204,9 @@ def _is_kept(of_subdomain: FrameViews, before: CellCounts, now: CellCounts, rule
     if n_changed == 0:
         return True
     subdomain = of_subdomain.subdomain
-    lost = find_held(subdomain, before) & ~find_held(subdomain, now)
+    lost = sum_pixels(subdomain, now) < (1.0 - LOST_SHARE) * sum_pixels(subdomain, before)
     if (lost & ~subdomain.controlled).any():
-        # Without a row of its own it would follow the others by what M leaves it, hardly at all.
+        # Without a row of its own it would follow what is left of its pixels as slowly as M counts the others.
         return False
     n_reference = sum(view.view.n_pixels for view in of_subdomain.views)
     return n_changed <= rule.bound_changes(n_reference)

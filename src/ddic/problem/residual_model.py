@@ -12,9 +12,8 @@ from ddic.errors import ConvergenceError, as_collective
 from ddic.functionals.correlation import Residual
 from ddic.functionals.grey_statistics import GreyCorrection, GreyState, GreySums
 from ddic.parallel.team import Team
-from ddic.partition.subdomain import Subdomain
 from ddic.problem.views import FrameViews
-from ddic.solvers.gauss_newton import CorrectionSize
+from ddic.solvers.correction_size import CorrectionSize, measure_correction
 
 Array = NDArray[np.float64]
 
@@ -151,7 +150,7 @@ class ResidualModel:
         return self.assemble_right_hand_sides(evaluation), evaluation.grey
 
     def measure_correction(self, dq: Sequence[Array], q: Sequence[Array]) -> CorrectionSize:
-        """Measure a correction on displacements of nodes in the specimen's frame, every node counted once; collective.
+        """Measure a correction on displacements of nodes; collective.
 
         Parameters
         ----------
@@ -163,18 +162,7 @@ class ResidualModel:
         CorrectionSize
             No unit, and pixels.
         """
-        shares = [_nodal_shares(of_subdomain.subdomain, dq_s, q_s)
-                  for of_subdomain, dq_s, q_s in zip(self.views, dq, q, strict=True)]
-        sums = self.team.ordered_sum([squares for squares, _ in shares])
-        largest = self.team.maximum(max(at_a_node for _, at_a_node in shares))
-        of_correction, of_field, n_nodes = sums
-        if not np.isfinite(sums).all():
-            return CorrectionSize(np.inf, np.inf, np.inf)
-        if of_field > 0:
-            relative = float(np.sqrt(of_correction / of_field))
-        else:
-            relative = 0.0 if of_correction == 0 else np.inf
-        return CorrectionSize(relative, float(np.sqrt(of_correction / n_nodes)), largest)
+        return measure_correction(self.team, [of_subdomain.subdomain for of_subdomain in self.views], dq, q)
 
     def _sum_by_camera(self, residuals: Sequence[tuple[Residual, ...]],
                        summed: Callable[[Residual], Array]) -> Array:
@@ -210,15 +198,3 @@ def _sums_corrected_by_cell(residual: Residual) -> Array:
     """Sum of the residual corrected cell by cell, and of its square, (2,)."""
     first, second = residual.cell_sums.sum_residual(*residual.cell_sums.fit_gain_and_offset())
     return np.array([first.sum(), second.sum()])
-
-
-def _nodal_shares(subdomain: Subdomain, dq: Array, q: Array) -> tuple[Array, float]:
-    """A subdomain's shares of |du|^2, |u + du|^2 and the number of nodes, (3,), and its largest |du| at a node."""
-    share = 1.0 / subdomain.node_multiplicity
-    shape = subdomain.mesh.nodes.shape
-    before = subdomain.displacement(q).reshape(shape)
-    after = subdomain.displacement(q + dq).reshape(shape)
-    change_squared = ((after - before) ** 2).sum(axis=1)
-    field_squared = (after**2).sum(axis=1)
-    squares = np.array([change_squared @ share, field_squared @ share, share.sum()])
-    return squares, float(np.sqrt(change_squared.max()))

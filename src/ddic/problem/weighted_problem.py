@@ -18,7 +18,7 @@ from ddic.problem.reference_problem import ReferenceProblem
 from ddic.problem.renewal import RenewalRule, VisiblePixels, find_renewal
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.views import FrameViews, ReferenceViews, open_frame_views
-from ddic.solvers.gauss_newton import Tolerances
+from ddic.solvers.correction_size import Tolerances
 
 
 class WeightedProblem:
@@ -103,7 +103,8 @@ class WeightedProblem:
         """When Gauss-Newton stops."""
         case = self.reference.inputs.case
         section = case.gauss_newton
-        return Tolerances(section.tolerance, section.rms_tolerance, section.max_iterations, case.solver.inexact)
+        return Tolerances(section.tolerance, section.rms_tolerance, section.max_iterations, case.solver.inexact,
+                          section.largest_tolerance)
 
     def open_frame(self, frame: Frame) -> list[FrameViews]:
         """Look at a frame, cameras not yet weighted; its windows are read when unknowns say where.

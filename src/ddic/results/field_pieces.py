@@ -98,6 +98,7 @@ def _cell_data(measurement: Measurement, number: int, u: NDArray[np.float64]) ->
     """Fields on the cells of an owned subdomain, given by its place."""
     subdomain = measurement.subdomains[number]
     own_residual = measurement.evaluation.residuals[number][0]
+    errors = measurement.cell_errors[number]
     n_cells = subdomain.mesh.n_cells
     strain = compute_strain(subdomain.mesh, u)
     data: dict[str, NDArray[Any]] = {
@@ -105,6 +106,8 @@ def _cell_data(measurement: Measurement, number: int, u: NDArray[np.float64]) ->
         schema.STRAIN_GREEN_LAGRANGE: _six_components(strain.green_lagrange),
         schema.RESIDUAL_RMS: _residual_rms(measurement, subdomain.camera, own_residual),
         schema.RESIDUAL_N_PIXELS: own_residual.cell_sums.n_pixels.astype(np.int64),
+        schema.EQUIVALENT_ERROR: errors.equivalent,
+        schema.DOUBTFUL: errors.doubtful.astype(np.uint8),
         schema.SUBDOMAIN_ID: np.full(n_cells, subdomain.index, dtype=np.int32),
         schema.GLOBAL_CELL_ID: subdomain.cell_ids,
     }

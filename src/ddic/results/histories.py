@@ -27,6 +27,7 @@ def write_histories(measurement: Measurement, writer: ResultWriter) -> None:
         "iteration": [r.number for r in records],
         "relative_correction": [r.size.relative for r in records],
         "rms_correction_px": [r.size.rms for r in records],
+        "largest_correction_px": [r.size.largest for r in records],
         "residual_std_grey": [r.grey.residual_std for r in records],
         "residual_rms_grey": [r.grey.residual_rms for r in records],
         "n_pixels": [r.grey.n_pixels for r in records],

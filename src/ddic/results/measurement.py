@@ -20,6 +20,12 @@ from ddic.problem.region_mesh import Region
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.results.camera_images import write_residual_images
+from ddic.results.cell_errors import (
+    CellErrors,
+    describe_doubtful_cells,
+    find_cell_errors,
+    measure_cell_residuals,
+)
 from ddic.results.field_pieces import write_pieces
 from ddic.results.histories import write_attributes, write_histories
 from ddic.results.provenance import describe_image
@@ -60,6 +66,8 @@ class Measurement:
         Of near-field set-ups.
     noise : tuple of float
         Of each camera, grey levels; empty with one camera.
+    cell_errors : list of CellErrors
+        What the residual says about the cells of each owned subdomain.
     """
 
     inputs: Inputs
@@ -74,6 +82,7 @@ class Measurement:
     notes: tuple[str, ...]
     motions: tuple[SetupMotion, ...]
     noise: tuple[float, ...]
+    cell_errors: list[CellErrors]
 
     @property
     def team(self) -> Team:
@@ -184,8 +193,21 @@ def finish_measurement(problem: WeightedProblem, model: ResidualModel, frame: Fr
         solver = problem.solver
         spread = estimate_covariances(team, solver.assembly.systems, solver.step, problem.noise[0])
         motions = describe_motions(inputs.cameras, collect_motions(team, inputs.cameras, subdomains, field.q), spread)
-    return Measurement(inputs, frame, problem.reference.region, model, field.q, field.largest_jump,
-                       model.evaluate(field.q), problem.size, solution.records, notes, motions, problem.noise)
+    evaluation = model.evaluate(field.q)
+    cell_errors = _judge_cells(problem, model, evaluation)
+    notes = (*notes, *describe_doubtful_cells(team, cell_errors))
+    return Measurement(inputs, frame, problem.reference.region, model, field.q, field.largest_jump, evaluation,
+                       problem.size, solution.records, notes, motions, problem.noise, cell_errors)
+
+
+def _judge_cells(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation) -> list[CellErrors]:
+    """What the residual says about the cells of each owned subdomain; collective."""
+    team = problem.team
+    residuals = team.together(lambda: [
+        measure_cell_residuals(of_subdomain.views[0].view, hessians[0], of_views[0])
+        for of_subdomain, hessians, of_views in zip(model.views, problem.reference.hessians, evaluation.residuals,
+                                                    strict=True)])
+    return find_cell_errors(team, residuals)
 
 
 def refuse_inverted_cells(team: Team, subdomains: Sequence[Subdomain], q: Sequence[Array]) -> None:

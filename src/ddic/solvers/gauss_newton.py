@@ -14,6 +14,7 @@ from ddic.errors import ConvergenceError, as_collective
 from ddic.functionals.grey_statistics import GreyState
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
+from ddic.solvers.correction_size import CorrectionSize, Tolerances
 from ddic.solvers.linear_step import AllowedError, LinearStep, StepResult
 
 Array = NDArray[np.float64]
@@ -28,67 +29,6 @@ GAIN = 0.2
 
 LAST_SHARE = 0.05
 """Share of the tolerance on RMS dq that the last linear step may leave; a larger one leaves more in the result."""
-
-
-@dataclass(frozen=True)
-class Tolerances:
-    """When Gauss-Newton stops: |dq|/|q| <= relative or RMS dq <= rms, whichever comes first.
-
-    Attributes
-    ----------
-    relative : float
-        On |dq|/|q|, no unit.
-    rms : float
-        On the RMS of dq over nodes, pixels.
-    max_iterations : int
-        Iterations after which it gives up.
-    inexact : bool
-        Whether linear steps are solved only as far as Gauss-Newton's progress asks, the last one to rms / 20.
-    """
-
-    relative: float = 1e-3
-    rms: float = 1e-4
-    max_iterations: int = 50
-    inexact: bool = True
-
-
-@dataclass(frozen=True)
-class CorrectionSize:
-    """How large a correction is, on displacements of the mesh's nodes, every node counted once.
-
-    Attributes
-    ----------
-    relative : float
-        |dq|/|q + dq|, no unit.
-    rms : float
-        RMS over nodes, pixels.
-    largest : float
-        Largest at any node, pixels.
-    """
-
-    relative: float
-    rms: float
-    largest: float
-
-    @property
-    def is_finite(self) -> bool:
-        """Whether all are finite."""
-        return bool(np.isfinite([self.rms, self.largest]).all())
-
-    def is_below(self, tolerances: Tolerances) -> bool:
-        """Tell whether Gauss-Newton may stop after this correction.
-
-        Parameters
-        ----------
-        tolerances : Tolerances
-            Of which one is enough.
-
-        Returns
-        -------
-        bool
-            Whether it may.
-        """
-        return self.relative <= tolerances.relative or self.rms <= tolerances.rms
 
 
 class Model(Protocol):
@@ -302,7 +242,8 @@ def _decide(size: CorrectionSize, tolerances: Tolerances) -> bool:
 
 def _not_converged(last: IterationRecord, tolerances: Tolerances) -> str:
     return (f"Gauss-Newton did not converge in {tolerances.max_iterations} iterations "
-            f"(last |dq|/|q| = {last.size.relative:.1e}, RMS dq = {last.size.rms:.1e} px, "
+            f"(last |dq|/|q| = {last.size.relative:.1e}, RMS dq = {last.size.rms:.1e} px, largest dq = "
+            f"{last.size.largest:.1e} px in subdomain {last.size.subdomain}, "
             f"residual {last.grey.residual_std:.2f} grey levels); look at the images and the start, raise "
             "gauss_newton.max_iterations or loosen gauss_newton.tolerance, or give a longer "
             "regularization.cut_off_wavelength")

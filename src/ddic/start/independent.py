@@ -16,12 +16,13 @@ from ddic.parallel.team import Team
 from ddic.problem.assembly import SINGULAR, Hessians
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.views import FrameViews
-from ddic.solvers.gauss_newton import Progress, Tolerances, gauss_newton, stay_silent
+from ddic.solvers.correction_size import Tolerances
+from ddic.solvers.gauss_newton import Progress, gauss_newton, stay_silent
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.monolithic import MonolithicStep
 
-TOLERANCES = Tolerances(relative=1e-3, rms=1e-2, max_iterations=10)
+TOLERANCES = Tolerances(relative=1e-3, rms=1e-2, max_iterations=10, largest=np.inf)
 """Looser than any measurement's, which goes on from there."""
 
 

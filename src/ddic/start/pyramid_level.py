@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,6 @@ from ddic.functionals.equilibrium_gap import (
 )
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.functionals.view import FrameView, View
-from ddic.images.binned import ArraySource
 from ddic.images.grid_field import GridField
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.kinematics.nodal import NodalRegion
@@ -32,7 +31,8 @@ from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.views import FrameViews, ReferenceViews
-from ddic.solvers.gauss_newton import Progress, Tolerances, gauss_newton, stay_silent
+from ddic.solvers.correction_size import Tolerances
+from ddic.solvers.gauss_newton import Progress, gauss_newton, stay_silent
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.monolithic import MonolithicStep
@@ -50,7 +50,7 @@ larger value stiffens the edge."""
 DEGREE = 3
 """Of the splines between blocks."""
 
-TOLERANCES = Tolerances(relative=1e-12, rms=0.01, max_iterations=30)
+TOLERANCES = Tolerances(relative=1e-12, rms=0.01, max_iterations=30, largest=np.inf)
 """Of Gauss-Newton on a level: the RMS of a correction, in blocks, decides."""
 
 SINGULAR = 1e-10
@@ -177,9 +177,11 @@ def _read_level(pair: BinnedPair, grid: Mesh, active: NDArray[np.uint8], correct
     everywhere = np.ones(grid.n_dofs, dtype=bool)
     one_domain = np.zeros(grid.n_cells, dtype=np.int64)
     subdomain = build_subdomains(NodalRegion(grid), one_domain, everywhere)[0]
-    image = pair.reference.image
-    active_pixels = MaskedSource(image, ArraySource(image.path, active.astype(np.float32)))
-    view = View(read_correlation(grid, active_pixels, DEGREE), subdomain.kinematics)
+    correlation = read_correlation(grid, pair.reference, DEGREE)
+    window = correlation.reference.window
+    seen = active[window.y0:window.y1, window.x0:window.x1].copy()
+    # Blocks that are not active lie beside the mesh: neighbours' slopes are taken from them as they are.
+    view = View(replace(correlation, reference=replace(correlation.reference, usable=seen)), subdomain.kinematics)
     frame_view = FrameView(view, DeformedSubImage(pair.deformed, DEGREE))
     views = FrameViews(ReferenceViews(subdomain, (view,)), (frame_view,))
     model = ResidualModel(Team.alone(), [views], correction)

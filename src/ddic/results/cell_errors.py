@@ -1,0 +1,171 @@
+"""How far off each cell may be: its residual, beyond noise, as the displacement that would leave it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from ddic.functionals.correlation import Residual
+from ddic.functionals.view import View
+from ddic.mesh.mesh import Mesh
+from ddic.mesh.shapes import pad_cells
+from ddic.parallel.team import Team
+
+Array = NDArray[np.float64]
+
+DOUBTFUL_PX = 0.15
+"""Error of a cell, pixels, from which on it is marked. A larger value marks fewer cells and lets larger errors pass."""
+
+SIGNIFICANT = 4.0
+"""Standard deviations by which the residual's variance must exceed the noise's. A larger value marks fewer cells."""
+
+
+@dataclass(frozen=True)
+class CellErrors:
+    """What the residual says about the cells of a subdomain.
+
+    Attributes
+    ----------
+    equivalent : (n_cells,) array
+        Displacement error that would leave the cell's residual beyond noise, pixels; nan where no pixel counts.
+    doubtful : (n_cells,) bool array
+        Where that is more than DOUBTFUL_PX and not explained by noise, or no pixel counts.
+    """
+
+    equivalent: Array
+    doubtful: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class CellResiduals:
+    """Residual and texture of the cells of a subdomain.
+
+    Attributes
+    ----------
+    camera : int
+        That measures them.
+    n_pixels : (n_cells,) array
+        That count.
+    variance : (n_cells,) array
+        Mean square of f - a g(x + u) - b with each cell's own a and b, grey levels squared; nan without pixels.
+    texture : (n_cells,) array
+        Mean of |grad f|^2, grey levels squared per pixel squared.
+    """
+
+    camera: int
+    n_pixels: Array
+    variance: Array
+    texture: Array
+
+
+def measure_cell_residuals(view: View, hessian: sparse.csr_matrix, residual: Residual) -> CellResiduals:
+    """Measure what the cells of a subdomain leave unexplained, whatever their brightness; free of communication.
+
+    Parameters
+    ----------
+    view : View
+        Of the camera that measures the subdomain.
+    hessian : (n_dofs, n_dofs) csr_matrix
+        Its M, grey levels squared per pixel squared.
+    residual : Residual
+        At the measured displacement.
+
+    Returns
+    -------
+    CellResiduals
+        Of all cells.
+    """
+    sums = residual.cell_sums
+    _, squares = sums.sum_residual(*sums.fit_gain_and_offset())
+    n = sums.n_pixels
+    variance = np.where(n > 0, np.maximum(squares, 0.0) / np.maximum(n, 1.0), np.nan)
+    return CellResiduals(view.camera, n, variance, _measure_gradients(view, hessian))
+
+
+def _measure_gradients(view: View, hessian: sparse.csr_matrix) -> Array:
+    """Mean of |grad f|^2 about each cell: M holds it by node, since the shape functions of a cell sum to 1."""
+    mesh = view.correlation.mesh
+    pixels = _share_among_nodes(mesh, view.count_pixels().astype(float))
+    energy = np.zeros(mesh.n_nodes)
+    for axis in range(2):
+        translation = np.zeros(mesh.nodes.shape)
+        translation[:, axis] = 1.0
+        energy += (hessian @ translation.ravel()).reshape(mesh.nodes.shape)[:, axis]
+    corners = pad_cells(mesh)
+    return np.asarray(energy[corners].sum(axis=1) / np.maximum(pixels[corners].sum(axis=1), 1e-300))
+
+
+def _share_among_nodes(mesh: Mesh, of_cells: Array) -> Array:
+    """Sum over cells of their number, spread evenly over their nodes, (n_nodes,)."""
+    n_corners = np.diff(mesh.offsets)
+    shares = np.repeat(of_cells / n_corners, n_corners)
+    return np.asarray(np.bincount(mesh.connectivity, weights=shares, minlength=mesh.n_nodes), dtype=np.float64)
+
+
+def find_cell_errors(team: Team, residuals: Sequence[CellResiduals]) -> list[CellErrors]:
+    """Express residuals as displacement errors, and mark cells that cannot be trusted; collective.
+
+    An error e of unknown direction leaves a residual grad f . e, of mean square |grad f|^2 e^2 / 2. Most cells are
+    taken to be right: the median of each camera's variances is that of the noise.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    residuals : sequence of CellResiduals
+        Of owned subdomains.
+
+    Returns
+    -------
+    list of CellErrors
+        Of each.
+    """
+    everything = team.gather_lists([(of_cells.camera, of_cells.variance) for of_cells in residuals])
+    noise = {}
+    for camera in {camera for camera, _ in everything}:
+        variances = np.concatenate([variance for number, variance in everything if number == camera])
+        measured = variances[np.isfinite(variances)]
+        noise[camera] = float(np.median(measured)) if len(measured) else 0.0
+    return [_find_errors(of_cells, noise[of_cells.camera]) for of_cells in residuals]
+
+
+def _find_errors(cells: CellResiduals, noise: float) -> CellErrors:
+    excess = np.maximum(cells.variance - noise, 0.0)
+    # Nothing was seen where there is no texture; a residual there is as wrong as can be.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        equivalent = np.where(excess > 0, np.sqrt(2.0 * excess / cells.texture), cells.variance * 0.0)
+    spread = noise * np.sqrt(2.0 / np.maximum(cells.n_pixels, 1.0))
+    doubtful = (equivalent > DOUBTFUL_PX) & (excess > SIGNIFICANT * spread)
+    return CellErrors(equivalent, doubtful | (cells.n_pixels == 0))
+
+
+def describe_doubtful_cells(team: Team, errors: Sequence[CellErrors]) -> tuple[str, ...]:
+    """Say how many cells are doubtful; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    errors : sequence of CellErrors
+        Of owned subdomains.
+
+    Returns
+    -------
+    tuple of str
+        A line, or none.
+    """
+    n_doubtful = team.sum(sum(int(of_cells.doubtful.sum()) for of_cells in errors))
+    if not n_doubtful:
+        return ()
+    n_unseen = team.sum(sum(int(np.isnan(of_cells.equivalent).sum()) for of_cells in errors))
+    n_cells = team.sum(sum(len(of_cells.doubtful) for of_cells in errors))
+    line = f"{n_doubtful} of {n_cells} cells are marked doubtful (cell field \"doubtful\")"
+    if n_unseen < n_doubtful:
+        line += f": the residual of {n_doubtful - n_unseen} is that of an error above {DOUBTFUL_PX} px"
+    if n_unseen:
+        line += f"; {n_unseen} hold no pixel that counts"
+    return (line,)
