@@ -9,7 +9,7 @@ prints
 
     fields at 80 nodes: GlobalNodeId, displacement, displacement_mesh_units, displacement_physical
     the file's displacement differs by 0.0 px from the one measured
-    2 iterations, the last moved by 0.0002 px RMS
+    3 iterations, the last moved by 0.0000 px RMS
     residual image 240 x 200 px, 1.5 grey levels RMS
     largest component of the displacement 0.060 mm
 """

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Runs the whole suite: the serial tests in one process, then the parallel ones on 1, 2, 3 and 4 ranks.
+# Runs the whole suite: the tests of one rank in a process a core, then the parallel ones on 2, 3 and 4 ranks.
 # Arguments go to every pytest, e.g. scripts/run_tests.sh tests/solvers -x
 # DDIC_TEST_TIMEOUT: seconds allowed for each number of ranks (900): for a test that hangs, not for a busy machine.
 set -uo pipefail
@@ -34,18 +34,19 @@ show_other_ranks() { # number of ranks
     done
 }
 
-run_serial() {
-    local start=$SECONDS code=0
-    printf '\n== serial tests\n'
-    timeout --kill-after=10 "$((2 * LIMIT))" python -m pytest -m "not parallel" "$@" || code=$?
-    record serial "$code" "$((SECONDS - start))"
+run_alone() { # name, marker expression, pytest arguments
+    local name="$1" marked="$2" start=$SECONDS code=0
+    shift 2
+    printf '\n== %s\n' "$name"
+    timeout --kill-after=10 "$((2 * LIMIT))" python -m pytest -n auto -m "$marked" "$@" || code=$?
+    record "$name" "$code" "$((SECONDS - start))"
 }
 
 run_ranks() { # number of ranks, pytest arguments
     local n="$1" start=$SECONDS code=0
     shift
     local marked="parallel and parallel[$n]"
-    printf '\n== parallel tests on %s rank(s)\n' "$n"
+    printf '\n== parallel tests on %s ranks\n' "$n"
     timeout --kill-after=10 "$LIMIT" "$MPIEXEC" -n "$n" \
         bash scripts/rank_output.sh "$logs/$n" \
         python -m mpi4py -m pytest -p no:cacheprovider -m "$marked" "$@" || code=$?
@@ -55,11 +56,12 @@ run_ranks() { # number of ranks, pytest arguments
         (($? == NOTHING_COLLECTED)) || code=1
     fi
     ((code == 0 || code == NOTHING_COLLECTED)) || show_other_ranks "$n"
-    record "$n rank(s)" "$code" "$((SECONDS - start))"
+    record "$n ranks" "$code" "$((SECONDS - start))"
 }
 
-run_serial "$@"
-for n in 1 2 3 4; do
+run_alone serial "not parallel" "$@"
+run_alone "1 rank" "parallel and parallel[1]" "$@"
+for n in 2 3 4; do
     run_ranks "$n" "$@"
 done
 printf '\n== summary\n'

@@ -11,6 +11,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("MKL_NUM_THREADS", "1")
 
+# A worker of pytest-xdist inherits what MPI has told the process that started it: mpiexec would take it for a rank.
+if "PYTEST_XDIST_WORKER" in os.environ:
+    for name in [name for name in os.environ if name.startswith(("PMIX_", "OMPI_MCA_ess", "OMPI_MCA_orte", "OMPI_MCA_pmix",
+                                                                 "OMPI_APP_CTX"))]:
+        del os.environ[name]
+
 import cv2
 import hypothesis
 import pytest

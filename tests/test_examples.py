@@ -173,7 +173,7 @@ def test_restart(tmp_path: Path) -> None:
     # Noise of 1 grey level leaves 4e-3 px on elements of 32 px and 8e-3 px on elements of 16 px.
     assert first < 6e-3
     assert second < 1.2e-2
-    # From zero the second frame, 8 px away, is not found in 50; from the first, 3 px away at most, in 5.
+    # From zero the second frame, 8 px away, is not found in 50; from the first, 3 px away at most, in 6.
     assert iterations <= 7
 
 

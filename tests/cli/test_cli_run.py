@@ -62,7 +62,7 @@ def test_a_good_case(folder: Path, ranks: int) -> None:
     head = next(n for n, line in enumerate(lines) if "|dq|/|q|" in line)
     rows = [line.split() for line in lines[head + 1: head + 1 + summary["iterations"]]]
     assert [int(row[0]) for row in rows] == list(range(1, summary["iterations"] + 1))
-    assert [int(row[5]) for row in rows] == summary["krylov_iterations"]
+    assert [int(row[6]) for row in rows] == summary["krylov_iterations"]
     assert f"result: {folder / 'result.vtkhdf'}" in lines
 
 

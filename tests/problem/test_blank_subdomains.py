@@ -34,7 +34,7 @@ REGION = "region = [32, 32, 224, 224]"
 FADE = 16.0
 """Width over which the texture fades out, so that the deformed image knows where at any fraction of a pixel."""
 
-TIGHT = "[gauss_newton]\ntolerance = 1e-10\nrms_tolerance = 0.0\n"
+TIGHT = "[gauss_newton]\ntolerance = 1e-10\nrms_tolerance = 1e-11\n"
 BLOCKS = '[solver]\npartition = "blocks"\nblocks = [4, 4]\ntolerance = 1e-12\n'
 METIS = "[solver]\nsubdomains = 13\ntolerance = 1e-12\n"
 SAME_PX = 1e-8
@@ -183,10 +183,11 @@ def test_pixels_hidden_in_the_deformed_image_blank_no_subdomain(shared_path: Pat
     measured = measure(team, _hidden(shared_path))
     assert measured.size.n_subdomains == 16
     assert not any(note.startswith("partition: ") for note in measured.notes)
-    # The mask reaches 10 of 48 px into the blocks at each side of block 5, and 10 x 10 px into those at its corners.
+    # The mask reaches 10 of 48 px into the blocks at each side of block 5, and 10 x 10 px into those at its corners;
+    # with what is interpolated from its pixels that is 68 + 3 px.
     renewed = next(note for note in measured.notes if "are renewed" in note)
     assert renewed.startswith("9 subdomains (0, 1, 2, 4, 5, 6, 8, 9, 10) lost or gained more pixels")
-    assert 48**2 < measured.size.n_pixels - measured.evaluation.grey[0].n_pixels < 70**2
+    assert measured.size.n_pixels - measured.evaluation.grey[0].n_pixels == 71**2
     nodes, field = _field(measured)
     assert _rms(field - HIDDEN.field.displacement(nodes)) <= 3e-3
 

@@ -39,7 +39,7 @@ def solve_frame(problem: WeightedProblem, model: ResidualModel, q: list[NDArray[
     solution : Solution
         Unknowns and all iterations.
     notes : tuple of str
-        What was renewed, and which criterion ended the iteration.
+        What was renewed.
 
     Raises
     ------
@@ -56,13 +56,12 @@ def solve_frame(problem: WeightedProblem, model: ResidualModel, q: list[NDArray[
     for _ in range(MOST_RENEWALS):
         progress = Progress(clock, listener.iteration, len(solution.records))
         found = gauss_newton(model, solution.q, problem.solver.step, problem.tolerances, progress)
-        solution = Solution(found.q, [*solution.records, *found.records])
+        solution = Solution(found.q, [*solution.records, *found.records], found.stop)
         # Where the start was far off, other pixels are hidden here: that held the step back, or left a node to nothing.
         renewed = problem.renew(model.views, solution.q)
         if not renewed:
-            stopped = found.records[-1].size.describe_stop(problem.tolerances)
-            listener.note(stopped)
-            return solution, (*notes, stopped)
+            listener.note(solution.stop)
+            return solution, notes
         for line in renewed:
             listener.note(line)
         notes = (*notes, *renewed)

@@ -68,6 +68,8 @@ class Measurement:
         Of each camera, grey levels; empty with one camera.
     cell_errors : list of CellErrors
         What the residual says about the cells of each owned subdomain.
+    stop : str
+        Which tolerances ended Gauss-Newton.
     """
 
     inputs: Inputs
@@ -83,6 +85,7 @@ class Measurement:
     motions: tuple[SetupMotion, ...]
     noise: tuple[float, ...]
     cell_errors: list[CellErrors]
+    stop: str
 
     @property
     def team(self) -> Team:
@@ -197,7 +200,8 @@ def finish_measurement(problem: WeightedProblem, model: ResidualModel, frame: Fr
     cell_errors = _judge_cells(problem, model, evaluation)
     notes = (*notes, *describe_doubtful_cells(team, cell_errors))
     return Measurement(inputs, frame, problem.reference.region, model, field.q, field.largest_jump, evaluation,
-                       problem.size, solution.records, notes, motions, problem.noise, cell_errors)
+                       problem.size, solution.records, notes, motions, problem.noise, cell_errors,
+                       solution.stop)
 
 
 def _judge_cells(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation) -> list[CellErrors]:

@@ -54,4 +54,5 @@ def summarize(measurement: Measurement, clock: PhaseClock) -> Summary:
         notes=measurement.notes,
         near=[summarize_near_field(measurement, motion) for motion in measurement.motions],
         result_file=str(case.output.file),
+        stop=measurement.stop,
     )

@@ -93,6 +93,8 @@ class Summary:
         outside PETSc.
     near : sequence of NearSummary
         Near-field set-ups in order.
+    stop : str
+        Which tolerances ended Gauss-Newton.
     """
 
     converged: bool
@@ -117,6 +119,7 @@ class Summary:
     notes: Sequence[str] = field(default_factory=tuple)
     imbalance: Mapping[Phase, float] = field(default_factory=dict)
     near: Sequence[NearSummary] = field(default_factory=tuple)
+    stop: str = ""
 
 
 def write_summary(path: Path, summary: Summary) -> None:

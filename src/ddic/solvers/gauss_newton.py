@@ -151,10 +151,13 @@ class Solution:
         Unknowns of each owned subdomain.
     records : list of IterationRecord
         How they came about.
+    stop : str
+        Which tolerances ended the iteration.
     """
 
     q: list[Array]
     records: list[IterationRecord]
+    stop: str = ""
 
 
 def gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, tolerances: Tolerances,
@@ -198,7 +201,7 @@ def gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, tolerances:
                                        result.krylov_history, result.error, dict(clock.wall)))
         progress.report(records[-1])
         if model.team.on_root(partial(_decide, size, tolerances)):
-            return Solution(current, records)
+            return Solution(current, records, size.describe_stop(tolerances))
     raise as_collective(ConvergenceError(_not_converged(records[-1], tolerances)))
 
 
