@@ -139,3 +139,18 @@ def test_a_level_starts_from_the_field_that_fits_best() -> None:
     found = correlate_level(_pair(pair.reference, pair.deformed), MESH, [astray, right], "none")
     # Cubic splines of speckles of 5 px: 1.4e-3 px of bias; from 50 px away there is nothing to follow.
     assert rms_error(found.at(MESH.nodes).ravel(), MESH.nodes, field) <= 5e-3
+
+
+@pytest.mark.parametrize("size", [(381, 382), (383, 370), (379, 384)])
+def test_a_region_as_large_as_the_image_is_measured(size: tuple[int, int]) -> None:
+    # Blocks of 2, 4 and 8 px leave some columns and rows over, in which the outermost nodes lie.
+    width, height = size
+    field = Affine(((0.01, 0.0), (0.0, -0.01)), (2.0, -1.0), CENTRE)
+    pair = pair_of(field, SIDE, 8)
+    mesh = build_structured_mesh((0.0, 0.0, width - 1.0, height - 1.0), 16.0, "Q4")
+    start = find_multilevel_start(_pair(pair.reference[:height, :width], pair.deformed[:height, :width]), mesh,
+                                  rigid=True, pyramid=True, correction="none")
+    assert start.levels[-1] == 2
+    assert not any("left out" in line for line in start.warnings), start.warnings
+    # Beyond the last block the field goes on as it ends there: 8 px of 1 % of strain.
+    assert rms_error(start.field.at(mesh.nodes).ravel(), mesh.nodes, field) <= 0.05

@@ -93,7 +93,10 @@ def build_grid(region: Mesh, active: NDArray[np.uint8]) -> Grid:
     Grid
         Of cells with a side of about ``CELL`` blocks.
     """
-    low, high = region.nodes.min(axis=0), region.nodes.max(axis=0)
+    # Pixels that fill no block may lie beyond the last one's edge.
+    n_rows_of_blocks, n_columns_of_blocks = active.shape
+    edge = np.array([n_columns_of_blocks, n_rows_of_blocks]) - 0.5
+    low, high = np.maximum(region.nodes.min(axis=0), -0.5), np.minimum(region.nodes.max(axis=0), edge)
     n_columns, n_rows = np.maximum(np.round((high - low) / CELL).astype(int), 1)
     xs = np.linspace(low[0], high[0], n_columns + 1)
     ys = np.linspace(low[1], high[1], n_rows + 1)
