@@ -46,11 +46,16 @@ def _lines(report: CheckReport) -> list[tuple[str, str]]:
     kind = "floating point" if report.bits is None else f"{report.bits} bit"
     cells = ", ".join(f"{count} {name}" for name, count in report.cell_counts.items())
     sets = ", ".join(f"{name} ({count} nodes)" for name, count in report.node_sets.items())
+    if report.half_amplitudes is not None:
+        regularization = report.half_amplitudes.describe()
+    else:
+        regularization = "weight eta given" if report.n_controlled_dofs else "none"
     return [
         ("images", f"{width} x {height} px, {kind}"),
         ("mesh", f"{report.n_nodes} nodes, {report.n_cells} cells ({cells})"),
         ("node sets", sets or "none"),
         ("unknowns", f"{report.n_dofs}, {report.n_controlled_dofs} of them mechanically controlled"),
+        ("regularization", regularization),
         ("pixels per element", f"{report.pixels_min} at least, {report.pixels_mean:.1f} on average"),
         ("result", str(report.output)),
         ("verdict", "ready to run"),

@@ -88,6 +88,8 @@ class RunConsole:
         self._print(f"{size.n_unknowns} unknowns, {size.n_cells} elements, {size.n_pixels} pixels; "
                     f"{_count(size.n_subdomains, 'subdomain')} on {_count(size.n_ranks, 'rank')}, "
                     f"{size.n_interface} interface unknowns{weight}")
+        if size.half_amplitudes is not None:
+            self._print(f"regularization: {size.half_amplitudes.describe()}")
         self._print("  ".join(f"{name:>{max(len(name), 9)}}" for name in _COLUMNS))
 
     def iteration(self, record: IterationRecord) -> None:

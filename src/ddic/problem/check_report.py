@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.case.schema import Case
+from ddic.functionals.half_amplitude import HalfAmplitudes
 from ddic.images.source import ImageSource
 from ddic.mesh.cell_type import CELL_TYPES
 from ddic.problem.check_mesh_uses import CheckedMesh
+from ddic.problem.problem_size import describe_cut_off
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,8 @@ class CheckReport:
         Unknowns that the equilibrium gap controls; 0 without regularization.
     output : Path
         The result file.
+    half_amplitudes : HalfAmplitudes or None
+        Waves that the cut-off wavelength halves, pixels; None without one.
     """
 
     image_size: tuple[int, int]
@@ -55,6 +59,7 @@ class CheckReport:
     pixels_mean: float
     n_controlled_dofs: int
     output: Path
+    half_amplitudes: HalfAmplitudes | None
 
 
 def describe_inputs(case: Case, reference: ImageSource, checked: CheckedMesh,
@@ -95,4 +100,5 @@ def describe_inputs(case: Case, reference: ImageSource, checked: CheckedMesh,
         pixels_mean=float(checked.pixel_counts.mean()),
         n_controlled_dofs=mesh.dim * n_controlled_nodes,
         output=case.output.file,
+        half_amplitudes=describe_cut_off(case.regularization),
     )

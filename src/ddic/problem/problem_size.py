@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ddic.case.schema import RegularizationSection
+from ddic.functionals.half_amplitude import HalfAmplitudes, find_half_amplitudes
 from ddic.functionals.view import View
 from ddic.parallel.team import Team
 from ddic.problem.linear_solver import LinearSolver
 from ddic.problem.reference_problem import ReferenceProblem
+from ddic.problem.region_mesh import build_material
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,8 @@ class ProblemSize:
         max f - min f over the region, grey levels.
     eta : float
         Weight of the equilibrium gap, grey levels squared per pixel squared; 0 without.
+    half_amplitudes : HalfAmplitudes or None
+        Waves that a cut-off wavelength halves; None where there is none.
     """
 
     n_unknowns: int
@@ -38,6 +43,7 @@ class ProblemSize:
     n_interface: int
     dynamic_range: float
     eta: float
+    half_amplitudes: HalfAmplitudes | None = None
 
 
 def measure_problem_size(team: Team, reference: ReferenceProblem, solver: LinearSolver) -> ProblemSize:
@@ -62,7 +68,26 @@ def measure_problem_size(team: Team, reference: ReferenceProblem, solver: Linear
     lowest = min(low for low, _ in ranges)
     highest = max(high for _, high in ranges)
     return ProblemSize(region.n_field, region.n_cells, reference.n_pixels, region.n_subdomains, team.size,
-                       solver.n_interface, highest - lowest, solver.assembly.eta)
+                       solver.n_interface, highest - lowest, solver.assembly.eta,
+                       describe_cut_off(reference.inputs.case.regularization))
+
+
+def describe_cut_off(section: RegularizationSection | None) -> HalfAmplitudes | None:
+    """Say what a cut-off wavelength means.
+
+    Parameters
+    ----------
+    section : RegularizationSection or None
+        Of the case.
+
+    Returns
+    -------
+    HalfAmplitudes or None
+        Pixels; None where no cut-off wavelength is given.
+    """
+    if section is None or section.cut_off_wavelength is None:
+        return None
+    return find_half_amplitudes(build_material(section), section.cut_off_wavelength)
 
 
 def _grey_range(view: View) -> tuple[float, float]:

@@ -60,5 +60,9 @@ def write_attributes(measurement: Measurement, writer: ResultWriter) -> None:
     })
     writer.write_attributes(schema.TIME, {"reference": images.reference_time, "deformed": images.deformed_time})
     writer.write_attributes(schema.UNITS, {"pixel_size": images.pixel_size or 1.0, "length_unit": images.length_unit})
+    half_amplitudes = measurement.size.half_amplitudes
+    if half_amplitudes is not None:
+        writer.write_attributes(schema.CASE, {"half_amplitude_shear_px": half_amplitudes.shear,
+                                              "half_amplitude_longitudinal_px": half_amplitudes.longitudinal})
     for motion in measurement.motions:
         writer.write_attributes(schema.near_group(motion.camera), describe_near_field(measurement, motion))

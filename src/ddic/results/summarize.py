@@ -55,4 +55,5 @@ def summarize(measurement: Measurement, clock: PhaseClock) -> Summary:
         near=[summarize_near_field(measurement, motion) for motion in measurement.motions],
         result_file=str(case.output.file),
         stop=measurement.stop,
+        half_amplitudes=size.half_amplitudes,
     )

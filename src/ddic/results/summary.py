@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ddic.functionals.half_amplitude import HalfAmplitudes
 from ddic.io.replace_on_exit import replaced_on_exit
 from ddic.parallel.phases import Phase
 
@@ -95,6 +96,8 @@ class Summary:
         Near-field set-ups in order.
     stop : str
         Which tolerances ended Gauss-Newton.
+    half_amplitudes : HalfAmplitudes or None
+        Waves that the cut-off wavelength halves, pixels; None without one.
     """
 
     converged: bool
@@ -120,6 +123,7 @@ class Summary:
     imbalance: Mapping[Phase, float] = field(default_factory=dict)
     near: Sequence[NearSummary] = field(default_factory=tuple)
     stop: str = ""
+    half_amplitudes: HalfAmplitudes | None = None
 
 
 def write_summary(path: Path, summary: Summary) -> None:
