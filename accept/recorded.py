@@ -1,7 +1,7 @@
 """Fields of small cases against those recorded before a restructuring.
 
 Usage: python -m accept.recorded [--source SRC] [CASE ...] records all cases, or the named ones, anew with the package
-in the folder SRC, by default that of the code before (``bench/support/before.py``). ``make accept-house
+in the folder SRC, by default that of the commit that the case names. ``make accept-house
 CHECK=recorded`` compares.
 """
 
@@ -161,7 +161,8 @@ def recorded_fields(case: RecordedCase, folder: Path, digests: Sequence[str]) ->
     with np.load(RECORDED / f"{case.name}.npz") as file:
         if file[DIGESTS].tolist() == list(digests):
             return {name: file[name] for name in file.files if name != DIGESTS}, "recorded"
-    return measure_fields(case, folder, 1, Source(checkout_before() / "src")), "measured now by the code before"
+    before = Source(checkout_before(case.commit) / "src")
+    return measure_fields(case, folder, 1, before), "measured now by the code before"
 
 
 def compare_case(case: RecordedCase, scale: Scale) -> Row:
@@ -233,8 +234,8 @@ def main() -> None:
     parser.add_argument("names", nargs="*", metavar="CASE", help=", ".join(CASES))
     parser.add_argument("--source", type=Path, help="folder that holds the package ddic to record with")
     chosen = parser.parse_args()
-    folder = chosen.source or checkout_before() / "src"
     for name in chosen.names or CASES:
+        folder = chosen.source or checkout_before(CASES[name].commit) / "src"
         record_case(CASES[name], Scale().folder("recorded") / name, Source(Path(os.path.abspath(folder))))
         print(f"{name}: {(RECORDED / name).with_suffix('.npz').stat().st_size / 1024:.0f} kB", flush=True)
 

@@ -11,8 +11,13 @@ COMMIT = "a354d27"
 """Commit whose fields and rates the present ones are compared with."""
 
 
-def checkout_before() -> Path:
+def checkout_before(commit: str = COMMIT) -> Path:
     """Check out the code before, once, into ``bench/data``.
+
+    Parameters
+    ----------
+    commit : str
+        Another one, where what is compared has been changed on purpose since.
 
     Returns
     -------
@@ -24,11 +29,11 @@ def checkout_before() -> Path:
     NotHereError
         Where the repository's history does not reach back so far.
     """
-    folder = DATA / f"checkout_{COMMIT}"
+    folder = DATA / f"checkout_{commit}"
     if not folder.is_dir():
-        done = subprocess.run(["git", "archive", COMMIT], cwd=ROOT, capture_output=True, check=False)
+        done = subprocess.run(["git", "archive", commit], cwd=ROOT, capture_output=True, check=False)
         if done.returncode != 0:
-            raise NotHereError(f"commit {COMMIT} is not in the repository's history: {done.stderr.decode().strip()}")
+            raise NotHereError(f"commit {commit} is not in the repository's history: {done.stderr.decode().strip()}")
         folder.mkdir(parents=True)
         subprocess.run(["tar", "--extract", "--directory", str(folder)], input=done.stdout, check=True)
     return folder
