@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 
-from accept import core, house, near_far, performance, solver
+from accept import core, house, near_far, performance, right, solver
 from accept.table import Check, run_table
 
 TABLES: dict[str, Mapping[str, Check]] = {
@@ -18,6 +18,7 @@ TABLES: dict[str, Mapping[str, Check]] = {
     "performance": performance.CHECKS,
     "near-far": near_far.CHECKS,
     "house": house.CHECKS,
+    "right": right.CHECKS,
 }
 N_JOBS = "2"
 """Processes at a time of checks that count and do not time."""
