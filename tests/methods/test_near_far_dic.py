@@ -194,6 +194,23 @@ def test_noise_is_estimated_or_given(shared_path: Path) -> None:
     assert weights <= {(0, 1.0), (1, (sigma[0] / sigma[1]) ** 2)}
 
 
+@pytest.mark.parallel([1, 2])
+def test_the_unit_of_grey_levels_changes_nothing(shared_path: Path) -> None:
+    # The far image in [0, 1], the near one as it is: a least noise in grey levels would drown what the far one sees.
+    path = _on_root(shared_path, case_text(near_section(), more=TIGHT_SOLVER + TIGHT), noise=(3.0, 1.5))
+    expected = _measure(path)
+    if MPI.COMM_WORLD.rank == 0:
+        for name in ("far_reference", "far_deformed"):
+            image = tifffile.imread(shared_path / f"{name}.tif")
+            tifffile.imwrite(shared_path / f"{name}.tif", (image / 255.0).astype(np.float32))
+    MPI.COMM_WORLD.barrier()
+    found = _measure(path)
+    np.testing.assert_allclose(found.noise, (expected.noise[0] / 255, expected.noise[1]), rtol=1e-5)
+    # Grey levels in [0, 1] are rounded to float32 elsewhere.
+    assert np.abs(whole_field(found) - whole_field(expected)).max() < 1e-5
+    assert np.abs(_motion(found) - _motion(expected)).max() < 1e-5
+
+
 @pytest.mark.parallel([1])
 def test_covariance_is_that_of_repeated_measurements(shared_path: Path) -> None:
     found, expected = [], []

@@ -14,8 +14,12 @@ from ddic.problem.cameras import Camera
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.views import FrameViews, ReferenceViews
 
-SMALLEST_NOISE = 0.29
-"""Grey levels, the rounding of a camera that gives whole ones: no estimate is below it."""
+ROUNDING = 0.29
+"""Standard deviation of the rounding to whole grey levels: no estimate of an image of integers is below it."""
+
+SMALLEST_SHARE = 1e-4
+"""Share of the range of its grey levels below which no estimate of a camera's noise is, whatever their unit: no camera
+tells ten thousand of them apart. A larger value gives a camera without noise less weight."""
 
 
 def estimate_noise(team: Team, cameras: Sequence[Camera], views: Sequence[FrameViews],
@@ -47,13 +51,27 @@ def estimate_noise(team: Team, cameras: Sequence[Camera], views: Sequence[FrameV
     evaluation = model.evaluate(fields)
     deviations = team.gather_lists([(of_subdomain.subdomain.camera, _deviation(model, evaluation, k))
                                     for k, of_subdomain in enumerate(alone)])
+    ranges = team.gather_lists([(of_subdomain.subdomain.camera, *_grey_range(of_subdomain)) for of_subdomain in alone])
     noise = []
     for camera in cameras:
         of_camera = [std for number, std in deviations if number == camera.number]
         # The residual has the noise of two images.
         estimated = float(np.median(of_camera)) / np.sqrt(2)
-        noise.append(max(estimated, SMALLEST_NOISE) if camera.noise is None else camera.noise)
+        lowest = min(low for number, low, _ in ranges if number == camera.number)
+        highest = max(high for number, _, high in ranges if number == camera.number)
+        smallest = max(SMALLEST_SHARE * (highest - lowest), _rounding(camera))
+        noise.append(max(estimated, smallest) if camera.noise is None else camera.noise)
     return noise
+
+
+def _rounding(camera: Camera) -> float:
+    """Standard deviation of the rounding of a camera's grey levels; floats need not be rounded."""
+    return 0.0 if camera.reference.image.saturation is None else ROUNDING
+
+
+def _grey_range(of_subdomain: FrameViews) -> tuple[float, float]:
+    values = of_subdomain.reference.own.correlation.reference.values
+    return float(values.min()), float(values.max())
 
 
 def describe_noise(cameras: Sequence[Camera], noise: Sequence[float]) -> tuple[str, ...]:
