@@ -9,7 +9,9 @@ import pytest
 from petsc4py import PETSc
 from scipy import sparse
 
-from ddic.errors import SingularSubdomainError
+from ddic.errors import FactorizationError, SingularSubdomainError
+from ddic.solvers import petsc_defaults
+from ddic.solvers.factor_failure import MISSING_PACKAGE, OUT_OF_MEMORY, ZERO_PIVOT, describe_failure
 from ddic.solvers.local_operator import LocalOperator
 
 N = 40
@@ -96,3 +98,54 @@ def test_the_factorisation_follows_petsc_options(package: str) -> None:
         operator.destroy()
     finally:
         options.setValue(key, before)
+
+
+@pytest.fixture
+def package_option() -> Iterator[str]:
+    """Name of the option, which is as before afterwards."""
+    name = "local_pc_factor_mat_solver_type"
+    options = PETSc.Options()
+    before = options.getString(name, "")
+    options.delValue(name)
+    yield name
+    options.delValue(name)
+    if before:
+        options.setValue(name, before)
+
+
+def test_a_solver_package_that_petsc_has_not_is_no_want_of_texture(package_option: str) -> None:
+    PETSc.Options().setValue(package_option, "no_such_package")
+    with pytest.raises(FactorizationError, match=r"subdomain 3: .*no_such_package.*solver_type mumps") as caught:
+        LocalOperator(_positive_definite(), smallest_eigenvalue=1e-9, where="subdomain 3")
+    assert "texture" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("number", "kind", "told"), [
+    (OUT_OF_MEMORY, FactorizationError, "not enough memory"),
+    (MISSING_PACKAGE, FactorizationError, "solver package"),
+    (ZERO_PIVOT[1], SingularSubdomainError, "too little texture"),
+    (76, FactorizationError, "PETSc's error 76"),
+])
+def test_every_failure_has_a_message_of_its_own(number: int, kind: type[Exception], told: str) -> None:
+    failure = describe_failure(PETSc.Error(number), "subdomain 3")
+    assert type(failure) is kind
+    assert str(failure).startswith("subdomain 3: ")
+    assert told in str(failure)
+
+
+@pytest.mark.parametrize(("there", "chosen"), [
+    ({"suitesparse", "mumps"}, "cholmod"), ({"mumps"}, "mumps"), (set(), "petsc")])
+def test_without_cholmod_another_package_is_taken_and_told(there: set[str], chosen: str, package_option: str,
+                                                           monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(petsc_defaults, "has_package", there.__contains__)
+    operator = LocalOperator(_positive_definite(), smallest_eigenvalue=1e-9, where="here")
+    assert PETSc.Options().getString(package_option) == chosen
+    x = np.random.default_rng(1).normal(size=N)
+    np.testing.assert_allclose(operator.solve(_positive_definite() @ x), x, rtol=0, atol=1e-12)
+    operator.destroy()
+    notes = petsc_defaults.describe_missing_package()
+    assert len(notes) == (chosen != "cholmod")
+    assert all(chosen in note for note in notes)
+    # Who asks for a package of their own is told nothing.
+    PETSc.Options().setValue(package_option, "another")
+    assert petsc_defaults.describe_missing_package() == ()

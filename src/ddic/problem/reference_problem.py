@@ -18,6 +18,7 @@ from ddic.problem.inputs import Inputs
 from ddic.problem.region_mesh import Region, RegionMesh, build_region_mesh, scatter_region, split_region
 from ddic.problem.thread_note import note_crowded_cores
 from ddic.problem.views import ReferenceViews, read_reference_views
+from ddic.solvers.petsc_defaults import describe_missing_package
 
 T = TypeVar("T")
 
@@ -133,5 +134,5 @@ def _read_and_assemble(team: Team, inputs: Inputs, region_mesh: RegionMesh | Non
         n_pixels = sum(team.gather_lists([view.n_pixels for r in references for view in r.views]))
     with clock.phase(Phase.ASSEMBLE):
         hessians = assemble_hessians(team, references)
-    notes = (*notes, *note_crowded_cores(team, case.solver.threads))
+    notes = (*notes, *note_crowded_cores(team, case.solver.threads), *describe_missing_package())
     return ReferenceProblem(inputs, region, references, hessians, n_pixels, notes)

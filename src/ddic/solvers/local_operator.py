@@ -8,6 +8,7 @@ from petsc4py import PETSc
 from scipy import sparse
 
 from ddic.errors import SingularSubdomainError
+from ddic.solvers.factor_failure import describe_failure
 from ddic.solvers.petsc_defaults import LOCAL, create_ksp
 from ddic.solvers.petsc_stack import PetscStack
 from ddic.solvers.singularity import bound_lowest_eigenvalue, describe_singular
@@ -22,7 +23,8 @@ _BLOCK_BYTES = 2**24
 class LocalOperator:
     """Sparse Cholesky of one symmetric positive definite matrix through PETSc; free of communication.
 
-    PETSc options (prefix ``local_``): ``-local_pc_factor_mat_solver_type`` cholmod (default), mumps, petsc.
+    PETSc options (prefix ``local_``): ``-local_pc_factor_mat_solver_type`` cholmod (default where PETSc has it), mumps,
+    petsc.
 
     Parameters
     ----------
@@ -42,6 +44,8 @@ class LocalOperator:
     ------
     SingularSubdomainError
         Where the matrix is not positive definite, or singular to that extent.
+    FactorizationError
+        Where memory or a solver package is missing.
     """
 
     def __init__(self, matrix: sparse.csr_matrix, *, smallest_eigenvalue: float, where: str) -> None:
@@ -59,7 +63,7 @@ class LocalOperator:
             try:
                 self._ksp.setUp()
             except PETSc.Error as error:
-                raise SingularSubdomainError(describe_singular(where)) from error
+                raise describe_failure(error, where) from error
             self._factor = stack.keep(self._ksp.getPC().getFactorMatrix())
             self._left = stack.keep(petsc_matrix.createVecLeft())
             self._right = stack.keep(petsc_matrix.createVecRight())

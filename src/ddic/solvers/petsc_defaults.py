@@ -16,11 +16,12 @@ INVERSE = "inverse_"
 ASSEMBLED = "assembled_"
 CONJUGATE_GRADIENT = "cg_"
 
+_PACKAGE = "pc_factor_mat_solver_type"
+
 DEFAULTS: dict[str, dict[str, str]] = {
     LOCAL: {
         "ksp_type": "preonly",
         "pc_type": "cholesky",
-        "pc_factor_mat_solver_type": "cholmod",
         "mat_cholmod_print": "0",
     },
     COARSE: {
@@ -60,6 +61,50 @@ DEFAULTS: dict[str, dict[str, str]] = {
 }
 
 
+def has_package(name: str) -> bool:
+    """Tell whether PETSc was built with a package.
+
+    Parameters
+    ----------
+    name : str
+        Such as ``"suitesparse"``.
+
+    Returns
+    -------
+    bool
+        Whether it was.
+    """
+    return bool(PETSc.Sys.hasExternalPackage(name))
+
+
+def choose_local_package() -> str:
+    """Choose what factorises the operators of subdomains: CHOLMOD, else MUMPS, else PETSc itself.
+
+    Returns
+    -------
+    str
+        For ``pc_factor_mat_solver_type``.
+    """
+    if has_package("suitesparse"):
+        return "cholmod"
+    return "mumps" if has_package("mumps") else "petsc"
+
+
+def describe_missing_package() -> tuple[str, ...]:
+    """Say that the subdomains' operators are factorised by another package than the one that was meant.
+
+    Returns
+    -------
+    tuple of str
+        A line, or none.
+    """
+    chosen = choose_local_package()
+    used = PETSc.Options().getString(LOCAL + _PACKAGE, chosen)
+    if chosen == "cholmod" or used != chosen:
+        return ()
+    return (f"PETSc was built without SuiteSparse: {chosen} factorises the operators in CHOLMOD's place",)
+
+
 def create_ksp(comm: PETSc.Comm, prefix: str) -> PETSc.KSP:
     """Create a Krylov solver or factor with an option prefix and its defaults, where the user says nothing else.
 
@@ -78,7 +123,8 @@ def create_ksp(comm: PETSc.Comm, prefix: str) -> PETSc.KSP:
         The caller's to destroy.
     """
     options = PETSc.Options()
-    for name, value in DEFAULTS[prefix].items():
+    defaults = DEFAULTS[prefix] | ({_PACKAGE: choose_local_package()} if prefix == LOCAL else {})
+    for name, value in defaults.items():
         if not options.hasName(prefix + name):
             options.setValue(prefix + name, value)
     ksp = PETSc.KSP().create(comm)
