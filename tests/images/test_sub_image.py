@@ -60,6 +60,24 @@ def test_nothing_is_read_again_until_the_window_is_outgrown() -> None:
     assert len(image.reads) == 2
 
 
+def test_a_window_shrinks_again_with_the_displacement() -> None:
+    image = recorder()
+    deformed = DeformedSubImage(MaskedSource(image), 3)
+    small, large, moved = Window(100, 80, 140, 120), Window(40, 40, 180, 140), Window(104, 80, 150, 120)
+    deformed.hold(small)
+    deformed.hold(large)
+    assert deformed.get_spline(large).window == large.grow(GROWTH)
+    deformed.hold(small)
+    assert deformed.get_spline(small).window == small.grow(GROWTH)
+    assert len(image.reads) == 3
+    # Outgrown, it is read anew, without what it held; a little too large, it is kept.
+    deformed.hold(moved)
+    assert deformed.get_spline(moved).window == moved.grow(GROWTH)
+    deformed.hold(small.grow(-2))
+    assert deformed.get_spline(small.grow(-2)).window == moved.grow(GROWTH)
+    assert len(image.reads) == 4
+
+
 def test_only_the_window_and_its_halo_are_read() -> None:
     image = recorder()
     DeformedSubImage(MaskedSource(image), 3).get_spline(Window(100, 80, 140, 120))

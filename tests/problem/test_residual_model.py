@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError, is_collective
+from ddic.functionals.correlation import read_correlation
 from ddic.functionals.grey_statistics import GreyCorrection
-from ddic.images.sub_image import MaskedSource
+from ddic.functionals.view import FrameView, View
+from ddic.images.source import ImageSource
+from ddic.images.sub_image import DeformedSubImage, MaskedSource
+from ddic.images.window import Window
+from ddic.kinematics.nodal import NodalRegion
 from ddic.mesh.mesh import Mesh
+from ddic.parallel.team import Team
+from ddic.partition.build_subdomains import build_subdomains
 from ddic.problem.residual_model import ResidualModel
+from ddic.problem.views import FrameViews, ReferenceViews
 from ddic.solvers.correction_size import Tolerances
 from ddic.synth.fields import Translation
 from support.one_subdomain import measure_alone, model_of
@@ -135,3 +146,31 @@ def test_what_lies_under_a_mask_changes_nothing() -> None:
     # Nor does the mask cost more than its pixels: beside it the field is as good as elsewhere.
     beside = np.linalg.norm(MESH.nodes - (104.0, 72.0), axis=1) < 20
     assert np.abs(found[0].reshape(-1, 2)[beside] - field.vector).max() < 0.05
+
+
+class _Counted:
+    """An image that counts how often it is read."""
+
+    def __init__(self, image: ImageSource) -> None:
+        self._image, self.n_reads = image, 0
+        self.path, self.width, self.height, self.saturation = image.path, image.width, image.height, image.saturation
+
+    def read(self, window: Window) -> NDArray[Any]:
+        self.n_reads += 1
+        return np.asarray(self._image.read(window))
+
+
+def test_subdomains_that_share_a_window_read_it_once_an_iteration() -> None:
+    image = source(pair_of(STILL).reference)
+    parts = np.repeat(np.arange(4), (MESH.n_cells + 3) // 4)[:MESH.n_cells]
+    subdomains = build_subdomains(NodalRegion(MESH), parts, np.zeros(MESH.n_dofs, dtype=bool))
+    counted = _Counted(image.image)
+    deformed = DeformedSubImage(MaskedSource(counted), 3)
+    views = []
+    for subdomain in subdomains:
+        view = View(read_correlation(subdomain.mesh, image, 3), subdomain.kinematics)
+        views.append(FrameViews(ReferenceViews(subdomain, (view,)), (FrameView(view, deformed),)))
+    shared = ResidualModel(Team.alone(), views, "none")
+    for n_reads, shift in enumerate((0.0, 15.0, -15.0), start=1):
+        shared.evaluate([np.full(s.n_unknowns, shift) for s in subdomains])
+        assert counted.n_reads == n_reads

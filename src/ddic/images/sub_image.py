@@ -15,6 +15,10 @@ from ddic.images.window import Window
 GROWTH = 8
 """Pixels read beyond what is asked for, so that the next iterations need no new read."""
 
+SPARE = 2.0
+"""Pixels held over those wanted from which on a window is read again, smaller. A larger value keeps more memory where
+displacements shrank, a smaller one reads more often."""
+
 SMALLEST = 16
 """Least width and height of a window: reflection at the image's edge needs a few pixels."""
 
@@ -122,6 +126,20 @@ class DeformedSubImage:
     threads: Threads = ONE_THREAD
     _spline: SplineImage | None = field(default=None, repr=False)
 
+    def hold(self, window: Window) -> None:
+        """Hold the window that all who share the sub-image want, and hardly more.
+
+        Parameters
+        ----------
+        window : Window
+            What is wanted; clipped to the image. It is read where the window held is outgrown, or much too large.
+        """
+        needed = window.clip(self.source.image.width, self.source.image.height)
+        wanted = _sizeable(window.grow(GROWTH), self.source.extent)
+        held = None if self._spline is None else self._spline.window
+        if held is None or not held.contains(needed) or held.n_pixels > SPARE * wanted.n_pixels:
+            self._spline = self._read(wanted)
+
     def get_spline(self, window: Window) -> SplineImage:
         """Give the spline of a window that holds another, read again only if outgrown.
 
@@ -138,10 +156,12 @@ class DeformedSubImage:
         needed = window.clip(self.source.image.width, self.source.image.height)
         if self._spline is None or not self._spline.window.contains(needed):
             grown = window if self._spline is None else window.union(self._spline.window)
-            wanted = _sizeable(grown.grow(GROWTH), self.source.extent)
-            self._spline = read_spline(self.source.image, wanted, self.degree, self.source.find_usable, self.threads,
-                                       excludes_taps=self.source.excludes_taps)
+            self._spline = self._read(_sizeable(grown.grow(GROWTH), self.source.extent))
         return self._spline
+
+    def _read(self, window: Window) -> SplineImage:
+        return read_spline(self.source.image, window, self.degree, self.source.find_usable, self.threads,
+                           excludes_taps=self.source.excludes_taps)
 
 
 def _sizeable(window: Window, extent: Window) -> Window:

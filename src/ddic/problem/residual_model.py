@@ -12,7 +12,7 @@ from ddic.errors import ConvergenceError, as_collective
 from ddic.functionals.correlation import Residual
 from ddic.functionals.grey_statistics import GreyCorrection, GreyState, GreySums
 from ddic.parallel.team import Team
-from ddic.problem.views import FrameViews
+from ddic.problem.views import FrameViews, read_frame_windows
 from ddic.solvers.correction_size import CorrectionSize, measure_correction
 
 Array = NDArray[np.float64]
@@ -73,10 +73,7 @@ class ResidualModel:
         ConvergenceError
             On all ranks, where no pixel of a camera is left.
         """
-        all_kinds = self.correction != "none"
-        residuals = self.team.together(lambda: [
-            tuple(view.compute_residual(q_s, all_kinds=all_kinds) for view in of_subdomain.views)
-            for of_subdomain, q_s in zip(self.views, q, strict=True)])
+        residuals = self.team.together(lambda: self._compute_residuals(q))
         sums = self._sum_by_camera(residuals, lambda residual: residual.sums.values)
         corrected = None
         if self.correction == "element":
@@ -86,6 +83,13 @@ class ResidualModel:
             of_camera = None if corrected is None else corrected[camera]
             grey.append(self._grey_state(GreySums(sums[camera]), of_camera))
         return Evaluation(residuals, tuple(grey))
+
+    def _compute_residuals(self, q: Sequence[Array]) -> list[tuple[Residual, ...]]:
+        # Before any is used: those who share a window would read it once each, larger and larger.
+        read_frame_windows(self.views, q)
+        all_kinds = self.correction != "none"
+        return [tuple(view.compute_residual(q_s, all_kinds=all_kinds) for view in of_subdomain.views)
+                for of_subdomain, q_s in zip(self.views, q, strict=True)]
 
     def assemble_right_hand_sides(self, evaluation: Evaluation) -> list[Array]:
         """Assemble b_s of all owned subdomains, Eq. 5 of [BP17]; free of communication.

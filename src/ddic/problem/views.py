@@ -209,7 +209,7 @@ def open_frame_views(case: Case, frame: Frame, references: Sequence[ReferenceVie
 
 
 def read_frame_windows(views: Sequence[FrameViews], q: Sequence[NDArray[np.float64]]) -> None:
-    """Read the windows of a frame that unknowns ask for; free of communication.
+    """Read the windows of a frame that unknowns ask for, and no larger ones; free of communication.
 
     Parameters
     ----------
@@ -227,4 +227,4 @@ def read_frame_windows(views: Sequence[FrameViews], q: Sequence[NDArray[np.float
             union = window if known is None else window.union(known[1])
             wanted[id(view.deformed)] = (view.deformed, union)
     for deformed, window in wanted.values():
-        deformed.get_spline(window)
+        deformed.hold(window)
