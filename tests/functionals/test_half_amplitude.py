@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
 import ddic
 from ddic.functionals.correlation import read_correlation
@@ -36,10 +36,10 @@ def hessian() -> sparse.csr_matrix:
     return read_correlation(MESH, source(speckle.astype(float)), 3).assemble_hessian()
 
 
-def kept_share(operator: object, hessian: sparse.csr_matrix, columns: tuple[int, ...], wavelength: float) -> float:
+def kept_share(operator: SuperLU, hessian: sparse.csr_matrix, columns: tuple[int, ...], wavelength: float) -> float:
     """Share of the amplitude that is left of the waves in these columns, away from the edge."""
     waves = evaluate_plane_waves(MESH.nodes, wavelength)[:, columns]
-    found = operator.solve(hessian @ waves)  # type: ignore[attr-defined]
+    found = operator.solve(hessian @ waves)
     middle = np.repeat((np.abs(MESH.nodes - MARGIN - SIDE / 2) < SIDE / 2 - 150).all(axis=1), 2)
     return float((found * waves)[middle].sum() / (waves**2)[middle].sum())
 

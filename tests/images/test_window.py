@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from ddic.images.window import Window, merge_windows
 
 HALO = 4
@@ -24,3 +26,11 @@ def test_the_halo_decides() -> None:
     assert [members for _, members in merge_windows(pair, 0)] == [[0], [1]]
     assert [members for _, members in merge_windows(pair, 5)] == [[0, 1]]
     assert merge_windows([], HALO) == []
+
+
+def test_a_part_is_found_in_an_array_of_the_whole() -> None:
+    whole, part = Window(10, 20, 40, 60), Window(12, 25, 30, 41)
+    rows, columns = np.mgrid[20:60, 10:40]
+    place = whole.locate(part)
+    np.testing.assert_array_equal(columns[place], np.mgrid[25:41, 12:30][1])
+    np.testing.assert_array_equal(rows[place], np.mgrid[25:41, 12:30][0])

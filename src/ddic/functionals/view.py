@@ -59,6 +59,17 @@ class View:
             return raster.pixel_counts
         return raster.sum_by_cell(reference.usable, reference.window.x0, reference.window.y0)
 
+    def measure_grey_range(self) -> tuple[float, float]:
+        """Measure the range of the reference image's grey levels on the window that holds the view.
+
+        Returns
+        -------
+        lowest, highest : float
+            Grey levels.
+        """
+        values = self.correlation.reference.values
+        return float(values.min()), float(values.max())
+
     def assemble_hessian(self) -> sparse.csr_matrix:
         """Assemble M of this camera on displacements of nodes in its image, Eq. 5 of [BP17].
 

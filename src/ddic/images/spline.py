@@ -88,8 +88,7 @@ class GradientImage:
         GradientImage
             Its arrays look into these; only what is excluded is copied.
         """
-        inside = np.s_[window.y0 - self.window.y0: window.y1 - self.window.y0,
-                       window.x0 - self.window.x0: window.x1 - self.window.x0]
+        inside = self.window.locate(window)
         return GradientImage(window, self.values[inside], self.by_x[inside], self.by_y[inside],
                              None if self.usable is None else self.usable[inside].copy())
 
@@ -225,14 +224,10 @@ class _Held:
     usable: NDArray[np.uint8] | None
 
     def restrict(self, window: Window) -> NDArray[Any]:
-        return self.pixels[self._place(window)]
+        return self.pixels[self.window.locate(window)]
 
     def restrict_usable(self, usable: NDArray[np.uint8] | None, window: Window) -> NDArray[np.uint8] | None:
-        return None if usable is None else usable[self._place(window)].copy()
-
-    def _place(self, window: Window) -> tuple[slice, slice]:
-        return (slice(window.y0 - self.window.y0, window.y1 - self.window.y0),
-                slice(window.x0 - self.window.x0, window.x1 - self.window.x0))
+        return None if usable is None else usable[self.window.locate(window)].copy()
 
     def read(self, window: Window, buffer: NDArray[np.float64]) -> NDArray[np.float64]:
         # Memory that is asked for anew for every band costs more than its filtering.
@@ -263,7 +258,7 @@ def _coefficient_bands(held: _Held, bands: Iterable[Window],
         wide = band.grow(HALO[degree]).intersection(held.extent)
         coefficients = held.read(wide, buffer)
         prefilter(coefficients, degree)
-        yield band, coefficients[band.y0 - wide.y0: band.y1 - wide.y0, band.x0 - wide.x0: band.x1 - wide.x0]
+        yield band, coefficients[wide.locate(band)]
 
 
 def _reflect(out: NDArray[np.float32], filled: Window, whole: Window) -> None:

@@ -101,6 +101,21 @@ class Window:
         return Window(min(self.x0, other.x0), min(self.y0, other.y0),
                       max(self.x1, other.x1), max(self.y1, other.y1))
 
+    def locate(self, part: Window) -> tuple[slice, slice]:
+        """Find a part of this window in an array of its pixels.
+
+        Parameters
+        ----------
+        part : Window
+            Inside this one.
+
+        Returns
+        -------
+        rows, columns : slice
+            Of the array.
+        """
+        return (slice(part.y0 - self.y0, part.y1 - self.y0), slice(part.x0 - self.x0, part.x1 - self.x0))
+
     def contains(self, other: Window) -> bool:
         """Tell whether another window lies inside.
 

@@ -124,8 +124,7 @@ def read_tiff(path: Path, layout: PixelFormat, window: Window) -> NDArray[Any]:
         for block, x, y in _blocks(tiff, page, layout, window):
             part = window.intersection(Window(x, y, x + block.shape[1], y + block.shape[0]))
             pixels = block[part.y0 - y:part.y1 - y, part.x0 - x:part.x1 - x]
-            out[part.y0 - window.y0:part.y1 - window.y0,
-                part.x0 - window.x0:part.x1 - window.x0] = to_grey(pixels, layout.n_colours)
+            out[window.locate(part)] = to_grey(pixels, layout.n_colours)
         return np.subtract(2 ** layout.bits - 1, out, dtype=out.dtype) if layout.inverted else out
 
 

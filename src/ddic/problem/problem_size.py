@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 from ddic.case.schema import RegularizationSection
 from ddic.functionals.half_amplitude import HalfAmplitudes, find_half_amplitudes
-from ddic.functionals.view import View
 from ddic.parallel.team import Team
 from ddic.problem.linear_solver import LinearSolver
 from ddic.problem.reference_problem import ReferenceProblem
@@ -64,7 +63,7 @@ def measure_problem_size(team: Team, reference: ReferenceProblem, solver: Linear
         Sizes and weights.
     """
     region = reference.region
-    ranges = team.gather_lists([_grey_range(r.own) for r in reference.references])
+    ranges = team.gather_lists([r.own.measure_grey_range() for r in reference.references])
     lowest = min(low for low, _ in ranges)
     highest = max(high for _, high in ranges)
     return ProblemSize(region.n_field, region.n_cells, reference.n_pixels, region.n_subdomains, team.size,
@@ -88,8 +87,3 @@ def describe_cut_off(section: RegularizationSection | None) -> HalfAmplitudes | 
     if section is None or section.cut_off_wavelength is None:
         return None
     return find_half_amplitudes(build_material(section), section.cut_off_wavelength)
-
-
-def _grey_range(view: View) -> tuple[float, float]:
-    values = view.correlation.reference.values
-    return float(values.min()), float(values.max())

@@ -147,8 +147,8 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
     Returns
     -------
     Renewal
-        New M where more than ``rule.limit`` of a subdomain's pixels have come or gone, or a cell has gained more than
-        ``GAINED_SHARE``, or an unknown whose equilibrium is not controlled has lost more than ``LOST_SHARE``.
+        New M where more than ``rule.bound_changes`` of a subdomain's pixels have come or gone, or a cell has gained
+        more than ``GAINED_SHARE``, or an unknown whose equilibrium is not controlled has lost more than ``LOST_SHARE``.
 
     Raises
     ------

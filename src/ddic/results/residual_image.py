@@ -194,16 +194,9 @@ def _complete_chunks(grid: ChunkGrid, windows: list[Window],
 def _lay(patch: Patch, place: Window, chunk: NDArray[np.float32]) -> None:
     """Copy the part of a patch that lies in a chunk; place: the chunk's pixels."""
     common = patch.window.intersection(place)
-    values = patch.values[_places(common, patch.window)]
-    target = chunk[_places(common, place)]
+    values = patch.values[patch.window.locate(common)]
+    target = chunk[place.locate(common)]
     np.copyto(target, values, where=~np.isnan(values))
-
-
-def _places(part: Window, whole: Window) -> tuple[slice, slice]:
-    """Rows and columns of a part in an array of a whole window."""
-    rows = slice(part.y0 - whole.y0, part.y1 - whole.y0)
-    columns = slice(part.x0 - whole.x0, part.x1 - whole.x0)
-    return rows, columns
 
 
 def _pack(number: int, chunk: NDArray[np.float32]) -> list[PackedChunk]:

@@ -51,7 +51,8 @@ def estimate_noise(team: Team, cameras: Sequence[Camera], views: Sequence[FrameV
     evaluation = model.evaluate(fields)
     deviations = team.gather_lists([(of_subdomain.subdomain.camera, _deviation(model, evaluation, k))
                                     for k, of_subdomain in enumerate(alone)])
-    ranges = team.gather_lists([(of_subdomain.subdomain.camera, *_grey_range(of_subdomain)) for of_subdomain in alone])
+    ranges = team.gather_lists([(of_subdomain.subdomain.camera, *of_subdomain.reference.own.measure_grey_range())
+                                for of_subdomain in alone])
     noise = []
     for camera in cameras:
         of_camera = [std for number, std in deviations if number == camera.number]
@@ -67,11 +68,6 @@ def estimate_noise(team: Team, cameras: Sequence[Camera], views: Sequence[FrameV
 def _rounding(camera: Camera) -> float:
     """Standard deviation of the rounding of a camera's grey levels; floats need not be rounded."""
     return 0.0 if camera.reference.image.saturation is None else ROUNDING
-
-
-def _grey_range(of_subdomain: FrameViews) -> tuple[float, float]:
-    values = of_subdomain.reference.own.correlation.reference.values
-    return float(values.min()), float(values.max())
 
 
 def describe_noise(cameras: Sequence[Camera], noise: Sequence[float]) -> tuple[str, ...]:

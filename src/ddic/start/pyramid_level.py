@@ -178,8 +178,7 @@ def _read_level(pair: BinnedPair, grid: Mesh, active: NDArray[np.uint8], correct
     one_domain = np.zeros(grid.n_cells, dtype=np.int64)
     subdomain = build_subdomains(NodalRegion(grid), one_domain, everywhere)[0]
     correlation = read_correlation(grid, pair.reference, DEGREE)
-    window = correlation.reference.window
-    seen = active[window.y0:window.y1, window.x0:window.x1].copy()
+    seen = active[pair.reference.extent.locate(correlation.reference.window)].copy()
     # Blocks that are not active lie beside the mesh: neighbours' slopes are taken from them as they are.
     view = View(replace(correlation, reference=replace(correlation.reference, usable=seen)), subdomain.kinematics)
     frame_view = FrameView(view, DeformedSubImage(pair.deformed, DEGREE))
