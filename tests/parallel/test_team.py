@@ -150,13 +150,23 @@ def test_a_rank_that_holds_nothing_is_told_so() -> None:
 
 
 @pytest.mark.parallel(RANKS)
-def test_items_go_to_one_rank_from_one_rank_and_from_each_to_each(team: Team) -> None:
+def test_items_go_to_one_rank_and_from_one_rank(team: Team) -> None:
     last = team.size - 1
     gathered = team.gather_to(10 * team.rank, last)
     assert gathered == ([10 * rank for rank in range(team.size)] if team.rank == last else None)
     assert team.broadcast("the last rank's" if team.rank == last else None, last) == "the last rank's"
-    sent = [(team.rank, to) for to in range(team.size)]
-    assert team.all_to_all(sent) == [(source, team.rank) for source in range(team.size)]
+
+
+@pytest.mark.parallel(RANKS)
+def test_exchanges_reach_those_they_are_for_and_no_others(team: Team) -> None:
+    # Every rank to the next one and to rank 0; twice in a row, for items of two exchanges must not mix.
+    for turn in range(2):
+        to = {(team.rank + 1) % team.size, 0}
+        received = team.exchange({rank: (turn, team.rank, rank) for rank in to})
+        sources = {(team.rank - 1) % team.size} if team.rank else set(range(team.size))
+        assert received == {source: (turn, source, team.rank) for source in sources}
+        assert list(received) == sorted(received)
+    assert team.exchange({}) == {}
 
 
 @pytest.mark.parallel(RANKS)

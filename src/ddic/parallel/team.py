@@ -5,7 +5,7 @@ from __future__ import annotations
 import pickle
 import time
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
@@ -19,8 +19,8 @@ from ddic.errors import DdicError, as_collective
 T = TypeVar("T")
 Summable = TypeVar("Summable", int, float, NDArray[np.float64])
 
-_STREAM, _SENT = 1, 2
-"""Tags that keep a stream's items apart from items sent one by one."""
+_STREAM, _SENT, _EXCHANGED = 1, 2, 3
+"""Tags that keep apart a stream's items, items sent one by one and those of an exchange."""
 
 
 @dataclass
@@ -341,22 +341,29 @@ class Team:
             items: list[T] | None = self.comm.gather(item, root=rank)
         return items
 
-    def all_to_all(self, items: Sequence[T]) -> list[T]:
-        """Exchange an item with every rank.
+    def exchange(self, items: Mapping[int, T]) -> dict[int, T]:
+        """Send items to some ranks and receive what others send to this one; the rest hear nothing; collective.
 
         Parameters
         ----------
-        items : sequence
-            One for each rank.
+        items : mapping
+            By rank that they go to.
 
         Returns
         -------
-        list
-            One from each rank.
+        dict
+            By rank that they come from, in its order.
         """
+        goes_to = np.zeros(self.size, np.int32)
+        goes_to[list(items)] = 1
+        n_coming = np.zeros(1, np.int32)
         with self.waiting.counted():
-            received: list[T] = self.comm.alltoall(items)
-        return received
+            # No rank ends this sum before all have begun it, hence none mixes two exchanges.
+            self.comm.Reduce_scatter_block(goes_to, n_coming)
+            sends = [self.comm.isend((self.rank, item), dest=to, tag=_EXCHANGED) for to, item in items.items()]
+            received: list[tuple[int, T]] = [self.comm.recv(tag=_EXCHANGED) for _ in range(int(n_coming[0]))]
+            MPI.Request.waitall(sends)
+        return dict(sorted(received, key=lambda pair: pair[0]))
 
     def send_from_root(self, item: T | None, to: int) -> T | None:
         """Move what rank 0 holds to another rank.

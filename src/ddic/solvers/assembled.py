@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 from petsc4py import PETSc
+from scipy import sparse
 
 from ddic.errors import FactorizationError, as_collective
 from ddic.parallel.team import Team
@@ -116,8 +117,11 @@ def _assemble(team: Team, whole: WholeSystem) -> PETSc.Mat:
         entries.add_sparse(numbers, numbers, system.hessian)
         rows.add_sparse(numbers, numbers, kbar)
     kbar_rows = rows.sum_owned_rows()
-    everything = np.arange(kbar_rows.shape[1])
-    entries.add_sparse(everything, everything, whole.systems[0].eta * (kbar_rows.T @ kbar_rows))
+    touched, places = np.unique(kbar_rows.indices, return_inverse=True)
+    kbar_touched = sparse.csr_matrix((kbar_rows.data, places.reshape(-1), kbar_rows.indptr),
+                                     shape=(kbar_rows.shape[0], len(touched)))
+    columns = touched.astype(np.int64)
+    entries.add_sparse(columns, columns, whole.systems[0].eta * (kbar_touched.T @ kbar_touched))
     matrix = entries.create_matrix()
     matrix.setOption(PETSc.Mat.Option.SPD, True)
     return matrix

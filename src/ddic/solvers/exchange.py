@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from ddic.parallel.team import Team
+from ddic.solvers.petsc_integers import check_petsc_size, to_petsc_integers
 from ddic.solvers.petsc_stack import PetscStack
 
 
@@ -39,11 +40,13 @@ class Exchange:
         self.n_owned = n_owned
         self.ghosts: NDArray[np.int64] = np.unique(np.concatenate([np.zeros(0, np.int64), *needed]))
         n_ghosts = len(self.ghosts)
+        check_petsc_size(team.sum(n_owned), "unknowns of all ranks")
+        numbers = to_petsc_integers(self.ghosts, "unknowns of all ranks")
         with PetscStack() as stack, PetscStack() as indices:
             self._owned = stack.keep(PETSc.Vec().createMPI((n_owned, PETSc.DETERMINE), comm=team.comm))
             self._ghost = stack.keep(PETSc.Vec().createSeq(n_ghosts, comm=PETSc.COMM_SELF))
             self.n_global = int(self._owned.getSize())
-            source = indices.keep(PETSc.IS().createGeneral(self.ghosts.astype(PETSc.IntType), comm=PETSc.COMM_SELF))
+            source = indices.keep(PETSc.IS().createGeneral(numbers, comm=PETSc.COMM_SELF))
             target = indices.keep(PETSc.IS().createStride(n_ghosts, first=0, step=1, comm=PETSc.COMM_SELF))
             self._scatter = stack.keep(PETSc.Scatter().create(self._owned, source, self._ghost, target))
             self._objects = stack.pop_all()

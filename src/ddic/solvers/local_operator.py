@@ -10,6 +10,7 @@ from scipy import sparse
 from ddic.errors import SingularSubdomainError
 from ddic.solvers.factor_failure import describe_failure
 from ddic.solvers.petsc_defaults import LOCAL, create_ksp
+from ddic.solvers.petsc_integers import to_petsc_integers
 from ddic.solvers.petsc_stack import PetscStack
 from ddic.solvers.singularity import bound_lowest_eigenvalue, describe_singular
 
@@ -53,7 +54,8 @@ class LocalOperator:
         if not (matrix.diagonal() > 0).all():
             raise SingularSubdomainError(describe_singular(where))
         self.n = int(matrix.shape[0])
-        csr = (matrix.indptr.astype(PETSc.IntType), matrix.indices.astype(PETSc.IntType), matrix.data)
+        csr = (to_petsc_integers(matrix.indptr, f"{where}: entries of its operator"),
+               to_petsc_integers(matrix.indices, f"{where}: unknowns"), matrix.data)
         with PetscStack() as stack:
             petsc_matrix = stack.keep(PETSc.Mat().createAIJ(matrix.shape, csr=csr, comm=PETSc.COMM_SELF))
             petsc_matrix.setOption(PETSc.Mat.Option.SPD, True)

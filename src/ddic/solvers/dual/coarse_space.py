@@ -15,6 +15,7 @@ from ddic.solvers.dual.local_dual import LocalDual
 from ddic.solvers.exchange import Exchange
 from ddic.solvers.parallel_entries import ParallelEntries
 from ddic.solvers.petsc_defaults import COARSE, create_ksp
+from ddic.solvers.petsc_integers import to_petsc_integers
 from ddic.solvers.petsc_stack import PetscStack
 
 INDEPENDENT = 1e-8
@@ -206,7 +207,8 @@ def _assemble_z(team: Team, exchange: Exchange, parts: Sequence[CoarsePart], fir
 def _fetch_rows(matrix: PETSc.Mat, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], sparse.csr_matrix]:
     """Rows of a parallel matrix that this rank asks for: the columns that occur, and the rows on these columns."""
     with PetscStack() as stack:
-        wanted = stack.keep(PETSc.IS().createGeneral(rows.astype(PETSc.IntType), comm=matrix.getComm()))
+        numbers = to_petsc_integers(rows, "rows of the interface")
+        wanted = stack.keep(PETSc.IS().createGeneral(numbers, comm=matrix.getComm()))
         part = stack.keep(matrix.createSubMatrix(wanted))
         indptr, indices, values = (np.array(a) for a in part.getValuesCSR())
     touched, columns = np.unique(indices, return_inverse=True)

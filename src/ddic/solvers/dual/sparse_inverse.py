@@ -10,6 +10,7 @@ from scipy import sparse
 from ddic.errors import SingularSubdomainError
 from ddic.solvers.dual.local_dual import LocalDual
 from ddic.solvers.petsc_defaults import INVERSE, create_ksp
+from ddic.solvers.petsc_integers import to_petsc_integers
 from ddic.solvers.petsc_stack import PetscStack
 
 
@@ -89,7 +90,6 @@ def _build_saddle_point(matrix: sparse.csr_matrix, local: LocalDual) -> PETSc.Ma
     corner = sparse.csr_matrix((local.compliance, (np.arange(n), np.arange(n))), shape=(n, n))
     upper = sparse.bmat([[sparse.triu(matrix, format="csr"), -local.trace.T], [None, corner]], format="csr")
     upper.sort_indices()
-    index = PETSc.IntType
-    return PETSc.Mat().createSBAIJ(
-        upper.shape, 1, csr=(upper.indptr.astype(index), upper.indices.astype(index), upper.data),
-        comm=PETSc.COMM_SELF)
+    csr = (to_petsc_integers(upper.indptr, "entries of a subdomain's interface problem"),
+           to_petsc_integers(upper.indices, "unknowns of a subdomain's interface problem"), upper.data)
+    return PETSc.Mat().createSBAIJ(upper.shape, 1, csr=csr, comm=PETSc.COMM_SELF)
