@@ -7,6 +7,7 @@ import pickle
 from pathlib import Path
 from typing import Any
 
+import h5py
 import meshio
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 import ddic
+from ddic.errors import InputError
 from ddic.kinematics.kinematics import RegionKinematics
 from support.small_pair import REGULARIZED, WITHIN, largest_error, move
 
@@ -108,6 +110,21 @@ def test_saturated_pixels_of_the_reference_image_count_in_no_image(pair: Pair, m
     assert largest_error(result) < BESIDE_A_MASK
 
 
+@pytest.mark.parametrize("saturation", [None, 4000])
+def test_saturation_of_12_bits_in_16_is_found_or_given(pair: Pair, mesh: ddic.Mesh, saturation: float | None) -> None:
+    spoiled = [image.astype(np.uint16) * 12 for image in pair]
+    for image in spoiled:
+        assert image.max() < 4000
+        image[HIDDEN] = 4095
+    images = [ddic.Image(image, exclude_saturated=True, saturation=saturation) for image in spoiled]
+    assert largest_error(ddic.measure(images, mesh, options=REGULARIZED)) < BESIDE_A_MASK
+
+
+def test_level_of_saturation_without_its_use_is_refused(pair: Pair, mesh: ddic.Mesh) -> None:
+    with pytest.raises(InputError, match="saturation = 200 goes with exclude_saturated=True"):
+        ddic.measure((ddic.Image(pair[0], saturation=200), pair[1]), mesh)
+
+
 # ----------------------------------------------------------------------------------------------------------- meshes
 
 
@@ -146,6 +163,30 @@ def test_mesh_in_millimetres(pair: Pair, mesh: ddic.Mesh, measured: ddic.Result,
     result = ddic.measure(pair, given, options={"mesh": {"mapping": {"scale": 10, "translation": [20, 20]}}})
     assert np.abs(result.displacement - measured.displacement).max() < 1e-9
     assert result.fields["displacement_mesh_units"] == pytest.approx(result.displacement / 10, abs=1e-12)
+
+
+@pytest.mark.parametrize("flip_y", [False, True])
+def test_drawing_turned_and_with_y_up(pair: Pair, mesh: ddic.Mesh, tmp_path: Path, flip_y: bool) -> None:
+    """A drawing of 10 px a millimetre, y up, turned by 30 degrees: x_px = 10 R S x_mm + (20, 20)."""
+    mapping = {"scale": 10, "rotation_degrees": 30, "translation": [20, 20], "y_up": True}
+    c, s = np.cos(np.pi / 6), np.sin(np.pi / 6)
+    axes = np.array([[c, s], [s, -c]])
+    # Not on pixel centres, where rounding would decide which cell has a pixel.
+    nodes = mesh.nodes + 0.25
+    drawn = (nodes - [20, 20]) @ axes / 10
+    path = tmp_path / "result.vtkhdf"
+    options = {"mesh": {"mapping": mapping}, "output": {"flip_y": flip_y}}
+    result = ddic.measure(pair, (drawn, mesh.cells), options=options, output=path)
+    in_pixels = ddic.measure(pair, (nodes, mesh.cells))
+    assert np.abs(result.displacement - in_pixels.displacement).max() < 1e-9
+    in_drawing = result.displacement @ axes / 10
+    assert result.fields["displacement_mesh_units"] == pytest.approx(in_drawing, abs=1e-12)
+    # One subdomain: nodes in the file are in the order of the mesh. The drawing's axes do not turn with the image's.
+    with h5py.File(path) as file:
+        fields = file["VTKHDF/PointData"]
+        assert fields["displacement_mesh_units"][:, :2] == pytest.approx(in_drawing, abs=1e-12)
+        flipped = result.displacement * [1, -1 if flip_y else 1]
+        assert np.array_equal(fields["displacement"][:, :2], flipped)
 
 
 # --------------------------------------------------------------------------------------------- settings, kinematics

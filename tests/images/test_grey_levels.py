@@ -8,7 +8,8 @@ import pytest
 import tifffile
 
 from ddic.errors import InputError
-from ddic.images.grey_levels import check_finite, measure_grey_levels
+from ddic.images.binned import ArraySource
+from ddic.images.grey_levels import check_finite, find_saturation, measure_grey_levels
 from ddic.io.image_file import open_image
 
 
@@ -50,3 +51,33 @@ def test_not_finite_pixels_are_found_in_later_bands(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr("ddic.images.grey_levels.BAND_PIXELS", 8)
     with pytest.raises(InputError, match=r"1 pixel.*\(2, 7\)"):
         check_finite(source)
+
+
+@pytest.mark.parametrize(("dtype", "highest", "factor", "expected"), [
+    ("uint8", 255, 1, 255), ("uint8", 200, 1, 255),
+    # 12 bits in 16, below and above; not where one level is higher, or where lower bits are in use.
+    ("uint16", 4095, 1, 4095), ("uint16", 4095, 16, 65520), ("uint16", 4096, 1, 65535), ("uint16", 65520, 1, 65535),
+    ("uint16", 1023, 1, 1023), ("uint16", 16383, 4, 65532), ("uint16", 65535, 1, 65535), ("int16", 4095, 1, 4095),
+    ("int64", 255, 1, 255)])
+def test_saturation_is_that_of_the_bits_in_use(dtype: str, highest: int, factor: int, expected: int) -> None:
+    values = np.random.default_rng(0).integers(0, highest, (40, 30))
+    values[[3, 30], [5, 20]] = highest
+    # So that lower bits are in use where the factor is 1.
+    values[0, 0] = 1
+    image = ArraySource(Path("memory"), (factor * values).astype(dtype), float(np.iinfo(dtype).max))
+    assert find_saturation(image) == expected
+    found = measure_grey_levels(image)
+    assert found.saturation == expected
+    assert found.n_saturated == (2 if factor * highest == expected else 0)
+
+
+def test_float_images_do_not_saturate() -> None:
+    image = ArraySource(Path("memory"), np.ones((4, 5), np.float32), None)
+    assert find_saturation(image) is None
+    assert measure_grey_levels(image).n_saturated == 0
+
+
+def test_colour_images_saturate_where_all_colours_do() -> None:
+    image = ArraySource(Path("memory"), np.full((4, 5), 255.0, np.float32), 255.0)
+    assert find_saturation(image) == 255
+    assert measure_grey_levels(image).n_saturated == 20

@@ -125,10 +125,6 @@ def test_usable_pixels_are_those_of_mask_and_saturation_together() -> None:
     assert source(values).find_usable(window) is None
 
 
-def test_float_images_have_no_saturated_pixels() -> None:
-    assert MaskedSource(recorder(), None, exclude_saturated=True).find_usable(Window(0, 0, 9, 9)) is None
-
-
 @pytest.mark.parametrize("window", [Window(0, 0, 1, 1), Window(299, 199, 300, 200), Window(100, 0, 101, 200)])
 def test_reference_window_has_room_for_the_prefilter(window: Window) -> None:
     image = recorder()

@@ -28,11 +28,13 @@ def test_info_of_an_image(tmp_path: Path) -> None:
 
 
 def test_info_warns_of_colour_on_standard_error(tmp_path: Path) -> None:
-    cv2.imwrite(str(tmp_path / "c.png"), np.full((8, 9, 3), 255, np.uint8))
+    pixels = np.full((8, 10, 3), 255, np.uint8)
+    pixels[0, 0] = (0, 0, 255)
+    cv2.imwrite(str(tmp_path / "c.png"), pixels)
     outcome = CliRunner().invoke(info, [str(tmp_path / "c.png")])
     assert "warning" in outcome.stderr
     # Grey of full white is the integer type's largest value: counted as saturated.
-    assert "100.000 %" in outcome.stdout
+    assert "98.750 % (at 255)" in outcome.stdout
 
 
 def test_info_of_a_result(tmp_path: Path, write_result: Write) -> None:

@@ -182,10 +182,55 @@ def test_a_tiff_cut_short_is_an_input_error_where_it_is_read(tmp_path: Path, key
         open_image(path).read(WHOLE)
 
 
-def test_complex_and_palette_tiffs_are_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("step", [256, 257])
+@pytest.mark.parametrize("compression", [None, "zlib"])
+def test_palette_that_is_a_ramp_of_greys_is_grey(tmp_path: Path, step: int, compression: str | None) -> None:
+    path = tmp_path / "p.tif"
+    ramp = np.arange(256)[::-1]
+    tifffile.imwrite(path, 255 - pattern("uint8"), photometric="palette", compression=compression,
+                     colormap=np.tile(ramp * step, (3, 1)).astype(np.uint16))
+    image = open_image(path)
+    read = image.read(Window(3, 4, 50, 60))
+    np.testing.assert_array_equal(read, pattern("uint8")[4:60, 3:50])
+    assert (read.dtype, image.dtype, image.saturation) == (np.uint8, np.uint8, 255)
+
+
+def test_palette_of_fine_greys_keeps_16_bits(tmp_path: Path) -> None:
+    path = tmp_path / "p.tif"
+    levels = np.linspace(0, 65535, 256).astype(np.uint16) // 3
+    tifffile.imwrite(path, pattern("uint8"), photometric="palette", colormap=np.tile(levels, (3, 1)))
+    image = open_image(path)
+    np.testing.assert_array_equal(image.read(WHOLE), levels[pattern("uint8")])
+    assert image.saturation == 65535
+
+
+def test_palette_of_colours_turns_grey_with_a_warning(tmp_path: Path) -> None:
+    path = tmp_path / "p.tif"
+    colours = np.random.default_rng(4).integers(0, 256, (3, 256)).astype(np.uint16)
+    tifffile.imwrite(path, pattern("uint8"), photometric="palette", colormap=colours * 257)
+    with pytest.warns(UserWarning, match="colour"):
+        image = open_image(path)
+    read = image.read(WHOLE)
+    # float32 holds 255 to 1.5e-5.
+    np.testing.assert_allclose(read, ([0.299, 0.587, 0.114] @ colours)[pattern("uint8")], atol=2e-5)
+    assert (read.dtype, image.saturation) == (np.float32, 255)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("suffix", [".png", ".bmp"])
+def test_equal_colours_of_a_decoded_file_are_grey(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"p{suffix}"
+    # An image with a palette of greys, as OpenCV decodes it.
+    cv2.imwrite(str(path), np.repeat(pattern("uint8")[..., None], 3, axis=2))
+    image = open_image(path)
+    read = image.read(WHOLE)
+    np.testing.assert_array_equal(read, pattern("uint8"))
+    assert read.dtype == image.dtype == np.uint8
+
+
+def test_complex_and_printers_colour_tiffs_are_refused(tmp_path: Path) -> None:
     tifffile.imwrite(tmp_path / "c.tif", np.ones((4, 4), np.complex64))
-    tifffile.imwrite(tmp_path / "p.tif", pattern("uint8"), photometric="palette",
-                     colormap=np.zeros((3, 256), np.uint16))
+    tifffile.imwrite(tmp_path / "p.tif", np.zeros((5, 6, 4), np.uint8), photometric="separated")
     for name in ("c.tif", "p.tif"):
         with pytest.raises(InputError, match=name):
             open_image(tmp_path / name)

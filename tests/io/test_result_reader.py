@@ -145,6 +145,25 @@ def test_flipping_a_tensor_is_the_change_of_axes_and_its_own_inverse(values: lis
     np.testing.assert_array_equal(flip_components(flip_components(tensor)), tensor)
 
 
+@pytest.mark.parametrize("version", ["1.3", "1.4"])
+def test_displacement_in_the_meshs_axes_is_read_as_its_schema_wrote_it(tmp_path: Path, write_result: Write,
+                                                                       version: str) -> None:
+    name = "displacement_mesh_units"
+    expected = read_result(write_result(tmp_path / "down.vtkhdf")).point_data[name]
+    path = write_result(tmp_path / "up.vtkhdf", flip_y=True)
+    if version == "1.3":
+        # It had no such attribute, and turned this field over with the others.
+        with h5py.File(path, "r+") as file:
+            file.attrs["ddic_schema"] = version
+            for group in ("PointData", "CellData"):
+                for field in file["VTKHDF"][group].values():
+                    del field.attrs["axes"]
+            values = file["VTKHDF/PointData"][name][...]
+            values[:, 1] *= -1
+            file["VTKHDF/PointData"][name][...] = values
+    np.testing.assert_array_equal(read_result(path).point_data[name], expected)
+
+
 def test_missing_foreign_sidecar_and_newer_files_are_input_errors(tmp_path: Path, write_result: Write) -> None:
     (tmp_path / "text.vtkhdf").write_text("no HDF5")
     with h5py.File(tmp_path / "foreign.vtkhdf", "w") as file:

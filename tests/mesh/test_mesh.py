@@ -54,10 +54,10 @@ def test_restriction_keeps_the_cells_where_they_are(mesh: Mesh, seed: int, share
         assert node_ids[own].tolist() == mesh.connectivity[mesh.offsets[whole]: mesh.offsets[whole + 1]].tolist()
 
 
-@given(scale=st.floats(0.1, 50), angle=st.floats(-4, 4), seed=SEEDS)
-def test_mapping_of_points_and_of_displacements_agree(scale: float, angle: float, seed: int) -> None:
+@given(scale=st.floats(0.1, 50), angle=st.floats(-4, 4), y_up=st.booleans(), seed=SEEDS)
+def test_mapping_of_points_and_of_displacements_agree(scale: float, angle: float, y_up: bool, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    mapping = Similarity(scale, angle, (300.0, -70.0))
+    mapping = Similarity(scale, angle, (300.0, -70.0), y_up)
     points, moves = rng.uniform(-10, 10, (8, 2)), rng.uniform(-1, 1, (8, 2))
     in_pixels = mapping.to_pixels(points + moves) - mapping.to_pixels(points)
     # Coordinates of up to a thousand pixels are rounded by 1e-13, then divided by the scale.
@@ -67,6 +67,12 @@ def test_mapping_of_points_and_of_displacements_agree(scale: float, angle: float
 def test_angle_turns_x_towards_y() -> None:
     np.testing.assert_allclose(Similarity(2.0, np.pi / 2, (10.0, 20.0)).to_pixels(np.array([[1.0, 0.0]])),
                                [[10.0, 22.0]], atol=1e-14)
+
+
+def test_y_of_a_mesh_may_point_up() -> None:
+    mapping = Similarity(2.0, 0.0, (10.0, 20.0), y_up=True)
+    np.testing.assert_array_equal(mapping.to_pixels(np.array([[1.0, 3.0]])), [[12.0, 14.0]])
+    np.testing.assert_array_equal(mapping.map_vectors_to_mesh_units(np.array([[4.0, 6.0]])), [[2.0, -3.0]])
 
 
 def test_mesh_of_one_kind_has_no_padding() -> None:

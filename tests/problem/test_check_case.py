@@ -184,7 +184,8 @@ def test_command_refuses_a_missing_case(tmp_path: Path) -> None:
 
 
 def test_colour_images_are_announced(folder: Path) -> None:
-    cv2.imwrite(str(folder / "f.png"), np.zeros((80, 100, 3), dtype=np.uint8))
+    red = np.full((80, 100, 3), (0, 0, 200), dtype=np.uint8)
+    cv2.imwrite(str(folder / "f.png"), red)
     (folder / "case.toml").write_text(IMAGES.replace("f.tif", "f.png") + GRID)
     done = CliRunner().invoke(check, [str(folder / "case.toml")])
     assert done.exit_code == 0

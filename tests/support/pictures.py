@@ -32,7 +32,7 @@ def source(values: NDArray[np.float32], mask: NDArray[np.bool_] | None = None, *
     """An image in memory; mask: True where pixels count."""
     image = ArraySource(Path("memory"), np.asarray(values, dtype=np.float32), SATURATION)
     mask_image = None if mask is None else ArraySource(Path("mask"), mask.astype(np.float32))
-    return MaskedSource(image, mask_image, exclude_saturated)
+    return MaskedSource(image, mask_image, SATURATION if exclude_saturated else None)
 
 
 def square_mesh(low: float, high: float, element: float = 16.0) -> Mesh:

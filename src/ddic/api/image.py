@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError, as_collective
 from ddic.images.binned import ArraySource
-from ddic.images.grey_levels import check_finite
+from ddic.images.grey_levels import check_finite, find_saturation
 from ddic.images.source import ImageSource
 from ddic.images.sub_image import MaskedSource
 from ddic.io.mask_file import read_mask
@@ -33,13 +33,15 @@ class Image:
     mask : (height, width) array, str or Path, optional
         Zero, or False, where pixels are left out; none is by default.
     exclude_saturated : bool
-        Leave out pixels at the largest value of the image's integer type; of a reference image, those of its deformed
-        images as well.
+        Leave out saturated pixels; of a reference image, those of its deformed images as well.
+    saturation : float, optional
+        Grey level from which on a pixel is saturated; found from the image where left out, as in a case file.
     """
 
     pixels: NDArray[Any] | str | Path
     mask: NDArray[Any] | str | Path | None = None
     exclude_saturated: bool = False
+    saturation: float | None = None
 
 
 ImageLike = Image | NDArray[Any] | str | Path
@@ -128,7 +130,16 @@ def _leave_pixels_out(image: Image, source: ImageSource, name: str) -> MaskedSou
     used = _used_pixels(image, source, name)
     check_finite(source, used)
     mask = None if used is None else ArraySource(Path(f"{name}'s mask"), used.astype(np.uint8))
-    return MaskedSource(source, mask, image.exclude_saturated)
+    return MaskedSource(source, mask, _find_saturation(image, source, name))
+
+
+def _find_saturation(image: Image, source: ImageSource, name: str) -> float | None:
+    """Grey level from which on pixels are left out; None where none are."""
+    if not image.exclude_saturated:
+        if image.saturation is not None:
+            raise InputError(f"{name}: saturation = {image.saturation:g} goes with exclude_saturated=True")
+        return None
+    return find_saturation(source) if image.saturation is None else image.saturation
 
 
 def _used_pixels(image: Image, source: ImageSource, name: str) -> NDArray[np.bool_] | None:

@@ -19,6 +19,7 @@ from ddic.case.loader import LoadedCase, load_case
 from ddic.case.schema import Case
 from ddic.errors import InputError
 from ddic.images.camera import identity
+from ddic.images.grey_levels import find_saturation
 from ddic.images.sub_image import MaskedSource
 from ddic.io.result_reader import Result
 from ddic.mesh.mesh import Mesh
@@ -148,8 +149,14 @@ class Session:
     def _open_deformed(self, given: Any, camera: Camera, name: str) -> MaskedSource:
         image = open_given_image(self._team, given, name)
         self._team.together(lambda: check_same_size(image, camera.reference, name))
-        excludes = image.exclude_saturated or camera.reference.exclude_saturated
-        return replace(image, exclude_saturated=excludes)
+        return replace(image, saturated_from=self._find_saturation(image, camera.reference))
+
+    def _find_saturation(self, image: MaskedSource, reference: MaskedSource) -> float | None:
+        """Grey level from which on a deformed image's pixels are left out: at most its reference image's."""
+        if reference.saturated_from is None:
+            return image.saturated_from
+        found = image.saturated_from or self._team.together(lambda: find_saturation(image.image))
+        return reference.saturated_from if found is None else min(found, reference.saturated_from)
 
     def _check_output(self, output: str | Path, frame: Frame) -> Path:
         """Check before measuring that a result can be written; returns its path."""

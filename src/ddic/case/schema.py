@@ -24,6 +24,12 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+def _require_exclusion(saturation: float | None, exclude_saturated: bool, section: str) -> None:
+    """Raise where a level of saturation is given that nothing uses."""
+    if saturation is not None and not exclude_saturated:
+        raise ValueError(f"{section}.saturation goes with {section}.exclude_saturated = true")
+
+
 class ImagesSection(Section):
     """The image pair; paths are relative to the case file."""
 
@@ -47,7 +53,16 @@ class ImagesSection(Section):
     )
     exclude_saturated: bool = Field(
         default=False,
-        description="Leave out pixels at the largest grey level of the integer type.",
+        description="Leave out saturated pixels, and what is interpolated from them.",
+    )
+    saturation: Positive | None = Field(
+        default=None,
+        description=(
+            "Grey level from which on a pixel is saturated, with `exclude_saturated`. Found from the image where left "
+            "out: the largest of the integer type or, where no level of the image is higher, of 8, 10, 12 or 14 bits, "
+            "in the lower or the upper bits of the type."
+        ),
+        json_schema_extra={"unit": "grey levels", "default": "found"},
     )
     pixel_size: Positive | None = Field(
         default=None,
@@ -76,6 +91,12 @@ class ImagesSection(Section):
         ),
         json_schema_extra={"unit": "grey levels"},
     )
+
+    @model_validator(mode="after")
+    def _saturation_needs_exclusion(self) -> ImagesSection:
+        """Refuse a level of saturation that nothing uses."""
+        _require_exclusion(self.saturation, self.exclude_saturated, "images")
+        return self
 
     @model_validator(mode="after")
     def _unit_needs_size(self) -> ImagesSection:
@@ -148,7 +169,10 @@ class StructuredSection(Section):
 
 
 class MappingSection(Section):
-    """Similarity from mesh units to pixels: x_px = scale R(rotation) x_mesh + translation."""
+    """Similarity from mesh units to pixels: x_px = scale R(rotation) S x_mesh + translation.
+
+    S is diag(1, -1) with y_up, else the identity.
+    """
 
     scale: Positive = Field(
         default=1.0,
@@ -164,6 +188,13 @@ class MappingSection(Section):
         default=(0.0, 0.0),
         description="Where the mesh's origin lies in the image.",
         json_schema_extra={"unit": "px", "shape": "[x, y]"},
+    )
+    y_up: bool = Field(
+        default=False,
+        description=(
+            "The mesh's y points up, as in most CAD programs: it is turned over first, y_px falls where y_mesh grows, "
+            "and `displacement_mesh_units` has y up as well."
+        ),
     )
 
 
@@ -224,6 +255,11 @@ class NearSection(Section):
         default=False,
         description="As in `[images]`.",
     )
+    saturation: Positive | None = Field(
+        default=None,
+        description="As in `[images]`.",
+        json_schema_extra={"unit": "grey levels", "default": "found"},
+    )
     mapping_file: Path | None = Field(
         default=None,
         description=(
@@ -279,6 +315,12 @@ class NearSection(Section):
         default=False,
         description="Use the far image under these elements too, as additional information ([BP17], Remark 5).",
     )
+
+    @model_validator(mode="after")
+    def _saturation_needs_exclusion(self) -> NearSection:
+        """Refuse a level of saturation that nothing uses."""
+        _require_exclusion(self.saturation, self.exclude_saturated, "near")
+        return self
 
     @model_validator(mode="after")
     def _one_mapping(self) -> NearSection:

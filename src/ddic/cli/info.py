@@ -58,8 +58,8 @@ def _image_lines(file: Path) -> Lines:
     report = measure_grey_levels(image)
     n_pixels = image.width * image.height
     saturated = "none possible (floating point)"
-    if image.saturation is not None:
-        saturated = f"{100 * report.n_saturated / n_pixels:.3f} % (at {image.saturation:.0f})"
+    if report.saturation is not None:
+        saturated = f"{100 * report.n_saturated / n_pixels:.3f} % (at {report.saturation:.0f})"
     return [
         ("image", str(file)),
         ("size", f"{image.width} x {image.height} px"),

@@ -15,6 +15,7 @@ from scipy import sparse
 from ddic.errors import InputError
 from ddic.functionals import pixel_kernels as kernels
 from ddic.functionals.grey_statistics import GreySums
+from ddic.functionals.torn_cells import find_torn_cells
 from ddic.images.spline import HALO, PADDING, GradientImage, SplineImage
 from ddic.images.sub_image import DeformedSubImage, MaskedSource, read_reference
 from ddic.images.threads import ONE_THREAD, Threads
@@ -22,6 +23,7 @@ from ddic.images.window import Window, merge_windows
 from ddic.kinematics.cell_interpolation import CellInterpolation, interpolate_cells
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import Raster, rasterize
+from ddic.mesh.shapes import pad_cells
 
 BAND = 32
 """Height, pixels, of the bands in which cells are visited: of 16-px cells two rows. With a larger one, neighbours in a
@@ -30,6 +32,9 @@ row are further apart in time and share fewer lines of the cache; with a smaller
 FEWEST = 128
 """Cells of a thread's slice, some 0.2 ms: handing it over and the kernel's scratch arrays cost a tenth of that.
 Larger slices leave threads idle on small subdomains."""
+
+FAR_OUTSIDE = -1e6
+"""Displacement, pixels, that no pixel of an image stays in it with."""
 
 _NOTHING_EXCLUDED = np.zeros((0, 0), dtype=np.uint8)
 
@@ -193,7 +198,7 @@ class Correlation:
             Sums by cell.
         """
         n_cells = len(self.order)
-        u = self.interpolation.monomial_coefficients(q)
+        u = self._cell_displacements(q)
         reference = self._reference_pixels
         pixels = self._deformed_pixels(deformed.get_spline(self.find_displaced_window(q)))
         sums = kernels.CellSums(np.zeros((n_cells, 3, 2, 4)), np.zeros((n_cells, kernels.N_SUMS)))
@@ -250,7 +255,7 @@ class Correlation:
             On the reference window, grey levels; NaN on pixels that do not count.
         """
         n_cells = len(self.order)
-        u = self.interpolation.monomial_coefficients(q)
+        u = self._cell_displacements(q)
         reference = self._reference_pixels
         pixels = self._deformed_pixels(deformed.get_spline(self.find_displaced_window(q)))
         gains = np.array(np.broadcast_to(np.asarray(gain, dtype=float), n_cells))
@@ -266,6 +271,8 @@ class Correlation:
     def find_displaced_window(self, q: NDArray[np.float64]) -> Window:
         """Find the window of the deformed image that holds all displaced pixels and their neighbours.
 
+        But those of torn cells, which count as displaced out of the image.
+
         Parameters
         ----------
         q : (n_dofs,) array
@@ -278,9 +285,25 @@ class Correlation:
         """
         # u is a convex combination of nodal values, so the displaced nodes' box holds all displaced pixels.
         displaced = self._displaced_nodes(q)
+        torn = self._find_torn_cells(q)
+        if len(torn):
+            displaced = displaced[np.unique(np.delete(pad_cells(self.mesh), torn, axis=0))]
+        if not len(displaced):
+            return Window(0, 0, 1, 1)
         left, top = np.floor(displaced.min(axis=0)).astype(int)
         right, bottom = np.ceil(displaced.max(axis=0)).astype(int)
         return Window(int(left) - 1, int(top) - 1, int(right) + 2, int(bottom) + 2)
+
+    def _find_torn_cells(self, q: NDArray[np.float64]) -> NDArray[np.int64]:
+        return find_torn_cells(self.mesh, q.reshape(self.mesh.nodes.shape))
+
+    def _cell_displacements(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Coefficients of u on the monomials, (n_cells, dim, 4); torn cells are displaced out of any image."""
+        u = self.interpolation.monomial_coefficients(q)
+        torn = self._find_torn_cells(q)
+        u[torn] = 0.0
+        u[torn, :, 0] = FAR_OUTSIDE
+        return u
 
     def _displaced_nodes(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """Nodes x + u, (n_nodes, 2), pixels."""
@@ -293,7 +316,7 @@ class Correlation:
         # All pixels stay within the outermost pixel centres where all nodes do.
         displaced = self._displaced_nodes(q)
         last = (self.extent.width - 1, self.extent.height - 1)
-        return bool((displaced >= 0).all() and (displaced <= last).all())
+        return bool((displaced >= 0).all() and (displaced <= last).all()) and not len(self._find_torn_cells(q))
 
     def _count_pixels(self, usable: NDArray[np.uint8]) -> int:
         """Number of the cells' pixels that are 1 in an image of the reference window's shape."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,9 @@ from numpy.typing import NDArray
 from ddic.errors import InputError
 from ddic.images.source import ImageSource
 from ddic.images.window import Window
+
+CAMERA_BITS = (8, 10, 12, 14)
+"""Bits that cameras use of a wider type."""
 
 BAND_PIXELS = 1 << 20
 """Pixels of a band: more make fewer reads, and take more memory."""
@@ -24,8 +28,10 @@ class GreyLevels:
     ----------
     lowest, highest, mean : float
         Grey levels; infinite and nan where no pixel is finite.
+    saturation : float or None
+        Grey level at which the image saturates, as ``find_saturation`` finds it.
     n_saturated : int
-        Pixels at the largest value of the integer type.
+        Pixels at that level.
     n_not_finite : int
         Pixels that are nan or infinite.
     gradient_energy : float
@@ -35,6 +41,7 @@ class GreyLevels:
     lowest: float
     highest: float
     mean: float
+    saturation: float | None
     n_saturated: int
     n_not_finite: int
     gradient_energy: float
@@ -54,7 +61,8 @@ def measure_grey_levels(source: ImageSource) -> GreyLevels:
         Of all its pixels.
     """
     lowest, highest, total = np.inf, -np.inf, 0.0
-    n_finite, n_saturated = 0, 0
+    n_finite = 0
+    levels = _HighestLevel()
     energy, n_energy = 0.0, 0
     for rows in _bands(source):
         # A row more on either side, for the differences.
@@ -69,18 +77,42 @@ def measure_grey_levels(source: ImageSource) -> GreyLevels:
             total += float(finite.sum(dtype=np.float64))
         n_finite += finite.size
         if source.saturation is not None:
-            n_saturated += int(np.count_nonzero(own >= source.saturation))
+            levels.see(own)
         squares = _squared_gradient(band.astype(np.float64))
         energy += float(squares.sum())
         n_energy += squares.size
+    saturation = levels.find_saturation(source.saturation)
     return GreyLevels(
         lowest=lowest,
         highest=highest,
         mean=total / n_finite if n_finite else np.nan,
-        n_saturated=n_saturated,
+        saturation=saturation,
+        n_saturated=levels.n_highest if levels.highest == saturation else 0,
         n_not_finite=source.width * source.height - n_finite,
         gradient_energy=energy / n_energy if n_energy else 0.0,
     )
+
+
+def find_saturation(source: ImageSource) -> float | None:
+    """Find the grey level at which an image saturates: cameras of 12 bits in a file of 16 stop at 4095.
+
+    Parameters
+    ----------
+    source : ImageSource
+        The image, which is read whole.
+
+    Returns
+    -------
+    float or None
+        Where the highest grey level is the largest of 8, 10, 12 or 14 bits, in the lower or the upper bits of the type,
+        that one; else the largest of the type. None for a float image.
+    """
+    if source.saturation is None:
+        return None
+    levels = _HighestLevel()
+    for rows in _bands(source):
+        levels.see(source.read(rows))
+    return levels.find_saturation(source.saturation)
 
 
 def check_finite(source: ImageSource, mask: NDArray[np.bool_] | None = None) -> None:
@@ -113,6 +145,40 @@ def check_finite(source: ImageSource, mask: NDArray[np.bool_] | None = None) -> 
     if count:
         raise InputError(f"{source.path}: {count} pixel(s) are NaN or infinite, the first at "
                          f"(x, y) = {first}; leave them out with a mask image (0 there)")
+
+
+@dataclass
+class _HighestLevel:
+    """The highest grey level of the bands seen so far, how often it occurs, and the bits that occur in any level."""
+
+    highest: float = -np.inf
+    n_highest: int = 0
+    bits: int = 0
+
+    def see(self, band: NDArray[Any]) -> None:
+        """Take a band of an integer image into account, or of a colour one that was turned to grey."""
+        highest = float(band.max())
+        if highest > self.highest:
+            self.highest, self.n_highest = highest, 0
+        if highest == self.highest:
+            self.n_highest += int(np.count_nonzero(band == highest))
+        if np.issubdtype(band.dtype, np.integer):
+            self.bits |= int(np.bitwise_or.reduce(band, axis=None))
+
+    def find_saturation(self, largest: float | None) -> float | None:
+        """Give the level of saturation; largest: of the type, None for floats."""
+        if largest is None or self.highest == largest:
+            return largest
+        n_type = int(largest).bit_length()
+        for n_bits in CAMERA_BITS:
+            level = 2**n_bits - 1
+            if self.highest == level:
+                return float(level)
+            n_unused = n_type - n_bits
+            in_upper_bits = n_unused > 0 and self.bits > 0 and self.bits % 2**n_unused == 0
+            if in_upper_bits and self.highest == level << n_unused:
+                return float(level << n_unused)
+        return largest
 
 
 def _bands(source: ImageSource) -> Iterator[Window]:

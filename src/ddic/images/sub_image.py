@@ -33,8 +33,8 @@ class MaskedSource:
         The image.
     mask : ImageSource, optional
         An image of the same size, zero where pixels are left out.
-    exclude_saturated : bool
-        Whether to leave out pixels at the largest value of the image's integer type.
+    saturated_from : float, optional
+        Grey level from which on pixels are left out.
     excludes_taps : bool
         Whether to leave out also what is interpolated from such pixels. Coarse images would lose too much, and only
         start a measurement.
@@ -42,7 +42,7 @@ class MaskedSource:
 
     image: ImageSource
     mask: ImageSource | None = None
-    exclude_saturated: bool = False
+    saturated_from: float | None = None
     excludes_taps: bool = True
 
     @property
@@ -53,11 +53,7 @@ class MaskedSource:
     @property
     def may_exclude(self) -> bool:
         """Whether pixels can be left out at all."""
-        return self.mask is not None or self._without_saturated
-
-    @property
-    def _without_saturated(self) -> bool:
-        return self.exclude_saturated and self.image.saturation is not None
+        return self.mask is not None or self.saturated_from is not None
 
     def find_usable(self, window: Window) -> NDArray[np.uint8] | None:
         """Find the pixels of a window that count.
@@ -77,8 +73,8 @@ class MaskedSource:
         usable = np.ones((window.height, window.width), dtype=np.uint8)
         if self.mask is not None:
             usable &= np.asarray(self.mask.read(window) != 0, dtype=np.uint8)
-        if self._without_saturated:
-            usable &= np.asarray(self.image.read(window) < self.image.saturation, dtype=np.uint8)
+        if self.saturated_from is not None:
+            usable &= np.asarray(self.image.read(window) < self.saturated_from, dtype=np.uint8)
         return usable
 
 

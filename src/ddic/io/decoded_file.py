@@ -115,4 +115,12 @@ def _decode(path: Path) -> NDArray[Any]:
         raise InputError(f"{path}: not an image that can be read, or cut short; "
                          "give a TIFF, PNG, BMP or JPEG file")
     array = np.asarray(pixels)
-    return array[..., None] if array.ndim == 2 else array
+    return array[..., None] if array.ndim == 2 else _without_equal_colours(array)
+
+
+def _without_equal_colours(pixels: NDArray[Any]) -> NDArray[Any]:
+    """Pixels with one channel in place of three equal ones: OpenCV makes colours of a palette's grey ramp."""
+    first = pixels[..., 0]
+    if pixels.shape[2] < 3 or not all(np.array_equal(first, pixels[..., other]) for other in (1, 2)):
+        return pixels
+    return pixels[..., [0, *range(3, pixels.shape[2])]]

@@ -281,7 +281,12 @@ def _merged_mesh(group: Any, nodes: NDArray[np.float64], node_ids: NDArray[np.in
 
 def _fields(group: Any, flipped: bool) -> dict[str, NDArray[Any]]:
     """All datasets of a group, y down."""
-    return {name: _unflipped(data[...], flipped) for name, data in group.items()}
+    return {name: _unflipped(data[...], flipped and _has_axes_of_image(data)) for name, data in group.items()}
+
+
+def _has_axes_of_image(data: Any) -> bool:
+    """Whether a field has the image's axes; before schema 1.4 all were written as if they had."""
+    return str(data.attrs.get("axes", schema.AXES_OF_IMAGE)) == schema.AXES_OF_IMAGE
 
 
 def _unflipped(values: NDArray[Any], flipped: bool) -> NDArray[Any]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-SCHEMA_VERSION = "1.3"
+SCHEMA_VERSION = "1.4"
 VTKHDF_VERSION = (2, 0)
 
 VTKHDF = "VTKHDF"
@@ -42,6 +42,7 @@ EQUIVALENT_ERROR = "equivalent_error"
 DOUBTFUL = "doubtful"
 
 VECTOR, SYMMETRIC_TENSOR = 3, 6
+AXES_OF_IMAGE, AXES_OF_MESH_FILE = "image", "mesh file"
 TENSOR_COMPONENTS = ("XX", "YY", "ZZ", "XY", "YZ", "XZ")
 
 
@@ -59,6 +60,8 @@ class FieldSpec:
         Of a component.
     unit, description : str
         Stored beside the values.
+    axes : str
+        AXES_OF_IMAGE, or AXES_OF_MESH_FILE, whose vectors no flip of the image's y concerns; stored as well.
     """
 
     name: str
@@ -66,6 +69,7 @@ class FieldSpec:
     dtype: DTypeLike
     unit: str
     description: str
+    axes: str = AXES_OF_IMAGE
 
 
 def point_fields(length_unit: str | None) -> tuple[FieldSpec, ...]:
@@ -84,7 +88,7 @@ def point_fields(length_unit: str | None) -> tuple[FieldSpec, ...]:
     fields = (
         FieldSpec(DISPLACEMENT, VECTOR, np.float64, "px", "displacement in pixels, mean of interface copies"),
         FieldSpec(DISPLACEMENT_MESH_UNITS, VECTOR, np.float64, "mesh unit",
-                  "displacement in the axes and units of the mesh file"),
+                  "displacement in the axes and units of the mesh file", AXES_OF_MESH_FILE),
         FieldSpec(GLOBAL_NODE_ID, 1, np.int64, "1", "number of the node in the whole mesh"),
     )
     if length_unit is None:
@@ -107,9 +111,9 @@ def cell_fields(n_cameras: int = 1) -> tuple[FieldSpec, ...]:
         In the order of the file.
     """
     fields = (
-        FieldSpec(STRAIN_INFINITESIMAL, SYMMETRIC_TENSOR, np.float64, "1", "infinitesimal strain, cell mean"),
+        FieldSpec(STRAIN_INFINITESIMAL, SYMMETRIC_TENSOR, np.float64, "1", "infinitesimal strain at the cell's centre"),
         FieldSpec(STRAIN_GREEN_LAGRANGE, SYMMETRIC_TENSOR, np.float64, "1",
-                  "Green-Lagrange strain, cell mean"),
+                  "Green-Lagrange strain at the cell's centre"),
         FieldSpec(RESIDUAL_RMS, 1, np.float64, "grey level", "root mean square of f(x) - g(x + u)"),
         FieldSpec(RESIDUAL_N_PIXELS, 1, np.int64, "px", "number of pixels correlated"),
         FieldSpec(EQUIVALENT_ERROR, 1, np.float64, "px", "error that would leave the residual beyond noise"),

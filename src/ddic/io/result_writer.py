@@ -326,6 +326,7 @@ class ResultWriter:
             created = _create(group, field.name, length, field.n_components, field.dtype)
             created.attrs["unit"] = field.unit
             created.attrs["description"] = field.description
+            created.attrs["axes"] = field.axes
 
     def _write_fields(self, group: str, fields: Sequence[FieldSpec], arrays: Mapping[str, NDArray[Any]],
                       start: int, length: int) -> None:
@@ -340,7 +341,8 @@ class ResultWriter:
             expected = (length,) if field.n_components == 1 else (length, field.n_components)
             if values.shape != expected:
                 raise ValueError(f"{group}/{field.name}: shape {values.shape}, {expected} announced")
-            _put(self._file[group][field.name], start, self._oriented(values))
+            oriented = self._oriented(values) if field.axes == schema.AXES_OF_IMAGE else values
+            _put(self._file[group][field.name], start, oriented)
 
 
 def _start_of(pieces: _Pieces, index: int) -> PieceSize:

@@ -21,7 +21,9 @@ from ddic.io.pixel_format import PixelFormat
 
 MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 BAND_BYTES = 4 << 20
-GREY, INVERTED_GREY, COLOUR = 1, 0, 2
+FULL_SCALE = 257
+"""Levels of 16 bits in one of 8."""
+GREY, INVERTED_GREY, COLOUR, PALETTE = 1, 0, 2, 3
 # What tifffile and its codecs let through on damaged files: they have no common base class.
 DECODING_ERRORS = (tifffile.TiffFileError, zlib.error, lzma.LZMAError, struct.error, ValueError, LookupError,
                    TypeError, ArithmeticError, ImportError, RuntimeError, OSError)
@@ -66,9 +68,14 @@ def read_tiff_format(path: Path) -> PixelFormat:
         n_pages = len(tiff.pages)
         _check_page(path, page)
         colours = 3 if int(page.photometric) == COLOUR else 1
-        bits = page.bitspersample
+        bits, dtype = int(page.bitspersample), _pixel_type(page)
+        levels = _read_palette(page)
+        if levels is not None:
+            colours = 3 if levels.dtype == np.float32 else 1
+            dtype = np.dtype(np.uint8) if colours == 3 else levels.dtype
+            bits = 8 * dtype.itemsize
         return PixelFormat(width=int(page.imagewidth), height=int(page.imagelength),
-                           dtype=_pixel_type(page), bits=int(bits), n_colours=colours,
+                           dtype=dtype, bits=bits, n_colours=colours,
                            n_channels=int(page.samplesperpixel), n_pages=n_pages,
                            inverted=int(page.photometric) == INVERTED_GREY)
 
@@ -121,10 +128,11 @@ def read_tiff(path: Path, layout: PixelFormat, window: Window) -> NDArray[Any]:
     """
     with _opened(path) as (tiff, page):
         out = np.empty((window.height, window.width), np.float32 if layout.n_colours == 3 else layout.dtype)
+        levels = _read_palette(page)
         for block, x, y in _blocks(tiff, page, layout, window):
             part = window.intersection(Window(x, y, x + block.shape[1], y + block.shape[0]))
             pixels = block[part.y0 - y:part.y1 - y, part.x0 - x:part.x1 - x]
-            out[window.locate(part)] = to_grey(pixels, layout.n_colours)
+            out[window.locate(part)] = to_grey(pixels, layout.n_colours) if levels is None else levels[pixels[..., 0]]
         return np.subtract(2 ** layout.bits - 1, out, dtype=out.dtype) if layout.inverted else out
 
 
@@ -141,9 +149,8 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
 
 def _check_page(path: Path, page: Any) -> None:
     """Refuse pages that hold no grey levels or colours."""
-    if int(page.photometric) not in (INVERTED_GREY, GREY, COLOUR, 6):
-        raise InputError(f"{path}: TIFF of kind {page.photometric!s} (a palette or a colour space); "
-                         "save it as a grey image")
+    if int(page.photometric) not in (INVERTED_GREY, GREY, COLOUR, PALETTE, 6):
+        raise InputError(f"{path}: TIFF of kind {page.photometric!s} (a colour space); save it as a grey image")
     if page.dtype is None or page.dtype.kind not in "buif":
         raise InputError(f"{path}: pixels of type {page.dtype} cannot be used; save 8 or 16 bit, or float32")
     if page.imagedepth != 1:
@@ -154,6 +161,20 @@ def _check_page(path: Path, page: Any) -> None:
         raise InputError(f"{path}: white-is-zero TIFF with {page.dtype} pixels; save it as black-is-zero")
 
 
+def _read_palette(page: Any) -> NDArray[Any] | None:
+    """Grey level of each number of a palette: whole levels where all its colours are grey; None without a palette."""
+    if int(page.photometric) != PALETTE:
+        return None
+    colours = np.asarray(page.colormap, dtype=np.uint16)
+    if (colours != colours[0]).any():
+        by_number = colours.T[None] / FULL_SCALE
+        return to_grey(by_number, 3).ravel()
+    grey: NDArray[np.uint16] = colours[0]
+    # A palette's levels have 16 bits: those of 8 are stored as 257 or 256 times as much.
+    of_8_bits = ((grey % FULL_SCALE == 0) | (grey % 256 == 0)).all()
+    return (grey >> 8).astype(np.uint8) if of_8_bits else grey
+
+
 def _pixel_type(page: Any) -> np.dtype[Any]:
     """Type of a channel in memory, in the machine's byte order."""
     return np.dtype(np.uint8) if page.dtype.kind == "b" else np.dtype(page.dtype).newbyteorder("=")
@@ -162,7 +183,7 @@ def _pixel_type(page: Any) -> np.dtype[Any]:
 def _blocks(tiff: Any, page: Any, layout: PixelFormat,
             window: Window) -> Iterator[tuple[NDArray[Any], int, int]]:
     """Blocks of pixels (rows, columns, channels) over the window, each with its first column and row."""
-    bits_are_whole = layout.bits == 8 * np.dtype(layout.dtype).itemsize
+    bits_are_whole = page.bitspersample == 8 * _pixel_type(page).itemsize
     if page.is_contiguous and bits_are_whole and page.planarconfig == 1:
         yield from _bands(tiff, page, layout, window)
     elif page.planarconfig == 1 or layout.n_channels == 1:
@@ -174,7 +195,7 @@ def _blocks(tiff: Any, page: Any, layout: PixelFormat,
 def _bands(tiff: Any, page: Any, layout: PixelFormat,
            window: Window) -> Iterator[tuple[NDArray[Any], int, int]]:
     """Rows of the window, read straight from pixels that lie together."""
-    stored = np.dtype(layout.dtype).newbyteorder(tiff.byteorder)
+    stored = _pixel_type(page).newbyteorder(tiff.byteorder)
     row_bytes = layout.width * layout.n_channels * stored.itemsize
     rows_at_once = max(1, BAND_BYTES // row_bytes)
     for y in range(window.y0, window.y1, rows_at_once):

@@ -14,7 +14,7 @@ from ddic.mesh.cell_type import CELL_TYPES, CellType
 
 @dataclass(frozen=True)
 class Similarity:
-    """Mapping from mesh units to pixels, x_px = scale R(angle) x_mesh + translation.
+    """Mapping from mesh units to pixels, x_px = scale R(angle) S x_mesh + translation; S turns y over where asked for.
 
     Attributes
     ----------
@@ -24,17 +24,21 @@ class Similarity:
         Radians, positive from +x to +y.
     translation : tuple of float
         Pixels.
+    y_up : bool
+        Whether y of the mesh points up, S = diag(1, -1), and not down as in the image, S = I.
     """
 
     scale: float = 1.0
     angle: float = 0.0
     translation: tuple[float, ...] = (0.0, 0.0)
+    y_up: bool = False
 
     @property
-    def rotation(self) -> NDArray[np.float64]:
-        """Rotation matrix R, (2, 2)."""
+    def axes(self) -> NDArray[np.float64]:
+        """The mesh's axes in the image as columns, R S, (2, 2)."""
         c, s = np.cos(self.angle), np.sin(self.angle)
-        return np.array([[c, -s], [s, c]])
+        rotation = np.array([[c, -s], [s, c]])
+        return rotation @ np.diag([1.0, -1.0]) if self.y_up else rotation
 
     def to_pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Map points to pixels.
@@ -49,7 +53,7 @@ class Similarity:
         (n, 2) array
             Pixels.
         """
-        return np.asarray(self.scale * points @ self.rotation.T + np.asarray(self.translation))
+        return np.asarray(self.scale * points @ self.axes.T + np.asarray(self.translation))
 
     def map_vectors_to_mesh_units(self, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
         """Map displacements to mesh units.
@@ -64,7 +68,7 @@ class Similarity:
         (n, 2) array
             Mesh units.
         """
-        return vectors @ self.rotation / self.scale
+        return vectors @ self.axes / self.scale
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ddic.case.schema import Case, ImagesSection, NearSection
 from ddic.errors import InputError
 from ddic.images.camera import CameraMapping, identity, similarity
+from ddic.images.grey_levels import find_saturation
 from ddic.images.source import ImageSource
 from ddic.images.sub_image import MaskedSource
 from ddic.io.image_file import open_decoded, open_image
@@ -173,16 +174,20 @@ def open_frame(case: Case, opener: Opener) -> Frame:
         Where a file cannot be read.
     """
     sections: list[ImagesSection | NearSection] = [case.images, *case.near]
-    return tuple(_masked(opener, section.deformed, section.deformed_mask, section.exclude_saturated)
-                 for section in sections)
+    return tuple(_masked(opener, section, section.deformed, section.deformed_mask) for section in sections)
 
 
 def _open_reference(section: ImagesSection | NearSection, opener: Opener) -> MaskedSource:
-    return _masked(opener, section.reference, section.reference_mask, section.exclude_saturated)
+    return _masked(opener, section, section.reference, section.reference_mask)
 
 
-def _masked(opener: Opener, image: Path, mask: Path | None, exclude_saturated: bool) -> MaskedSource:
-    return MaskedSource(opener(image), None if mask is None else opener(mask), exclude_saturated)
+def _masked(opener: Opener, section: ImagesSection | NearSection, path: Path, mask: Path | None) -> MaskedSource:
+    """One of a section's images with what is left out of it."""
+    image = opener(path)
+    saturated_from = None
+    if section.exclude_saturated:
+        saturated_from = find_saturation(image) if section.saturation is None else section.saturation
+    return MaskedSource(image, None if mask is None else opener(mask), saturated_from)
 
 
 def make_setup(mapping: CameraMapping, reference: MaskedSource, motion: MotionKind) -> CameraSetup:

@@ -148,7 +148,7 @@ def convert_mapping(section: MappingSection) -> Similarity:
     Similarity
         From mesh units to pixels.
     """
-    return Similarity(section.scale, math.radians(section.rotation_degrees), section.translation)
+    return Similarity(section.scale, math.radians(section.rotation_degrees), section.translation, section.y_up)
 
 
 def _structured(section: StructuredSection, width: int, height: int) -> Mesh:

@@ -34,8 +34,8 @@ class SomeRows:
     numbers: NDArray[np.int64]
     entries: sparse.csr_matrix
 
-    def select(self, start: int, end: int) -> SomeRows:
-        """Select the rows from ``start`` to before ``end``.
+    def cut(self, start: int, end: int) -> SomeRows:
+        """Cut out the rows from ``start`` to before ``end``.
 
         Parameters
         ----------
@@ -124,7 +124,7 @@ class ParallelEntries:
         self._blocks = []
         ends = np.cumsum(self._local_rows)
         starts = ends - self._local_rows
-        by_owner = {rank: added.select(start, end) for rank, (start, end) in enumerate(zip(starts, ends, strict=True))}
+        by_owner = {rank: added.cut(start, end) for rank, (start, end) in enumerate(zip(starts, ends, strict=True))}
         rank = self._team.rank
         # What stays is not sent: a message has at most 2 GiB.
         own = by_owner.pop(rank)
