@@ -16,6 +16,8 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 import ddic
+from accept.image_forms import measure_image_forms
+from accept.linear_step import measure_two_levels
 from accept.moved_specimen import measure_disturbed, measure_moved
 from accept.table import Check, Scale, run_table
 from bench.support.rows import Row
@@ -187,6 +189,8 @@ CHECKS: dict[str, Check] = {
     "masks": measure_masks,
     "half_amplitudes": measure_half_amplitudes,
     "edges": measure_edges,
+    "image_forms": measure_image_forms,
+    "two_levels": measure_two_levels,
 }
 
 

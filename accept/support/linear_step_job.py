@@ -1,6 +1,6 @@
 """The MPI part of ``accept.linear_step``: prints a JSON line for each variant and partition from rank 0.
 
-Usage: linear_step_job FOLDER SIZE, the folder of an image pair and the side of its images in pixels.
+Usage: linear_step_job FOLDER SIZE VARIANT ...: the folder of an image pair, the side of its images in pixels, variants.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from mpi4py import MPI
+from scipy.sparse.linalg import splu
 
 from bench.support.step_problem import (
     StepProblem,
@@ -22,13 +23,21 @@ from bench.support.step_problem import (
 )
 from ddic.case.schema import Case
 from ddic.parallel.team import Team
+from ddic.problem.linear_solver import choose_preconditioner
 from ddic.solvers.dual.dual_step import DualSettings
 
 PARTITIONS: dict[str, dict[int, Any]] = {"blocks": {4: [2, 2], 9: [3, 3], 16: [4, 4]}, "metis": {4: 4, 9: 9, 16: 16}}
 """Values of solver.blocks and solver.subdomains by number of subdomains."""
 
-VARIANTS = {"consistent": 64.0, "paper": 64.0, "unregularized": None}
-"""Cut-off wavelengths, pixels."""
+TWO_LEVELS = "two_levels"
+TWO_LEVEL_PARTITIONS: dict[str, dict[int, Any]] = {"metis": {16: 16, 64: 64}}
+"""The same for two levels, which the default preconditioner takes where l_c is long."""
+
+WAVELENGTHS = {"consistent": 64.0, "paper": 64.0, "unregularized": None}
+"""Cut-off wavelengths of the other variants, pixels."""
+
+LONG = 8.0
+"""Cut-off wavelength of two levels, sides H of a subdomain."""
 
 MARGIN, ELEMENT = 20, 10
 """Edge without elements and side of the elements, pixels."""
@@ -88,35 +97,85 @@ def compare_step(team: Team, case: Case, whole: StepProblem) -> tuple[float, int
     shared = problem.count_subdomains()
     weights = shared if case.solver.weighting == "paper" else None
     reference = correct_monolithically(whole, q, b, weights)
-    settings = DualSettings(tolerance=case.solver.tolerance, max_iterations=case.solver.max_iterations)
+    preconditioner = choose_preconditioner(team, case, problem.subdomains)
+    settings = DualSettings(preconditioner, case.solver.tolerance, case.solver.max_iterations)
     result = solve_dual(problem, settings, q, b / shared)
     return find_relative_difference(problem, result.dq, reference), result.krylov_iterations
 
 
-def main(folder: str, size: str) -> None:
-    """Compare all variants on all partitions with at least a subdomain for each rank.
+def find_rounding_floor(whole: StepProblem) -> float:
+    """Find by how much two orderings of a sparse LU of the same operator differ.
+
+    Parameters
+    ----------
+    whole : StepProblem
+        The one-domain problem.
+
+    Returns
+    -------
+    float
+        Relative to the largest entry of the correction.
+    """
+    (system,) = whole.assemble().systems
+    b = system.hessian @ np.random.default_rng(0).normal(size=system.hessian.shape[0])
+    operator = system.operator.tocsc()
+    one, other = (splu(operator, permc_spec=ordering).solve(b) for ordering in ("COLAMD", "MMD_AT_PLUS_A"))
+    return float(np.abs(one - other).max() / np.abs(one).max())
+
+
+def find_wavelength(variant: str, size: int, n_subdomains: int) -> float | None:
+    """Find the cut-off wavelength of a variant.
+
+    Parameters
+    ----------
+    variant : str
+        One of WAVELENGTHS, or TWO_LEVELS.
+    size : int
+        Side of the images, pixels.
+    n_subdomains : int
+        Of the partition.
+
+    Returns
+    -------
+    float or None
+        Pixels; None without regularization.
+    """
+    if variant != TWO_LEVELS:
+        return WAVELENGTHS[variant]
+    side = (size - 2 * MARGIN) / np.sqrt(n_subdomains)
+    return float(LONG * side)
+
+
+def main(folder: str, size: str, *variants: str) -> None:
+    """Compare variants on all of their partitions with at least a subdomain for each rank.
 
     Parameters
     ----------
     folder, size : str
         Of the command line.
+    *variants : str
+        Of WAVELENGTHS, or TWO_LEVELS.
     """
     team = Team(MPI.COMM_WORLD)
-    for variant, wavelength in VARIANTS.items():
-        base = base_case(folder, int(size), wavelength)
-        whole = prepare_whole(Case.model_validate(base))
-        for kind, sizes in PARTITIONS.items():
-            for count, split in sizes.items():
+    for variant in variants:
+        partitions = TWO_LEVEL_PARTITIONS if variant == TWO_LEVELS else PARTITIONS
+        for kind, splits in partitions.items():
+            for count, split in splits.items():
                 if count < team.size:
                     continue
+                base = base_case(folder, int(size), find_wavelength(variant, int(size), count))
+                whole = prepare_whole(Case.model_validate(base))
                 key = "blocks" if kind == "blocks" else "subdomains"
                 solver = {"partition": kind, "tolerance": 1e-12, key: split,
                           "weighting": "paper" if variant == "paper" else "consistent"}
                 case = Case.model_validate({**base, "solver": solver})
                 difference, iterations = compare_step(team, case, whole)
                 if team.is_root:
-                    print(json.dumps({"variant": variant, "partition": kind, "subdomains": count, "ranks": team.size,
-                                      "relative_difference": difference, "iterations": iterations}), flush=True)
+                    record = {"variant": variant, "partition": kind, "subdomains": count, "ranks": team.size,
+                              "relative_difference": difference, "iterations": iterations}
+                    if variant == TWO_LEVELS:
+                        record["rounding_floor"] = find_rounding_floor(whole)
+                    print(json.dumps(record), flush=True)
 
 
 main(*sys.argv[1:])

@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 from scipy import sparse
 
-from ddic.case.schema import Case, SolverSection
+from ddic.case.schema import Case
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
@@ -187,17 +187,34 @@ def _make_step(team: Team, case: Case, assembly: Assembly, operators: Sequence[L
         return AssembledStep(team, assembly.systems, assembly.smallest_eigenvalue)
     if solver.method == "conjugate_gradient":
         return ConjugateGradientStep(team, assembly.systems, solver.tolerance, solver.max_iterations)
-    preconditioner = _choose_preconditioner(team, solver, assembly, compute_cut_off_wavelength(case))
+    preconditioner = choose_preconditioner(team, case, [system.subdomain for system in assembly.systems])
     settings = DualSettings(preconditioner, solver.tolerance, solver.max_iterations, solver.recycle,
                             solver.local_inverse)
     return DualStep(team, assembly.systems, operators, assembly.reaction_scale, settings)
 
 
-def _choose_preconditioner(team: Team, solver: SolverSection, assembly: Assembly, wavelength: float) -> Preconditioner:
-    """A coarse space where one level would slow down: many subdomains, and smooth fields longer than they are."""
-    if solver.preconditioner != "auto":
-        return solver.preconditioner
-    sides = team.gather_lists([_side(system.subdomain) for system in assembly.systems])
+def choose_preconditioner(team: Team, case: Case, subdomains: Sequence[Subdomain]) -> Preconditioner:
+    """Choose the preconditioner of the interface problem; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    case : Case
+        Names the preconditioner, or leaves it open.
+    subdomains : sequence of Subdomain
+        Those of this rank.
+
+    Returns
+    -------
+    Preconditioner
+        Where it is open, a coarse space where one level would slow down: many subdomains, and smooth fields longer
+        than they are.
+    """
+    if case.solver.preconditioner != "auto":
+        return case.solver.preconditioner
+    wavelength = compute_cut_off_wavelength(case)
+    sides = team.gather_lists([_side(subdomain) for subdomain in subdomains])
     is_slow = len(sides) >= MANY_SUBDOMAINS and wavelength >= LONG_WAVELENGTH * float(np.mean(sides))
     return "two_level" if is_slow else "scaled"
 
