@@ -5,54 +5,24 @@ The other four tables are a check each, which starts them as a command of their 
 
 from __future__ import annotations
 
-import re
-import subprocess
 import sys
 from functools import partial
 
 from accept.documents import measure_docs, measure_equations
 from accept.frames import measure_leaving_frames, measure_many_frames
 from accept.kinematics import measure_fixed_components, measure_integrated
+from accept.other_tables import measure_table
 from accept.recorded import recorded
 from accept.source_rules import measure_source
 from accept.table import Check, Scale, run_table
 from bench import kernel_rates
 from bench.support.rows import Row
-from bench.support.runs import ROOT
 
 OTHER_TABLES = ("core", "solver", "performance", "near-far")
 """Tables of which every row must hold."""
 
 SMALL_PROBLEM = "16-px Q4, 33,000 px"
 """Of ``bench.kernel_rates``, for a smoke run."""
-
-
-def measure_table(table: str, scale: Scale) -> list[Row]:
-    """Measure another table.
-
-    Parameters
-    ----------
-    table : str
-        One of OTHER_TABLES.
-    scale : Scale
-        A smoke run leaves it to ``accept.smoke``, which runs them all.
-
-    Returns
-    -------
-    list of Row
-        Whether every row holds.
-    """
-    what, bound = f"make accept-{table}", "every row holds"
-    if scale.smoke:
-        return [Row(what, bound, "run by make smoke itself", True)]
-    module = f"accept.{table.replace('-', '_')}"
-    command = [sys.executable, "-m", module, "--jobs", str(scale.jobs)]
-    done = subprocess.run(command, cwd=ROOT, text=True, stdout=subprocess.PIPE, check=False)
-    print(done.stdout, flush=True)
-    failed = re.findall(r"^FAILS  (.*)$", done.stdout, re.MULTILINE)
-    n_held = len(re.findall(r"^holds  ", done.stdout, re.MULTILINE))
-    measured = f"{n_held} of {n_held + len(failed)} rows hold" + "".join(f"; not: {row}" for row in failed)
-    return [Row(what, bound, measured, done.returncode == 0 and not failed)]
 
 
 def measure_kernel_rates(scale: Scale) -> list[Row]:
