@@ -37,7 +37,8 @@ class ImagesSection(Section):
         description=(
             "The image f before loading: TIFF (8 or 16 bit, floating point), PNG or BMP. TIFF is read window by "
             "window; the others are decoded once a node, which then holds one whole copy (1 byte a pixel of 8 bit, 2 "
-            "of 16 bit), and for a moment a second one. Colour is turned to grey, with a warning."
+            "of 16 bit), and for a moment a second one. Colour is turned to grey, with a warning; a palette of greys is "
+            "grey."
         ),
     )
     deformed: Path = Field(
