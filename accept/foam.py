@@ -21,7 +21,7 @@ from accept.support.difference_noise import (
     draw_vector_rms,
     predict_difference_noise,
 )
-from accept.support.foam_case import OFFSET, RATIO, foam_case, foam_pairs, write_pair
+from accept.support.foam_case import OFFSET, RATIO, foam_case, foam_pairs, name_pair
 from accept.support.near_far_case import Alone, Pair, alpha_of, calibrate_command, measured_alone
 from accept.support.whole_pixel_shifts import ShiftError, measure_shifts
 from accept.table import Scale, runs_name
@@ -266,7 +266,7 @@ def measure_foam_noise(scale: Scale) -> list[Row]:
 
 def _add_noise(pair: Pair, folder: Path, name: str, rng: np.random.Generator) -> Pair:
     """Pictures in floating point, so that nothing is cut off at black or white."""
-    noisy = write_pair(pair, folder, name)
+    noisy = name_pair(pair, folder, name)
     for origin, copy in ((pair.reference, noisy.reference), (pair.deformed, noisy.deformed)):
         image = tifffile.imread(origin)
         added = rng.normal(0.0, ADDED_SHARE * (pair.noise or 0.0), image.shape)

@@ -64,7 +64,7 @@ def foam_case(far: Pair, near: Pair, size: int, offset: tuple[int, int] = (0, 0)
     return case.replace("[[near]]\n", "[[near]]\nuse_far = true\n") if use_far else case
 
 
-def write_pair(pair: Pair, folder: Path, name: str) -> Pair:
+def name_pair(pair: Pair, folder: Path, name: str) -> Pair:
     """Name images of one camera that are to be written.
 
     Parameters
