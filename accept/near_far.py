@@ -18,10 +18,11 @@ from typing import Any
 
 import numpy as np
 
+from accept.foam import measure_foam, measure_foam_noise, measure_foam_places, measure_foam_sampling
 from accept.support.near_far_case import (
     Pair,
     Scene,
-    alpha_of,
+    calibrate_command,
     continuous,
     independent,
     joint_case,
@@ -33,8 +34,8 @@ from accept.support.near_far_error import error_rms, errors, interface_error, la
 from accept.support.near_far_picture import draw_panels
 from accept.table import Check, Scale, run_table, runs_name
 from bench.support.rows import Row, append_result
-from bench.support.runs import ROOT, ddic_command, ddic_run, real_data, run_job
-from ddic.images.camera import CameraMapping, identity, similarity
+from bench.support.runs import ROOT, ddic_command, ddic_run, run_job
+from ddic.images.camera import CameraMapping, similarity
 from ddic.io.result_reader import Result, read_result
 
 TABLE = "near-far"
@@ -52,12 +53,6 @@ VARIANTS = {"continuous": "", "regularized": GAP}
 ALPHA_BOUND, ERROR_BOUND, JUMP_BOUND, DUAL_BOUND = 0.002, 0.003, 1e-10, 1e-9
 EXACT_TOLERANCE = 1e-12
 RANKS, CUTS = (1, 2, 3, 4), (4, 9)
-FOAM_RATIO, FOAM_OFFSET = 4.0, (-358.5, -838.5)
-FOAM_REGION = (74, 10, 370, 530)
-FOAM_HOLES = ((159, 30, 73), (261, 179, 72), (153, 298, 72), (281, 405, 72), (222, 552, 68))
-FOAM_ELEMENTS = (16, 20)
-FOAM_FIELD_BOUND, FOAM_ALPHA_BOUND, CALIBRATION_BOUND = 0.05, 0.05, 0.1
-ROUGH_RATIOS = (3.6, 4.4)
 
 
 def _scene(scale: Scale) -> Scene:
@@ -183,45 +178,6 @@ def measure_dual(scale: Scale) -> list[Row]:
                 len(found) == len(ranks) * len(cases) and max(largest, alpha) <= DUAL_BOUND)]
 
 
-def measure_foam(scale: Scale) -> list[Row]:
-    """Compare the joint field on real images with the near images measured alone, the full-resolution ones there.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes one mesh.
-
-    Returns
-    -------
-    list of Row
-        One for each mesh, and the calibration.
-    """
-    far, near = _foam_pairs()
-    folder = scale.folder("near_far")
-    rows = []
-    for size in FOAM_ELEMENTS[-1:] if scale.smoke else FOAM_ELEMENTS:
-        holes = ", ".join(f"{{ center = [{x}, {y}], radius = {r} }}" for x, y, r in FOAM_HOLES)
-        mesh = (f"[mesh.structured]\nregion = {list(FOAM_REGION)}\nelement_size = {size}\n"
-                f"circles = [{holes}]\n")
-        case = joint_case(far, near, mesh, f"{QUINTIC}[solver]\nsubdomains = {N_SUBDOMAINS}\n")
-        joint = _run(case, folder, f"foam_{size}")
-        alone = measured_alone(joint, 1, near, folder, QUINTIC)
-        difference = FOAM_RATIO * (joint.displacement[alone.nodes] - alone.seen)
-        alpha = alpha_of(joint)
-        spread = np.sqrt(np.diag(joint.attributes["near_1"]["covariance"]))
-        append_result(RUNS, {"check": "foam", "element_size": size, "rms_difference_near_px": rms(difference),
-                             "alpha_px": alpha.tolist(), "alpha_std_px": spread.tolist()})
-        rows.append(Row(
-            f"nearfar_foam, elements of {size} far px, no regularization: joint field against the full-resolution "
-            "(near) images measured alone on the same elements, alpha left out of neither",
-            f"RMS difference <= {FOAM_FIELD_BOUND} full-resolution px per component; alpha = 0 within "
-            f"{FOAM_ALPHA_BOUND} far px",
-            f"{rms(difference):.4f} full-resolution px at {len(alone.nodes)} nodes; alpha = ({alpha[0]:.4f} +- "
-            f"{spread[0]:.4f}, {alpha[1]:.4f} +- {spread[1]:.4f}) far px",
-            rms(difference) <= FOAM_FIELD_BOUND and float(np.abs(alpha).max()) <= FOAM_ALPHA_BOUND))
-    return [*rows, _calibration(far, near)]
-
-
 def measure_wrong_inputs(scale: Scale) -> list[Row]:
     """Give wrong inputs to ddic calibrate and ddic run: exit code 2 and one line that says what is wrong.
 
@@ -250,13 +206,13 @@ def measure_wrong_inputs(scale: Scale) -> list[Row]:
     misplaced = dataclasses.replace(near, mapping=away)
     too_large = dataclasses.replace(near, mapping=twice)
     asked = {
-        "calibrate: near image outside the far one": (_calibrate(cut, near.reference, ratio), not_found),
+        "calibrate: near image outside the far one": (calibrate_command(cut, near.reference, ratio), not_found),
         "run: near image outside the far one": (_refused(scene, far, misplaced, "outside"),
                                                 r"lies outside the far-field image"),
-        "calibrate: ratio too large by 2": (_calibrate(far.reference, near.reference, 2 * ratio), give_ratio),
-        "calibrate: ratio too small by 2": (_calibrate(far.reference, near.reference, ratio / 2), give_ratio),
+        "calibrate: ratio too large by 2": (calibrate_command(far.reference, near.reference, 2 * ratio), give_ratio),
+        "calibrate: ratio too small by 2": (calibrate_command(far.reference, near.reference, ratio / 2), give_ratio),
         "run: ratio too large by 2": (_refused(scene, far, too_large, "ratio"), no_such_thing),
-        "calibrate: no common texture": (_calibrate(far.reference, other, ratio), r"no common texture"),
+        "calibrate: no common texture": (calibrate_command(far.reference, other, ratio), r"no common texture"),
         "run: no common texture": (_refused(scene, far, stranger, "texture"), no_such_thing),
     }
     failed = []
@@ -271,7 +227,8 @@ def measure_wrong_inputs(scale: Scale) -> list[Row]:
 
 
 CHECKS: dict[str, Check] = {"exact": measure_exact, "noise": measure_noise, "dual": measure_dual, "foam": measure_foam,
-                            "errors": measure_wrong_inputs}
+                            "foam_places": measure_foam_places, "foam_noise": measure_foam_noise,
+                            "foam_sampling": measure_foam_sampling, "errors": measure_wrong_inputs}
 
 
 def _run(case: str, folder: Path, name: str) -> Result:
@@ -288,45 +245,6 @@ def _equation(variant: str) -> str:
     return "continuous (Eq. 21)" if variant == "continuous" else f"regularized (Eq. 23, l_c = {WAVELENGTH} px)"
 
 
-def _foam_pairs() -> tuple[Pair, Pair]:
-    folder = real_data() / "nearfar_foam"
-    far, near = (Pair(folder / f"{name}_ref.tif", folder / f"{name}_def.tif", mapping) for name, mapping in (
-        ("far", identity()), ("near", similarity(FOAM_RATIO, 0.0, FOAM_OFFSET))))
-    return far, near
-
-
-def _calibration(far: Pair, near: Pair) -> Row:
-    """What ddic calibrate prints from ratios 10 % off on either side."""
-    worst = np.zeros(3)
-    for rough in ROUGH_RATIOS:
-        printed = subprocess.run(_calibrate(far.reference, near.reference, rough), check=True, capture_output=True,
-                                 text=True, timeout=600).stdout
-        ratio, _ = _numbers_after("ratio", printed)[:2]
-        x, _, y, _ = _numbers_after("offset", printed)[:4]
-        off = np.abs(np.array([ratio, x, y]) - (FOAM_RATIO, *FOAM_OFFSET))
-        append_result(RUNS, {"check": "foam", "rough_ratio": rough, "ratio": ratio, "offset": [x, y]})
-        worst = np.maximum(worst, off)
-    across = worst[0] * _far_width(near)
-    return Row(f"nearfar_foam: ddic calibrate --ratio {' and '.join(map(str, ROUGH_RATIOS))}",
-               f"ratio {FOAM_RATIO:g} within {CALIBRATION_BOUND} near px over the near image; offsets {FOAM_OFFSET} "
-               f"within {CALIBRATION_BOUND} near px",
-               f"ratio off by {worst[0]:.1e}, {across:.4f} near px; offsets by {worst[1]:.4f}, {worst[2]:.4f} near px",
-               bool(max(across, worst[1], worst[2]) <= CALIBRATION_BOUND))
-
-
-def _far_width(pair: Pair) -> float:
-    """Width of a camera's image in far px."""
-    import tifffile
-
-    with tifffile.TiffFile(pair.reference) as file:
-        return float(file.pages[0].shape[1] / pair.mapping.homography[0, 0])
-
-
-def _numbers_after(name: str, printed: str) -> list[float]:
-    line = next(line for line in printed.splitlines() if re.match(rf"{name} {{2}}", line))
-    return [float(found) for found in re.findall(r"(?<![\w(])-?\d+\.\d+", line)]
-
-
 def _similarity_about_centre(near: Pair, ratio: float) -> CameraMapping:
     """A mapping of another ratio that leaves the centre of the near field where it is."""
     import tifffile
@@ -336,10 +254,6 @@ def _similarity_about_centre(near: Pair, ratio: float) -> CameraMapping:
     middle = np.array([(width - 1) / 2, (height - 1) / 2])
     focus = near.mapping.to_specimen(middle[None])[0]
     return similarity(ratio, 0.0, tuple(middle - ratio * focus))
-
-
-def _calibrate(far: Path, near: Path, ratio: float) -> list[str]:
-    return [ddic_command(), "calibrate", str(far), str(near), "--ratio", str(ratio)]
 
 
 def _refused(scene: Scene, far: Pair, near: Pair, name: str) -> list[str]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from bench.support.runs import ddic_run, images
+from bench.support.runs import ddic_command, ddic_run, images
 from ddic.images.camera import CameraMapping, identity
 from ddic.io.result_reader import Result, read_result
 from ddic.mesh.mesh import Mesh
@@ -179,6 +179,11 @@ def continuous(joint: Result) -> Fields:
     cells = joint.cell_data["Camera"].astype(np.int64)
     nodes = [joint.mesh.create_submesh(np.flatnonzero(cells == camera))[1] for camera in range(2)]
     return Fields(joint.mesh, cells, nodes, [joint.displacement[n] for n in nodes], alpha_of(joint))
+
+
+def calibrate_command(far: Path, near: Path, ratio: float) -> list[str]:
+    """Command that finds where a near reference image lies in a far one, from a rough ratio."""
+    return [ddic_command(), "calibrate", str(far), str(near), "--ratio", str(ratio)]
 
 
 def alpha_of(joint: Result) -> NDArray[np.float64]:
