@@ -1,4 +1,4 @@
-"""Right numbers: wherever the specimen is, whatever lies under a mask, up to the image's edge.
+"""Right numbers: wherever the specimen is, whatever lies under a mask, up to the image's edge; rates on the beam.
 
 Usage: python -m accept.right [--smoke] [CHECK ...]: all checks, or the named ones; exit code 1 where a bound is missed.
 """
@@ -16,6 +16,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 import ddic
+from accept.beam import measure_beam_kernels
 from accept.moved_specimen import measure_disturbed, measure_moved
 from accept.table import Check, Scale, run_table
 from bench.support.rows import Row
@@ -187,6 +188,7 @@ CHECKS: dict[str, Check] = {
     "masks": measure_masks,
     "half_amplitudes": measure_half_amplitudes,
     "edges": measure_edges,
+    "beam_kernels": measure_beam_kernels,
 }
 
 

@@ -87,17 +87,18 @@ def monolithic_record(case: BenchCase) -> dict[str, Any]:
             "monolithic_memory_bytes": sum(whole.summary["peak_memory_bytes"])}
 
 
-def pixel_record(case: BenchCase, iterations: int, repeats: int) -> dict[str, Any]:
+def pixel_record(case: BenchCase, iterations: int, repeats: int, passes: int = 1) -> dict[str, Any]:
     """Rates of the pixel work at the measured field, and how much faster two ranks are than one.
 
     Ranks alternate. The speed-up is that of all pixel work of a run with this many Gauss-Newton iterations: windows of
     f once, windows of g once with a pass, M once, a pass per iteration. Needs the files of ``run_record``'s run.
+    passes: how often each job does the work, of which it gives the median.
     """
     found: dict[int, list[dict[str, Any]]] = {1: [], RANKS: []}
     for _ in range(repeats):
         for n_ranks, records in found.items():
             files = (str(case.folder / f"{case.name}{suffix}") for suffix in (".toml", ".vtkhdf"))
-            records.extend(run_job(n_ranks, JOB, *files, "1"))
+            records.extend(run_job(n_ranks, JOB, *files, str(passes)))
     kinds = (*PIXEL_KINDS, "gradient")
     one, two = ({kind: {clock: median(r[kind][clock] for r in records) for clock in ("wall", "cpu", "busiest")}
                  for kind in kinds} for records in found.values())
@@ -110,10 +111,13 @@ def pixel_record(case: BenchCase, iterations: int, repeats: int) -> dict[str, An
     return {
         "rhs_mpx_per_s_core": n_pixels / two["residual"]["cpu"] / 1e6,
         "lhs_mpx_per_s_core": n_pixels / (two["gradient"]["cpu"] + two["M"]["cpu"]) / 1e6,
+        "rhs_mpx_per_s_1_rank": n_pixels / one["residual"]["cpu"] / 1e6,
+        "lhs_mpx_per_s_1_rank": n_pixels / (one["gradient"]["cpu"] + one["M"]["cpu"]) / 1e6,
         "pixel_speedup_2_ranks": total(one, "wall") / total(two, "wall"),
         "pixel_speedup_2_ranks_cpu": total(one, "cpu") / total(two, "busiest"),
         "pixel_wall_over_cpu": [total(times, "wall") / total(times, "busiest") for times in (one, two)],
         "pixel_speedup_by_kind": {kind: one[kind]["wall"] / two[kind]["wall"] for kind in kinds},
+        "pixel_speedup_by_kind_cpu": {kind: one[kind]["cpu"] / two[kind]["busiest"] for kind in kinds},
         "pixel_seconds_1_rank": one, "pixel_seconds_2_ranks": two,
     }
 
