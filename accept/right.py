@@ -1,6 +1,7 @@
 """Right numbers: wherever the specimen is, whatever lies under a mask, up to the image's edge, in every image form.
 
-The table of the house, which runs the others, is its last check and takes most of the time.
+Rates on the paper's beam too. The table of the house, which runs the others, is the last check and takes most of the
+time.
 
 Usage: python -m accept.right [--smoke] [CHECK ...]: all checks, or the named ones; exit code 1 where a bound is missed.
 """
@@ -18,6 +19,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 import ddic
+from accept.beam import measure_beam_kernels
 from accept.image_forms import measure_image_forms
 from accept.linear_step import measure_two_levels
 from accept.moved_specimen import measure_disturbed, measure_moved
@@ -195,6 +197,7 @@ CHECKS: dict[str, Check] = {
     "masks": measure_masks,
     "half_amplitudes": measure_half_amplitudes,
     "edges": measure_edges,
+    "beam_kernels": measure_beam_kernels,
     "image_forms": measure_image_forms,
     "two_levels": measure_two_levels,
     "smoke": measure_smoke,

@@ -15,7 +15,7 @@ from functools import cache
 from typing import Any
 
 from bench import kernels
-from bench.support.paper_case import CASES, MEASURED, TOLERANCE
+from bench.support.paper_case import CASES, MEASURED, TOLERANCE, BenchCase
 from bench.support.paper_record import monolithic_record, pixel_record, run_record, timed_runs
 from bench.support.rows import RESULTS, Row, append_result, show_all
 
@@ -44,15 +44,31 @@ def whole_command(name: str, repeats: int = REPEATS) -> tuple[Row, dict[str, Any
     return row, record
 
 
+def find_summary(case: BenchCase) -> dict[str, Any]:
+    """What a case's last run on disk says of itself; run now where there is none.
+
+    Parameters
+    ----------
+    case : BenchCase
+        The case.
+
+    Returns
+    -------
+    dict
+        The summary; the result lies beside it.
+    """
+    file = case.folder / f"{case.name}.json"
+    if not file.is_file():
+        timed_runs(case, 0)
+    summary: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    return summary
+
+
 @cache
 def speedup(name: str, repeats: int = REPEATS) -> tuple[Row, dict[str, Any]]:
     """Pixel work on 1 and 2 ranks, at the field that ``whole_command`` has left on disk."""
     case = CASES[name]()
-    summary_file = case.folder / f"{case.name}.json"
-    if not summary_file.is_file():
-        timed_runs(case, 0)
-    summary = json.loads(summary_file.read_text(encoding="utf-8"))
-    record = pixel_record(case, summary["iterations"], repeats)
+    record = pixel_record(case, find_summary(case)["iterations"], repeats)
     ratio, disturbed = record["pixel_speedup_2_ranks"], record["pixel_wall_over_cpu"]
     by_kind = ", ".join(f"{kind} {value:.2f}" for kind, value in record["pixel_speedup_by_kind"].items())
     quiet = max(disturbed) <= MOST_DISTURBED

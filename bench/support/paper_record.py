@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
@@ -87,17 +88,19 @@ def monolithic_record(case: BenchCase) -> dict[str, Any]:
             "monolithic_memory_bytes": sum(whole.summary["peak_memory_bytes"])}
 
 
-def pixel_record(case: BenchCase, iterations: int, repeats: int) -> dict[str, Any]:
+def pixel_record(case: BenchCase, iterations: int, repeats: int, passes: int = 1) -> dict[str, Any]:
     """Rates of the pixel work at the measured field, and how much faster two ranks are than one.
 
     Ranks alternate. The speed-up is that of all pixel work of a run with this many Gauss-Newton iterations: windows of
     f once, windows of g once with a pass, M once, a pass per iteration. Needs the files of ``run_record``'s run.
+    passes: how often each job does the work, of which it gives the median. Beside it, what two unrelated runs at once
+    do of this work relative to one: cores that share a cache, or have other work, keep two ranks below that.
     """
     found: dict[int, list[dict[str, Any]]] = {1: [], RANKS: []}
     for _ in range(repeats):
         for n_ranks, records in found.items():
             files = (str(case.folder / f"{case.name}{suffix}") for suffix in (".toml", ".vtkhdf"))
-            records.extend(run_job(n_ranks, JOB, *files, "1"))
+            records.extend(run_job(n_ranks, JOB, *files, str(passes)))
     kinds = (*PIXEL_KINDS, "gradient")
     one, two = ({kind: {clock: median(r[kind][clock] for r in records) for clock in ("wall", "cpu", "busiest")}
                  for kind in kinds} for records in found.values())
@@ -107,15 +110,28 @@ def pixel_record(case: BenchCase, iterations: int, repeats: int) -> dict[str, An
     def total(times: dict[str, dict[str, float]], clock: str) -> float:
         return sum(weights[kind] * times[kind][clock] for kind in PIXEL_KINDS)
 
+    at_once = _run_at_once(case, passes)
     return {
+        "pixel_work_of_2_runs_at_once": 2 * total(one, "cpu") / median(total(record, "cpu") for record in at_once),
         "rhs_mpx_per_s_core": n_pixels / two["residual"]["cpu"] / 1e6,
         "lhs_mpx_per_s_core": n_pixels / (two["gradient"]["cpu"] + two["M"]["cpu"]) / 1e6,
+        "mpx_per_s_1_rank": {kind: n_pixels / one[kind]["cpu"] / 1e6 for kind in kinds},
+        "best_mpx_per_s_1_rank": {kind: n_pixels / min(r[kind]["cpu"] for r in found[1]) / 1e6 for kind in kinds},
         "pixel_speedup_2_ranks": total(one, "wall") / total(two, "wall"),
         "pixel_speedup_2_ranks_cpu": total(one, "cpu") / total(two, "busiest"),
         "pixel_wall_over_cpu": [total(times, "wall") / total(times, "busiest") for times in (one, two)],
         "pixel_speedup_by_kind": {kind: one[kind]["wall"] / two[kind]["wall"] for kind in kinds},
+        "pixel_speedup_by_kind_cpu": {kind: one[kind]["cpu"] / two[kind]["busiest"] for kind in kinds},
         "pixel_seconds_1_rank": one, "pixel_seconds_2_ranks": two,
     }
+
+
+def _run_at_once(case: BenchCase, passes: int) -> list[dict[str, Any]]:
+    """Records of RANKS unrelated jobs of one rank that run at the same time: what the machine's cores allow."""
+    files = [str(case.folder / f"{case.name}{suffix}") for suffix in (".toml", ".vtkhdf")]
+    with ThreadPoolExecutor(RANKS) as pool:
+        jobs = [pool.submit(run_job, 1, JOB, *files, str(passes)) for _ in range(RANKS)]
+        return [record for job in jobs for record in job.result()]
 
 
 def _rms(error: NDArray[np.float64]) -> float:

@@ -215,3 +215,20 @@ def test_pixels_hidden_in_the_deformed_image_leave_m_too() -> None:
     assert hidden.any()
     assert (seen.compute_cell_hessians()[hidden] == 0).all()
     assert (one.compute_cell_hessians()[hidden] != 0).any()
+
+
+def test_no_correction_is_the_limit_of_small_ones() -> None:
+    mesh, width, height = onto_image(grid_mesh(3, 3, (9.0, 9.0)))
+    rng = np.random.default_rng(4)
+    correlation = read_correlation(mesh, random_source(rng, width, height, False), 3)
+    deformed = DeformedSubImage(random_source(rng, width, height, False), 3)
+    residual = correlation.compute_residual(deformed, np.zeros(mesh.n_dofs), all_kinds=True)
+    b = correlation.assemble_right_hand_side(residual)
+    ones = np.ones(mesh.n_cells)
+    # The same sums: nothing is multiplied by an excess of 0.
+    np.testing.assert_array_equal(correlation.assemble_right_hand_side(residual, ones, 0 * ones), b)
+    small = 1e-9
+    near = correlation.assemble_right_hand_side(residual, 1 + small * ones, small * ones)
+    # g and 1 against grad f are as large as r against it, but for a factor of a few hundred grey levels.
+    np.testing.assert_allclose(near, b, atol=1e3 * small * np.abs(b).max())
+    assert not np.array_equal(near, b)

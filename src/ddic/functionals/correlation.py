@@ -228,9 +228,11 @@ class Correlation:
             b, grey levels squared per pixel; Eq. 5 of [BP17].
         """
         moments = residual.moments
+        of_r, of_g, of_one = moments[:, 0], moments[:, 1], moments[:, 2]
+        if np.all(np.equal(gain, 1.0)) and not np.any(offset):
+            return self.interpolation.assemble_vector(of_r)
         excess = np.broadcast_to(np.asarray(gain) - 1.0, len(moments))[:, None, None]
         shift = np.broadcast_to(np.asarray(offset), len(moments))[:, None, None]
-        of_r, of_g, of_one = moments[:, 0], moments[:, 1], moments[:, 2]
         return self.interpolation.assemble_vector(of_r - excess * of_g - shift * of_one)
 
     def compute_residual_image(self, deformed: DeformedSubImage, q: NDArray[np.float64],
@@ -290,8 +292,10 @@ class Correlation:
             displaced = displaced[np.unique(np.delete(pad_cells(self.mesh), torn, axis=0))]
         if not len(displaced):
             return Window(0, 0, 1, 1)
-        left, top = np.floor(displaced.min(axis=0)).astype(int)
-        right, bottom = np.ceil(displaced.max(axis=0)).astype(int)
+        # One component after the other: numpy is slow where it looks for the least of pairs.
+        by_component = np.ascontiguousarray(displaced.T)
+        left, top = np.floor(by_component.min(axis=1)).astype(int)
+        right, bottom = np.ceil(by_component.max(axis=1)).astype(int)
         return Window(int(left) - 1, int(top) - 1, int(right) + 2, int(bottom) + 2)
 
     def _find_torn_cells(self, q: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -437,6 +441,8 @@ def _correlation(mesh: Mesh, raster: Raster, image: GradientImage, extent: Windo
 
 def _flatten(image: NDArray[Any]) -> NDArray[Any]:
     """An image (height, width), or a part of one, as one sequence of rows of ``_row_length``."""
+    if image.flags.c_contiguous:
+        return image.reshape(-1)
     height, width = image.shape
     n = (height - 1) * _row_length(image) + width
     return as_strided(image, (n,), (image.itemsize,))

@@ -266,6 +266,24 @@ class Segment(NamedTuple):
     lane: Any
 
 
+class Demand(NamedTuple):
+    """Rows of pixels of a later cell that are still to be asked for.
+
+    Attributes
+    ----------
+    run, last_run : uint64
+        The next row's run of pixels, and the one after the last row's.
+    in_reference, in_deformed : int64
+        Where the pixel of column 0 of that row would lie in the reference image's arrays, and the last tap's row of
+        its coefficients in the deformed image's.
+    """
+
+    run: Any
+    last_run: Any
+    in_reference: Any
+    in_deformed: Any
+
+
 # Unsigned, so that numba need not allow for negative indices: that keeps loops from being vectorised, and outside
 # them costs as much as the arithmetic on a pixel.
 _U = np.uint64
@@ -465,24 +483,23 @@ def _cubic_weights(t):
 
 
 @numba.njit(**INLINED)
-def _evaluate_cubic(deformed, n_runs, scratch):
-    """Evaluate the cubic spline at the lanes of runs."""
+def _evaluate_cubic(deformed, run, scratch):
+    """Evaluate the cubic spline at the lanes of a run."""
     c, lanes, bounds = deformed.coefficients, scratch.lanes, scratch.bounds
     d1, d2, d3 = _U(deformed.row_length), _U(2 * deformed.row_length), _U(3 * deformed.row_length)
-    for run in range(_U(n_runs)):
-        first, begin, end = _U(bounds[run + _RUN_AT]), _U(bounds[run + _RUN_BEGIN]), _U(bounds[run + _RUN_END])
-        for k in range(end - begin):
-            x0, x1, x2, x3 = _cubic_weights(lanes[k + begin + _FRACTION_X])
-            y0, y1, y2, y3 = _cubic_weights(lanes[k + begin + _FRACTION_Y])
-            i = first + k
-            a0 = y0 * c[i] + y1 * c[i + d1] + y2 * c[i + d2] + y3 * c[i + d3]
-            i += _U(1)
-            a1 = y0 * c[i] + y1 * c[i + d1] + y2 * c[i + d2] + y3 * c[i + d3]
-            i += _U(1)
-            a2 = y0 * c[i] + y1 * c[i + d1] + y2 * c[i + d2] + y3 * c[i + d3]
-            i += _U(1)
-            a3 = y0 * c[i] + y1 * c[i + d1] + y2 * c[i + d2] + y3 * c[i + d3]
-            lanes[k + begin + _G] = x0 * a0 + x1 * a1 + x2 * a2 + x3 * a3
+    first, begin, end = _U(bounds[run + _RUN_AT]), _U(bounds[run + _RUN_BEGIN]), _U(bounds[run + _RUN_END])
+    for k in range(end - begin):
+        x0, x1, x2, x3 = _cubic_weights(lanes[k + begin + _FRACTION_X])
+        y0, y1, y2, y3 = _cubic_weights(lanes[k + begin + _FRACTION_Y])
+        i = first + k
+        a0 = y0 * c[i] + y1 * c[i + d1] + y2 * c[i + d2] + y3 * c[i + d3]
+        i += _U(1)
+        a1 = y0 * c[i] + y1 * c[i + d1] + y2 * c[i + d2] + y3 * c[i + d3]
+        i += _U(1)
+        a2 = y0 * c[i] + y1 * c[i + d1] + y2 * c[i + d2] + y3 * c[i + d3]
+        i += _U(1)
+        a3 = y0 * c[i] + y1 * c[i + d1] + y2 * c[i + d2] + y3 * c[i + d3]
+        lanes[k + begin + _G] = x0 * a0 + x1 * a1 + x2 * a2 + x3 * a3
 
 
 @numba.njit(**STAGE)
@@ -500,27 +517,26 @@ def _quintic_weights(t):
 
 
 @numba.njit(**STAGE)
-def _evaluate_quintic(deformed, n_runs, scratch):
-    """Evaluate the quintic spline at the lanes of runs."""
+def _evaluate_quintic(deformed, run, scratch):
+    """Evaluate the quintic spline at the lanes of a run."""
     c, lanes, bounds = deformed.coefficients, scratch.lanes, scratch.bounds
     d = _U(deformed.row_length)
-    for run in range(_U(n_runs)):
-        first, begin, end = _U(bounds[run + _RUN_AT]), _U(bounds[run + _RUN_BEGIN]), _U(bounds[run + _RUN_END])
-        for k in range(end - begin):
-            x0, x1, x2, x3, x4, x5 = _quintic_weights(lanes[k + begin + _FRACTION_X])
-            y0, y1, y2, y3, y4, y5 = _quintic_weights(lanes[k + begin + _FRACTION_Y])
-            i0 = first + k
-            i1 = i0 + d
-            i2 = i1 + d
-            i3 = i2 + d
-            i4 = i3 + d
-            i5 = i4 + d
-            value = 0.0
-            for j, x in enumerate((x0, x1, x2, x3, x4, x5)):
-                o = _U(j)
-                value += x * (y0 * c[i0 + o] + y1 * c[i1 + o] + y2 * c[i2 + o]
-                              + y3 * c[i3 + o] + y4 * c[i4 + o] + y5 * c[i5 + o])
-            lanes[k + begin + _G] = value
+    first, begin, end = _U(bounds[run + _RUN_AT]), _U(bounds[run + _RUN_BEGIN]), _U(bounds[run + _RUN_END])
+    for k in range(end - begin):
+        x0, x1, x2, x3, x4, x5 = _quintic_weights(lanes[k + begin + _FRACTION_X])
+        y0, y1, y2, y3, y4, y5 = _quintic_weights(lanes[k + begin + _FRACTION_Y])
+        i0 = first + k
+        i1 = i0 + d
+        i2 = i1 + d
+        i3 = i2 + d
+        i4 = i3 + d
+        i5 = i4 + d
+        value = 0.0
+        for j, x in enumerate((x0, x1, x2, x3, x4, x5)):
+            o = _U(j)
+            value += x * (y0 * c[i0 + o] + y1 * c[i1 + o] + y2 * c[i2 + o]
+                          + y3 * c[i3 + o] + y4 * c[i4 + o] + y5 * c[i5 + o])
+        lanes[k + begin + _G] = value
 
 
 @numba.njit(**INLINED)
@@ -596,8 +612,45 @@ def _weigh_deformed(deformed, batch, scratch):
 
 
 @numba.njit(**INLINED)
-def _evaluate_deformed(cells, displacement, reference, deformed, batch, scratch):
-    """Evaluate g at x + u(x) and the weights of a batch: 0 where x + u leaves the image, or f or g excludes it."""
+def _demand(cells, displacement, reference, deformed, visit):
+    """Rows of the cell that is visited AHEAD of another one, none where there is none."""
+    if visit + AHEAD >= len(cells.order):
+        return Demand(_0, _0, np.int64(0), np.int64(0))
+    e = _U(cells.order[visit + AHEAD])
+    # The cell's centre stands for its pixels, and the rows above the last tap's were asked for by the cell above it.
+    right = np.int64(np.floor(displacement[e, 0, 0])) + 1
+    down = np.int64(np.floor(displacement[e, 1, 0])) + deformed.degree + 1
+    y = cells.first_row[e]
+    return Demand(_U(cells.row_ptr[e]), _U(cells.row_ptr[e + _1]),
+                  (y - reference.y0) * reference.row_length - reference.x0,
+                  (y + down - deformed.y0) * deformed.row_length + right - deformed.x0)
+
+
+@numba.njit(**INLINED)
+def _fetch_row(cells, reference, deformed, demand):
+    """Ask for the next row and for the line after it, where the next cell is likely to begin; returns what is left.
+
+    A row at a time, between others' work: many requests at once would have to wait for each other.
+    """
+    run, last_run, in_reference, in_deformed = demand
+    if run >= last_run:
+        return demand
+    x, stop = np.int64(cells.starts[run]), np.int64(cells.stops[run]) + (2 * LINE - 1)
+    while x < stop:
+        prefetch(reference.values, in_reference + x)
+        prefetch(reference.by_x, in_reference + x)
+        prefetch(reference.by_y, in_reference + x)
+        prefetch(deformed.coefficients, in_deformed + x)
+        x += LINE
+    return Demand(run + _1, last_run, in_reference + reference.row_length, in_deformed + deformed.row_length)
+
+
+@numba.njit(**INLINED)
+def _evaluate_deformed(cells, displacement, reference, deformed, batch, demand, scratch):
+    """Evaluate g at x + u(x) and the weights of a batch: 0 where x + u leaves the image, or f or g excludes it.
+
+    Asks for a row of the later cell with each of its own; returns what is left to ask for.
+    """
     _find_local_coordinates(cells.geometry, batch, scratch)
     _weigh(reference, batch, scratch)
     least_x, least_y, most_x, most_y = _displace(displacement, batch, scratch)
@@ -614,12 +667,15 @@ def _evaluate_deformed(cells, displacement, reference, deformed, batch, scratch)
         for s in range(batch.n_segments):
             _keep_inside(displacement, batch.cell, _segment(scratch, s), deformed, scratch)
     n_runs = _find_runs(uniform, deformed, batch, scratch)
-    if deformed.degree == 3:
-        _evaluate_cubic(deformed, n_runs, scratch)
-    else:
-        _evaluate_quintic(deformed, n_runs, scratch)
+    for run in range(_U(n_runs)):
+        demand = _fetch_row(cells, reference, deformed, demand)
+        if deformed.degree == 3:
+            _evaluate_cubic(deformed, run, scratch)
+        else:
+            _evaluate_quintic(deformed, run, scratch)
     if deformed.usable.size > 0:
         _weigh_deformed(deformed, batch, scratch)
+    return demand
 
 
 @numba.njit(**INLINED)
@@ -710,14 +766,6 @@ def _fetch_rows(array, row_length, x0, y0, cells, e):
 
 
 @numba.njit(**INLINED)
-def _fetch_spline(deformed, displacement, cells, e):
-    """The same of the coefficients that cell e, displaced as its centre is, needs."""
-    right = np.int64(np.floor(displacement[e, 0, 0])) + 1
-    down = np.int64(np.floor(displacement[e, 1, 0])) + deformed.degree + 1
-    _fetch_rows(deformed.coefficients, deformed.row_length, deformed.x0 - right, deformed.y0 - down, cells, e)
-
-
-@numba.njit(**INLINED)
 def _fetch_reference(reference, cells, e):
     """The same of the reference image and its slopes, in one loop."""
     begin = (cells.first_row[e] - reference.y0) * reference.row_length - reference.x0
@@ -766,21 +814,22 @@ def residual_sums(cells, displacement, reference, deformed, all_kinds, sums):
         e = _U(cells.order[visit])
         if visit + AHEAD < len(cells.order):
             later = _U(cells.order[visit + AHEAD])
-            _fetch_spline(deformed, displacement, cells, later)
-            _fetch_reference(reference, cells, later)
             _fetch_numbers(flat_geometry, later, 8)
             _fetch_numbers(flat_moments, later, 24)
             _fetch_numbers(flat_grey, later, N_SUMS)
+        demand = _demand(cells, displacement, reference, deformed, visit)
         place = _begin_cell(cells, e)
         while place.run < place.last_run:
             batch, place = _take_batch(cells, reference, e, place, scratch)
             if batch.n_segments == 0:
                 continue
-            _evaluate_deformed(cells, displacement, reference, deformed, batch, scratch)
+            demand = _evaluate_deformed(cells, displacement, reference, deformed, batch, demand, scratch)
             _add_residual_sums(batch, scratch, sums)
             if all_kinds:
                 for kind in range(1, 3):
                     _add_moments(kind, batch, scratch, sums)
+        while demand.run < demand.last_run:
+            demand = _fetch_row(cells, reference, deformed, demand)
 
 
 @numba.njit(**FLAGS)
@@ -811,15 +860,14 @@ def fill_residual_pixels(cells, displacement, reference, deformed, gain, offset,
         e = _U(cells.order[visit])
         if visit + AHEAD < len(cells.order):
             later = _U(cells.order[visit + AHEAD])
-            _fetch_spline(deformed, displacement, cells, later)
-            _fetch_rows(reference.values, reference.row_length, reference.x0, reference.y0, cells, later)
             _fetch_rows(flat_out, out.shape[1], reference.x0, reference.y0, cells, later)
+        demand = _demand(cells, displacement, reference, deformed, visit)
         place = _begin_cell(cells, e)
         while place.run < place.last_run:
             batch, place = _take_batch(cells, values, e, place, scratch)
             if batch.n_segments == 0:
                 continue
-            _evaluate_deformed(cells, displacement, reference, deformed, batch, scratch)
+            demand = _evaluate_deformed(cells, displacement, reference, deformed, batch, demand, scratch)
             for s in range(batch.n_segments):
                 segment = _segment(scratch, s)
                 row, column = segment.y - reference.y0, segment.x - reference.x0
@@ -829,6 +877,8 @@ def fill_residual_pixels(cells, displacement, reference, deformed, gain, offset,
                     g = scratch.lanes[k + lane + _G]
                     r = reference.values[k + i_f] - gain[e] * g - offset[e]
                     flat_out[k + i_out] = r if scratch.lanes[k + lane + _WEIGHT] > 0.0 else np.nan
+        while demand.run < demand.last_run:
+            demand = _fetch_row(cells, values, deformed, demand)
 
 
 @numba.njit(**INLINED)
@@ -964,6 +1014,7 @@ def hessian_cells(cells, shapes, reference, out):
         Indices a, component, b, component; grey levels squared per pixel squared.
     """
     scratch = _new_scratch()
+    flat_geometry, flat_out = cells.geometry.reshape(-1), out.reshape(-1)
     S, product = np.empty((3, 3, 3)), np.empty(16)
     W = _multiply_shapes(shapes.coefficients)
     # Values are not needed: what is read in their place is in the cache.
@@ -972,7 +1023,10 @@ def hessian_cells(cells, shapes, reference, out):
     for visit in range(len(cells.order)):
         e = _U(cells.order[visit])
         if visit + AHEAD < len(cells.order):
-            _fetch_reference(slopes, cells, _U(cells.order[visit + AHEAD]))
+            later = _U(cells.order[visit + AHEAD])
+            _fetch_reference(slopes, cells, later)
+            _fetch_numbers(flat_geometry, later, 8)
+            _fetch_numbers(flat_out, later, 64)
         S[:] = 0.0
         linear = _has_linear_shapes(shapes, e)
         place = _begin_cell(cells, e)
