@@ -87,7 +87,7 @@ accept-near-far: setup ## measure the acceptance table of near-field and far-fie
 accept-house: $(BENCH_STAMP) $(DOCS_STAMP) ## measure the table of the house: the other four tables, fields and rates as before (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.house $(CHECK)
 
-accept-right: $(BENCH_STAMP) ## measure the table of right numbers: moved specimens, masks, cut-off wavelengths, edges, rates on the beam (CHECK=NAME: one check)
+accept-right: $(BENCH_STAMP) $(DOCS_STAMP) ## measure the table of right numbers: moved specimens, masks, cut-off wavelengths, edges, rates on the beam (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.right $(CHECK)
 
 smoke: setup ## run every check of every acceptance table on tiny cases: minutes, no bound is judged
