@@ -19,14 +19,14 @@ def to_petsc_integers(numbers: NDArray[Any], what: str) -> NDArray[Any]:
 
     Parameters
     ----------
-    numbers : array of integers
+    numbers : (n,) array of integers
         Not negative.
     what : str
         What is counted, for the message.
 
     Returns
     -------
-    array of PETSc.IntType
+    (n,) array of PETSc.IntType
         The same numbers.
 
     Raises
