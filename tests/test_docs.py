@@ -26,6 +26,7 @@ SECTIONS: dict[str, type[BaseModel]] = {
     "[mesh]": schema.MeshSection,
     "[mesh.structured]": schema.StructuredSection,
     "[mesh.mapping]": schema.MappingSection,
+    "[discontinuity]": schema.DiscontinuitySection,
     "[correlation]": schema.CorrelationSection,
     "[regularization]": schema.RegularizationSection,
     "[solver]": schema.SolverSection,

@@ -212,6 +212,15 @@ def test_example_fits_a_page(script: Path) -> None:
     assert NUMBER.search(shown_in_docstring(script))
 
 
+def test_sliding(tmp_path: Path) -> None:
+    continuous, extended, slip, spread = run_script("sliding", tmp_path)
+    # 8 bit leave a few thousandths on 32-px elements; the smeared slip of 0.45 px is ten times that.
+    assert extended < 3e-3
+    assert continuous > 10 * extended
+    assert slip == pytest.approx(0.45, abs=0.01)
+    assert spread < 0.01
+
+
 def test_measure_arrays(tmp_path: Path) -> None:
     strain_xx, strain_yy, rms, _ = run_script("measure_arrays", tmp_path)
     # Noise of the mean over 260 px and ten rows of nodes stays below 1e-4.

@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -343,6 +344,32 @@ class NearSection(Section):
         return self
 
 
+class DiscontinuitySection(Section):
+    """A line across which the displacement may be discontinuous: a crack, a shear band, a sliding interface."""
+
+    vertices: Annotated[tuple[tuple[Finite, Finite], ...], Field(min_length=2)] = Field(
+        description=(
+            "The line in the reference image: two points, or more for a polyline. It may end inside the mesh, where "
+            "nothing opens ahead of the last element that it crosses from side to side."
+        ),
+        json_schema_extra={"unit": "px", "shape": "list of [x, y]"},
+    )
+    opening: Literal["both", "tangential", "normal"] = Field(
+        default="both",
+        description=(
+            "In which directions the displacement may be discontinuous: any, along the line only (sliding, shear "
+            "bands), or across it only."
+        ),
+    )
+
+    @model_validator(mode="after")
+    def _has_length(self) -> DiscontinuitySection:
+        """Refuse vertices that repeat the one before."""
+        if any(one == other for one, other in pairwise(self.vertices)):
+            raise ValueError("discontinuity.vertices: a vertex repeats the one before it")
+        return self
+
+
 class CorrelationSection(Section):
     """How grey levels are interpolated and compared."""
 
@@ -577,12 +604,20 @@ class Case(Section):
     images: ImagesSection
     near: tuple[NearSection, ...] = ()
     mesh: MeshSection
+    discontinuity: tuple[DiscontinuitySection, ...] = ()
     correlation: CorrelationSection = CorrelationSection()
     regularization: RegularizationSection | None = None
     solver: SolverSection = SolverSection()
     gauss_newton: GaussNewtonSection = GaussNewtonSection()
     start: StartSection = StartSection()
     output: OutputSection = OutputSection()
+
+    @model_validator(mode="after")
+    def _one_camera_sees_discontinuities(self) -> Case:
+        """Refuse discontinuities beside near fields."""
+        if self.near and self.discontinuity:
+            raise ValueError("[[discontinuity]] and [[near]] do not go together yet; measure the near field alone")
+        return self
 
     @model_validator(mode="after")
     def _near_needs_an_interface(self) -> Case:

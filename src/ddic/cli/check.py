@@ -50,10 +50,12 @@ def _lines(report: CheckReport) -> list[tuple[str, str]]:
         regularization = report.half_amplitudes.describe()
     else:
         regularization = "weight eta given" if report.n_controlled_dofs else "none"
+    cut = [] if report.discontinuities is None else [("discontinuities", report.discontinuities)]
     return [
         ("images", f"{width} x {height} px, {kind}"),
         ("mesh", f"{report.n_nodes} nodes, {report.n_cells} cells ({cells})"),
         ("node sets", sets or "none"),
+        *cut,
         ("unknowns", f"{report.n_dofs}, {report.n_controlled_dofs} of them mechanically controlled"),
         ("regularization", regularization),
         ("pixels per element", f"{report.pixels_min} at least, {report.pixels_mean:.1f} on average"),

@@ -15,6 +15,7 @@ from scipy import sparse
 from ddic.errors import InputError
 from ddic.functionals import pixel_kernels as kernels
 from ddic.functionals.grey_statistics import GreySums
+from ddic.functionals.line_band import find_band_pixels
 from ddic.functionals.torn_cells import find_torn_cells
 from ddic.images.spline import HALO, PADDING, GradientImage, SplineImage
 from ddic.images.sub_image import DeformedSubImage, MaskedSource, read_reference
@@ -405,11 +406,13 @@ def read_correlations(meshes: Sequence[Mesh], reference: MaskedSource, degree: i
     if not all(extent.contains(window) for window in windows):
         raise InputError(f"{reference.image.path}: pixels of the mesh lie outside the image "
                          f"({extent.width} x {extent.height} px); move or cut the mesh")
-    groups = []
+    groups: list[list[Correlation]] = []
     for common, members in merge_windows(windows, HALO[degree] + PADDING[degree]):
         image = read_reference(reference, common, degree, threads)
-        groups.append([_correlation(meshes[k], rasters[k], image.restrict(windows[k]), extent, threads)
-                       for k in members])
+        groups.append([])
+        for k in members:
+            own = _without_band(meshes[k], rasters[k], image.restrict(windows[k]), degree)
+            groups[-1].append(_correlation(meshes[k], rasters[k], own, extent, threads))
     return groups
 
 
@@ -437,6 +440,16 @@ def _correlation(mesh: Mesh, raster: Raster, image: GradientImage, extent: Windo
     x, y = mesh.centroids.T
     order = np.lexsort((x, y // BAND)).astype(np.int64)
     return Correlation(mesh, interpolate_cells(mesh), raster, image, extent, order, threads)
+
+
+def _without_band(mesh: Mesh, raster: Raster, image: GradientImage, degree: int) -> GradientImage:
+    """The window of the reference image with the pixels near a discontinuity left out."""
+    pixels, _ = find_band_pixels(mesh, raster, degree)
+    if not len(pixels):
+        return image
+    usable = np.ones(image.values.shape, dtype=np.uint8) if image.usable is None else image.usable.copy()
+    usable[pixels[:, 1] - image.window.y0, pixels[:, 0] - image.window.x0] = 0
+    return replace(image, usable=usable)
 
 
 def _flatten(image: NDArray[Any]) -> NDArray[Any]:

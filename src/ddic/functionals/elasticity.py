@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.kinematics.cell_interpolation import interpolate_cells
+from ddic.mesh.cell_parts import CellParts, place_quadrature_points
+from ddic.mesh.interpolation import differentiate_shapes_at
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.monomials import N_MONOMIALS
 from ddic.mesh.shapes import compute_shape_gradients
@@ -39,7 +41,7 @@ class Material:
 
 
 def integrate_cell_stiffness(mesh: Mesh, material: Material) -> NDArray[np.float64]:
-    """Integrate K_e = int lambda div u div v + 2 mu eps(u) : eps(v) over every cell.
+    """Integrate K_e = int lambda div u div v + 2 mu eps(u) : eps(v) over every cell, or its part.
 
     Parameters
     ----------
@@ -53,21 +55,41 @@ def integrate_cell_stiffness(mesh: Mesh, material: Material) -> NDArray[np.float
     (n_cells, 4 dim, 4 dim) array
         K_e between displacement components, node-major; zero for nodes that a cell does not have.
     """
-    lame, shear = material.lame
     width = N_MONOMIALS * mesh.dim
     cells = np.zeros((mesh.n_cells, width, width))
     for block in mesh.cell_blocks:
         quadrature = block.type.quadrature
         gradients, det = compute_shape_gradients(mesh, block, quadrature.points)
         products = _integrate_products(gradients, det * quadrature.weights)
-        # 2 mu eps(u) : eps(v) = mu (grad u : grad v + grad u : grad v^T)
-        stiffness = lame * products + shear * products.swapaxes(2, 4)
-        laplacian = shear * np.trace(products, axis1=2, axis2=4)
-        for i in range(mesh.dim):
-            stiffness[:, :, i, :, i] += laplacian
         n = block.type.n_nodes * mesh.dim
-        cells[block.cells, :n, :n] = stiffness.reshape(-1, n, n)
+        cells[block.cells, :n, :n] = _weigh_products(products, material).reshape(-1, n, n)
+    if mesh.parts is not None and mesh.parts.n_parts:
+        cells[mesh.parts.cells] = _integrate_parts(mesh, mesh.parts, material)
     return cells
+
+
+def _integrate_parts(mesh: Mesh, parts: CellParts, material: Material) -> NDArray[np.float64]:
+    """K_e of the cells that are parts, over their outlines: (n_parts, 4 dim, 4 dim)."""
+    points, weights, numbers = place_quadrature_points(parts)
+    gradients = differentiate_shapes_at(mesh, parts.cells[numbers], points)
+    rows = gradients.reshape(len(points), -1)
+    at_points = rows[:, :, None] * (weights[:, None] * rows)[:, None, :]
+    ends = np.searchsorted(numbers, np.arange(len(parts.cells)))
+    products = np.add.reduceat(at_points, ends, axis=0)
+    k, dim = gradients.shape[1:]
+    of_parts = _weigh_products(products.reshape(-1, k, dim, k, dim), material)
+    return of_parts.reshape(len(parts.cells), k * dim, k * dim)
+
+
+def _weigh_products(products: NDArray[np.float64], material: Material) -> NDArray[np.float64]:
+    """K_e from the integrals of dN_a/dx_i dN_b/dx_j, both (n_cells, a, i, b, j)."""
+    lame, shear = material.lame
+    # 2 mu eps(u) : eps(v) = mu (grad u : grad v + grad u : grad v^T)
+    stiffness = lame * products + shear * products.swapaxes(2, 4)
+    laplacian = shear * np.trace(products, axis1=2, axis2=4)
+    for i in range(products.shape[2]):
+        stiffness[:, :, i, :, i] += laplacian
+    return stiffness
 
 
 def assemble_stiffness(mesh: Mesh, material: Material) -> sparse.csr_matrix:

@@ -180,8 +180,8 @@ def displacement_at(result: Result, points: NDArray[np.float64]) -> NDArray[np.f
     Returns
     -------
     (n, 2) array
-        Pixels: the nodal value where a node lies within 1e-9 px, else linear interpolation between the nodes
-        (Delaunay), and the nearest node outside their hull.
+        Pixels: the nodal value where a node lies within 1e-9 px, else what was measured there, outside the mesh
+        linear interpolation between the nodes (Delaunay), and the nearest node outside their hull.
     """
     from scipy.interpolate import LinearNDInterpolator
     from scipy.spatial import cKDTree
@@ -191,7 +191,9 @@ def displacement_at(result: Result, points: NDArray[np.float64]) -> NDArray[np.f
     values: NDArray[np.float64] = result.displacement[nearest]
     apart = distance > SAME_NODE_PX
     if apart.any():
-        between = np.asarray(LinearNDInterpolator(nodes, result.displacement)(points[apart]))
+        measured = result.at(points[apart])
+        guessed = np.asarray(LinearNDInterpolator(nodes, result.displacement)(points[apart]))
+        between = np.where(np.isnan(measured), guessed, measured)
         values[apart] = np.where(np.isnan(between), values[apart], between)
     return values
 

@@ -8,8 +8,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.mesh.interpolation import differentiate_shapes_at
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.shapes import compute_shape_gradients
+from ddic.mesh.shapes import compute_shape_gradients, pad_cells
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,11 @@ def _cell_gradients(mesh: Mesh, q: NDArray[np.float64]) -> NDArray[np.float64]:
     for block in mesh.cell_blocks:
         slopes, _ = compute_shape_gradients(mesh, block, block.type.centre[None])
         gradient[block.cells] = np.einsum("eac,eaj->ecj", u[block.nodes], slopes[:, 0])
+    if mesh.parts is not None and mesh.parts.n_parts:
+        # In the middle of the part, which need not hold the cell's.
+        cells = mesh.parts.cells
+        slopes_at = differentiate_shapes_at(mesh, cells, mesh.centroids[cells])
+        gradient[cells] = np.einsum("eac,eaj->ecj", u[pad_cells(mesh)[cells]], slopes_at)
     return gradient
 
 

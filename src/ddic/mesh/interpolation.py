@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.shapes import compute_geometry
+from ddic.mesh.monomials import N_MONOMIALS, differentiate_monomials, evaluate_monomials
+from ddic.mesh.shapes import compute_geometry, pad_shapes
 
 EDGE = 1e-6
 """Distance, pixels, by which a point may lie outside a cell and still be found in it: rounding of coordinates. A larger
@@ -112,6 +113,63 @@ def interpolate_located(mesh: Mesh, values: NDArray[np.float64], located: Locate
     return found
 
 
+def evaluate_shapes_at(mesh: Mesh, cells: NDArray[np.int64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Evaluate the shape functions of cells at points in them.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        That the cells are of.
+    cells : (n,) array of int64
+        A cell for each point.
+    points : (n, dim) array
+        Pixels.
+
+    Returns
+    -------
+    (n, 4) array
+        N_a; zero for nodes that a cell does not have.
+    """
+    local = np.empty(points.shape)
+    _find_local_coordinates(points, cells, compute_geometry(mesh), local)
+    monomials = evaluate_monomials(local)
+    shapes = np.zeros((len(points), N_MONOMIALS))
+    for block in mesh.cell_blocks:
+        members = mesh.types[cells] == block.type.vtk
+        shapes[members] = monomials[members] @ pad_shapes(block.type).T
+    return shapes
+
+
+def differentiate_shapes_at(mesh: Mesh, cells: NDArray[np.int64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Differentiate the shape functions of cells at points in them.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        That the cells are of.
+    cells : (n,) array of int64
+        A cell for each point.
+    points : (n, dim) array
+        Pixels.
+
+    Returns
+    -------
+    (n, 4, dim) array
+        dN_a / dx_j, 1/px; zero for nodes that a cell does not have.
+    """
+    local = np.empty(points.shape)
+    geometry = compute_geometry(mesh)
+    _find_local_coordinates(points, cells, geometry, local)
+    by_local = differentiate_monomials(local)
+    jacobian = np.einsum("pim,pmj->pij", geometry[cells], by_local)
+    by_x = by_local @ np.linalg.inv(jacobian)
+    gradients = np.zeros((len(points), N_MONOMIALS, mesh.dim))
+    for block in mesh.cell_blocks:
+        members = mesh.types[cells] == block.type.vtk
+        gradients[members] = np.einsum("am,pmj->paj", pad_shapes(block.type), by_x[members])
+    return gradients
+
+
 def locate(mesh: Mesh, points: NDArray[np.float64]) -> Located:
     """Find the cells that hold points, and the points' places in them.
 
@@ -133,7 +191,8 @@ def locate(mesh: Mesh, points: NDArray[np.float64]) -> Located:
     cells = np.full(len(points), -1, dtype=np.int64)
     local = np.full(points.shape, np.nan)
     if mesh.n_cells:
-        polygons = _Polygons(mesh.nodes, mesh.connectivity, mesh.offsets)
+        outlines = mesh.outlines
+        polygons = _Polygons(outlines.corners, outlines.connectivity, outlines.offsets)
         _find_cells(points, polygons, _sort_into_buckets(mesh), EDGE, cells)
         _find_local_coordinates(points, cells, compute_geometry(mesh), local)
     return Located(cells, local)
@@ -141,9 +200,10 @@ def locate(mesh: Mesh, points: NDArray[np.float64]) -> Located:
 
 def _sort_into_buckets(mesh: Mesh) -> _Buckets:
     """Sort a mesh's cells into a grid of about as many squares."""
-    corners = mesh.nodes[mesh.connectivity]
-    lowest = np.minimum.reduceat(corners, mesh.offsets[:-1], axis=0) - EDGE
-    highest = np.maximum.reduceat(corners, mesh.offsets[:-1], axis=0) + EDGE
+    outlines = mesh.outlines
+    corners = outlines.corners[outlines.connectivity]
+    lowest = np.minimum.reduceat(corners, outlines.offsets[:-1], axis=0) - EDGE
+    highest = np.maximum.reduceat(corners, outlines.offsets[:-1], axis=0) + EDGE
     low, high = lowest.min(axis=0), highest.max(axis=0)
     width, height = high - low
     size = float(np.sqrt(width * height * CELLS_A_BUCKET / mesh.n_cells))

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.mesh.cell_parts import CellParts, Outlines, join_parts
 from ddic.mesh.cell_type import CELL_TYPES, CellType
 
 
@@ -108,6 +109,8 @@ class Mesh:
         Sorted node numbers by name.
     mapping : Similarity
         From the mesh file's units to pixels.
+    parts : CellParts, optional
+        Outlines of the cells that a discontinuity cut, each side of them a cell with nodes of its own.
     """
 
     nodes: NDArray[np.float64]
@@ -116,6 +119,7 @@ class Mesh:
     types: NDArray[np.uint8]
     node_sets: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
     mapping: Similarity = field(default_factory=Similarity)
+    parts: CellParts | None = None
 
     @property
     def dim(self) -> int:
@@ -157,10 +161,17 @@ class Mesh:
         return tuple(blocks)
 
     @cached_property
+    def outlines(self) -> Outlines:
+        """What each cell covers: the polygon of its nodes, or its part of that."""
+        whole = Outlines(self.nodes, self.connectivity, self.offsets)
+        return whole if self.parts is None else join_parts(whole, self.parts)
+
+    @cached_property
     def centroids(self) -> NDArray[np.float64]:
-        """Mean of each cell's nodes, (n_cells, dim), pixels."""
-        sums = np.add.reduceat(self.nodes[self.connectivity], self.offsets[:-1], axis=0)
-        return np.asarray(sums / np.diff(self.offsets)[:, None])
+        """Mean of the corners of each cell's outline, (n_cells, dim), pixels."""
+        outlines = self.outlines
+        sums = np.add.reduceat(outlines.corners[outlines.connectivity], outlines.offsets[:-1], axis=0)
+        return np.asarray(sums / np.diff(outlines.offsets)[:, None])
 
     def create_submesh(self, cells: NDArray[np.int64]) -> tuple[Mesh, NDArray[np.int64]]:
         """Restrict the mesh to some of its cells and to their nodes.
@@ -181,8 +192,9 @@ class Mesh:
         used = padded >= 0
         node_ids, local = np.unique(padded[used], return_inverse=True)
         sets = {name: _restrict(node_ids, members) for name, members in self.node_sets.items()}
+        parts = None if self.parts is None else self.parts.restrict(cells)
         mesh = Mesh(self.nodes[node_ids], local.reshape(-1).astype(np.int64), _offsets(used.sum(axis=1)),
-                    self.types[cells], sets, self.mapping)
+                    self.types[cells], sets, self.mapping, parts)
         return mesh, node_ids
 
 

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from ddic.images.window import Window
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.shapes import pad_cells
 
 SNAP = float(2**20)
 """Crossings are rounded to multiples of 1/SNAP px, so that rounding errors where two edges meet cannot fall on
@@ -132,13 +131,15 @@ def rasterize(mesh: Mesh) -> Raster:
     Raster
         Their pixels.
     """
-    y = mesh.nodes[pad_cells(mesh), 1]
-    first_row = np.ceil(y.min(axis=1)).astype(np.int64)
-    n_rows = np.maximum(np.ceil(y.max(axis=1)).astype(np.int64) - first_row, 0)
+    outlines = mesh.outlines
+    y = outlines.corners[outlines.connectivity, 1]
+    first_row = np.ceil(np.minimum.reduceat(y, outlines.offsets[:-1])).astype(np.int64)
+    last_row = np.ceil(np.maximum.reduceat(y, outlines.offsets[:-1])).astype(np.int64)
+    n_rows = np.maximum(last_row - first_row, 0)
     row_ptr = np.concatenate([[0], np.cumsum(n_rows)])
     starts = np.empty(row_ptr[-1], dtype=np.int32)
     stops = np.empty(row_ptr[-1], dtype=np.int32)
-    _fill_runs(mesh.nodes, mesh.connectivity, mesh.offsets, first_row, row_ptr, starts, stops)
+    _fill_runs(outlines.corners, outlines.connectivity, outlines.offsets, first_row, row_ptr, starts, stops)
     return Raster(first_row, row_ptr, starts, stops)
 
 

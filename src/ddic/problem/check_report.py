@@ -13,6 +13,7 @@ from ddic.functionals.half_amplitude import HalfAmplitudes
 from ddic.images.source import ImageSource
 from ddic.mesh.cell_type import CELL_TYPES
 from ddic.problem.check_mesh_uses import CheckedMesh
+from ddic.problem.cut_region import cut_region
 from ddic.problem.problem_size import describe_cut_off
 
 
@@ -44,6 +45,8 @@ class CheckReport:
         Unknowns that the equilibrium gap controls; 0 without regularization.
     output : Path
         The result file.
+    discontinuities : str or None
+        How much of the mesh they cut, where there are any.
     half_amplitudes : HalfAmplitudes or None
         Waves that the cut-off wavelength halves, pixels; None without one.
     """
@@ -59,6 +62,7 @@ class CheckReport:
     pixels_mean: float
     n_controlled_dofs: int
     output: Path
+    discontinuities: str | None
     half_amplitudes: HalfAmplitudes | None
 
 
@@ -83,6 +87,7 @@ def describe_inputs(case: Case, reference: ImageSource, checked: CheckedMesh,
         Numbers for the user.
     """
     mesh = checked.mesh
+    region = cut_region(case, mesh)
     n_unknown_nodes = mesh.n_nodes if checked.tying is None else checked.tying.n_unknown_nodes
     n_not_controlled = int((not_controlled < n_unknown_nodes).sum())
     n_controlled_nodes = 0 if case.regularization is None else n_unknown_nodes - n_not_controlled
@@ -100,5 +105,6 @@ def describe_inputs(case: Case, reference: ImageSource, checked: CheckedMesh,
         pixels_mean=float(checked.pixel_counts.mean()),
         n_controlled_dofs=mesh.dim * n_controlled_nodes,
         output=case.output.file,
+        discontinuities=None if region is None else region.describe(),
         half_amplitudes=describe_cut_off(case.regularization),
     )

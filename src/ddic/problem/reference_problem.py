@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.parallel.phases import Phase, PhaseClock
-from ddic.parallel.team import Team
+from ddic.parallel.team import Team, require_held
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.assembly import Hessians, assemble_hessians
 from ddic.problem.blank_subdomains import join_blank_subdomains
@@ -124,6 +124,16 @@ def prepare_reference(team: Team, inputs: Inputs, region_mesh: RegionMesh | None
     return _read_and_assemble(team, inputs, region_mesh, joining.parts, clock, (joining.note,)), found
 
 
+def _describe_discontinuities(team: Team, region_mesh: RegionMesh | None) -> tuple[str, ...]:
+    """How much of the mesh is cut, where it is; collective."""
+
+    def describe() -> tuple[str, ...]:
+        region = require_held(region_mesh).discontinuous
+        return () if region is None else (f"discontinuities: {region.describe()}",)
+
+    return team.on_root(describe)
+
+
 def _read_and_assemble(team: Team, inputs: Inputs, region_mesh: RegionMesh | None, parts: NDArray[np.int64] | None,
                        clock: PhaseClock, notes: tuple[str, ...] = ()) -> ReferenceProblem:
     case = inputs.case
@@ -134,5 +144,6 @@ def _read_and_assemble(team: Team, inputs: Inputs, region_mesh: RegionMesh | Non
         n_pixels = sum(team.gather_lists([view.n_pixels for r in references for view in r.views]))
     with clock.phase(Phase.ASSEMBLE):
         hessians = assemble_hessians(team, references)
-    notes = (*notes, *note_crowded_cores(team, case.solver.threads), *describe_missing_package())
+    notes = (*notes, *_describe_discontinuities(team, region_mesh), *note_crowded_cores(team, case.solver.threads),
+             *describe_missing_package())
     return ReferenceProblem(inputs, region, references, hessians, n_pixels, notes)

@@ -26,10 +26,12 @@ from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.by_camera import add_motions, find_cameras_at_nodes, keep_cameras_apart, split_by_camera
 from ddic.partition.cost import estimate_cell_costs, sum_costs
 from ddic.partition.determined_masters import keep_masters_determined
+from ddic.partition.determined_sides import keep_sides_determined
 from ddic.partition.split import split_by_blocks, split_by_metis
 from ddic.partition.subdomain import Subdomain
 from ddic.partition.ties import Tying
 from ddic.problem.cameras import Camera, MeasuredCells, assign_cells, collect_cells
+from ddic.problem.cut_region import CutRegion, cut_region
 from ddic.problem.inputs import Inputs
 
 
@@ -82,6 +84,8 @@ class RegionMesh:
     interior : (n_nodes,) array of bool
         Nodes inside the mesh around which the first camera measures every cell: there texture is weighed against
         mechanics.
+    discontinuous : CutRegion, optional
+        How discontinuities cut the mesh; None where there are none.
     """
 
     inputs: Inputs
@@ -92,6 +96,7 @@ class RegionMesh:
     measured: list[MeasuredCells]
     controlled: NDArray[np.bool_]
     interior: NDArray[np.bool_]
+    discontinuous: CutRegion | None = None
 
     @property
     def mesh(self) -> Mesh:
@@ -156,6 +161,9 @@ def build_region_mesh(inputs: Inputs) -> RegionMesh:
         Where the mesh, a selection of nodes, or a near field is refused.
     """
     mesh, tying = inputs.build_mesh()
+    region = cut_region(inputs.case, mesh)
+    if region is not None:
+        return _cut(inputs, mesh, region)
     labels = assign_cells(inputs.cameras, mesh, tying)
     measured = collect_cells(inputs.cameras, mesh, labels)
     costs = _costs(inputs.cameras, mesh, measured)
@@ -168,6 +176,23 @@ def build_region_mesh(inputs: Inputs) -> RegionMesh:
         interior &= _only_first_camera(mesh, labels, len(inputs.cameras), tying)
     return RegionMesh(inputs, kinematics, tying, labels, costs, measured, kinematics.controlled(controlled_nodes),
                       interior)
+
+
+def _cut(inputs: Inputs, mesh: Mesh, region: CutRegion) -> RegionMesh:
+    """The whole mesh, cut by discontinuities: one camera, and unknowns on both sides of the lines."""
+    if inputs.choose_kinematics is not None:
+        raise InputError("kinematics: discontinuities have kinematics of their own; leave one of them out")
+    cut = region.cut
+    labels = np.zeros(cut.mesh.n_cells, dtype=np.int64)
+    # The start looks at the region as a whole.
+    measured = collect_cells(inputs.cameras, mesh, labels[:mesh.n_cells])
+    boundary = region.find_with_phantoms(find_boundary_nodes(mesh))
+    controlled_nodes = _controlled_nodes(inputs.case.regularization, cut.mesh, boundary)
+    interior = np.ones(cut.mesh.n_nodes, dtype=bool)
+    interior[boundary] = False
+    interior[region.find_with_phantoms(cut.node_of[region.find_cut_nodes()])] = False
+    return RegionMesh(inputs, region.kinematics, None, labels, estimate_cell_costs(cut.mesh), measured,
+                      region.kinematics.controlled(controlled_nodes), interior, region)
 
 
 def split_region(region_mesh: RegionMesh, n_ranks: int) -> NDArray[np.int64]:
@@ -195,6 +220,8 @@ def split_region(region_mesh: RegionMesh, n_ranks: int) -> NDArray[np.int64]:
     n_cameras = len(region_mesh.inputs.cameras)
     if solver.method == "monolithic":
         return np.zeros(mesh.n_cells, dtype=np.int64)
+    if region_mesh.discontinuous is not None:
+        return _split_cut(region_mesh, region_mesh.discontinuous, n_ranks)
     parts = _given_parts(solver, mesh)
     if parts is not None:
         parts = parts if n_cameras == 1 else keep_cameras_apart(parts, labels)
@@ -205,6 +232,20 @@ def split_region(region_mesh: RegionMesh, n_ranks: int) -> NDArray[np.int64]:
     if region_mesh.tying is not None:
         parts = keep_masters_determined(mesh, region_mesh.tying, parts)
     return parts
+
+
+def _split_cut(region_mesh: RegionMesh, region: CutRegion, n_ranks: int) -> NDArray[np.int64]:
+    """Subdomain of each cell of a cut mesh: the mesh is split before it is cut, so that parts of a cell stay together.
+
+    What opens along or across the line only is determined by what lies on both sides of it.
+    """
+    solver, cell_of = region_mesh.inputs.case.solver, region.cut.cell_of
+    (measured,) = region_mesh.measured
+    parts = _given_parts(solver, measured.mesh)
+    if parts is None:
+        costs = np.bincount(cell_of, weights=region_mesh.costs).astype(np.float64)
+        parts = split_by_metis(measured.mesh, solver.subdomains or n_ranks, costs)
+    return keep_sides_determined(region.cut, region.kinematics, region.n_pixels, parts)[cell_of]
 
 
 def scatter_region(team: Team, region_mesh: RegionMesh | None,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -13,8 +13,9 @@ from ddic.functionals.correlation import Residual
 from ddic.io import result_schema as schema
 from ddic.io.result_writer import Piece, PieceSize, ResultWriter, join_pieces
 from ddic.kinematics.strain import compute_strain
+from ddic.mesh.mesh import Mesh
 from ddic.parallel.team import require_held
-from ddic.partition.subdomain import Subdomain
+from ddic.results.drawn_mesh import DrawnMesh, draw_mesh
 
 if TYPE_CHECKING:
     from ddic.results.measurement import Measurement
@@ -42,7 +43,9 @@ def write_pieces(measurement: Measurement, writer: ResultWriter | None) -> None:
         On rank 0.
     """
     team, images = measurement.team, measurement.inputs.case.images
-    sizes = team.gather_lists([_size(subdomain) for subdomain in measurement.subdomains])
+    n_nodes = measurement.region.n_nodes
+    drawn = [draw_mesh(subdomain, n_nodes) for subdomain in measurement.subdomains]
+    sizes = team.gather_lists([_size(piece.mesh) for piece in drawn])
     length_unit = None if images.pixel_size is None else images.length_unit
     team.build_on_root(lambda: require_held(writer).create_pieces(
         sizes, schema.point_fields(length_unit), schema.cell_fields(len(measurement.cameras))))
@@ -54,11 +57,10 @@ def write_pieces(measurement: Measurement, writer: ResultWriter | None) -> None:
         require_held(writer).write_pieces(numbers, batch.pieces)
         n_written = numbers.stop
 
-    team.stream_to_root(_join_batches(_make_pieces(measurement)), write)
+    team.stream_to_root(_join_batches(_make_pieces(measurement, drawn)), write)
 
 
-def _size(subdomain: Subdomain) -> PieceSize:
-    mesh = subdomain.mesh
+def _size(mesh: Mesh) -> PieceSize:
     return PieceSize(mesh.n_nodes, mesh.n_cells, len(mesh.connectivity))
 
 
@@ -74,20 +76,21 @@ def _join_batches(pieces: Iterator[Piece]) -> Iterator[_Batch]:
         yield _Batch(len(waiting), join_pieces(waiting))
 
 
-def _make_pieces(measurement: Measurement) -> Iterator[Piece]:
-    for number, (subdomain, u) in enumerate(zip(measurement.subdomains, measurement.displacements, strict=True)):
-        mesh = subdomain.mesh
-        yield Piece(mesh.nodes, mesh.connectivity, mesh.offsets, mesh.types, _point_data(measurement, subdomain, u),
-                    _cell_data(measurement, number, u))
+def _make_pieces(measurement: Measurement, drawn: Sequence[DrawnMesh]) -> Iterator[Piece]:
+    for number, (piece, u) in enumerate(zip(drawn, measurement.displacements, strict=True)):
+        mesh = piece.mesh
+        on_cells = _cell_data(measurement, number, u)
+        yield Piece(mesh.nodes, mesh.connectivity, mesh.offsets, mesh.types, _point_data(measurement, piece, u),
+                    {name: values[piece.cells] for name, values in on_cells.items()})
 
 
-def _point_data(measurement: Measurement, subdomain: Subdomain, u: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
+def _point_data(measurement: Measurement, drawn: DrawnMesh, u: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
     pixel_size = measurement.inputs.case.images.pixel_size
-    vectors = u.reshape(subdomain.mesh.nodes.shape)
+    vectors = drawn.interpolate(u.reshape(-1, drawn.mesh.dim))
     data: dict[str, NDArray[Any]] = {
         schema.DISPLACEMENT: vectors,
         schema.DISPLACEMENT_MESH_UNITS: measurement.region.mapping.map_vectors_to_mesh_units(vectors),
-        schema.GLOBAL_NODE_ID: subdomain.node_ids,
+        schema.GLOBAL_NODE_ID: drawn.node_ids,
     }
     if pixel_size is not None:
         data[schema.DISPLACEMENT_PHYSICAL] = vectors * pixel_size

@@ -20,6 +20,7 @@ from ddic.io.result_reader import displacement_at, read_result
 from ddic.io.result_schema import near_group
 from ddic.kinematics.camera_kinematics import CameraSetup
 from ddic.mesh.mesh import Mesh
+from ddic.mesh.own_side import find_points_on_own_side
 from ddic.parallel.team import Team, require_held
 from ddic.problem.cameras import Camera, Frame
 from ddic.problem.inputs import Inputs
@@ -221,7 +222,7 @@ def read_earlier_fields(team: Team, path: Path, cameras: Sequence[Camera],
     InputError
         On all ranks, where the file is no result, or holds no motion of a near field.
     """
-    wanted = team.gather_to([reference.subdomain.mesh.nodes for reference in references])
+    wanted = team.gather_to([find_points_on_own_side(reference.subdomain.mesh) for reference in references])
 
     def read() -> list[list[Array]]:
         result = read_result(path)

@@ -1,0 +1,245 @@
+"""Kinematics with discontinuities: a node cut off by a line has a displacement on each side [RRH07]."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import permutations
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from ddic.kinematics.kinematics import Kinematics, RegionKinematics
+from ddic.kinematics.linear import LinearKinematics
+from ddic.kinematics.nodal import NodalKinematics, component_numbers
+from ddic.mesh.cut_mesh import CutMesh
+from ddic.mesh.mesh import Mesh
+from ddic.mesh.polyline import find_nearest_segments, measure_distance
+
+Array = NDArray[np.float64]
+
+Opening = Literal["both", "tangential", "normal"]
+"""Directions, seen from the line, in which the displacement may be discontinuous."""
+
+LEAST_SHARE = 0.02
+"""Share of the pixels around a node that a side must have for a displacement of its own. With a smaller one the few
+pixels of a corner decide, and Gauss-Newton may diverge; a larger one ties more nodes to their neighbours'."""
+
+
+SAME_DISTANCE = 1e-6
+"""Pixels by which neighbours may be farther than the nearest one and count as near as it."""
+
+
+@dataclass(frozen=True, eq=False)
+class EnrichedRegion(RegionKinematics):
+    """Unknowns that are displacements of nodes and, where a line cuts, how far the other side is beyond.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        The cut mesh.
+    matrix : (mesh.n_dofs, n_unknowns) csr_matrix
+        T of u = T q; the identity but at nodes with phantoms.
+    node_of_unknown : (n_unknowns,) array of int64
+        Node at which an unknown stands.
+    seen_at : (n_unknowns,) array of int64
+        Node of the cut mesh whose pixels determine it.
+    """
+
+    mesh: Mesh
+    matrix: sparse.csr_matrix
+    node_of_unknown: NDArray[np.int64]
+    seen_at: NDArray[np.int64]
+
+    @property
+    def n_unknowns(self) -> int:
+        """Number of unknowns."""
+        return int(self.matrix.shape[1])
+
+    def unknowns_at(self, nodes: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Find the unknowns that displace each of some nodes."""
+        rows = self.matrix[component_numbers(nodes, self.mesh.dim)]
+        by_component = np.diff(rows.indptr).reshape(len(nodes), self.mesh.dim)
+        return rows.indices.astype(np.int64), by_component.sum(axis=1)
+
+    def controlled(self, nodes: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Tell which unknowns are controlled: those of controlled nodes. The faces of a line bear no forces."""
+        return np.asarray(nodes[self.node_of_unknown])
+
+    def restrict(self, part: Mesh, node_ids: NDArray[np.int64], numbers: NDArray[np.int64]) -> Kinematics:
+        """Give a subdomain its kinematics: nodal where no line is near."""
+        rows = self.matrix[component_numbers(node_ids, self.mesh.dim)]
+        matrix = rows[:, numbers].tocsr()
+        is_identity = matrix.shape[0] == matrix.shape[1] and abs(matrix - sparse.identity(len(numbers))).max() == 0
+        if is_identity:
+            return NodalKinematics(part, numbers)
+        return LinearKinematics(part, numbers, matrix)
+
+
+def enrich(cut: CutMesh, n_pixels: NDArray[np.int64], openings: Sequence[Opening]) -> EnrichedRegion:
+    """Give phantom nodes displacements of their own, where they have pixels enough.
+
+    Of a node and its phantoms, the one with most pixels leads. One with too few pixels follows it at the mean distance
+    of its neighbours across the line.
+
+    Parameters
+    ----------
+    cut : CutMesh
+        With its lines.
+    n_pixels : (cut.mesh.n_cells,) array of int64
+        Pixels of each cell that are measured.
+    openings : sequence of Opening
+        How the displacement may be discontinuous, of each line.
+
+    Returns
+    -------
+    EnrichedRegion
+        Of the cut mesh.
+    """
+    twins = _judge_twins(cut, n_pixels)
+    dim, n_nodes = cut.mesh.dim, int(cut.node_of.max()) + 1
+    leads = twins.leader == np.arange(cut.mesh.n_nodes)
+    free = np.flatnonzero(~leads & twins.is_active)
+    bound = np.flatnonzero(~leads & ~twins.is_active)
+    directions = _find_directions(cut, free, openings)
+    n_directions = np.array([axes.shape[1] for axes in directions], dtype=np.int64)
+    n_unknowns = n_nodes * dim + int(n_directions.sum())
+
+    matrix = _move_with_nodes(cut, n_unknowns)
+    matrix = matrix + _open_by_unknowns(cut, free, directions, n_unknowns)
+    matrix = (matrix + _average_openings(cut, twins, bound) @ matrix).tocsr()
+    matrix.eliminate_zeros()
+    leaders = twins.leader[:n_nodes]
+    seen_at = np.concatenate([np.repeat(leaders, dim), np.repeat(free, n_directions)])
+    return EnrichedRegion(cut.mesh, matrix, cut.node_of[seen_at], seen_at)
+
+
+@dataclass(frozen=True, eq=False)
+class _Twins:
+    """Of each node of the cut mesh, which of it and its phantoms leads; whether it has pixels enough itself."""
+
+    leader: NDArray[np.int64]
+    is_active: NDArray[np.bool_]
+
+    @property
+    def is_free(self) -> NDArray[np.bool_]:
+        """Whether a node has unknowns of its own."""
+        return np.asarray(self.is_active | (self.leader == np.arange(len(self.leader))))
+
+
+def _judge_twins(cut: CutMesh, n_pixels: NDArray[np.int64]) -> _Twins:
+    """Find the nodes with pixels enough, and of those at one place the one with most of them."""
+    mesh = cut.mesh
+    of_cells = np.repeat(n_pixels, np.diff(mesh.offsets))
+    of_each = np.bincount(mesh.connectivity, weights=of_cells, minlength=mesh.n_nodes)
+    of_place = np.bincount(cut.node_of, weights=of_each)
+    # The last one at a place wins, which is the one with most pixels.
+    order = np.argsort(of_each, kind="stable")
+    largest = np.zeros(len(of_place), dtype=np.int64)
+    largest[cut.node_of[order]] = order
+    return _Twins(largest[cut.node_of], of_each >= LEAST_SHARE * of_place[cut.node_of])
+
+
+def _move_with_nodes(cut: CutMesh, n_unknowns: int) -> sparse.csr_matrix:
+    """Rows by which all at one place move together."""
+    n_dofs = cut.mesh.n_dofs
+    columns = component_numbers(cut.node_of, cut.mesh.dim)
+    return sparse.csr_matrix((np.ones(n_dofs), (np.arange(n_dofs), columns)), shape=(n_dofs, n_unknowns))
+
+
+def _open_by_unknowns(cut: CutMesh, free: NDArray[np.int64], directions: Sequence[Array],
+                      n_unknowns: int) -> sparse.csr_matrix:
+    """Rows by which nodes move beyond those that lead, along directions (dim, n_directions) of each."""
+    dim = cut.mesh.dim
+    shape = (cut.mesh.n_dofs, n_unknowns)
+    matrix = sparse.lil_matrix(shape)
+    column = (int(cut.node_of.max()) + 1) * dim
+    for node, axes in zip(free.tolist(), directions, strict=True):
+        n_directions = axes.shape[1]
+        matrix[node * dim:(node + 1) * dim, column:column + n_directions] = axes
+        column += n_directions
+    return matrix.tocsr()
+
+
+def _find_directions(cut: CutMesh, nodes: NDArray[np.int64], openings: Sequence[Opening]) -> list[Array]:
+    """Unit vectors along which each node may move beyond the one that leads, (dim, n_directions)."""
+    points = cut.mesh.nodes[nodes]
+    tangents, lines = _find_tangents(cut, points), _find_nearest_lines(cut, points)
+    return [_directions_of(openings[line], tangent) for line, tangent in zip(lines, tangents, strict=True)]
+
+
+def _find_nearest_lines(cut: CutMesh, points: Array) -> NDArray[np.intp]:
+    """Number of the line nearest to each point."""
+    distances = np.array([measure_distance(points, line) for line in _lines_of(cut)])
+    return np.asarray(distances.argmin(axis=0))
+
+
+def _find_tangents(cut: CutMesh, points: Array) -> Array:
+    """Unit vector along the nearest segment of any line, (n, dim)."""
+    lines = _lines_of(cut)
+    nearest = _find_nearest_lines(cut, points)
+    tangents = np.empty(points.shape)
+    for number, line in enumerate(lines):
+        mine = np.flatnonzero(nearest == number)
+        along = np.diff(line, axis=0)[find_nearest_segments(points[mine], line)[0]]
+        tangents[mine] = along / np.linalg.norm(along, axis=1)[:, None]
+    return tangents
+
+
+def _lines_of(cut: CutMesh) -> tuple[Array, ...]:
+    if cut.mesh.parts is None:
+        raise ValueError("no line cuts the mesh")
+    return cut.mesh.parts.lines.polylines
+
+
+def _directions_of(opening: Opening, tangent: Array) -> Array:
+    if opening == "both":
+        return np.eye(len(tangent))
+    if opening == "tangential":
+        return tangent[:, None]
+    return np.array([[-tangent[1]], [tangent[0]]])
+
+
+def _average_openings(cut: CutMesh, twins: _Twins, bound: NDArray[np.int64]) -> sparse.csr_matrix:
+    """Mean of the nearest neighbours' distances across the line for bound nodes, (n_dofs, n_dofs); nothing for others.
+
+    Nearest along the line, along which the opening varies.
+    """
+    n, dim = cut.mesh.n_nodes, cut.mesh.dim
+    mean = sparse.lil_matrix((n, n))
+    for node, pairs in _find_pairs_across(cut, twins, bound).items():
+        neighbours = cut.mesh.nodes[[this_side for this_side, _ in pairs]]
+        (tangent,) = _find_tangents(cut, cut.mesh.nodes[[node]])
+        distance = np.abs((neighbours - cut.mesh.nodes[node]) @ tangent)
+        nearest = np.flatnonzero(distance <= distance.min() + SAME_DISTANCE)
+        for k in nearest:
+            mean[node, pairs[k][0]] += 1.0 / len(nearest)
+            mean[node, pairs[k][1]] -= 1.0 / len(nearest)
+    return sparse.kron(mean.tocsr(), sparse.identity(dim), format="csr")
+
+
+def _find_pairs_across(cut: CutMesh, twins: _Twins, bound: NDArray[np.int64]) -> dict[int, list[tuple[int, int]]]:
+    """Free neighbours of each bound node on its own side, and their twins on the side of the one that leads it."""
+    wanted = set(bound.tolist())
+    found: dict[int, list[tuple[int, int]]] = {}
+    for parts in _group_parts(cut):
+        for one, other in permutations(parts, 2):
+            are_free = (one != other) & twins.is_free[one] & twins.is_free[other]
+            pairs = list(zip(one[are_free].tolist(), other[are_free].tolist(), strict=True))
+            for node, across in zip(one.tolist(), other.tolist(), strict=True):
+                if node in wanted and across == twins.leader[node]:
+                    known = found.setdefault(node, [])
+                    known += [pair for pair in pairs if pair not in known]
+    return found
+
+
+def _group_parts(cut: CutMesh) -> list[list[NDArray[np.int64]]]:
+    """Nodes of the parts of each cut cell."""
+    groups: dict[int, list[NDArray[np.int64]]] = {}
+    cells = np.zeros(0, np.int64) if cut.mesh.parts is None else cut.mesh.parts.cells
+    for number in cells:
+        nodes = cut.mesh.cells[number]
+        groups.setdefault(int(cut.cell_of[number]), []).append(nodes[nodes >= 0])
+    return list(groups.values())

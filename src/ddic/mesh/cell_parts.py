@@ -1,0 +1,162 @@
+"""Cells of which only a part counts: a discontinuity cuts them, and each side is a cell of its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.mesh.plane import multiply_across
+
+_A, _B = 0.445948490915965, 0.091576213509771
+TRIANGLE_POINTS = np.array([[1 - 2 * x, x, x] for x in (_A, _B)] + [[x, 1 - 2 * x, x] for x in (_A, _B)]
+                           + [[x, x, 1 - 2 * x] for x in (_A, _B)])
+TRIANGLE_WEIGHTS = np.tile([0.223381589678011, 0.109951743655322], 3)
+"""Six points of a triangle, by their shares of its corners, and their weights: exact for polynomials of degree 4."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """Discontinuities, and what a mesh makes of their bends.
+
+    Attributes
+    ----------
+    polylines : tuple of (n_vertices, 2) array
+        Pixels.
+    bends : tuple of (n, 2) array
+        Polygons between a polyline that bends inside a cell and the straight line that cuts the cell, pixels: what
+        lies in them is on the wrong side.
+    """
+
+    polylines: tuple[NDArray[np.float64], ...]
+    bends: tuple[NDArray[np.float64], ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class CellParts:
+    """Outlines of the cells that are parts, and the lines that cut them.
+
+    Attributes
+    ----------
+    cells : (n,) int64 array
+        Their numbers in the mesh, sorted.
+    offsets : (n + 1,) int64 array
+        Part k has the corners offsets[k]:offsets[k + 1].
+    corners : (n_corners, 2) array
+        Corners of the convex outlines, one after the other in positive order, pixels.
+    first_numbers : (n,) int64 array
+        Number of each part's first corner in the whole mesh; the others follow.
+    lines : Lines
+        The discontinuities.
+    """
+
+    cells: NDArray[np.int64]
+    offsets: NDArray[np.int64]
+    corners: NDArray[np.float64]
+    first_numbers: NDArray[np.int64]
+    lines: Lines
+
+    @property
+    def n_parts(self) -> int:
+        """Number of cells that are parts."""
+        return len(self.cells)
+
+    def restrict(self, cells: NDArray[np.int64]) -> CellParts:
+        """Keep the parts among some cells, which are numbered anew.
+
+        Parameters
+        ----------
+        cells : (n,) int64 array
+            Numbers of the cells to keep, in their new order.
+
+        Returns
+        -------
+        CellParts
+            With all lines, which matter to whole cells beside them too.
+        """
+        found = np.searchsorted(self.cells, cells)
+        is_part = found < len(self.cells)
+        is_part[is_part] = self.cells[found[is_part]] == cells[is_part]
+        kept = found[is_part]
+        counts = np.diff(self.offsets)[kept]
+        offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        places = np.arange(offsets[-1]) + np.repeat(self.offsets[kept] - offsets[:-1], counts)
+        return CellParts(np.flatnonzero(is_part).astype(np.int64), offsets, self.corners[places],
+                         self.first_numbers[kept], self.lines)
+
+
+@dataclass(frozen=True, eq=False)
+class Outlines:
+    """What each cell covers, as convex polygons in the form of a mesh's arrays.
+
+    Attributes
+    ----------
+    corners : (n_corners, 2) array
+        Pixels.
+    connectivity : (sum of corners per cell,) int64 array
+        Corners of the cells, one cell after the other.
+    offsets : (n_cells + 1,) int64 array
+        Cell e has connectivity[offsets[e]:offsets[e + 1]].
+    """
+
+    corners: NDArray[np.float64]
+    connectivity: NDArray[np.int64]
+    offsets: NDArray[np.int64]
+
+
+def join_parts(whole: Outlines, parts: CellParts) -> Outlines:
+    """Put the outlines of parts in place of those of the cells that they are parts of.
+
+    Parameters
+    ----------
+    whole : Outlines
+        Of whole cells.
+    parts : CellParts
+        Of some of them.
+
+    Returns
+    -------
+    Outlines
+        Of all cells.
+    """
+    counts = np.diff(whole.offsets)
+    is_part = np.zeros(len(counts), dtype=bool)
+    is_part[parts.cells] = True
+    kept = whole.connectivity[~np.repeat(is_part, counts)]
+    counts[parts.cells] = np.diff(parts.offsets)
+    connectivity = np.empty(counts.sum(), dtype=np.int64)
+    of_part = np.repeat(is_part, counts)
+    connectivity[~of_part] = kept
+    connectivity[of_part] = len(whole.corners) + np.arange(len(parts.corners))
+    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    return Outlines(np.concatenate([whole.corners, parts.corners]), connectivity, offsets)
+
+
+def place_quadrature_points(parts: CellParts) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+    """Place the points of a rule of integration over the parts, each cut into triangles about its first corner.
+
+    Parameters
+    ----------
+    parts : CellParts
+        With convex outlines.
+
+    Returns
+    -------
+    points : (n, 2) array
+        Pixels.
+    weights : (n,) array
+        Their areas, square pixels.
+    numbers : (n,) array of int64
+        Number of the part of each, sorted.
+    """
+    n_corners = np.diff(parts.offsets)
+    numbers = np.repeat(np.arange(len(parts.cells)), n_corners - 2)
+    first_triangle = np.cumsum(n_corners - 2) - (n_corners - 2)
+    place = np.arange(len(numbers)) - first_triangle[numbers]
+    apex = parts.offsets[numbers]
+    triangles = parts.corners[np.stack([apex, apex + place + 1, apex + place + 2], axis=1)]
+    areas = 0.5 * multiply_across(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    points = np.einsum("pa,tac->tpc", TRIANGLE_POINTS, triangles).reshape(-1, 2)
+    weights = (areas[:, None] * TRIANGLE_WEIGHTS).ravel()
+    return points, weights, np.repeat(numbers, len(TRIANGLE_WEIGHTS))

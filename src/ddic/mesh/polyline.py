@@ -1,0 +1,82 @@
+"""Polylines in the plane."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def measure_distance(points: Array, line: Array) -> Array:
+    """Measure the distance of points from a polyline.
+
+    Parameters
+    ----------
+    points : (n, 2) array
+        Pixels.
+    line : (n_vertices, 2) array
+        Vertices, pixels.
+
+    Returns
+    -------
+    (n,) array
+        To the nearest point of any of its segments, pixels.
+    """
+    return find_nearest_segments(points, line)[1]
+
+
+def find_nearest_segments(points: Array, line: Array) -> tuple[NDArray[np.int64], Array]:
+    """Find the nearest segment of a polyline.
+
+    Parameters
+    ----------
+    points : (n, 2) array
+        Pixels.
+    line : (n_vertices, 2) array
+        Vertices, pixels.
+
+    Returns
+    -------
+    segments : (n,) array of int64
+        Number of the segment.
+    distances : (n,) array
+        From it, pixels.
+    """
+    nearest = np.zeros(len(points), dtype=np.int64)
+    least = np.full(len(points), np.inf)
+    for number, (start, end) in enumerate(pairwise(line)):
+        along = end - start
+        share = np.clip((points - start) @ along / max(float(along @ along), 1e-300), 0.0, 1.0)
+        distance = np.linalg.norm(points - start - share[:, None] * along, axis=1)
+        nearer = distance < least
+        nearest[nearer] = number
+        least[nearer] = distance[nearer]
+    return nearest, least
+
+
+def is_inside_polygon(points: Array, polygon: Array) -> NDArray[np.bool_]:
+    """Tell which points lie in a polygon, which need not be convex, by the parity of its edges to the right of them.
+
+    Parameters
+    ----------
+    points : (n, 2) array
+        Pixels.
+    polygon : (n_corners, 2) array
+        Corners, closed by itself, pixels.
+
+    Returns
+    -------
+    (n,) array of bool
+        Whether each does.
+    """
+    x, y = points.T
+    inside = np.zeros(len(points), dtype=bool)
+    for (x0, y0), (x1, y1) in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        if y0 == y1:
+            continue
+        crosses = (y0 <= y) != (y1 <= y)
+        inside ^= crosses & (x < x0 + (y - y0) / (y1 - y0) * (x1 - x0))
+    return inside

@@ -1,0 +1,97 @@
+"""A partition in which every subdomain's pixels determine the displacements on both sides of a discontinuity."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from ddic.kinematics.enriched import EnrichedRegion
+from ddic.mesh.cut_mesh import CutMesh
+from ddic.partition.split import renumber
+
+LEAST_SHARE = 0.02
+"""Share of a node's pixels that a cell must have for it to determine the node's unknowns. A larger value moves more
+cells."""
+
+
+def keep_sides_determined(cut: CutMesh, kinematics: EnrichedRegion, n_pixels: NDArray[np.int64],
+                          parts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Keep cells along a discontinuity together that determine only together what is on its sides.
+
+    A subdomain with a node takes part in the unknowns of those that lead it, phantom or not: without pixels there, its
+    operator would be singular.
+
+    Parameters
+    ----------
+    cut : CutMesh
+        Of the kinematics.
+    kinematics : EnrichedRegion
+        The unknowns.
+    n_pixels : (cut.mesh.n_cells,) array of int64
+        Pixels of each cell that are measured.
+    parts : (n_cells,) array of int64
+        Subdomain of each cell of the mesh that was cut.
+
+    Returns
+    -------
+    (n_cells,) array of int64
+        New subdomain of each of these cells, numbered without gaps.
+    """
+    pixels, takes_part = _find_cells_at_phantoms(cut, kinematics, n_pixels)
+    total = np.asarray(pixels.sum(axis=0)).ravel()
+    sees_enough = _find_enough(pixels, total)
+    pairs = [(cell, host) for cell in np.flatnonzero(np.diff(takes_part.indptr)).tolist()
+             for host in _choose_hosts(takes_part[[cell]], sees_enough, cell)]
+    one, other = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+    joined = sparse.csr_matrix((np.ones(len(one)), (one, other)), (len(parts), len(parts)))
+    _, clusters = connected_components(joined, directed=False)
+    n_subdomains = int(parts.max()) + 1
+    votes = np.bincount(clusters * n_subdomains + parts, minlength=(clusters.max() + 1) * n_subdomains)
+    return renumber(votes.reshape(-1, n_subdomains).argmax(axis=1)[clusters], 0)
+
+
+def _find_enough(pixels: sparse.csr_matrix, total: NDArray[np.float64]) -> sparse.csr_matrix:
+    """1 where a cell has pixels enough of a node, both (n_cells, n_nodes)."""
+    seen = pixels.tocoo()
+    enough = seen.data >= LEAST_SHARE * total[seen.col]
+    return sparse.csr_matrix((np.ones(enough.sum()), (seen.row[enough], seen.col[enough])), pixels.shape)
+
+
+def _choose_hosts(needs: sparse.csr_matrix, sees_enough: sparse.csr_matrix, cell: int) -> list[int]:
+    """As few cells as together see enough of the nodes that a cell needs and does not see enough of itself."""
+    missing = needs - needs.multiply(sees_enough[[cell]])
+    hosts = []
+    while missing.count_nonzero():
+        covered = np.asarray((sees_enough @ missing.T).todense()).ravel()
+        if not covered.any():
+            break
+        hosts.append(int(covered.argmax()))
+        missing = missing - missing.multiply(sees_enough[[hosts[-1]]])
+    return hosts
+
+
+def _find_cells_at_phantoms(cut: CutMesh, kinematics: EnrichedRegion,
+                          n_pixels: NDArray[np.int64]) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
+    """Pixels of each node in each cell before the cut, and whether the node's unknowns matter to the cell.
+
+    Both (n_cells, cut.mesh.n_nodes), nothing at nodes without phantoms.
+    """
+    mesh = cut.mesh
+    n_twins = np.bincount(cut.node_of)[cut.node_of]
+    has_phantom = sparse.diags((n_twins > 1).astype(float))
+    cell_of_corner = np.repeat(np.arange(mesh.n_cells), np.diff(mesh.offsets))
+    ones = np.ones(len(cell_of_corner))
+    corners = sparse.csr_matrix((ones, (cell_of_corner, mesh.connectivity)), (mesh.n_cells, mesh.n_nodes))
+    n_cells = int(cut.cell_of.max()) + 1
+    fold = sparse.csr_matrix((np.ones(mesh.n_cells), (cut.cell_of, np.arange(mesh.n_cells))), (n_cells, mesh.n_cells))
+
+    rows = abs(kinematics.matrix).tocoo()
+    owners = kinematics.seen_at[rows.col]
+    depends = sparse.csr_matrix((np.ones(len(owners)), (rows.row // mesh.dim, owners)), (mesh.n_nodes, mesh.n_nodes))
+    pixels = fold @ sparse.diags(n_pixels.astype(float)) @ corners @ has_phantom
+    takes_part = (fold @ corners @ depends @ has_phantom).tocsr()
+    takes_part.eliminate_zeros()
+    takes_part.data[:] = 1.0
+    return pixels.tocsr(), takes_part

@@ -1,0 +1,109 @@
+"""The mesh and its unknowns where the case's discontinuities cut it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.case.schema import Case
+from ddic.errors import InputError
+from ddic.functionals.line_band import count_pixels_outside
+from ddic.kinematics.enriched import EnrichedRegion, enrich
+from ddic.mesh.cut_mesh import CutMesh, cut_mesh
+from ddic.mesh.mesh import Mesh
+from ddic.mesh.raster import rasterize
+
+
+@dataclass(frozen=True, eq=False)
+class CutRegion:
+    """A mesh that discontinuities cut, with its unknowns.
+
+    Attributes
+    ----------
+    cut : CutMesh
+        The mesh.
+    kinematics : EnrichedRegion
+        Its unknowns.
+    n_pixels : (n_cells,) array of int64
+        Pixels of each of its cells that are measured.
+    """
+
+    cut: CutMesh
+    kinematics: EnrichedRegion
+    n_pixels: NDArray[np.int64]
+
+    def describe(self) -> str:
+        """Say in a line how much is cut.
+
+        Returns
+        -------
+        str
+            For the log and ``ddic check``.
+        """
+        parts = self.cut.mesh.parts
+        n_lines = 0 if parts is None else len(parts.lines.polylines)
+        n_cut = 0 if parts is None else len(np.unique(self.cut.cell_of[parts.cells]))
+        n_beyond = self.kinematics.n_unknowns - (int(self.cut.node_of.max()) + 1) * self.cut.mesh.dim
+        lines = "1 line cuts" if n_lines == 1 else f"{n_lines} lines cut"
+        return f"{lines} {n_cut} elements, {n_beyond} more unknowns"
+
+    def find_with_phantoms(self, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Find some nodes of the whole mesh, and their phantoms, in the cut one.
+
+        Parameters
+        ----------
+        nodes : (n,) array of int64
+            Numbers in the whole mesh.
+
+        Returns
+        -------
+        (m,) array of int64
+            Sorted numbers in the cut mesh.
+        """
+        return np.flatnonzero(np.isin(self.cut.node_of, nodes)).astype(np.int64)
+
+    def find_cut_nodes(self) -> NDArray[np.int64]:
+        """Find the nodes of cut cells.
+
+        Returns
+        -------
+        (n,) array of int64
+            Sorted numbers in the cut mesh.
+        """
+        parts = self.cut.mesh.parts
+        nodes = np.zeros(0, np.int64) if parts is None else np.unique(self.cut.mesh.cells[parts.cells])
+        return nodes[nodes >= 0]
+
+
+def cut_region(case: Case, mesh: Mesh) -> CutRegion | None:
+    """Cut a mesh by the case's discontinuities.
+
+    Parameters
+    ----------
+    case : Case
+        With its discontinuities.
+    mesh : Mesh
+        The whole mesh, pixels.
+
+    Returns
+    -------
+    CutRegion or None
+        None where there are none.
+
+    Raises
+    ------
+    InputError
+        Where a line crosses no element from side to side.
+    """
+    if not case.discontinuity:
+        return None
+    lines = [np.array(section.vertices) for section in case.discontinuity]
+    idle = [k for k, line in enumerate(lines, start=1) if cut_mesh(mesh, [line]).mesh.parts is None]
+    if idle:
+        raise InputError([f"discontinuity, entry {k}: its line crosses no element of the mesh from side to side; "
+                          "correct discontinuity.vertices (px), or use smaller elements" for k in idle])
+    cut = cut_mesh(mesh, lines)
+    n_pixels = count_pixels_outside(cut.mesh, rasterize(cut.mesh), case.correlation.spline_degree)
+    return CutRegion(cut, enrich(cut, n_pixels, [section.opening for section in case.discontinuity]), n_pixels)

@@ -1,0 +1,169 @@
+"""Displacements that are discontinuous across a line: known fields, and the same field by all solvers on all ranks."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+import ddic
+from ddic.cli.check import check
+from ddic.cli.plot import plot
+from ddic.cli.run import run
+from ddic.errors import InputError
+
+Array = NDArray[np.float64]
+SIZE = 200
+START = np.array([-20.0, 62.3])
+ANGLE = np.deg2rad(21.0)
+TANGENT, NORMAL = np.array([np.cos(ANGLE), np.sin(ANGLE)]), np.array([-np.sin(ANGLE), np.cos(ANGLE)])
+LINE = [START.tolist(), (START + 300 * TANGENT).tolist()]
+SLIP = 0.6
+MESH = {kind: ddic.structured_mesh((20, 20, 180, 180), 16, kind) for kind in ("Q4", "T3")}
+EXACT = {"gauss_newton": {"tolerance": 1e-10, "rms_tolerance": 0, "largest_tolerance": 1e-8}}
+SOLVERS = {
+    "dual": {"method": "dual", "subdomains": 5, "inexact": False, "tolerance": 1e-11},
+    "blocks": {"method": "dual", "partition": "blocks", "blocks": [3, 2], "inexact": False, "tolerance": 1e-11},
+    "conjugate_gradient": {"method": "conjugate_gradient", "subdomains": 4, "inexact": False, "tolerance": 1e-11},
+}
+REGULARIZED = {"regularization": {"cut_off_wavelength": 60}}
+
+
+def slide(points: Array) -> Array:
+    """Both sides move along the line, apart by SLIP; no point changes sides."""
+    height = (points - START) @ NORMAL
+    along = 0.4 + np.where(height > 0, SLIP / 2, -SLIP / 2) + 1e-3 * height
+    return np.asarray(along[:, None] * TANGENT)
+
+
+@cache
+def sliding_pair() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    return ddic.make_synthetic_pair(slide, (SIZE, SIZE), seed=3)
+
+
+def measure(settings: dict[str, Any], opening: str = "both", kind: str = "Q4") -> ddic.Result:
+    line = {"vertices": LINE, "opening": opening}
+    return ddic.measure(sliding_pair(), MESH[kind], options={"discontinuity": [line], **settings})
+
+
+def beside_the_line(distance: float) -> tuple[Array, Array]:
+    """Points on both sides of the line, at that distance."""
+    on_line = START + np.linspace(50, 200, 40)[:, None] * TANGENT
+    return on_line + distance * NORMAL, on_line - distance * NORMAL
+
+
+@pytest.mark.parametrize("kind", ["Q4", "T3"])
+@pytest.mark.parametrize("opening", ["both", "tangential"])
+@pytest.mark.parametrize("settings", [{}, REGULARIZED], ids=["plain", "regularized"])
+def test_field_is_found_on_both_sides(kind: str, opening: str, settings: dict[str, Any]) -> None:
+    result = measure(settings | {"solver": {"method": "monolithic"}}, opening, kind)
+    points = np.random.default_rng(0).uniform(40, 160, (2000, 2))
+    error = result.at(points) - slide(points)
+    # 8 bit leave 0.01 px on 16-px elements, more on the small parts of cut ones; the slip itself is 0.6 px.
+    assert np.sqrt((error**2).mean()) < 0.02
+    above, below = beside_the_line(0.1)
+    apart = result.at(above) - result.at(below) - SLIP * TANGENT
+    assert np.sqrt((apart**2).mean()) < 0.05
+    if opening == "tangential":
+        assert np.abs(apart @ NORMAL).max() < 0.01
+
+
+def test_continuous_elements_smear_the_slip() -> None:
+    result = ddic.measure(sliding_pair(), MESH["Q4"], options={"solver": {"method": "monolithic"}})
+    points = np.random.default_rng(0).uniform(40, 160, (2000, 2))
+    assert np.sqrt(((result.at(points) - slide(points)) ** 2).mean()) > 0.03
+
+
+@pytest.mark.parallel([1, 2, 3, 4])
+@pytest.mark.parametrize(("opening", "settings"), [("both", {}), ("tangential", REGULARIZED)],
+                         ids=["plain", "regularized"])
+def test_all_solvers_find_the_field_of_the_assembled_operator(opening: str, settings: dict[str, Any]) -> None:
+    alone = ddic.Options(settings | EXACT | {"solver": {"method": "monolithic"}, "discontinuity": [
+        {"vertices": LINE, "opening": opening}]}, comm=MPI.COMM_SELF)
+    expected = ddic.measure(sliding_pair(), MESH["Q4"], options=alone)
+    above, below = beside_the_line(3.0)
+    points = np.vstack([above, below, MESH["Q4"].nodes + np.array([0.1, 0.2])])
+    for solver in SOLVERS.values():
+        result = measure(settings | EXACT | {"solver": solver}, opening)
+        # The linear steps are solved to 1e-11 of a pixel or so.
+        assert np.nanmax(np.abs(result.at(points) - expected.at(points))) < 1e-9
+
+
+def test_line_that_ends_inside_opens_behind_its_end() -> None:
+    """A crack from the left edge to the middle, opened by a wedge: nothing parts ahead of its end."""
+    tip = np.array([100.0, 101.3])
+
+    def open_up(points: Array) -> Array:
+        behind = np.maximum(tip[0] - points[:, 0], 0.0)
+        above = points[:, 1] > tip[1]
+        return np.column_stack([np.zeros(len(points)), np.where(above, 0.5, -0.5) * 6e-3 * behind])
+
+    # Each side is drawn by itself: what opens up between them shows nothing of either.
+    height, width = SIZE, SIZE
+    sides = [ddic.make_synthetic_pair(lambda p, s=side: np.column_stack(
+        [np.zeros(len(p)), s * 3e-3 * np.maximum(tip[0] - p[:, 0], 0.0)]), (width, height), seed=3)
+        for side in (1.0, -1.0)]
+    reference, deformed = sides[0][0], np.where(np.arange(height)[:, None] > tip[1], sides[0][1], sides[1][1])
+    result = ddic.measure((reference, deformed.astype(np.uint8)), MESH["Q4"],
+                          options={"discontinuity": [{"vertices": [[0.0, 101.3], [101.0, 101.3]]}]})
+    x = np.linspace(30, 170, 57)
+    apart = (result.at(np.column_stack([x, np.full(57, 102.3)])) - result.at(np.column_stack([x, np.full(57, 100.3)])))
+    wanted = open_up(np.column_stack([x, np.full(57, 110.0)])) - open_up(np.column_stack([x, np.full(57, 90.0)]))
+    assert np.abs(apart - wanted)[x < 70].max() < 0.08
+    # Ahead of the cell of the end both points lie in elements of one piece: 2 px of bilinear displacement.
+    assert np.abs(apart)[x > 118].max() < 0.03
+
+
+@pytest.mark.parametrize(("line", "message"), [
+    ({"vertices": [[-50, -50], [-10, -10]]}, "discontinuity, entry 1: its line crosses no element"),
+    ({"vertices": [[50, 50], [50, 50]]}, "a vertex repeats the one before it"),
+    ({"vertices": [[50, 50]]}, "expected at least 2 items"),
+    ({"vertices": LINE, "opening": "sideways"}, 'expected "both", "tangential" or "normal"'),
+])
+def test_bad_lines_are_refused(line: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        ddic.measure(sliding_pair(), MESH["Q4"], options={"discontinuity": [line]})
+
+
+def test_kinematics_of_ones_own_are_refused_beside_discontinuities() -> None:
+    options = ddic.Options({"discontinuity": [{"vertices": LINE}]}, kinematics=ddic.NodalRegion)
+    with pytest.raises(InputError, match="discontinuities have kinematics of their own"):
+        ddic.measure(sliding_pair(), MESH["Q4"], options=options)
+
+
+def test_command_line_measures_says_and_shows_it(tmp_path: Path) -> None:
+    """`ddic check`, `ddic run` and `ddic plot` of a case file; VTK opens the line."""
+    for name, image in zip(("f", "g"), sliding_pair(), strict=True):
+        cv2.imwrite(str(tmp_path / f"{name}.tif"), image)
+    (tmp_path / "case.toml").write_text(
+        '[images]\nreference = "f.tif"\ndeformed = "g.tif"\n[mesh.structured]\nregion = [20, 20, 180, 180]\n'
+        f'element_size = 16\n[[discontinuity]]\nvertices = {LINE}\nopening = "tangential"\n'
+        '[solver]\nmethod = "monolithic"\n')
+    checked = CliRunner().invoke(check, [str(tmp_path / "case.toml")])
+    assert checked.exit_code == 0, checked.output
+    assert "1 line cuts 14 elements" in checked.stdout
+    ran = CliRunner().invoke(run, [str(tmp_path / "case.toml")])
+    assert ran.exit_code == 0, ran.output
+    assert "discontinuities: 1 line cuts 14 elements" in ran.output
+    drawn = CliRunner().invoke(plot, [str(tmp_path / "result.vtkhdf"), "--output", str(tmp_path)])
+    assert drawn.exit_code == 0, drawn.output
+    result = ddic.open(tmp_path / "result.vtkhdf")
+    # Whole cells, and 14 cut ones in triangles: neighbours across the line have no point in common.
+    assert result.mesh.n_cells > 100 + 14
+    above = (result.mesh.centroids - START) @ NORMAL > 0
+    shared = np.intersect1d(np.unique(result.mesh.cells[above]), np.unique(result.mesh.cells[~above]))
+    assert shared.tolist() == [-1]
+    # A restart finds the field on both sides again: phantom nodes start from the middle of
+    # their parts, some pixels away, and those of small parts are held loosely.
+    again = '[start]\nfrom_result = "result.vtkhdf"\n[output]\nfile = "b.vtkhdf"\n'
+    (tmp_path / "again.toml").write_text((tmp_path / "case.toml").read_text() + again)
+    ran = CliRunner().invoke(run, [str(tmp_path / "again.toml")])
+    assert ran.exit_code == 0, ran.output
+    assert ddic.open(tmp_path / "b.vtkhdf").gauss_newton["rms_correction_px"][0] < 0.1
