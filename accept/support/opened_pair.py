@@ -1,0 +1,199 @@
+"""Exact pairs whose sides of given lines move apart, and errors of what is measured on them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import ddic
+from ddic.mesh.polyline import is_inside_polygon, measure_distance
+from ddic.synth.speckle_texture import SpeckleTexture
+
+Array = NDArray[np.float64]
+
+ANGLE = np.deg2rad(27.0)
+"""Of the straight line."""
+
+SPECKLE = 1.6
+"""Size of the speckles, times the reference size."""
+
+SHEAR = 2e-4
+"""Displacement along the straight line per distance from it: linear, which Q4 hold exactly."""
+
+FAR = 1e4
+"""Pixels by which a line's left side reaches beyond the image."""
+
+BESIDE = 3.0
+"""Distance, pixels, at which both sides of a line are looked up: beyond the band that does not count."""
+
+
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """Lines whose left sides move by a vector more than their right ones, on top of a linear displacement.
+
+    Attributes
+    ----------
+    lines : tuple of (n, 2) array
+        From edge to edge of the image, pixels.
+    jumps : tuple of (2,) array
+        Displacement of the left side less that of the right one, pixels.
+    offset : (2,) array
+        Displacement of everything, pixels.
+    gradient : (2, 2) array
+        Of the linear displacement about the first line's first vertex.
+    """
+
+    lines: tuple[Array, ...]
+    jumps: tuple[Array, ...]
+    offset: Array = field(default_factory=lambda: np.zeros(2))
+    gradient: Array = field(default_factory=lambda: np.zeros((2, 2)))
+
+    def displacement(self, points: Array, sides: Array | None = None) -> Array:
+        """Displacement at points (n, 2) of the reference image, of their own sides or of given ones (n, n_lines)."""
+        sides = self.find_sides(points) if sides is None else sides
+        u = self.offset + (points - self.lines[0][0]) @ self.gradient.T
+        for jump, side in zip(self.jumps, sides.T, strict=True):
+            u = u + (side - 0.5)[:, None] * jump
+        return np.asarray(u)
+
+    def find_sides(self, points: Array) -> Array:
+        """1 to the left of each line and 0 to the right, (n, n_lines)."""
+        return np.stack([is_inside_polygon(points, _left_of(line)) for line in self.lines], axis=1).astype(float)
+
+    def sections(self, opening: str) -> list[dict[str, Any]]:
+        """The lines as a case has them."""
+        return [{"vertices": line.tolist(), "opening": opening} for line in self.lines]
+
+
+def straight_line(size: int, slip: float, shift: float = 0.0) -> Opened:
+    """A line at 27 degrees through the middle, along which the sides slide.
+
+    Parameters
+    ----------
+    size : int
+        Side of the image, pixels.
+    slip : float
+        Pixels.
+    shift : float
+        Displacement of everything along x and y, pixels; without the shear then.
+
+    Returns
+    -------
+    Opened
+        The line.
+    """
+    tangent, normal = np.array([np.cos(ANGLE), np.sin(ANGLE)]), np.array([-np.sin(ANGLE), np.cos(ANGLE)])
+    middle = np.array([size / 2 + 0.37, size / 2 - 0.21])
+    line = np.stack([middle - 2 * size * tangent, middle + 2 * size * tangent])
+    gradient = SHEAR * np.outer(tangent, normal) if slip else np.zeros((2, 2))
+    return Opened((line,), (slip * tangent,), np.full(2, shift), gradient)
+
+
+def _left_of(line: Array) -> Array:
+    """Polygon of what lies to the left of a line: on the side of -y where it runs along +x."""
+    along = line[-1] - line[0]
+    away = FAR * np.array([along[1], -along[0]]) / np.linalg.norm(along)
+    return np.vstack([line, line[-1] + away, line[0] + away])
+
+
+def render(opened: Opened, size: int, noise: float = 0.0, seed: int = 0) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Draw both images, 16 bit.
+
+    Parameters
+    ----------
+    opened : Opened
+        What moves how.
+    size : int
+        Side of the images, pixels.
+    noise : float
+        Standard deviation, grey levels of 256.
+    seed : int
+        Of the noise.
+
+    Returns
+    -------
+    reference, deformed : (size, size) uint16 array
+        Between sides that part, the deformed image shows the nearer one.
+    """
+    texture, random = SpeckleTexture(3, size_factor=SPECKLE), np.random.default_rng(seed)
+    y, x = np.mgrid[0:size, 0:size].astype(float)
+    points = np.column_stack([x.ravel(), y.ravel()])
+    origins = points - opened.offset
+    sides = opened.find_sides(origins)
+    for _ in range(5):
+        # The displacement is linear on each side, and small: this converges by its gradient.
+        origins = points - opened.displacement(origins, sides)
+    pair = []
+    for at in (points, origins):
+        grey = texture.grey(at[:, 0], at[:, 1]).reshape(size, size) * 65535
+        grey += 257 * noise * random.standard_normal(grey.shape)
+        pair.append(np.clip(np.rint(grey), 0, 65535).astype(np.uint16))
+    return pair[0], pair[1]
+
+
+def find_field_error(result: ddic.Result, opened: Opened, *, spread: bool = False) -> float:
+    """Compare the displacement with the known one at points all over the mesh.
+
+    Parameters
+    ----------
+    result : Result
+        What was measured.
+    opened : Opened
+        What is known.
+    spread : bool
+        Whether the mean difference is left out.
+
+    Returns
+    -------
+    float
+        RMS difference per component, or its standard deviation, pixels.
+    """
+    low, high = result.mesh.nodes.min(axis=0), result.mesh.nodes.max(axis=0)
+    points = np.random.default_rng(0).uniform(low, high, (20000, 2))
+    error = result.at(points) - opened.displacement(points)
+    error = error[np.isfinite(error).all(axis=1)]
+    return float(error.std(axis=0).mean()) if spread else float(np.sqrt((error**2).mean()))
+
+
+def find_opening_error(result: ddic.Result, opened: Opened) -> float:
+    """Compare the opening with the known one along all lines.
+
+    Parameters
+    ----------
+    result : Result
+        What was measured.
+    opened : Opened
+        What is known.
+
+    Returns
+    -------
+    float
+        RMS length of the difference, pixels.
+    """
+    differences = []
+    for number, line in enumerate(opened.lines):
+        on_line, normals = _walk(line)
+        apart = result.at(on_line + BESIDE * normals) - result.at(on_line - BESIDE * normals)
+        known = opened.displacement(on_line + BESIDE * normals) - opened.displacement(on_line - BESIDE * normals)
+        is_clear = np.isfinite(apart).all(axis=1)
+        for other, second in enumerate(opened.lines):
+            if other != number:
+                is_clear &= measure_distance(on_line, second) > 3 * BESIDE
+        differences.append((apart - known)[is_clear])
+    return float(np.sqrt((np.concatenate(differences) ** 2).sum(axis=1).mean()))
+
+
+def _walk(line: Array) -> tuple[Array, Array]:
+    """Points along a polyline, some pixels from its bends, and unit normals there."""
+    points, normals = [], []
+    for start, end in pairwise(line):
+        length = float(np.linalg.norm(end - start))
+        along = (end - start) / length
+        shares = np.arange(3 * BESIDE, length - 3 * BESIDE, 1.0)
+        points.append(start + shares[:, None] * along)
+        normals.append(np.broadcast_to([-along[1], along[0]], (len(shares), 2)))
+    return np.concatenate(points), np.concatenate(normals)
