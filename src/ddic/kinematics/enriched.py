@@ -27,7 +27,6 @@ LEAST_SHARE = 0.02
 """Share of the pixels around a node that a side must have for a displacement of its own. With a smaller one the few
 pixels of a corner decide, and Gauss-Newton may diverge; a larger one ties more nodes to their neighbours'."""
 
-
 SAME_DISTANCE = 1e-6
 """Pixels by which neighbours may be farther than the nearest one and count as near as it."""
 
