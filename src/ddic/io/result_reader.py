@@ -191,9 +191,10 @@ def displacement_at(result: Result, points: NDArray[np.float64]) -> NDArray[np.f
     values: NDArray[np.float64] = result.displacement[nearest]
     apart = distance > SAME_NODE_PX
     if apart.any():
-        measured = result.at(points[apart])
-        guessed = np.asarray(LinearNDInterpolator(nodes, result.displacement)(points[apart]))
-        between = np.where(np.isnan(measured), guessed, measured)
+        between = result.at(points[apart])
+        outside = np.isnan(between).any(axis=1)
+        if outside.any():
+            between[outside] = LinearNDInterpolator(nodes, result.displacement)(points[apart][outside])
         values[apart] = np.where(np.isnan(between), values[apart], between)
     return values
 

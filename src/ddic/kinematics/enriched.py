@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from ddic.kinematics.kinematics import Kinematics, RegionKinematics
-from ddic.kinematics.linear import LinearKinematics
+from ddic.kinematics.kinematics import Kinematics
+from ddic.kinematics.linear import LinearRegion
 from ddic.kinematics.nodal import NodalKinematics, component_numbers
 from ddic.mesh.cut_mesh import CutMesh
 from ddic.mesh.mesh import Mesh
@@ -32,7 +32,7 @@ SAME_DISTANCE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class EnrichedRegion(RegionKinematics):
+class EnrichedRegion(LinearRegion):
     """Unknowns that are displacements of nodes and, where a line cuts, how far the other side is beyond.
 
     Attributes
@@ -47,21 +47,8 @@ class EnrichedRegion(RegionKinematics):
         Node of the cut mesh whose pixels determine it.
     """
 
-    mesh: Mesh
-    matrix: sparse.csr_matrix
     node_of_unknown: NDArray[np.int64]
     seen_at: NDArray[np.int64]
-
-    @property
-    def n_unknowns(self) -> int:
-        """Number of unknowns."""
-        return int(self.matrix.shape[1])
-
-    def unknowns_at(self, nodes: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Find the unknowns that displace each of some nodes."""
-        rows = self.matrix[component_numbers(nodes, self.mesh.dim)]
-        by_component = np.diff(rows.indptr).reshape(len(nodes), self.mesh.dim)
-        return rows.indices.astype(np.int64), by_component.sum(axis=1)
 
     def controlled(self, nodes: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Tell which unknowns are controlled: those of controlled nodes. The faces of a line bear no forces."""
@@ -69,12 +56,9 @@ class EnrichedRegion(RegionKinematics):
 
     def restrict(self, part: Mesh, node_ids: NDArray[np.int64], numbers: NDArray[np.int64]) -> Kinematics:
         """Give a subdomain its kinematics: nodal where no line is near."""
-        rows = self.matrix[component_numbers(node_ids, self.mesh.dim)]
-        matrix = rows[:, numbers].tocsr()
-        is_identity = matrix.shape[0] == matrix.shape[1] and abs(matrix - sparse.identity(len(numbers))).max() == 0
-        if is_identity:
+        if np.array_equal(numbers, component_numbers(node_ids, self.mesh.dim)):
             return NodalKinematics(part, numbers)
-        return LinearKinematics(part, numbers, matrix)
+        return super().restrict(part, node_ids, numbers)
 
 
 def enrich(cut: CutMesh, n_pixels: NDArray[np.int64], openings: Sequence[Opening]) -> EnrichedRegion:
@@ -108,8 +92,7 @@ def enrich(cut: CutMesh, n_pixels: NDArray[np.int64], openings: Sequence[Opening
 
     matrix = _move_with_nodes(cut, n_unknowns)
     matrix = matrix + _open_by_unknowns(cut, free, directions, n_unknowns)
-    matrix = (matrix + _average_openings(cut, twins, bound) @ matrix).tocsr()
-    matrix.eliminate_zeros()
+    matrix = matrix + _average_openings(cut, twins, bound) @ matrix
     leaders = twins.leader[:n_nodes]
     seen_at = np.concatenate([np.repeat(leaders, dim), np.repeat(free, n_directions)])
     return EnrichedRegion(cut.mesh, matrix, cut.node_of[seen_at], seen_at)

@@ -127,7 +127,7 @@ class LinearRegion(RegionKinematics):
         touched = abs(self.matrix).T @ free_components.astype(np.float64)
         return np.asarray(touched == 0)
 
-    def restrict(self, part: Mesh, node_ids: NDArray[np.int64], numbers: NDArray[np.int64]) -> LinearKinematics:
+    def restrict(self, part: Mesh, node_ids: NDArray[np.int64], numbers: NDArray[np.int64]) -> Kinematics:
         """Give a subdomain the rows and columns of T that concern it."""
         rows = self.matrix[component_numbers(node_ids, self.mesh.dim)]
         return LinearKinematics(part, numbers, rows[:, numbers].tocsr())
