@@ -9,7 +9,7 @@ import numpy as np
 
 from accept.table import Scale
 from bench.support.rows import Row
-from bench.support.runs import ROOT, ddic_run, images
+from bench.support.runs import ROOT, ddic_run, environment, images
 from ddic.io.result_reader import read_result
 from ddic.synth.truth import load_truth
 
@@ -32,7 +32,7 @@ def measure(scale: Scale) -> list[Row]:
     """
     folder = scale.folder("demo")
     done = subprocess.run(["bash", "examples/demo/run.sh", str(folder)], cwd=ROOT, text=True, capture_output=True,
-                          check=False)
+                          env=environment(), check=False)
     if done.returncode != 0:
         raise RuntimeError(f"the demo ended with exit code {done.returncode}:\n{done.stderr[-2000:]}")
     rms = _number_after(r"known field: ([\d.]+) px", done.stdout)

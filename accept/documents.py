@@ -8,7 +8,7 @@ import sys
 
 from accept.table import Scale
 from bench.support.rows import Row
-from bench.support.runs import ROOT, NotHereError
+from bench.support.runs import ROOT, NotHereError, environment
 
 PRINTED = 400
 """Characters of a tool's last words that a row shows."""
@@ -63,7 +63,7 @@ def _build() -> Row:
 
 def _docstrings() -> Row:
     done = subprocess.run([sys.executable, "scripts/check_docstrings.py"], cwd=ROOT, text=True, capture_output=True,
-                          check=False)
+                          env=environment(), check=False)
     lines = (done.stdout + done.stderr).strip().splitlines()
     return Row("public names of src/ddic: shapes and units in docstrings (scripts/check_docstrings.py)",
                "nothing is missing", lines[-1][-PRINTED:] if lines else "nothing", done.returncode == 0)
@@ -79,5 +79,5 @@ def _examples() -> Row:
 def _run(module: str, *arguments: str) -> tuple[int, str]:
     """Exit code and output of a Python tool."""
     done = subprocess.run([sys.executable, "-m", module, *arguments], cwd=ROOT, text=True, capture_output=True,
-                          check=False)
+                          env=environment(), check=False)
     return done.returncode, done.stdout + done.stderr

@@ -26,7 +26,7 @@ from accept.support.near_far_case import Alone, Pair, alpha_of, calibrate_comman
 from accept.support.whole_pixel_shifts import ShiftError, measure_shifts
 from accept.table import Scale, runs_name
 from bench.support.rows import Row, append_result
-from bench.support.runs import ddic_run
+from bench.support.runs import ddic_run, environment
 from ddic.io.result_reader import Result, read_result
 from ddic.mesh.mesh import Mesh
 from ddic.start.camera_noise import ROUNDING
@@ -336,7 +336,7 @@ def _calibration(far: Pair, near: Pair) -> Row:
     worst = np.zeros(3)
     for rough in ROUGH_RATIOS:
         printed = subprocess.run(calibrate_command(far.reference, near.reference, rough), check=True,
-                                 capture_output=True, text=True, timeout=600).stdout
+                                 env=environment(), capture_output=True, text=True, timeout=600).stdout
         ratio, _ = _numbers_after("ratio", printed)[:2]
         x, _, y, _ = _numbers_after("offset", printed)[:4]
         off = np.abs(np.array([ratio, x, y]) - (RATIO, *OFFSET))

@@ -34,7 +34,7 @@ from accept.support.near_far_error import error_rms, errors, interface_error, la
 from accept.support.near_far_picture import draw_panels
 from accept.table import Check, Scale, run_table, runs_name
 from bench.support.rows import Row, append_result
-from bench.support.runs import ROOT, ddic_command, ddic_run, run_job
+from bench.support.runs import ROOT, ddic_command, ddic_run, environment, run_job
 from ddic.images.camera import CameraMapping, similarity
 from ddic.io.result_reader import Result, read_result
 
@@ -217,7 +217,7 @@ def measure_wrong_inputs(scale: Scale) -> list[Row]:
     }
     failed = []
     for what, (command, expected) in asked.items():
-        done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+        done = subprocess.run(command, env=environment(), capture_output=True, text=True, timeout=600, check=False)
         lines = done.stderr.strip().splitlines()
         append_result(RUNS, {"check": "errors", "input": what, "exit_code": done.returncode, "lines": lines})
         if done.returncode != 2 or len(lines) != 1 or not re.search(expected, lines[0]):

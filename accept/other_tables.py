@@ -9,7 +9,7 @@ import time
 
 from accept.table import Scale
 from bench.support.rows import Row
-from bench.support.runs import ROOT
+from bench.support.runs import ROOT, environment
 
 LONGEST_SMOKE = 10
 """Minutes that all tables may take on tiny cases."""
@@ -35,7 +35,7 @@ def measure_table(table: str, scale: Scale) -> list[Row]:
         return [Row(what, bound, "run by make smoke itself", True)]
     module = f"accept.{table.replace('-', '_')}"
     command = [sys.executable, "-m", module, "--jobs", str(scale.jobs)]
-    done = subprocess.run(command, cwd=ROOT, text=True, stdout=subprocess.PIPE, check=False)
+    done = subprocess.run(command, cwd=ROOT, text=True, env=environment(), stdout=subprocess.PIPE, check=False)
     print(done.stdout, flush=True)
     failed = re.findall(r"^FAILS  (.*)$", done.stdout, re.MULTILINE)
     n_held = len(re.findall(r"^holds  ", done.stdout, re.MULTILINE))
@@ -60,8 +60,8 @@ def measure_smoke(scale: Scale) -> list[Row]:
     if scale.smoke:
         return [Row(what, bound, "this run", True)]
     begin = time.perf_counter()
-    done = subprocess.run([sys.executable, "-m", "accept.smoke"], cwd=ROOT, text=True, stdout=subprocess.PIPE,
-                          check=False)
+    done = subprocess.run([sys.executable, "-m", "accept.smoke"], cwd=ROOT, text=True, env=environment(),
+                          stdout=subprocess.PIPE, check=False)
     minutes = (time.perf_counter() - begin) / 60
     failed = re.findall(r"^FAILED (.*)$", done.stdout, re.MULTILINE)
     measured = f"{minutes:.1f} minutes" + "".join(f"; did not run: {line}" for line in failed)

@@ -110,7 +110,7 @@ def measure_fields(case: RecordedCase, folder: Path, n_ranks: int, source: Sourc
             continue
         output = f'\n[output]\nfile = "{run.name}.vtkhdf"\nresidual_image = false\n'
         (folder / f"{run.name}.toml").write_text(run.text + output, encoding="utf-8")
-        mpirun(n_ranks, ddic_command(), "run", str(folder / f"{run.name}.toml"), environment=source.environment)
+        mpirun(n_ranks, ddic_command(), "run", str(folder / f"{run.name}.toml"), changes=source.environment)
         result = read_result(folder / f"{run.name}.vtkhdf")
         found[run.name] = result.displacement
         for number in range(1, run.text.count("[[near]]") + 1):

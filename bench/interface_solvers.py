@@ -22,7 +22,7 @@ from statistics import median
 from typing import Any
 
 from bench.support.rows import RESULTS, append_result
-from bench.support.runs import DATA, ROOT
+from bench.support.runs import DATA, ROOT, environment
 
 JOB = "bench.support.interface_job"
 NAME = "interface_solvers"
@@ -55,7 +55,8 @@ def run(solver: str, per_subdomain: int | None, n: int, wavelength: float, ranks
     # The limit is each process's: a rank that ran away would take the whole machine with it.
     limited = ["bash", "-c", f'ulimit -v {MEMORY // ranks // 1024}; exec "$@"', "limited"]
     done = subprocess.run(["timeout", f"{timeout:g}", *launcher, *limited, sys.executable, "-m", "mpi4py", "-m",
-                           JOB, json.dumps(task)], cwd=ROOT, text=True, capture_output=True, check=False)
+                           JOB, json.dumps(task)], cwd=ROOT, env=environment(), text=True,
+                          capture_output=True, check=False)
     record = {"solver": solver, "per_subdomain": per_subdomain, "n": n, "cut_off_wavelength": wavelength,
               "n_ranks": ranks, "n_dofs": 2 * (n + 1) ** 2, "timeout": timeout,
               "petsc_options": os.environ.get("PETSC_OPTIONS", "")}

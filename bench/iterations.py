@@ -21,7 +21,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from bench.support.rows import RESULTS, append_result
-from bench.support.runs import DATA, ROOT, images
+from bench.support.runs import DATA, ROOT, environment, images
 from bench.support.unstructured_mesh import write_unstructured_mesh
 
 JOB = "bench.support.iterations_job"
@@ -168,8 +168,8 @@ def run(task: Task) -> list[dict[str, Any]]:
     """All ratios and preconditioners of a task in one process; a record each."""
     argument = {"case": task.case, "wavelengths": [ratio * task.size for ratio in task.ratios], "kinds": task.kinds,
                 "dim": CONTRAST if task.name == "contrast" else 1.0}
-    done = subprocess.run([sys.executable, "-m", JOB, json.dumps(argument)], cwd=ROOT, check=False, text=True,
-                          capture_output=True)
+    done = subprocess.run([sys.executable, "-m", JOB, json.dumps(argument)], cwd=ROOT, env=environment(), check=False,
+                          text=True, capture_output=True)
     if done.returncode != 0:
         raise RuntimeError(f"{JOB} ended with {done.returncode}:\n{done.stderr[-4000:]}")
     ratio_of = {ratio * task.size: ratio for ratio in task.ratios}

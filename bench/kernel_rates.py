@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -23,7 +22,7 @@ import numpy as np
 
 from bench.support.before import checkout_before
 from bench.support.rows import Row, append_result, show
-from bench.support.runs import DATA, ROOT
+from bench.support.runs import DATA, ROOT, environment
 from bench.support.unstructured_mesh import write_unstructured_mesh
 from ddic.io.mesh_file import read_mesh
 from ddic.mesh.mesh import Mesh, Similarity
@@ -96,9 +95,9 @@ class Checkout:
 
     def __init__(self, directory: Path, mesh: Path, degree: int) -> None:
         job = ROOT / "bench" / "support" / "kernel_rates_job.py"
-        environment = {**os.environ, "PYTHONPATH": str(directory / "src")}
         self._process = subprocess.Popen([sys.executable, str(job), str(mesh), str(degree)], text=True,
-                                         stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment)
+                                         stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                                         env=environment({"PYTHONPATH": str(directory / "src")}))
         self.digests: dict[str, str] = json.loads(self._answer())
 
     def seconds(self, name: str) -> float:

@@ -7,6 +7,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,26 @@ def ddic_command() -> str:
     return str(Path(sys.executable).with_name("ddic"))
 
 
-def mpirun(n_ranks: int, *command: str, environment: dict[str, str] | None = None) -> str:
+def environment(changes: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Give the environment of a new process: that with which this one began.
+
+    MPI, once begun in a process, adds variables with which an ``mpiexec`` started from there fails. Python's
+    ``os.environ`` does not see them; a process that is given no environment inherits them.
+
+    Parameters
+    ----------
+    changes : mapping, optional
+        Variables that differ from this process's.
+
+    Returns
+    -------
+    dict
+        Values by name.
+    """
+    return {**os.environ, **(changes or {})}
+
+
+def mpirun(n_ranks: int, *command: str, changes: Mapping[str, str] | None = None) -> str:
     """Run a command on some ranks with an outer time limit.
 
     Parameters
@@ -47,7 +67,7 @@ def mpirun(n_ranks: int, *command: str, environment: dict[str, str] | None = Non
         Number of MPI ranks.
     *command : str
         The command and its arguments.
-    environment : dict, optional
+    changes : mapping, optional
         Variables that differ from this process's.
 
     Returns
@@ -62,7 +82,7 @@ def mpirun(n_ranks: int, *command: str, environment: dict[str, str] | None = Non
     """
     launcher = os.environ.get("MPIEXEC", "mpiexec")
     done = subprocess.run(["timeout", str(TIMEOUT_S), launcher, "-n", str(n_ranks), *command], cwd=ROOT, text=True,
-                          env={**os.environ, **(environment or {})}, capture_output=True, check=False)
+                          env=environment(changes), capture_output=True, check=False)
     if done.returncode != 0:
         # What mpiexec says of it after a line of dashes is no reason.
         reason = "\n".join([*done.stdout.splitlines(), *done.stderr.partition("\n-----")[0].splitlines()][-MOST_LINES:])
@@ -123,18 +143,18 @@ def ddic_run(case: str, folder: Path, n_ranks: int, name: str = "result") -> dic
     return summary
 
 
-def ddic(*arguments: str, environment: dict[str, str] | None = None) -> None:
+def ddic(*arguments: str, changes: Mapping[str, str] | None = None) -> None:
     """Run the command line on one rank.
 
     Parameters
     ----------
     *arguments : str
         Of ``ddic``.
-    environment : dict, optional
+    changes : mapping, optional
         Variables that differ from this process's.
     """
     subprocess.run([ddic_command(), *arguments], check=True, stdout=subprocess.DEVNULL,
-                   env={**os.environ, **(environment or {})})
+                   env=environment(changes))
 
 
 def images(*arguments: str, folder: Path) -> Path:
