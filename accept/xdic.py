@@ -8,38 +8,29 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from typing import Literal
 
 import numpy as np
 
 import ddic
+from accept.bolted import measure_bolted
+from accept.slip import measure_slip
 from accept.support.opened_pair import (
-    ANGLE,
+    MARGIN,
+    SIZE,
+    SMOKE_SIZE,
     Opened,
     find_field_error,
     find_opening_error,
+    mesh_inside,
     render,
     straight_line,
 )
 from accept.table import Check, Scale, run_table
-from bench.support.rows import Row, append_result
+from bench.support.rows import Row
 from bench.support.runs import run_job
 
-SIZE, SMOKE_SIZE = 512, 200
-"""Side of the images, pixels."""
-
-MARGIN = 24
-"""Edge without elements, pixels."""
-
-ELEMENTS, SMOKE_ELEMENTS = (8, 16, 32, 64), (32,)
-SLIPS, SMOKE_SLIPS = (0.15, 0.3, 0.45, 0.6, 0.75, 0.9), (0.45,)
-"""Sides of the elements and slips along the line, pixels."""
-
-FIELD_PX, SLIP_PX = 6e-4, 1e-3
-"""RMS errors of the displacement and of the slip with elements of 64 px."""
-
 SHIFTS, SMOKE_SHIFTS = np.linspace(0.0, 1.0, 11), (0.3,)
-UNIFORM_ELEMENTS = (16, 32, 64)
+UNIFORM_ELEMENTS, SMOKE_ELEMENTS = (16, 32, 64), (32,)
 MOST_WITH_NOISE, MOST_NOISE_FREE, LEAST_PX, UNIFORM_PX = 1.1, 1.25, 1e-4, 1e-3
 """Standard deviations of enriched elements: times those of continuous ones with and without noise, or pixels; pixels at
 32 px, noise-free."""
@@ -51,47 +42,6 @@ SAME_PX = 1e-9
 """Largest difference between solvers."""
 
 RANKS, SMOKE_RANKS = (1, 2, 3, 4), (2,)
-
-
-def measure_slip(scale: Scale) -> list[Row]:
-    """Measure a slip along a line at 27 degrees with continuous elements and with the line given.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes a small image, one slip and one size of elements.
-
-    Returns
-    -------
-    list of Row
-        Displacement, and slip.
-    """
-    size = SMOKE_SIZE if scale.smoke else SIZE
-    slips, elements = (SMOKE_SLIPS, SMOKE_ELEMENTS) if scale.smoke else (SLIPS, ELEMENTS)
-    rms: dict[str, list[float]] = {"continuous": [], "enriched": [], "slip": []}
-    for element in elements:
-        found: dict[str, list[float]] = {name: [] for name in rms}
-        for slip in slips:
-            opened = straight_line(size, slip)
-            pair = render(opened, size)
-            mesh = _mesh(size, element)
-            continuous = ddic.measure(pair, mesh)
-            enriched = ddic.measure(pair, mesh, options={"discontinuity": opened.sections("tangential")})
-            found["continuous"].append(find_field_error(continuous, opened))
-            found["enriched"].append(find_field_error(enriched, opened))
-            found["slip"].append(find_opening_error(enriched, opened))
-        for name, errors in found.items():
-            rms[name].append(float(np.sqrt(np.mean(np.square(errors)))))
-    append_result("xdic_runs", {"check": "slip", "elements": elements, **rms})
-    rising, falling = np.diff(rms["continuous"]), np.diff(rms["enriched"])
-    listed = "; ".join(f"{element} px: continuous {c:.1e}, enriched {e:.1e}, slip {s:.1e} px" for element, c, e, s in
-                       zip(elements, rms["continuous"], rms["enriched"], rms["slip"], strict=True))
-    what = f"slip of {slips[0]:g} to {slips[-1]:g} px along a line at {np.rad2deg(ANGLE):.0f} degrees, 16 bit"
-    return [Row(f"{what}: RMS error of the displacement with growing elements",
-                f"rises with continuous elements, falls with enriched ones, <= {FIELD_PX} px at {elements[-1]} px",
-                listed, bool((rising > 0).all() and (falling < 0).all() and rms["enriched"][-1] <= FIELD_PX)),
-            Row(f"{what}: RMS error of the slip along the line, {elements[-1]}-px elements", f"<= {SLIP_PX} px",
-                f"{rms['slip'][-1]:.1e} px", rms["slip"][-1] <= SLIP_PX)]
 
 
 def measure_uniform(scale: Scale) -> list[Row]:
@@ -117,7 +67,7 @@ def measure_uniform(scale: Scale) -> list[Row]:
             for seed, shift in enumerate(shifts):
                 opened = straight_line(size, 0.0, shift)
                 pair = render(opened, size, noise=noise, seed=seed)
-                mesh = _mesh(size, element)
+                mesh = mesh_inside(size, element)
                 of_continuous.append(find_field_error(ddic.measure(pair, mesh), opened, spread=True))
                 of_enriched.append(find_field_error(ddic.measure(pair, mesh, options={
                     "discontinuity": opened.sections("tangential")}), opened, spread=True))
@@ -157,8 +107,8 @@ def measure_shapes(scale: Scale) -> list[Row]:
                  (jump, np.array([-0.2, 0.17])))
     hole = ddic.structured_mesh((MARGIN, MARGIN, size - MARGIN, size - MARGIN), element,
                                 circles=[((middle - 60.0, middle), 40.0)])
-    cases = {"one line on Q4": (one, _mesh(size, element)), "on T3": (one, _mesh(size, element, "T3")),
-             "a bend": (bent, _mesh(size, element)), "two lines, one across the edge of a hole": (two, hole)}
+    cases = {"one line on Q4": (one, mesh_inside(size, element)), "on T3": (one, mesh_inside(size, element, "T3")),
+             "a bend": (bent, mesh_inside(size, element)), "two lines, one across the edge of a hole": (two, hole)}
     errors = {}
     for name, (opened, mesh) in cases.items():
         result = ddic.measure(render(opened, size), mesh, options={"discontinuity": opened.sections("both")})
@@ -191,13 +141,9 @@ def measure_solvers(scale: Scale) -> list[Row]:
                 f"{largest:.1e} px of {len(records)}", largest <= SAME_PX)]
 
 
-def _mesh(size: int, element: int, cell: Literal["Q4", "T3"] = "Q4") -> ddic.Mesh:
-    side = element * ((size - 2 * MARGIN) // element)
-    return ddic.structured_mesh((MARGIN, MARGIN, MARGIN + side, MARGIN + side), element, cell=cell)
-
-
 CHECKS: dict[str, Check] = {
     "slip": measure_slip,
+    "bolted": measure_bolted,
     "uniform": measure_uniform,
     "shapes": measure_shapes,
     "solvers": measure_solvers,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,12 @@ from ddic.mesh.polyline import is_inside_polygon, measure_distance
 from ddic.synth.speckle_texture import SpeckleTexture
 
 Array = NDArray[np.float64]
+
+SIZE, SMOKE_SIZE = 512, 200
+"""Side of the images, pixels."""
+
+MARGIN = 24
+"""Edge without elements, pixels."""
 
 ANGLE = np.deg2rad(27.0)
 """Of the straight line."""
@@ -93,6 +99,27 @@ def straight_line(size: int, slip: float, shift: float = 0.0) -> Opened:
     return Opened((line,), (slip * tangent,), np.full(2, shift), gradient)
 
 
+def mesh_inside(size: int, element: int, cell: Literal["Q4", "T3"] = "Q4") -> ddic.Mesh:
+    """Mesh a square image but for its edge.
+
+    Parameters
+    ----------
+    size : int
+        Side of the image, pixels.
+    element : int
+        Side of the elements, pixels.
+    cell : str
+        Type of the elements.
+
+    Returns
+    -------
+    Mesh
+        Of whole elements.
+    """
+    side = element * ((size - 2 * MARGIN) // element)
+    return ddic.structured_mesh((MARGIN, MARGIN, MARGIN + side, MARGIN + side), element, cell=cell)
+
+
 def _left_of(line: Array) -> Array:
     """Polygon of what lies to the left of a line: on the side of -y where it runs along +x."""
     along = line[-1] - line[0]
@@ -100,8 +127,9 @@ def _left_of(line: Array) -> Array:
     return np.vstack([line, line[-1] + away, line[0] + away])
 
 
-def render(opened: Opened, size: int, noise: float = 0.0, seed: int = 0) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Draw both images, 16 bit.
+def render(opened: Opened, size: int, noise: float = 0.0, seed: int = 0, *, speckle: float = SPECKLE,
+           bits: int = 16) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Draw both images.
 
     Parameters
     ----------
@@ -113,13 +141,17 @@ def render(opened: Opened, size: int, noise: float = 0.0, seed: int = 0) -> tupl
         Standard deviation, grey levels of 256.
     seed : int
         Of the noise.
+    speckle : float
+        Size of the speckles, times the reference size.
+    bits : int
+        8 or 16.
 
     Returns
     -------
-    reference, deformed : (size, size) uint16 array
+    reference, deformed : (size, size) uint8 or uint16 array
         Between sides that part, the deformed image shows the nearer one.
     """
-    texture, random = SpeckleTexture(3, size_factor=SPECKLE), np.random.default_rng(seed)
+    texture, random = SpeckleTexture(3, size_factor=speckle), np.random.default_rng(seed)
     y, x = np.mgrid[0:size, 0:size].astype(float)
     points = np.column_stack([x.ravel(), y.ravel()])
     origins = points - opened.offset
@@ -127,11 +159,12 @@ def render(opened: Opened, size: int, noise: float = 0.0, seed: int = 0) -> tupl
     for _ in range(5):
         # The displacement is linear on each side, and small: this converges by its gradient.
         origins = points - opened.displacement(origins, sides)
+    brightest = 2**bits - 1
     pair = []
     for at in (points, origins):
-        grey = texture.grey(at[:, 0], at[:, 1]).reshape(size, size) * 65535
-        grey += 257 * noise * random.standard_normal(grey.shape)
-        pair.append(np.clip(np.rint(grey), 0, 65535).astype(np.uint16))
+        grey = texture.grey(at[:, 0], at[:, 1]).reshape(size, size) * brightest
+        grey += brightest / 255 * noise * random.standard_normal(grey.shape)
+        pair.append(np.clip(np.rint(grey), 0, brightest).astype(np.uint16 if bits > 8 else np.uint8))
     return pair[0], pair[1]
 
 

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ddic.functionals import pixel_kernels as kernels
 from ddic.functionals.correlation import read_correlation
 from ddic.functionals.torn_cells import find_torn_cells
 from ddic.images.sub_image import DeformedSubImage
@@ -56,3 +57,22 @@ def test_displacement_that_tears_every_cell_needs_no_image() -> None:
     q = np.random.default_rng(0).uniform(-1e5, 1e5, MESH.n_dofs)
     assert part.find_displaced_window(q).n_pixels == 1
     assert part.compute_residual(DeformedSubImage(source(PAIR.deformed), 3), q).n_pixels == 0
+
+
+def test_torn_cells_are_not_visited(monkeypatch: pytest.MonkeyPatch) -> None:
+    visited: list[int] = []
+    sums = kernels.residual_sums
+    monkeypatch.setattr(kernels, "residual_sums",
+                        lambda cells, *rest: (visited.extend(cells.order), sums(cells, *rest)))
+    side = 1024
+    image = source(np.random.default_rng(0).uniform(0, 255, (side, side)).astype(np.float32))
+    mesh = build_structured_mesh((848.0, 848.0, 992.0, 992.0), 16.0)
+    part = read_correlation(mesh, image, 3)
+    deformed = DeformedSubImage(image, 3)
+    n_pixels = part.compute_residual(deformed, _runaway(1e3)).cell_sums.n_pixels
+    # They are nowhere in the window that is in memory, 800 rows from the image's edge: reading there once crashed.
+    whole = np.flatnonzero(~(mesh.cells == RUNAWAY).any(axis=1))
+    assert sorted(visited) == whole.tolist()
+    assert (n_pixels[whole] == 256).all()
+    residual = part.compute_residual_image(deformed, _runaway(1e3))
+    assert np.isfinite(residual).sum() == 256 * len(whole)

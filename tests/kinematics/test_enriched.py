@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ddic.functionals.line_band import count_pixels_outside
-from ddic.kinematics.enriched import EnrichedRegion, Opening, enrich
+from ddic.kinematics.discontinuities import Opening
+from ddic.kinematics.enriched import EnrichedRegion, enrich
 from ddic.mesh.cut_mesh import CutMesh, cut_mesh
 from ddic.mesh.raster import rasterize
 from ddic.mesh.structured import build_structured_mesh

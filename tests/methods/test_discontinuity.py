@@ -17,7 +17,7 @@ import ddic
 from ddic.cli.check import check
 from ddic.cli.plot import plot
 from ddic.cli.run import run
-from ddic.errors import InputError
+from ddic.errors import ConvergenceError, InputError
 
 Array = NDArray[np.float64]
 SIZE = 200
@@ -119,6 +119,32 @@ def test_line_that_ends_inside_opens_behind_its_end() -> None:
     assert np.abs(apart - wanted)[x < 70].max() < 0.08
     # Ahead of the cell of the end both points lie in elements of one piece: 2 px of bilinear displacement.
     assert np.abs(apart)[x > 118].max() < 0.03
+
+
+@cache
+def far_apart() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """One side rests, the other slides 12 px along the line."""
+    return ddic.make_synthetic_pair(lambda points: np.where(
+        (points - START) @ NORMAL > 0, 12.0, 0.0)[:, None] * TANGENT, (400, 400), seed=3)
+
+
+@pytest.mark.parallel([1, 2])
+def test_start_finds_sides_that_are_far_apart() -> None:
+    line = [START.tolist(), (START + 500 * TANGENT).tolist()]
+    mesh = ddic.structured_mesh((20, 20, 380, 380), 16)
+    settings: dict[str, Any] = {"discontinuity": [{"vertices": line, "opening": "tangential"}]}
+    result = ddic.measure(far_apart(), mesh, options=settings)
+    on_line = START + np.linspace(50, 350, 100)[:, None] * TANGENT
+    apart = result.at(on_line + 3 * NORMAL) - result.at(on_line - 3 * NORMAL)
+    # 8 bit and elements of 16 px: some hundredths of a pixel.
+    assert np.sqrt(((apart - 12.0 * TANGENT) ** 2).mean()) < 0.05
+    # Levels that smear the slip leave half of it, more than speckles of 5 px allow.
+    smeared = settings | {"start": {"largest_enriched_block": 0}}
+    try:
+        apart = ddic.measure(far_apart(), mesh, options=smeared).at(on_line + 3 * NORMAL)
+    except ConvergenceError:
+        return
+    assert np.sqrt(((apart - 12.0 * TANGENT) ** 2).mean()) > 1.0
 
 
 @pytest.mark.parametrize(("line", "message"), [

@@ -98,4 +98,4 @@ def test_zero_is_what_switching_everything_off_comes_to() -> None:
     mesh = square_mesh(24, 168)
     start = find_multilevel_start(BinnedPair(image, image, 1), mesh, rigid=False, pyramid=False, correction="none")
     np.testing.assert_array_equal(start.field.at(mesh.nodes), np.zeros_like(mesh.nodes))
-    assert (start.rigid, start.levels, start.warnings) == (None, (), ())
+    assert (start.rigid, start.levels, start.warnings) == ((), (), ())

@@ -571,6 +571,14 @@ class StartSection(Section):
         default=True,
         description="With the dual method, solve each subdomain alone, without regularisation, before coupling them.",
     )
+    largest_enriched_block: float = Field(
+        default=64.0, ge=0, allow_inf_nan=False,
+        description=(
+            "With [[discontinuity]]: the pyramid's levels with larger blocks than this hold a continuous displacement. "
+            "Smaller values help where a jump is small and the few large blocks beside the line do not show it."
+        ),
+        json_schema_extra={"unit": "px"},
+    )
     from_result: Path | None = Field(
         default=None,
         description="An earlier result file, on the same or another mesh; it replaces `rigid` and `pyramid`.",

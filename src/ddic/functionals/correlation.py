@@ -34,9 +34,6 @@ FEWEST = 128
 """Cells of a thread's slice, some 0.2 ms: handing it over and the kernel's scratch arrays cost a tenth of that.
 Larger slices leave threads idle on small subdomains."""
 
-FAR_OUTSIDE = -1e6
-"""Displacement, pixels, that no pixel of an image stays in it with."""
-
 _NOTHING_EXCLUDED = np.zeros((0, 0), dtype=np.uint8)
 
 
@@ -165,7 +162,7 @@ class Correlation:
         hessians = np.zeros((n_cells, 4, 2, 4, 2))
 
         def accumulate(place: slice) -> None:
-            kernels.hessian_cells(self._cells(place), shapes, reference, hessians)
+            kernels.hessian_cells(self._cells(self.order[place]), shapes, reference, hessians)
 
         self.threads.run_over(n_cells, FEWEST, accumulate)
         return hessians.reshape(n_cells, 8, 8)
@@ -199,15 +196,16 @@ class Correlation:
             Sums by cell.
         """
         n_cells = len(self.order)
-        u = self._cell_displacements(q)
+        u = self.interpolation.monomial_coefficients(q)
         reference = self._reference_pixels
         pixels = self._deformed_pixels(deformed.get_spline(self.find_displaced_window(q)))
+        order = self._order_whole_cells(q)
         sums = kernels.CellSums(np.zeros((n_cells, 3, 2, 4)), np.zeros((n_cells, kernels.N_SUMS)))
 
         def accumulate(place: slice) -> None:
-            kernels.residual_sums(self._cells(place), u, reference, pixels, all_kinds, sums)
+            kernels.residual_sums(self._cells(order[place]), u, reference, pixels, all_kinds, sums)
 
-        self.threads.run_over(n_cells, FEWEST, accumulate)
+        self.threads.run_over(len(order), FEWEST, accumulate)
         return Residual(sums.moments, GreySums(sums.grey))
 
     def assemble_right_hand_side(self, residual: Residual, gain: NDArray[np.float64] | float = 1.0,
@@ -258,17 +256,18 @@ class Correlation:
             On the reference window, grey levels; NaN on pixels that do not count.
         """
         n_cells = len(self.order)
-        u = self._cell_displacements(q)
+        u = self.interpolation.monomial_coefficients(q)
         reference = self._reference_pixels
         pixels = self._deformed_pixels(deformed.get_spline(self.find_displaced_window(q)))
+        order = self._order_whole_cells(q)
         gains = np.array(np.broadcast_to(np.asarray(gain, dtype=float), n_cells))
         offsets = np.array(np.broadcast_to(np.asarray(offset, dtype=float), n_cells))
         image = np.full(self.reference.values.shape, np.nan, dtype=np.float32)
 
         def write(place: slice) -> None:
-            kernels.fill_residual_pixels(self._cells(place), u, reference, pixels, gains, offsets, image)
+            kernels.fill_residual_pixels(self._cells(order[place]), u, reference, pixels, gains, offsets, image)
 
-        self.threads.run_over(n_cells, FEWEST, write)
+        self.threads.run_over(len(order), FEWEST, write)
         return image
 
     def find_displaced_window(self, q: NDArray[np.float64]) -> Window:
@@ -302,13 +301,10 @@ class Correlation:
     def _find_torn_cells(self, q: NDArray[np.float64]) -> NDArray[np.int64]:
         return find_torn_cells(self.mesh, q.reshape(self.mesh.nodes.shape))
 
-    def _cell_displacements(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Coefficients of u on the monomials, (n_cells, dim, 4); torn cells are displaced out of any image."""
-        u = self.interpolation.monomial_coefficients(q)
+    def _order_whole_cells(self, q: NDArray[np.float64]) -> NDArray[np.int64]:
+        """The cells that are not torn, in the order of visiting."""
         torn = self._find_torn_cells(q)
-        u[torn] = 0.0
-        u[torn, :, 0] = FAR_OUTSIDE
-        return u
+        return self.order[~np.isin(self.order, torn)] if len(torn) else self.order
 
     def _displaced_nodes(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """Nodes x + u, (n_nodes, 2), pixels."""
@@ -328,10 +324,10 @@ class Correlation:
         window = self.reference.window
         return int(self.raster.sum_by_cell(usable, window.x0, window.y0).sum())
 
-    def _cells(self, place: slice) -> kernels.Cells:
-        """Some of the cells, in the order of visiting."""
+    def _cells(self, order: NDArray[np.int64]) -> kernels.Cells:
+        """Cells in the order of visiting."""
         raster = self.raster
-        return kernels.Cells(self.order[place], self.interpolation.geometry, raster.first_row, raster.row_ptr,
+        return kernels.Cells(order, self.interpolation.geometry, raster.first_row, raster.row_ptr,
                              raster.starts, raster.stops)
 
     @cached_property

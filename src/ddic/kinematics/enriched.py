@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import permutations
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.kinematics.discontinuities import Opening
 from ddic.kinematics.kinematics import Kinematics
 from ddic.kinematics.linear import LinearRegion
 from ddic.kinematics.nodal import NodalKinematics, component_numbers
@@ -19,9 +19,6 @@ from ddic.mesh.mesh import Mesh
 from ddic.mesh.polyline import find_nearest_segments, measure_distance
 
 Array = NDArray[np.float64]
-
-Opening = Literal["both", "tangential", "normal"]
-"""Directions, seen from the line, in which the displacement may be discontinuous."""
 
 LEAST_SHARE = 0.02
 """Share of the pixels around a node that a side must have for a displacement of its own. With a smaller one the few

@@ -72,6 +72,24 @@ def cut_mesh(mesh: Mesh, lines: Sequence[Array]) -> CutMesh:
     return _replace_cut_cells(mesh, parts, Lines(clear, bends))
 
 
+def cuts(line: Array, mesh: Mesh) -> bool:
+    """Tell whether a line crosses a cell of a mesh from side to side.
+
+    Parameters
+    ----------
+    line : (n_vertices, 2) array
+        Polyline, pixels.
+    mesh : Mesh
+        Of convex plane cells.
+
+    Returns
+    -------
+    bool
+        Whether it does.
+    """
+    return bool(_cut_cells(mesh, (_keep_clear(line, mesh.nodes),))[0])
+
+
 def _keep_clear(line: Array, nodes: Array) -> Array:
     """The line, moved as little as keeps it clear of all nodes."""
     direction = line[-1] - line[0]

@@ -39,6 +39,8 @@ def keep_sides_determined(cut: CutMesh, kinematics: EnrichedRegion, n_pixels: ND
     (n_cells,) array of int64
         New subdomain of each of these cells, numbered without gaps.
     """
+    if not parts.any():
+        return parts
     pixels, takes_part = _find_cells_at_phantoms(cut, kinematics, n_pixels)
     total = np.asarray(pixels.sum(axis=0)).ravel()
     sees_enough = _find_enough(pixels, total)

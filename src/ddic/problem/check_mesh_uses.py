@@ -17,7 +17,7 @@ from ddic.mesh.quality import measure_areas
 from ddic.mesh.raster import rasterize
 from ddic.mesh.repair import check_pixels
 from ddic.partition.ties import Tying
-from ddic.problem.cut_region import cut_region
+from ddic.problem.cut_region import check_lines
 from ddic.problem.gather_problems import Problems
 from ddic.problem.mesh_source import describe_mesh_source
 
@@ -75,7 +75,7 @@ def check_mesh_uses(loaded: LoadedCase, checked: CheckedMesh, problems: Problems
     with problems.gathered(loaded.path):
         check_wavelength(case, mesh)
     with problems.gathered(loaded.path):
-        cut_region(case, mesh)
+        check_lines(case, mesh)
     with problems.gathered():
         if case.solver.partition_file is not None:
             read_partition(case.solver.partition_file, mesh.n_cells)

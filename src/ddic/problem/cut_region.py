@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from ddic.case.schema import Case
 from ddic.errors import InputError
 from ddic.functionals.line_band import count_pixels_outside
+from ddic.kinematics.discontinuities import Discontinuities
 from ddic.kinematics.enriched import EnrichedRegion, enrich
-from ddic.mesh.cut_mesh import CutMesh, cut_mesh
+from ddic.mesh.cut_mesh import CutMesh, cut_mesh, cuts
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
 
@@ -77,6 +78,23 @@ class CutRegion:
         return nodes[nodes >= 0]
 
 
+def list_discontinuities(case: Case) -> Discontinuities:
+    """Give the case's discontinuities.
+
+    Parameters
+    ----------
+    case : Case
+        With its discontinuities.
+
+    Returns
+    -------
+    Discontinuities
+        Pixels.
+    """
+    return Discontinuities(tuple(np.array(section.vertices) for section in case.discontinuity),
+                           tuple(section.opening for section in case.discontinuity))
+
+
 def cut_region(case: Case, mesh: Mesh) -> CutRegion | None:
     """Cut a mesh by the case's discontinuities.
 
@@ -99,11 +117,29 @@ def cut_region(case: Case, mesh: Mesh) -> CutRegion | None:
     """
     if not case.discontinuity:
         return None
-    lines = [np.array(section.vertices) for section in case.discontinuity]
-    idle = [k for k, line in enumerate(lines, start=1) if cut_mesh(mesh, [line]).mesh.parts is None]
+    check_lines(case, mesh)
+    discontinuities = list_discontinuities(case)
+    cut = cut_mesh(mesh, discontinuities.lines)
+    n_pixels = count_pixels_outside(cut.mesh, rasterize(cut.mesh), case.correlation.spline_degree)
+    return CutRegion(cut, enrich(cut, n_pixels, discontinuities.openings), n_pixels)
+
+
+def check_lines(case: Case, mesh: Mesh) -> None:
+    """Check that every discontinuity cuts the mesh.
+
+    Parameters
+    ----------
+    case : Case
+        With its discontinuities.
+    mesh : Mesh
+        The whole mesh, pixels.
+
+    Raises
+    ------
+    InputError
+        Where a line crosses no element from side to side.
+    """
+    idle = [k for k, line in enumerate(list_discontinuities(case).lines, start=1) if not cuts(line, mesh)]
     if idle:
         raise InputError([f"discontinuity, entry {k}: its line crosses no element of the mesh from side to side; "
                           "correct discontinuity.vertices (px), or use smaller elements" for k in idle])
-    cut = cut_mesh(mesh, lines)
-    n_pixels = count_pixels_outside(cut.mesh, rasterize(cut.mesh), case.correlation.spline_degree)
-    return CutRegion(cut, enrich(cut, n_pixels, [section.opening for section in case.discontinuity]), n_pixels)

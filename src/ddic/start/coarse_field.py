@@ -23,9 +23,11 @@ from ddic.mesh.mesh import Mesh
 from ddic.mesh.own_side import find_points_on_own_side
 from ddic.parallel.team import Team, require_held
 from ddic.problem.cameras import Camera, Frame
+from ddic.problem.cut_region import list_discontinuities
 from ddic.problem.inputs import Inputs
 from ddic.problem.views import ReferenceViews
-from ddic.start.multilevel import MultilevelStart, choose_finest_block, find_multilevel_start
+from ddic.start.cut_field import prolong
+from ddic.start.multilevel import LinesOnLevels, MultilevelStart, choose_finest_block, find_multilevel_start
 from ddic.start.pyramid_level import BinnedPair
 
 Array = NDArray[np.float64]
@@ -63,6 +65,8 @@ class CoarseSearch:
         Of grey levels.
     meshes : list of Mesh or None
         Cells of each camera in its pixels, on the last rank.
+    lines : LinesOnLevels
+        Discontinuities of the displacement.
     """
 
     team: Team
@@ -70,6 +74,7 @@ class CoarseSearch:
     section: StartSection
     correction: GreyCorrection
     meshes: list[Mesh] | None
+    lines: LinesOnLevels
 
     def prepare(self, frame: Frame | None) -> Callable[[], list[MultilevelStart] | None]:
         """Bin the images on all ranks; collective.
@@ -87,7 +92,7 @@ class CoarseSearch:
         if frame is None or self.section.from_result is not None:
             return lambda: None
         if not (self.section.rigid or self.section.pyramid):
-            zero = MultilevelStart(build_uniform_field((0.0, 0.0)), None, (), ())
+            zero = MultilevelStart(build_uniform_field((0.0, 0.0)), (), (), ())
             return lambda: [zero] * len(self.cameras)
         pairs = [_bin_together(self.team, camera.reference, deformed)
                  for camera, deformed in zip(self.cameras, frame, strict=True)]
@@ -114,7 +119,7 @@ class CoarseSearch:
         if self.meshes is None:
             return None
         return [find_multilevel_start(require_held(pair), mesh, rigid=self.section.rigid, pyramid=self.section.pyramid,
-                                      correction=self.correction)
+                                      correction=self.correction, lines=self.lines)
                 for pair, mesh in zip(pairs, self.meshes, strict=True)]
 
 
@@ -137,7 +142,8 @@ def prepare_search(team: Team, inputs: Inputs, meshes: list[Mesh] | None) -> Coa
     """
     case = inputs.case
     return CoarseSearch(team, inputs.cameras, case.start, case.correlation.grey_correction,
-                        team.send_from_root(meshes, team.size - 1))
+                        team.send_from_root(meshes, team.size - 1),
+                        LinesOnLevels(list_discontinuities(case), case.start.largest_enriched_block))
 
 
 def fit_coarse_fields(cameras: Sequence[Camera], references: Sequence[ReferenceViews],
@@ -161,7 +167,7 @@ def fit_coarse_fields(cameras: Sequence[Camera], references: Sequence[ReferenceV
     q = []
     for reference in references:
         still = reference.own.hold_still().kinematics
-        in_image = found[reference.subdomain.camera].field.at(still.mesh.nodes)
+        in_image = prolong(found[reference.subdomain.camera].field, still.mesh)
         q.append(still.fit(in_image.ravel()))
     notes: list[str] = []
     for camera, start in zip(cameras, found, strict=True):
@@ -172,10 +178,9 @@ def fit_coarse_fields(cameras: Sequence[Camera], references: Sequence[ReferenceV
 
 def _describe(start: MultilevelStart) -> list[str]:
     lines = list(start.warnings)
-    if start.rigid is not None:
-        x, y = start.rigid.shift
-        lines.insert(0, f"start: rigid shift ({x:.2f}, {y:.2f}) px, correlation coefficient "
-                        f"{start.rigid.coefficient:.3f}")
+    shifts = [f"({found.shift[0]:.2f}, {found.shift[1]:.2f}) px, correlation coefficient {found.coefficient:.3f}"
+              for found in start.rigid]
+    lines = [*(f"start: rigid shift {shift}" for shift in shifts), *lines]
     if start.levels:
         blocks = ", ".join(str(level) for level in start.levels)
         lines.append(f"start: pyramid on blocks of {blocks} px")

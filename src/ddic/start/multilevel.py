@@ -10,18 +10,18 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError, SingularSubdomainError
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.images.binned import bin_image
-from ddic.images.grid_field import GridField, build_uniform_field
-from ddic.images.rigid import RigidShift, find_rigid_shift
-from ddic.images.sub_image import MaskedSource
+from ddic.images.grid_field import build_uniform_field
+from ddic.images.rigid import RigidShift
+from ddic.kinematics.discontinuities import Discontinuities
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.raster import rasterize
 from ddic.start.coarse_grid import CELL
-from ddic.start.pyramid_level import BinnedPair, correlate_level, find_active_blocks, scale_mesh
+from ddic.start.cut_field import CoarseField
+from ddic.start.pyramid_level import BinnedPair, correlate_level
+from ddic.start.rigid_start import RigidStart, find_rigid_start
 
 LARGEST_COARSE_IMAGE = 1_000_000
 """Pixels of the finest image of the pyramid: what one rank is asked to hold and correlate. A larger value gives a
@@ -46,8 +46,39 @@ COARSEST = 64
 """Largest block, pixels. A level finds displacements of about a block beyond its start; a larger value reaches
 further."""
 
-LEAST_COEFFICIENT = 0.3
-"""Correlation coefficient below which a rigid translation is noise. A larger value starts from zero more often."""
+
+@dataclass(frozen=True)
+class LinesOnLevels:
+    """Lines across which the displacement may be discontinuous, and from which level on [RHR08, section 3].
+
+    Attributes
+    ----------
+    discontinuities : Discontinuities
+        Pixels.
+    largest_block : float
+        Side, pixels, of the largest blocks on which displacements are discontinuous.
+    """
+
+    discontinuities: Discontinuities
+    largest_block: float
+
+    def on_level(self, size: int) -> Discontinuities:
+        """Give the lines of a level.
+
+        Parameters
+        ----------
+        size : int
+            Side of its blocks, pixels.
+
+        Returns
+        -------
+        Discontinuities
+            All lines, or none.
+        """
+        return self.discontinuities if size <= self.largest_block else Discontinuities()
+
+
+NO_LINES = LinesOnLevels(Discontinuities(), np.inf)
 
 
 @dataclass(frozen=True)
@@ -56,24 +87,25 @@ class MultilevelStart:
 
     Attributes
     ----------
-    field : GridField
+    field : GridField or CutField
         The displacement, pixels.
-    rigid : RigidShift or None
-        The translation found first, pixels; None where it was not sought, or none stands out.
+    rigid : tuple of RigidShift
+        The translations found first, pixels: of the region where one stands out, then of pieces that lines cut it
+        into.
     levels : tuple of int
         Block sizes of the pyramid's levels that were measured, pixels, coarsest first.
     warnings : tuple of str
         What did not work.
     """
 
-    field: GridField
-    rigid: RigidShift | None
+    field: CoarseField
+    rigid: tuple[RigidShift, ...]
     levels: tuple[int, ...]
     warnings: tuple[str, ...]
 
 
-def find_multilevel_start(pair: BinnedPair, mesh: Mesh, *, rigid: bool, pyramid: bool,
-                          correction: GreyCorrection) -> MultilevelStart:
+def find_multilevel_start(pair: BinnedPair, mesh: Mesh, *, rigid: bool, pyramid: bool, correction: GreyCorrection,
+                          lines: LinesOnLevels = NO_LINES) -> MultilevelStart:
     """Find a coarse field on the region of a mesh.
 
     Parameters
@@ -88,6 +120,8 @@ def find_multilevel_start(pair: BinnedPair, mesh: Mesh, *, rigid: bool, pyramid:
         Whether the coarse-graining pyramid follows.
     correction : GreyCorrection
         Of grey levels.
+    lines : LinesOnLevels
+        Discontinuities of the displacement.
 
     Returns
     -------
@@ -100,26 +134,21 @@ def find_multilevel_start(pair: BinnedPair, mesh: Mesh, *, rigid: bool, pyramid:
     all_sizes = [*sizes, rigid_size] if rigid else sizes
     pairs = _binned_pairs(pair, all_sizes)
 
-    warnings: list[str] = []
-    shift = _rigid(pairs[rigid_size], mesh) if rigid else None
-    if shift is not None and shift.coefficient < LEAST_COEFFICIENT:
-        warnings.append(f"start: no rigid translation stands out (best correlation coefficient {shift.coefficient:.2f}"
-                        "); starting from zero")
-        shift = None
-
-    rigid_field = build_uniform_field((0.0, 0.0) if shift is None else shift.shift)
-    starts = [rigid_field]
+    at_rest = RigidStart((build_uniform_field((0.0, 0.0)),), (), ())
+    rigid_start = find_rigid_start(pairs[rigid_size], mesh, lines.discontinuities) if rigid else at_rest
+    warnings = list(rigid_start.warnings)
+    starts = rigid_start.fields
     done: list[int] = []
     for size in sizes:
         try:
-            field = correlate_level(pairs[size], mesh, starts, correction)
+            field = correlate_level(pairs[size], mesh, starts, correction, lines.on_level(size))
         except (ConvergenceError, SingularSubdomainError) as error:
             warnings.append(f"start: the pyramid's level with blocks of {size} px was left out ({error})")
         else:
             # A coarse level of a ragged region may have gone astray: the residual of the next one tells.
-            starts = [field, rigid_field]
+            starts = (field, *rigid_start.fields)
             done.append(size)
-    return MultilevelStart(starts[0], shift, tuple(done), tuple(warnings))
+    return MultilevelStart(starts[0], rigid_start.shifts, tuple(done), tuple(warnings))
 
 
 def choose_finest_block(n_pixels: int) -> int:
@@ -191,18 +220,3 @@ def _binned_pairs(pair: BinnedPair, sizes: Iterable[int]) -> dict[int, BinnedPai
         finer = BinnedPair(bin_image(finer.reference, ratio), bin_image(finer.deformed, ratio), size)
         pairs[size] = finer
     return pairs
-
-
-def _rigid(pair: BinnedPair, mesh: Mesh) -> RigidShift:
-    """The translation of the region between two binned images, pixels."""
-    region = find_active_blocks(pair.reference, rasterize(scale_mesh(mesh, pair.factor))).astype(bool)
-    if region.sum() < SMALLEST_SIDE:
-        return RigidShift((0.0, 0.0), 0.0)
-    found = find_rigid_shift(_values(pair.reference), _values(pair.deformed), region)
-    x, y = found.shift
-    return RigidShift((pair.factor * x, pair.factor * y), found.coefficient)
-
-
-def _values(source: MaskedSource) -> NDArray[np.float64]:
-    """All grey levels of an image."""
-    return source.image.read(source.extent).astype(np.float64)

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from ddic.errors import ConvergenceError, SingularSubdomainError
 from ddic.functionals.correlation import read_correlation
@@ -20,9 +19,8 @@ from ddic.functionals.equilibrium_gap import (
 )
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.functionals.view import FrameView, View
-from ddic.images.grid_field import GridField
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
-from ddic.kinematics.nodal import NodalRegion
+from ddic.kinematics.discontinuities import Discontinuities
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import Raster, rasterize
 from ddic.parallel.phases import PhaseClock
@@ -37,6 +35,8 @@ from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.monolithic import MonolithicStep
 from ddic.start.coarse_grid import CELL, build_grid, locate_block_centre
+from ddic.start.cut_field import CoarseField, prolong
+from ddic.start.level_mesh import LevelMesh, cut_grid, enlarge
 
 CUT_OFF = 4.0 * CELL
 """Cut-off wavelength of a level, blocks. A larger value finds smoother fields, and strays less where texture is
@@ -86,8 +86,8 @@ class BinnedPair:
         return locate_block_centre(self.factor)
 
 
-def correlate_level(pair: BinnedPair, mesh: Mesh, starts: Sequence[GridField],
-                    correction: GreyCorrection) -> GridField:
+def correlate_level(pair: BinnedPair, mesh: Mesh, starts: Sequence[CoarseField], correction: GreyCorrection,
+                    discontinuities: Discontinuities) -> CoarseField:
     """Correlate one level from the best of some starts.
 
     Parameters
@@ -96,14 +96,16 @@ def correlate_level(pair: BinnedPair, mesh: Mesh, starts: Sequence[GridField],
         The images.
     mesh : Mesh
         The whole mesh, pixels.
-    starts : sequence of GridField
+    starts : sequence of GridField or CutField
         At least one, pixels; that of least residual is taken.
     correction : GreyCorrection
         Of grey levels.
+    discontinuities : Discontinuities
+        Lines that cut the level's grid, pixels.
 
     Returns
     -------
-    GridField
+    GridField or CutField
         The displacement, pixels.
 
     Raises
@@ -117,11 +119,12 @@ def correlate_level(pair: BinnedPair, mesh: Mesh, starts: Sequence[GridField],
     active = find_active_blocks(pair.reference, rasterize(region))
     if not active.any():
         raise SingularSubdomainError("no block of the region is usable: everything is masked")
-    grid = build_grid(region, active)
-    nodes_in_pixels = grid.mesh.nodes * pair.factor + pair.centre
-    candidates = [start.at(nodes_in_pixels).ravel() / pair.factor for start in starts]
-    displacement = _solve(_read_level(pair, grid.mesh, active, correction), candidates)
-    return grid.make_field(displacement, pair.factor)
+    lines = discontinuities.scale(pair.centre, pair.factor)
+    cells = cut_grid(build_grid(region, active), lines, active, DEGREE)
+    in_pixels = enlarge(cells.mesh, pair.factor)
+    candidates = [prolong(start, in_pixels).ravel() / pair.factor for start in starts]
+    displacement = _solve(_read_level(pair, cells, active, correction), candidates)
+    return cells.make_field(displacement, pair.factor)
 
 
 def scale_mesh(mesh: Mesh, factor: int) -> Mesh:
@@ -170,29 +173,35 @@ class _Level:
     view: View
     subdomain: Subdomain
     model: ResidualModel
+    row_weights: NDArray[np.float64]
     name: str
 
 
-def _read_level(pair: BinnedPair, grid: Mesh, active: NDArray[np.uint8], correction: GreyCorrection) -> _Level:
-    everywhere = np.ones(grid.n_dofs, dtype=bool)
-    one_domain = np.zeros(grid.n_cells, dtype=np.int64)
-    subdomain = build_subdomains(NodalRegion(grid), one_domain, everywhere)[0]
-    correlation = read_correlation(grid, pair.reference, DEGREE)
+def _read_level(pair: BinnedPair, cells: LevelMesh, active: NDArray[np.uint8], correction: GreyCorrection) -> _Level:
+    everywhere = np.ones(cells.kinematics.n_unknowns, dtype=bool)
+    one_domain = np.zeros(cells.mesh.n_cells, dtype=np.int64)
+    subdomain = build_subdomains(cells.kinematics, one_domain, everywhere, cells.interior)[0]
+    row_weights = np.where(cells.kinematics.controlled(~cells.on_edge), 1.0, FREE_EDGE)
+    correlation = read_correlation(cells.mesh, pair.reference, DEGREE)
     seen = active[pair.reference.extent.locate(correlation.reference.window)].copy()
+    if correlation.reference.usable is not None:
+        seen &= correlation.reference.usable
     # Blocks that are not active lie beside the mesh: neighbours' slopes are taken from them as they are.
     view = View(replace(correlation, reference=replace(correlation.reference, usable=seen)), subdomain.kinematics)
     frame_view = FrameView(view, DeformedSubImage(pair.deformed, DEGREE))
     views = FrameViews(ReferenceViews(subdomain, (view,)), (frame_view,))
     model = ResidualModel(Team.alone(), [views], correction)
-    return _Level(view, subdomain, model, f"pyramid level with blocks of {pair.factor} px")
+    return _Level(view, subdomain, model, row_weights, f"pyramid level with blocks of {pair.factor} px")
 
 
 def _solve(level: _Level, starts: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
     """R-DIC with cut-off wavelength CUT_OFF from the best start."""
-    q = starts[0]
-    if len(starts) > 1:
-        q = min(starts, key=lambda start: _residual_rms(level.model, start))
-    system = _regularize(level.subdomain, level.view.assemble_hessian())
+    kinematics = level.subdomain.kinematics
+    candidates = [kinematics.fit(start) for start in starts]
+    q = candidates[0]
+    if len(candidates) > 1:
+        q = min(candidates, key=lambda candidate: _residual_rms(level.model, candidate))
+    system = _regularize(level)
     smallest_eigenvalue = SINGULAR * float(system.hessian.diagonal().mean())
     operator = LocalOperator(system.operator, smallest_eigenvalue=smallest_eigenvalue, where=level.name)
     try:
@@ -200,20 +209,20 @@ def _solve(level: _Level, starts: Sequence[NDArray[np.float64]]) -> NDArray[np.f
         solution = gauss_newton(level.model, [q], MonolithicStep(system, operator), TOLERANCES, silent)
     finally:
         operator.destroy()
-    return solution.q[0]
+    return kinematics.displacement(solution.q[0])
 
 
-def _regularize(subdomain: Subdomain, hessian: sparse.csr_matrix) -> LocalSystem:
+def _regularize(level: _Level) -> LocalSystem:
     """M and Kbar of the grid, with the weight of CUT_OFF; the edge counts little."""
+    subdomain, of_nodes = level.subdomain, level.view.assemble_hessian()
     grid, interior = subdomain.mesh, subdomain.interior
-    row_weights = np.repeat(np.where(interior, 1.0, FREE_EDGE), grid.dim)
-    kbar = controlled_stiffness(subdomain.kinematics, Material(), row_weights)
+    kbar = controlled_stiffness(subdomain.kinematics, Material(), level.row_weights)
     eta = 0.0
     if interior.any():
-        texture = measure_texture_energies(grid.nodes, hessian, interior, CUT_OFF)
+        texture = measure_texture_energies(grid.nodes, of_nodes, interior, CUT_OFF)
         gap = measure_gap_energies(grid, Material(), interior, CUT_OFF)
         eta = find_cut_off_weight(texture, gap)
-    return LocalSystem(subdomain, hessian, kbar, row_weights, eta)
+    return LocalSystem(subdomain, level.view.project(of_nodes), kbar, level.row_weights, eta)
 
 
 def _residual_rms(model: ResidualModel, q: NDArray[np.float64]) -> float:

@@ -1,0 +1,77 @@
+"""A coarse displacement field that jumps across lines."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ddic.images.grid_field import GridField
+from ddic.mesh.interpolation import evaluate_shapes_at, locate
+from ddic.mesh.mesh import Mesh
+from ddic.mesh.own_side import find_points_on_own_side
+
+
+@dataclass(frozen=True, eq=False)
+class CutField:
+    """Displacement on a mesh that discontinuities cut.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        With its cut cells, pixels.
+    displacement : (n_nodes, 2) array
+        Pixels.
+    """
+
+    mesh: Mesh
+    displacement: NDArray[np.float64]
+
+    def at_nodes(self, mesh: Mesh) -> NDArray[np.float64]:
+        """Prolong the displacement to the nodes of another mesh, each on its own side of all lines.
+
+        Parameters
+        ----------
+        mesh : Mesh
+            Perhaps with cut cells, pixels.
+
+        Returns
+        -------
+        (n_nodes, 2) array
+            Displacement, pixels: that of the cell that holds a point on the node's side, extrapolated to the node;
+            outside the mesh that of the nearest node.
+        """
+        on_own_side = find_points_on_own_side(mesh)
+        cells = locate(self.mesh, on_own_side).cells
+        is_held = cells >= 0
+        values = np.empty((mesh.n_nodes, self.mesh.dim))
+        shapes = evaluate_shapes_at(self.mesh, cells[is_held], mesh.nodes[is_held])
+        # Shape functions of nodes that a cell does not have are zero.
+        of_cells = self.displacement[np.maximum(self.mesh.cells[cells[is_held]], 0)]
+        values[is_held] = np.einsum("na,nac->nc", shapes[:, :of_cells.shape[1]], of_cells)
+        nearest = cKDTree(find_points_on_own_side(self.mesh)).query(on_own_side[~is_held])[1]
+        values[~is_held] = self.displacement[nearest]
+        return values
+
+
+CoarseField = GridField | CutField
+
+
+def prolong(field: CoarseField, mesh: Mesh) -> NDArray[np.float64]:
+    """Evaluate a coarse field at the nodes of a mesh.
+
+    Parameters
+    ----------
+    field : GridField or CutField
+        Pixels.
+    mesh : Mesh
+        Perhaps with cut cells, pixels.
+
+    Returns
+    -------
+    (n_nodes, 2) array
+        Displacement, pixels.
+    """
+    return field.at_nodes(mesh) if isinstance(field, CutField) else field.at(mesh.nodes)

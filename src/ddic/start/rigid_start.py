@@ -1,0 +1,126 @@
+"""Rigid translations that the pyramid starts from: of the region, and of each piece that lines cut it into."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from ddic.images.grid_field import build_uniform_field
+from ddic.images.rigid import RigidShift, find_rigid_shift
+from ddic.images.sub_image import MaskedSource
+from ddic.kinematics.discontinuities import Discontinuities
+from ddic.mesh.cut_mesh import cut_mesh
+from ddic.mesh.mesh import Mesh
+from ddic.mesh.raster import rasterize
+from ddic.start.coarse_grid import CELL
+from ddic.start.cut_field import CoarseField, CutField
+from ddic.start.level_mesh import enlarge
+from ddic.start.pyramid_level import BinnedPair, find_active_blocks, scale_mesh
+
+LEAST_COEFFICIENT = 0.3
+"""Correlation coefficient below which a rigid translation is noise. A larger value starts from zero more often."""
+
+FEWEST_BLOCKS = 1.5 * CELL
+"""Blocks of the region below which no translation is sought."""
+
+FEWEST_OF_PIECE = 600
+"""Blocks of a piece below which it takes the region's translation: coefficients of unrelated images of so many reach
+0.2 (200 000 translations). A larger value looks for fewer pieces' own."""
+
+
+@dataclass(frozen=True, eq=False)
+class RigidStart:
+    """Where the pyramid may start.
+
+    Attributes
+    ----------
+    fields : tuple of GridField or CutField
+        Likely ones first, pixels.
+    shifts : tuple of RigidShift
+        The translations found: of the region where one stands out, then of pieces that lines cut it into; pixels.
+    warnings : tuple of str
+        What did not work.
+    """
+
+    fields: tuple[CoarseField, ...]
+    shifts: tuple[RigidShift, ...]
+    warnings: tuple[str, ...]
+
+
+def find_rigid_start(pair: BinnedPair, mesh: Mesh, discontinuities: Discontinuities) -> RigidStart:
+    """Find the translation of a region, and of each piece that lines cut it into.
+
+    Parameters
+    ----------
+    pair : BinnedPair
+        The images.
+    mesh : Mesh
+        The region, pixels.
+    discontinuities : Discontinuities
+        The lines, pixels.
+
+    Returns
+    -------
+    RigidStart
+        At rest, with a warning, where nothing stands out.
+    """
+    region = scale_mesh(mesh, pair.factor)
+    shift = _find_shift(pair, region, FEWEST_BLOCKS)
+    stands_out = shift.coefficient >= LEAST_COEFFICIENT
+    whole = shift.shift if stands_out else (0.0, 0.0)
+    of_pieces, field = _find_piece_shifts(pair, region, discontinuities, whole)
+    fields: list[CoarseField] = [build_uniform_field(whole)]
+    if field is not None:
+        fields.insert(0, field)
+    if stands_out:
+        return RigidStart(tuple(fields), (shift, *of_pieces), ())
+    warning = (f"start: no rigid translation stands out (best correlation coefficient {shift.coefficient:.2f}); "
+               "starting from zero")
+    return RigidStart(tuple(fields), of_pieces, () if of_pieces else (warning,))
+
+
+def _find_piece_shifts(pair: BinnedPair, region: Mesh, discontinuities: Discontinuities,
+                       otherwise: tuple[float, float]) -> tuple[tuple[RigidShift, ...], CutField | None]:
+    """Translations of pieces, and their field; that is the translation of the region where they do not find theirs."""
+    lines = discontinuities.scale(pair.centre, pair.factor).lines
+    blocks = cut_mesh(region, lines).mesh
+    pieces = _find_pieces(blocks)
+    if not pieces.any():
+        return (), None
+    displacement = np.tile(otherwise, (blocks.n_nodes, 1))
+    found = []
+    for piece in range(int(pieces.max()) + 1):
+        part, nodes = blocks.create_submesh(np.flatnonzero(pieces == piece))
+        shift = _find_shift(pair, part, FEWEST_OF_PIECE)
+        if shift.coefficient >= LEAST_COEFFICIENT:
+            displacement[nodes] = shift.shift
+            found.append(shift)
+    return tuple(found), CutField(enlarge(blocks, pair.factor), displacement)
+
+
+def _find_shift(pair: BinnedPair, part: Mesh, fewest: float) -> RigidShift:
+    """Translation of a part, which is in blocks; pixels; of coefficient 0 where it has fewer blocks than that."""
+    blocks = find_active_blocks(pair.reference, rasterize(part)).astype(bool)
+    if blocks.sum() < fewest:
+        return RigidShift((0.0, 0.0), 0.0)
+    found = find_rigid_shift(_values(pair.reference), _values(pair.deformed), blocks)
+    x, y = found.shift
+    return RigidShift((pair.factor * x, pair.factor * y), found.coefficient)
+
+
+def _values(source: MaskedSource) -> NDArray[np.float64]:
+    """All grey levels of an image."""
+    return source.image.read(source.extent).astype(np.float64)
+
+
+def _find_pieces(mesh: Mesh) -> NDArray[np.int64]:
+    """Piece of each cell: cells that hang together by nodes are of one."""
+    cell_of_corner = np.repeat(np.arange(mesh.n_cells), np.diff(mesh.offsets))
+    ones = np.ones(len(cell_of_corner))
+    has_node = sparse.csr_matrix((ones, (cell_of_corner, mesh.connectivity)), (mesh.n_cells, mesh.n_nodes))
+    _, pieces = connected_components(has_node @ has_node.T, directed=False)
+    return np.asarray(pieces, dtype=np.int64)
