@@ -10,7 +10,7 @@ from ddic.images.grid_field import build_uniform_field
 from ddic.mesh.cut_mesh import CutMesh, cut_mesh
 from ddic.mesh.own_side import find_points_on_own_side
 from ddic.mesh.structured import build_structured_mesh
-from ddic.start.cut_field import CutField, prolong
+from ddic.start.cut_field import CutField, evaluate_at_nodes
 
 MIDDLE = np.array([100.3, 98.7])
 
@@ -32,7 +32,7 @@ def _jump(points: np.ndarray, sides: np.ndarray, angle: float) -> np.ndarray:
 def test_linear_sides_are_prolonged_exactly(angle: float, coarse: float, fine: float) -> None:
     one, other = _cut(coarse, angle), _cut(fine, angle)
     field = CutField(one.mesh, _jump(one.mesh.nodes, find_points_on_own_side(one.mesh), angle))
-    found = prolong(field, other.mesh)
+    found = evaluate_at_nodes(field, other.mesh)
     known = _jump(other.mesh.nodes, find_points_on_own_side(other.mesh), angle)
     # A part thinner than the distance within which a point counts as in a cell may be taken for the other side's.
     same = (np.abs(found - known) < 1e-9).all(axis=1)
@@ -42,7 +42,7 @@ def test_linear_sides_are_prolonged_exactly(angle: float, coarse: float, fine: f
 def test_nodes_outside_take_the_nearest_node_of_their_side() -> None:
     inner, outer = _cut(16.0, 0.3, low=52.0), _cut(16.0, 0.3)
     left = (find_points_on_own_side(inner.mesh) - MIDDLE) @ np.array([-np.sin(0.3), np.cos(0.3)]) > 0
-    found = prolong(CutField(inner.mesh, np.where(left, 3.0, -2.0)[:, None] * np.ones(2)), outer.mesh)
+    found = evaluate_at_nodes(CutField(inner.mesh, np.where(left, 3.0, -2.0)[:, None] * np.ones(2)), outer.mesh)
     on_left = (find_points_on_own_side(outer.mesh) - MIDDLE) @ np.array([-np.sin(0.3), np.cos(0.3)]) > 0
     far = np.abs((find_points_on_own_side(outer.mesh) - MIDDLE) @ np.array([-np.sin(0.3), np.cos(0.3)])) > 16
     np.testing.assert_array_equal(found[far, 0], np.where(on_left, 3.0, -2.0)[far])
@@ -50,4 +50,5 @@ def test_nodes_outside_take_the_nearest_node_of_their_side() -> None:
 
 def test_continuous_fields_are_taken_at_the_nodes() -> None:
     mesh = _cut(16.0, 0.3).mesh
-    np.testing.assert_array_equal(prolong(build_uniform_field((1.0, -2.0)), mesh), [[1.0, -2.0]] * mesh.n_nodes)
+    found = evaluate_at_nodes(build_uniform_field((1.0, -2.0)), mesh)
+    np.testing.assert_array_equal(found, [[1.0, -2.0]] * mesh.n_nodes)

@@ -72,15 +72,15 @@ def cut_mesh(mesh: Mesh, lines: Sequence[Array]) -> CutMesh:
     return _replace_cut_cells(mesh, parts, Lines(clear, bends))
 
 
-def cuts(line: Array, mesh: Mesh) -> bool:
+def is_cut_by(mesh: Mesh, line: Array) -> bool:
     """Tell whether a line crosses a cell of a mesh from side to side.
 
     Parameters
     ----------
-    line : (n_vertices, 2) array
-        Polyline, pixels.
     mesh : Mesh
         Of convex plane cells.
+    line : (n_vertices, 2) array
+        Polyline, pixels.
 
     Returns
     -------

@@ -12,7 +12,7 @@ from ddic.errors import InputError
 from ddic.functionals.line_band import count_pixels_outside
 from ddic.kinematics.discontinuities import Discontinuities
 from ddic.kinematics.enriched import EnrichedRegion, enrich
-from ddic.mesh.cut_mesh import CutMesh, cut_mesh, cuts
+from ddic.mesh.cut_mesh import CutMesh, cut_mesh, is_cut_by
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
 
@@ -139,7 +139,7 @@ def check_lines(case: Case, mesh: Mesh) -> None:
     InputError
         Where a line crosses no element from side to side.
     """
-    idle = [k for k, line in enumerate(list_discontinuities(case).lines, start=1) if not cuts(line, mesh)]
+    idle = [k for k, line in enumerate(list_discontinuities(case).lines, start=1) if not is_cut_by(mesh, line)]
     if idle:
         raise InputError([f"discontinuity, entry {k}: its line crosses no element of the mesh from side to side; "
                           "correct discontinuity.vertices (px), or use smaller elements" for k in idle])

@@ -26,7 +26,7 @@ from ddic.problem.cameras import Camera, Frame
 from ddic.problem.cut_region import list_discontinuities
 from ddic.problem.inputs import Inputs
 from ddic.problem.views import ReferenceViews
-from ddic.start.cut_field import prolong
+from ddic.start.cut_field import evaluate_at_nodes
 from ddic.start.multilevel import LinesOnLevels, MultilevelStart, choose_finest_block, find_multilevel_start
 from ddic.start.pyramid_level import BinnedPair
 
@@ -167,7 +167,7 @@ def fit_coarse_fields(cameras: Sequence[Camera], references: Sequence[ReferenceV
     q = []
     for reference in references:
         still = reference.own.hold_still().kinematics
-        in_image = prolong(found[reference.subdomain.camera].field, still.mesh)
+        in_image = evaluate_at_nodes(found[reference.subdomain.camera].field, still.mesh)
         q.append(still.fit(in_image.ravel()))
     notes: list[str] = []
     for camera, start in zip(cameras, found, strict=True):

@@ -29,7 +29,7 @@ class CutField:
     mesh: Mesh
     displacement: NDArray[np.float64]
 
-    def at_nodes(self, mesh: Mesh) -> NDArray[np.float64]:
+    def interpolate_at_nodes(self, mesh: Mesh) -> NDArray[np.float64]:
         """Prolong the displacement to the nodes of another mesh, each on its own side of all lines.
 
         Parameters
@@ -59,7 +59,7 @@ class CutField:
 CoarseField = GridField | CutField
 
 
-def prolong(field: CoarseField, mesh: Mesh) -> NDArray[np.float64]:
+def evaluate_at_nodes(field: CoarseField, mesh: Mesh) -> NDArray[np.float64]:
     """Evaluate a coarse field at the nodes of a mesh.
 
     Parameters
@@ -74,4 +74,4 @@ def prolong(field: CoarseField, mesh: Mesh) -> NDArray[np.float64]:
     (n_nodes, 2) array
         Displacement, pixels.
     """
-    return field.at_nodes(mesh) if isinstance(field, CutField) else field.at(mesh.nodes)
+    return field.interpolate_at_nodes(mesh) if isinstance(field, CutField) else field.at(mesh.nodes)

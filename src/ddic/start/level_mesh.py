@@ -63,7 +63,7 @@ class LevelMesh:
         """
         if self.mesh.parts is None:
             return self.grid.make_field(displacement, factor)
-        return CutField(enlarge(self.mesh, factor), displacement.reshape(-1, self.mesh.dim) * factor)
+        return CutField(scale_to_pixels(self.mesh, factor), displacement.reshape(-1, self.mesh.dim) * factor)
 
 
 def cut_grid(grid: Grid, discontinuities: Discontinuities, active: NDArray[np.uint8], degree: int) -> LevelMesh:
@@ -101,7 +101,7 @@ def cut_grid(grid: Grid, discontinuities: Discontinuities, active: NDArray[np.ui
     return LevelMesh(grid, kinematics, on_edge, ~on_edge & ~beside_line)
 
 
-def enlarge(mesh: Mesh, factor: int) -> Mesh:
+def scale_to_pixels(mesh: Mesh, factor: int) -> Mesh:
     """Give a mesh in blocks, perhaps cut, in pixels.
 
     Parameters

@@ -62,7 +62,7 @@ class LinesOnLevels:
     discontinuities: Discontinuities
     largest_block: float
 
-    def on_level(self, size: int) -> Discontinuities:
+    def choose_lines(self, size: int) -> Discontinuities:
         """Give the lines of a level.
 
         Parameters
@@ -141,14 +141,14 @@ def find_multilevel_start(pair: BinnedPair, mesh: Mesh, *, rigid: bool, pyramid:
     done: list[int] = []
     for size in sizes:
         try:
-            field = correlate_level(pairs[size], mesh, starts, correction, lines.on_level(size))
+            field = correlate_level(pairs[size], mesh, starts, correction, lines.choose_lines(size))
         except (ConvergenceError, SingularSubdomainError) as error:
             warnings.append(f"start: the pyramid's level with blocks of {size} px was left out ({error})")
         else:
             # A coarse level of a ragged region may have gone astray: the residual of the next one tells.
             starts = (field, *rigid_start.fields)
             done.append(size)
-    return MultilevelStart(starts[0], rigid_start.shifts, tuple(done), tuple(warnings))
+    return MultilevelStart(starts[0], rigid_start.translations, tuple(done), tuple(warnings))
 
 
 def choose_finest_block(n_pixels: int) -> int:

@@ -35,8 +35,8 @@ from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.monolithic import MonolithicStep
 from ddic.start.coarse_grid import CELL, build_grid, locate_block_centre
-from ddic.start.cut_field import CoarseField, prolong
-from ddic.start.level_mesh import LevelMesh, cut_grid, enlarge
+from ddic.start.cut_field import CoarseField, evaluate_at_nodes
+from ddic.start.level_mesh import LevelMesh, cut_grid, scale_to_pixels
 
 CUT_OFF = 4.0 * CELL
 """Cut-off wavelength of a level, blocks. A larger value finds smoother fields, and strays less where texture is
@@ -121,8 +121,8 @@ def correlate_level(pair: BinnedPair, mesh: Mesh, starts: Sequence[CoarseField],
         raise SingularSubdomainError("no block of the region is usable: everything is masked")
     lines = discontinuities.scale(pair.centre, pair.factor)
     cells = cut_grid(build_grid(region, active), lines, active, DEGREE)
-    in_pixels = enlarge(cells.mesh, pair.factor)
-    candidates = [prolong(start, in_pixels).ravel() / pair.factor for start in starts]
+    in_pixels = scale_to_pixels(cells.mesh, pair.factor)
+    candidates = [evaluate_at_nodes(start, in_pixels).ravel() / pair.factor for start in starts]
     displacement = _solve(_read_level(pair, cells, active, correction), candidates)
     return cells.make_field(displacement, pair.factor)
 

@@ -18,7 +18,7 @@ from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
 from ddic.start.coarse_grid import CELL
 from ddic.start.cut_field import CoarseField, CutField
-from ddic.start.level_mesh import enlarge
+from ddic.start.level_mesh import scale_to_pixels
 from ddic.start.pyramid_level import BinnedPair, find_active_blocks, scale_mesh
 
 LEAST_COEFFICIENT = 0.3
@@ -40,14 +40,14 @@ class RigidStart:
     ----------
     fields : tuple of GridField or CutField
         Likely ones first, pixels.
-    shifts : tuple of RigidShift
+    translations : tuple of RigidShift
         The translations found: of the region where one stands out, then of pieces that lines cut it into; pixels.
     warnings : tuple of str
         What did not work.
     """
 
     fields: tuple[CoarseField, ...]
-    shifts: tuple[RigidShift, ...]
+    translations: tuple[RigidShift, ...]
     warnings: tuple[str, ...]
 
 
@@ -99,7 +99,7 @@ def _find_piece_shifts(pair: BinnedPair, region: Mesh, discontinuities: Disconti
         if shift.coefficient >= LEAST_COEFFICIENT:
             displacement[nodes] = shift.shift
             found.append(shift)
-    return tuple(found), CutField(enlarge(blocks, pair.factor), displacement)
+    return tuple(found), CutField(scale_to_pixels(blocks, pair.factor), displacement)
 
 
 def _find_shift(pair: BinnedPair, part: Mesh, fewest: float) -> RigidShift:
