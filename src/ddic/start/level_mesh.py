@@ -1,4 +1,4 @@
-"""The grid of a pyramid level with its unknowns, cut where a discontinuity crosses it."""
+"""Cells with their unknowns, cut where a discontinuity crosses them."""
 
 from __future__ import annotations
 
@@ -16,27 +16,23 @@ from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
 from ddic.mesh.topology import find_boundary_nodes
-from ddic.start.coarse_grid import Grid, locate_block_centre
-from ddic.start.cut_field import CoarseField, CutField
+from ddic.start.coarse_grid import locate_block_centre
 
 
 @dataclass(frozen=True, eq=False)
 class LevelMesh:
-    """A level's cells and unknowns.
+    """Cells with their unknowns, for one rank to correlate by itself.
 
     Attributes
     ----------
-    grid : Grid
-        As it is where nothing cuts it, blocks.
     kinematics : RegionKinematics
-        Its mesh, cut or not, and the unknowns, blocks.
+        Their mesh, cut or not, and the unknowns, blocks.
     on_edge : (n_nodes,) array of bool
-        Nodes of the grid's edge.
+        Nodes of the edge.
     interior : (n_nodes,) array of bool
         Nodes at which texture is weighed against mechanics.
     """
 
-    grid: Grid
     kinematics: RegionKinematics
     on_edge: NDArray[np.bool_]
     interior: NDArray[np.bool_]
@@ -46,35 +42,16 @@ class LevelMesh:
         """The cells, blocks."""
         return self.kinematics.mesh
 
-    def make_field(self, displacement: NDArray[np.float64], factor: int) -> CoarseField:
-        """Make a field of displacements of the nodes.
 
-        Parameters
-        ----------
-        displacement : (mesh.n_dofs,) array
-            Of the nodes, blocks.
-        factor : int
-            Side of a block, pixels.
-
-        Returns
-        -------
-        GridField or CutField
-            Pixels.
-        """
-        if self.mesh.parts is None:
-            return self.grid.make_field(displacement, factor)
-        return CutField(scale_to_pixels(self.mesh, factor), displacement.reshape(-1, self.mesh.dim) * factor)
-
-
-def cut_grid(grid: Grid, discontinuities: Discontinuities, active: NDArray[np.uint8], degree: int) -> LevelMesh:
-    """Cut a grid by discontinuities.
+def cut_level(mesh: Mesh, discontinuities: Discontinuities, active: NDArray[np.uint8], degree: int) -> LevelMesh:
+    """Cut cells by discontinuities.
 
     Parameters
     ----------
-    grid : Grid
+    mesh : Mesh
         Blocks.
     discontinuities : Discontinuities
-        Blocks; none of them need cross the grid.
+        Blocks; none of them need cross the mesh.
     active : (rows, columns) array of uint8
         1 on the blocks that count.
     degree : int
@@ -85,12 +62,12 @@ def cut_grid(grid: Grid, discontinuities: Discontinuities, active: NDArray[np.ui
     LevelMesh
         With unknowns on both sides of the lines.
     """
-    edge = find_boundary_nodes(grid.mesh)
-    cut = cut_mesh(grid.mesh, discontinuities.lines)
+    edge = find_boundary_nodes(mesh)
+    cut = cut_mesh(mesh, discontinuities.lines)
     on_edge = np.isin(cut.node_of, edge)
     parts = cut.mesh.parts
     if parts is None:
-        return LevelMesh(grid, NodalRegion(grid.mesh), on_edge, ~on_edge)
+        return LevelMesh(NodalRegion(mesh), on_edge, ~on_edge)
     raster = rasterize(cut.mesh)
     in_band, _ = find_band_pixels(cut.mesh, raster, degree)
     counted = active.copy()
@@ -98,7 +75,7 @@ def cut_grid(grid: Grid, discontinuities: Discontinuities, active: NDArray[np.ui
     kinematics = enrich(cut, raster.sum_by_cell(counted), discontinuities.openings)
     of_cut_cells = cut.mesh.cells[parts.cells]
     beside_line = np.isin(cut.node_of, cut.node_of[of_cut_cells[of_cut_cells >= 0]])
-    return LevelMesh(grid, kinematics, on_edge, ~on_edge & ~beside_line)
+    return LevelMesh(kinematics, on_edge, ~on_edge & ~beside_line)
 
 
 def scale_to_pixels(mesh: Mesh, factor: int) -> Mesh:
