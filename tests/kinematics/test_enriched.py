@@ -7,11 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ddic.functionals.line_band import count_pixels_outside
+from ddic.functionals.corner_weights import weigh_corners
 from ddic.kinematics.discontinuities import Opening
-from ddic.kinematics.enriched import EnrichedRegion, enrich
+from ddic.kinematics.enriched import LEAST_SHARE, EnrichedRegion, enrich
 from ddic.mesh.cut_mesh import CutMesh, cut_mesh
-from ddic.mesh.raster import rasterize
 from ddic.mesh.structured import build_structured_mesh
 
 MESHES = {kind: build_structured_mesh((20, 20, 180, 180), 16, kind) for kind in ("Q4", "T3")}
@@ -25,7 +24,7 @@ OPENINGS = {"both": [TANGENT, NORMAL, np.array([0.3, -0.4])], "tangential": [TAN
 
 def _enrich(kind: str, opening: Opening) -> tuple[CutMesh, EnrichedRegion]:
     cut = cut_mesh(MESHES[kind], [LINE])
-    return cut, enrich(cut, count_pixels_outside(cut.mesh, rasterize(cut.mesh), 3), [opening])
+    return cut, enrich(cut, weigh_corners(cut, 3), [opening])
 
 
 def _find_above(cut: CutMesh) -> np.ndarray:
@@ -67,10 +66,9 @@ def test_unknowns_stand_at_nodes_that_have_pixels(opening: Opening) -> None:
     cut, region = _enrich("T3", opening)
     assert region.matrix.shape == (cut.mesh.n_dofs, region.n_unknowns)
     assert region.n_unknowns > MESHES["T3"].n_dofs
-    n_pixels = np.bincount(cut.mesh.connectivity, minlength=cut.mesh.n_nodes, weights=np.repeat(
-        count_pixels_outside(cut.mesh, rasterize(cut.mesh), 3), np.diff(cut.mesh.offsets)))
-    at_place = np.bincount(cut.node_of, n_pixels)[cut.node_of]
-    assert (n_pixels[region.seen_at] >= 0.02 * at_place[region.seen_at]).all()
+    weights = np.bincount(cut.mesh.connectivity, minlength=cut.mesh.n_nodes, weights=weigh_corners(cut, 3))
+    at_place = np.bincount(cut.node_of, weights)[cut.node_of]
+    assert (weights[region.seen_at] >= LEAST_SHARE * at_place[region.seen_at]).all()
     np.testing.assert_array_equal(cut.node_of[region.seen_at], region.node_of_unknown)
     controlled = region.controlled(np.arange(cut.mesh.n_nodes) % 3 == 0)
     np.testing.assert_array_equal(controlled, region.node_of_unknown % 3 == 0)

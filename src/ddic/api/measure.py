@@ -24,6 +24,7 @@ from ddic.images.sub_image import MaskedSource
 from ddic.io.result_reader import Result
 from ddic.mesh.mesh import Mesh
 from ddic.methods.dd_dic import Session as RecipeSession
+from ddic.methods.detect import find_discontinuity, is_line_wanted
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.cameras import Camera, Frame, make_setup
@@ -57,7 +58,9 @@ class Session:
 
     def __init__(self, team: Team, inputs: Inputs) -> None:
         self._team, self._inputs = team, inputs
-        self._recipe: RecipeSession | None = RecipeSession(team, inputs, Silence(), PhaseClock(waiting=team.waiting))
+        self._is_closed = False
+        # Where a line is to be found, the first deformed image is needed too.
+        self._recipe = None if is_line_wanted(inputs.case) else self._prepare()
         # Unknowns of the last field alone: its images would stay in memory.
         self._last: list[Array] | None = None
 
@@ -71,12 +74,14 @@ class Session:
     @property
     def n_assembled(self) -> int:
         """Times that this rank assembled M of a subdomain."""
-        return self._open_recipe.problem.n_assembled
+        self._require_open()
+        return 0 if self._recipe is None else self._recipe.problem.n_assembled
 
     @property
     def n_factorized(self) -> int:
         """Operators that this rank factorised."""
-        return self._open_recipe.problem.solver.n_factorized
+        self._require_open()
+        return 0 if self._recipe is None else self._recipe.problem.solver.n_factorized
 
     def measure(self, deformed: ImageLike | Sequence[ImageLike], *, from_last: bool = False,
                 output: str | Path | None = None) -> Result:
@@ -101,11 +106,11 @@ class Session:
         InputError, ConvergenceError, SingularSubdomainError
             On all ranks; the session can measure other images afterwards.
         """
-        recipe = self._team.together(lambda: self._open_recipe)
+        self._team.together(self._require_open)
         images = self._team.together(lambda: self._check_images(deformed, from_last=from_last))
         frame = self._open_frame(images)
         path = None if output is None else self._team.on_root(lambda: self._check_output(output, frame))
-        return self._measure_frame(recipe, frame, self._last if from_last else None, path)
+        return self._measure_frame(frame, self._last if from_last else None, path)
 
     def close(self) -> None:
         """Free the factors; what was measured stays."""
@@ -113,16 +118,21 @@ class Session:
             self._recipe.close()
         self._recipe = None
         self._last = None
+        self._is_closed = True
 
-    @property
-    def _open_recipe(self) -> RecipeSession:
-        if self._recipe is None:
+    def _require_open(self) -> None:
+        if self._is_closed:
             raise InputError("session: it is closed; measure inside its with statement, or prepare another")
-        return self._recipe
 
-    def _measure_frame(self, recipe: RecipeSession, frame: Frame, start: list[Array] | None,
-                       output: Path | None) -> Result:
-        measurement = recipe.measure(frame, start)
+    def _prepare(self) -> RecipeSession:
+        return RecipeSession(self._team, self._inputs, Silence(), PhaseClock(waiting=self._team.waiting))
+
+    def _measure_frame(self, frame: Frame, start: list[Array] | None, output: Path | None) -> Result:
+        if self._recipe is None:
+            clock = PhaseClock(waiting=self._team.waiting)
+            self._inputs = find_discontinuity(self._team, self._inputs, frame, Silence(), clock)
+            self._recipe = self._prepare()
+        measurement = self._recipe.measure(frame, start)
         self._last = measurement.q
         if output is not None:
             publish(measurement, Destination(output, self._inputs.case.output.flip_y))
@@ -201,7 +211,7 @@ def measure(source: str | Path | Case | LoadedCase | Sequence[ImageLike],
         chosen = team.together(lambda: _options_beside_a_case(mesh, options))
         inputs, frame = _open_case(team, chosen, source, output)
         with Session(team, inputs) as session:
-            return session._measure_frame(session._open_recipe, frame, None, None if output is None else Path(output))
+            return session._measure_frame(frame, None, None if output is None else Path(output))
     reference, deformed = team.together(lambda: _pair(source))
     with prepare(reference, mesh, options=options) as session:
         return session.measure(deformed, output=output)

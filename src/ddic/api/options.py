@@ -12,6 +12,7 @@ import numpy as np
 from mpi4py import MPI
 from pydantic import ValidationError
 
+from ddic.case.loader import convert_shorthand
 from ddic.case.messages import describe
 from ddic.case.schema import Case
 from ddic.errors import InputError
@@ -148,7 +149,7 @@ def make_case(settings: Mapping[str, Any]) -> Case:
         With a line for each unknown key, wrong type and impossible value.
     """
     try:
-        data: dict[str, Any] = json.loads(json.dumps(dict(settings), default=_plain))
+        data: dict[str, Any] = convert_shorthand(json.loads(json.dumps(dict(settings), default=_plain)))
     except TypeError as error:
         raise InputError(f"options: {error}") from error
     _refuse_what_arguments_say(data)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -13,6 +14,9 @@ from pydantic import BaseModel, ValidationError
 from ddic.case.messages import describe
 from ddic.case.schema import Case
 from ddic.errors import InputError
+
+DETECT = "detect"
+"""In place of discontinuities: one line, found by itself."""
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -90,11 +94,28 @@ def parse_case(text: str, path: Path) -> Case:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path}: not valid TOML: {error}") from error
+    data = convert_shorthand(data)
     try:
         # Only pydantic's JSON mode is strict about types ("8" is not 8) and yet takes lists for tuples.
         return Case.model_validate_json(json.dumps(data, default=_no_json_type), strict=True)
     except ValidationError as error:
         raise InputError([f"{path}: {line}" for line in describe(error, data)]) from error
+
+
+def convert_shorthand(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Write out what a case may say in a word.
+
+    Parameters
+    ----------
+    data : mapping
+        Sections and keys, not validated.
+
+    Returns
+    -------
+    dict
+        With a section without vertices for ``discontinuity = "detect"``.
+    """
+    return {**data, "discontinuity": [{}]} if data.get("discontinuity") == DETECT else dict(data)
 
 
 def _no_json_type(value: object) -> list[list[object]]:

@@ -347,10 +347,12 @@ class NearSection(Section):
 class DiscontinuitySection(Section):
     """A line across which the displacement may be discontinuous: a crack, a shear band, a sliding interface."""
 
-    vertices: Annotated[tuple[tuple[Finite, Finite], ...], Field(min_length=2)] = Field(
+    vertices: Annotated[tuple[tuple[Finite, Finite], ...], Field(min_length=2)] | None = Field(
+        default=None,
         description=(
             "The line in the reference image: two points, or more for a polyline. It may end inside the mesh, where "
-            "nothing opens ahead of the last element that it crosses from side to side."
+            "nothing opens ahead of the last element that it crosses from side to side. Left out, a straight line "
+            'across the whole region is looked for; `discontinuity = "detect"` at the top of the file says the same.'
         ),
         json_schema_extra={"unit": "px", "shape": "list of [x, y]"},
     )
@@ -365,7 +367,7 @@ class DiscontinuitySection(Section):
     @model_validator(mode="after")
     def _has_length(self) -> DiscontinuitySection:
         """Refuse vertices that repeat the one before."""
-        if any(one == other for one, other in pairwise(self.vertices)):
+        if self.vertices is not None and any(one == other for one, other in pairwise(self.vertices)):
             raise ValueError("discontinuity.vertices: a vertex repeats the one before it")
         return self
 
@@ -619,6 +621,13 @@ class Case(Section):
     gauss_newton: GaussNewtonSection = GaussNewtonSection()
     start: StartSection = StartSection()
     output: OutputSection = OutputSection()
+
+    @model_validator(mode="after")
+    def _one_line_is_found(self) -> Case:
+        """Refuse a line to be found beside others."""
+        if len(self.discontinuity) > 1 and any(section.vertices is None for section in self.discontinuity):
+            raise ValueError("[[discontinuity]]: one line can be found by itself; give discontinuity.vertices of all")
+        return self
 
     @model_validator(mode="after")
     def _one_camera_sees_discontinuities(self) -> Case:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.polyline import is_inside_polygon, measure_distance
-from ddic.mesh.raster import Raster
+from ddic.mesh.raster import Raster, list_pixels
 
 BAND = {3: 2.0, 5: 3.0}
 """Distance, pixels, from a line within which pixels do not count, by degree of the spline: as far as its taps reach. A
@@ -40,7 +40,7 @@ def find_band_pixels(mesh: Mesh, raster: Raster, degree: int) -> tuple[NDArray[n
     width = BAND[degree]
     lines = mesh.parts.lines
     near = _find_near_cells(mesh, (*lines.polylines, *lines.bends), width)
-    pixels, cells = _list_pixels(raster, near)
+    pixels, cells = list_pixels(raster, near)
     points = pixels.astype(np.float64)
     inside = np.zeros(len(points), dtype=bool)
     for line in lines.polylines:
@@ -48,27 +48,6 @@ def find_band_pixels(mesh: Mesh, raster: Raster, degree: int) -> tuple[NDArray[n
     for bend in lines.bends:
         inside |= is_inside_polygon(points, bend)
     return pixels[inside], cells[inside]
-
-
-def count_pixels_outside(mesh: Mesh, raster: Raster, degree: int) -> NDArray[np.int64]:
-    """Count each cell's pixels beyond the band of all lines.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Perhaps with cut cells.
-    raster : Raster
-        Its pixels.
-    degree : int
-        Of the spline, 3 or 5.
-
-    Returns
-    -------
-    (n_cells,) array of int64
-        Pixels.
-    """
-    _, cells = find_band_pixels(mesh, raster, degree)
-    return raster.pixel_counts - np.bincount(cells, minlength=mesh.n_cells)
 
 
 def _find_near_cells(mesh: Mesh, lines: Sequence[NDArray[np.float64]], width: float) -> NDArray[np.int64]:
@@ -81,16 +60,3 @@ def _find_near_cells(mesh: Mesh, lines: Sequence[NDArray[np.float64]], width: fl
     for line in lines:
         near |= measure_distance(mesh.centroids, line) <= radius + width
     return np.flatnonzero(near).astype(np.int64)
-
-
-def _list_pixels(raster: Raster, cells: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Columns and rows (n, 2) of some cells' pixels, and the cell of each."""
-    runs = np.concatenate([np.zeros(0, np.int64), *(np.arange(raster.row_ptr[e], raster.row_ptr[e + 1])
-                                                   for e in cells)])
-    n_rows = np.diff(raster.row_ptr)[cells]
-    cell_of_run = np.repeat(cells, n_rows)
-    lengths = (raster.stops[runs] - raster.starts[runs]).astype(np.int64)
-    first = np.cumsum(lengths) - lengths
-    columns = np.arange(lengths.sum()) + np.repeat(raster.starts[runs] - first, lengths)
-    rows = np.repeat(raster.rows[runs], lengths)
-    return np.stack([columns, rows], axis=1).astype(np.int64), np.repeat(cell_of_run, lengths)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import permutations
 
@@ -20,9 +20,13 @@ from ddic.mesh.polyline import find_nearest_segments, measure_distance
 
 Array = NDArray[np.float64]
 
-LEAST_SHARE = 0.02
-"""Share of the pixels around a node that a side must have for a displacement of its own. With a smaller one the few
-pixels of a corner decide, and Gauss-Newton may diverge; a larger one ties more nodes to their neighbours'."""
+LEAST_SHARE = 0.03
+"""Share of the sum of N_a^2 over the pixels around a node that a side must have for a displacement of its own. With a
+smaller one far corners decide, where noise is large and Gauss-Newton may diverge; a larger one ties more nodes to
+their neighbours', with 0.1 so many on 8-px elements that some have none to follow."""
+
+LEAST_WEIGHT = 0.1
+"""Least weight with which a neighbour counts: each takes its subdomain into a node's unknowns."""
 
 SAME_DISTANCE = 1e-6
 """Pixels by which neighbours may be farther than the nearest one and count as near as it."""
@@ -58,7 +62,7 @@ class EnrichedRegion(LinearRegion):
         return super().restrict(part, node_ids, numbers)
 
 
-def enrich(cut: CutMesh, n_pixels: NDArray[np.int64], openings: Sequence[Opening]) -> EnrichedRegion:
+def enrich(cut: CutMesh, corner_weights: Array, openings: Sequence[Opening]) -> EnrichedRegion:
     """Give phantom nodes displacements of their own, where they have pixels enough.
 
     Of a node and its phantoms, the one with most pixels leads. One with too few pixels follows it at the mean distance
@@ -68,8 +72,8 @@ def enrich(cut: CutMesh, n_pixels: NDArray[np.int64], openings: Sequence[Opening
     ----------
     cut : CutMesh
         With its lines.
-    n_pixels : (cut.mesh.n_cells,) array of int64
-        Pixels of each cell that are measured.
+    corner_weights : (len(cut.mesh.connectivity),) array
+        How firmly the pixels of each cell hold each of its nodes (``weigh_corners``).
     openings : sequence of Opening
         How the displacement may be discontinuous, of each line.
 
@@ -78,7 +82,7 @@ def enrich(cut: CutMesh, n_pixels: NDArray[np.int64], openings: Sequence[Opening
     EnrichedRegion
         Of the cut mesh.
     """
-    twins = _judge_twins(cut, n_pixels)
+    twins = _judge_twins(cut, corner_weights)
     dim, n_nodes = cut.mesh.dim, int(cut.node_of.max()) + 1
     leads = twins.leader == np.arange(cut.mesh.n_nodes)
     free = np.flatnonzero(~leads & twins.is_active)
@@ -89,7 +93,7 @@ def enrich(cut: CutMesh, n_pixels: NDArray[np.int64], openings: Sequence[Opening
 
     matrix = _move_with_nodes(cut, n_unknowns)
     matrix = matrix + _open_by_unknowns(cut, free, directions, n_unknowns)
-    matrix = matrix + _average_openings(cut, twins, bound) @ matrix
+    matrix = _follow_neighbours(cut, twins, bound, matrix)
     leaders = twins.leader[:n_nodes]
     seen_at = np.concatenate([np.repeat(leaders, dim), np.repeat(free, n_directions)])
     return EnrichedRegion(cut.mesh, matrix, cut.node_of[seen_at], seen_at)
@@ -108,11 +112,10 @@ class _Twins:
         return np.asarray(self.is_active | (self.leader == np.arange(len(self.leader))))
 
 
-def _judge_twins(cut: CutMesh, n_pixels: NDArray[np.int64]) -> _Twins:
+def _judge_twins(cut: CutMesh, corner_weights: Array) -> _Twins:
     """Find the nodes with pixels enough, and of those at one place the one with most of them."""
     mesh = cut.mesh
-    of_cells = np.repeat(n_pixels, np.diff(mesh.offsets))
-    of_each = np.bincount(mesh.connectivity, weights=of_cells, minlength=mesh.n_nodes)
+    of_each = np.bincount(mesh.connectivity, weights=corner_weights, minlength=mesh.n_nodes)
     of_place = np.bincount(cut.node_of, weights=of_each)
     # The last one at a place wins, which is the one with most pixels.
     order = np.argsort(of_each, kind="stable")
@@ -181,34 +184,67 @@ def _directions_of(opening: Opening, tangent: Array) -> Array:
     return np.array([[-tangent[1]], [tangent[0]]])
 
 
-def _average_openings(cut: CutMesh, twins: _Twins, bound: NDArray[np.int64]) -> sparse.csr_matrix:
-    """Mean of the nearest neighbours' distances across the line for bound nodes, (n_dofs, n_dofs); nothing for others.
+def _follow_neighbours(cut: CutMesh, twins: _Twins, bound: NDArray[np.int64],
+                       matrix: sparse.csr_matrix) -> sparse.csr_matrix:
+    """Rows by which bound nodes open as their neighbours do: those of free ones first, then theirs.
 
-    Nearest along the line, along which the opening varies.
+    One that no neighbour reaches stays closed.
     """
+    is_known, waiting = twins.is_free.copy(), bound
+    while len(waiting):
+        pairs = _find_pairs_across(cut, twins.leader, is_known, waiting)
+        if not pairs:
+            return matrix
+        matrix = matrix + _average_openings(cut, pairs) @ matrix
+        is_known[list(pairs)] = True
+        waiting = waiting[~is_known[waiting]]
+    return matrix
+
+
+def _average_openings(cut: CutMesh, pairs_of: Mapping[int, Sequence[tuple[int, int]]]) -> sparse.csr_matrix:
+    """Distances across the line that bound nodes take from their neighbours, (n_dofs, n_dofs); nothing for others."""
     n, dim = cut.mesh.n_nodes, cut.mesh.dim
     mean = sparse.lil_matrix((n, n))
-    for node, pairs in _find_pairs_across(cut, twins, bound).items():
+    for node, pairs in pairs_of.items():
         neighbours = cut.mesh.nodes[[this_side for this_side, _ in pairs]]
         (tangent,) = _find_tangents(cut, cut.mesh.nodes[[node]])
-        distance = np.abs((neighbours - cut.mesh.nodes[node]) @ tangent)
-        nearest = np.flatnonzero(distance <= distance.min() + SAME_DISTANCE)
-        for k in nearest:
-            mean[node, pairs[k][0]] += 1.0 / len(nearest)
-            mean[node, pairs[k][1]] -= 1.0 / len(nearest)
+        shares = _interpolate_along((neighbours - cut.mesh.nodes[node]) @ tangent)
+        for k in np.flatnonzero(shares):
+            mean[node, pairs[k][0]] += shares[k]
+            mean[node, pairs[k][1]] -= shares[k]
     return sparse.kron(mean.tocsr(), sparse.identity(dim), format="csr")
 
 
-def _find_pairs_across(cut: CutMesh, twins: _Twins, bound: NDArray[np.int64]) -> dict[int, list[tuple[int, int]]]:
-    """Free neighbours of each bound node on its own side, and their twins on the side of the one that leads it."""
+def _interpolate_along(places: Array) -> Array:
+    """Weights of values at places along a line for the value at 0, linear between the nearest on either side.
+
+    Where all lie on one side, the nearest's value: more noise would come from going on linearly.
+    """
+    ahead, behind = places[places >= 0], places[places <= 0]
+    if not len(ahead) or not len(behind):
+        nearest = np.abs(places) <= np.abs(places).min() + SAME_DISTANCE
+        return np.asarray(nearest / nearest.sum())
+    next_one, last_one = float(ahead.min()), float(behind.max())
+    at_next, at_last = np.abs(places - next_one) <= SAME_DISTANCE, np.abs(places - last_one) <= SAME_DISTANCE
+    share = -last_one / (next_one - last_one) if next_one - last_one > SAME_DISTANCE else 0.5
+    share = 0.0 if share < LEAST_WEIGHT else 1.0 if share > 1 - LEAST_WEIGHT else share
+    return np.asarray(share * at_next / at_next.sum() + (1 - share) * at_last / at_last.sum())
+
+
+def _find_pairs_across(cut: CutMesh, leader: NDArray[np.int64], is_known: NDArray[np.bool_],
+                       bound: NDArray[np.int64]) -> dict[int, list[tuple[int, int]]]:
+    """Known neighbours of bound nodes on their own side, and their twins on the side of the one that leads it.
+
+    Of those bound nodes that have any.
+    """
     wanted = set(bound.tolist())
     found: dict[int, list[tuple[int, int]]] = {}
     for parts in _group_parts(cut):
         for one, other in permutations(parts, 2):
-            are_free = (one != other) & twins.is_free[one] & twins.is_free[other]
-            pairs = list(zip(one[are_free].tolist(), other[are_free].tolist(), strict=True))
+            are_known = (one != other) & is_known[one] & is_known[other]
+            pairs = list(zip(one[are_known].tolist(), other[are_known].tolist(), strict=True))
             for node, across in zip(one.tolist(), other.tolist(), strict=True):
-                if node in wanted and across == twins.leader[node]:
+                if pairs and node in wanted and across == leader[node]:
                     known = found.setdefault(node, [])
                     known += [pair for pair in pairs if pair not in known]
     return found

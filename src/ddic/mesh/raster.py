@@ -171,3 +171,31 @@ def _fill_runs(nodes, connectivity, offsets, first_row, row_ptr, starts, stops):
             else:
                 starts[r] = 0
                 stops[r] = 0
+
+
+def list_pixels(raster: Raster, cells: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """List the pixels of some cells.
+
+    Parameters
+    ----------
+    raster : Raster
+        Of a mesh.
+    cells : (n_cells,) array of int64
+        Their numbers.
+
+    Returns
+    -------
+    pixels : (n, 2) array of int64
+        Columns and rows.
+    cells : (n,) array of int64
+        The cell of each.
+    """
+    runs = np.concatenate([np.zeros(0, np.int64), *(np.arange(raster.row_ptr[e], raster.row_ptr[e + 1])
+                                                   for e in cells)])
+    n_rows = np.diff(raster.row_ptr)[cells]
+    cell_of_run = np.repeat(cells, n_rows)
+    lengths = (raster.stops[runs] - raster.starts[runs]).astype(np.int64)
+    first = np.cumsum(lengths) - lengths
+    columns = np.arange(lengths.sum()) + np.repeat(raster.starts[runs] - first, lengths)
+    rows = np.repeat(raster.rows[runs], lengths)
+    return np.stack([columns, rows], axis=1).astype(np.int64), np.repeat(cell_of_run, lengths)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from ddic.io.result_schema import summary_path
 from ddic.methods.dd_dic import Session
+from ddic.methods.detect import find_discontinuity
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.check_ranks import load_checked_case
@@ -44,6 +45,7 @@ def run_case(team: Team, path: Path, listener: Listener) -> Summary:
     clock = PhaseClock(entered=listener.phase, waiting=team.waiting)
     with clock.phase(Phase.MESH):
         inputs, frame = open_inputs(team, loaded)
+    inputs = find_discontinuity(team, inputs, frame, listener, clock)
     with Session(team, inputs, listener, clock, frame) as session:
         measurement = session.measure(frame)
     with clock.phase(Phase.WRITE):

@@ -16,7 +16,7 @@ LEAST_SHARE = 0.02
 cells."""
 
 
-def keep_sides_determined(cut: CutMesh, kinematics: EnrichedRegion, n_pixels: NDArray[np.int64],
+def keep_sides_determined(cut: CutMesh, kinematics: EnrichedRegion, corner_weights: NDArray[np.float64],
                           parts: NDArray[np.int64]) -> NDArray[np.int64]:
     """Keep cells along a discontinuity together that determine only together what is on its sides.
 
@@ -29,8 +29,8 @@ def keep_sides_determined(cut: CutMesh, kinematics: EnrichedRegion, n_pixels: ND
         Of the kinematics.
     kinematics : EnrichedRegion
         The unknowns.
-    n_pixels : (cut.mesh.n_cells,) array of int64
-        Pixels of each cell that are measured.
+    corner_weights : (len(cut.mesh.connectivity),) array
+        How firmly the pixels of each cell hold each of its nodes (``weigh_corners``).
     parts : (n_cells,) array of int64
         Subdomain of each cell of the mesh that was cut.
 
@@ -41,7 +41,7 @@ def keep_sides_determined(cut: CutMesh, kinematics: EnrichedRegion, n_pixels: ND
     """
     if not parts.any():
         return parts
-    pixels, takes_part = _find_cells_at_phantoms(cut, kinematics, n_pixels)
+    pixels, takes_part = _find_cells_at_phantoms(cut, kinematics, corner_weights)
     total = np.asarray(pixels.sum(axis=0)).ravel()
     sees_enough = _find_enough(pixels, total)
     pairs = [(cell, host) for cell in np.flatnonzero(np.diff(takes_part.indptr)).tolist()
@@ -75,7 +75,7 @@ def _choose_hosts(needs: sparse.csr_matrix, sees_enough: sparse.csr_matrix, cell
 
 
 def _find_cells_at_phantoms(cut: CutMesh, kinematics: EnrichedRegion,
-                          n_pixels: NDArray[np.int64]) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
+                          corner_weights: NDArray[np.float64]) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
     """Pixels of each node in each cell before the cut, and whether the node's unknowns matter to the cell.
 
     Both (n_cells, cut.mesh.n_nodes), nothing at nodes without phantoms.
@@ -92,7 +92,8 @@ def _find_cells_at_phantoms(cut: CutMesh, kinematics: EnrichedRegion,
     rows = abs(kinematics.matrix).tocoo()
     owners = kinematics.seen_at[rows.col]
     depends = sparse.csr_matrix((np.ones(len(owners)), (rows.row // mesh.dim, owners)), (mesh.n_nodes, mesh.n_nodes))
-    pixels = fold @ sparse.diags(n_pixels.astype(float)) @ corners @ has_phantom
+    weights = sparse.csr_matrix((corner_weights, (cell_of_corner, mesh.connectivity)), corners.shape)
+    pixels = fold @ weights @ has_phantom
     takes_part = (fold @ corners @ depends @ has_phantom).tocsr()
     takes_part.eliminate_zeros()
     takes_part.data[:] = 1.0

@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 
 from ddic.case.schema import Case
 from ddic.errors import InputError
-from ddic.functionals.line_band import count_pixels_outside
+from ddic.functionals.corner_weights import weigh_corners
 from ddic.kinematics.discontinuities import Discontinuities
 from ddic.kinematics.enriched import EnrichedRegion, enrich
 from ddic.mesh.cut_mesh import CutMesh, cut_mesh, is_cut_by
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.raster import rasterize
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,13 +26,13 @@ class CutRegion:
         The mesh.
     kinematics : EnrichedRegion
         Its unknowns.
-    n_pixels : (n_cells,) array of int64
-        Pixels of each of its cells that are measured.
+    corner_weights : (len(connectivity),) array
+        How firmly the pixels of each of its cells hold each of its nodes.
     """
 
     cut: CutMesh
     kinematics: EnrichedRegion
-    n_pixels: NDArray[np.int64]
+    corner_weights: NDArray[np.float64]
 
     def describe(self) -> str:
         """Say in a line how much is cut.
@@ -89,10 +88,11 @@ def list_discontinuities(case: Case) -> Discontinuities:
     Returns
     -------
     Discontinuities
-        Pixels.
+        Those whose lines are known, pixels.
     """
-    return Discontinuities(tuple(np.array(section.vertices) for section in case.discontinuity),
-                           tuple(section.opening for section in case.discontinuity))
+    known = [section for section in case.discontinuity if section.vertices is not None]
+    return Discontinuities(tuple(np.array(section.vertices) for section in known),
+                           tuple(section.opening for section in known))
 
 
 def cut_region(case: Case, mesh: Mesh) -> CutRegion | None:
@@ -115,13 +115,13 @@ def cut_region(case: Case, mesh: Mesh) -> CutRegion | None:
     InputError
         Where a line crosses no element from side to side.
     """
-    if not case.discontinuity:
+    discontinuities = list_discontinuities(case)
+    if not discontinuities.n_lines:
         return None
     check_lines(case, mesh)
-    discontinuities = list_discontinuities(case)
     cut = cut_mesh(mesh, discontinuities.lines)
-    n_pixels = count_pixels_outside(cut.mesh, rasterize(cut.mesh), case.correlation.spline_degree)
-    return CutRegion(cut, enrich(cut, n_pixels, discontinuities.openings), n_pixels)
+    weights = weigh_corners(cut, case.correlation.spline_degree)
+    return CutRegion(cut, enrich(cut, weights, discontinuities.openings), weights)
 
 
 def check_lines(case: Case, mesh: Mesh) -> None:

@@ -35,6 +35,8 @@ class Inputs:
         The case file; empty where there is none.
     case_text : str
         Its content; empty where there is none.
+    notes : tuple of str
+        What the user should know of how the case was completed.
     """
 
     case: Case
@@ -43,6 +45,7 @@ class Inputs:
     choose_kinematics: Callable[[Mesh], RegionKinematics] | None = None
     case_path: Path = Path()
     case_text: str = ""
+    notes: tuple[str, ...] = ()
 
 
 def open_inputs(team: Team, loaded: LoadedCase) -> tuple[Inputs, Frame]:

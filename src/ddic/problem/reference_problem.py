@@ -144,6 +144,6 @@ def _read_and_assemble(team: Team, inputs: Inputs, region_mesh: RegionMesh | Non
         n_pixels = sum(team.gather_lists([view.n_pixels for r in references for view in r.views]))
     with clock.phase(Phase.ASSEMBLE):
         hessians = assemble_hessians(team, references)
-    notes = (*notes, *_describe_discontinuities(team, region_mesh), *note_crowded_cores(team, case.solver.threads),
-             *describe_missing_package())
+    lines = _describe_discontinuities(team, region_mesh)
+    notes = (*inputs.notes, *notes, *lines, *note_crowded_cores(team, case.solver.threads), *describe_missing_package())
     return ReferenceProblem(inputs, region, references, hessians, n_pixels, notes)

@@ -245,7 +245,7 @@ def _split_cut(region_mesh: RegionMesh, region: CutRegion, n_ranks: int) -> NDAr
     if parts is None:
         costs = np.bincount(cell_of, weights=region_mesh.costs).astype(np.float64)
         parts = split_by_metis(measured.mesh, solver.subdomains or n_ranks, costs)
-    return keep_sides_determined(region.cut, region.kinematics, region.n_pixels, parts)[cell_of]
+    return keep_sides_determined(region.cut, region.kinematics, region.corner_weights, parts)[cell_of]
 
 
 def scatter_region(team: Team, region_mesh: RegionMesh | None,

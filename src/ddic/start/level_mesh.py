@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.functionals.line_band import find_band_pixels
+from ddic.functionals.corner_weights import weigh_corners
 from ddic.kinematics.discontinuities import Discontinuities
 from ddic.kinematics.enriched import enrich
 from ddic.kinematics.kinematics import RegionKinematics
 from ddic.kinematics.nodal import NodalRegion
-from ddic.mesh.cut_mesh import cut_mesh
+from ddic.mesh.cut_mesh import CutMesh, cut_mesh
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.raster import rasterize
 from ddic.mesh.topology import find_boundary_nodes
 from ddic.start.coarse_grid import locate_block_centre
 
@@ -25,6 +24,8 @@ class LevelMesh:
 
     Attributes
     ----------
+    cut : CutMesh
+        The cells and what they are parts of, blocks.
     kinematics : RegionKinematics
         Their mesh, cut or not, and the unknowns, blocks.
     on_edge : (n_nodes,) array of bool
@@ -33,6 +34,7 @@ class LevelMesh:
         Nodes at which texture is weighed against mechanics.
     """
 
+    cut: CutMesh
     kinematics: RegionKinematics
     on_edge: NDArray[np.bool_]
     interior: NDArray[np.bool_]
@@ -67,15 +69,11 @@ def cut_level(mesh: Mesh, discontinuities: Discontinuities, active: NDArray[np.u
     on_edge = np.isin(cut.node_of, edge)
     parts = cut.mesh.parts
     if parts is None:
-        return LevelMesh(NodalRegion(mesh), on_edge, ~on_edge)
-    raster = rasterize(cut.mesh)
-    in_band, _ = find_band_pixels(cut.mesh, raster, degree)
-    counted = active.copy()
-    counted[in_band[:, 1], in_band[:, 0]] = 0
-    kinematics = enrich(cut, raster.sum_by_cell(counted), discontinuities.openings)
+        return LevelMesh(cut, NodalRegion(mesh), on_edge, ~on_edge)
+    kinematics = enrich(cut, weigh_corners(cut, degree, active), discontinuities.openings)
     of_cut_cells = cut.mesh.cells[parts.cells]
     beside_line = np.isin(cut.node_of, cut.node_of[of_cut_cells[of_cut_cells >= 0]])
-    return LevelMesh(kinematics, on_edge, ~on_edge & ~beside_line)
+    return LevelMesh(cut, kinematics, on_edge, ~on_edge & ~beside_line)
 
 
 def scale_to_pixels(mesh: Mesh, factor: int) -> Mesh:

@@ -1,0 +1,1 @@
+"""Discontinuities found by themselves: where a line lies that the displacement jumps across [RHR08]."""

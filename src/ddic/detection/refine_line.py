@@ -1,0 +1,188 @@
+"""A straight line moved and turned until its sides' pixels fit the images best [RHR08]."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.detection.both_sides import compute_residuals, evaluate_both_sides
+from ddic.functionals.line_band import BAND
+from ddic.kinematics.discontinuities import Discontinuities, Opening
+from ddic.mesh.mesh import Mesh
+from ddic.mesh.plane import multiply_across
+from ddic.mesh.polyline import measure_distance
+from ddic.mesh.raster import list_pixels, rasterize
+from ddic.solvers.correction_size import Tolerances
+from ddic.start.correlate_alone import Images, correlate_alone
+from ddic.start.level_mesh import LevelMesh, cut_level
+
+Array = NDArray[np.float64]
+
+REACH = 3.5
+"""Distance from the line, elements, up to which cells are measured with it. A larger one costs more."""
+
+SEARCHED = 0.6
+"""Distance, elements, by which a line's ends may move at a time: of what a Radon transform may be off."""
+
+STEPS = (0.5, 0.05)
+"""Steps of the search for a line's ends, pixels, one after the other."""
+
+CUT_OFF = 4.0
+"""Cut-off wavelength along the strip, elements."""
+
+MOVED = 0.05
+"""Pixels: a line whose ends move by less has been found."""
+
+MOST_MOVES = 8
+"""Times that a line is moved; three or four are usual."""
+
+TOLERANCES = Tolerances(relative=1e-12, rms=0.003, max_iterations=50, largest=np.inf)
+"""Of Gauss-Newton for a line that is still moved: a hundredth of the jumps that can be found."""
+
+
+@dataclass(frozen=True, eq=False)
+class RefinedLine:
+    """A line with the displacement on both sides.
+
+    Attributes
+    ----------
+    line : (2, 2) array
+        Pixels.
+    cells : LevelMesh
+        The cells about it, cut.
+    displacement : (n_dofs,) array
+        Of their nodes, pixels.
+    n_moves : int
+        How often it was moved.
+    """
+
+    line: Array
+    cells: LevelMesh
+    displacement: Array
+    n_moves: int
+
+
+def refine_line(images: Images, mesh: Mesh, displacement: Array, line: Array, opening: Opening) -> RefinedLine:
+    """Move a line until its sides' pixels fit best, each side's displacement being measured with the line where it is.
+
+    Parameters
+    ----------
+    images : Images
+        The pair.
+    mesh : Mesh
+        The region, pixels.
+    displacement : (n_nodes, 2) array
+        Of a continuous field, from which sides start, pixels.
+    line : (2, 2) array
+        Where it may be, pixels.
+    opening : Opening
+        In which directions the displacement may jump.
+
+    Returns
+    -------
+    RefinedLine
+        Where it does not move any more.
+
+    Raises
+    ------
+    ConvergenceError
+        Where the line or the displacement does not converge.
+    SingularSubdomainError
+        Where the pixels do not determine the displacement.
+    """
+    size = measure_size(mesh)
+    for n_moves in range(MOST_MOVES):
+        strip, nodes = mesh.create_submesh(find_strip(mesh, line, REACH * size))
+        cells = cut_level(strip, Discontinuities((line,), (opening,)), images.active, images.degree)
+        start = displacement[nodes][cells.cut.node_of]
+        u = correlate_alone(images, cells, CUT_OFF * size, TOLERANCES, [start.ravel()], "the strip along a line")
+        moved = _move_line(images, cells, u, line, SEARCHED * size)
+        if np.abs(moved - line).max() <= MOVED:
+            return RefinedLine(line, cells, u, n_moves)
+        line = moved
+    return RefinedLine(line, cells, u, MOST_MOVES)
+
+
+def measure_size(mesh: Mesh) -> float:
+    """Measure the size of a mesh's cells: the root of their mean area.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Pixels.
+
+    Returns
+    -------
+    float
+        Pixels.
+    """
+    counts = rasterize(mesh).pixel_counts
+    return float(np.sqrt(counts.mean()))
+
+
+def find_strip(mesh: Mesh, line: Array, reach: float) -> NDArray[np.int64]:
+    """Find the cells about a line.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Pixels.
+    line : (2, 2) array
+        Pixels.
+    reach : float
+        Distance of their centres, pixels.
+
+    Returns
+    -------
+    (n,) array of int64
+        Their sorted numbers.
+    """
+    return np.flatnonzero(measure_distance(mesh.centroids, line) <= reach).astype(np.int64)
+
+
+def _move_line(images: Images, cells: LevelMesh, displacement: Array, line: Array, reach: float) -> Array:
+    """The line by which the pixels within reach are told best to which side they belong."""
+    pixels, _ = list_pixels(rasterize(cells.mesh), np.arange(cells.mesh.n_cells))
+    points = pixels.astype(np.float64)
+    near = measure_distance(points, line) <= reach + BAND[images.degree]
+    pixels, points = pixels[near], points[near]
+    u = displacement.reshape(cells.mesh.nodes.shape)
+    left, right = (compute_residuals(images.reference, images.deformed, pixels, of_side)
+                   for of_side in evaluate_both_sides(cells.cut, u, line, points))
+    # What a pixel costs on the left beyond what it costs on the right.
+    cost = left**2 - right**2
+    counts = np.isfinite(cost)
+    along = line[1] - line[0]
+    length = float(np.linalg.norm(along))
+    shares = ((points[counts] - line[0]) @ along) / length**2
+    heights = multiply_across(along, points[counts] - line[0]) / length
+    first, last = _find_ends(shares)
+    place = (shares - first) / (last - first)
+
+    def evaluate(ends: Array) -> float:
+        is_left = heights > ends[0] + (ends[1] - ends[0]) * place
+        return float(cost[counts][is_left].sum())
+
+    ends = _search_on_grids(evaluate, reach)
+    normal = np.array([-along[1], along[0]]) / length
+    at_line_ends = ends[0] + (ends[1] - ends[0]) * (np.array([0.0, 1.0]) - first) / (last - first)
+    return np.asarray(line + at_line_ends[:, None] * normal)
+
+
+def _find_ends(shares: Array) -> tuple[float, float]:
+    """From where to where pixels lie along a line, in shares of its length."""
+    return float(shares.min()), float(shares.max())
+
+
+def _search_on_grids(evaluate: Callable[[Array], float], reach: float) -> Array:
+    """Heights of both ends at which a function is least, on a coarse grid and then on a fine one about it."""
+    best = np.zeros(2)
+    for step in STEPS:
+        heights = np.arange(-reach, reach + step / 2, step)
+        best = min((best + np.array(ends) for ends in product(heights, heights)), key=evaluate)
+        reach = 2 * step
+    return best

@@ -1,0 +1,122 @@
+"""A discontinuity found in the images: a continuous measurement, a Radon transform of its strain, a line refined."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.case.schema import Case, DiscontinuitySection
+from ddic.detection.detect_line import Detection, detect_line
+from ddic.errors import ConvergenceError, as_collective
+from ddic.methods.dd_dic import Session
+from ddic.parallel.phases import Phase, PhaseClock
+from ddic.parallel.team import Team, require_held
+from ddic.problem.cameras import Frame
+from ddic.problem.inputs import Inputs
+from ddic.results.listener import Listener
+from ddic.results.measurement import Measurement
+from ddic.start.correlate_alone import Images
+
+RMS_PX, LARGEST_PX = 0.01, 1.0
+"""Correction at which the continuous measurement is exact enough to look for a line in it: its elements on the line
+waver by more."""
+
+
+def is_line_wanted(case: Case) -> bool:
+    """Tell whether a case asks for a line to be found.
+
+    Parameters
+    ----------
+    case : Case
+        With its discontinuities.
+
+    Returns
+    -------
+    bool
+        Whether one has no vertices.
+    """
+    return any(section.vertices is None for section in case.discontinuity)
+
+
+def find_discontinuity(team: Team, inputs: Inputs, frame: Frame, listener: Listener, clock: PhaseClock) -> Inputs:
+    """Find the line that a case asks for; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    inputs : Inputs
+        Reference image, mesh and settings.
+    frame : Frame
+        The deformed image.
+    listener : Listener
+        Told what happens.
+    clock : PhaseClock
+        Of the phases.
+
+    Returns
+    -------
+    Inputs
+        With the line, or without discontinuities where none is found; the same where the case asks for none.
+
+    Raises
+    ------
+    InputError, SingularSubdomainError, ConvergenceError
+        On all ranks.
+    """
+    case = inputs.case
+    if not is_line_wanted(case):
+        return inputs
+    listener.note("detection: a continuous measurement first")
+    with Session(team, replace(inputs, case=_measure_continuously(case)), listener, clock, frame) as session:
+        try:
+            measurement = session.measure(frame)
+        except ConvergenceError as error:
+            raise as_collective(ConvergenceError(f"detection: the continuous field in which a line is looked for does "
+                                                 f"not converge; give discontinuity.vertices ({error})")) from error
+    with clock.phase(Phase.START):
+        displacement = _gather_displacement(team, measurement)
+        found = team.on_root(lambda: _detect(inputs, frame, require_held(displacement)))
+    sections: Sequence[DiscontinuitySection] = ()
+    if found.line is not None:
+        sections = [case.discontinuity[0].model_copy(update={"vertices": tuple(map(tuple, found.line.tolist()))})]
+    return replace(inputs, case=case.model_copy(update={"discontinuity": tuple(sections)}),
+                   notes=(*inputs.notes, found.note))
+
+
+def _measure_continuously(case: Case) -> Case:
+    """The case without discontinuities, to a looser tolerance."""
+    section = case.gauss_newton
+    loose = {"rms_tolerance": max(section.rms_tolerance, RMS_PX),
+             "largest_tolerance": max(section.largest_tolerance, LARGEST_PX)}
+    return case.model_copy(update={"discontinuity": (), "gauss_newton": section.model_copy(update=loose)})
+
+
+def _gather_displacement(team: Team, measurement: Measurement) -> NDArray[np.float64] | None:
+    """Displacement of all nodes on rank 0, (n_nodes, 2), pixels; collective."""
+    own = [(subdomain.node_ids, u.reshape(-1, subdomain.mesh.dim))
+           for subdomain, u in zip(measurement.subdomains, measurement.displacements, strict=True)]
+    gathered = team.gather_to(own, 0)
+    if gathered is None:
+        return None
+    displacement = np.empty((measurement.region.n_nodes, own[0][1].shape[1]))
+    for of_rank in gathered:
+        for nodes, u in of_rank:
+            displacement[nodes] = u
+    return displacement
+
+
+def _detect(inputs: Inputs, frame: Frame, displacement: NDArray[np.float64]) -> Detection:
+    """On one rank: the strip along a line is small beside the region."""
+    case = inputs.case
+    (camera,), (deformed,) = inputs.cameras, frame
+    extent = camera.reference.extent
+    usable = camera.reference.find_usable(extent)
+    active = np.ones((extent.height, extent.width), dtype=np.uint8) if usable is None else usable
+    images = Images(camera.reference, deformed, active, case.correlation.spline_degree,
+                    case.correlation.grey_correction)
+    mesh, _ = inputs.build_mesh()
+    return detect_line(images, mesh, displacement, case.discontinuity[0].opening)
