@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 import ddic
+from accept.band import measure_band
 from accept.bolted import measure_bolted
 from accept.slip import measure_slip
 from accept.support.opened_pair import (
@@ -144,6 +145,7 @@ def measure_solvers(scale: Scale) -> list[Row]:
 CHECKS: dict[str, Check] = {
     "slip": measure_slip,
     "bolted": measure_bolted,
+    "band": measure_band,
     "uniform": measure_uniform,
     "shapes": measure_shapes,
     "solvers": measure_solvers,

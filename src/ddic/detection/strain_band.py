@@ -11,14 +11,17 @@ from scipy.spatial import cKDTree
 Array = NDArray[np.float64]
 
 NEIGHBOURHOOD = 3.6
-"""Radius, elements, in which the median is what a cell's strain is compared with. A larger one takes smooth fields for
-bands, in a smaller one the band is the median."""
+"""Radius, elements, of the cells with whose plane of least squares a cell's strain is compared. A larger one takes
+smooth fields for bands, in a smaller one the plane follows the band."""
 
 FEWEST_CELLS = 6
 """Cells that a band must have. Fewer stand out by chance."""
 
 OF_NORMAL = 1.4826
 """Standard deviation of normal numbers over the median of their absolute values."""
+
+FLAT = 1e-6
+"""Weight of a slope of 0, which decides where a few points leave it open."""
 
 TINY = 1e-300
 """A spread below any that is not 0."""
@@ -74,7 +77,7 @@ def find_band(points: Array, strain: Array, size: float) -> Band:
     Band
         With the largest score.
     """
-    excess = strain - _find_medians(points, strain, NEIGHBOURHOOD * size)
+    excess = strain - _fit_planes(points, strain, NEIGHBOURHOOD * size)
     spread = OF_NORMAL * float(np.median(np.abs(excess - np.median(excess))))
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     length = float(np.linalg.norm(np.ptp(points, axis=0))) + size
@@ -94,10 +97,18 @@ def find_band(points: Array, strain: Array, size: float) -> Band:
     return best
 
 
-def _find_medians(points: Array, values: Array, radius: float) -> Array:
-    """Median about each point."""
-    neighbours = cKDTree(points).query_ball_point(points, radius)
-    return np.array([np.median(values[near]) for near in neighbours])
+def _fit_planes(points: Array, values: Array, radius: float) -> Array:
+    """Value at each point of the plane that fits the values about it: edges of a smooth field do not stand out."""
+    pairs = cKDTree(points).query_pairs(radius, output_type="ndarray")
+    one, other = np.concatenate([pairs, pairs[:, ::-1], np.arange(len(points))[:, None].repeat(2, axis=1)]).T
+    away = (points[other] - points[one]) / radius
+    basis = np.column_stack([np.ones(len(away)), away])
+    normal, right = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
+    np.add.at(normal, one, basis[:, :, None] * basis[:, None, :])
+    np.add.at(right, one, basis * values[other][:, None])
+    # Points in a row do not tell the slope across it.
+    normal += FLAT * np.diag([0.0, 1.0, 1.0])
+    return np.asarray(np.linalg.solve(normal, right[..., None])[:, 0, 0])
 
 
 def _sum_bands(places: Array, excess: Array, n_bands: int) -> Array:

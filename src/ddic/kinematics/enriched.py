@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 LEAST_SHARE = 0.03
 """Share of the sum of N_a^2 over the pixels around a node that a side must have for a displacement of its own. With a
 smaller one far corners decide, where noise is large and Gauss-Newton may diverge; a larger one ties more nodes to
-their neighbours', with 0.1 so many on 8-px elements that some have none to follow."""
+their neighbours'."""
 
 LEAST_WEIGHT = 0.1
 """Least weight with which a neighbour counts: each takes its subdomain into a node's unknowns."""

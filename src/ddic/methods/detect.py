@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.case.schema import Case, DiscontinuitySection
-from ddic.detection.detect_line import Detection, detect_line
+from ddic.detection.find_line import Detection, find_line
 from ddic.errors import ConvergenceError, as_collective
 from ddic.methods.dd_dic import Session
 from ddic.parallel.phases import Phase, PhaseClock
@@ -119,4 +119,4 @@ def _detect(inputs: Inputs, frame: Frame, displacement: NDArray[np.float64]) -> 
     images = Images(camera.reference, deformed, active, case.correlation.spline_degree,
                     case.correlation.grey_correction)
     mesh, _ = inputs.build_mesh()
-    return detect_line(images, mesh, displacement, case.discontinuity[0].opening)
+    return find_line(images, mesh, displacement, case.discontinuity[0].opening)

@@ -13,7 +13,7 @@ from ddic.functionals.half_amplitude import HalfAmplitudes
 from ddic.images.source import ImageSource
 from ddic.mesh.cell_type import CELL_TYPES
 from ddic.problem.check_mesh_uses import CheckedMesh
-from ddic.problem.cut_region import cut_region
+from ddic.problem.cut_region import CutRegion, cut_region
 from ddic.problem.problem_size import describe_cut_off
 
 
@@ -105,6 +105,12 @@ def describe_inputs(case: Case, reference: ImageSource, checked: CheckedMesh,
         pixels_mean=float(checked.pixel_counts.mean()),
         n_controlled_dofs=mesh.dim * n_controlled_nodes,
         output=case.output.file,
-        discontinuities=None if region is None else region.describe(),
+        discontinuities=_describe_discontinuities(case, region),
         half_amplitudes=describe_cut_off(case.regularization),
     )
+
+
+def _describe_discontinuities(case: Case, region: CutRegion | None) -> str | None:
+    if region is not None:
+        return region.describe()
+    return "1 line, to be found" if case.discontinuity else None

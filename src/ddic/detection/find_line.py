@@ -50,7 +50,7 @@ class Detection:
     note: str
 
 
-def detect_line(images: Images, mesh: Mesh, displacement: Array, opening: Opening) -> Detection:
+def find_line(images: Images, mesh: Mesh, displacement: Array, opening: Opening) -> Detection:
     """Find the straight line across which a displacement jumps.
 
     Parameters

@@ -1,0 +1,87 @@
+"""A line that is found by itself, from Python and from the command line."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from numpy.typing import NDArray
+
+import ddic
+from ddic.cli.check import check
+from ddic.cli.run import run
+from ddic.errors import InputError
+
+ANGLE = np.deg2rad(64.0)
+TANGENT, NORMAL = np.array([np.cos(ANGLE), np.sin(ANGLE)]), np.array([-np.sin(ANGLE), np.cos(ANGLE)])
+FOOT = np.array([118.4, 130.2])
+SIDE = 256
+MESH = ddic.structured_mesh((16, 16, 240, 240), 16)
+
+
+@cache
+def pair(slip: float) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    return ddic.make_synthetic_pair(
+        lambda points: np.where((points - FOOT) @ NORMAL > 0, slip / 2, -slip / 2)[:, None] * TANGENT, (SIDE, SIDE),
+        noise=1.0, seed=2)
+
+
+def lines_of(result: ddic.Result) -> list[np.ndarray]:
+    sections = json.loads(result.attributes["case"]["json"])["discontinuity"]
+    return [np.array(section["vertices"]) for section in sections]
+
+
+def assert_is_the_line(line: np.ndarray) -> None:
+    # One pixel decides at a time of some 250 along the line, of which each is told apart by 0.8 px of slip.
+    assert np.abs((line - FOOT) @ NORMAL).max() < 0.3
+
+
+@pytest.mark.parallel([1, 2, 3])
+def test_line_is_found_and_measured_with() -> None:
+    result = ddic.measure(pair(0.8), MESH, options={"discontinuity": "detect"})
+    (line,) = lines_of(result)
+    assert_is_the_line(line)
+    on_line = FOOT + np.linspace(-90, 90, 60)[:, None] * TANGENT
+    apart = result.at(on_line + 3 * NORMAL) - result.at(on_line - 3 * NORMAL)
+    assert np.sqrt(((apart - 0.8 * TANGENT) ** 2).mean()) < 0.03
+
+
+def test_no_line_is_found_where_nothing_slips() -> None:
+    result = ddic.measure(pair(0.0), MESH, options={"discontinuity": "detect"})
+    assert lines_of(result) == []
+
+
+def test_session_finds_the_line_in_its_first_image_and_keeps_it() -> None:
+    reference, deformed = pair(0.8)
+    with ddic.prepare(reference, MESH, options={"discontinuity": [{"opening": "tangential"}]}) as session:
+        assert session.n_assembled == 0
+        first, second = session.measure(deformed), session.measure(pair(0.3)[1])
+    np.testing.assert_array_equal(lines_of(first), lines_of(second))
+    apart = second.at(FOOT[None] + 3 * NORMAL) - second.at(FOOT[None] - 3 * NORMAL)
+    np.testing.assert_allclose(apart[0] @ TANGENT, 0.3, atol=0.03)
+
+
+def test_one_line_at_a_time() -> None:
+    sections = [{"opening": "both"}, {"vertices": [[0, 0], [200, 200]]}]
+    with pytest.raises(InputError, match="one line can be found by itself"):
+        ddic.measure(pair(0.0), MESH, options={"discontinuity": sections})
+
+
+def test_command_line_says_what_it_found(tmp_path: Path) -> None:
+    for name, image in zip(("f", "g"), pair(0.8), strict=True):
+        cv2.imwrite(str(tmp_path / f"{name}.tif"), image)
+    (tmp_path / "case.toml").write_text(
+        'discontinuity = "detect"\n[images]\nreference = "f.tif"\ndeformed = "g.tif"\n[mesh.structured]\n'
+        'region = [16, 16, 240, 240]\nelement_size = 16\n[solver]\nmethod = "monolithic"\n')
+    checked = CliRunner().invoke(check, [str(tmp_path / "case.toml")])
+    assert checked.exit_code == 0, checked.output
+    assert "to be found" in checked.output
+    ran = CliRunner().invoke(run, [str(tmp_path / "case.toml")])
+    assert ran.exit_code == 0, ran.output
+    assert ran.output.count("detection: line from (") == 1
+    assert_is_the_line(lines_of(ddic.open(tmp_path / "result.vtkhdf"))[0])
