@@ -14,6 +14,7 @@ import numpy as np
 import ddic
 from accept.band import measure_band
 from accept.bolted import measure_bolted
+from accept.crack import measure_crack
 from accept.slip import measure_slip
 from accept.support.opened_pair import (
     MARGIN,
@@ -146,6 +147,7 @@ CHECKS: dict[str, Check] = {
     "slip": measure_slip,
     "bolted": measure_bolted,
     "band": measure_band,
+    "crack": measure_crack,
     "uniform": measure_uniform,
     "shapes": measure_shapes,
     "solvers": measure_solvers,

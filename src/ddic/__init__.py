@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from ddic.case.loader import load_case
     from ddic.case.schema import Case
     from ddic.errors import ConvergenceError, DdicError, FactorizationError, InputError, SingularSubdomainError
+    from ddic.fracture.crack_tip import CrackTip, Ring, find_crack_tip
+    from ddic.fracture.line_opening import Opening, measure_opening
     from ddic.io.result_reader import Result
     from ddic.io.result_reader import read_result as open
     from ddic.kinematics.kinematics import Kinematics, RegionKinematics
@@ -41,6 +43,11 @@ _HOMES = {
     "FactorizationError": "errors",
     "InputError": "errors",
     "SingularSubdomainError": "errors",
+    "CrackTip": "fracture.crack_tip",
+    "Ring": "fracture.crack_tip",
+    "find_crack_tip": "fracture.crack_tip",
+    "Opening": "fracture.line_opening",
+    "measure_opening": "fracture.line_opening",
     "Result": "io.result_reader",
     "open": "io.result_reader:read_result",
     "Kinematics": "kinematics.kinematics",
@@ -55,6 +62,7 @@ _HOMES = {
 __all__ = [
     "Case",
     "ConvergenceError",
+    "CrackTip",
     "DdicError",
     "FactorizationError",
     "Image",
@@ -63,15 +71,19 @@ __all__ = [
     "LinearRegion",
     "Mesh",
     "NodalRegion",
+    "Opening",
     "Options",
     "RegionKinematics",
     "Result",
+    "Ring",
     "Session",
     "SingularSubdomainError",
     "__version__",
+    "find_crack_tip",
     "load_case",
     "make_synthetic_pair",
     "measure",
+    "measure_opening",
     "open",
     "prepare",
     "structured_mesh",

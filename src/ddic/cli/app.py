@@ -14,6 +14,8 @@ COMMANDS = {
     "synth": "Make image pairs with a known displacement.",
     "info": "Describe a result file or an image.",
     "plot": "Draw the pictures of a result file.",
+    "opening": "Write the opening of discontinuities along them as a table.",
+    "crack": "Find a crack's tip and its stress intensity factors.",
     "calibrate": "Find where a near-field image lies in a far-field one.",
 }
 

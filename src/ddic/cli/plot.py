@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from ddic.io.plots.preview import Preview
     from ddic.io.result_reader import Result
 
-KINDS = ("partition", "deformed", "residual", "difference", "krylov", "near-far")
+KINDS = ("partition", "deformed", "residual", "difference", "krylov", "opening", "near-far")
 
 
 @click.command()
@@ -64,6 +65,7 @@ def plot(file: Path, kind: str, component: Literal["x", "y", "magnitude"], ampli
 
 def _kinds(asked: str, result: Result, other: Result | None) -> list[str]:
     """Figures to draw; raises InputError if the one asked for needs what is not there."""
+    from ddic.fracture.lines_of_result import get_lines
     from ddic.io.result_schema import CAMERA
 
     lacking = {}
@@ -71,6 +73,8 @@ def _kinds(asked: str, result: Result, other: Result | None) -> list[str]:
         lacking["difference"] = "--kind difference compares two results; give the second by --other"
     if not _has_curves(result):
         lacking["krylov"] = "holds no Krylov history (a direct method); choose another --kind"
+    if not get_lines(result):
+        lacking["opening"] = "was measured without discontinuities; choose another --kind"
     if CAMERA not in result.cell_data:
         lacking["near-far"] = "is of one camera (a case without [[near]]); choose another --kind"
     if asked in lacking:
@@ -102,26 +106,42 @@ def _reference(result: Result, image: Path | None) -> Preview | None:
 
 def _figure(kind: str, result: Result, other: Result | None, preview: Preview | None,
             component: Literal["x", "y", "magnitude"], amplification: float | None) -> Figure:
-    """One figure, by its kind."""
+    """One figure, by its kind; a difference is asked for only where there is another result."""
     from ddic.io.plots.camera_fields import draw_near_far
     from ddic.io.plots.deformed import draw_deformed
     from ddic.io.plots.difference import draw_difference
-    from ddic.io.plots.krylov import draw_krylov
     from ddic.io.plots.partition import draw_partition
     from ddic.io.plots.residual import draw_residual
 
-    if kind == "partition":
-        return draw_partition(result, preview)
-    if kind == "deformed":
-        return draw_deformed(result, component, amplification)
-    if kind == "residual":
-        return draw_residual(result)
-    if kind == "difference" and other is not None:
-        return draw_difference(result, other, component)
-    if kind == "near-far":
-        return draw_near_far(result, component)
+    by_kind: dict[str, Callable[[], Figure]] = {
+        "partition": lambda: draw_partition(result, preview),
+        "deformed": lambda: draw_deformed(result, component, amplification),
+        "residual": lambda: draw_residual(result),
+        "difference": lambda: draw_difference(result, other or result, component),
+        "krylov": lambda: _draw_krylov(result, other),
+        "opening": lambda: _draw_opening(result),
+        "near-far": lambda: draw_near_far(result, component),
+    }
+    return by_kind[kind]()
+
+
+def _draw_krylov(result: Result, other: Result | None) -> Figure:
+    """Convergence of one result or two."""
+    from ddic.io.plots.krylov import draw_krylov
+
     results = [one for one in (result, other) if one is not None and _has_curves(one)]
     return draw_krylov({_label(one, results): one.krylov for one in results})
+
+
+def _draw_opening(result: Result) -> Figure:
+    """Opening of all lines."""
+    from ddic.fracture.line_opening import measure_opening
+    from ddic.fracture.lines_of_result import get_lines
+    from ddic.io.plots.opening_curves import draw_opening
+
+    found = [measure_opening(result, number) for number in range(1, len(get_lines(result)) + 1)]
+    return draw_opening({f"line {number}": (of_line.distance, of_line.tangential, of_line.normal)
+                         for number, of_line in enumerate(found, start=1)})
 
 
 def _label(result: Result, among: list[Result]) -> str:

@@ -1,0 +1,58 @@
+"""``ddic opening``: how far the sides of discontinuities have moved apart, as a table."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from pathlib import Path
+
+import click
+
+from ddic.errors import InputError
+
+
+@click.command()
+@click.argument("file", metavar="RESULT", type=click.Path(path_type=Path))
+@click.option("--output", type=click.Path(path_type=Path, dir_okay=False), default=None,
+              help="Table to write; by default RESULT.opening.csv beside it.")
+def opening(file: Path, output: Path | None) -> None:
+    """Write the opening of a result's discontinuities, pixel by pixel along them, as a CSV table.
+
+    A row is a place on a line: number of the line, distance along it, x, y, tangential and normal opening, pixels.
+    The figure is drawn by ddic plot --kind opening.
+    """
+    # Imported here because HDF5 is not needed by --help.
+    import numpy as np
+
+    from ddic.fracture.line_opening import measure_opening
+    from ddic.fracture.lines_of_result import get_line, get_lines
+    from ddic.io.replace_on_exit import replaced_on_exit
+    from ddic.io.result_reader import read_result
+
+    target = file.with_name(f"{file.stem}.opening.csv") if output is None else output
+    try:
+        result = read_result(file)
+        get_line(result, 1)
+        found = [measure_opening(result, number) for number in range(1, len(get_lines(result)) + 1)]
+        with replaced_on_exit(target) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
+            table = csv.writer(stream)
+            table.writerow(["line", "distance_px", "x_px", "y_px", "tangential_px", "normal_px"])
+            for number, of_line in enumerate(found, start=1):
+                columns = (of_line.distance, *of_line.points.T, of_line.tangential, of_line.normal)
+                table.writerows([number, *(f"{value:.6g}" for value in row)] for row in np.column_stack(columns))
+    except InputError as error:
+        for problem in error.problems:
+            click.echo(problem, err=True)
+        sys.exit(error.exit_code)
+    for number, of_line in enumerate(found, start=1):
+        click.echo(f"line {number}: {len(of_line.points)} places, normal opening {_range(of_line.normal)}, tangential "
+                   f"{_range(of_line.tangential)} px")
+    click.echo(target)
+
+
+def _range(values: object) -> str:
+    """Least and largest of some numbers."""
+    import numpy as np
+
+    numbers = np.asarray(values)
+    return "none" if not numbers.size else f"{numbers.min():.3f} to {numbers.max():.3f}"

@@ -1,0 +1,1 @@
+"""Cracks: what a measured field says of a tip."""

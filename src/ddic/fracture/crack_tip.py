@@ -1,0 +1,209 @@
+"""The tip of a crack and its stress intensity factors, from a measured field and Williams' series."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.errors import ConvergenceError, InputError
+from ddic.fracture.lines_of_result import get_line
+from ddic.fracture.williams_series import evaluate_williams_series, find_kolosov_constant
+from ddic.io.result_reader import Result
+from ddic.mesh.plane import multiply_across
+
+Array = NDArray[np.float64]
+
+HIGHEST_ORDER = 7
+"""n of the last term r^(n/2). Higher ones fit noise, lower ones miss what the specimen's edges do."""
+
+INNER_CELLS = 3.0
+"""Cells about the tip that do not count: shape functions do not hold the root of r, and the line ends at a cell's
+side."""
+
+OUTER_SHARE = 0.9
+"""Share of the largest disk about the tip, within the mesh's box and the straight end of the line, that counts."""
+
+LEAST_RATIO = 2.0
+"""Outer radius over the inner one below which the terms are not told apart."""
+
+FEWEST_CELLS = 40
+"""Cells in the ring below which the series, of 18 coefficients, follows noise."""
+
+SAME_TIP = 0.01
+"""Pixels: a tip that moves by less has been found."""
+
+MOST_MOVES = 50
+"""Times that the tip is moved; three or four are usual."""
+
+
+@dataclass(frozen=True, eq=False)
+class CrackTip:
+    """A crack's tip; factors and stresses are in units of the shear modulus mu.
+
+    Attributes
+    ----------
+    position : (2,) array
+        Pixels.
+    angle : float
+        Of the crack ahead of the tip, radians from +x to +y.
+    opening_factor, sliding_factor : float
+        K_I / mu and K_II / mu, px^(1/2).
+    t_stress : float
+        T / mu, along the crack.
+    inner, outer : float
+        Radii of the ring of cells that were fitted, pixels.
+    rms : float
+        What the series leaves of the displacement, pixels.
+    n_cells : int
+        Cells in the ring.
+    """
+
+    position: Array
+    angle: float
+    opening_factor: float
+    sliding_factor: float
+    t_stress: float
+    inner: float
+    outer: float
+    rms: float
+    n_cells: int
+
+
+@dataclass(frozen=True)
+class Ring:
+    """Radii of the ring about a tip in which the series is fitted.
+
+    Attributes
+    ----------
+    inner, outer : float or None
+        Pixels; chosen by the mesh where they are not given.
+    """
+
+    inner: float | None = None
+    outer: float | None = None
+
+
+def find_crack_tip(result: Result, line: int = 1, *, tip: tuple[float, float] | None = None,
+                   poisson_ratio: float = 0.3, plane: Literal["stress", "strain"] = "stress",
+                   ring: Ring | None = None) -> CrackTip:
+    """Find the tip of a crack along its line, and its stress intensity factors, by a fit of Williams' series.
+
+    The term that is more singular than any crack vanishes where the tip is; the tip is moved until it does.
+
+    Parameters
+    ----------
+    result : Result
+        Measured with the crack as a discontinuity, which may go on beyond its tip.
+    line : int
+        Which discontinuity, from 1; its last vertex is ahead.
+    tip : (x, y), optional
+        Where the tip may be, pixels; the line's last vertex by default.
+    poisson_ratio : float
+        nu, no unit.
+    plane : str
+        "stress" or "strain".
+    ring : Ring, optional
+        Which cells are fitted.
+
+    Returns
+    -------
+    CrackTip
+        On the straight end of the line.
+
+    Raises
+    ------
+    InputError
+        Where there is no such line, or no room for the ring.
+    ConvergenceError
+        Where the tip is not found.
+    """
+    vertices = get_line(result, line)
+    fit = _Fit.prepare(result, vertices, find_kolosov_constant(poisson_ratio, plane))
+    start, end = vertices[-2:]
+    along = (end - start) / np.linalg.norm(end - start)
+    position = end if tip is None else start + ((np.array(tip) - start) @ along) * along
+    radii = _choose_radii(fit, ring or Ring(), position, float((position - start) @ along))
+    for _ in range(MOST_MOVES):
+        if fit.count_cells(position, radii) < FEWEST_CELLS:
+            raise ConvergenceError(_not_found(result, line, position))
+        opening, sliding = fit.solve(position, along, radii, np.arange(-1, HIGHEST_ORDER + 1))[0]
+        # d/dx of r^(1/2) is half of r^(-1/2): a tip that is ahead by d adds -d/2 of the latter.
+        ahead = -2 * (opening[0] * opening[2] + sliding[0] * sliding[2]) / (opening[2] ** 2 + sliding[2] ** 2)
+        position = position + np.clip(ahead, -radii[0], radii[0]) * along
+        if abs(ahead) <= SAME_TIP:
+            break
+    else:
+        raise ConvergenceError(_not_found(result, line, position))
+    (opening, sliding), rms, n_cells = fit.solve(position, along, radii, np.arange(HIGHEST_ORDER + 1))
+    root = float(np.sqrt(2 * np.pi))
+    return CrackTip(position, float(np.arctan2(along[1], along[0])), 2 * root * float(opening[1]),
+                    -2 * root * float(sliding[1]), 8 * float(opening[2]), radii[0], radii[1], rms, n_cells)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Centres of the cells, their displacement and the roots of their areas, which weigh them."""
+
+    points: Array
+    displacement: Array
+    weights: Array
+    kappa: float
+    size: float
+
+    @classmethod
+    def prepare(cls, result: Result, vertices: Array, kappa: float) -> _Fit:
+        mesh = result.mesh
+        n_nodes = np.diff(mesh.offsets)
+        starts = mesh.offsets[:-1]
+        mean = np.add.reduceat(result.displacement[mesh.connectivity], starts) / n_nodes[:, None]
+        corners = mesh.nodes[mesh.connectivity]
+        following = np.arange(len(corners)) + 1
+        following[mesh.offsets[1:] - 1] = starts
+        areas = np.abs(np.add.reduceat(multiply_across(corners, corners[following]), starts)) / 2
+        points = np.add.reduceat(corners, starts) / n_nodes[:, None]
+        return cls(points, mean, np.sqrt(areas), kappa, float(np.sqrt(np.median(areas))))
+
+    def count_cells(self, position: Array, radii: tuple[float, float]) -> int:
+        """Number of cells in the ring about a tip."""
+        return len(self._find_cells(position, radii))
+
+    def solve(self, position: Array, along: Array, radii: tuple[float, float],
+              orders: NDArray[np.int64]) -> tuple[tuple[Array, Array], float, int]:
+        """Coefficients of u of both modes, (n_orders,) each; what is left, pixels; and the number of cells."""
+        axes = np.stack([along, [-along[1], along[0]]])
+        local = (self.points - position) @ axes.T
+        inside = self._find_cells(position, radii)
+        weights = self.weights[inside]
+        terms = evaluate_williams_series(local[inside] / radii[1], orders, self.kappa)
+        u = self.displacement[inside] @ axes.T
+        matrix = (terms * weights[:, None, None]).reshape(-1, terms.shape[2])
+        scaled = np.linalg.lstsq(matrix, (u * weights[:, None]).ravel(), rcond=None)[0]
+        left = terms @ scaled - u
+        rms = float(np.sqrt((weights[:, None] ** 2 * left**2).sum() / (weights**2).sum()))
+        opening, sliding = scaled.reshape(2, -1) / radii[1] ** (orders / 2)
+        return (opening, sliding), rms, len(inside)
+
+
+    def _find_cells(self, position: Array, radii: tuple[float, float]) -> NDArray[np.intp]:
+        distance = np.linalg.norm(self.points - position, axis=1)
+        return np.flatnonzero((distance >= radii[0]) & (distance <= radii[1]))
+
+
+def _not_found(result: Result, line: int, position: Array) -> str:
+    return (f"{result.path}: line {line}: no crack tip is found about ({position[0]:.1f}, {position[1]:.1f}) px; give "
+            "its place by tip, or another ring")
+
+
+def _choose_radii(fit: _Fit, ring: Ring, position: Array, straight: float) -> tuple[float, float]:
+    low, high = fit.points.min(axis=0) - fit.size / 2, fit.points.max(axis=0) + fit.size / 2
+    room = float(min((position - low).min(), (high - position).min(), straight))
+    inner = INNER_CELLS * fit.size if ring.inner is None else ring.inner
+    outer = OUTER_SHARE * room if ring.outer is None else ring.outer
+    if not (inner > 0 and outer >= LEAST_RATIO * inner):
+        raise InputError(f"crack tip at ({position[0]:.1f}, {position[1]:.1f}) px: no room for a ring from {inner:.0f} "
+                         f"to {outer:.0f} px about it; give the tip inside the mesh, smaller elements, or radii of "
+                         f"which the outer one is at least {LEAST_RATIO:g} times the inner one")
+    return inner, outer
