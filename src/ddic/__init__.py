@@ -13,6 +13,7 @@ from ddic.version import __version__
 
 if TYPE_CHECKING:
     from ddic.api.image import Image
+    from ddic.api.known_displacements import Uncertainty, estimate_uncertainty
     from ddic.api.measure import Session, measure, prepare
     from ddic.api.options import Options
     from ddic.api.synthetic import make_synthetic_pair
@@ -36,6 +37,8 @@ _HOMES = {
     "measure": "api.measure",
     "prepare": "api.measure",
     "make_synthetic_pair": "api.synthetic",
+    "Uncertainty": "api.known_displacements",
+    "estimate_uncertainty": "api.known_displacements",
     "load_case": "case.loader",
     "Case": "case.schema",
     "ConvergenceError": "errors",
@@ -78,7 +81,9 @@ __all__ = [
     "Ring",
     "Session",
     "SingularSubdomainError",
+    "Uncertainty",
     "__version__",
+    "estimate_uncertainty",
     "find_crack_tip",
     "load_case",
     "make_synthetic_pair",

@@ -16,6 +16,7 @@ COMMANDS = {
     "plot": "Draw the pictures of a result file.",
     "opening": "Write the opening of discontinuities along them as a table.",
     "crack": "Find a crack's tip and its stress intensity factors.",
+    "uncertainty": "Measure known displacements of a reference image, by size of the elements.",
     "calibrate": "Find where a near-field image lies in a far-field one.",
 }
 

@@ -38,6 +38,11 @@ def evaluate_both_sides(cut: CutMesh, displacement: Array, line: Array, points: 
     left, right : (n, 2) array
         By the shape functions of the nearest cut cell, pixels; left is where the cross product with the line's
         direction is positive.
+
+    Raises
+    ------
+    ValueError
+        Where no line cuts the mesh.
     """
     mesh = cut.mesh
     if mesh.parts is None:

@@ -1,0 +1,182 @@
+"""What displacements of one's own speckle are measured with, by size of the elements, without and with a line."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from ddic.api.measure import measure
+from ddic.errors import ConvergenceError, InputError, SingularSubdomainError
+from ddic.kinematics.discontinuities import Opening
+from ddic.mesh.plane import multiply_across
+from ddic.mesh.structured import build_structured_mesh
+
+Array = NDArray[np.float64]
+
+Kind = Literal["uniform", "discontinuous"]
+KINDS: tuple[Kind, Kind] = ("uniform", "discontinuous")
+"""All moves by d along x and y; the sides of a line move apart by d along it."""
+
+BASES = ("continuous", "enriched")
+
+ANGLE = np.deg2rad(27.0)
+"""Of the line, where none is given: it runs along no axis of the elements."""
+
+MARGIN = 12
+"""Pixels at the edge of the image that no element covers: displaced pixels and the spline's taps stay inside."""
+
+LARGEST_SIDE = 1024
+"""Pixels: of a larger image its middle is taken."""
+
+DEGREE = 5
+"""Of the spline that moves the image: another one than the cubic that measures, or its errors would cancel."""
+
+N_POINTS = 20000
+"""Places at which errors are taken."""
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """Errors of known displacements, by kind, element size, displacement and basis.
+
+    Attributes
+    ----------
+    sizes : (n_sizes,) array
+        Of the elements, pixels.
+    amplitudes : (n_amplitudes,) array
+        Displacements and jumps, pixels.
+    bias, deviation : dict of (n_sizes, n_amplitudes, 2) array
+        By kind: mean and standard deviation of the error per component all over the region, pixels; continuous
+        elements, then enriched ones; nan where a measurement did not converge.
+    noise : float
+        Standard deviation that was added to both images, grey levels.
+    """
+
+    sizes: Array
+    amplitudes: Array
+    bias: dict[Kind, Array]
+    deviation: dict[Kind, Array]
+    noise: float
+
+
+def estimate_uncertainty(image: NDArray[Any], *, sizes: Sequence[float] = (8, 16, 32, 64), n_amplitudes: int = 11,
+                       line: Sequence[Sequence[float]] | None = None, opening: Opening = "tangential",
+                       noise: float = 0.0, options: Mapping[str, Any] | None = None) -> Uncertainty:
+    """Measure known displacements of an image, without and with a line that may open [RRH07], [RHR08].
+
+    Parameters
+    ----------
+    image : (height, width) array
+        One's own reference image, grey levels.
+    sizes : sequence of float
+        Of square elements, pixels.
+    n_amplitudes : int
+        Displacements from 0 to 1 px.
+    line : two points, optional
+        The discontinuity, pixels; through the middle at 27 degrees by default.
+    opening : str
+        In which directions enriched elements may jump.
+    noise : float
+        Standard deviation of noise that is added to both images, grey levels.
+    options : mapping, optional
+        Sections and keys of a case file, for every measurement.
+
+    Returns
+    -------
+    Uncertainty
+        Of both kinds of displacement.
+
+    Raises
+    ------
+    InputError
+        Where the image is no array of grey levels, or too small for the elements.
+    """
+    grey = _take_middle(image)
+    height, width = grey.shape
+    middle = np.array([width, height]) / 2 + (0.37, -0.21)
+    along = np.array([np.cos(ANGLE), np.sin(ANGLE)])
+    ends = np.stack([middle - 2 * sum(grey.shape) * along, middle + 2 * sum(grey.shape) * along])
+    if line is not None:
+        ends = np.array(line, dtype=np.float64) - _find_corner(image)
+    if len(sizes) == 0 or not all(2 <= size <= min(grey.shape) - 2 * MARGIN for size in sizes):
+        raise InputError(f"sizes: {list(sizes)} px on {width} x {height} px of the image; give sizes of elements from "
+                         f"2 to {min(grey.shape) - 2 * MARGIN} px")
+    amplitudes = np.linspace(0.0, 1.0, n_amplitudes)
+    shape = (len(sizes), n_amplitudes, len(BASES))
+    bias: dict[Kind, Array] = {kind: np.full(shape, np.nan) for kind in KINDS}
+    deviation: dict[Kind, Array] = {kind: np.full(shape, np.nan) for kind in KINDS}
+    with_line = {**(options or {}), "discontinuity": [{"vertices": ends.tolist(), "opening": opening}]}
+    for kind in KINDS:
+        for k, amplitude in enumerate(amplitudes):
+            known = _Known(kind, float(amplitude), ends)
+            pair = _add_noise(grey, known.deform(grey), noise, seed=k)
+            for s, size in enumerate(sizes):
+                for b, settings in enumerate((options, with_line)):
+                    bias[kind][s, k, b], deviation[kind][s, k, b] = _measure_errors(pair, size, settings, known)
+    return Uncertainty(np.array(sizes, dtype=np.float64), amplitudes, bias, deviation, noise)
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """A displacement: of everything along both axes, or of the sides of a line along it."""
+
+    kind: Kind
+    amplitude: float
+    line: Array
+
+    def displacement(self, points: Array) -> Array:
+        if self.kind == "uniform":
+            return np.full(points.shape, self.amplitude)
+        along = self.line[1] - self.line[0]
+        half = np.where(multiply_across(along, points - self.line[0]) > 0, 0.5, -0.5)
+        return np.asarray(half[:, None] * self.amplitude * along / np.linalg.norm(along))
+
+    def deform(self, grey: Array) -> Array:
+        """The deformed image: sides that slide along the line stay where the line is."""
+        y, x = np.mgrid[0:grey.shape[0], 0:grey.shape[1]].astype(float)
+        points = np.column_stack([x.ravel(), y.ravel()])
+        origins = points - self.displacement(points)
+        moved = ndimage.map_coordinates(grey, origins[:, ::-1].T, order=DEGREE, mode="mirror")
+        return np.asarray(moved.reshape(grey.shape))
+
+
+def _take_middle(image: NDArray[Any]) -> Array:
+    """Grey levels of at most LARGEST_SIDE pixels a side."""
+    grey = np.asarray(image)
+    if grey.ndim != 2 or not np.issubdtype(grey.dtype, np.number):
+        raise InputError(f"image: an array of shape {grey.shape} and type {grey.dtype} is given; give grey levels "
+                         "(height, width)")
+    x, y = _find_corner(grey)
+    return grey[y:y + LARGEST_SIDE, x:x + LARGEST_SIDE].astype(np.float64)
+
+
+def _find_corner(image: NDArray[Any]) -> NDArray[np.int64]:
+    """Column and row of the first pixel of an image's middle."""
+    height, width = image.shape
+    return np.maximum(np.array([width, height]) - LARGEST_SIDE, 0) // 2
+
+
+def _add_noise(reference: Array, deformed: Array, noise: float, seed: int) -> tuple[NDArray[Any], NDArray[Any]]:
+    random = np.random.default_rng(seed)
+    noisy = [image + noise * random.standard_normal(image.shape) for image in (reference, deformed)]
+    return noisy[0].astype(np.float32), noisy[1].astype(np.float32)
+
+
+def _measure_errors(pair: tuple[NDArray[Any], NDArray[Any]], size: float, settings: Mapping[str, Any] | None,
+                    known: _Known) -> tuple[float, float]:
+    """Mean and standard deviation of the error, pixels; nan where nothing converges."""
+    height, width = pair[0].shape
+    mesh = build_structured_mesh((MARGIN, MARGIN, width - MARGIN, height - MARGIN), size)
+    try:
+        result = measure(pair, mesh, options=settings)
+    except (ConvergenceError, SingularSubdomainError):
+        return np.nan, np.nan
+    low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
+    points = np.random.default_rng(0).uniform(low, high, (N_POINTS, 2))
+    error = result.at(points) - known.displacement(points)
+    return float(np.nanmean(error)), float(np.nanstd(error, axis=0).mean())
