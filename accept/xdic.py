@@ -15,6 +15,7 @@ import ddic
 from accept.band import measure_band
 from accept.bolted import measure_bolted
 from accept.crack import measure_crack
+from accept.real_cracks import measure_failed_hole, measure_fracture
 from accept.slip import measure_slip
 from accept.support.opened_pair import (
     MARGIN,
@@ -148,6 +149,8 @@ CHECKS: dict[str, Check] = {
     "bolted": measure_bolted,
     "band": measure_band,
     "crack": measure_crack,
+    "fracture": measure_fracture,
+    "failed_hole": measure_failed_hole,
     "uniform": measure_uniform,
     "shapes": measure_shapes,
     "solvers": measure_solvers,
