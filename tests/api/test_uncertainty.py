@@ -34,6 +34,10 @@ def test_noise_is_what_is_measured_of_it() -> None:
     found = ddic.estimate_uncertainty(IMAGE, sizes=(16, 32), n_amplitudes=2, noise=2.0)
     rising = found.deviation["uniform"].mean(axis=1)
     assert (rising[0] > 1.5 * rising[1]).all()
+    # At nodes it is larger than all over the elements, where shape functions average it; edges have more of it.
+    ratio = found.predicted_noise / rising
+    assert ((ratio > 1.0) & (ratio < 2.0)).all()
+    assert (found.predicted_noise[:, 1] > found.predicted_noise[:, 0]).all()
 
 
 @pytest.mark.parametrize(("image", "sizes", "message"), [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -11,10 +12,18 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from ddic.api.measure import measure
+from ddic.api.options import make_case
 from ddic.errors import ConvergenceError, InputError, SingularSubdomainError
+from ddic.images.binned import ArraySource
+from ddic.images.camera import identity
+from ddic.images.sub_image import MaskedSource
 from ddic.kinematics.discontinuities import Opening
+from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import multiply_across
 from ddic.mesh.structured import build_structured_mesh
+from ddic.methods.expected_noise import estimate_nodal_noise
+from ddic.problem.cameras import Camera, make_setup
+from ddic.problem.inputs import Inputs
 
 Array = NDArray[np.float64]
 
@@ -55,6 +64,9 @@ class Uncertainty:
         elements, then enriched ones; nan where a measurement did not converge.
     noise : float
         Standard deviation that was added to both images, grey levels.
+    predicted_noise : (n_sizes, 2) array
+        What that noise makes at nodes, 2 sigma^2 A^-1 M A^-1, RMS per component, pixels; nan where the operator is
+        singular.
     """
 
     sizes: Array
@@ -62,6 +74,7 @@ class Uncertainty:
     bias: dict[Kind, Array]
     deviation: dict[Kind, Array]
     noise: float
+    predicted_noise: Array
 
 
 def estimate_uncertainty(image: NDArray[Any], *, sizes: Sequence[float] = (8, 16, 32, 64), n_amplitudes: int = 11,
@@ -118,7 +131,9 @@ def estimate_uncertainty(image: NDArray[Any], *, sizes: Sequence[float] = (8, 16
             for s, size in enumerate(sizes):
                 for b, settings in enumerate((options, with_line)):
                     bias[kind][s, k, b], deviation[kind][s, k, b] = _measure_errors(pair, size, settings, known)
-    return Uncertainty(np.array(sizes, dtype=np.float64), amplitudes, bias, deviation, noise)
+    predicted = np.array([[_predict_noise(grey, size, settings, noise) for settings in (options, with_line)]
+                          for size in sizes])
+    return Uncertainty(np.array(sizes, dtype=np.float64), amplitudes, bias, deviation, noise, predicted)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,11 +182,26 @@ def _add_noise(reference: Array, deformed: Array, noise: float, seed: int) -> tu
     return noisy[0].astype(np.float32), noisy[1].astype(np.float32)
 
 
+def _mesh_inside(shape: tuple[int, ...], size: float) -> Mesh:
+    height, width = shape
+    return build_structured_mesh((MARGIN, MARGIN, width - MARGIN, height - MARGIN), size)
+
+
+def _predict_noise(grey: Array, size: float, settings: Mapping[str, Any] | None, noise: float) -> float:
+    """Displacement noise at nodes by the operator alone, pixels."""
+    reference = MaskedSource(ArraySource(Path("image"), grey.astype(np.float32)))
+    camera = Camera(0, reference, make_setup(identity(), reference, "none"), None)
+    inputs = Inputs(make_case(settings or {}), (camera,), lambda: (_mesh_inside(grey.shape, size), None))
+    try:
+        return estimate_nodal_noise(inputs, noise)
+    except SingularSubdomainError:
+        return np.nan
+
+
 def _measure_errors(pair: tuple[NDArray[Any], NDArray[Any]], size: float, settings: Mapping[str, Any] | None,
                     known: _Known) -> tuple[float, float]:
     """Mean and standard deviation of the error, pixels; nan where nothing converges."""
-    height, width = pair[0].shape
-    mesh = build_structured_mesh((MARGIN, MARGIN, width - MARGIN, height - MARGIN), size)
+    mesh = _mesh_inside(pair[0].shape, size)
     try:
         result = measure(pair, mesh, options=settings)
     except (ConvergenceError, SingularSubdomainError):

@@ -94,4 +94,8 @@ def _list(found: Uncertainty) -> list[str]:
         for b, basis in enumerate(BASES):
             means = deviation[:, :, b].mean(axis=1)
             lines.append(f"{kind:<16}{basis:<12}" + "".join(f"{mean:12.2e}" for mean in means))
+    if found.noise:
+        for b, basis in enumerate(BASES):
+            listed = "".join(f"{value:12.2e}" for value in found.predicted_noise[:, b])
+            lines.append(f"{'predicted noise':<16}{basis:<12}{listed}")
     return lines

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -42,16 +44,44 @@ def expected_noise(case: Case, sigma: float, nodes: NDArray[np.bool_]) -> float:
     InputError, SingularSubdomainError
         Where the case cannot be set up.
     """
-    team, clock = Team.alone(), PhaseClock()
-    case = case.model_copy(update={"solver": SolverSection(method="monolithic")})
     cameras = open_cameras(case, open_in_headers)
     image = cameras[0].reference.image
-    inputs = Inputs(case, cameras, lambda: build_meshes(case, image.width, image.height))
+    return estimate_nodal_noise(Inputs(case, cameras, lambda: build_meshes(case, image.width, image.height)), sigma, nodes)
+
+
+def estimate_nodal_noise(inputs: Inputs, sigma: float, nodes: NDArray[np.bool_] | None = None) -> float:
+    """Predict the RMS displacement noise per component of images and a mesh in memory, on one rank.
+
+    Parameters
+    ----------
+    inputs : Inputs
+        Of one camera.
+    sigma : float
+        Standard deviation of the camera noise of both images, grey levels.
+    nodes : (n_nodes,) array of bool, optional
+        Chosen nodes of the mesh before discontinuities cut it; all of them by default. Phantom nodes do not count.
+
+    Returns
+    -------
+    float
+        Pixels.
+
+    Raises
+    ------
+    InputError, SingularSubdomainError
+        Where the problem cannot be set up.
+    """
+    team, clock = Team.alone(), PhaseClock()
+    case = inputs.case.model_copy(update={"solver": SolverSection(method="monolithic")})
+    inputs = replace(inputs, case=case)
     reference, _ = prepare_reference(team, inputs, build_whole_mesh(team, inputs), clock, lambda: None)
     problem = WeightedProblem(team, reference, clock)
     try:
-        dim = reference.subdomains[0].mesh.dim
-        return _noise_rms(problem.solver, sigma, np.repeat(nodes, dim))
+        mesh = reference.subdomains[0].mesh
+        whole, _ = inputs.build_mesh()
+        counted = np.zeros(mesh.n_nodes, dtype=bool)
+        counted[:whole.n_nodes] = True if nodes is None else nodes
+        return _noise_rms(problem.solver, sigma, np.repeat(counted, mesh.dim))
     finally:
         problem.destroy()
 
