@@ -46,7 +46,8 @@ def expected_noise(case: Case, sigma: float, nodes: NDArray[np.bool_]) -> float:
     """
     cameras = open_cameras(case, open_in_headers)
     image = cameras[0].reference.image
-    return estimate_nodal_noise(Inputs(case, cameras, lambda: build_meshes(case, image.width, image.height)), sigma, nodes)
+    inputs = Inputs(case, cameras, lambda: build_meshes(case, image.width, image.height))
+    return estimate_nodal_noise(inputs, sigma, nodes)
 
 
 def estimate_nodal_noise(inputs: Inputs, sigma: float, nodes: NDArray[np.bool_] | None = None) -> float:
