@@ -50,9 +50,9 @@ def evaluate_both_sides(cut: CutMesh, displacement: Array, line: Array, points: 
     numbers = mesh.parts.cells
     heights = multiply_across(line[1] - line[0], mesh.centroids[numbers] - line[0])
     n_parts = np.bincount(cut.cell_of[numbers], minlength=int(cut.cell_of.max()) + 1)
-    in_two = n_parts[cut.cell_of[numbers]] == 2
-    by_cell = np.argsort(cut.cell_of[numbers], kind="stable")
-    left, right = (numbers[by_cell[(in_two & side)[by_cell]]] for side in (heights > 0, heights <= 0))
+    # Cell by cell, the part to the right first.
+    order = np.lexsort((heights, cut.cell_of[numbers]))
+    right, left = numbers[order[n_parts[cut.cell_of[numbers[order]]] == 2]].reshape(-1, 2).T
     nearest = cKDTree((mesh.centroids[left] + mesh.centroids[right]) / 2).query(points)[1]
     u_left, u_right = (_interpolate(cut, displacement, cells[nearest], points) for cells in (left, right))
     return u_left, u_right
