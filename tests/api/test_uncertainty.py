@@ -30,6 +30,13 @@ def test_enriched_elements_hold_jumps_and_cost_little() -> None:
     assert found.amplitudes.tolist() == [0.0, 0.5, 1.0]
 
 
+def test_lines_that_can_only_open_are_opened_and_segments_go_on() -> None:
+    segment = [[60.0, 95.3], [120.0, 101.1]]
+    found = ddic.estimate_uncertainty(IMAGE, sizes=(16,), n_amplitudes=2, line=segment, opening="normal")
+    continuous, enriched = found.deviation["discontinuous"][0, 1]
+    assert continuous > 5 * enriched
+
+
 def test_noise_is_what_is_measured_of_it() -> None:
     found = ddic.estimate_uncertainty(IMAGE, sizes=(16, 32), n_amplitudes=2, noise=2.0)
     rising = found.deviation["uniform"].mean(axis=1)

@@ -7,11 +7,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ddic.detection.both_sides import compute_residuals, evaluate_both_sides
+from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.own_side import find_points_on_own_side
 from ddic.mesh.structured import build_structured_mesh
+from ddic.start.correlate_alone import Images
 from ddic.synth.fields import Translation
 from support.pictures import pair_of, source
+
+
+def _images(reference: np.ndarray, deformed: np.ndarray, mask: np.ndarray | None = None,
+            correction: GreyCorrection = "none") -> Images:
+    return Images(source(reference, mask), source(deformed), np.ones(reference.shape, np.uint8), 3, correction)
+
 
 MIDDLE = np.array([100.3, 98.7])
 
@@ -37,8 +45,8 @@ def test_residual_vanishes_at_the_right_displacement() -> None:
     pair = pair_of(Translation((1.3, -0.6)))
     pixels = np.stack(np.meshgrid(np.arange(20, 120), np.arange(30, 90)), axis=-1).reshape(-1, 2)
     u = np.full(pixels.shape, [1.3, -0.6])
-    residuals = compute_residuals(source(pair.reference), source(pair.deformed), pixels, u)
-    at_rest = compute_residuals(source(pair.reference), source(pair.deformed), pixels, 0 * u)
+    residuals = compute_residuals(_images(pair.reference, pair.deformed), pixels, u)
+    at_rest = compute_residuals(_images(pair.reference, pair.deformed), pixels, 0 * u)
     # What a cubic spline misses of speckles of 5 px, hundredths of their contrast.
     assert residuals.std() < 0.03 * at_rest.std()
 
@@ -49,7 +57,18 @@ def test_pixels_that_leave_the_image_or_are_masked_have_none() -> None:
     mask[50, 60] = False
     pixels = np.array([[60, 50], [61, 50], [10, 50]])
     u = np.array([[0.0, 0.0], [0.0, 0.0], [-20.0, 0.0]])
-    residuals = compute_residuals(source(pair.reference, mask), source(pair.deformed), pixels, u)
+    residuals = compute_residuals(_images(pair.reference, pair.deformed, mask), pixels, u)
     assert np.isnan(residuals).tolist() == [True, False, True]
-    far = compute_residuals(source(pair.reference), source(pair.deformed), pixels, u + 1e6)
+    far = compute_residuals(_images(pair.reference, pair.deformed), pixels, u + 1e6)
     assert np.isnan(far).all()
+
+
+def test_gain_and_offset_are_taken_out_where_they_are_asked_for() -> None:
+    pair = pair_of(Translation((1.3, -0.6)))
+    pixels = np.stack(np.meshgrid(np.arange(20, 120), np.arange(30, 90)), axis=-1).reshape(-1, 2)
+    u = np.full(pixels.shape, [1.3, -0.6])
+    brighter = 1.3 * pair.deformed + 20
+    plain = compute_residuals(_images(pair.reference, pair.deformed), pixels, u)
+    corrected = compute_residuals(_images(pair.reference, brighter, correction="global"), pixels, u)
+    # Least squares take out a little of the interpolation error too.
+    np.testing.assert_allclose(corrected, plain, atol=0.3 * plain.std())

@@ -68,10 +68,33 @@ def test_opening_is_that_of_the_faces() -> None:
     np.testing.assert_allclose(found.tangential[away], -FACTORS[1] * expected[away], atol=1e-3)
 
 
+def test_places_at_a_bend_whose_sides_are_not_cut_are_left_out() -> None:
+    """In the element with the bend the straight cut leaves both sides of the polyline on one side."""
+    bend = np.array([98.4, 86.2])
+    vertices = np.array([[-10.0, 130.0], bend, [210.0, 140.0]])
+
+    y, x = np.mgrid[0:200, 0:200]
+    is_above = y < np.interp(x, vertices[:, 0], vertices[:, 1])
+    # Each side is drawn by itself: what opens between them shows nothing of either.
+    above, below = (ddic.make_synthetic_pair(lambda p, v=v: np.tile([0.0, v], (len(p), 1)), (200, 200), seed=1)
+                    for v in (-0.3, 0.3))
+    deformed = np.where(is_above, above[1], below[1]).astype(np.uint8)
+    result = ddic.measure((above[0], deformed), ddic.structured_mesh((16, 16, 176, 176), 32),
+                          options={"discontinuity": [{"vertices": vertices.tolist()}]})
+    found = ddic.measure_opening(result)
+    # 8 bit on 32-px elements, and what opens shows nothing of either side.
+    length = np.hypot(found.tangential, found.normal)
+    assert length.min() > 0.4
+    assert np.linalg.norm(found.points - bend, axis=1).min() > 5
+
+
 @pytest.mark.parametrize(("arguments", "message"), [
     ({"line": 2}, "there are 1; give a number"),
-    ({"tip": (290.0, 100.0)}, "no room for a ring"),
-    ({"ring": ddic.Ring(30.0, 40.0)}, "at least 2 times"),
+    ({"tip": (290.0, 100.0)}, "leave 10 px about it"),
+    ({"ring": ddic.Ring(30.0, 40.0)}, "has to end at 2 times"),
+    ({"ring": ddic.Ring(-1.0)}, "give a radius above 0"),
+    ({"ring": ddic.Ring(outer=float("nan"))}, "give a radius above 0"),
+    ({"tip": (150.0, 160.0)}, "60 px beside the straight end"),
 ])
 def test_impossible_questions_are_refused(arguments: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=message):

@@ -66,9 +66,40 @@ def test_session_finds_the_line_in_its_first_image_and_keeps_it() -> None:
     np.testing.assert_allclose(apart[0] @ TANGENT, 0.3, atol=0.03)
 
 
+def test_session_looks_again_until_something_jumps() -> None:
+    reference, deformed = pair(0.8)
+    with ddic.prepare(reference, MESH, options={"discontinuity": "detect"}) as session:
+        assert lines_of(session.measure(pair(0.0)[1])) == []
+        assert_is_the_line(lines_of(session.measure(deformed))[0])
+
+
+@pytest.mark.parametrize("correction", ["global", "element"])
+def test_line_is_found_where_brightness_changes(correction: str) -> None:
+    reference, deformed = pair(0.8)
+    dimmer = np.rint(0.8 * deformed + 12).astype(np.uint8)
+    result = ddic.measure((reference, dimmer), MESH, options={
+        "discontinuity": "detect", "correlation": {"grey_correction": correction}})
+    assert_is_the_line(lines_of(result)[0])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_strain_at_the_edge_of_the_region_is_no_line(seed: int) -> None:
+    """A line beyond the mesh, to which a band at its edge may point, ends in no line and not in an error."""
+    images = ddic.make_synthetic_pair(
+        lambda points: np.column_stack([0.05 * np.maximum(points[:, 1] - 226, 0.0), np.zeros(len(points))]),
+        (SIDE, SIDE), noise=1.0, seed=seed)
+    assert len(lines_of(ddic.measure(images, MESH, options={"discontinuity": "detect"}))) <= 1
+
+
+def test_kinematics_of_ones_own_are_refused_before_anything_is_measured() -> None:
+    options = ddic.Options({"discontinuity": "detect"}, kinematics=ddic.NodalRegion)
+    with pytest.raises(InputError, match="discontinuities have kinematics of their own"):
+        ddic.measure(pair(0.8), MESH, options=options)
+
+
 def test_one_line_at_a_time() -> None:
     sections = [{"opening": "both"}, {"vertices": [[0, 0], [200, 200]]}]
-    with pytest.raises(InputError, match="one line can be found by itself"):
+    with pytest.raises(InputError, match="has to be the only one"):
         ddic.measure(pair(0.0), MESH, options={"discontinuity": sections})
 
 

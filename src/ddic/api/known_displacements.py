@@ -23,13 +23,14 @@ from ddic.mesh.plane import multiply_across
 from ddic.mesh.structured import build_structured_mesh
 from ddic.methods.expected_noise import estimate_nodal_noise
 from ddic.problem.cameras import Camera, make_setup
+from ddic.problem.check_mesh_uses import SHORTEST_WAVELENGTH
 from ddic.problem.inputs import Inputs
 
 Array = NDArray[np.float64]
 
 Kind = Literal["uniform", "discontinuous"]
 KINDS: tuple[Kind, Kind] = ("uniform", "discontinuous")
-"""All moves by d along x and y; the sides of a line move apart by d along it."""
+"""All moves by d along x and y; the sides of a line move apart by d along it, or across it where it can only open."""
 
 BASES = ("continuous", "enriched")
 
@@ -91,13 +92,14 @@ def estimate_uncertainty(image: NDArray[Any], *, sizes: Sequence[float] = (8, 16
     n_amplitudes : int
         Displacements from 0 to 1 px.
     line : two points, optional
-        The discontinuity, pixels; through the middle at 27 degrees by default.
+        On the straight line across the whole image that jumps, pixels; through the middle at 27 degrees by default.
     opening : str
-        In which directions enriched elements may jump.
+        In which directions enriched elements may jump; the sides part across the line where that is "normal".
     noise : float
         Standard deviation of noise that is added to both images, grey levels.
     options : mapping, optional
-        Sections and keys of a case file, for every measurement.
+        Sections and keys of a case file, for every measurement; a regularization only with elements that carry its
+        cut-off wavelength.
 
     Returns
     -------
@@ -115,7 +117,7 @@ def estimate_uncertainty(image: NDArray[Any], *, sizes: Sequence[float] = (8, 16
     along = np.array([np.cos(ANGLE), np.sin(ANGLE)])
     ends = np.stack([middle - 2 * sum(grey.shape) * along, middle + 2 * sum(grey.shape) * along])
     if line is not None:
-        ends = np.array(line, dtype=np.float64) - _find_corner(image)
+        ends = _lengthen(np.array(line, dtype=np.float64)[[0, -1]] - _find_corner(image), sum(grey.shape))
     if len(sizes) == 0 or not all(2 <= size <= min(grey.shape) - 2 * MARGIN for size in sizes):
         raise InputError(f"sizes: {list(sizes)} px on {width} x {height} px of the image; give sizes of elements from "
                          f"2 to {min(grey.shape) - 2 * MARGIN} px")
@@ -123,16 +125,16 @@ def estimate_uncertainty(image: NDArray[Any], *, sizes: Sequence[float] = (8, 16
     shape = (len(sizes), n_amplitudes, len(BASES))
     bias: dict[Kind, Array] = {kind: np.full(shape, np.nan) for kind in KINDS}
     deviation: dict[Kind, Array] = {kind: np.full(shape, np.nan) for kind in KINDS}
-    with_line = {**(options or {}), "discontinuity": [{"vertices": ends.tolist(), "opening": opening}]}
+    lines = [{"vertices": ends.tolist(), "opening": opening}]
     for kind in KINDS:
         for k, amplitude in enumerate(amplitudes):
-            known = _Known(kind, float(amplitude), ends)
+            known = _Known(kind, float(amplitude), ends, is_normal=opening == "normal")
             pair = _add_noise(grey, known.deform(grey), noise, seed=k)
             for s, size in enumerate(sizes):
-                for b, settings in enumerate((options, with_line)):
+                for b, settings in enumerate(_choose_settings(options or {}, lines, size)):
                     bias[kind][s, k, b], deviation[kind][s, k, b] = _measure_errors(pair, size, settings, known)
-    predicted = np.array([[_predict_noise(grey, size, settings, noise) for settings in (options, with_line)]
-                          for size in sizes])
+    predicted = np.array([[_predict_noise(grey, size, settings, noise)
+                           for settings in _choose_settings(options or {}, lines, size)] for size in sizes])
     return Uncertainty(np.array(sizes, dtype=np.float64), amplitudes, bias, deviation, noise, predicted)
 
 
@@ -143,16 +145,18 @@ class _Known:
     kind: Kind
     amplitude: float
     line: Array
+    is_normal: bool
 
     def displacement(self, points: Array) -> Array:
         if self.kind == "uniform":
             return np.full(points.shape, self.amplitude)
         along = self.line[1] - self.line[0]
         half = np.where(multiply_across(along, points - self.line[0]) > 0, 0.5, -0.5)
-        return np.asarray(half[:, None] * self.amplitude * along / np.linalg.norm(along))
+        direction = np.array([-along[1], along[0]]) if self.is_normal else along
+        return np.asarray(half[:, None] * self.amplitude * direction / np.linalg.norm(along))
 
     def deform(self, grey: Array) -> Array:
-        """The deformed image: sides that slide along the line stay where the line is."""
+        """The deformed image: sides that slide stay where the line is; a gap shows what lies beside it."""
         y, x = np.mgrid[0:grey.shape[0], 0:grey.shape[1]].astype(float)
         points = np.column_stack([x.ravel(), y.ravel()])
         origins = points - self.displacement(points)
@@ -163,9 +167,9 @@ class _Known:
 def _take_middle(image: NDArray[Any]) -> Array:
     """Grey levels of at most LARGEST_SIDE pixels a side."""
     grey = np.asarray(image)
-    if grey.ndim != 2 or not np.issubdtype(grey.dtype, np.number):
+    if grey.ndim != 2 or not np.issubdtype(grey.dtype, np.number) or not np.isfinite(grey).all():
         raise InputError(f"image: an array of shape {grey.shape} and type {grey.dtype} is given; give grey levels "
-                         "(height, width)")
+                         "(height, width), all of them finite")
     x, y = _find_corner(grey)
     return grey[y:y + LARGEST_SIDE, x:x + LARGEST_SIDE].astype(np.float64)
 
@@ -180,6 +184,21 @@ def _add_noise(reference: Array, deformed: Array, noise: float, seed: int) -> tu
     random = np.random.default_rng(seed)
     noisy = [image + noise * random.standard_normal(image.shape) for image in (reference, deformed)]
     return noisy[0].astype(np.float32), noisy[1].astype(np.float32)
+
+
+def _choose_settings(options: Mapping[str, Any], lines: Sequence[Any], size: float) -> tuple[dict[str, Any], ...]:
+    """Settings of continuous and of enriched elements of a size."""
+    chosen = dict(options)
+    wavelength = (options.get("regularization") or {}).get("cut_off_wavelength")
+    if wavelength is not None and wavelength < SHORTEST_WAVELENGTH * size:
+        del chosen["regularization"]
+    return chosen, {**chosen, "discontinuity": lines}
+
+
+def _lengthen(ends: Array, length: float) -> Array:
+    """The straight line through two points, far beyond both."""
+    along = (ends[1] - ends[0]) / max(float(np.linalg.norm(ends[1] - ends[0])), 1e-12)
+    return np.stack([ends[0] - 2 * length * along, ends[1] + 2 * length * along])
 
 
 def _mesh_inside(shape: tuple[int, ...], size: float) -> Mesh:

@@ -35,6 +35,7 @@ from ddic.problem.check_ranks import check_ranks
 from ddic.problem.inputs import Inputs, open_inputs
 from ddic.problem.mesh_source import accept_mesh, convert_mapping
 from ddic.results.listener import Silence
+from ddic.results.measurement import Measurement
 from ddic.results.publishing import Destination, gather, publish
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ class Session:
         self._team, self._inputs = team, inputs
         self._is_closed = False
         # Where a line is to be found, the first deformed image is needed too.
-        self._recipe = None if is_line_wanted(inputs.case) else self._prepare()
+        self._recipe = None if is_line_wanted(inputs.case) else self._prepare(inputs)
         # Unknowns of the last field alone: its images would stay in memory.
         self._last: list[Array] | None = None
 
@@ -124,15 +125,23 @@ class Session:
         if self._is_closed:
             raise InputError("session: it is closed; measure inside its with statement, or prepare another")
 
-    def _prepare(self) -> RecipeSession:
-        return RecipeSession(self._team, self._inputs, Silence(), PhaseClock(waiting=self._team.waiting))
+    def _prepare(self, inputs: Inputs) -> RecipeSession:
+        return RecipeSession(self._team, inputs, Silence(), PhaseClock(waiting=self._team.waiting))
 
     def _measure_frame(self, frame: Frame, start: list[Array] | None, output: Path | None) -> Result:
-        if self._recipe is None:
-            clock = PhaseClock(waiting=self._team.waiting)
-            self._inputs = find_discontinuity(self._team, self._inputs, frame, Silence(), clock)
-            self._recipe = self._prepare()
-        measurement = self._recipe.measure(frame, start)
+        if self._recipe is not None:
+            return self._publish(self._recipe.measure(frame, start), output)
+        clock = PhaseClock(waiting=self._team.waiting)
+        found = find_discontinuity(self._team, self._inputs, frame, Silence(), clock)
+        recipe = self._prepare(found)
+        if found.case.discontinuity:
+            self._recipe = recipe
+            return self._publish(recipe.measure(frame, start), output)
+        # Nothing jumps yet: the line is looked for again in the next image.
+        with recipe:
+            return self._publish(recipe.measure(frame, start), output)
+
+    def _publish(self, measurement: Measurement, output: Path | None) -> Result:
         self._last = measurement.q
         if output is not None:
             publish(measurement, Destination(output, self._inputs.case.output.flip_y))

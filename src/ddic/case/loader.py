@@ -94,6 +94,9 @@ def parse_case(text: str, path: Path) -> Case:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path}: not valid TOML: {error}") from error
+    word = data.get("discontinuity")
+    if isinstance(word, str) and word != DETECT:
+        raise InputError(f'{path}: discontinuity = "{word}": write "{DETECT}", or [[discontinuity]] sections')
     data = convert_shorthand(data)
     try:
         # Only pydantic's JSON mode is strict about types ("8" is not 8) and yet takes lists for tuples.

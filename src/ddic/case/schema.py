@@ -626,7 +626,8 @@ class Case(Section):
     def _one_line_is_found(self) -> Case:
         """Refuse a line to be found beside others."""
         if len(self.discontinuity) > 1 and any(section.vertices is None for section in self.discontinuity):
-            raise ValueError("[[discontinuity]]: one line can be found by itself; give discontinuity.vertices of all")
+            raise ValueError("[[discontinuity]]: a section without vertices, whose line is looked for, has to be the "
+                             "only one; give discontinuity.vertices of all")
         return self
 
     @model_validator(mode="after")

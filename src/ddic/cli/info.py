@@ -75,8 +75,12 @@ def _result_lines(result: Result) -> Lines:
     """Of a result."""
     import numpy as np
 
+    from ddic.fracture.lines_of_result import get_lines
+
     low, high = result.displacement.min(axis=0), result.displacement.max(axis=0)
     image = result.residual_image
+    cut = [(f"discontinuity {number}", " to ".join(f"({x:.2f}, {y:.2f})" for x, y in line) + " px")
+           for number, line in enumerate(get_lines(result), start=1)]
     lines = [
         ("result", str(result.path)),
         ("mesh", f"{result.mesh.n_nodes} nodes, {result.mesh.n_cells} cells, {result.mesh.n_dofs} unknowns"),
@@ -84,6 +88,7 @@ def _result_lines(result: Result) -> Lines:
         ("y axis in the file", "up" if result.flipped else "down"),
         ("displacement x", f"{low[0]:.4f} to {high[0]:.4f} px"),
         ("displacement y", f"{low[1]:.4f} to {high[1]:.4f} px"),
+        *cut,
     ]
     if image is not None and np.isfinite(image).any():
         lines.append(("residual", f"standard deviation {np.nanstd(image):.4g} grey levels"))

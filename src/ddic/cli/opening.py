@@ -18,7 +18,9 @@ from ddic.errors import InputError
 def opening(file: Path, output: Path | None) -> None:
     """Write the opening of a result's discontinuities, pixel by pixel along them, as a CSV table.
 
-    A row is a place on a line: number of the line, distance along it, x, y, tangential and normal opening, pixels.
+    A row is a place on a line: number of the line, distance from its first vertex, x, y, tangential and normal opening,
+    pixels. Openings are the displacement of the left side less that of the right one; left is -y where the line runs
+    along +x. A positive normal opening parts the sides.
     The figure is drawn by ddic plot --kind opening.
     """
     # Imported here because HDF5 is not needed by --help.
@@ -44,6 +46,9 @@ def opening(file: Path, output: Path | None) -> None:
         for problem in error.problems:
             click.echo(problem, err=True)
         sys.exit(error.exit_code)
+    except OSError as error:
+        click.echo(f"{target}: cannot be written ({error.strerror}); choose another --output", err=True)
+        sys.exit(InputError.exit_code)
     for number, of_line in enumerate(found, start=1):
         click.echo(f"line {number}: {len(of_line.points)} places, normal opening {_range(of_line.normal)}, tangential "
                    f"{_range(of_line.tangential)} px")

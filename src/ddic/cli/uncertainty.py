@@ -27,8 +27,10 @@ if TYPE_CHECKING:
 def uncertainty(case_file: Path, sizes: str, displacements: int, noise: float, output: Path | None) -> None:
     """Measure known displacements of the case's reference image with continuous and with enriched elements.
 
-    All moves by 0 to 1 px, or the sides of a line slide by as much: the case's first discontinuity, or a line at 27
-    degrees. Writes CASE.uncertainty.csv and CASE.uncertainty.png; of a large image its middle is taken.
+    All moves by 0 to 1 px, or the sides of a line slide by as much: the straight line through the ends of the case's
+    first discontinuity, or one at 27 degrees. The case's correlation, regularization and gauss_newton hold; masks do
+    not. Prints the largest standard deviation over displacements, and writes CASE.uncertainty.csv and
+    CASE.uncertainty.png; of a large image its middle is taken.
     """
     # Imported here because they bring numba, PETSc and matplotlib, which --help does not need.
     from ddic.api.known_displacements import BASES, estimate_uncertainty
@@ -44,10 +46,13 @@ def uncertainty(case_file: Path, sizes: str, displacements: int, noise: float, o
         image = open_image(case.images.reference)
         of_elements = _parse_sizes(sizes)
         line = case.discontinuity[0] if case.discontinuity else None
+        said = case.model_dump(include={"correlation", "regularization", "gauss_newton"}, mode="json")
+        options = {name: values for name, values in said.items() if values}
         chosen: dict[str, Any] = {} if line is None or line.vertices is None else {
             "line": (line.vertices[0], line.vertices[-1]), "opening": line.opening}
         grey = image.read(Window(0, 0, image.width, image.height))
-        found = estimate_uncertainty(grey, sizes=of_elements, n_amplitudes=displacements, noise=noise, **chosen)
+        found = estimate_uncertainty(grey, sizes=of_elements, n_amplitudes=displacements, noise=noise,
+                                     options=options, **chosen)
         folder.mkdir(parents=True, exist_ok=True)
         table = folder / f"{case_file.stem}.uncertainty.csv"
         _write(found, table)
@@ -57,6 +62,9 @@ def uncertainty(case_file: Path, sizes: str, displacements: int, noise: float, o
         for problem in str(error).splitlines():
             click.echo(problem, err=True)
         sys.exit(error.exit_code)
+    except OSError as error:
+        click.echo(f"{folder}: cannot be written to ({error.strerror}); choose another --output", err=True)
+        sys.exit(InputError.exit_code)
     for line_of_table in _list(found):
         click.echo(line_of_table)
     click.echo(table)
@@ -86,14 +94,15 @@ def _write(found: Uncertainty, path: Path) -> None:
 
 
 def _list(found: Uncertainty) -> list[str]:
-    """Lines of a table: means over displacements."""
+    """Lines of a table: standard deviations, the largest over displacements."""
     from ddic.api.known_displacements import BASES
 
-    lines = [f"{'displacements':<16}{'elements':<12}" + "".join(f"{size:>9g} px" for size in found.sizes)]
+    lines = ["standard deviation of the displacement [px], the largest over displacements",
+             f"{'displacements':<16}{'elements':<12}" + "".join(f"{size:>9g} px" for size in found.sizes)]
     for kind, deviation in found.deviation.items():
         for b, basis in enumerate(BASES):
-            means = deviation[:, :, b].mean(axis=1)
-            lines.append(f"{kind:<16}{basis:<12}" + "".join(f"{mean:12.2e}" for mean in means))
+            largest = deviation[:, :, b].max(axis=1)
+            lines.append(f"{kind:<16}{basis:<12}" + "".join(f"{value:12.2e}" for value in largest))
     if found.noise:
         for b, basis in enumerate(BASES):
             listed = "".join(f"{value:12.2e}" for value in found.predicted_noise[:, b])

@@ -12,8 +12,12 @@ from ddic.images.window import Window
 from ddic.mesh.cut_mesh import CutMesh
 from ddic.mesh.interpolation import evaluate_shapes_at
 from ddic.mesh.plane import multiply_across
+from ddic.start.correlate_alone import Images
 
 Array = NDArray[np.float64]
+
+FEWEST_FITTED = 100
+"""Pixels below which grey levels are not corrected."""
 
 HALO = 30
 """Pixels about a window after which a cubic spline's coefficients are those of the whole image."""
@@ -64,24 +68,39 @@ def _interpolate(cut: CutMesh, displacement: Array, cells: NDArray[np.int64], po
     return np.asarray(np.einsum("na,nac->nc", shapes[:, :of_cells.shape[1]], of_cells))
 
 
-def compute_residuals(reference: MaskedSource, deformed: MaskedSource, pixels: NDArray[np.int64],
-                      displacement: Array) -> Array:
-    """Compute f(x) - g(x + u) at pixels.
+def compute_residuals(images: Images, pixels: NDArray[np.int64], displacement: Array,
+                      own: NDArray[np.bool_] | None = None) -> Array:
+    """Compute f(x) - a g(x + u) - b at pixels, with one gain and offset where the images' grey levels are corrected.
 
     Parameters
     ----------
-    reference, deformed : MaskedSource
-        The images.
+    images : Images
+        The pair.
     pixels : (n, 2) array of int64
         Columns and rows.
     displacement : (n, 2) array
         There, pixels.
+    own : (n,) array of bool, optional
+        Pixels that the displacement belongs to, by which gain and offset are found; all by default.
 
     Returns
     -------
     (n,) array
-        Grey levels; nan where a pixel is masked or is displaced out of the image.
+        Grey levels; nan where a pixel is left out of an image, or is displaced out of it.
     """
+    f, g = _evaluate_images(images.reference, images.deformed, pixels, displacement)
+    fitted = np.isfinite(f - g) & (True if own is None else own)
+    if images.correction == "none" or fitted.sum() < FEWEST_FITTED:
+        return f - g
+    gain, offset = np.polyfit(g[fitted], f[fitted], 1)
+    return np.asarray(f - gain * g - offset)
+
+
+def _evaluate_images(reference: MaskedSource, deformed: MaskedSource, pixels: NDArray[np.int64],
+                     displacement: Array) -> tuple[Array, Array]:
+    """f(x) and g(x + u), nan where a pixel is left out."""
+    if not len(pixels):
+        return np.zeros(0), np.zeros(0)
     low, high = pixels.min(axis=0), pixels.max(axis=0) + 1
     window = Window(int(low[0]), int(low[1]), int(high[0]), int(high[1]))
     f = reference.image.read(window).astype(np.float64)[pixels[:, 1] - window.y0, pixels[:, 0] - window.x0]
@@ -92,9 +111,14 @@ def compute_residuals(reference: MaskedSource, deformed: MaskedSource, pixels: N
     extent = deformed.extent
     is_inside = ((at >= 0) & (at <= (extent.width - 1, extent.height - 1))).all(axis=1)
     if not is_inside.any():
-        return np.full(len(pixels), np.nan)
+        return f, np.full(len(pixels), np.nan)
     low, high = np.floor(at[is_inside].min(axis=0)), np.ceil(at[is_inside].max(axis=0)) + 1
     seen = Window(int(low[0]), int(low[1]), int(high[0]), int(high[1])).grow(HALO).clip(extent.x1, extent.y1)
     g_values = deformed.image.read(seen).astype(np.float64)
     g = ndimage.map_coordinates(g_values, (at - (seen.x0, seen.y0))[:, ::-1].T, order=3, mode="mirror")
-    return np.where(is_inside, f - g, np.nan)
+    usable = deformed.find_usable(seen)
+    if usable is not None:
+        beside = np.rint(np.where(is_inside[:, None], at, at[is_inside][0])).astype(np.int64) - (seen.x0, seen.y0)
+        shown = ndimage.minimum_filter(usable, size=3)
+        is_inside = is_inside & (shown[beside[:, 1], beside[:, 0]] > 0)
+    return f, np.where(is_inside, g, np.nan)

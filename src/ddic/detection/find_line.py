@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from ddic.detection.both_sides import compute_residuals
 from ddic.detection.refine_line import CUT_OFF, REACH, TOLERANCES, RefinedLine, find_strip, measure_size, refine_line
 from ddic.detection.strain_band import compute_tresca_strain, find_band
-from ddic.errors import ConvergenceError, SingularSubdomainError
+from ddic.errors import ConvergenceError, FactorizationError, SingularSubdomainError
 from ddic.functionals.line_band import find_band_pixels
 from ddic.kinematics.discontinuities import Discontinuities, Opening
 from ddic.kinematics.strain import compute_strain
 from ddic.mesh.interpolation import evaluate_shapes_at
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.raster import list_pixels, rasterize
+from ddic.mesh.raster import find_common_pixels, list_pixels, rasterize
 from ddic.start.correlate_alone import Images, correlate_alone
 from ddic.start.level_mesh import LevelMesh, cut_level
 
@@ -77,7 +77,7 @@ def find_line(images: Images, mesh: Mesh, displacement: Array, opening: Opening)
     try:
         refined = refine_line(images, mesh, displacement, band.line, opening)
         before, after = _compare_residuals(images, mesh, displacement, refined)
-    except (ConvergenceError, SingularSubdomainError) as error:
+    except (ConvergenceError, SingularSubdomainError, FactorizationError) as error:
         return Detection(None, f"detection: no line; where strain stands out (score {band.score:.1f}) no line could be "
                                f"measured: {error}")
     told = f"residual in the elements that it cuts {before.rms:.3g} grey levels without it, {after.rms:.3g} with it"
@@ -106,6 +106,8 @@ class _Squares:
 def _speaks_for_line(before: _Squares, after: _Squares) -> bool:
     """Whether residuals fall by far more than by chance: noise lets each unknown explain its variance once."""
     n_more = after.n_unknowns - before.n_unknowns
+    if n_more <= 0 or after.n_pixels <= n_more:
+        return False
     variance = after.total / max(after.n_pixels - n_more, 1)
     by_chance = (n_more + OUTLIERS * np.sqrt(2 * n_more)) * variance
     return bool(before.total - after.total > LEAST_GAIN * by_chance)
@@ -121,16 +123,16 @@ def _compare_residuals(images: Images, mesh: Mesh, displacement: Array, refined:
                                  "the strip along a line")
     cut = refined.cells.cut
     pixels, parts = _list_pixels_of_cut_cells(refined.cells, images.degree)
-    squares = []
+    found = []
     for cells, numbers, u in ((whole, cut.cell_of[parts], continuous), (refined.cells, parts, refined.displacement)):
         shapes = evaluate_shapes_at(cells.mesh, numbers, pixels.astype(np.float64))
         of_cells = u.reshape(cells.mesh.nodes.shape)[np.maximum(cells.mesh.cells[numbers], 0)]
         there = np.einsum("na,nac->nc", shapes[:, :of_cells.shape[1]], of_cells)
-        residuals = compute_residuals(images.reference, images.deformed, pixels, there)
-        counted = np.isfinite(residuals)
-        squares.append(_Squares(float((residuals[counted] ** 2).sum()), int(counted.sum()),
-                                cells.kinematics.n_unknowns))
-    return squares[0], squares[1]
+        found.append(compute_residuals(images, pixels, there))
+    counted = np.isfinite(found[0]) & np.isfinite(found[1])
+    before, after = (_Squares(float((residuals[counted] ** 2).sum()), int(counted.sum()), cells.kinematics.n_unknowns)
+                     for residuals, cells in zip(found, (whole, refined.cells), strict=True))
+    return before, after
 
 
 def _list_pixels_of_cut_cells(cells: LevelMesh, degree: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -141,8 +143,7 @@ def _list_pixels_of_cut_cells(cells: LevelMesh, degree: int) -> tuple[NDArray[np
     raster = rasterize(mesh)
     pixels, parts = list_pixels(raster, mesh.parts.cells)
     in_band, _ = find_band_pixels(mesh, raster, degree)
-    width = int(max(pixels[:, 0].max(), in_band[:, 0].max(initial=0))) + 1
-    is_outside = ~np.isin(pixels @ (1, width), in_band @ (1, width))
+    is_outside = ~find_common_pixels(pixels, in_band)
     return pixels[is_outside], parts[is_outside]
 
 

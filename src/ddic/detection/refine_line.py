@@ -102,6 +102,8 @@ def refine_line(images: Images, mesh: Mesh, displacement: Array, line: Array, op
     for n_moves in range(MOST_MOVES):
         strip, nodes = mesh.create_submesh(find_strip(mesh, line, REACH * size))
         cells = cut_level(strip, Discontinuities((line,), (opening,)), images.active, images.degree)
+        if cells.mesh.parts is None:
+            raise ConvergenceError("the line left the mesh")
         start = displacement[nodes][cells.cut.node_of]
         u = correlate_alone(images, cells, CUT_OFF * size, TOLERANCES, [start.ravel()], "the strip along a line")
         moved, distance = _move_line(images, cells, u, line, SEARCHED * size)
@@ -155,11 +157,15 @@ def _move_line(images: Images, cells: LevelMesh, displacement: Array, line: Arra
     near = measure_distance(points, line) <= reach + BAND[images.degree]
     pixels, points = pixels[near], points[near]
     u = displacement.reshape(cells.mesh.nodes.shape)
-    left, right = (compute_residuals(images.reference, images.deformed, pixels, of_side)
-                   for of_side in evaluate_both_sides(cells.cut, u, line, points))
+    is_left = multiply_across(line[1] - line[0], points - line[0]) > 0
+    on_left, on_right = evaluate_both_sides(cells.cut, u, line, points)
+    left = compute_residuals(images, pixels, on_left, is_left)
+    right = compute_residuals(images, pixels, on_right, ~is_left)
     # What a pixel costs on the left beyond what it costs on the right.
     cost = left**2 - right**2
     counted = np.isfinite(cost)
+    if not counted.any():
+        raise ConvergenceError("no pixel about the line counts")
     along = line[1] - line[0]
     length = float(np.linalg.norm(along))
     shares = ((points[counted] - line[0]) @ along) / length**2

@@ -90,6 +90,9 @@ def find_band(points: Array, strain: Array, size: float) -> Band:
         # Bands lie half a cell apart: two sets of bands, a cell apart each.
         for shift in (0.0, 0.5):
             scores = _sum_bands(places + shift, excess, n_bands + 1) / max(spread, TINY)
+            # A line through the mesh alone: bands at its edge reach half a cell beyond the last centres.
+            at = np.arange(n_bands + 1) - shift
+            scores[(at < places.min()) | (at > places.max())] = 0.0
             k = int(scores.argmax())
             if scores[k] > best.score:
                 foot = middle + ((k - shift) * size - length / 2) * normal

@@ -79,7 +79,7 @@ class Ring:
     Attributes
     ----------
     inner, outer : float or None
-        Pixels; chosen by the mesh where they are not given.
+        Pixels. By default three cells, and 0.9 times what the mesh's box and the straight end of the line leave.
     """
 
     inner: float | None = None
@@ -100,7 +100,7 @@ def find_crack_tip(result: Result, line: int = 1, *, tip: tuple[float, float] | 
     line : int
         Which discontinuity, from 1; its last vertex is ahead.
     tip : (x, y), optional
-        Where the tip may be, pixels; the line's last vertex by default.
+        Where the tip may be, pixels, on the straight end of the line or near it; the line's last vertex by default.
     poisson_ratio : float
         nu, no unit.
     plane : str
@@ -124,19 +124,29 @@ def find_crack_tip(result: Result, line: int = 1, *, tip: tuple[float, float] | 
     fit = _Fit.prepare(result, vertices, find_kolosov_constant(poisson_ratio, plane))
     start, end = vertices[-2:]
     along = (end - start) / np.linalg.norm(end - start)
-    position = end if tip is None else start + ((np.array(tip) - start) @ along) * along
-    radii = _choose_radii(fit, ring or Ring(), position, float((position - start) @ along))
+    asked = end if tip is None else np.array(tip, dtype=np.float64)
+    position = start + ((asked - start) @ along) * along
+    away = float(np.linalg.norm(asked - position))
+    if away > INNER_CELLS * fit.size:
+        raise InputError(f"tip ({asked[0]:g}, {asked[1]:g}) px: lies {away:.0f} px beside the straight end of line "
+                         f"{line}; give a place on it")
+    chosen = _accept_ring(ring or Ring())
     for _ in range(MOST_MOVES):
+        radii = _choose_radii(fit, chosen, position, float((position - start) @ along))
         if fit.count_cells(position, radii) < FEWEST_CELLS:
-            raise ConvergenceError(_not_found(result, line, position))
+            break
         opening, sliding = fit.solve(position, along, radii, np.arange(-1, HIGHEST_ORDER + 1))[0]
         # d/dx of r^(1/2) is half of r^(-1/2): a tip that is ahead by d adds -d/2 of the latter.
         ahead = -2 * (opening[0] * opening[2] + sliding[0] * sliding[2]) / (opening[2] ** 2 + sliding[2] ** 2)
-        position = position + np.clip(ahead, -radii[0], radii[0]) * along
         if abs(ahead) <= SAME_TIP:
-            break
-    else:
-        raise ConvergenceError(_not_found(result, line, position))
+            return _describe_tip(fit, position, along, radii)
+        position = position + np.clip(ahead, -radii[0], radii[0]) * along
+    raise ConvergenceError(f"{result.path}: line {line}: no crack tip is found from ({asked[0]:.1f}, {asked[1]:.1f}) "
+                           "px on; the line may be open all along, or give another place or ring")
+
+
+def _describe_tip(fit: _Fit, position: Array, along: Array, radii: tuple[float, float]) -> CrackTip:
+    """Factors at the tip, without the term that vanishes there."""
     (opening, sliding), rms, n_cells = fit.solve(position, along, radii, np.arange(HIGHEST_ORDER + 1))
     root = float(np.sqrt(2 * np.pi))
     return CrackTip(position, float(np.arctan2(along[1], along[0])), 2 * root * float(opening[1]),
@@ -192,18 +202,22 @@ class _Fit:
         return np.flatnonzero((distance >= radii[0]) & (distance <= radii[1]))
 
 
-def _not_found(result: Result, line: int, position: Array) -> str:
-    return (f"{result.path}: line {line}: no crack tip is found about ({position[0]:.1f}, {position[1]:.1f}) px; give "
-            "its place by tip, or another ring")
+def _accept_ring(ring: Ring) -> Ring:
+    """The ring, where its radii can be any."""
+    for name, radius in (("inner", ring.inner), ("outer", ring.outer)):
+        if radius is not None and not (np.isfinite(radius) and radius > 0):
+            raise InputError(f"{name} = {radius:g} px: give a radius above 0")
+    return ring
 
 
 def _choose_radii(fit: _Fit, ring: Ring, position: Array, straight: float) -> tuple[float, float]:
     low, high = fit.points.min(axis=0) - fit.size / 2, fit.points.max(axis=0) + fit.size / 2
     room = float(min((position - low).min(), (high - position).min(), straight))
     inner = INNER_CELLS * fit.size if ring.inner is None else ring.inner
-    outer = OUTER_SHARE * room if ring.outer is None else ring.outer
-    if not (inner > 0 and outer >= LEAST_RATIO * inner):
-        raise InputError(f"crack tip at ({position[0]:.1f}, {position[1]:.1f}) px: no room for a ring from {inner:.0f} "
-                         f"to {outer:.0f} px about it; give the tip inside the mesh, smaller elements, or radii of "
-                         f"which the outer one is at least {LEAST_RATIO:g} times the inner one")
+    outer = OUTER_SHARE * room if ring.outer is None else min(ring.outer, room)
+    if outer < LEAST_RATIO * inner:
+        raise InputError(f"crack tip at ({position[0]:.1f}, {position[1]:.1f}) px: the mesh and the straight end of "
+                         f"the line leave {max(room, 0.0):.0f} px about it, and the ring begins at {inner:.0f} px and "
+                         f"has to end at {LEAST_RATIO:g} times that; give another tip, smaller elements, or a smaller "
+                         "inner radius")
     return inner, outer

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ddic.fracture.lines_of_result import get_line
 from ddic.io.result_reader import Result
+from ddic.mesh.interpolation import locate
 
 Array = NDArray[np.float64]
 
@@ -23,6 +24,9 @@ STEP = 1.0
 @dataclass(frozen=True, eq=False)
 class Opening:
     """Displacement of a line's left side less that of its right one; left is -y where the line runs along +x.
+
+    In the other order of its vertices, a line has the same normal opening and the same tangential one: both the sides
+    and the direction change.
 
     Attributes
     ----------
@@ -55,7 +59,8 @@ def measure_opening(result: Result, line: int = 1) -> Opening:
     Returns
     -------
     Opening
-        At every pixel of the line inside the mesh.
+        At every pixel of the line inside the mesh; but about bends, where the straight line that cuts an element
+        leaves both sides of the polyline on one side of the cut.
 
     Raises
     ------
@@ -76,6 +81,19 @@ def measure_opening(result: Result, line: int = 1) -> Opening:
     at, tangent = np.concatenate(points), np.concatenate(tangents)
     to_left = np.column_stack([tangent[:, 1], -tangent[:, 0]])
     apart = result.at(at + BESIDE * to_left) - result.at(at - BESIDE * to_left)
-    inside = np.isfinite(apart).all(axis=1)
+    inside = np.isfinite(apart).all(axis=1) & ~_find_uncut_bends(result, vertices, at, to_left)
     return Opening(np.concatenate(distances)[inside], at[inside], (apart * tangent).sum(axis=1)[inside],
                    (apart * to_left).sum(axis=1)[inside])
+
+
+def _find_uncut_bends(result: Result, vertices: Array, at: Array, to_left: Array) -> NDArray[np.bool_]:
+    """Whether a place near a bend of the line has both its sides in parts of cells that hang together."""
+    bends = vertices[1:-1]
+    if not len(bends):
+        return np.zeros(len(at), dtype=bool)
+    mesh = result.mesh
+    largest = float(np.ptp(mesh.nodes[mesh.cells[:, :3]], axis=1).max())
+    near = np.linalg.norm(at[:, None] - bends, axis=2).min(axis=1) <= 2 * largest
+    left, right = (mesh.cells[locate(mesh, at + side * BESIDE * to_left).cells] for side in (1, -1))
+    shared = (left[:, :, None] == right[:, None, :]) & (left >= 0)[:, :, None]
+    return np.asarray(near & shared.any(axis=(1, 2)))

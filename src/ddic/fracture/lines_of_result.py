@@ -51,7 +51,8 @@ def get_line(result: Result, number: int) -> NDArray[np.float64]:
     """
     lines = get_lines(result)
     if not lines:
-        raise InputError(f"{result.path}: was measured without discontinuities; give some in the case")
+        raise InputError(f"{result.path}: was measured without discontinuities; give some in the case (where one was "
+                         "to be found, the log says why none was)")
     if not 1 <= number <= len(lines):
         raise InputError(f"{result.path}: line {number}: there are {len(lines)}; give a number from 1 to {len(lines)}")
     return lines[number - 1]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ddic.functionals.line_band import find_band_pixels
 from ddic.mesh.cut_mesh import CutMesh
 from ddic.mesh.interpolation import evaluate_shapes_at
-from ddic.mesh.raster import list_pixels, rasterize
+from ddic.mesh.raster import find_common_pixels, list_pixels, rasterize
 
 
 def weigh_corners(cut: CutMesh, degree: int, active: NDArray[np.uint8] | None = None) -> NDArray[np.float64]:
@@ -38,8 +38,7 @@ def weigh_corners(cut: CutMesh, degree: int, active: NDArray[np.uint8] | None = 
     raster = rasterize(mesh)
     pixels, cells = list_pixels(raster, beside)
     in_band, _ = find_band_pixels(mesh, raster, degree)
-    low, span = pixels.min(axis=0), int(np.ptp(pixels[:, 0])) + 1
-    counted = ~np.isin((pixels - low) @ (1, span), (in_band - low) @ (1, span))
+    counted = ~find_common_pixels(pixels, in_band)
     if active is not None:
         counted &= active[pixels[:, 1], pixels[:, 0]] > 0
     pixels, cells = pixels[counted], cells[counted]

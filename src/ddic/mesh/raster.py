@@ -199,3 +199,26 @@ def list_pixels(raster: Raster, cells: NDArray[np.int64]) -> tuple[NDArray[np.in
     columns = np.arange(lengths.sum()) + np.repeat(raster.starts[runs] - first, lengths)
     rows = np.repeat(raster.rows[runs], lengths)
     return np.stack([columns, rows], axis=1).astype(np.int64), np.repeat(cell_of_run, lengths)
+
+
+def find_common_pixels(pixels: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Tell which pixels are among others.
+
+    Parameters
+    ----------
+    pixels : (n, 2) array of int64
+        Columns and rows.
+    others : (m, 2) array of int64
+        Columns and rows.
+
+    Returns
+    -------
+    (n,) array of bool
+        Whether each is.
+    """
+    both = np.concatenate([pixels, others])
+    if not len(both):
+        return np.zeros(0, dtype=bool)
+    low = both.min(axis=0)
+    span = int(np.ptp(both[:, 0])) + 1
+    return np.isin((pixels - low) @ (1, span), (others - low) @ (1, span))

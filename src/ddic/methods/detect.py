@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ddic.case.schema import Case, DiscontinuitySection
 from ddic.detection.find_line import Detection, find_line
-from ddic.errors import ConvergenceError, as_collective
+from ddic.errors import ConvergenceError, InputError, as_collective
 from ddic.methods.dd_dic import Session
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team, require_held
 from ddic.problem.cameras import Frame
 from ddic.problem.inputs import Inputs
+from ddic.problem.problem_size import ProblemSize
 from ddic.results.listener import Listener
 from ddic.results.measurement import Measurement
+from ddic.solvers.gauss_newton import IterationRecord
 from ddic.start.correlate_alone import Images
 
 RMS_PX, LARGEST_PX = 0.01, 1.0
@@ -70,8 +72,12 @@ def find_discontinuity(team: Team, inputs: Inputs, frame: Frame, listener: Liste
     case = inputs.case
     if not is_line_wanted(case):
         return inputs
-    listener.note("detection: a continuous measurement first")
-    with Session(team, replace(inputs, case=_measure_continuously(case)), listener, clock, frame) as session:
+    if inputs.choose_kinematics is not None:
+        raise as_collective(InputError("kinematics: discontinuities have kinematics of their own; leave one of them "
+                                       "out"))
+    listener.note("detection: continuous elements first")
+    continuous = replace(inputs, case=_measure_continuously(case))
+    with Session(team, continuous, _WithoutNotes(listener), clock, frame) as session:
         try:
             measurement = session.measure(frame)
         except ConvergenceError as error:
@@ -85,6 +91,28 @@ def find_discontinuity(team: Team, inputs: Inputs, frame: Frame, listener: Liste
         sections = [case.discontinuity[0].model_copy(update={"vertices": tuple(map(tuple, found.line.tolist()))})]
     return replace(inputs, case=case.model_copy(update={"discontinuity": tuple(sections)}),
                    notes=(*inputs.notes, found.note))
+
+
+@dataclass(frozen=True)
+class _WithoutNotes(Listener):
+    """Tells another listener how a measurement goes on, but nothing of a field that is not the result."""
+
+    listener: Listener
+
+    def phase(self, phase: Phase) -> None:
+        """Pass it on."""
+        self.listener.phase(phase)
+
+    def note(self, line: str) -> None:
+        """Ignore."""
+
+    def problem_size(self, size: ProblemSize) -> None:
+        """Pass it on."""
+        self.listener.problem_size(size)
+
+    def iteration(self, record: IterationRecord) -> None:
+        """Pass it on."""
+        self.listener.iteration(record)
 
 
 def _measure_continuously(case: Case) -> Case:

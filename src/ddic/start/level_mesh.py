@@ -12,6 +12,7 @@ from ddic.kinematics.discontinuities import Discontinuities
 from ddic.kinematics.enriched import enrich
 from ddic.kinematics.kinematics import RegionKinematics
 from ddic.kinematics.nodal import NodalRegion
+from ddic.mesh.cell_parts import Lines
 from ddic.mesh.cut_mesh import CutMesh, cut_mesh
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import find_boundary_nodes
@@ -94,5 +95,7 @@ def scale_to_pixels(mesh: Mesh, factor: int) -> Mesh:
     origin = locate_block_centre(factor)
     parts = mesh.parts
     if parts is not None:
-        parts = replace(parts, corners=parts.corners * factor + origin)
+        lines = Lines(tuple(line * factor + origin for line in parts.lines.polylines),
+                      tuple(bend * factor + origin for bend in parts.lines.bends))
+        parts = replace(parts, corners=parts.corners * factor + origin, lines=lines)
     return replace(mesh, nodes=mesh.nodes * factor + origin, parts=parts)

@@ -78,7 +78,7 @@ def start_motions(team: Team, cameras: Sequence[Camera], subdomains: Sequence[Su
     if rank < sum(n_motion_unknowns):
         raise as_collective(InputError(
             "near: the elements of a near-field image share too few nodes with those of other images to tell how its "
-            "set-up moved; scale_to_pixels the mesh around it, or give near.region"))
+            "set-up moved; enlarge the mesh around it, or give near.region"))
     return np.split(motions, np.cumsum(n_motion_unknowns)[:-1])
 
 

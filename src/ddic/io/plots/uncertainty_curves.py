@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 def draw_uncertainty(sizes: NDArray[np.float64], deviations: Mapping[Any, NDArray[np.float64]],
                      bases: Sequence[str]) -> Figure:
-    """Draw the standard deviation, averaged over displacements, against the size of the elements.
+    """Draw the standard deviation, the largest over displacements, against the size of the elements.
 
     Parameters
     ----------
@@ -31,10 +31,12 @@ def draw_uncertainty(sizes: NDArray[np.float64], deviations: Mapping[Any, NDArra
     figure = Figure(figsize=(4.0 * len(deviations), 4.0), layout="tight")
     for number, (kind, deviation) in enumerate(deviations.items(), start=1):
         axes = figure.add_subplot(1, len(deviations), number)
-        for basis, marker, values in zip(bases, "os^v", np.moveaxis(deviation.mean(axis=1), -1, 0), strict=False):
+        for basis, marker, values in zip(bases, "os^v", np.moveaxis(deviation.max(axis=1), -1, 0), strict=False):
             axes.loglog(sizes, values, f"{marker}-", linewidth=1.4, label=f"{basis} elements")
+        axes.set_xticks(sizes, [f"{size:g}" for size in sizes])
+        axes.set_xticks([], minor=True)
         axes.set_xlabel("element size [px]")
-        axes.set_ylabel("standard deviation of the displacement [px]")
+        axes.set_ylabel("largest standard deviation [px]")
         axes.set_title(f"{kind} displacements")
         axes.grid(which="both", alpha=0.25)
         axes.legend(fontsize="small")
