@@ -32,7 +32,8 @@ def test_enriched_elements_hold_jumps_and_cost_little() -> None:
 
 def test_lines_that_can_only_open_are_opened_and_segments_go_on() -> None:
     segment = [[60.0, 95.3], [120.0, 101.1]]
-    found = ddic.estimate_uncertainty(IMAGE, sizes=(16,), n_amplitudes=2, line=segment, opening="normal")
+    found = ddic.estimate_uncertainty(IMAGE, sizes=(16,), n_amplitudes=2,
+                                     discontinuity={"vertices": segment, "opening": "normal"})
     continuous, enriched = found.deviation["discontinuous"][0, 1]
     assert continuous > 5 * enriched
 

@@ -17,7 +17,6 @@ from ddic.errors import ConvergenceError, InputError, SingularSubdomainError
 from ddic.images.binned import ArraySource
 from ddic.images.camera import identity
 from ddic.images.sub_image import MaskedSource
-from ddic.kinematics.discontinuities import Opening
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import multiply_across
 from ddic.mesh.structured import build_structured_mesh
@@ -79,8 +78,8 @@ class Uncertainty:
 
 
 def estimate_uncertainty(image: NDArray[Any], *, sizes: Sequence[float] = (8, 16, 32, 64), n_amplitudes: int = 11,
-                       line: Sequence[Sequence[float]] | None = None, opening: Opening = "tangential",
-                       noise: float = 0.0, options: Mapping[str, Any] | None = None) -> Uncertainty:
+                       discontinuity: Mapping[str, Any] | None = None, noise: float = 0.0,
+                       options: Mapping[str, Any] | None = None) -> Uncertainty:
     """Measure known displacements of an image, without and with a line that may open [RRH07], [RHR08].
 
     Parameters
@@ -91,10 +90,9 @@ def estimate_uncertainty(image: NDArray[Any], *, sizes: Sequence[float] = (8, 16
         Of square elements, pixels.
     n_amplitudes : int
         Displacements from 0 to 1 px.
-    line : two points, optional
-        On the straight line across the whole image that jumps, pixels; through the middle at 27 degrees by default.
-    opening : str
-        In which directions enriched elements may jump; the sides part across the line where that is "normal".
+    discontinuity : mapping, optional
+        A section of a case: the straight line across the image through the ends of its vertices jumps, along it or,
+        where its opening is "normal", across it. By default a line through the middle at 27 degrees that may slide.
     noise : float
         Standard deviation of noise that is added to both images, grey levels.
     options : mapping, optional
@@ -116,8 +114,11 @@ def estimate_uncertainty(image: NDArray[Any], *, sizes: Sequence[float] = (8, 16
     middle = np.array([width, height]) / 2 + (0.37, -0.21)
     along = np.array([np.cos(ANGLE), np.sin(ANGLE)])
     ends = np.stack([middle - 2 * sum(grey.shape) * along, middle + 2 * sum(grey.shape) * along])
-    if line is not None:
-        ends = _lengthen(np.array(line, dtype=np.float64)[[0, -1]] - _find_corner(image), sum(grey.shape))
+    section = dict(discontinuity or {"opening": "tangential"})
+    opening = str(section.get("opening", "both"))
+    if section.get("vertices"):
+        ends = _lengthen(np.array(section["vertices"], dtype=np.float64)[[0, -1]] - _find_corner(image),
+                         sum(grey.shape))
     if len(sizes) == 0 or not all(2 <= size <= min(grey.shape) - 2 * MARGIN for size in sizes):
         raise InputError(f"sizes: {list(sizes)} px on {width} x {height} px of the image; give sizes of elements from "
                          f"2 to {min(grey.shape) - 2 * MARGIN} px")

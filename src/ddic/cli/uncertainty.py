@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -48,11 +48,10 @@ def uncertainty(case_file: Path, sizes: str, displacements: int, noise: float, o
         line = case.discontinuity[0] if case.discontinuity else None
         said = case.model_dump(include={"correlation", "regularization", "gauss_newton"}, mode="json")
         options = {name: values for name, values in said.items() if values}
-        chosen: dict[str, Any] = {} if line is None or line.vertices is None else {
-            "line": (line.vertices[0], line.vertices[-1]), "opening": line.opening}
+        section = None if line is None else line.model_dump(mode="json")
         grey = image.read(Window(0, 0, image.width, image.height))
         found = estimate_uncertainty(grey, sizes=of_elements, n_amplitudes=displacements, noise=noise,
-                                     options=options, **chosen)
+                                     options=options, discontinuity=section)
         folder.mkdir(parents=True, exist_ok=True)
         table = folder / f"{case_file.stem}.uncertainty.csv"
         _write(found, table)

@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-
-import numpy as np
-from numpy.typing import NDArray
+from dataclasses import replace
 
 from ddic.case.schema import Case, DiscontinuitySection
-from ddic.detection.find_line import Detection, find_line
+from ddic.detection.line_of_case import find_line_of_case
 from ddic.errors import ConvergenceError, InputError, as_collective
 from ddic.methods.dd_dic import Session
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team, require_held
 from ddic.problem.cameras import Frame
 from ddic.problem.inputs import Inputs
-from ddic.problem.problem_size import ProblemSize
-from ddic.results.listener import Listener
-from ddic.results.measurement import Measurement
-from ddic.solvers.gauss_newton import IterationRecord
-from ddic.start.correlate_alone import Images
+from ddic.results.listener import Listener, WithoutNotes
+from ddic.results.whole_field import gather_displacement
 
 RMS_PX, LARGEST_PX = 0.01, 1.0
 """Correction at which the continuous measurement is exact enough to look for a line in it: its elements on the line
@@ -77,42 +71,20 @@ def find_discontinuity(team: Team, inputs: Inputs, frame: Frame, listener: Liste
                                        "out"))
     listener.note("detection: continuous elements first")
     continuous = replace(inputs, case=_measure_continuously(case))
-    with Session(team, continuous, _WithoutNotes(listener), clock, frame) as session:
+    with Session(team, continuous, WithoutNotes(listener), clock, frame) as session:
         try:
             measurement = session.measure(frame)
         except ConvergenceError as error:
             raise as_collective(ConvergenceError(f"detection: the continuous field in which a line is looked for does "
                                                  f"not converge; give discontinuity.vertices ({error})")) from error
     with clock.phase(Phase.START):
-        displacement = _gather_displacement(team, measurement)
-        found = team.on_root(lambda: _detect(inputs, frame, require_held(displacement)))
+        displacement = gather_displacement(measurement)
+        found = team.on_root(lambda: find_line_of_case(inputs, frame, require_held(displacement)))
     sections: Sequence[DiscontinuitySection] = ()
     if found.line is not None:
         sections = [case.discontinuity[0].model_copy(update={"vertices": tuple(map(tuple, found.line.tolist()))})]
     return replace(inputs, case=case.model_copy(update={"discontinuity": tuple(sections)}),
                    notes=(*inputs.notes, found.note))
-
-
-@dataclass(frozen=True)
-class _WithoutNotes(Listener):
-    """Tells another listener how a measurement goes on, but nothing of a field that is not the result."""
-
-    listener: Listener
-
-    def phase(self, phase: Phase) -> None:
-        """Pass it on."""
-        self.listener.phase(phase)
-
-    def note(self, line: str) -> None:
-        """Ignore."""
-
-    def problem_size(self, size: ProblemSize) -> None:
-        """Pass it on."""
-        self.listener.problem_size(size)
-
-    def iteration(self, record: IterationRecord) -> None:
-        """Pass it on."""
-        self.listener.iteration(record)
 
 
 def _measure_continuously(case: Case) -> Case:
@@ -121,30 +93,3 @@ def _measure_continuously(case: Case) -> Case:
     loose = {"rms_tolerance": max(section.rms_tolerance, RMS_PX),
              "largest_tolerance": max(section.largest_tolerance, LARGEST_PX)}
     return case.model_copy(update={"discontinuity": (), "gauss_newton": section.model_copy(update=loose)})
-
-
-def _gather_displacement(team: Team, measurement: Measurement) -> NDArray[np.float64] | None:
-    """Displacement of all nodes on rank 0, (n_nodes, 2), pixels; collective."""
-    own = [(subdomain.node_ids, u.reshape(-1, subdomain.mesh.dim))
-           for subdomain, u in zip(measurement.subdomains, measurement.displacements, strict=True)]
-    gathered = team.gather_to(own, 0)
-    if gathered is None:
-        return None
-    displacement = np.empty((measurement.region.n_nodes, own[0][1].shape[1]))
-    for of_rank in gathered:
-        for nodes, u in of_rank:
-            displacement[nodes] = u
-    return displacement
-
-
-def _detect(inputs: Inputs, frame: Frame, displacement: NDArray[np.float64]) -> Detection:
-    """On one rank: the strip along a line is small beside the region."""
-    case = inputs.case
-    (camera,), (deformed,) = inputs.cameras, frame
-    extent = camera.reference.extent
-    usable = camera.reference.find_usable(extent)
-    active = np.ones((extent.height, extent.width), dtype=np.uint8) if usable is None else usable
-    images = Images(camera.reference, deformed, active, case.correlation.spline_degree,
-                    case.correlation.grey_correction)
-    mesh, _ = inputs.build_mesh()
-    return find_line(images, mesh, displacement, case.discontinuity[0].opening)

@@ -67,3 +67,31 @@ class Silence(Listener):
 
     def iteration(self, record: IterationRecord) -> None:
         """Ignore."""
+
+
+class WithoutNotes(Listener):
+    """Tells another listener how a measurement goes on, but nothing of a field that is not the result.
+
+    Parameters
+    ----------
+    listener : Listener
+        The other one.
+    """
+
+    def __init__(self, listener: Listener) -> None:
+        self._listener = listener
+
+    def phase(self, phase: Phase) -> None:
+        """Pass it on."""
+        self._listener.phase(phase)
+
+    def note(self, line: str) -> None:
+        """Ignore."""
+
+    def problem_size(self, size: ProblemSize) -> None:
+        """Pass it on."""
+        self._listener.problem_size(size)
+
+    def iteration(self, record: IterationRecord) -> None:
+        """Pass it on."""
+        self._listener.iteration(record)
