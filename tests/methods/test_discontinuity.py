@@ -186,10 +186,10 @@ def test_command_line_measures_says_and_shows_it(tmp_path: Path) -> None:
     above = (result.mesh.centroids - START) @ NORMAL > 0
     shared = np.intersect1d(np.unique(result.mesh.cells[above]), np.unique(result.mesh.cells[~above]))
     assert shared.tolist() == [-1]
-    # A restart finds the field on both sides again: phantom nodes start from the middle of
-    # their parts, some pixels away, and those of small parts are held loosely.
+    # A restart finds the field on both sides again: phantom nodes go on from the middle of their parts by the slope
+    # there, which triangles of a bilinear part have to some per cent.
     again = '[start]\nfrom_result = "result.vtkhdf"\n[output]\nfile = "b.vtkhdf"\n'
     (tmp_path / "again.toml").write_text((tmp_path / "case.toml").read_text() + again)
     ran = CliRunner().invoke(run, [str(tmp_path / "again.toml")])
     assert ran.exit_code == 0, ran.output
-    assert ddic.open(tmp_path / "b.vtkhdf").gauss_newton["rms_correction_px"][0] < 0.1
+    assert ddic.open(tmp_path / "b.vtkhdf").gauss_newton["rms_correction_px"][0] < 6e-3

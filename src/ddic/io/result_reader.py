@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
 from ddic.io.mesh_export import to_meshio, to_pyvista
-from ddic.mesh.interpolation import interpolate
+from ddic.mesh.interpolation import differentiate_shapes_at, interpolate, locate
 from ddic.mesh.mesh import Mesh
+from ddic.mesh.shapes import pad_cells
 
 SAME_NODE_PX = 1e-9
 """Distance, pixels, from a node below which a point is that node: rounding of coordinates."""
@@ -196,6 +197,35 @@ def displacement_at(result: Result, points: NDArray[np.float64]) -> NDArray[np.f
         if outside.any():
             between[outside] = LinearNDInterpolator(nodes, result.displacement)(points[apart][outside])
         values[apart] = np.where(np.isnan(between), values[apart], between)
+    return values
+
+
+def evaluate_on_sides(result: Result, points: NDArray[np.float64],
+                      beyond: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Guess the displacement of a result at points beyond a discontinuity, from other points on their own side of it.
+
+    Parameters
+    ----------
+    result : Result
+        The earlier result.
+    points : (n, 2) array
+        On the side that is asked for, pixels of the reference image.
+    beyond : (n, 2) array
+        Where the displacement is wanted; the same points where nothing lies between.
+
+    Returns
+    -------
+    (n, 2) array
+        Pixels: ``displacement_at`` the points, and on from there by the slope of the cell that holds them.
+    """
+    values = displacement_at(result, points)
+    located = locate(result.mesh, points)
+    away = np.flatnonzero((points != beyond).any(axis=1) & (located.cells >= 0))
+    cells = located.cells[away]
+    slopes = differentiate_shapes_at(result.mesh, cells, points[away])
+    nodes = pad_cells(result.mesh)[cells]
+    gradient = np.einsum("nac,naj->ncj", result.displacement[nodes], slopes[:, :nodes.shape[1]])
+    values[away] += np.einsum("ncj,nj->nc", gradient, beyond[away] - points[away])
     return values
 
 

@@ -16,7 +16,7 @@ from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.images.binned import bin_rows, join_blocks
 from ddic.images.grid_field import build_uniform_field
 from ddic.images.sub_image import MaskedSource
-from ddic.io.result_reader import displacement_at, read_result
+from ddic.io.result_reader import evaluate_on_sides, read_result
 from ddic.io.result_schema import near_group
 from ddic.kinematics.camera_kinematics import CameraSetup
 from ddic.mesh.mesh import Mesh
@@ -227,11 +227,13 @@ def read_earlier_fields(team: Team, path: Path, cameras: Sequence[Camera],
     InputError
         On all ranks, where the file is no result, or holds no motion of a near field.
     """
-    wanted = team.gather_to([find_points_on_own_side(reference.subdomain.mesh) for reference in references])
+    wanted = team.gather_to([(find_points_on_own_side(reference.subdomain.mesh), reference.subdomain.mesh.nodes)
+                             for reference in references])
 
     def read() -> list[list[Array]]:
         result = read_result(path)
-        return [[displacement_at(result, nodes) for nodes in of_rank] for of_rank in require_held(wanted)]
+        return [[evaluate_on_sides(result, points, nodes) for points, nodes in of_rank]
+                for of_rank in require_held(wanted)]
 
     displacements = team.scatter_from_root(read)
     motions = team.on_root(lambda: [_stored_motion(path, camera) for camera in cameras])
