@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from accept.support.opened_pair import picture
 from ddic.fracture.williams_series import evaluate_williams_series, find_kolosov_constant
 from ddic.synth.speckle_texture import SpeckleTexture
 
@@ -79,9 +80,5 @@ def render_crack(crack: Crack, size: int, noise: float, seed: int = 0) -> tuple[
     origins = points
     for _ in range(ROUNDS):
         origins = points - crack.displacement(origins)
-    pair = []
-    for at in (points, origins):
-        grey = texture.grey(at[:, 0], at[:, 1]).reshape(size, size) * 65535
-        grey += 257 * noise * random.standard_normal(grey.shape)
-        pair.append(np.clip(np.rint(grey), 0, 65535).astype(np.uint16))
-    return pair[0], pair[1]
+    return (picture(texture, points, 16, noise * random.standard_normal(len(points))),
+            picture(texture, origins, 16, noise * random.standard_normal(len(points))))

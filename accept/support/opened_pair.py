@@ -159,13 +159,34 @@ def render(opened: Opened, size: int, noise: float = 0.0, seed: int = 0, *, spec
     for _ in range(5):
         # The displacement is linear on each side, and small: this converges by its gradient.
         origins = points - opened.displacement(origins, sides)
+    return (picture(texture, points, bits, noise * random.standard_normal(len(points))),
+            picture(texture, origins, bits, noise * random.standard_normal(len(points))))
+
+
+def picture(texture: SpeckleTexture, origins: Array, bits: int, noise: Array) -> NDArray[Any]:
+    """Draw a square image.
+
+    Parameters
+    ----------
+    texture : SpeckleTexture
+        What is seen.
+    origins : (size**2, 2) array
+        Where each pixel came from, row by row.
+    bits : int
+        8 or 16.
+    noise : (size**2,) array
+        Grey levels of 256.
+
+    Returns
+    -------
+    (size, size) uint8 or uint16 array
+        Grey levels.
+    """
     brightest = 2**bits - 1
-    pair = []
-    for at in (points, origins):
-        grey = texture.grey(at[:, 0], at[:, 1]).reshape(size, size) * brightest
-        grey += brightest / 255 * noise * random.standard_normal(grey.shape)
-        pair.append(np.clip(np.rint(grey), 0, brightest).astype(np.uint16 if bits > 8 else np.uint8))
-    return pair[0], pair[1]
+    grey = brightest * (texture.grey(origins[:, 0], origins[:, 1]) + noise / 255)
+    size = round(len(origins) ** 0.5)
+    digits = np.clip(np.rint(grey), 0, brightest).reshape(size, size)
+    return np.asarray(digits, dtype=np.uint16 if bits > 8 else np.uint8)
 
 
 def find_field_error(result: ddic.Result, opened: Opened, *, spread: bool = False) -> float:

@@ -26,16 +26,14 @@ def opening(file: Path, output: Path | None) -> None:
     # Imported here because HDF5 is not needed by --help.
     import numpy as np
 
-    from ddic.fracture.line_opening import measure_opening
-    from ddic.fracture.lines_of_result import get_line, get_lines
+    from ddic.fracture.line_opening import measure_openings
     from ddic.io.replace_on_exit import replaced_on_exit
     from ddic.io.result_reader import read_result
 
     target = file.with_name(f"{file.stem}.opening.csv") if output is None else output
     try:
         result = read_result(file)
-        get_line(result, 1)
-        found = [measure_opening(result, number) for number in range(1, len(get_lines(result)) + 1)]
+        found = measure_openings(result)
         with replaced_on_exit(target) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
             table = csv.writer(stream)
             table.writerow(["line", "distance_px", "x_px", "y_px", "tangential_px", "normal_px"])

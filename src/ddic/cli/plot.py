@@ -135,11 +135,10 @@ def _draw_krylov(result: Result, other: Result | None) -> Figure:
 
 def _draw_opening(result: Result) -> Figure:
     """Opening of all lines."""
-    from ddic.fracture.line_opening import measure_opening
-    from ddic.fracture.lines_of_result import get_lines
+    from ddic.fracture.line_opening import measure_openings
     from ddic.io.plots.opening_curves import draw_opening
 
-    found = [measure_opening(result, number) for number in range(1, len(get_lines(result)) + 1)]
+    found = measure_openings(result)
     return draw_opening({f"line {number}": (of_line.distance, of_line.tangential, of_line.normal)
                          for number, of_line in enumerate(found, start=1)})
 

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from ddic.images.sub_image import MaskedSource
 from ddic.images.window import Window
 from ddic.mesh.cut_mesh import CutMesh
-from ddic.mesh.interpolation import evaluate_shapes_at
+from ddic.mesh.interpolation import interpolate_located, place_in_cells
 from ddic.mesh.plane import multiply_across
 from ddic.start.correlate_alone import Images
 
@@ -58,14 +58,9 @@ def evaluate_both_sides(cut: CutMesh, displacement: Array, line: Array, points: 
     order = np.lexsort((heights, cut.cell_of[numbers]))
     right, left = numbers[order[n_parts[cut.cell_of[numbers[order]]] == 2]].reshape(-1, 2).T
     nearest = cKDTree((mesh.centroids[left] + mesh.centroids[right]) / 2).query(points)[1]
-    u_left, u_right = (_interpolate(cut, displacement, cells[nearest], points) for cells in (left, right))
+    u_left, u_right = (interpolate_located(mesh, displacement, place_in_cells(mesh, cells[nearest], points))
+                       for cells in (left, right))
     return u_left, u_right
-
-
-def _interpolate(cut: CutMesh, displacement: Array, cells: NDArray[np.int64], points: Array) -> Array:
-    shapes = evaluate_shapes_at(cut.mesh, cells, points)
-    of_cells = displacement[np.maximum(cut.mesh.cells[cells], 0)]
-    return np.asarray(np.einsum("na,nac->nc", shapes[:, :of_cells.shape[1]], of_cells))
 
 
 def compute_residuals(images: Images, pixels: NDArray[np.int64], displacement: Array,

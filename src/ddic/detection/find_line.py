@@ -8,17 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.detection.both_sides import compute_residuals
-from ddic.detection.refine_line import CUT_OFF, REACH, TOLERANCES, RefinedLine, find_strip, measure_size, refine_line
+from ddic.detection.refine_line import CUT_OFF, REACH, TOLERANCES, RefinedLine, find_strip, refine_line
 from ddic.detection.strain_band import compute_tresca_strain, find_band
 from ddic.errors import ConvergenceError, FactorizationError, SingularSubdomainError
-from ddic.functionals.line_band import find_band_pixels
+from ddic.functionals.line_band import list_pixels_outside
 from ddic.kinematics.discontinuities import Discontinuities, Opening
 from ddic.kinematics.strain import compute_strain
-from ddic.mesh.interpolation import evaluate_shapes_at
+from ddic.mesh.interpolation import interpolate_located, place_in_cells
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.raster import find_common_pixels, list_pixels, rasterize
+from ddic.mesh.quality import measure_cell_size
 from ddic.start.correlate_alone import Images, correlate_alone
-from ddic.start.level_mesh import LevelMesh, cut_level
+from ddic.start.level_mesh import cut_level
 
 Array = NDArray[np.float64]
 
@@ -70,7 +70,7 @@ def find_line(images: Images, mesh: Mesh, displacement: Array, opening: Opening)
         The line, or why there is none.
     """
     strain = compute_strain(mesh, displacement.ravel()).infinitesimal
-    band = find_band(mesh.centroids, compute_tresca_strain(strain), measure_size(mesh))
+    band = find_band(mesh.centroids, compute_tresca_strain(strain), measure_cell_size(mesh))
     if band.score < LEAST_SCORE:
         return Detection(None, f"detection: no line; no band of strain stands out (score {band.score:.1f}, "
                                f"{LEAST_SCORE:g} asked for)")
@@ -116,18 +116,19 @@ def _speaks_for_line(before: _Squares, after: _Squares) -> bool:
 def _compare_residuals(images: Images, mesh: Mesh, displacement: Array, refined: RefinedLine
                        ) -> tuple[_Squares, _Squares]:
     """Residuals in the cut cells, of a continuous field measured on the same strip alike, and with the line."""
-    size = measure_size(mesh)
+    size = measure_cell_size(mesh)
     strip, nodes = mesh.create_submesh(find_strip(mesh, refined.line, REACH * size))
     whole = cut_level(strip, Discontinuities(), images.active, images.degree)
     continuous = correlate_alone(images, whole, CUT_OFF * size, TOLERANCES, [displacement[nodes].ravel()],
                                  "the strip along a line")
     cut = refined.cells.cut
-    pixels, parts = _list_pixels_of_cut_cells(refined.cells, images.degree)
+    if cut.mesh.parts is None:
+        raise ValueError("no line cuts the mesh")
+    pixels, parts = list_pixels_outside(cut.mesh, cut.mesh.parts.cells, images.degree)
     found = []
     for cells, numbers, u in ((whole, cut.cell_of[parts], continuous), (refined.cells, parts, refined.displacement)):
-        shapes = evaluate_shapes_at(cells.mesh, numbers, pixels.astype(np.float64))
-        of_cells = u.reshape(cells.mesh.nodes.shape)[np.maximum(cells.mesh.cells[numbers], 0)]
-        there = np.einsum("na,nac->nc", shapes[:, :of_cells.shape[1]], of_cells)
+        placed = place_in_cells(cells.mesh, numbers, pixels.astype(np.float64))
+        there = interpolate_located(cells.mesh, u.reshape(cells.mesh.nodes.shape), placed)
         found.append(compute_residuals(images, pixels, there))
     counted = np.isfinite(found[0]) & np.isfinite(found[1])
     before, after = (_Squares(float((residuals[counted] ** 2).sum()), int(counted.sum()), cells.kinematics.n_unknowns)
@@ -135,21 +136,9 @@ def _compare_residuals(images: Images, mesh: Mesh, displacement: Array, refined:
     return before, after
 
 
-def _list_pixels_of_cut_cells(cells: LevelMesh, degree: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Pixels of parts beyond the band of the line, and the part of each."""
-    mesh = cells.mesh
-    if mesh.parts is None:
-        raise ValueError("no line cuts the mesh")
-    raster = rasterize(mesh)
-    pixels, parts = list_pixels(raster, mesh.parts.cells)
-    in_band, _ = find_band_pixels(mesh, raster, degree)
-    is_outside = ~find_common_pixels(pixels, in_band)
-    return pixels[is_outside], parts[is_outside]
-
-
 def _clip_to_region(mesh: Mesh, line: Array) -> Array:
     """The line from one side of the mesh's box to the other, a cell beyond."""
-    size = measure_size(mesh)
+    size = measure_cell_size(mesh)
     low, high = mesh.nodes.min(axis=0) - size, mesh.nodes.max(axis=0) + size
     along = line[1] - line[0]
     with np.errstate(divide="ignore", invalid="ignore"):

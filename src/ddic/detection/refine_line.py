@@ -14,6 +14,7 @@ from ddic.kinematics.discontinuities import Discontinuities, Opening
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import multiply_across
 from ddic.mesh.polyline import measure_distance
+from ddic.mesh.quality import measure_cell_size
 from ddic.mesh.raster import list_pixels, rasterize
 from ddic.solvers.correction_size import Tolerances
 from ddic.start.correlate_alone import Images, correlate_alone
@@ -98,7 +99,7 @@ def refine_line(images: Images, mesh: Mesh, displacement: Array, line: Array, op
     SingularSubdomainError
         Where the pixels do not determine the displacement.
     """
-    size = measure_size(mesh)
+    size = measure_cell_size(mesh)
     for n_moves in range(MOST_MOVES):
         strip, nodes = mesh.create_submesh(find_strip(mesh, line, REACH * size))
         cells = cut_level(strip, Discontinuities((line,), (opening,)), images.active, images.degree)
@@ -111,23 +112,6 @@ def refine_line(images: Images, mesh: Mesh, displacement: Array, line: Array, op
             return RefinedLine(line, cells, u, n_moves)
         line = moved
     raise ConvergenceError(f"the line was still moving after {MOST_MOVES} rounds")
-
-
-def measure_size(mesh: Mesh) -> float:
-    """Measure the size of a mesh's cells: the root of their mean area.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Pixels.
-
-    Returns
-    -------
-    float
-        Pixels.
-    """
-    counts = rasterize(mesh).pixel_counts
-    return float(np.sqrt(counts.mean()))
 
 
 def find_strip(mesh: Mesh, line: Array, reach: float) -> NDArray[np.int64]:

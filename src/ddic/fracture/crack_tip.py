@@ -12,7 +12,8 @@ from ddic.errors import ConvergenceError, InputError
 from ddic.fracture.lines_of_result import get_line
 from ddic.fracture.williams_series import evaluate_williams_series, find_kolosov_constant
 from ddic.io.result_reader import Result
-from ddic.mesh.plane import multiply_across
+from ddic.mesh.interpolation import interpolate_located, place_in_cells
+from ddic.mesh.quality import measure_areas
 
 Array = NDArray[np.float64]
 
@@ -121,7 +122,7 @@ def find_crack_tip(result: Result, line: int = 1, *, tip: tuple[float, float] | 
         Where the tip is not found.
     """
     vertices = get_line(result, line)
-    fit = _Fit.prepare(result, vertices, find_kolosov_constant(poisson_ratio, plane))
+    fit = _Fit.prepare(result, find_kolosov_constant(poisson_ratio, plane))
     start, end = vertices[-2:]
     along = (end - start) / np.linalg.norm(end - start)
     asked = end if tip is None else np.array(tip, dtype=np.float64)
@@ -164,17 +165,12 @@ class _Fit:
     size: float
 
     @classmethod
-    def prepare(cls, result: Result, vertices: Array, kappa: float) -> _Fit:
+    def prepare(cls, result: Result, kappa: float) -> _Fit:
         mesh = result.mesh
-        n_nodes = np.diff(mesh.offsets)
-        starts = mesh.offsets[:-1]
-        mean = np.add.reduceat(result.displacement[mesh.connectivity], starts) / n_nodes[:, None]
-        corners = mesh.nodes[mesh.connectivity]
-        following = np.arange(len(corners)) + 1
-        following[mesh.offsets[1:] - 1] = starts
-        areas = np.abs(np.add.reduceat(multiply_across(corners, corners[following]), starts)) / 2
-        points = np.add.reduceat(corners, starts) / n_nodes[:, None]
-        return cls(points, mean, np.sqrt(areas), kappa, float(np.sqrt(np.median(areas))))
+        areas = np.abs(measure_areas(mesh))
+        placed = place_in_cells(mesh, np.arange(mesh.n_cells), mesh.centroids)
+        displacement = interpolate_located(mesh, result.displacement, placed)
+        return cls(mesh.centroids, displacement, np.sqrt(areas), kappa, float(np.sqrt(np.median(areas))))
 
     def count_cells(self, position: Array, radii: tuple[float, float]) -> int:
         """Number of cells in the ring about a tip."""

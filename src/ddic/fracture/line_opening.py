@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.fracture.lines_of_result import get_line
+from ddic.fracture.lines_of_result import get_line, get_lines
 from ddic.io.result_reader import Result
 from ddic.mesh.interpolation import locate
 
@@ -84,6 +84,28 @@ def measure_opening(result: Result, line: int = 1) -> Opening:
     inside = np.isfinite(apart).all(axis=1) & ~_find_uncut_bends(result, vertices, at, to_left)
     return Opening(np.concatenate(distances)[inside], at[inside], (apart * tangent).sum(axis=1)[inside],
                    (apart * to_left).sum(axis=1)[inside])
+
+
+def measure_openings(result: Result) -> list[Opening]:
+    """Measure the openings of all discontinuities.
+
+    Parameters
+    ----------
+    result : Result
+        Measured with discontinuities.
+
+    Returns
+    -------
+    list of Opening
+        In the order of the case.
+
+    Raises
+    ------
+    InputError
+        Where there are none.
+    """
+    n_lines = max(len(get_lines(result)), 1)
+    return [measure_opening(result, number) for number in range(1, n_lines + 1)]
 
 
 def _find_uncut_bends(result: Result, vertices: Array, at: Array, to_left: Array) -> NDArray[np.bool_]:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.functionals.line_band import find_band_pixels
+from ddic.functionals.line_band import list_pixels_outside
 from ddic.mesh.cut_mesh import CutMesh
 from ddic.mesh.interpolation import evaluate_shapes_at
-from ddic.mesh.raster import find_common_pixels, list_pixels, rasterize
 
 
 def weigh_corners(cut: CutMesh, degree: int, active: NDArray[np.uint8] | None = None) -> NDArray[np.float64]:
@@ -35,13 +34,10 @@ def weigh_corners(cut: CutMesh, degree: int, active: NDArray[np.uint8] | None = 
     beside = np.flatnonzero(np.add.reduceat(has_twin[mesh.connectivity], mesh.offsets[:-1]) > 0).astype(np.int64)
     if not len(beside):
         return weights
-    raster = rasterize(mesh)
-    pixels, cells = list_pixels(raster, beside)
-    in_band, _ = find_band_pixels(mesh, raster, degree)
-    counted = ~find_common_pixels(pixels, in_band)
+    pixels, cells = list_pixels_outside(mesh, beside, degree)
     if active is not None:
-        counted &= active[pixels[:, 1], pixels[:, 0]] > 0
-    pixels, cells = pixels[counted], cells[counted]
+        counted = active[pixels[:, 1], pixels[:, 0]] > 0
+        pixels, cells = pixels[counted], cells[counted]
     shapes = evaluate_shapes_at(mesh, cells, pixels.astype(np.float64))
     counts = np.diff(mesh.offsets)
     for corner in range(int(counts.max())):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.polyline import is_inside_polygon, measure_distance
-from ddic.mesh.raster import Raster, list_pixels
+from ddic.mesh.raster import Raster, find_common_pixels, list_pixels, rasterize
 
 BAND = {3: 2.0, 5: 3.0}
 """Distance, pixels, from a line within which pixels do not count, by degree of the spline: as far as its taps reach. A
@@ -48,6 +48,34 @@ def find_band_pixels(mesh: Mesh, raster: Raster, degree: int) -> tuple[NDArray[n
     for bend in lines.bends:
         inside |= is_inside_polygon(points, bend)
     return pixels[inside], cells[inside]
+
+
+def list_pixels_outside(mesh: Mesh, cells: NDArray[np.int64],
+                        degree: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """List the pixels of some cells that lie beyond the band of all lines.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Perhaps with cut cells.
+    cells : (n_cells,) array of int64
+        Their sorted numbers; nothing else of the mesh is rasterised.
+    degree : int
+        Of the spline, 3 or 5.
+
+    Returns
+    -------
+    pixels : (n, 2) array of int64
+        Columns and rows.
+    cells : (n,) array of int64
+        The cell of each.
+    """
+    part, _ = mesh.create_submesh(cells)
+    raster = rasterize(part)
+    pixels, own = list_pixels(raster, np.arange(part.n_cells))
+    in_band, _ = find_band_pixels(part, raster, degree)
+    outside = ~find_common_pixels(pixels, in_band)
+    return pixels[outside], cells[own[outside]]
 
 
 def _find_near_cells(mesh: Mesh, lines: Sequence[NDArray[np.float64]], width: float) -> NDArray[np.int64]:

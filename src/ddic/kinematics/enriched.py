@@ -148,7 +148,7 @@ def _open_by_unknowns(cut: CutMesh, free: NDArray[np.int64], directions: Sequenc
 def _find_directions(cut: CutMesh, nodes: NDArray[np.int64], openings: Sequence[Opening]) -> list[Array]:
     """Unit vectors along which each node may move beyond the one that leads, (dim, n_directions)."""
     points = cut.mesh.nodes[nodes]
-    tangents, lines = _find_tangents(cut, points), _find_nearest_lines(cut, points)
+    tangents, lines = _find_tangents(cut, points)
     return [_directions_of(openings[line], tangent) for line, tangent in zip(lines, tangents, strict=True)]
 
 
@@ -158,8 +158,8 @@ def _find_nearest_lines(cut: CutMesh, points: Array) -> NDArray[np.intp]:
     return np.asarray(distances.argmin(axis=0))
 
 
-def _find_tangents(cut: CutMesh, points: Array) -> Array:
-    """Unit vector along the nearest segment of any line, (n, dim)."""
+def _find_tangents(cut: CutMesh, points: Array) -> tuple[Array, NDArray[np.intp]]:
+    """Unit vector along the nearest segment of any line, (n, dim), and the number of that line."""
     lines = _lines_of(cut)
     nearest = _find_nearest_lines(cut, points)
     tangents = np.empty(points.shape)
@@ -167,7 +167,7 @@ def _find_tangents(cut: CutMesh, points: Array) -> Array:
         mine = np.flatnonzero(nearest == number)
         along = np.diff(line, axis=0)[find_nearest_segments(points[mine], line)[0]]
         tangents[mine] = along / np.linalg.norm(along, axis=1)[:, None]
-    return tangents
+    return tangents, nearest
 
 
 def _lines_of(cut: CutMesh) -> tuple[Array, ...]:
@@ -207,7 +207,7 @@ def _average_openings(cut: CutMesh, pairs_of: Mapping[int, Sequence[tuple[int, i
     mean = sparse.lil_matrix((n, n))
     for node, pairs in pairs_of.items():
         neighbours = cut.mesh.nodes[[this_side for this_side, _ in pairs]]
-        (tangent,) = _find_tangents(cut, cut.mesh.nodes[[node]])
+        (tangent,), _ = _find_tangents(cut, cut.mesh.nodes[[node]])
         shares = _interpolate_along((neighbours - cut.mesh.nodes[node]) @ tangent)
         for k in np.flatnonzero(shares):
             mean[node, pairs[k][0]] += shares[k]

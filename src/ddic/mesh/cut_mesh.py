@@ -49,6 +49,33 @@ class CutMesh:
     node_of: NDArray[np.int64]
     cell_of: NDArray[np.int64]
 
+    def find_with_phantoms(self, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Find some nodes of the whole mesh, and their phantoms, in the cut one.
+
+        Parameters
+        ----------
+        nodes : (n,) array of int64
+            Numbers in the whole mesh.
+
+        Returns
+        -------
+        (m,) array of int64
+            Sorted numbers in the cut mesh.
+        """
+        return np.flatnonzero(np.isin(self.node_of, nodes)).astype(np.int64)
+
+    def find_cut_nodes(self) -> NDArray[np.int64]:
+        """Find the nodes of cut cells.
+
+        Returns
+        -------
+        (n,) array of int64
+            Sorted numbers in the cut mesh.
+        """
+        parts = self.mesh.parts
+        nodes = np.zeros(0, np.int64) if parts is None else np.unique(self.mesh.cells[parts.cells])
+        return nodes[nodes >= 0]
+
 
 def cut_mesh(mesh: Mesh, lines: Sequence[Array]) -> CutMesh:
     """Cut a mesh by polylines.

@@ -130,9 +130,7 @@ def evaluate_shapes_at(mesh: Mesh, cells: NDArray[np.int64], points: NDArray[np.
     (n, 4) array
         N_a; zero for nodes that a cell does not have.
     """
-    local = np.empty(points.shape)
-    _find_local_coordinates(points, cells, compute_geometry(mesh), local)
-    monomials = evaluate_monomials(local)
+    monomials = evaluate_monomials(place_in_cells(mesh, cells, points).local)
     shapes = np.zeros((len(points), N_MONOMIALS))
     for block in mesh.cell_blocks:
         members = mesh.types[cells] == block.type.vtk
@@ -157,11 +155,8 @@ def differentiate_shapes_at(mesh: Mesh, cells: NDArray[np.int64], points: NDArra
     (n, 4, dim) array
         dN_a / dx_j, 1/px; zero for nodes that a cell does not have.
     """
-    local = np.empty(points.shape)
-    geometry = compute_geometry(mesh)
-    _find_local_coordinates(points, cells, geometry, local)
-    by_local = differentiate_monomials(local)
-    jacobian = np.einsum("pim,pmj->pij", geometry[cells], by_local)
+    by_local = differentiate_monomials(place_in_cells(mesh, cells, points).local)
+    jacobian = np.einsum("pim,pmj->pij", compute_geometry(mesh)[cells], by_local)
     by_x = by_local @ np.linalg.inv(jacobian)
     gradients = np.zeros((len(points), N_MONOMIALS, mesh.dim))
     for block in mesh.cell_blocks:
@@ -189,11 +184,32 @@ def locate(mesh: Mesh, points: NDArray[np.float64]) -> Located:
     """
     points = np.ascontiguousarray(points, dtype=np.float64)
     cells = np.full(len(points), -1, dtype=np.int64)
-    local = np.full(points.shape, np.nan)
     if mesh.n_cells:
         outlines = mesh.outlines
         polygons = _Polygons(outlines.corners, outlines.connectivity, outlines.offsets)
         _find_cells(points, polygons, _sort_into_buckets(mesh), EDGE, cells)
+    return place_in_cells(mesh, cells, points)
+
+
+def place_in_cells(mesh: Mesh, cells: NDArray[np.int64], points: NDArray[np.float64]) -> Located:
+    """Place points in given cells, or beyond them: shape functions go on outside.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Of convex plane cells.
+    cells : (n,) array of int64
+        A cell for each point, -1 for none.
+    points : (n, dim) array
+        Pixels.
+
+    Returns
+    -------
+    Located
+        The points, in their order.
+    """
+    local = np.full(points.shape, np.nan)
+    if mesh.n_cells:
         _find_local_coordinates(points, cells, compute_geometry(mesh), local)
     return Located(cells, local)
 

@@ -28,6 +28,22 @@ def measure_areas(mesh: Mesh) -> NDArray[np.float64]:
     return np.asarray(0.5 * multiply_across(local, _next_corner(local)).sum(axis=1))
 
 
+def measure_cell_size(mesh: Mesh) -> float:
+    """Measure the size of a mesh's cells: the root of their mean area.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Of plane cells that run positively.
+
+    Returns
+    -------
+    float
+        Pixels.
+    """
+    return float(np.sqrt(measure_areas(mesh).mean()))
+
+
 def measure_shape_quality(mesh: Mesh) -> NDArray[np.float64]:
     """Find the smallest sine of each cell's corner angles.
 

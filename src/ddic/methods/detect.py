@@ -7,11 +7,12 @@ from dataclasses import replace
 
 from ddic.case.schema import Case, DiscontinuitySection
 from ddic.detection.line_of_case import find_line_of_case
-from ddic.errors import ConvergenceError, InputError, as_collective
+from ddic.errors import ConvergenceError, as_collective
 from ddic.methods.dd_dic import Session
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team, require_held
 from ddic.problem.cameras import Frame
+from ddic.problem.cut_region import refuse_kinematics
 from ddic.problem.inputs import Inputs
 from ddic.results.listener import Listener, WithoutNotes
 from ddic.results.whole_field import gather_displacement
@@ -66,9 +67,7 @@ def find_discontinuity(team: Team, inputs: Inputs, frame: Frame, listener: Liste
     case = inputs.case
     if not is_line_wanted(case):
         return inputs
-    if inputs.choose_kinematics is not None:
-        raise as_collective(InputError("kinematics: discontinuities have kinematics of their own; leave one of them "
-                                       "out"))
+    team.together(lambda: refuse_kinematics(inputs))
     listener.note("detection: continuous elements first")
     continuous = replace(inputs, case=_measure_continuously(case))
     with Session(team, continuous, WithoutNotes(listener), clock, frame) as session:

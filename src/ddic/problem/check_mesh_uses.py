@@ -13,7 +13,7 @@ from ddic.errors import InputError
 from ddic.io.partition_file import read_partition
 from ddic.mesh.control import find_not_controlled_nodes
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.quality import measure_areas
+from ddic.mesh.quality import measure_cell_size
 from ddic.mesh.raster import rasterize
 from ddic.mesh.repair import check_pixels
 from ddic.partition.ties import Tying
@@ -137,7 +137,7 @@ def check_wavelength(case: Case, mesh: Mesh) -> None:
     wavelength = None if case.regularization is None else case.regularization.cut_off_wavelength
     if wavelength is None:
         return
-    size = float(np.sqrt(measure_areas(mesh).mean()))
+    size = measure_cell_size(mesh)
     if wavelength < SHORTEST_WAVELENGTH * size:
         raise InputError(f"regularization.cut_off_wavelength = {wavelength:g}: the mesh, of elements of {size:.3g} px, "
                          f"carries no wave shorter than {SHORTEST_WAVELENGTH:g} elements; give at least "

@@ -14,6 +14,7 @@ from ddic.kinematics.discontinuities import Discontinuities
 from ddic.kinematics.enriched import EnrichedRegion, enrich
 from ddic.mesh.cut_mesh import CutMesh, cut_mesh, is_cut_by
 from ddic.mesh.mesh import Mesh
+from ddic.problem.inputs import Inputs
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,33 +49,6 @@ class CutRegion:
         n_beyond = self.kinematics.n_unknowns - (int(self.cut.node_of.max()) + 1) * self.cut.mesh.dim
         lines = "1 line cuts" if n_lines == 1 else f"{n_lines} lines cut"
         return f"{lines} {n_cut} elements, {n_beyond} more unknowns"
-
-    def find_with_phantoms(self, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Find some nodes of the whole mesh, and their phantoms, in the cut one.
-
-        Parameters
-        ----------
-        nodes : (n,) array of int64
-            Numbers in the whole mesh.
-
-        Returns
-        -------
-        (m,) array of int64
-            Sorted numbers in the cut mesh.
-        """
-        return np.flatnonzero(np.isin(self.cut.node_of, nodes)).astype(np.int64)
-
-    def find_cut_nodes(self) -> NDArray[np.int64]:
-        """Find the nodes of cut cells.
-
-        Returns
-        -------
-        (n,) array of int64
-            Sorted numbers in the cut mesh.
-        """
-        parts = self.cut.mesh.parts
-        nodes = np.zeros(0, np.int64) if parts is None else np.unique(self.cut.mesh.cells[parts.cells])
-        return nodes[nodes >= 0]
 
 
 def list_discontinuities(case: Case) -> Discontinuities:
@@ -122,6 +96,23 @@ def cut_region(case: Case, mesh: Mesh) -> CutRegion | None:
     cut = cut_mesh(mesh, discontinuities.lines)
     weights = weigh_corners(cut, case.correlation.spline_degree)
     return CutRegion(cut, enrich(cut, weights, discontinuities.openings), weights)
+
+
+def refuse_kinematics(inputs: Inputs) -> None:
+    """Refuse kinematics of one's own beside discontinuities.
+
+    Parameters
+    ----------
+    inputs : Inputs
+        Of a case with discontinuities.
+
+    Raises
+    ------
+    InputError
+        Where there are any.
+    """
+    if inputs.choose_kinematics is not None:
+        raise InputError("kinematics: discontinuities have kinematics of their own; leave one of them out")
 
 
 def check_lines(case: Case, mesh: Mesh) -> None:

@@ -31,7 +31,7 @@ from ddic.partition.split import split_by_blocks, split_by_metis
 from ddic.partition.subdomain import Subdomain
 from ddic.partition.ties import Tying
 from ddic.problem.cameras import Camera, MeasuredCells, assign_cells, collect_cells
-from ddic.problem.cut_region import CutRegion, cut_region
+from ddic.problem.cut_region import CutRegion, cut_region, refuse_kinematics
 from ddic.problem.inputs import Inputs
 
 
@@ -180,17 +180,16 @@ def build_region_mesh(inputs: Inputs) -> RegionMesh:
 
 def _cut(inputs: Inputs, mesh: Mesh, region: CutRegion) -> RegionMesh:
     """The whole mesh, cut by discontinuities: one camera, and unknowns on both sides of the lines."""
-    if inputs.choose_kinematics is not None:
-        raise InputError("kinematics: discontinuities have kinematics of their own; leave one of them out")
+    refuse_kinematics(inputs)
     cut = region.cut
     labels = np.zeros(cut.mesh.n_cells, dtype=np.int64)
     # The start looks at the region as a whole.
     measured = collect_cells(inputs.cameras, mesh, labels[:mesh.n_cells])
-    boundary = region.find_with_phantoms(find_boundary_nodes(mesh))
+    boundary = cut.find_with_phantoms(find_boundary_nodes(mesh))
     controlled_nodes = _controlled_nodes(inputs.case.regularization, cut.mesh, boundary)
     interior = np.ones(cut.mesh.n_nodes, dtype=bool)
     interior[boundary] = False
-    interior[region.find_with_phantoms(cut.node_of[region.find_cut_nodes()])] = False
+    interior[cut.find_with_phantoms(cut.node_of[cut.find_cut_nodes()])] = False
     return RegionMesh(inputs, region.kinematics, None, labels, estimate_cell_costs(cut.mesh), measured,
                       region.kinematics.controlled(controlled_nodes), interior, region)
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ddic.images.grid_field import GridField
-from ddic.mesh.interpolation import evaluate_shapes_at, locate
+from ddic.mesh.interpolation import interpolate_located, locate, place_in_cells
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.own_side import find_points_on_own_side
 
@@ -46,11 +46,7 @@ class CutField:
         on_own_side = find_points_on_own_side(mesh)
         cells = locate(self.mesh, on_own_side).cells
         is_held = cells >= 0
-        values = np.empty((mesh.n_nodes, self.mesh.dim))
-        shapes = evaluate_shapes_at(self.mesh, cells[is_held], mesh.nodes[is_held])
-        # Shape functions of nodes that a cell does not have are zero.
-        of_cells = self.displacement[np.maximum(self.mesh.cells[cells[is_held]], 0)]
-        values[is_held] = np.einsum("na,nac->nc", shapes[:, :of_cells.shape[1]], of_cells)
+        values = interpolate_located(self.mesh, self.displacement, place_in_cells(self.mesh, cells, mesh.nodes))
         nearest = cKDTree(find_points_on_own_side(self.mesh)).query(on_own_side[~is_held])[1]
         values[~is_held] = self.displacement[nearest]
         return values

@@ -65,16 +65,15 @@ def cut_level(mesh: Mesh, discontinuities: Discontinuities, active: NDArray[np.u
     LevelMesh
         With unknowns on both sides of the lines.
     """
-    edge = find_boundary_nodes(mesh)
     cut = cut_mesh(mesh, discontinuities.lines)
-    on_edge = np.isin(cut.node_of, edge)
-    parts = cut.mesh.parts
-    if parts is None:
-        return LevelMesh(cut, NodalRegion(mesh), on_edge, ~on_edge)
+    on_edge = np.zeros(cut.mesh.n_nodes, dtype=bool)
+    on_edge[cut.find_with_phantoms(find_boundary_nodes(mesh))] = True
+    interior = ~on_edge
+    interior[cut.find_with_phantoms(cut.node_of[cut.find_cut_nodes()])] = False
+    if cut.mesh.parts is None:
+        return LevelMesh(cut, NodalRegion(mesh), on_edge, interior)
     kinematics = enrich(cut, weigh_corners(cut, degree, active), discontinuities.openings)
-    of_cut_cells = cut.mesh.cells[parts.cells]
-    beside_line = np.isin(cut.node_of, cut.node_of[of_cut_cells[of_cut_cells >= 0]])
-    return LevelMesh(cut, kinematics, on_edge, ~on_edge & ~beside_line)
+    return LevelMesh(cut, kinematics, on_edge, interior)
 
 
 def scale_to_pixels(mesh: Mesh, factor: int) -> Mesh:
