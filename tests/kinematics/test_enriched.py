@@ -22,9 +22,13 @@ OPENINGS = {"both": [TANGENT, NORMAL, np.array([0.3, -0.4])], "tangential": [TAN
             "normal": [NORMAL]}
 
 
+def weigh(cut: CutMesh) -> np.ndarray:
+    return weigh_corners(cut.mesh, cut.find_cells_at_phantoms(), 3)
+
+
 def _enrich(kind: str, opening: Opening) -> tuple[CutMesh, EnrichedRegion]:
     cut = cut_mesh(MESHES[kind], [LINE])
-    return cut, enrich(cut, weigh_corners(cut, 3), [opening])
+    return cut, enrich(cut, weigh(cut), [opening])
 
 
 def _find_above(cut: CutMesh) -> np.ndarray:
@@ -66,7 +70,7 @@ def test_unknowns_stand_at_nodes_that_have_pixels(opening: Opening) -> None:
     cut, region = _enrich("T3", opening)
     assert region.matrix.shape == (cut.mesh.n_dofs, region.n_unknowns)
     assert region.n_unknowns > MESHES["T3"].n_dofs
-    weights = np.bincount(cut.mesh.connectivity, minlength=cut.mesh.n_nodes, weights=weigh_corners(cut, 3))
+    weights = np.bincount(cut.mesh.connectivity, minlength=cut.mesh.n_nodes, weights=weigh(cut))
     at_place = np.bincount(cut.node_of, weights)[cut.node_of]
     assert (weights[region.seen_at] >= LEAST_SHARE * at_place[region.seen_at]).all()
     np.testing.assert_array_equal(cut.node_of[region.seen_at], region.node_of_unknown)

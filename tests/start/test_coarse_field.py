@@ -50,9 +50,8 @@ def _inputs(folder: Path, team: Team, more: str) -> tuple[Inputs, Frame]:
 
 def _prepare(team: Team, inputs: Inputs) -> tuple[CoarseSearch, ReferenceProblem]:
     region_mesh = build_whole_mesh(team, inputs)
-    meshes = None if region_mesh is None else [cells.seen for cells in region_mesh.measured]
     problem, _ = prepare_reference(team, inputs, region_mesh, PhaseClock(), lambda: None)
-    return prepare_search(team, inputs, meshes), problem
+    return prepare_search(team, inputs, None if region_mesh is None else region_mesh.measured), problem
 
 
 @pytest.mark.parallel(RANKS)

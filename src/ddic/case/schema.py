@@ -631,10 +631,11 @@ class Case(Section):
         return self
 
     @model_validator(mode="after")
-    def _one_camera_sees_discontinuities(self) -> Case:
-        """Refuse discontinuities beside near fields."""
-        if self.near and self.discontinuity:
-            raise ValueError("[[discontinuity]] and [[near]] do not go together yet; measure the near field alone")
+    def _lines_cut_one_mesh(self) -> Case:
+        """Refuse discontinuities beside near fields with meshes of their own."""
+        if self.discontinuity and any(section.mesh is not None for section in self.near):
+            raise ValueError("[[discontinuity]] and near.mesh do not go together: a line cuts one mesh; leave "
+                             "near.mesh out, the near field then measures elements of [mesh]")
         return self
 
     @model_validator(mode="after")

@@ -17,9 +17,9 @@ def find_line_of_case(inputs: Inputs, frame: Frame, displacement: NDArray[np.flo
     Parameters
     ----------
     inputs : Inputs
-        Of one camera.
+        Its first camera sees the whole region.
     frame : Frame
-        The deformed image.
+        The deformed images.
     displacement : (n_nodes, 2) array
         Of a continuous field, pixels.
 
@@ -29,7 +29,7 @@ def find_line_of_case(inputs: Inputs, frame: Frame, displacement: NDArray[np.flo
         The line, or why there is none.
     """
     case = inputs.case
-    (camera,), (deformed,) = inputs.cameras, frame
+    camera, deformed = inputs.cameras[0], frame[0]
     extent = camera.reference.extent
     usable = camera.reference.find_usable(extent)
     active = np.ones((extent.height, extent.width), dtype=np.uint8) if usable is None else usable

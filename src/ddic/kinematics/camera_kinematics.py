@@ -11,6 +11,7 @@ from scipy import sparse
 
 from ddic.images.camera import CameraMapping
 from ddic.kinematics.kinematics import Kinematics
+from ddic.kinematics.seen_lines import see_parts
 from ddic.mesh.mesh import Mesh
 
 MotionKind = Literal["none", "translation", "rigid"]
@@ -254,7 +255,8 @@ def see_mesh(mesh: Mesh, setup: CameraSetup) -> Mesh:
     Mesh
         The same cells, the camera's pixels.
     """
-    return Mesh(setup.mapping.to_image(mesh.nodes), mesh.connectivity, mesh.offsets, mesh.types)
+    parts = None if mesh.parts is None else see_parts(mesh.parts, mesh, setup.mapping)
+    return Mesh(setup.mapping.to_image(mesh.nodes), mesh.connectivity, mesh.offsets, mesh.types, parts=parts)
 
 
 def _block_diagonal(blocks: NDArray[np.float64]) -> sparse.bsr_matrix:

@@ -76,6 +76,18 @@ class CutMesh:
         nodes = np.zeros(0, np.int64) if parts is None else np.unique(self.mesh.cells[parts.cells])
         return nodes[nodes >= 0]
 
+    def find_cells_at_phantoms(self) -> NDArray[np.int64]:
+        """Find the cells with a phantom node, or a node that has one.
+
+        Returns
+        -------
+        (n,) array of int64
+            Sorted numbers in the cut mesh.
+        """
+        has_twin = np.bincount(self.node_of)[self.node_of] > 1
+        of_corners = has_twin[self.mesh.connectivity]
+        return np.flatnonzero(np.logical_or.reduceat(of_corners, self.mesh.offsets[:-1])).astype(np.int64)
+
 
 def cut_mesh(mesh: Mesh, lines: Sequence[Array]) -> CutMesh:
     """Cut a mesh by polylines.

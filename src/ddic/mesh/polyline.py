@@ -57,6 +57,47 @@ def find_nearest_segments(points: Array, line: Array) -> tuple[NDArray[np.int64]
     return nearest, least
 
 
+def subdivide(line: Array, longest: float) -> Array:
+    """Subdivide the segments of a polyline.
+
+    Parameters
+    ----------
+    line : (n_vertices, 2) array
+        Vertices, pixels.
+    longest : float
+        Length that no segment is to exceed, pixels.
+
+    Returns
+    -------
+    (n, 2) array
+        The same line with more vertices.
+    """
+    vertices = [line[:1]]
+    for start, end in pairwise(line):
+        n_segments = max(1, int(np.ceil(np.linalg.norm(end - start) / longest)))
+        shares = np.arange(1, n_segments + 1) / n_segments
+        vertices.append(start + shares[:, None] * (end - start))
+    return np.concatenate(vertices)
+
+
+def find_runs(is_kept: NDArray[np.bool_]) -> list[slice]:
+    """Find the runs of successive vertices that are kept.
+
+    Parameters
+    ----------
+    is_kept : (n_vertices,) array of bool
+        Whether each vertex of a polyline is.
+
+    Returns
+    -------
+    list of slice
+        Of two vertices or more each.
+    """
+    changes = np.flatnonzero(np.diff(np.concatenate([[False], is_kept, [False]])))
+    runs = [slice(int(start), int(stop)) for start, stop in changes.reshape(-1, 2)]
+    return [run for run in runs if run.stop - run.start > 1]
+
+
 def is_inside_polygon(points: Array, polygon: Array) -> NDArray[np.bool_]:
     """Tell which points lie in a polygon, which need not be convex, by the parity of its edges to the right of them.
 

@@ -59,8 +59,8 @@ class Session:
         with clock.phase(Phase.MESH):
             region_mesh = build_whole_mesh(team, inputs)
         with clock.phase(Phase.START):
-            meshes = None if region_mesh is None else [cells.seen for cells in region_mesh.measured]
-            search = prepare_search(team, inputs, meshes)
+            measured = None if region_mesh is None else region_mesh.measured
+            search = prepare_search(team, inputs, measured)
             begin_search = search.prepare(first_frame)
         reference, found = prepare_reference(team, inputs, region_mesh, clock, begin_search)
         self._found_first = search.share(found)

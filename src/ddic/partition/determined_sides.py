@@ -16,8 +16,40 @@ LEAST_SHARE = 0.02
 cells."""
 
 
+def keep_cameras_determined(cut: CutMesh, kinematics: EnrichedRegion, corner_weights: NDArray[np.float64],
+                            cameras: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Give the first camera the cells that only together with another camera's determine the sides of a discontinuity.
+
+    Parameters
+    ----------
+    cut : CutMesh
+        Of the kinematics.
+    kinematics : EnrichedRegion
+        The unknowns.
+    corner_weights : (len(cut.mesh.connectivity),) array
+        How firmly the pixels of each cell hold each of its nodes.
+    cameras : (n_cells,) array of int64
+        Camera of each cell of the mesh that was cut; the first one, 0, sees them all.
+
+    Returns
+    -------
+    (n_cells,) array of int64
+        New camera of each of these cells.
+    """
+    if not cameras.any():
+        return cameras
+    needs, sees_enough = _find_needs(cut, kinematics, corner_weights)
+    kept = cameras.copy()
+    for cell in _list_cells_with_needs(needs):
+        of_same_camera = _choose_hosts(needs[[cell]], sees_enough, cell, kept == kept[cell])
+        hosts = _choose_hosts(needs[[cell]], sees_enough, cell, np.ones(len(kept), dtype=bool))
+        if not _are_met(needs[[cell]], sees_enough, [cell, *of_same_camera]):
+            kept[[cell, *hosts]] = 0
+    return kept
+
+
 def keep_sides_determined(cut: CutMesh, kinematics: EnrichedRegion, corner_weights: NDArray[np.float64],
-                          parts: NDArray[np.int64]) -> NDArray[np.int64]:
+                          cameras: NDArray[np.int64], parts: NDArray[np.int64]) -> NDArray[np.int64]:
     """Keep cells along a discontinuity together that determine only together what is on its sides.
 
     A subdomain with a node takes part in the unknowns of those that lead it, phantom or not: without pixels there, its
@@ -30,9 +62,11 @@ def keep_sides_determined(cut: CutMesh, kinematics: EnrichedRegion, corner_weigh
     kinematics : EnrichedRegion
         The unknowns.
     corner_weights : (len(cut.mesh.connectivity),) array
-        How firmly the pixels of each cell hold each of its nodes (``weigh_corners``).
+        How firmly the pixels of each cell hold each of its nodes.
+    cameras : (n_cells,) array of int64
+        Camera of each cell of the mesh that was cut.
     parts : (n_cells,) array of int64
-        Subdomain of each cell of the mesh that was cut.
+        Subdomain of each of these cells, none with cells of two cameras.
 
     Returns
     -------
@@ -41,17 +75,27 @@ def keep_sides_determined(cut: CutMesh, kinematics: EnrichedRegion, corner_weigh
     """
     if not parts.any():
         return parts
-    pixels, takes_part = _find_cells_at_phantoms(cut, kinematics, corner_weights)
-    total = np.asarray(pixels.sum(axis=0)).ravel()
-    sees_enough = _find_enough(pixels, total)
-    pairs = [(cell, host) for cell in np.flatnonzero(np.diff(takes_part.indptr)).tolist()
-             for host in _choose_hosts(takes_part[[cell]], sees_enough, cell)]
+    needs, sees_enough = _find_needs(cut, kinematics, corner_weights)
+    pairs = [(cell, host) for cell in _list_cells_with_needs(needs)
+             for host in _choose_hosts(needs[[cell]], sees_enough, cell, cameras == cameras[cell])]
     one, other = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
     joined = sparse.csr_matrix((np.ones(len(one)), (one, other)), (len(parts), len(parts)))
     _, clusters = connected_components(joined, directed=False)
     n_subdomains = int(parts.max()) + 1
     votes = np.bincount(clusters * n_subdomains + parts, minlength=(clusters.max() + 1) * n_subdomains)
     return renumber(votes.reshape(-1, n_subdomains).argmax(axis=1)[clusters], 0)
+
+
+def _find_needs(cut: CutMesh, kinematics: EnrichedRegion,
+                corner_weights: NDArray[np.float64]) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
+    """1 where a node's unknowns matter to a cell, and where a cell has pixels enough of a node; (n_cells, n_nodes)."""
+    pixels, takes_part = _find_cells_at_phantoms(cut, kinematics, corner_weights)
+    total = np.asarray(pixels.sum(axis=0)).ravel()
+    return takes_part, _find_enough(pixels, total)
+
+
+def _list_cells_with_needs(needs: sparse.csr_matrix) -> list[int]:
+    return [int(cell) for cell in np.flatnonzero(np.diff(needs.indptr))]
 
 
 def _find_enough(pixels: sparse.csr_matrix, total: NDArray[np.float64]) -> sparse.csr_matrix:
@@ -61,17 +105,24 @@ def _find_enough(pixels: sparse.csr_matrix, total: NDArray[np.float64]) -> spars
     return sparse.csr_matrix((np.ones(enough.sum()), (seen.row[enough], seen.col[enough])), pixels.shape)
 
 
-def _choose_hosts(needs: sparse.csr_matrix, sees_enough: sparse.csr_matrix, cell: int) -> list[int]:
+def _choose_hosts(needs: sparse.csr_matrix, sees_enough: sparse.csr_matrix, cell: int,
+                  may_be_host: NDArray[np.bool_]) -> list[int]:
     """As few cells as together see enough of the nodes that a cell needs and does not see enough of itself."""
     missing = needs - needs.multiply(sees_enough[[cell]])
     hosts = []
     while missing.count_nonzero():
-        covered = np.asarray((sees_enough @ missing.T).todense()).ravel()
+        covered = np.asarray((sees_enough @ missing.T).todense()).ravel() * may_be_host
         if not covered.any():
             break
         hosts.append(int(covered.argmax()))
         missing = missing - missing.multiply(sees_enough[[hosts[-1]]])
     return hosts
+
+
+def _are_met(needs: sparse.csr_matrix, sees_enough: sparse.csr_matrix, cells: list[int]) -> bool:
+    """Whether some cells see enough of all nodes that are needed."""
+    is_seen = np.asarray(sees_enough[cells].sum(axis=0)).ravel() > 0
+    return bool(is_seen[needs.indices].all())
 
 
 def _find_cells_at_phantoms(cut: CutMesh, kinematics: EnrichedRegion,

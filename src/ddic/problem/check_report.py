@@ -12,8 +12,10 @@ from ddic.case.schema import Case
 from ddic.functionals.half_amplitude import HalfAmplitudes
 from ddic.images.source import ImageSource
 from ddic.mesh.cell_type import CELL_TYPES
+from ddic.mesh.cut_mesh import cut_mesh
+from ddic.mesh.mesh import Mesh
 from ddic.problem.check_mesh_uses import CheckedMesh
-from ddic.problem.cut_region import CutRegion, cut_region
+from ddic.problem.cut_region import describe_cut, list_discontinuities
 from ddic.problem.problem_size import describe_cut_off
 
 
@@ -87,7 +89,6 @@ def describe_inputs(case: Case, reference: ImageSource, checked: CheckedMesh,
         Numbers for the user.
     """
     mesh = checked.mesh
-    region = cut_region(case, mesh)
     n_unknown_nodes = mesh.n_nodes if checked.tying is None else checked.tying.n_unknown_nodes
     n_not_controlled = int((not_controlled < n_unknown_nodes).sum())
     n_controlled_nodes = 0 if case.regularization is None else n_unknown_nodes - n_not_controlled
@@ -105,12 +106,13 @@ def describe_inputs(case: Case, reference: ImageSource, checked: CheckedMesh,
         pixels_mean=float(checked.pixel_counts.mean()),
         n_controlled_dofs=mesh.dim * n_controlled_nodes,
         output=case.output.file,
-        discontinuities=_describe_discontinuities(case, region),
+        discontinuities=_describe_discontinuities(case, mesh),
         half_amplitudes=describe_cut_off(case.regularization),
     )
 
 
-def _describe_discontinuities(case: Case, region: CutRegion | None) -> str | None:
-    if region is not None:
-        return region.describe()
+def _describe_discontinuities(case: Case, mesh: Mesh) -> str | None:
+    lines = list_discontinuities(case).lines
+    if lines:
+        return describe_cut(cut_mesh(mesh, lines))
     return "1 line, to be found" if case.discontinuity else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,9 @@ from ddic.kinematics.discontinuities import Discontinuities
 from ddic.kinematics.enriched import EnrichedRegion, enrich
 from ddic.mesh.cut_mesh import CutMesh, cut_mesh, is_cut_by
 from ddic.mesh.mesh import Mesh
+from ddic.mesh.quality import measure_areas
+from ddic.partition.determined_sides import keep_cameras_determined
+from ddic.problem.cameras import MeasuredCells, collect_cells
 from ddic.problem.inputs import Inputs
 
 
@@ -23,17 +27,26 @@ class CutRegion:
 
     Attributes
     ----------
+    whole : Mesh
+        The mesh before it was cut.
     cut : CutMesh
         The mesh.
     kinematics : EnrichedRegion
         Its unknowns.
     corner_weights : (len(connectivity),) array
         How firmly the pixels of each of its cells hold each of its nodes.
+    cameras : (n_cells,) array of int64
+        Camera that measures each cell of the mesh that was cut.
+    measured : list of MeasuredCells
+        Cells of the cut mesh, by camera.
     """
 
+    whole: Mesh
     cut: CutMesh
     kinematics: EnrichedRegion
     corner_weights: NDArray[np.float64]
+    cameras: NDArray[np.int64]
+    measured: list[MeasuredCells]
 
     def describe(self) -> str:
         """Say in a line how much is cut.
@@ -41,14 +54,30 @@ class CutRegion:
         Returns
         -------
         str
-            For the log and ``ddic check``.
+            For the log.
         """
-        parts = self.cut.mesh.parts
-        n_lines = 0 if parts is None else len(parts.lines.polylines)
-        n_cut = 0 if parts is None else len(np.unique(self.cut.cell_of[parts.cells]))
         n_beyond = self.kinematics.n_unknowns - (int(self.cut.node_of.max()) + 1) * self.cut.mesh.dim
-        lines = "1 line cuts" if n_lines == 1 else f"{n_lines} lines cut"
-        return f"{lines} {n_cut} elements, {n_beyond} more unknowns"
+        return f"{describe_cut(self.cut)}, {n_beyond} more unknowns"
+
+
+def describe_cut(cut: CutMesh) -> str:
+    """Say in a line how much of a mesh is cut.
+
+    Parameters
+    ----------
+    cut : CutMesh
+        The mesh.
+
+    Returns
+    -------
+    str
+        For ``ddic check``.
+    """
+    parts = cut.mesh.parts
+    n_lines = 0 if parts is None else len(parts.lines.polylines)
+    n_cut = 0 if parts is None else len(np.unique(cut.cell_of[parts.cells]))
+    lines = "1 line cuts" if n_lines == 1 else f"{n_lines} lines cut"
+    return f"{lines} {n_cut} elements"
 
 
 def list_discontinuities(case: Case) -> Discontinuities:
@@ -69,33 +98,60 @@ def list_discontinuities(case: Case) -> Discontinuities:
                            tuple(section.opening for section in known))
 
 
-def cut_region(case: Case, mesh: Mesh) -> CutRegion | None:
+def cut_region(inputs: Inputs, mesh: Mesh, labels: NDArray[np.int64]) -> CutRegion | None:
     """Cut a mesh by the case's discontinuities.
 
     Parameters
     ----------
-    case : Case
-        With its discontinuities.
+    inputs : Inputs
+        Cameras, and a case with discontinuities.
     mesh : Mesh
         The whole mesh, pixels.
+    labels : (n_cells,) array of int64
+        Camera that measures each cell. Cells of a near camera whose pixels do not tell what is beyond a line go to
+        the first one, together with those that do.
 
     Returns
     -------
     CutRegion or None
-        None where there are none.
+        None where there are no discontinuities.
 
     Raises
     ------
     InputError
         Where a line crosses no element from side to side.
     """
-    discontinuities = list_discontinuities(case)
+    discontinuities = list_discontinuities(inputs.case)
     if not discontinuities.n_lines:
         return None
-    check_lines(case, mesh)
+    check_lines(inputs.case, mesh)
     cut = cut_mesh(mesh, discontinuities.lines)
-    weights = weigh_corners(cut, case.correlation.spline_degree)
-    return CutRegion(cut, enrich(cut, weights, discontinuities.openings), weights)
+    while True:
+        measured = collect_cells(inputs.cameras, cut.mesh, labels[cut.cell_of])
+        weights = _weigh_corners(cut, measured, inputs.case.correlation.spline_degree)
+        kinematics = enrich(cut, weights, discontinuities.openings)
+        kept = keep_cameras_determined(cut, kinematics, weights, labels)
+        if np.array_equal(kept, labels):
+            return CutRegion(mesh, cut, kinematics, weights, labels, measured)
+        labels = kept
+
+
+def _weigh_corners(cut: CutMesh, measured: Sequence[MeasuredCells], degree: int) -> NDArray[np.float64]:
+    """How firmly the pixels of cells hold their nodes, (len(connectivity),).
+
+    In square pixels of the first camera, so that cameras of different magnification compare.
+    """
+    mesh = cut.mesh
+    cell_of_corner = np.repeat(np.arange(mesh.n_cells), np.diff(mesh.offsets))
+    beside = cut.find_cells_at_phantoms()
+    weights = np.zeros(len(mesh.connectivity))
+    for of_camera in measured:
+        own = np.flatnonzero(np.isin(of_camera.cells, beside)).astype(np.int64)
+        seen = weigh_corners(of_camera.seen, own, degree)
+        scale = measure_areas(of_camera.mesh) / measure_areas(of_camera.seen)
+        corners = np.isin(cell_of_corner, of_camera.cells)
+        weights[corners] = seen * np.repeat(scale, np.diff(of_camera.seen.offsets))
+    return weights
 
 
 def refuse_kinematics(inputs: Inputs) -> None:

@@ -161,10 +161,10 @@ def build_region_mesh(inputs: Inputs) -> RegionMesh:
         Where the mesh, a selection of nodes, or a near field is refused.
     """
     mesh, tying = inputs.build_mesh()
-    region = cut_region(inputs.case, mesh)
-    if region is not None:
-        return _cut(inputs, mesh, region)
     labels = assign_cells(inputs.cameras, mesh, tying)
+    region = cut_region(inputs, mesh, labels)
+    if region is not None:
+        return _cut(inputs, region)
     measured = collect_cells(inputs.cameras, mesh, labels)
     costs = _costs(inputs.cameras, mesh, measured)
     boundary = find_boundary_nodes(mesh) if tying is None else tying.boundary
@@ -178,19 +178,21 @@ def build_region_mesh(inputs: Inputs) -> RegionMesh:
                       interior)
 
 
-def _cut(inputs: Inputs, mesh: Mesh, region: CutRegion) -> RegionMesh:
-    """The whole mesh, cut by discontinuities: one camera, and unknowns on both sides of the lines."""
+def _cut(inputs: Inputs, region: CutRegion) -> RegionMesh:
+    """The whole mesh, cut by discontinuities, with unknowns on both sides of the lines."""
     refuse_kinematics(inputs)
-    cut = region.cut
-    labels = np.zeros(cut.mesh.n_cells, dtype=np.int64)
+    cut, cameras = region.cut, inputs.cameras
+    labels = region.cameras[cut.cell_of]
     # The start looks at the region as a whole.
-    measured = collect_cells(inputs.cameras, mesh, labels[:mesh.n_cells])
-    boundary = cut.find_with_phantoms(find_boundary_nodes(mesh))
+    measured = collect_cells(cameras, region.whole, region.cameras)
+    boundary = cut.find_with_phantoms(find_boundary_nodes(region.whole))
     controlled_nodes = _controlled_nodes(inputs.case.regularization, cut.mesh, boundary)
     interior = np.ones(cut.mesh.n_nodes, dtype=bool)
     interior[boundary] = False
     interior[cut.find_with_phantoms(cut.node_of[cut.find_cut_nodes()])] = False
-    return RegionMesh(inputs, region.kinematics, None, labels, estimate_cell_costs(cut.mesh), measured,
+    if len(cameras) > 1:
+        interior &= _only_first_camera(cut.mesh, labels, len(cameras), None)
+    return RegionMesh(inputs, region.kinematics, None, labels, _costs(cameras, cut.mesh, region.measured), measured,
                       region.kinematics.controlled(controlled_nodes), interior, region)
 
 
@@ -214,37 +216,39 @@ def split_region(region_mesh: RegionMesh, n_ranks: int) -> NDArray[np.int64]:
     InputError
         Where there are not enough cells, cameras or slaves for the subdomains asked for.
     """
-    solver, mesh = region_mesh.inputs.case.solver, region_mesh.mesh
-    labels, costs = region_mesh.cameras, region_mesh.costs
+    case, mesh = region_mesh.inputs.case, region_mesh.mesh
     n_cameras = len(region_mesh.inputs.cameras)
-    if solver.method == "monolithic":
+    if case.solver.method == "monolithic":
         return np.zeros(mesh.n_cells, dtype=np.int64)
+    n_subdomains = max(n_ranks, n_cameras)
     if region_mesh.discontinuous is not None:
-        return _split_cut(region_mesh, region_mesh.discontinuous, n_ranks)
-    parts = _given_parts(solver, mesh)
-    if parts is not None:
-        parts = parts if n_cameras == 1 else keep_cameras_apart(parts, labels)
-    else:
-        n_subdomains = solver.subdomains or max(n_ranks, n_cameras)
-        parts = split_by_camera(labels, costs, n_subdomains,
-                                lambda cells, n: split_by_metis(mesh.create_submesh(cells)[0], n, costs[cells]))
+        return _split_cut(region_mesh, region_mesh.discontinuous, n_subdomains)
+    parts = _split_whole(case.solver, mesh, region_mesh.cameras, region_mesh.costs, n_subdomains)
     if region_mesh.tying is not None:
         parts = keep_masters_determined(mesh, region_mesh.tying, parts)
     return parts
 
 
-def _split_cut(region_mesh: RegionMesh, region: CutRegion, n_ranks: int) -> NDArray[np.int64]:
+def _split_whole(solver: SolverSection, mesh: Mesh, labels: NDArray[np.int64], costs: NDArray[np.float64],
+                 n_subdomains: int) -> NDArray[np.int64]:
+    """Subdomain of each cell of a mesh without cut cells; as many as asked for where the case says no number."""
+    parts = _given_parts(solver, mesh)
+    if parts is not None:
+        return keep_cameras_apart(parts, labels) if labels.any() else parts
+    return split_by_camera(labels, costs, solver.subdomains or n_subdomains,
+                           lambda cells, n: split_by_metis(mesh.create_submesh(cells)[0], n, costs[cells]))
+
+
+def _split_cut(region_mesh: RegionMesh, region: CutRegion, n_subdomains: int) -> NDArray[np.int64]:
     """Subdomain of each cell of a cut mesh: the mesh is split before it is cut, so that parts of a cell stay together.
 
     What opens along or across the line only is determined by what lies on both sides of it.
     """
-    solver, cell_of = region_mesh.inputs.case.solver, region.cut.cell_of
-    (measured,) = region_mesh.measured
-    parts = _given_parts(solver, measured.mesh)
-    if parts is None:
-        costs = np.bincount(cell_of, weights=region_mesh.costs).astype(np.float64)
-        parts = split_by_metis(measured.mesh, solver.subdomains or n_ranks, costs)
-    return keep_sides_determined(region.cut, region.kinematics, region.corner_weights, parts)[cell_of]
+    cell_of = region.cut.cell_of
+    costs = np.bincount(cell_of, weights=region_mesh.costs).astype(np.float64)
+    parts = _split_whole(region_mesh.inputs.case.solver, region.whole, region.cameras, costs, n_subdomains)
+    return keep_sides_determined(region.cut, region.kinematics, region.corner_weights, region.cameras,
+                                 parts)[cell_of]
 
 
 def scatter_region(team: Team, region_mesh: RegionMesh | None,

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.case.schema import StartSection
+from ddic.case.schema import Case, StartSection
 from ddic.errors import InputError
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.images.binned import bin_rows, join_blocks
@@ -19,10 +19,11 @@ from ddic.images.sub_image import MaskedSource
 from ddic.io.result_reader import evaluate_on_sides, read_result
 from ddic.io.result_schema import near_group
 from ddic.kinematics.camera_kinematics import CameraSetup
+from ddic.kinematics.seen_lines import see_discontinuities
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.own_side import find_points_on_own_side
 from ddic.parallel.team import Team, require_held
-from ddic.problem.cameras import Camera, Frame
+from ddic.problem.cameras import Camera, Frame, MeasuredCells
 from ddic.problem.cut_region import list_discontinuities
 from ddic.problem.inputs import Inputs
 from ddic.problem.views import ReferenceViews
@@ -49,6 +50,22 @@ class StartField:
     notes: tuple[str, ...]
 
 
+@dataclass(frozen=True, eq=False)
+class SeenRegion:
+    """What a camera sees of the region.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        The cells that it measures, its pixels.
+    lines : LinesOnLevels
+        Discontinuities of the displacement, its pixels.
+    """
+
+    mesh: Mesh
+    lines: LinesOnLevels
+
+
 @dataclass(frozen=True)
 class CoarseSearch:
     """The search for a coarse field of each camera: rigid FFT correlation and a pyramid, on the last rank.
@@ -63,18 +80,15 @@ class CoarseSearch:
         Which stages the case asks for.
     correction : GreyCorrection
         Of grey levels.
-    meshes : list of Mesh or None
-        Cells of each camera in its pixels, on the last rank.
-    lines : LinesOnLevels
-        Discontinuities of the displacement.
+    regions : list of SeenRegion or None
+        By camera, on the last rank.
     """
 
     team: Team
     cameras: tuple[Camera, ...]
     section: StartSection
     correction: GreyCorrection
-    meshes: list[Mesh] | None
-    lines: LinesOnLevels
+    regions: list[SeenRegion] | None
 
     def prepare(self, frame: Frame | None) -> Callable[[], list[MultilevelStart] | None]:
         """Bin the images on all ranks; collective.
@@ -116,15 +130,15 @@ class CoarseSearch:
         return shared
 
     def _search(self, pairs: Sequence[BinnedPair | None]) -> list[MultilevelStart] | None:
-        if self.meshes is None:
+        if self.regions is None:
             return None
-        return [find_multilevel_start(require_held(pair), mesh, rigid=self.section.rigid, pyramid=self.section.pyramid,
-                                      correction=self.correction, lines=self.lines)
-                for pair, mesh in zip(pairs, self.meshes, strict=True)]
+        return [find_multilevel_start(require_held(pair), region.mesh, rigid=self.section.rigid,
+                                      pyramid=self.section.pyramid, correction=self.correction, lines=region.lines)
+                for pair, region in zip(pairs, self.regions, strict=True)]
 
 
-def prepare_search(team: Team, inputs: Inputs, meshes: list[Mesh] | None) -> CoarseSearch:
-    """Give the last rank the meshes that rank 0 holds, so that rank 0 may split them meanwhile; collective.
+def prepare_search(team: Team, inputs: Inputs, measured: Sequence[MeasuredCells] | None) -> CoarseSearch:
+    """Give the last rank the cells that rank 0 holds, so that rank 0 may split them meanwhile; collective.
 
     Parameters
     ----------
@@ -132,8 +146,8 @@ def prepare_search(team: Team, inputs: Inputs, meshes: list[Mesh] | None) -> Coa
         All ranks.
     inputs : Inputs
         Reference images and settings.
-    meshes : list of Mesh or None
-        Cells of each camera in its pixels, on rank 0.
+    measured : sequence of MeasuredCells or None
+        By camera, on rank 0.
 
     Returns
     -------
@@ -141,9 +155,18 @@ def prepare_search(team: Team, inputs: Inputs, meshes: list[Mesh] | None) -> Coa
         For any number of frames.
     """
     case = inputs.case
+    regions = None
+    if measured is not None:
+        regions = [_see_region(case, camera, cells) for camera, cells in zip(inputs.cameras, measured, strict=True)]
     return CoarseSearch(team, inputs.cameras, case.start, case.correlation.grey_correction,
-                        team.send_from_root(meshes, team.size - 1),
-                        LinesOnLevels(list_discontinuities(case), case.start.largest_enriched_block))
+                        team.send_from_root(regions, team.size - 1))
+
+
+def _see_region(case: Case, camera: Camera, cells: MeasuredCells) -> SeenRegion:
+    discontinuities = list_discontinuities(case)
+    if camera.number > 0:
+        discontinuities = see_discontinuities(discontinuities, cells.mesh, camera.setup.mapping)
+    return SeenRegion(cells.seen, LinesOnLevels(discontinuities, case.start.largest_enriched_block))
 
 
 def fit_coarse_fields(cameras: Sequence[Camera], references: Sequence[ReferenceViews],

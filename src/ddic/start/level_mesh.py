@@ -72,7 +72,8 @@ def cut_level(mesh: Mesh, discontinuities: Discontinuities, active: NDArray[np.u
     interior[cut.find_with_phantoms(cut.node_of[cut.find_cut_nodes()])] = False
     if cut.mesh.parts is None:
         return LevelMesh(cut, NodalRegion(mesh), on_edge, interior)
-    kinematics = enrich(cut, weigh_corners(cut, degree, active), discontinuities.openings)
+    weights = weigh_corners(cut.mesh, cut.find_cells_at_phantoms(), degree, active)
+    kinematics = enrich(cut, weights, discontinuities.openings)
     return LevelMesh(cut, kinematics, on_edge, interior)
 
 
