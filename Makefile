@@ -90,7 +90,7 @@ accept-house: $(BENCH_STAMP) $(DOCS_STAMP) ## measure the table of the house: th
 accept-right: $(BENCH_STAMP) $(DOCS_STAMP) ## measure the table of right numbers: moved specimens, masks, cut-off wavelengths, edges, rates on the beam (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.right $(CHECK)
 
-accept-xdic: setup ## measure the table of discontinuities, as far as it is built (CHECK=NAME: one check)
+accept-xdic: setup ## measure the table of discontinuities (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.xdic $(CHECK)
 
 smoke: setup ## run every check of every acceptance table on tiny cases: minutes, no bound is judged

@@ -1,4 +1,4 @@
-"""The acceptance table of discontinuities, as far as it is built: ``make accept-xdic``, a check alone with CHECK=NAME.
+"""The acceptance table of discontinuities: ``make accept-xdic``, a check alone with CHECK=NAME.
 
 Pairs are exact: every side of a line shows the same speckle, moved by a displacement of its own. They have 16 bits and
 speckles of 1.6 times the reference size unless a row says otherwise.

@@ -14,7 +14,7 @@ from ddic.kinematics.enriched import enrich
 from ddic.mesh.cut_mesh import CutMesh, cut_mesh
 from ddic.mesh.structured import build_structured_mesh
 from ddic.partition.build_subdomains import build_subdomains
-from ddic.partition.determined_sides import LEAST_SHARE, keep_cameras_determined, keep_sides_determined
+from ddic.partition.determined_sides import LEAST_SHARE, CutSides, keep_cameras_determined, keep_sides_determined
 from ddic.partition.split import split_by_metis
 
 MESH = build_structured_mesh((20, 20, 180, 180), 16)
@@ -33,7 +33,7 @@ def test_unknowns_have_pixels_in_all_of_their_subdomains(opening: Opening, angle
     weights = weigh(cut)
     region = enrich(cut, weights, [opening])
     parts = split_by_metis(MESH, n_subdomains, np.ones(MESH.n_cells))
-    kept = keep_sides_determined(cut, region, weights, ONE_CAMERA, parts)
+    kept = keep_sides_determined(CutSides(cut, region, weights), ONE_CAMERA, parts)
     assert sorted(set(kept.tolist())) == list(range(kept.max() + 1))
     of_node = np.bincount(cut.mesh.connectivity, minlength=cut.mesh.n_nodes, weights=weights)
     of_cell = np.split(weights, cut.mesh.offsets[1:-1])
@@ -52,7 +52,7 @@ def test_partition_that_sees_enough_stays_as_it_is() -> None:
     cut = cut_mesh(MESH, [np.array([[100.3, 0.0], [101.2, 300.0]])])
     weights = weigh(cut)
     parts = (MESH.centroids[:, 1] > 100).astype(np.int64)
-    kept = keep_sides_determined(cut, enrich(cut, weights, ["both"]), weights, ONE_CAMERA, parts)
+    kept = keep_sides_determined(CutSides(cut, enrich(cut, weights, ["both"]), weights), ONE_CAMERA, parts)
     np.testing.assert_array_equal(kept, parts)
 
 
@@ -65,7 +65,7 @@ def test_pixels_of_one_camera_determine_the_sides_in_its_cells(angle: float, x0:
     region = enrich(cut, weights, ["both"])
     column, row = ((MESH.centroids - 20) // 16).T
     cameras = ((column >= x0) & (column < x0 + 4) & (row >= y0) & (row < y0 + 4)).astype(np.int64)
-    while not np.array_equal(kept := keep_cameras_determined(cut, region, weights, cameras), cameras):
+    while not np.array_equal(kept := keep_cameras_determined(CutSides(cut, region, weights), cameras), cameras):
         assert (kept <= cameras).all()
         cameras = kept
     of_node = np.bincount(cut.mesh.connectivity, minlength=cut.mesh.n_nodes, weights=weights)

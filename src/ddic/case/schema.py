@@ -363,12 +363,31 @@ class DiscontinuitySection(Section):
             "bands), or across it only."
         ),
     )
+    tip_functions: bool = Field(
+        default=False,
+        description=(
+            "Whether displacements about ends of the line inside the mesh hold the root of the distance from the end, "
+            "as at the tip of a crack: give the line up to its tip then. Without, nothing but the two elements nearest "
+            "to the tip is less exact."
+        ),
+    )
 
     @model_validator(mode="after")
     def _has_length(self) -> DiscontinuitySection:
         """Refuse vertices that repeat the one before."""
         if self.vertices is not None and any(one == other for one, other in pairwise(self.vertices)):
             raise ValueError("discontinuity.vertices: a vertex repeats the one before it")
+        return self
+
+    @model_validator(mode="after")
+    def _tip_is_known(self) -> DiscontinuitySection:
+        """Refuse tip functions where no crack's tip is."""
+        if self.tip_functions and self.vertices is None:
+            raise ValueError("discontinuity.tip_functions: a line that is looked for crosses the whole region; give "
+                             "discontinuity.vertices up to the tip")
+        if self.tip_functions and self.opening != "both":
+            raise ValueError(f'discontinuity.tip_functions: a tip opens in both directions; leave opening = '
+                             f'"{self.opening}" out')
         return self
 
 
@@ -628,6 +647,14 @@ class Case(Section):
         if len(self.discontinuity) > 1 and any(section.vertices is None for section in self.discontinuity):
             raise ValueError("[[discontinuity]]: a section without vertices, whose line is looked for, has to be the "
                              "only one; give discontinuity.vertices of all")
+        return self
+
+    @model_validator(mode="after")
+    def _elements_about_tips_are_whole(self) -> Case:
+        """Refuse a grey-level correction for each of the small cells about a tip."""
+        if self.correlation.grey_correction == "element" and any(line.tip_functions for line in self.discontinuity):
+            raise ValueError('correlation.grey_correction = "element": with discontinuity.tip_functions, elements '
+                             'about a tip are made of cells of a few pixels, which do not tell it; use "global"')
         return self
 
     @model_validator(mode="after")

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ddic.errors import ConvergenceError, InputError
 from ddic.fracture.lines_of_result import get_line
 from ddic.fracture.williams_series import evaluate_williams_series, find_kolosov_constant
+from ddic.functionals.weighted_median import find_weighted_median
 from ddic.io.result_reader import Result
 from ddic.mesh.interpolation import interpolate_located, place_in_cells
 from ddic.mesh.quality import measure_areas
@@ -170,7 +171,9 @@ class _Fit:
         areas = np.abs(measure_areas(mesh))
         placed = place_in_cells(mesh, np.arange(mesh.n_cells), mesh.centroids)
         displacement = interpolate_located(mesh, result.displacement, placed)
-        return cls(mesh.centroids, displacement, np.sqrt(areas), kappa, float(np.sqrt(np.median(areas))))
+        # By area: cells about a tip may be small and many.
+        size = float(np.sqrt(find_weighted_median(areas, areas)))
+        return cls(mesh.centroids, displacement, np.sqrt(areas), kappa, size)
 
     def count_cells(self, position: Array, radii: tuple[float, float]) -> int:
         """Number of cells in the ring about a tip."""

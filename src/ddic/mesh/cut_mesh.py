@@ -89,7 +89,7 @@ class CutMesh:
         return np.flatnonzero(np.logical_or.reduceat(of_corners, self.mesh.offsets[:-1])).astype(np.int64)
 
 
-def cut_mesh(mesh: Mesh, lines: Sequence[Array]) -> CutMesh:
+def cut_mesh(mesh: Mesh, lines: Sequence[Array], other_nodes: Array | None = None) -> CutMesh:
     """Cut a mesh by polylines.
 
     Parameters
@@ -98,13 +98,16 @@ def cut_mesh(mesh: Mesh, lines: Sequence[Array]) -> CutMesh:
         Of convex plane cells.
     lines : sequence of (n_vertices, 2) array
         Polylines, pixels.
+    other_nodes : (n, 2) array, optional
+        Nodes of smaller cells that the same lines are to cut, pixels: lines are kept clear of them too.
 
     Returns
     -------
     CutMesh
         The same mesh where no line crosses a cell from side to side.
     """
-    clear = tuple(_keep_clear(line, mesh.nodes) for line in lines)
+    nodes = mesh.nodes if other_nodes is None else np.concatenate([mesh.nodes, other_nodes])
+    clear = tuple(_keep_clear(line, nodes) for line in lines)
     parts, bends = _cut_cells(mesh, clear)
     if not parts:
         return CutMesh(mesh, np.arange(mesh.n_nodes), np.arange(mesh.n_cells))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
@@ -16,18 +18,35 @@ LEAST_SHARE = 0.02
 cells."""
 
 
-def keep_cameras_determined(cut: CutMesh, kinematics: EnrichedRegion, corner_weights: NDArray[np.float64],
-                            cameras: NDArray[np.int64]) -> NDArray[np.int64]:
+@dataclass(frozen=True, eq=False)
+class CutSides:
+    """A mesh cut by discontinuities, and what determines the displacement on their sides.
+
+    Attributes
+    ----------
+    cut : CutMesh
+        The mesh.
+    kinematics : EnrichedRegion
+        Its unknowns.
+    corner_weights : (len(cut.mesh.connectivity),) array
+        How firmly the pixels of each cell hold each of its nodes.
+    around_tips : tuple of (n,) array of int64
+        Cells of the mesh that was cut which only together determine what happens at a tip, for each tip.
+    """
+
+    cut: CutMesh
+    kinematics: EnrichedRegion
+    corner_weights: NDArray[np.float64]
+    around_tips: tuple[NDArray[np.int64], ...] = ()
+
+
+def keep_cameras_determined(sides: CutSides, cameras: NDArray[np.int64]) -> NDArray[np.int64]:
     """Give the first camera the cells that only together with another camera's determine the sides of a discontinuity.
 
     Parameters
     ----------
-    cut : CutMesh
-        Of the kinematics.
-    kinematics : EnrichedRegion
-        The unknowns.
-    corner_weights : (len(cut.mesh.connectivity),) array
-        How firmly the pixels of each cell hold each of its nodes.
+    sides : CutSides
+        Of all discontinuities.
     cameras : (n_cells,) array of int64
         Camera of each cell of the mesh that was cut; the first one, 0, sees them all.
 
@@ -38,8 +57,11 @@ def keep_cameras_determined(cut: CutMesh, kinematics: EnrichedRegion, corner_wei
     """
     if not cameras.any():
         return cameras
-    needs, sees_enough = _find_needs(cut, kinematics, corner_weights)
+    needs, sees_enough = _find_needs(sides)
     kept = cameras.copy()
+    for cells in sides.around_tips:
+        if len(np.unique(kept[cells])) > 1:
+            kept[cells] = 0
     for cell in _list_cells_with_needs(needs):
         of_same_camera = _choose_hosts(needs[[cell]], sees_enough, cell, kept == kept[cell])
         hosts = _choose_hosts(needs[[cell]], sees_enough, cell, np.ones(len(kept), dtype=bool))
@@ -48,8 +70,8 @@ def keep_cameras_determined(cut: CutMesh, kinematics: EnrichedRegion, corner_wei
     return kept
 
 
-def keep_sides_determined(cut: CutMesh, kinematics: EnrichedRegion, corner_weights: NDArray[np.float64],
-                          cameras: NDArray[np.int64], parts: NDArray[np.int64]) -> NDArray[np.int64]:
+def keep_sides_determined(sides: CutSides, cameras: NDArray[np.int64],
+                          parts: NDArray[np.int64]) -> NDArray[np.int64]:
     """Keep cells along a discontinuity together that determine only together what is on its sides.
 
     A subdomain with a node takes part in the unknowns of those that lead it, phantom or not: without pixels there, its
@@ -57,12 +79,8 @@ def keep_sides_determined(cut: CutMesh, kinematics: EnrichedRegion, corner_weigh
 
     Parameters
     ----------
-    cut : CutMesh
-        Of the kinematics.
-    kinematics : EnrichedRegion
-        The unknowns.
-    corner_weights : (len(cut.mesh.connectivity),) array
-        How firmly the pixels of each cell hold each of its nodes.
+    sides : CutSides
+        Of all discontinuities.
     cameras : (n_cells,) array of int64
         Camera of each cell of the mesh that was cut.
     parts : (n_cells,) array of int64
@@ -75,8 +93,9 @@ def keep_sides_determined(cut: CutMesh, kinematics: EnrichedRegion, corner_weigh
     """
     if not parts.any():
         return parts
-    needs, sees_enough = _find_needs(cut, kinematics, corner_weights)
-    pairs = [(cell, host) for cell in _list_cells_with_needs(needs)
+    needs, sees_enough = _find_needs(sides)
+    pairs = [(int(cells[0]), int(cell)) for cells in sides.around_tips for cell in cells[1:]]
+    pairs += [(cell, host) for cell in _list_cells_with_needs(needs)
              for host in _choose_hosts(needs[[cell]], sees_enough, cell, cameras == cameras[cell])]
     one, other = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
     joined = sparse.csr_matrix((np.ones(len(one)), (one, other)), (len(parts), len(parts)))
@@ -86,10 +105,9 @@ def keep_sides_determined(cut: CutMesh, kinematics: EnrichedRegion, corner_weigh
     return renumber(votes.reshape(-1, n_subdomains).argmax(axis=1)[clusters], 0)
 
 
-def _find_needs(cut: CutMesh, kinematics: EnrichedRegion,
-                corner_weights: NDArray[np.float64]) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
+def _find_needs(sides: CutSides) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
     """1 where a node's unknowns matter to a cell, and where a cell has pixels enough of a node; (n_cells, n_nodes)."""
-    pixels, takes_part = _find_cells_at_phantoms(cut, kinematics, corner_weights)
+    pixels, takes_part = _find_cells_at_phantoms(sides)
     total = np.asarray(pixels.sum(axis=0)).ravel()
     return takes_part, _find_enough(pixels, total)
 
@@ -125,12 +143,12 @@ def _are_met(needs: sparse.csr_matrix, sees_enough: sparse.csr_matrix, cells: li
     return bool(is_seen[needs.indices].all())
 
 
-def _find_cells_at_phantoms(cut: CutMesh, kinematics: EnrichedRegion,
-                          corner_weights: NDArray[np.float64]) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
+def _find_cells_at_phantoms(sides: CutSides) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
     """Pixels of each node in each cell before the cut, and whether the node's unknowns matter to the cell.
 
     Both (n_cells, cut.mesh.n_nodes), nothing at nodes without phantoms.
     """
+    cut, kinematics = sides.cut, sides.kinematics
     mesh = cut.mesh
     n_twins = np.bincount(cut.node_of)[cut.node_of]
     has_phantom = sparse.diags((n_twins > 1).astype(float))
@@ -143,7 +161,7 @@ def _find_cells_at_phantoms(cut: CutMesh, kinematics: EnrichedRegion,
     rows = abs(kinematics.matrix).tocoo()
     owners = kinematics.seen_at[rows.col]
     depends = sparse.csr_matrix((np.ones(len(owners)), (rows.row // mesh.dim, owners)), (mesh.n_nodes, mesh.n_nodes))
-    weights = sparse.csr_matrix((corner_weights, (cell_of_corner, mesh.connectivity)), corners.shape)
+    weights = sparse.csr_matrix((sides.corner_weights, (cell_of_corner, mesh.connectivity)), corners.shape)
     pixels = fold @ weights @ has_phantom
     takes_part = (fold @ corners @ depends @ has_phantom).tocsr()
     takes_part.eliminate_zeros()

@@ -13,10 +13,11 @@ from ddic.errors import InputError
 from ddic.functionals.corner_weights import weigh_corners
 from ddic.kinematics.discontinuities import Discontinuities
 from ddic.kinematics.enriched import EnrichedRegion, enrich
+from ddic.kinematics.tip_functions import enrich_at_tips, find_tips
 from ddic.mesh.cut_mesh import CutMesh, cut_mesh, is_cut_by
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_areas
-from ddic.partition.determined_sides import keep_cameras_determined
+from ddic.partition.determined_sides import CutSides, keep_cameras_determined
 from ddic.problem.cameras import MeasuredCells, collect_cells
 from ddic.problem.inputs import Inputs
 
@@ -29,24 +30,42 @@ class CutRegion:
     ----------
     whole : Mesh
         The mesh before it was cut.
-    cut : CutMesh
-        The mesh.
+    sides : CutSides
+        The mesh, cut, with unknowns on both sides of the lines.
+    cameras : (whole.n_cells,) array of int64
+        Camera that measures each cell.
     kinematics : EnrichedRegion
-        Its unknowns.
-    corner_weights : (len(connectivity),) array
-        How firmly the pixels of each of its cells hold each of its nodes.
-    cameras : (n_cells,) array of int64
-        Camera that measures each cell of the mesh that was cut.
-    measured : list of MeasuredCells
-        Cells of the cut mesh, by camera.
+        The same unknowns and those of tip functions, with small cells about the tips.
+    cell_of : (kinematics.mesh.n_cells,) array of int64
+        Cell of the whole mesh that each cell is, or lies in.
     """
 
     whole: Mesh
-    cut: CutMesh
-    kinematics: EnrichedRegion
-    corner_weights: NDArray[np.float64]
+    sides: CutSides
     cameras: NDArray[np.int64]
-    measured: list[MeasuredCells]
+    kinematics: EnrichedRegion
+    cell_of: NDArray[np.int64]
+
+    @property
+    def cut(self) -> CutMesh:
+        """The mesh cut by lines, without small cells."""
+        return self.sides.cut
+
+    def find_nodes_away_from_lines(self) -> NDArray[np.bool_]:
+        """Tell which nodes are no corners of cut cells or of small ones.
+
+        Returns
+        -------
+        (kinematics.mesh.n_nodes,) array of bool
+            Whether each is none.
+        """
+        cut, n_nodes = self.cut, self.kinematics.mesh.n_nodes
+        away = np.ones(n_nodes, dtype=bool)
+        away[cut.find_with_phantoms(cut.node_of[cut.find_cut_nodes()])] = False
+        for cells in self.sides.around_tips:
+            away[cut.find_with_phantoms(self.whole.cells[cells].ravel())] = False
+        away[cut.mesh.n_nodes:] = False
+        return away
 
     def describe(self) -> str:
         """Say in a line how much is cut.
@@ -125,15 +144,36 @@ def cut_region(inputs: Inputs, mesh: Mesh, labels: NDArray[np.int64]) -> CutRegi
     if not discontinuities.n_lines:
         return None
     check_lines(inputs.case, mesh)
-    cut = cut_mesh(mesh, discontinuities.lines)
+    patch = find_tips(mesh, list_lines_with_tips(inputs.case))
+    cut = cut_mesh(mesh, discontinuities.lines, None if patch is None else patch.small.nodes)
+    around_tips = () if patch is None else tuple(tip.cells for tip in patch.tips)
     while True:
         measured = collect_cells(inputs.cameras, cut.mesh, labels[cut.cell_of])
         weights = _weigh_corners(cut, measured, inputs.case.correlation.spline_degree)
-        kinematics = enrich(cut, weights, discontinuities.openings)
-        kept = keep_cameras_determined(cut, kinematics, weights, labels)
+        sides = CutSides(cut, enrich(cut, weights, discontinuities.openings), weights, around_tips)
+        kept = keep_cameras_determined(sides, labels)
         if np.array_equal(kept, labels):
-            return CutRegion(mesh, cut, kinematics, weights, labels, measured)
+            break
         labels = kept
+    if patch is None:
+        return CutRegion(mesh, sides, labels, sides.kinematics, cut.cell_of)
+    return CutRegion(mesh, sides, labels, *enrich_at_tips(cut, sides.kinematics, patch))
+
+
+def list_lines_with_tips(case: Case) -> list[NDArray[np.float64]]:
+    """Give the lines about whose ends the case asks for tip functions.
+
+    Parameters
+    ----------
+    case : Case
+        With its discontinuities.
+
+    Returns
+    -------
+    list of (n_vertices, 2) array
+        Pixels.
+    """
+    return [np.array(section.vertices) for section in case.discontinuity if section.tip_functions]
 
 
 def _weigh_corners(cut: CutMesh, measured: Sequence[MeasuredCells], degree: int) -> NDArray[np.float64]:
@@ -172,7 +212,7 @@ def refuse_kinematics(inputs: Inputs) -> None:
 
 
 def check_lines(case: Case, mesh: Mesh) -> None:
-    """Check that every discontinuity cuts the mesh.
+    """Check that every discontinuity cuts the mesh, and that one with tip functions ends in it.
 
     Parameters
     ----------
@@ -184,9 +224,14 @@ def check_lines(case: Case, mesh: Mesh) -> None:
     Raises
     ------
     InputError
-        Where a line crosses no element from side to side.
+        Where a line crosses no element from side to side, or has no tip.
     """
     idle = [k for k, line in enumerate(list_discontinuities(case).lines, start=1) if not is_cut_by(mesh, line)]
-    if idle:
-        raise InputError([f"discontinuity, entry {k}: its line crosses no element of the mesh from side to side; "
-                          "correct discontinuity.vertices (px), or use smaller elements" for k in idle])
+    problems = [f"discontinuity, entry {k}: its line crosses no element of the mesh from side to side; correct "
+                "discontinuity.vertices (px), or use smaller elements" for k in idle]
+    problems += [f"discontinuity, entry {k}: tip_functions = true, but neither end of its line lies in the mesh; give "
+                 "the line up to the crack's tip, or leave tip_functions out"
+                 for k, section in enumerate(case.discontinuity, start=1)
+                 if section.tip_functions and find_tips(mesh, [np.array(section.vertices)]) is None]
+    if problems:
+        raise InputError(problems)

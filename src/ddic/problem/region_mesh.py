@@ -181,18 +181,18 @@ def build_region_mesh(inputs: Inputs) -> RegionMesh:
 def _cut(inputs: Inputs, region: CutRegion) -> RegionMesh:
     """The whole mesh, cut by discontinuities, with unknowns on both sides of the lines."""
     refuse_kinematics(inputs)
-    cut, cameras = region.cut, inputs.cameras
-    labels = region.cameras[cut.cell_of]
+    cut, cameras, mesh = region.cut, inputs.cameras, region.kinematics.mesh
+    labels = region.cameras[region.cell_of]
     # The start looks at the region as a whole.
     measured = collect_cells(cameras, region.whole, region.cameras)
     boundary = cut.find_with_phantoms(find_boundary_nodes(region.whole))
     controlled_nodes = _controlled_nodes(inputs.case.regularization, cut.mesh, boundary)
-    interior = np.ones(cut.mesh.n_nodes, dtype=bool)
+    interior = region.find_nodes_away_from_lines()
     interior[boundary] = False
-    interior[cut.find_with_phantoms(cut.node_of[cut.find_cut_nodes()])] = False
     if len(cameras) > 1:
-        interior &= _only_first_camera(cut.mesh, labels, len(cameras), None)
-    return RegionMesh(inputs, region.kinematics, None, labels, _costs(cameras, cut.mesh, region.measured), measured,
+        interior &= _only_first_camera(mesh, labels, len(cameras), None)
+    costs = _costs(cameras, mesh, collect_cells(cameras, mesh, labels))
+    return RegionMesh(inputs, region.kinematics, None, labels, costs, measured,
                       region.kinematics.controlled(controlled_nodes), interior, region)
 
 
@@ -244,11 +244,10 @@ def _split_cut(region_mesh: RegionMesh, region: CutRegion, n_subdomains: int) ->
 
     What opens along or across the line only is determined by what lies on both sides of it.
     """
-    cell_of = region.cut.cell_of
+    cell_of = region.cell_of
     costs = np.bincount(cell_of, weights=region_mesh.costs).astype(np.float64)
     parts = _split_whole(region_mesh.inputs.case.solver, region.whole, region.cameras, costs, n_subdomains)
-    return keep_sides_determined(region.cut, region.kinematics, region.corner_weights, region.cameras,
-                                 parts)[cell_of]
+    return keep_sides_determined(region.sides, region.cameras, parts)[cell_of]
 
 
 def scatter_region(team: Team, region_mesh: RegionMesh | None,

@@ -11,6 +11,7 @@ from scipy import sparse
 
 from ddic.functionals.correlation import Residual
 from ddic.functionals.view import View
+from ddic.functionals.weighted_median import find_weighted_median
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.shapes import pad_cells
 from ddic.parallel.team import Team
@@ -109,8 +110,8 @@ def _share_among_nodes(mesh: Mesh, of_cells: Array) -> Array:
 def find_cell_errors(team: Team, residuals: Sequence[CellResiduals]) -> list[CellErrors]:
     """Express residuals as displacement errors, and mark cells that cannot be trusted; collective.
 
-    An error e of unknown direction leaves a residual grad f . e, of mean square |grad f|^2 e^2 / 2. Most cells are
-    taken to be right: the median of each camera's variances is that of the noise.
+    An error e of unknown direction leaves a residual grad f . e, of mean square |grad f|^2 e^2 / 2. Most pixels are
+    taken to be right: the median of each camera's variances, cells weighted by their pixels, is that of the noise.
 
     Parameters
     ----------
@@ -124,12 +125,13 @@ def find_cell_errors(team: Team, residuals: Sequence[CellResiduals]) -> list[Cel
     list of CellErrors
         Of each.
     """
-    everything = team.gather_lists([(of_cells.camera, of_cells.variance) for of_cells in residuals])
+    everything = team.gather_lists([(of_cells.camera, of_cells.variance, of_cells.n_pixels) for of_cells in residuals])
     noise = {}
-    for camera in {camera for camera, _ in everything}:
-        variances = np.concatenate([variance for number, variance in everything if number == camera])
-        measured = variances[np.isfinite(variances)]
-        noise[camera] = float(np.median(measured)) if len(measured) else 0.0
+    for camera in {camera for camera, _, _ in everything}:
+        variances = np.concatenate([variance for number, variance, _ in everything if number == camera])
+        n_pixels = np.concatenate([n for number, _, n in everything if number == camera])
+        measured = np.isfinite(variances)
+        noise[camera] = find_weighted_median(variances[measured], n_pixels[measured]) if measured.any() else 0.0
     return [_find_errors(of_cells, noise[of_cells.camera]) for of_cells in residuals]
 
 

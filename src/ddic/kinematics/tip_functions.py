@@ -1,0 +1,239 @@
+"""Crack tips: about the end of a line, displacements that hold the root of the distance from it [RRH07, Eq. 10].
+
+The functions are no polynomials. Cells about a tip are cut into small ones, whose nodes move as the functions say:
+nothing else knows of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from ddic.kinematics.enriched import EnrichedRegion
+from ddic.mesh.cell_parts import CellParts
+from ddic.mesh.cut_mesh import CutMesh, cut_mesh
+from ddic.mesh.interpolation import evaluate_shapes_at, locate
+from ddic.mesh.mesh import Mesh
+from ddic.mesh.own_side import find_points_on_own_side
+from ddic.mesh.quality import measure_cell_size
+from ddic.mesh.shapes import pad_cells
+from ddic.mesh.subdivide_cells import subdivide_cells
+
+Array = NDArray[np.float64]
+
+LONGEST = 2.0
+"""Side of the small cells, pixels. A larger one interpolates the functions less well, a smaller one takes longer."""
+
+N_FUNCTIONS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Tip:
+    """An end of a line inside the mesh.
+
+    Attributes
+    ----------
+    position : (2,) array
+        Pixels.
+    ahead : (2,) array
+        Unit vector along which the line would go on.
+    nodes : (n,) array of int64
+        Nodes of the cell that it lies in.
+    cells : (m,) array of int64
+        Cells around these nodes.
+    """
+
+    position: Array
+    ahead: Array
+    nodes: NDArray[np.int64]
+    cells: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class TipPatch:
+    """Tips, and small cells in place of those about them.
+
+    Attributes
+    ----------
+    tips : tuple of Tip
+        At least one.
+    small : Mesh
+        The small cells, not cut.
+    cell_of : (small.n_cells,) array of int64
+        The cell of the whole mesh that each lies in.
+    """
+
+    tips: tuple[Tip, ...]
+    small: Mesh
+    cell_of: NDArray[np.int64]
+
+
+def find_tips(mesh: Mesh, lines: Sequence[Array]) -> TipPatch | None:
+    """Find the ends of lines that lie inside a mesh.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        The whole mesh, not cut.
+    lines : sequence of (n_vertices, 2) array
+        Polylines, pixels.
+
+    Returns
+    -------
+    TipPatch or None
+        None where no line ends in the mesh.
+    """
+    tips = [tip for line in lines for tip in _find_ends_inside(mesh, line)]
+    if not tips:
+        return None
+    around = np.unique(np.concatenate([tip.cells for tip in tips]))
+    small, cell_of = subdivide_cells(mesh, around, LONGEST)
+    return TipPatch(tuple(tips), small, cell_of)
+
+
+def _find_ends_inside(mesh: Mesh, line: Array) -> list[Tip]:
+    tips = []
+    for end, before in ((line[0], line[1]), (line[-1], line[-2])):
+        cell = int(locate(mesh, end[None]).cells[0])
+        if cell < 0:
+            continue
+        nodes = mesh.cells[cell]
+        nodes = nodes[nodes >= 0]
+        touches = np.isin(mesh.connectivity, nodes)
+        cells = np.flatnonzero(np.logical_or.reduceat(touches, mesh.offsets[:-1])).astype(np.int64)
+        ahead = (end - before) / np.linalg.norm(end - before)
+        tips.append(Tip(end, ahead, nodes, cells))
+    return tips
+
+
+def evaluate_tip_functions(tip: Tip, points: Array, on_own_side: Array) -> Array:
+    """Evaluate the four functions that span the singular displacements about a tip [RRH07, Eq. 10].
+
+    Parameters
+    ----------
+    tip : Tip
+        Where they are singular.
+    points : (n, 2) array
+        Pixels.
+    on_own_side : (n, 2) array
+        A point near each, on the side of the line from which the functions go on to it, pixels.
+
+    Returns
+    -------
+    (n, 4) array
+        Root of r times sin(theta/2), cos(theta/2), and both times sin(theta), px^(1/2).
+    """
+    r, theta = _find_polar(tip, points)
+    _, theta_of_side = _find_polar(tip, on_own_side)
+    # Beyond a face, theta goes on beyond pi.
+    theta = theta + 2 * np.pi * np.rint((theta_of_side - theta) / (2 * np.pi))
+    sine, cosine = np.sin(theta / 2), np.cos(theta / 2)
+    return np.asarray(np.sqrt(r)[:, None] * np.stack([sine, cosine, sine * np.sin(theta), cosine * np.sin(theta)],
+                                                     axis=1))
+
+
+def _find_polar(tip: Tip, points: Array) -> tuple[Array, Array]:
+    """Distance from the tip, and angle from the direction ahead."""
+    x = (points - tip.position) @ tip.ahead
+    y = (points - tip.position) @ np.array([-tip.ahead[1], tip.ahead[0]])
+    return np.hypot(x, y), np.arctan2(y, x)
+
+
+def enrich_at_tips(cut: CutMesh, region: EnrichedRegion,
+                   patch: TipPatch) -> tuple[EnrichedRegion, NDArray[np.int64]]:
+    """Give nodes about tips amplitudes of the tip functions, four for each component.
+
+    Parameters
+    ----------
+    cut : CutMesh
+        A mesh cut by lines that are clear of the small cells' nodes.
+    region : EnrichedRegion
+        Its unknowns, which stay the first ones.
+    patch : TipPatch
+        Tips of these lines.
+
+    Returns
+    -------
+    region : EnrichedRegion
+        Its mesh has all nodes of the old one, of which those about tips are in no cell, then those of the small cells.
+    cell_of : (region.mesh.n_cells,) array of int64
+        Cell of the whole mesh that each cell is, or lies in.
+    """
+    small = cut_mesh(patch.small, _lines_of(cut))
+    points, on_own_side = small.mesh.nodes, find_points_on_own_side(small.mesh)
+    shapes = _evaluate_shapes_of_whole(cut.mesh, points, on_own_side)
+    of_tips = [_evaluate_products(cut.mesh, tip, shapes, points, on_own_side) for tip in patch.tips]
+
+    dim = cut.mesh.dim
+    at_patch = sparse.hstack([sparse.kron(block, sparse.identity(dim)) for block in (shapes, *of_tips)]).tocsr()
+    n_more = at_patch.shape[1] - cut.mesh.n_dofs
+    unknowns_at_nodes = sparse.block_diag([region.matrix, sparse.identity(n_more)], format="csr")
+    of_nodes = sparse.hstack([region.matrix, sparse.csr_matrix((cut.mesh.n_dofs, n_more))])
+    matrix = sparse.vstack([of_nodes, at_patch @ unknowns_at_nodes]).tocsr()
+
+    kept = np.flatnonzero(~np.isin(cut.cell_of, patch.cell_of)).astype(np.int64)
+    nodes_of_tips = np.concatenate([np.repeat(tip.nodes, N_FUNCTIONS * dim) for tip in patch.tips])
+    enriched = EnrichedRegion(_join_meshes(cut.mesh, kept, small.mesh), matrix,
+                              np.concatenate([region.node_of_unknown, nodes_of_tips]),
+                              np.concatenate([region.seen_at, nodes_of_tips]))
+    return enriched, np.concatenate([cut.cell_of[kept], patch.cell_of[small.cell_of]])
+
+
+def _lines_of(cut: CutMesh) -> tuple[Array, ...]:
+    if cut.mesh.parts is None:
+        raise ValueError("no line cuts the mesh")
+    return cut.mesh.parts.lines.polylines
+
+
+def _evaluate_shapes_of_whole(mesh: Mesh, points: Array, on_own_side: Array) -> sparse.csr_matrix:
+    """Shape functions of a cut mesh's nodes at points, each on its own side of all lines, (n_points, n_nodes)."""
+    cells = locate(mesh, on_own_side).cells
+    shapes = evaluate_shapes_at(mesh, cells, points)
+    rows = np.repeat(np.arange(len(points)), shapes.shape[1])
+    found = sparse.csr_matrix((shapes.ravel(), (rows, pad_cells(mesh)[cells].ravel())), (len(points), mesh.n_nodes))
+    # Rounding at nodes and on sides would make unknowns of cells that have none there.
+    found.data[np.abs(found.data) < 1e-12] = 0.0
+    found.eliminate_zeros()
+    return found
+
+
+def _evaluate_products(mesh: Mesh, tip: Tip, shapes: sparse.csr_matrix, points: Array,
+                       on_own_side: Array) -> sparse.csr_matrix:
+    """N_a (F_j - F_j(x_a)) of a tip's nodes at points, (n_points, n_nodes * 4), of about 1 pixel a unit."""
+    scale = 1 / np.sqrt(measure_cell_size(mesh))
+    at_points = scale * evaluate_tip_functions(tip, points, on_own_side)
+    products = []
+    for node in tip.nodes:
+        at_node = mesh.nodes[[node]]
+        shifted = at_points - scale * evaluate_tip_functions(tip, at_node, at_node)
+        products.append(shapes[:, [int(node)]].multiply(shifted))
+    return sparse.hstack(products).tocsr()
+
+
+def _join_meshes(mesh: Mesh, kept: NDArray[np.int64], patch: Mesh) -> Mesh:
+    """Some cells of a cut mesh, with the numbers of all its nodes, and then those of a patch."""
+    counts = np.diff(mesh.offsets)[kept]
+    of_kept = mesh.cells[kept]
+    connectivity = np.concatenate([of_kept[of_kept >= 0], mesh.n_nodes + patch.connectivity])
+    offsets = np.concatenate([[0], np.cumsum(np.concatenate([counts, np.diff(patch.offsets)]))]).astype(np.int64)
+    return Mesh(np.concatenate([mesh.nodes, patch.nodes]), connectivity, offsets,
+                np.concatenate([mesh.types[kept], patch.types]), mesh.node_sets, mesh.mapping,
+                _join_parts(mesh, kept, patch))
+
+
+def _join_parts(mesh: Mesh, kept: NDArray[np.int64], patch: Mesh) -> CellParts:
+    """Parts of the kept cells, then those of the patch."""
+    if mesh.parts is None:
+        raise ValueError("no line cuts the mesh")
+    ours, theirs = mesh.parts.restrict(kept), patch.parts
+    if theirs is None:
+        return ours
+    return CellParts(np.concatenate([ours.cells, len(kept) + theirs.cells]),
+                     np.concatenate([ours.offsets, ours.offsets[-1] + theirs.offsets[1:]]),
+                     np.concatenate([ours.corners, theirs.corners]),
+                     np.concatenate([ours.first_numbers, len(mesh.parts.corners) + theirs.first_numbers]),
+                     ours.lines)
