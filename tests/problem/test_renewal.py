@@ -19,7 +19,7 @@ from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.split import split_by_blocks
 from ddic.problem.assembly import Assembly
-from ddic.problem.renewal import CHANGED_SHARE, CHANGED_SIDE, HELD_SHARE, RenewalRule, VisiblePixels, find_renewal
+from ddic.problem.renewal import CHANGED_SHARE, CHANGED_SIDE, HELD_SHARE, AssembledFrom, RenewalRule, find_renewal
 from ddic.problem.views import FrameViews, ReferenceViews
 from ddic.solvers.local_system import LocalSystem
 from ddic.synth.fields import Translation
@@ -47,7 +47,7 @@ class Region:
                            for s in self.own]
         self.hessians = [[r.own.assemble_hessian()] for r in self.references]
         self.q = [np.zeros(s.n_unknowns) for s in self.own]
-        self.whole = VisiblePixels.all_of([r.views for r in self.references])
+        self.whole = AssembledFrom.all_of([r.views for r in self.references])
         systems = [LocalSystem(s, m, None, np.zeros(0), 0.0) for s, (m,) in zip(self.own, self.hessians, strict=True)]
         self.assembly = Assembly(systems, 0.0, 1.0)
 
@@ -57,14 +57,14 @@ class Region:
             mask[y0:y1, x0:x1] = False
         return [FrameViews(r, (FrameView(r.own, DeformedSubImage(source(IMAGE, mask), 3)),)) for r in self.references]
 
-    def renew(self, counted: VisiblePixels, rule: RenewalRule, *hidden: Rectangle,
-              ) -> tuple[list[int], VisiblePixels, list[NDArray[np.float64] | None], str]:
+    def renew(self, counted: AssembledFrom, rule: RenewalRule, *hidden: Rectangle,
+              ) -> tuple[list[int], AssembledFrom, list[NDArray[np.float64] | None], str]:
         """Subdomains renewed on all ranks, what M counts then, this rank's new M, and what the log says."""
         renewal = find_renewal(self.team, self.frame(*hidden), self.q, (counted, self.hessians), rule,
                                self.assembly)
         renewed = [s.index for s, m in zip(self.own, renewal.hessians, strict=True) if m is not None]
         dense = [None if m is None else m.toarray() for m in renewal.hessians]
-        return self.team.gather_lists(renewed), renewal.visible, dense, renewal.note
+        return self.team.gather_lists(renewed), renewal.assembled_from, dense, "".join(renewal.notes)
 
 
 @pytest.mark.parallel(RANKS)

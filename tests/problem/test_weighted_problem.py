@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from ddic.case.loader import load_case
+from ddic.images.sub_image import MaskedSource
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.inputs import open_inputs
+from ddic.problem.residual_model import ResidualModel
 from ddic.problem.weighted_problem import WeightedProblem
 from support.cases import write_case, write_images
 from support.near_far_cases import case_text as near_far_text
@@ -38,6 +40,10 @@ def _two_cameras(team: Team, folder: Path, far_noise: str, near_more: str) -> Pa
     return path
 
 
+def model_of(problem: WeightedProblem, deformed: MaskedSource) -> ResidualModel:
+    return problem.build_residual_model(problem.open_frame((deformed,)))
+
+
 @pytest.mark.parallel(RANKS)
 def test_one_camera_is_set_up_at_once(shared_path: Path) -> None:
     team = Team.world()
@@ -50,7 +56,7 @@ def test_one_camera_is_set_up_at_once(shared_path: Path) -> None:
         assert problem.is_set_up
         # Operators are known for good when a frame has been looked at.
         q = [np.zeros(s.n_unknowns) for s in problem.reference.subdomains]
-        assert problem.renew(problem.open_frame((inputs.cameras[0].reference,)), q) == ()
+        assert problem.renew(model_of(problem, inputs.cameras[0].reference), q) == ()
         assert problem.noise == ()
         assert problem.n_assembled == problem.solver.n_factorized == len(problem.reference.references)
         assert {Phase.ASSEMBLE, Phase.FACTORIZE, Phase.INTERFACE_SET_UP} <= set(clock.wall)
@@ -118,14 +124,14 @@ def test_an_identical_frame_renews_nothing(shared_path: Path) -> None:
     inputs, _ = open_inputs(team, load_case(path))
     problem = WeightedProblem(team, prepare(team, path), PhaseClock())
     try:
-        views = problem.open_frame((inputs.cameras[0].reference,))
+        model = model_of(problem, inputs.cameras[0].reference)
         q = [np.zeros(s.n_unknowns) for s in problem.reference.subdomains]
         step = problem.solver.step
-        assert problem.renew(views, q) == ()
+        assert problem.renew(model, q) == ()
         assert problem.solver.step is step
         # Everything 100 px to the right: of columns 24 to 168 those beyond 91 leave the image.
         away = [np.tile([100.0, 0.0], s.mesh.n_nodes) for s in problem.reference.subdomains]
-        note, = problem.renew(views, away)
+        note, = problem.renew(model, away)
         assert "renewed" in note
         assert team.sum(problem.n_assembled) == team.sum(problem.solver.n_factorized) > 4
     finally:

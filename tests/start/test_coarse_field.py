@@ -18,9 +18,9 @@ from ddic.parallel.team import Team
 from ddic.problem.cameras import Frame
 from ddic.problem.inputs import Inputs, open_inputs
 from ddic.problem.reference_problem import ReferenceProblem, build_whole_mesh, prepare_reference
+from ddic.start.binned_pair import BinnedPair
 from ddic.start.coarse_field import CoarseSearch, fit_coarse_fields, prepare_search
-from ddic.start.multilevel import find_multilevel_start
-from ddic.start.pyramid_level import BinnedPair
+from ddic.start.multilevel import Stages, find_multilevel_start
 from support.cases import WAVES, write_case, write_images
 from support.pictures import rms_error, source, square_mesh
 
@@ -95,6 +95,6 @@ def test_subdomains_start_from_the_coarse_field_of_the_whole(shared_path: Path) 
 def test_zero_is_what_switching_everything_off_comes_to() -> None:
     image = source(np.zeros((192, 192), np.float32))
     mesh = square_mesh(24, 168)
-    start = find_multilevel_start(BinnedPair(image, image, 1), mesh, rigid=False, pyramid=False, correction="none")
+    start = find_multilevel_start(BinnedPair(image, image, 1), mesh, Stages(rigid=False, pyramid=False), "none")
     np.testing.assert_array_equal(start.field.at(mesh.nodes), np.zeros_like(mesh.nodes))
     assert (start.rigid, start.levels, start.warnings) == ((), (), ())

@@ -10,8 +10,9 @@ import pytest
 from ddic.images.grid_field import build_uniform_field
 from ddic.kinematics.discontinuities import Discontinuities
 from ddic.mesh.structured import build_structured_mesh
-from ddic.start.multilevel import MultilevelStart, choose_block_sizes, find_multilevel_start
-from ddic.start.pyramid_level import BinnedPair, correlate_level
+from ddic.start.binned_pair import BinnedPair
+from ddic.start.multilevel import MultilevelStart, Stages, choose_block_sizes, find_multilevel_start
+from ddic.start.pyramid_level import correlate_level
 from ddic.synth.fields import Affine, DisplacementField, Translation
 from support.pictures import pair_of, rms_error, source, square_mesh
 
@@ -24,10 +25,11 @@ def _pair(reference: np.ndarray, deformed: np.ndarray) -> BinnedPair:
     return BinnedPair(source(reference), source(deformed), 1)
 
 
-def _start(field: DisplacementField, *, rigid: bool = True, pyramid: bool = True) -> MultilevelStart:
+def _start(field: DisplacementField, *, rigid: bool = True, features: bool = False,
+           pyramid: bool = True) -> MultilevelStart:
     pair = pair_of(field, SIDE, 8)
-    return find_multilevel_start(_pair(pair.reference, pair.deformed), MESH, rigid=rigid, pyramid=pyramid,
-                                 correction="none")
+    return find_multilevel_start(_pair(pair.reference, pair.deformed), MESH,
+                                 Stages(rigid, features, pyramid), "none")
 
 
 def _turned(degrees: float, centre: tuple[float, float]) -> Affine:
@@ -68,8 +70,7 @@ def test_the_pyramid_follows_a_rotation_of_3_degrees() -> None:
     side, mesh = 576, square_mesh(96.0, 480.0)
     field = _turned(3.0, ((side - 1) / 2, (side - 1) / 2))
     pair = pair_of(field, side, 8)
-    start = find_multilevel_start(_pair(pair.reference, pair.deformed), mesh, rigid=True, pyramid=True,
-                                  correction="none")
+    start = find_multilevel_start(_pair(pair.reference, pair.deformed), mesh, Stages(features=False), "none")
     assert start.levels == (16, 8, 4, 2)
     assert rms_error(start.field.at(mesh.nodes).ravel(), mesh.nodes, field) <= 0.2
 
@@ -91,14 +92,14 @@ def test_a_gain_between_the_images_does_not_disturb_the_rigid_stage() -> None:
     field = Translation((12.0, -7.0))
     pair = pair_of(field, SIDE, 8)
     dimmed = 0.5 * pair.deformed.astype(np.float32) + 60
-    start = find_multilevel_start(_pair(pair.reference, dimmed), MESH, rigid=True, pyramid=True, correction="global")
+    start = find_multilevel_start(_pair(pair.reference, dimmed), MESH, Stages(), "global")
     assert _error(start, field) <= 0.1
     assert start.warnings == ()
 
 
 def test_images_without_texture_give_a_still_start_and_say_so() -> None:
     flat = np.full((SIDE, SIDE), 100.0, dtype=np.float32)
-    start = find_multilevel_start(_pair(flat, flat), MESH, rigid=True, pyramid=True, correction="none")
+    start = find_multilevel_start(_pair(flat, flat), MESH, Stages(), "none")
     assert start.rigid == ()
     assert start.levels == ()
     assert "no rigid translation stands out" in start.warnings[0]
@@ -125,8 +126,7 @@ def test_slivers_at_the_edge_of_a_ragged_region_do_not_stop_a_level(
     # Cells of the pyramid with a few blocks were singular here: one level lost, 8 px of error; two lost, 0.8 px.
     field = Affine(((0.02, 0.0), (0.0, -0.02)), (3.0, -4.0), CENTRE)
     mesh, pair = build_structured_mesh((60.0, 60.0, 324.0, 324.0), 12.0, "Q4", circles=circles), pair_of(field, SIDE, 8)
-    start = find_multilevel_start(_pair(pair.reference, pair.deformed), mesh, rigid=True, pyramid=True,
-                                  correction="none")
+    start = find_multilevel_start(_pair(pair.reference, pair.deformed), mesh, Stages(features=False), "none")
     assert not any("left out" in line for line in start.warnings), start.warnings
     # Blocks of 2 px see half of the speckle; 0.012 to 0.021 px on twenty such regions.
     assert rms_error(start.field.at(mesh.nodes).ravel(), mesh.nodes, field) <= 0.05
@@ -149,7 +149,7 @@ def test_a_region_as_large_as_the_image_is_measured(size: tuple[int, int]) -> No
     pair = pair_of(field, SIDE, 8)
     mesh = build_structured_mesh((0.0, 0.0, width - 1.0, height - 1.0), 16.0, "Q4")
     start = find_multilevel_start(_pair(pair.reference[:height, :width], pair.deformed[:height, :width]), mesh,
-                                  rigid=True, pyramid=True, correction="none")
+                                  Stages(), "none")
     assert start.levels[-1] == 2
     assert not any("left out" in line for line in start.warnings), start.warnings
     # Beyond the last block the field goes on as it ends there: 8 px of 1 % of strain.

@@ -578,11 +578,18 @@ class GaussNewtonSection(Section):
 
 
 class StartSection(Section):
-    """Initial displacement: each stage can be switched off; a result file replaces the first two."""
+    """Initial displacement: each stage can be switched off; a result file replaces the first three."""
 
     rigid: bool = Field(
         default=True,
         description="Start from a translation found by FFT correlation.",
+    )
+    features: bool = Field(
+        default=True,
+        description=(
+            "After `rigid`, where a translation does not explain the region: match speckles by their looks, which "
+            "finds any rotation, strains of 40 % and pieces that part."
+        ),
     )
     pyramid: bool = Field(
         default=True,
@@ -602,7 +609,7 @@ class StartSection(Section):
     )
     from_result: Path | None = Field(
         default=None,
-        description="An earlier result file, on the same or another mesh; it replaces `rigid` and `pyramid`.",
+        description="An earlier result file, on the same or another mesh; it replaces `rigid`, `features`, `pyramid`.",
     )
 
 

@@ -16,6 +16,7 @@ from ddic.errors import InputError
 from ddic.functionals import pixel_kernels as kernels
 from ddic.functionals.grey_statistics import GreySums
 from ddic.functionals.line_band import find_band_pixels
+from ddic.functionals.moved_gradient import compute_inverse_deformations, map_hessians, map_moments
 from ddic.functionals.torn_cells import find_torn_cells
 from ddic.images.spline import HALO, PADDING, GradientImage, SplineImage
 from ddic.images.sub_image import DeformedSubImage, MaskedSource, read_reference
@@ -83,6 +84,8 @@ class Correlation:
         Cells from left to right in bands of BAND rows, whatever the mesh's order: neighbours share the cache's lines.
     threads : Threads
         They take slices of the cells; what comes of a cell depends on its pixels alone.
+    inverse_deformations : (n_cells, 2, 2) array, optional
+        F^-1 of each cell: F^-T grad f is then taken for the gradient in M and b. None, by default, takes grad f.
     """
 
     mesh: Mesh
@@ -92,6 +95,22 @@ class Correlation:
     extent: Window
     order: NDArray[np.int64]
     threads: Threads = ONE_THREAD
+    inverse_deformations: NDArray[np.float64] | None = None
+
+    def with_moved_gradient(self, u: NDArray[np.float64]) -> Correlation:
+        """Take the gradient of the deformed image where a displacement puts it, in M and in b.
+
+        Parameters
+        ----------
+        u : (n_dofs,) array
+            Nodal displacement, pixels.
+
+        Returns
+        -------
+        Correlation
+            The same pixels.
+        """
+        return replace(self, inverse_deformations=compute_inverse_deformations(self.mesh, u))
 
     @property
     def n_usable_pixels(self) -> int:
@@ -175,7 +194,10 @@ class Correlation:
         (n_dofs, n_dofs) csr_matrix
             M, grey levels squared per pixel squared; Eq. 5 of [BP17].
         """
-        return self.interpolation.assemble_matrix(self.compute_cell_hessians())
+        hessians = self.compute_cell_hessians()
+        if self.inverse_deformations is not None:
+            hessians = map_hessians(self.inverse_deformations, hessians)
+        return self.interpolation.assemble_matrix(hessians)
 
     def compute_residual(self, deformed: DeformedSubImage, q: NDArray[np.float64], *,
                          all_kinds: bool = False) -> Residual:
@@ -227,6 +249,8 @@ class Correlation:
             b, grey levels squared per pixel; Eq. 5 of [BP17].
         """
         moments = residual.moments
+        if self.inverse_deformations is not None:
+            moments = map_moments(self.inverse_deformations, moments)
         of_r, of_g, of_one = moments[:, 0], moments[:, 1], moments[:, 2]
         if np.all(np.equal(gain, 1.0)) and not np.any(offset):
             return self.interpolation.assemble_vector(of_r)

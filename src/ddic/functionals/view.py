@@ -96,6 +96,21 @@ class View:
         projected = self.kinematics.project_matrix(hessian)
         return projected if self.weight == 1.0 else (self.weight * projected).tocsr()
 
+    def with_moved_gradient(self, q: NDArray[np.float64]) -> View:
+        """Take the gradient of the deformed image where unknowns put it, in M and in b.
+
+        Parameters
+        ----------
+        q : (n_unknowns,) array
+            The subdomain's unknowns.
+
+        Returns
+        -------
+        View
+            The same pixels.
+        """
+        return replace(self, correlation=self.correlation.with_moved_gradient(self.kinematics.displacement(q)))
+
     def hold_still(self) -> View:
         """Give the same for a set-up that does not move, with weight 1.
 
@@ -126,6 +141,21 @@ class FrameView:
     def camera(self) -> int:
         """Number of the camera, 0 the first."""
         return self.view.camera
+
+    def with_moved_gradient(self, q: NDArray[np.float64]) -> FrameView:
+        """Take the gradient of the deformed image where unknowns put it, in M and in b.
+
+        Parameters
+        ----------
+        q : (n_unknowns,) array
+            The subdomain's unknowns.
+
+        Returns
+        -------
+        FrameView
+            The same pixels.
+        """
+        return replace(self, view=self.view.with_moved_gradient(q))
 
     def find_displaced_window(self, q: NDArray[np.float64]) -> Window:
         """Find the window of the deformed image that unknowns need.

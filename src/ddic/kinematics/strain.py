@@ -44,7 +44,7 @@ def compute_strain(mesh: Mesh, q: NDArray[np.float64]) -> Strain:
     Strain
         Of every cell.
     """
-    gradient = _cell_gradients(mesh, q)
+    gradient = compute_displacement_gradients(mesh, q)
     small = 0.5 * (gradient + gradient.transpose(0, 2, 1))
     large = small + 0.5 * np.einsum("eki,ekj->eij", gradient, gradient)
     return Strain(_independent_components(small), _independent_components(large))
@@ -65,12 +65,25 @@ def find_inverted_cells(mesh: Mesh, q: NDArray[np.float64]) -> NDArray[np.int64]
     (n,) int64 array
         Their sorted numbers.
     """
-    deformation = np.eye(mesh.dim) + _cell_gradients(mesh, q)
+    deformation = np.eye(mesh.dim) + compute_displacement_gradients(mesh, q)
     return np.flatnonzero(np.linalg.det(deformation) <= 0).astype(np.int64)
 
 
-def _cell_gradients(mesh: Mesh, q: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Displacement gradient du_c/dx_j at the centre of every cell, (n_cells, dim, dim)."""
+def compute_displacement_gradients(mesh: Mesh, q: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Compute du_c/dx_j at the centre of every cell.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Any.
+    q : (n_dofs,) array
+        Nodal displacement, pixels.
+
+    Returns
+    -------
+    (n_cells, dim, dim) array
+        No unit.
+    """
     gradient = np.empty((mesh.n_cells, mesh.dim, mesh.dim))
     u = q.reshape(mesh.nodes.shape)
     for block in mesh.cell_blocks:

@@ -1,20 +1,25 @@
-"""Which subdomains' M no longer fits the pixels that a frame shows, and their new M."""
+"""Which subdomains' M no longer fits what a frame shows, its pixels and their gradient, and their new M."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.errors import list_first
+from ddic.functionals.moved_gradient import LARGE, measure_deformation
 from ddic.functionals.view import FrameView, View
 from ddic.parallel.team import Team
 from ddic.problem.assembly import Assembly, Hessians
 from ddic.problem.held_unknowns import CellCounts, find_held, refuse_undetermined, sum_pixels
+from ddic.problem.moved_gradients import ByView, find_inverse_deformations
 from ddic.problem.views import FrameViews
+
+T = TypeVar("T")
 
 CHANGED_SHARE = 0.02
 """Share of a subdomain's pixels that must have come or gone since its M was assembled for M to be assembled again. The
@@ -48,9 +53,12 @@ class RenewalRule:
     ----------
     wavelength : float
         Cut-off wavelength, pixels; infinite where eta is given, 0 without regularization.
+    follows : bool
+        Whether the frame turns or stretches the specimen so much that M takes the gradient of its image.
     """
 
     wavelength: float
+    follows: bool = False
 
     @property
     def is_regularized(self) -> bool:
@@ -75,22 +83,25 @@ class RenewalRule:
 
 
 @dataclass(frozen=True)
-class VisiblePixels:
-    """Pixels that M of owned subdomains counts.
+class AssembledFrom:
+    """What M of owned subdomains was assembled from.
 
-    By cell: a frame may hide as many pixels as the one before, but others.
+    Pixels by cell: a frame may hide as many as the one before, but others.
 
     Attributes
     ----------
     by_view : list of tuple of (n_cells,) array
-        Of each subdomain and view.
+        Pixels that it counts, of each subdomain and view.
+    inverse_deformations : list of tuple of (n_cells, 2, 2) array or None
+        F^-1 with which their gradients were turned, of each subdomain and view; None where they were not.
     """
 
     by_view: list[CellCounts]
+    inverse_deformations: list[ByView]
 
     @classmethod
-    def all_of(cls, hessian_views: Sequence[Sequence[View]]) -> VisiblePixels:
-        """Count all pixels of the reference images.
+    def all_of(cls, hessian_views: Sequence[Sequence[View]]) -> AssembledFrom:
+        """Count all pixels of the reference images, with their own gradients.
 
         Parameters
         ----------
@@ -99,35 +110,36 @@ class VisiblePixels:
 
         Returns
         -------
-        VisiblePixels
+        AssembledFrom
             Of these views.
         """
-        return cls([tuple(view.count_pixels() for view in views) for views in hessian_views])
+        return cls([tuple(view.count_pixels() for view in views) for views in hessian_views],
+                   [(None,) * len(views) for views in hessian_views])
 
 
 @dataclass(frozen=True)
 class Renewal:
-    """New M of some subdomains, and the pixels that M of all of them now counts.
+    """New M of some subdomains, and what M of all of them is assembled from.
 
     Attributes
     ----------
     hessians : list of (n_unknowns, n_unknowns) csr_matrix or None
         New M_s in the unknowns; None where it stays.
-    visible : VisiblePixels
-        What M counts from now on.
-    note : str
-        What the log says; empty where nothing changes on any rank.
+    assembled_from : AssembledFrom
+        What M is made of from now on.
+    notes : tuple of str
+        What the log says; nothing where nothing changes on any rank.
     """
 
     hessians: list[sparse.csr_matrix | None]
-    visible: VisiblePixels
-    note: str
+    assembled_from: AssembledFrom
+    notes: tuple[str, ...]
 
 
 def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np.float64]],
-                 assembled: tuple[VisiblePixels, Sequence[Hessians]], rule: RenewalRule,
+                 assembled: tuple[AssembledFrom, Sequence[Hessians]], rule: RenewalRule,
                  assembly: Assembly) -> Renewal:
-    """Compare the pixels that M counts with those that a frame shows; collective.
+    """Compare what M was assembled from with what a frame shows; collective.
 
     Parameters
     ----------
@@ -137,8 +149,8 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
         Owned subdomains in the frame.
     q : sequence of (n_unknowns,) array
         Where the frame is thought to show them.
-    assembled : tuple of VisiblePixels and sequence of list of csr_matrix
-        What M counts, and M of each view with all pixels of the reference, on displacements of nodes in its image.
+    assembled : tuple of AssembledFrom and sequence of list of csr_matrix
+        What M was made of, and M of each view with all pixels of the reference, on displacements of nodes in its image.
     rule : RenewalRule
         When M is renewed.
     assembly : Assembly
@@ -148,7 +160,8 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
     -------
     Renewal
         New M where more than ``rule.bound_changes`` of a subdomain's pixels have come or gone, or a cell has gained
-        more than ``GAINED_SHARE``, or an unknown whose equilibrium is not controlled has lost more than ``LOST_SHARE``.
+        more than ``GAINED_SHARE``, or an unknown whose equilibrium is not controlled has lost more than ``LOST_SHARE``;
+        or where a cell has turned or stretched by more than ``LARGE`` since, in a frame that asks for it.
 
     Raises
     ------
@@ -162,27 +175,51 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
     unseen = [_find_unseen(of_subdomain, now) for of_subdomain, now in zip(views, counts, strict=True)]
     refuse_undetermined(team, unseen, assembly)
 
-    def renew() -> tuple[list[sparse.csr_matrix | None], list[CellCounts]]:
-        hessians: list[sparse.csr_matrix | None] = []
-        by_view: list[CellCounts] = []
-        for of_subdomain, of_shown, before, now, hessian in zip(views, shown, counted.by_view, counts, whole,
-                                                                strict=True):
-            if _is_kept(of_subdomain, before, now, rule):
-                hessians.append(None)
-                by_view.append(before)
-            else:
-                hessians.append(_assemble_shown(of_subdomain.views, of_shown, hessian, rule))
-                by_view.append(now)
-        return hessians, by_view
+    now = AssembledFrom(counts, [_find_gradients(of_subdomain, q_s, rule)
+                                 for of_subdomain, q_s in zip(views, q, strict=True)])
+    lost = [not _are_pixels_kept(of_subdomain, a, b, rule)
+            for of_subdomain, a, b in zip(views, counted.by_view, now.by_view, strict=True)]
+    turned = [not _are_gradients_kept(a, b)
+              for a, b in zip(counted.inverse_deformations, now.inverse_deformations, strict=True)]
+    renewed = [of_pixels or of_gradients for of_pixels, of_gradients in zip(lost, turned, strict=True)]
+    hessians = team.together(lambda: [
+        _assemble_shown(of_subdomain.views, _follow(of_shown, inverse), hessian, rule) if is_renewed else None
+        for of_subdomain, of_shown, inverse, hessian, is_renewed
+        in zip(views, shown, now.inverse_deformations, whole, renewed, strict=True)])
+    assembled_from = AssembledFrom(_choose(renewed, now.by_view, counted.by_view),
+                                   _choose(renewed, now.inverse_deformations, counted.inverse_deformations))
+    notes = (*_describe(team, views, lost, "lost or gained more pixels than their operators bear: these are renewed"),
+             *_describe(team, views, turned, "turned or stretched by more than 10 %: their operators take the gradient "
+                                             "of the deformed image"))
+    return Renewal(hessians, assembled_from, notes)
 
-    hessians, by_view = team.together(renew)
-    changed = team.gather_lists([of_subdomain.subdomain.index for of_subdomain, hessian
-                                 in zip(views, hessians, strict=True) if hessian is not None])
-    note = ""
-    if changed:
-        note = (f"{len(changed)} subdomains ({list_first(changed)}) lost or gained more pixels than their operators "
-                "bear: these are renewed")
-    return Renewal(hessians, VisiblePixels(by_view), note)
+
+def _choose(is_new: Sequence[bool], new: Sequence[T], old: Sequence[T]) -> list[T]:
+    return [b if changed else a for changed, a, b in zip(is_new, old, new, strict=True)]
+
+
+def _describe(team: Team, views: Sequence[FrameViews], concerned: Sequence[bool], what: str) -> tuple[str, ...]:
+    """Say which subdomains of all ranks are concerned; collective."""
+    numbers = team.gather_lists([of_subdomain.subdomain.index for of_subdomain, is_concerned
+                                 in zip(views, concerned, strict=True) if is_concerned])
+    return (f"{len(numbers)} subdomains ({list_first(numbers)}) {what}",) if numbers else ()
+
+
+def _find_gradients(of_subdomain: FrameViews, q: NDArray[np.float64], rule: RenewalRule) -> ByView:
+    """F^-1 of a subdomain's cells; none where little turns or stretches anywhere."""
+    return find_inverse_deformations(of_subdomain, q) if rule.follows else (None,) * len(of_subdomain.views)
+
+
+def _are_gradients_kept(before: ByView, now: ByView) -> bool:
+    """Whether no cell of a subdomain has turned or stretched by much since its M was assembled."""
+    changes = [measure_deformation(then, inverse) for then, inverse in zip(before, now, strict=True)]
+    return max(changes, default=0.0) <= LARGE
+
+
+def _follow(shown: Sequence[View], inverse: ByView) -> list[View]:
+    """Views whose M takes the gradient of the deformed image."""
+    return [replace(view, correlation=replace(view.correlation, inverse_deformations=of_view))
+            for view, of_view in zip(shown, inverse, strict=True)]
 
 
 def _find_unseen(of_subdomain: FrameViews, counts: CellCounts) -> NDArray[np.bool_]:
@@ -195,7 +232,7 @@ def _find_unseen(of_subdomain: FrameViews, counts: CellCounts) -> NDArray[np.boo
     return find_held(subdomain, in_reference) & ~find_held(subdomain, counts)
 
 
-def _is_kept(of_subdomain: FrameViews, before: CellCounts, now: CellCounts, rule: RenewalRule) -> bool:
+def _are_pixels_kept(of_subdomain: FrameViews, before: CellCounts, now: CellCounts, rule: RenewalRule) -> bool:
     """Whether a subdomain's M, which counts the pixels before, still fits those that are shown now."""
     counted, shown = np.sum(before, axis=0), np.sum(now, axis=0)
     if (shown > (1.0 + GAINED_SHARE) * counted).any():

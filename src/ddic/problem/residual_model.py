@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from ddic.errors import ConvergenceError, as_collective
 from ddic.functionals.correlation import Residual
 from ddic.functionals.grey_statistics import GreyCorrection, GreyState, GreySums
 from ddic.parallel.team import Team
+from ddic.problem.moved_gradients import is_deformation_large
 from ddic.problem.views import FrameViews, read_frame_windows
 from ddic.solvers.correction_size import CorrectionSize, measure_correction
 
@@ -48,12 +49,30 @@ class ResidualModel:
         Of grey levels: "none", "global" or "element".
     n_cameras : int
         Number of cameras.
+    follows : bool
+        Whether b takes the gradient of the deformed image where the displacement puts it, F^-T grad f.
     """
 
     team: Team
     views: list[FrameViews]
     correction: GreyCorrection
     n_cameras: int = 1
+    follows: bool = False
+
+    def with_large_gradients(self, q: Sequence[Array]) -> ResidualModel:
+        """Take the gradient where the displacement puts it, if any cell turns or stretches by much; collective.
+
+        Parameters
+        ----------
+        q : sequence of (n_unknowns,) array
+            Unknowns of each owned subdomain.
+
+        Returns
+        -------
+        ResidualModel
+            Of the same pixels.
+        """
+        return replace(self, follows=is_deformation_large(self.team, self.views, q))
 
     def evaluate(self, q: Sequence[Array]) -> Evaluation:
         """Pass over all pixels; collective.
@@ -91,13 +110,15 @@ class ResidualModel:
         return [tuple(view.compute_residual(q_s, all_kinds=all_kinds) for view in of_subdomain.views)
                 for of_subdomain, q_s in zip(self.views, q, strict=True)]
 
-    def assemble_right_hand_sides(self, evaluation: Evaluation) -> list[Array]:
+    def assemble_right_hand_sides(self, evaluation: Evaluation, q: Sequence[Array]) -> list[Array]:
         """Assemble b_s of all owned subdomains, Eq. 5 of [BP17]; free of communication.
 
         Parameters
         ----------
         evaluation : Evaluation
             Of ``evaluate``.
+        q : sequence of (n_unknowns,) array
+            Unknowns that were evaluated.
 
         Returns
         -------
@@ -105,11 +126,12 @@ class ResidualModel:
             Grey levels squared per pixel.
         """
         b = []
-        for of_subdomain, residuals in zip(self.views, evaluation.residuals, strict=True):
+        for of_subdomain, residuals, q_s in zip(self.views, evaluation.residuals, q, strict=True):
             of_views = []
             for view, residual in zip(of_subdomain.views, residuals, strict=True):
                 gain, offset = self.find_correction(evaluation, view.camera, residual)
-                of_views.append(view.assemble_right_hand_side(residual, gain, offset))
+                followed = view.with_moved_gradient(q_s) if self.follows else view
+                of_views.append(followed.assemble_right_hand_side(residual, gain, offset))
             b.append(np.sum(of_views, axis=0))
         return b
 
@@ -151,7 +173,7 @@ class ResidualModel:
             Of each camera.
         """
         evaluation = self.evaluate(q)
-        return self.assemble_right_hand_sides(evaluation), evaluation.grey
+        return self.assemble_right_hand_sides(evaluation, q), evaluation.grey
 
     def measure_correction(self, dq: Sequence[Array], q: Sequence[Array]) -> CorrectionSize:
         """Measure a correction on displacements of nodes; collective.

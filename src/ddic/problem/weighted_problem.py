@@ -15,7 +15,7 @@ from ddic.problem.cameras import Frame
 from ddic.problem.linear_solver import LinearSolver, compute_cut_off_wavelength
 from ddic.problem.problem_size import ProblemSize, measure_problem_size
 from ddic.problem.reference_problem import ReferenceProblem
-from ddic.problem.renewal import RenewalRule, VisiblePixels, find_renewal
+from ddic.problem.renewal import AssembledFrom, RenewalRule, find_renewal
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.views import FrameViews, ReferenceViews, open_frame_views
 from ddic.solvers.correction_size import Tolerances
@@ -65,7 +65,7 @@ class WeightedProblem:
         self._weights: list[float] = []
         self._solver: LinearSolver | None = None
         self._size: ProblemSize | None = None
-        self._visible = VisiblePixels.all_of([r.views for r in reference.references])
+        self._assembled_from = AssembledFrom.all_of([r.views for r in reference.references])
         cameras = reference.inputs.cameras
         given = [camera.noise for camera in cameras]
         if len(cameras) == 1:
@@ -175,13 +175,13 @@ class WeightedProblem:
             weighted.append(FrameViews(reference, frame_views))
         return weighted
 
-    def renew(self, views: Sequence[FrameViews], q: Sequence[NDArray[np.float64]]) -> tuple[str, ...]:
-        """Assemble and factorise again where a frame shows other pixels than M counts; collective.
+    def renew(self, model: ResidualModel, q: Sequence[NDArray[np.float64]]) -> tuple[str, ...]:
+        """Assemble and factorise again where a frame shows something else than M was made of; collective.
 
         Parameters
         ----------
-        views : sequence of FrameViews
-            Owned subdomains in the frame, weighted.
+        model : ResidualModel
+            Of the frame, cameras weighted.
         q : sequence of (n_unknowns,) array
             Where the frame is thought to show them.
 
@@ -195,18 +195,18 @@ class WeightedProblem:
         SingularSubdomainError, FactorizationError
             On all ranks.
         """
-        rule = RenewalRule(compute_cut_off_wavelength(self.reference.inputs.case))
+        rule = RenewalRule(compute_cut_off_wavelength(self.reference.inputs.case), model.follows)
         with self._clock.phase(Phase.ASSEMBLE):
-            renewal = find_renewal(self.team, views, q, (self._visible, self.reference.hessians), rule,
+            renewal = find_renewal(self.team, model.views, q, (self._assembled_from, self.reference.hessians), rule,
                                    self.solver.assembly)
-        if renewal.note or not self.solver.is_set_up:
+        if renewal.notes or not self.solver.is_set_up:
             self.n_assembled += sum(hessian is not None for hessian in renewal.hessians)
             self.solver.renew(renewal.hessians)
             # Not before: where the factorisation fails, the next frame asks for it again.
-            self._visible = renewal.visible
+            self._assembled_from = renewal.assembled_from
         if self._size is None:
             self._size = measure_problem_size(self.team, self.reference, self.solver)
-        return (renewal.note,) if renewal.note else ()
+        return renewal.notes
 
     def destroy(self) -> None:
         """Free PETSc's objects."""

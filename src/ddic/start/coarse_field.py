@@ -27,9 +27,9 @@ from ddic.problem.cameras import Camera, Frame, MeasuredCells
 from ddic.problem.cut_region import list_discontinuities
 from ddic.problem.inputs import Inputs
 from ddic.problem.views import ReferenceViews
-from ddic.start.cut_field import evaluate_at_nodes
-from ddic.start.multilevel import LinesOnLevels, MultilevelStart, choose_finest_block, find_multilevel_start
-from ddic.start.pyramid_level import BinnedPair
+from ddic.start.binned_pair import BinnedPair
+from ddic.start.coarse_displacement import evaluate_at_nodes
+from ddic.start.multilevel import LinesOnLevels, MultilevelStart, Stages, choose_finest_block, find_multilevel_start
 
 Array = NDArray[np.float64]
 
@@ -106,7 +106,7 @@ class CoarseSearch:
         if frame is None or self.section.from_result is not None:
             return lambda: None
         if not (self.section.rigid or self.section.pyramid):
-            zero = MultilevelStart(build_uniform_field((0.0, 0.0)), (), (), ())
+            zero = MultilevelStart(build_uniform_field((0.0, 0.0)), (), 0, 0, (), ())
             return lambda: [zero] * len(self.cameras)
         pairs = [_bin_together(self.team, camera.reference, deformed)
                  for camera, deformed in zip(self.cameras, frame, strict=True)]
@@ -132,8 +132,8 @@ class CoarseSearch:
     def _search(self, pairs: Sequence[BinnedPair | None]) -> list[MultilevelStart] | None:
         if self.regions is None:
             return None
-        return [find_multilevel_start(require_held(pair), region.mesh, rigid=self.section.rigid,
-                                      pyramid=self.section.pyramid, correction=self.correction, lines=region.lines)
+        stages = Stages(self.section.rigid, self.section.features, self.section.pyramid)
+        return [find_multilevel_start(require_held(pair), region.mesh, stages, self.correction, region.lines)
                 for pair, region in zip(pairs, self.regions, strict=True)]
 
 
@@ -204,6 +204,8 @@ def _describe(start: MultilevelStart) -> list[str]:
     shifts = [f"({found.shift[0]:.2f}, {found.shift[1]:.2f}) px, correlation coefficient {found.coefficient:.3f}"
               for found in start.rigid]
     lines = [*(f"start: rigid shift {shift}" for shift in shifts), *lines]
+    if start.n_matches:
+        lines.append(f"start: {start.n_matches} of {start.n_found} matched features agree with their neighbours")
     if start.levels:
         blocks = ", ".join(str(level) for level in start.levels)
         lines.append(f"start: pyramid on blocks of {blocks} px")

@@ -102,12 +102,14 @@ def correlate_alone(images: Images, cells: LevelMesh, cut_off: float, tolerances
     q = candidates[0]
     if len(candidates) > 1:
         q = min(candidates, key=lambda candidate: _residual_rms(problem.model, candidate))
-    system = _regularize(problem, cut_off)
+    model = problem.model.with_large_gradients([q])
+    view = problem.view.with_moved_gradient(q) if model.follows else problem.view
+    system = _regularize(replace(problem, view=view), cut_off)
     smallest_eigenvalue = SINGULAR * float(system.hessian.diagonal().mean())
     operator = LocalOperator(system.operator, smallest_eigenvalue=smallest_eigenvalue, where=where)
     try:
         silent = Progress(PhaseClock(), stay_silent)
-        solution = gauss_newton(problem.model, [q], MonolithicStep(system, operator), tolerances, silent)
+        solution = gauss_newton(model, [q], MonolithicStep(system, operator), tolerances, silent)
     finally:
         operator.destroy()
     return kinematics.displacement(solution.q[0])

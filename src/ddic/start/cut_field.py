@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from ddic.images.grid_field import GridField
 from ddic.mesh.interpolation import interpolate_located, locate, place_in_cells
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.own_side import find_points_on_own_side
@@ -50,24 +49,3 @@ class CutField:
         nearest = cKDTree(find_points_on_own_side(self.mesh)).query(on_own_side[~is_held])[1]
         values[~is_held] = self.displacement[nearest]
         return values
-
-
-CoarseField = GridField | CutField
-
-
-def evaluate_at_nodes(field: CoarseField, mesh: Mesh) -> NDArray[np.float64]:
-    """Evaluate a coarse field at the nodes of a mesh.
-
-    Parameters
-    ----------
-    field : GridField or CutField
-        Pixels.
-    mesh : Mesh
-        Perhaps with cut cells, pixels.
-
-    Returns
-    -------
-    (n_nodes, 2) array
-        Displacement, pixels.
-    """
-    return field.interpolate_at_nodes(mesh) if isinstance(field, CutField) else field.at(mesh.nodes)

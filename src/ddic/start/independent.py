@@ -14,6 +14,7 @@ from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.assembly import SINGULAR, Hessians
+from ddic.problem.moved_gradients import is_deformation_large
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.views import FrameViews
 from ddic.solvers.correction_size import Tolerances
@@ -67,6 +68,10 @@ def measure_independently(team: Team, views: Sequence[FrameViews], hessians: Seq
         Fields, and who kept what it had.
     """
     alone = [of_subdomain.alone() for of_subdomain in views]
+    follows = is_deformation_large(team, alone, q)
+    if follows:
+        hessians = team.together(lambda: [[of_subdomain.views[0].view.with_moved_gradient(q_s).assemble_hessian()]
+                                          for of_subdomain, q_s in zip(alone, q, strict=True)])
     projected = [of_subdomain.reference.project(m[:1]) for of_subdomain, m in zip(alone, hessians, strict=True)]
     thresholds = _find_thresholds(team, alone, projected)
 
@@ -75,7 +80,8 @@ def measure_independently(team: Team, views: Sequence[FrameViews], hessians: Seq
         for of_subdomain, hessian, q_s in zip(alone, projected, q, strict=True):
             threshold = thresholds[of_subdomain.subdomain.camera]
             try:
-                fields.append(_measure_alone(of_subdomain, hessian, q_s, threshold, correction))
+                model = ResidualModel(Team.alone(), [of_subdomain], correction, follows=follows)
+                fields.append(_measure_alone(model, hessian, q_s, threshold))
             except (SingularSubdomainError, ConvergenceError):
                 fields.append(q_s)
                 kept.append(of_subdomain.subdomain.index)
@@ -95,12 +101,11 @@ def _find_thresholds(team: Team, alone: Sequence[FrameViews], hessians: Sequence
     return {camera: SINGULAR * float(total / n_unknowns) for camera, (total, n_unknowns) in sums.items()}
 
 
-def _measure_alone(of_subdomain: FrameViews, hessian: sparse.csr_matrix, q: NDArray[np.float64], threshold: float,
-                   correction: GreyCorrection) -> NDArray[np.float64]:
-    system = LocalSystem(of_subdomain.subdomain, hessian, None, np.zeros(0), 0.0)
+def _measure_alone(model: ResidualModel, hessian: sparse.csr_matrix, q: NDArray[np.float64],
+                   threshold: float) -> NDArray[np.float64]:
+    system = LocalSystem(model.views[0].subdomain, hessian, None, np.zeros(0), 0.0)
     operator = LocalOperator(hessian, smallest_eigenvalue=threshold, where="independent start")
     try:
-        model = ResidualModel(Team.alone(), [of_subdomain], correction)
         solution = gauss_newton(model, [q], MonolithicStep(system, operator), TOLERANCES,
                                 Progress(PhaseClock(), stay_silent))
     finally:

@@ -1,4 +1,4 @@
-"""Start of the displacement: rigid FFT correlation, then a coarse-graining pyramid [BP17, Fig. 5].
+"""Start of the displacement: rigid FFT correlation, matched features, a coarse-graining pyramid [BP17, Fig. 5].
 
 Runs on one rank, on images binned so far that they are small whatever the camera; every other rank
 receives the coarse field.
@@ -17,11 +17,15 @@ from ddic.images.binned import bin_image
 from ddic.images.grid_field import build_uniform_field
 from ddic.images.rigid import RigidShift
 from ddic.kinematics.discontinuities import Discontinuities
+from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.mesh import Mesh
+from ddic.start.binned_pair import BinnedPair
+from ddic.start.coarse_displacement import CoarseField
 from ddic.start.coarse_grid import CELL
-from ddic.start.cut_field import CoarseField
-from ddic.start.pyramid_level import BinnedPair, correlate_level
-from ddic.start.rigid_start import RigidStart, find_rigid_start
+from ddic.start.feature_matches import match_features
+from ddic.start.matched_field import MatchedField
+from ddic.start.pyramid_level import correlate_level
+from ddic.start.rigid_start import RigidStart, find_pieces, find_rigid_start
 
 LARGEST_COARSE_IMAGE = 1_000_000
 """Pixels of the finest image of the pyramid: what one rank is asked to hold and correlate. A larger value gives a
@@ -37,6 +41,10 @@ longer."""
 ENOUGH_BLOCKS = 2000
 """Blocks of the region enough for a rigid translation: coefficients of unrelated images then stay below 0.11 (2000
 samples, 200 000 translations), far from LEAST_COEFFICIENT. A larger value keeps more blocks of small regions."""
+
+SURE = 0.8
+"""Correlation coefficient of a translation from which on nothing else is sought: the region then moves by little else.
+A larger value matches features more often, which takes some tenths of a second."""
 
 SMALLEST_SIDE = 1.5 * CELL
 """Least side of the region on the coarsest level, blocks: there the grid is hardly more than an affine map. A larger
@@ -82,16 +90,37 @@ NO_LINES = LinesOnLevels(Discontinuities(), np.inf)
 
 
 @dataclass(frozen=True)
+class Stages:
+    """Which stages of the start are taken.
+
+    Attributes
+    ----------
+    rigid : bool
+        Whether a rigid translation is sought first.
+    features : bool
+        Whether features are matched where that translation does not explain the region.
+    pyramid : bool
+        Whether the coarse-graining pyramid follows.
+    """
+
+    rigid: bool = True
+    features: bool = True
+    pyramid: bool = True
+
+
+@dataclass(frozen=True)
 class MultilevelStart:
     """A coarse field and what the user should know about how it was found.
 
     Attributes
     ----------
-    field : GridField or CutField
+    field : GridField, CutField or MatchedField
         The displacement, pixels.
     rigid : tuple of RigidShift
         The translations found first, pixels: of the region where one stands out, then of pieces that lines cut it
         into.
+    n_matches, n_found : int
+        Features by whose displacement the field was found, and all that were matched; 0 where none were.
     levels : tuple of int
         Block sizes of the pyramid's levels that were measured, pixels, coarsest first.
     warnings : tuple of str
@@ -100,11 +129,13 @@ class MultilevelStart:
 
     field: CoarseField
     rigid: tuple[RigidShift, ...]
+    n_matches: int
+    n_found: int
     levels: tuple[int, ...]
     warnings: tuple[str, ...]
 
 
-def find_multilevel_start(pair: BinnedPair, mesh: Mesh, *, rigid: bool, pyramid: bool, correction: GreyCorrection,
+def find_multilevel_start(pair: BinnedPair, mesh: Mesh, stages: Stages, correction: GreyCorrection,
                           lines: LinesOnLevels = NO_LINES) -> MultilevelStart:
     """Find a coarse field on the region of a mesh.
 
@@ -114,10 +145,8 @@ def find_multilevel_start(pair: BinnedPair, mesh: Mesh, *, rigid: bool, pyramid:
         The images, binned at most as far as ``choose_finest_block`` says.
     mesh : Mesh
         The whole mesh, pixels.
-    rigid : bool
-        Whether a rigid translation is sought first.
-    pyramid : bool
-        Whether the coarse-graining pyramid follows.
+    stages : Stages
+        Which stages are taken.
     correction : GreyCorrection
         Of grey levels.
     lines : LinesOnLevels
@@ -129,15 +158,21 @@ def find_multilevel_start(pair: BinnedPair, mesh: Mesh, *, rigid: bool, pyramid:
         The field of the finest level that worked.
     """
     n_pixels = pair.n_blocks * pair.factor**2
-    sizes = choose_block_sizes(n_pixels, mesh) if pyramid else []
+    sizes = choose_block_sizes(n_pixels, mesh) if stages.pyramid else []
     rigid_size = _rigid_block_size(n_pixels, mesh)
-    all_sizes = [*sizes, rigid_size] if rigid else sizes
+    all_sizes = [*sizes, rigid_size] if stages.rigid else sizes
     pairs = _binned_pairs(pair, all_sizes)
 
-    at_rest = RigidStart((build_uniform_field((0.0, 0.0)),), (), ())
-    rigid_start = find_rigid_start(pairs[rigid_size], mesh, lines.discontinuities) if rigid else at_rest
+    at_rest = RigidStart((build_uniform_field((0.0, 0.0)),), (), 1.0, ())
+    rigid_start = find_rigid_start(pairs[rigid_size], mesh, lines.discontinuities) if stages.rigid else at_rest
     warnings = list(rigid_start.warnings)
     starts = rigid_start.fields
+    matched = None
+    if stages.features and rigid_start.coefficient < SURE:
+        matched = _match_features(pairs[min(all_sizes)], mesh, lines.discontinuities)
+    if matched is not None:
+        # From there the finest level finds everything, and coarser ones would smooth it.
+        starts, sizes, warnings = (matched, *starts), sizes[-1:], []
     done: list[int] = []
     for size in sizes:
         try:
@@ -148,7 +183,16 @@ def find_multilevel_start(pair: BinnedPair, mesh: Mesh, *, rigid: bool, pyramid:
             # A coarse level of a ragged region may have gone astray: the residual of the next one tells.
             starts = (field, *rigid_start.fields)
             done.append(size)
-    return MultilevelStart(starts[0], rigid_start.translations, tuple(done), tuple(warnings))
+    n_matches, n_found = (0, 0) if matched is None else (len(matched.matches.points), matched.matches.n_found)
+    return MultilevelStart(starts[0], rigid_start.translations, n_matches, n_found, tuple(done), tuple(warnings))
+
+
+def _match_features(pair: BinnedPair, mesh: Mesh, discontinuities: Discontinuities) -> MatchedField | None:
+    """A field through features that were found again; None where they do not agree with each other."""
+    region = cut_mesh(mesh, discontinuities.lines).mesh
+    pieces = find_pieces(region)
+    matches = match_features(pair, region, pieces)
+    return MatchedField(matches, region, pieces) if matches.agree else None
 
 
 def choose_finest_block(n_pixels: int) -> int:

@@ -16,10 +16,11 @@ from ddic.kinematics.discontinuities import Discontinuities
 from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
+from ddic.start.binned_pair import BinnedPair, find_active_blocks, scale_mesh
+from ddic.start.coarse_displacement import CoarseField
 from ddic.start.coarse_grid import CELL
-from ddic.start.cut_field import CoarseField, CutField
+from ddic.start.cut_field import CutField
 from ddic.start.level_mesh import scale_to_pixels
-from ddic.start.pyramid_level import BinnedPair, find_active_blocks, scale_mesh
 
 LEAST_COEFFICIENT = 0.3
 """Correlation coefficient below which a rigid translation is noise. A larger value starts from zero more often."""
@@ -42,12 +43,15 @@ class RigidStart:
         Likely ones first, pixels.
     translations : tuple of RigidShift
         The translations found: of the region where one stands out, then of pieces that lines cut it into; pixels.
+    coefficient : float
+        Correlation coefficient of the region's translation.
     warnings : tuple of str
         What did not work.
     """
 
     fields: tuple[CoarseField, ...]
     translations: tuple[RigidShift, ...]
+    coefficient: float
     warnings: tuple[str, ...]
 
 
@@ -77,10 +81,10 @@ def find_rigid_start(pair: BinnedPair, mesh: Mesh, discontinuities: Discontinuit
     if field is not None:
         fields.insert(0, field)
     if stands_out:
-        return RigidStart(tuple(fields), (shift, *of_pieces), ())
+        return RigidStart(tuple(fields), (shift, *of_pieces), shift.coefficient, ())
     warning = (f"start: no rigid translation stands out (best correlation coefficient {shift.coefficient:.2f}); "
                "starting from zero")
-    return RigidStart(tuple(fields), of_pieces, () if of_pieces else (warning,))
+    return RigidStart(tuple(fields), of_pieces, shift.coefficient, () if of_pieces else (warning,))
 
 
 def _find_piece_shifts(pair: BinnedPair, region: Mesh, discontinuities: Discontinuities,
@@ -88,7 +92,7 @@ def _find_piece_shifts(pair: BinnedPair, region: Mesh, discontinuities: Disconti
     """Translations of pieces, and their field; that is the translation of the region where they do not find theirs."""
     lines = discontinuities.scale(pair.centre, pair.factor).lines
     blocks = cut_mesh(region, lines).mesh
-    pieces = _find_pieces(blocks)
+    pieces = find_pieces(blocks)
     if not pieces.any():
         return (), None
     displacement = np.tile(otherwise, (blocks.n_nodes, 1))
@@ -117,8 +121,19 @@ def _values(source: MaskedSource) -> NDArray[np.float64]:
     return source.image.read(source.extent).astype(np.float64)
 
 
-def _find_pieces(mesh: Mesh) -> NDArray[np.int64]:
-    """Piece of each cell: cells that hang together by nodes are of one."""
+def find_pieces(mesh: Mesh) -> NDArray[np.int64]:
+    """Find the pieces of a mesh: cells that hang together by nodes are of one.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Perhaps cut by lines.
+
+    Returns
+    -------
+    (n_cells,) array of int64
+        Piece of each cell, from 0.
+    """
     cell_of_corner = np.repeat(np.arange(mesh.n_cells), np.diff(mesh.offsets))
     ones = np.ones(len(cell_of_corner))
     has_node = sparse.csr_matrix((ones, (cell_of_corner, mesh.connectivity)), (mesh.n_cells, mesh.n_nodes))

@@ -1,0 +1,71 @@
+"""Large rotations and strains: found by themselves, with the gradient of the deformed image, by all solvers."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+import ddic
+from ddic.synth.speckle_texture import SpeckleTexture
+
+Array = NDArray[np.float64]
+SIDE = 300
+MIDDLE = np.array([150.0, 148.0])
+MESH = ddic.structured_mesh((90, 90, 210, 210), 15)
+EXACT = {"gauss_newton": {"tolerance": 1e-10, "rms_tolerance": 0, "largest_tolerance": 1e-8}}
+SOLVERS = {
+    "dual": {"method": "dual", "subdomains": 4, "inexact": False, "tolerance": 1e-11},
+    "conjugate_gradient": {"method": "conjugate_gradient", "subdomains": 4, "inexact": False, "tolerance": 1e-11},
+}
+
+
+def _motion(degrees: float, stretch: float = 1.0) -> Array:
+    angle = np.deg2rad(degrees)
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) @ np.diag([stretch, 1.0])
+
+
+@cache
+def _pictures(degrees: float, stretch: float = 1.0) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    y, x = np.mgrid[0:SIDE, 0:SIDE].astype(float)
+    pixels = np.column_stack([x.ravel(), y.ravel()])
+    origins = MIDDLE + (pixels - MIDDLE) @ np.linalg.inv(_motion(degrees, stretch)).T
+    f, g = (255 * SpeckleTexture(3).grey(*points.T).reshape(SIDE, SIDE) for points in (pixels, origins))
+    return np.rint(f).astype(np.uint8), np.rint(g).astype(np.uint8)
+
+
+def _wanted(points: Array, degrees: float, stretch: float = 1.0) -> Array:
+    return np.asarray(MIDDLE + (points - MIDDLE) @ _motion(degrees, stretch).T - points)
+
+
+@pytest.mark.parametrize(("degrees", "stretch"), [(8.0, 1.0), (60.0, 1.0), (135.0, 1.1), (180.0, 1.0), (0.0, 1.35)])
+def test_motions_are_found_by_default(degrees: float, stretch: float) -> None:
+    result = ddic.measure(_pictures(degrees, stretch), MESH)
+    error = result.displacement - _wanted(result.mesh.nodes, degrees, stretch)
+    # 8 bit and 15-px elements leave 2e-3 px, whatever the rotation.
+    assert np.sqrt((error**2).mean()) < 4e-3
+    assert len(result.gauss_newton["rms_correction_px"]) <= 5
+
+
+@pytest.mark.parallel([1, 2, 3, 4])
+@pytest.mark.parametrize("settings", [{}, {"regularization": {"cut_off_wavelength": 60}}], ids=["plain", "regularized"])
+def test_all_solvers_find_one_field(settings: dict[str, Any]) -> None:
+    alone = ddic.Options(settings | EXACT | {"solver": {"method": "monolithic"}}, comm=MPI.COMM_SELF)
+    expected = ddic.measure(_pictures(60.0), MESH, options=alone)
+    for solver in SOLVERS.values():
+        result = ddic.measure(_pictures(60.0), MESH, options=settings | EXACT | {"solver": solver})
+        # The linear steps are solved to 1e-11 of a pixel or so.
+        assert np.abs(result.at(MESH.nodes) - expected.at(MESH.nodes)).max() < 1e-9
+
+
+@pytest.mark.parallel([1, 2])
+def test_a_session_renews_its_operators_as_the_specimen_turns() -> None:
+    with ddic.prepare(_pictures(0.0)[0], MESH, options={"solver": {"method": "dual", "subdomains": 4}}) as session:
+        for degrees in (0.5, 60.0, 62.0, 0.5):
+            result = session.measure(_pictures(degrees)[1])
+            error = result.displacement - _wanted(result.mesh.nodes, degrees)
+            assert np.sqrt((error**2).mean()) < 4e-3
