@@ -18,8 +18,8 @@ _CHUNK_CELLS = 2_000
 """Cells whose stiffness is held at once; a larger value takes more memory."""
 
 
-def controlled_stiffness(kinematics: Kinematics, material: Material,
-                         row_weights: NDArray[np.float64]) -> sparse.csr_matrix:
+def controlled_stiffness(kinematics: Kinematics, material: Material, row_weights: NDArray[np.float64],
+                         rotation: NDArray[np.float64] | None = None) -> sparse.csr_matrix:
     """Assemble Kbar = diag(row_weights) T^T K T, weight 0 dropping a row (P of Eq. 11 of [BP17]).
 
     K acts on the nodes; T^T K T are the forces on the unknowns: those on tied nodes are then their masters', as much as
@@ -33,13 +33,19 @@ def controlled_stiffness(kinematics: Kinematics, material: Material,
         The same in all cells.
     row_weights : (n_unknowns,) array
         Weights of the rows.
+    rotation : (dim, dim) array, optional
+        R by which the specimen has turned: the stiffness is then R K R^T. None, by default, for the identity.
 
     Returns
     -------
     (n_unknowns, n_unknowns) csr_matrix
         Kbar.
     """
-    stiffness = kinematics.project_matrix(assemble_stiffness(kinematics.mesh, material))
+    of_nodes = assemble_stiffness(kinematics.mesh, material)
+    if rotation is not None:
+        turn = sparse.kron(sparse.identity(kinematics.mesh.n_nodes), rotation, format="csr")
+        of_nodes = (turn @ of_nodes @ turn.T).tocsr()
+    stiffness = kinematics.project_matrix(of_nodes)
     return (sparse.diags(row_weights) @ stiffness).tocsr()
 
 

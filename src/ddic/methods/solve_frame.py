@@ -48,8 +48,8 @@ def solve_frame(problem: WeightedProblem, model: ResidualModel, q: list[NDArray[
     """
     with clock.phase(Phase.READ):
         model.team.together(lambda: read_frame_windows(model.views, q))
-    model = model.with_large_gradients(q)
-    notes = problem.renew(model, q)
+    model, notes = problem.hold_rotation(model.with_large_gradients(q), q)
+    notes = (*notes, *problem.renew(model, q))
     for line in notes:
         listener.note(line)
     listener.problem_size(problem.size)
@@ -59,8 +59,8 @@ def solve_frame(problem: WeightedProblem, model: ResidualModel, q: list[NDArray[
         found = gauss_newton(model, solution.q, problem.solver.step, problem.tolerances, progress)
         solution = Solution(found.q, [*solution.records, *found.records], found.stop)
         # Where the start was far off, other pixels are hidden here: that held the step back, or left a node to nothing.
-        model = model.with_large_gradients(solution.q)
-        renewed = problem.renew(model, solution.q)
+        model, turned = problem.hold_rotation(model.with_large_gradients(solution.q), solution.q)
+        renewed = (*turned, *problem.renew(model, solution.q))
         if not renewed:
             listener.note(solution.stop)
             return solution, notes

@@ -12,7 +12,7 @@ from scipy import sparse
 from ddic.case.schema import Case, RegularizationSection
 from ddic.errors import InputError, as_collective
 from ddic.functionals.equilibrium_gap import controlled_stiffness, find_cut_off_weight, measure_texture_energies
-from ddic.parallel.team import Team
+from ddic.parallel.team import Team, require_held
 from ddic.partition.subdomain import Subdomain, interface_weights
 from ddic.problem.region_mesh import Region, build_material
 from ddic.problem.views import ReferenceViews
@@ -74,7 +74,7 @@ def assemble_hessians(team: Team, references: Sequence[ReferenceViews]) -> list[
 
 
 def assemble(team: Team, case: Case, region: Region, references: Sequence[ReferenceViews],
-             hessians: Sequence[Hessians]) -> Assembly:
+             hessians: Sequence[Hessians], rotation: NDArray[np.float64] | None = None) -> Assembly:
     """Find eta for the whole region and set up the local systems; collective.
 
     Parameters
@@ -89,6 +89,8 @@ def assemble(team: Team, case: Case, region: Region, references: Sequence[Refere
         Owned subdomains, cameras weighted.
     hessians : sequence of list of csr_matrix
         Of ``assemble_hessians``.
+    rotation : (2, 2) array, optional
+        By which the specimen has turned; None by default.
 
     Returns
     -------
@@ -109,7 +111,7 @@ def assemble(team: Team, case: Case, region: Region, references: Sequence[Refere
         return Assembly(systems, 0.0, mean_diagonal)
     eta = _find_eta(team, section, region, references, hessians)
     systems = team.together(lambda: [
-        _system(case, section, r.subdomain, m, eta) for r, m in zip(references, projected, strict=True)])
+        _system(case, r.subdomain, m, eta, rotation) for r, m in zip(references, projected, strict=True)])
     return Assembly(systems, eta, mean_diagonal)
 
 
@@ -130,11 +132,12 @@ def _find_eta(team: Team, section: RegularizationSection, region: Region, refere
     return find_cut_off_weight(texture, gap)
 
 
-def _system(case: Case, section: RegularizationSection, subdomain: Subdomain, hessian: sparse.csr_matrix,
-            eta: float) -> LocalSystem:
+def _system(case: Case, subdomain: Subdomain, hessian: sparse.csr_matrix, eta: float,
+            rotation: NDArray[np.float64] | None) -> LocalSystem:
     """M_s and Kbar_s = diag(w) P T^T K T of one subdomain, Eq. 11 of [BP17]."""
     weights = interface_weights(subdomain.multiplicity, case.solver.weighting) * subdomain.controlled
-    kbar = controlled_stiffness(subdomain.kinematics, build_material(section), weights)
+    material = build_material(require_held(case.regularization))
+    kbar = controlled_stiffness(subdomain.kinematics, material, weights, rotation)
     # A camera's motion is no displacement of matter, hence in no equilibrium.
     of_motion = sparse.csr_matrix((kbar.shape[0], subdomain.n_motion))
     return LocalSystem(subdomain, hessian, sparse.hstack([kbar, of_motion]).tocsr(), weights, eta)

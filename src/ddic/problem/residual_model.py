@@ -13,6 +13,7 @@ from ddic.functionals.correlation import Residual
 from ddic.functionals.grey_statistics import GreyCorrection, GreyState, GreySums
 from ddic.parallel.team import Team
 from ddic.problem.moved_gradients import is_deformation_large
+from ddic.problem.region_rotation import HeldRotation
 from ddic.problem.views import FrameViews, read_frame_windows
 from ddic.solvers.correction_size import CorrectionSize, measure_correction
 
@@ -51,6 +52,8 @@ class ResidualModel:
         Number of cameras.
     follows : bool
         Whether b takes the gradient of the deformed image where the displacement puts it, F^-T grad f.
+    rotation : HeldRotation, optional
+        Lets the region's rotation cost nothing; None, by default, where it has not turned.
     """
 
     team: Team
@@ -58,6 +61,7 @@ class ResidualModel:
     correction: GreyCorrection
     n_cameras: int = 1
     follows: bool = False
+    rotation: HeldRotation | None = None
 
     def with_large_gradients(self, q: Sequence[Array]) -> ResidualModel:
         """Take the gradient where the displacement puts it, if any cell turns or stretches by much; collective.
@@ -173,7 +177,10 @@ class ResidualModel:
             Of each camera.
         """
         evaluation = self.evaluate(q)
-        return self.assemble_right_hand_sides(evaluation, q), evaluation.grey
+        b = self.assemble_right_hand_sides(evaluation, q)
+        if self.rotation is not None:
+            b = [b_s + forces for b_s, forces in zip(b, self.rotation.compute_forces(q), strict=True)]
+        return b, evaluation.grey
 
     def measure_correction(self, dq: Sequence[Array], q: Sequence[Array]) -> CorrectionSize:
         """Measure a correction on displacements of nodes; collective.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,13 @@ from ddic.problem.cameras import Frame
 from ddic.problem.linear_solver import LinearSolver, compute_cut_off_wavelength
 from ddic.problem.problem_size import ProblemSize, measure_problem_size
 from ddic.problem.reference_problem import ReferenceProblem
+from ddic.problem.region_rotation import (
+    LEAST_ANGLE,
+    STEP_ANGLE,
+    HeldRotation,
+    build_rotation,
+    fit_rigid_motion,
+)
 from ddic.problem.renewal import AssembledFrom, RenewalRule, find_renewal
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.views import FrameViews, ReferenceViews, open_frame_views
@@ -66,6 +74,8 @@ class WeightedProblem:
         self._solver: LinearSolver | None = None
         self._size: ProblemSize | None = None
         self._assembled_from = AssembledFrom.all_of([r.views for r in reference.references])
+        # By which the stiffness is turned, radians.
+        self._stiffness_angle = 0.0
         cameras = reference.inputs.cameras
         given = [camera.noise for camera in cameras]
         if len(cameras) == 1:
@@ -175,6 +185,39 @@ class WeightedProblem:
             weighted.append(FrameViews(reference, frame_views))
         return weighted
 
+    def hold_rotation(self, model: ResidualModel,
+                      q: Sequence[NDArray[np.float64]]) -> tuple[ResidualModel, tuple[str, ...]]:
+        """Let a rotation of the region cost nothing; collective.
+
+        Parameters
+        ----------
+        model : ResidualModel
+            Of the frame.
+        q : sequence of (n_unknowns,) array
+            Unknowns that tell the rotation.
+
+        Returns
+        -------
+        model : ResidualModel
+            The equilibrium gap is that of q less its rigid motion.
+        notes : tuple of str
+            What the log says; nothing where the rotation is as it was.
+        """
+        if self.reference.inputs.case.regularization is None:
+            return model, ()
+        angle = fit_rigid_motion(self.team, self.reference.subdomains, q).angle
+        turned = round(angle / STEP_ANGLE) * STEP_ANGLE
+        if turned != self._stiffness_angle:
+            self._stiffness_angle = turned
+            self.destroy()
+            self._weigh(self._weights)
+        elif (abs(angle) > LEAST_ANGLE) == (model.rotation is not None):
+            return model, ()
+        if abs(angle) <= LEAST_ANGLE:
+            return replace(model, rotation=None), ()
+        note = f"the region has turned by {np.rad2deg(angle):.2f} degrees: the equilibrium gap is that of what is left"
+        return replace(model, rotation=HeldRotation(self.team, tuple(self.solver.assembly.systems))), (note,)
+
     def renew(self, model: ResidualModel, q: Sequence[NDArray[np.float64]]) -> tuple[str, ...]:
         """Assemble and factorise again where a frame shows something else than M was made of; collective.
 
@@ -219,5 +262,8 @@ class WeightedProblem:
         reference = self.reference
         with self._clock.phase(Phase.ASSEMBLE):
             weighted: list[ReferenceViews] = [r.weigh(weights) for r in reference.references]
-            assembly = assemble(self.team, reference.inputs.case, reference.region, weighted, reference.hessians)
+            rotation = None if self._stiffness_angle == 0 else build_rotation(self._stiffness_angle)
+            assembly = assemble(self.team, reference.inputs.case, reference.region, weighted, reference.hessians,
+                                rotation)
+        self._assembled_from = AssembledFrom.all_of([r.views for r in reference.references])
         self._solver = LinearSolver(self.team, reference.inputs.case, assembly, self._clock)

@@ -50,7 +50,7 @@ class WholeSystem:
             self.numbers, self.n_owned = _number_by_rank(team, [s.subdomain for s in systems])
             self.exchange = stack.keep(Exchange(team, self.n_owned, self.numbers))
             self._places = [np.searchsorted(self.exchange.ghosts, n) for n in self.numbers]
-            self.kbars = [_remove_weights(system) for system in systems]
+            self.kbars = [remove_weights(system) for system in systems]
             self._multiplicity = self.sum_over_subdomains([np.ones(len(n)) for n in self.numbers])
             self._objects = stack.pop_all()
 
@@ -271,11 +271,21 @@ def _find_node(subdomain: Subdomain, unknown: int) -> NDArray[np.float64]:
     return np.asarray(nodes[int(np.linalg.norm(column, axis=1).argmax())])
 
 
-def _remove_weights(system: LocalSystem) -> sparse.csr_matrix:
-    """Kbar_s whose rows add up over subdomains to Kbar.
+def remove_weights(system: LocalSystem) -> sparse.csr_matrix:
+    """Remove the weights of interface rows from Kbar_s, whose rows then add up over subdomains to Kbar.
 
     The coupled subdomains minimise (1/m) |sum_s (Kbar_s q_s)_i|^2 at an unknown of m of them: consistent weights
     sqrt(m) make that the row of the whole region, the paper's weight 1 leaves that row over sqrt(m).
+
+    Parameters
+    ----------
+    system : LocalSystem
+        With Kbar_s.
+
+    Returns
+    -------
+    (n_unknowns, n_unknowns) csr_matrix
+        Rows of a camera's motion are zero.
     """
     subdomain = system.subdomain
     n = subdomain.n_unknowns

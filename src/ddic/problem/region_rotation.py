@@ -1,0 +1,181 @@
+"""The rotation of a region, which costs no energy whatever its angle: linear elasticity knows that of small ones only.
+
+The equilibrium gap is that of q - q_R, with the rigid motion q_R nearest to q, and of forces R K R^T.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from ddic.parallel.team import Team
+from ddic.partition.subdomain import Subdomain
+from ddic.solvers.exchange import Exchange
+from ddic.solvers.local_system import LocalSystem
+from ddic.solvers.petsc_stack import PetscStack
+from ddic.solvers.whole_system import remove_weights
+
+Array = NDArray[np.float64]
+
+LEAST_ANGLE = 0.005
+"""Angle, radians, up to which a rotation is left to linear elasticity, which takes it for a strain of 1e-5."""
+
+STEP_ANGLE = 0.1
+"""The stiffness is turned by whole multiples of this angle, radians, whatever the start was. A larger one makes forces
+of strains less exact, by its half; a smaller one factorises more often."""
+
+
+@dataclass(frozen=True, eq=False)
+class RigidMotion:
+    """A rigid motion of the region.
+
+    Attributes
+    ----------
+    angle : float
+        From x towards y, radians.
+    centre : (2,) array
+        Pixels.
+    shift : (2,) array
+        Of the centre, pixels.
+    """
+
+    angle: float
+    centre: Array
+    shift: Array
+
+    @property
+    def rotation(self) -> Array:
+        """R, (2, 2)."""
+        return build_rotation(self.angle)
+
+    def displace(self, points: Array) -> Array:
+        """Displace points.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n, 2) array
+            Pixels.
+        """
+        arms = points - self.centre
+        return np.asarray(arms @ (self.rotation - np.eye(2)).T + self.shift)
+
+
+def build_rotation(angle: float) -> Array:
+    """Build a rotation.
+
+    Parameters
+    ----------
+    angle : float
+        From x towards y, radians.
+
+    Returns
+    -------
+    (2, 2) array
+        R.
+    """
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s], [s, c]])
+
+
+def fit_rigid_motion(team: Team, subdomains: Sequence[Subdomain], q: Sequence[Array]) -> RigidMotion:
+    """Fit a rigid motion to the displacement of all nodes, every node counted once; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    subdomains : sequence of Subdomain
+        Owned ones.
+    q : sequence of (n_unknowns,) array
+        Their unknowns.
+
+    Returns
+    -------
+    RigidMotion
+        The nearest one.
+    """
+    sums = team.ordered_sum([_sum_moments(subdomain, q_s) for subdomain, q_s in zip(subdomains, q, strict=True)])
+    total, first, moved, products = sums[0], sums[1:3], sums[3:5], sums[5:].reshape(2, 2)
+    centre, moved_centre = first / total, moved / total
+    # Of sum (x - x_mean) (X - X_mean)^T, the angle that it turns by.
+    spread = products / total - np.outer(moved_centre, centre)
+    angle = float(np.arctan2(spread[1, 0] - spread[0, 1], spread[0, 0] + spread[1, 1]))
+    return RigidMotion(angle, centre, moved_centre - centre)
+
+
+def _sum_moments(subdomain: Subdomain, q: Array) -> Array:
+    """Of the nodes: their number, and the sums of X, of x and of x X^T, (9,)."""
+    weights = 1.0 / subdomain.node_multiplicity
+    nodes = subdomain.mesh.nodes
+    moved = nodes + subdomain.kinematics.displacement(q[:subdomain.n_field]).reshape(nodes.shape)
+    return np.concatenate([[weights.sum()], weights @ nodes, weights @ moved,
+                           ((moved * weights[:, None]).T @ nodes).ravel()])
+
+
+@dataclass(frozen=True, eq=False)
+class HeldRotation:
+    """What lets a rotation of the region cost nothing.
+
+    Attributes
+    ----------
+    team : Team
+        All ranks.
+    systems : tuple of LocalSystem
+        Of owned subdomains.
+    """
+
+    team: Team
+    systems: tuple[LocalSystem, ...]
+
+    @cached_property
+    def _kbars(self) -> list[sparse.csr_matrix]:
+        return [remove_weights(system) for system in self.systems]
+
+    def compute_forces(self, q: Sequence[Array]) -> list[Array]:
+        """Compute eta Kbar^T Kbar q_R, which b has to be given for the gap to be that of q - q_R; collective.
+
+        Parameters
+        ----------
+        q : sequence of (n_unknowns,) array
+            Unknowns, of which q_R is the rigid motion.
+
+        Returns
+        -------
+        list of (n_unknowns,) array
+            Of each owned subdomain; they add up over subdomains.
+        """
+        subdomains = [system.subdomain for system in self.systems]
+        motion = fit_rigid_motion(self.team, subdomains, q)
+        gaps = []
+        for subdomain, kbar in zip(subdomains, self._kbars, strict=True):
+            rest = np.zeros(subdomain.n_unknowns)
+            rest[:subdomain.n_field] = subdomain.kinematics.fit(motion.displace(subdomain.mesh.nodes).ravel())
+            gaps.append(kbar @ rest)
+        complete = _add_up(self.team, subdomains, gaps)
+        return [np.asarray(system.eta * (kbar.T @ gap))
+                for system, kbar, gap in zip(self.systems, self._kbars, complete, strict=True)]
+
+
+def _add_up(team: Team, subdomains: Sequence[Subdomain], values: Sequence[Array]) -> list[Array]:
+    """Sums over all subdomains of values on their unknowns."""
+    numbers = [subdomain.numbers for subdomain in subdomains]
+    n_unknowns = team.sum(sum(int(subdomain.owned.sum()) for subdomain in subdomains))
+    n_share = len(range(team.rank, n_unknowns, team.size))
+    with PetscStack() as stack:
+        exchange = stack.keep(Exchange(team, n_share, numbers))
+        places = [np.searchsorted(exchange.ghosts, n) for n in numbers]
+        here = np.zeros(len(exchange.ghosts))
+        for place, of_subdomain in zip(places, values, strict=True):
+            here[place] += of_subdomain
+        total = exchange.sum_over_ranks(here)
+        return [total[place] for place in places]
