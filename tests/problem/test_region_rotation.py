@@ -31,11 +31,11 @@ def test_a_rigid_motion_is_found(shared_path: Path, angle: float) -> None:
     team = Team.world()
     reference = prepare(team, _write(shared_path))
     motion = RigidMotion(angle, np.array([70.0, 90.0]), np.array([3.0, -2.0]))
-    q = [motion.displace(s.mesh.nodes).ravel() for s in reference.subdomains]
+    q = [motion.evaluate(s.mesh.nodes).ravel() for s in reference.subdomains]
     found = fit_rigid_motion(team, reference.subdomains, q)
     np.testing.assert_allclose(found.angle, angle, atol=1e-12)
     points = np.array([[0.0, 0.0], [100.0, 30.0]])
-    np.testing.assert_allclose(found.displace(points), motion.displace(points), atol=1e-10)
+    np.testing.assert_allclose(found.evaluate(points), motion.evaluate(points), atol=1e-10)
 
 
 @pytest.mark.parallel(RANKS)
@@ -44,7 +44,7 @@ def test_forces_take_the_gap_of_the_rotation_away(shared_path: Path) -> None:
     reference = prepare(team, _write(shared_path))
     systems = assemble_alike(team, reference).systems
     motion = RigidMotion(0.3, np.array([96.0, 96.0]), np.array([1.0, 2.0]))
-    q = [motion.displace(s.subdomain.mesh.nodes).ravel() for s in systems]
+    q = [motion.evaluate(s.subdomain.mesh.nodes).ravel() for s in systems]
     forces = HeldRotation(team, tuple(systems)).compute_forces(q)
     pieces = team.gather_lists([(s.subdomain.numbers, f) for s, f in zip(systems, forces, strict=True)])
     total = np.zeros(200)
@@ -57,7 +57,7 @@ def test_forces_take_the_gap_of_the_rotation_away(shared_path: Path) -> None:
     team.wait_for_all()
     alone = Team.alone()
     (system,) = assemble_alike(alone, prepare(alone, shared_path / "one.toml")).systems
-    rest = motion.displace(system.subdomain.mesh.nodes).ravel()
+    rest = motion.evaluate(system.subdomain.mesh.nodes).ravel()
     kbar = system.controlled_stiffness
     assert kbar is not None
     expected = system.eta * (kbar.T @ (kbar @ rest))

@@ -18,7 +18,7 @@ from ddic.partition.subdomain import Subdomain
 from ddic.solvers.exchange import Exchange
 from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.petsc_stack import PetscStack
-from ddic.solvers.whole_system import remove_weights
+from ddic.solvers.whole_system import without_weights
 
 Array = NDArray[np.float64]
 
@@ -53,8 +53,8 @@ class RigidMotion:
         """R, (2, 2)."""
         return build_rotation(self.angle)
 
-    def displace(self, points: Array) -> Array:
-        """Displace points.
+    def evaluate(self, points: Array) -> Array:
+        """Evaluate the displacement.
 
         Parameters
         ----------
@@ -139,7 +139,7 @@ class HeldRotation:
 
     @cached_property
     def _kbars(self) -> list[sparse.csr_matrix]:
-        return [remove_weights(system) for system in self.systems]
+        return [without_weights(system) for system in self.systems]
 
     def compute_forces(self, q: Sequence[Array]) -> list[Array]:
         """Compute eta Kbar^T Kbar q_R, which b has to be given for the gap to be that of q - q_R; collective.
@@ -159,7 +159,7 @@ class HeldRotation:
         gaps = []
         for subdomain, kbar in zip(subdomains, self._kbars, strict=True):
             rest = np.zeros(subdomain.n_unknowns)
-            rest[:subdomain.n_field] = subdomain.kinematics.fit(motion.displace(subdomain.mesh.nodes).ravel())
+            rest[:subdomain.n_field] = subdomain.kinematics.fit(motion.evaluate(subdomain.mesh.nodes).ravel())
             gaps.append(kbar @ rest)
         complete = _add_up(self.team, subdomains, gaps)
         return [np.asarray(system.eta * (kbar.T @ gap))

@@ -50,7 +50,7 @@ class WholeSystem:
             self.numbers, self.n_owned = _number_by_rank(team, [s.subdomain for s in systems])
             self.exchange = stack.keep(Exchange(team, self.n_owned, self.numbers))
             self._places = [np.searchsorted(self.exchange.ghosts, n) for n in self.numbers]
-            self.kbars = [remove_weights(system) for system in systems]
+            self.kbars = [without_weights(system) for system in systems]
             self._multiplicity = self.sum_over_subdomains([np.ones(len(n)) for n in self.numbers])
             self._objects = stack.pop_all()
 
@@ -271,8 +271,8 @@ def _find_node(subdomain: Subdomain, unknown: int) -> NDArray[np.float64]:
     return np.asarray(nodes[int(np.linalg.norm(column, axis=1).argmax())])
 
 
-def remove_weights(system: LocalSystem) -> sparse.csr_matrix:
-    """Remove the weights of interface rows from Kbar_s, whose rows then add up over subdomains to Kbar.
+def without_weights(system: LocalSystem) -> sparse.csr_matrix:
+    """Give Kbar_s without the weights of interface rows, so that its rows add up over subdomains to Kbar.
 
     The coupled subdomains minimise (1/m) |sum_s (Kbar_s q_s)_i|^2 at an unknown of m of them: consistent weights
     sqrt(m) make that the row of the whole region, the paper's weight 1 leaves that row over sqrt(m).
