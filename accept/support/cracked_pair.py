@@ -80,5 +80,5 @@ def render_crack(crack: Crack, size: int, noise: float, seed: int = 0) -> tuple[
     origins = points
     for _ in range(ROUNDS):
         origins = points - crack.displacement(origins)
-    return (picture(texture, points, 16, noise * random.standard_normal(len(points))),
-            picture(texture, origins, 16, noise * random.standard_normal(len(points))))
+    return (picture(texture, points, 16, noise * random.standard_normal(len(points))).reshape(size, size),
+            picture(texture, origins, 16, noise * random.standard_normal(len(points))).reshape(size, size))

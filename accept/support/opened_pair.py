@@ -159,33 +159,32 @@ def render(opened: Opened, size: int, noise: float = 0.0, seed: int = 0, *, spec
     for _ in range(5):
         # The displacement is linear on each side, and small: this converges by its gradient.
         origins = points - opened.displacement(origins, sides)
-    return (picture(texture, points, bits, noise * random.standard_normal(len(points))),
-            picture(texture, origins, bits, noise * random.standard_normal(len(points))))
+    return (picture(texture, points, bits, noise * random.standard_normal(len(points))).reshape(size, size),
+            picture(texture, origins, bits, noise * random.standard_normal(len(points))).reshape(size, size))
 
 
 def picture(texture: SpeckleTexture, origins: Array, bits: int, noise: Array) -> NDArray[Any]:
-    """Draw a square image.
+    """Draw an image.
 
     Parameters
     ----------
     texture : SpeckleTexture
         What is seen.
-    origins : (size**2, 2) array
+    origins : (n, 2) array
         Where each pixel came from, row by row.
     bits : int
         8 or 16.
-    noise : (size**2,) array
+    noise : (n,) array
         Grey levels of 256.
 
     Returns
     -------
-    (size, size) uint8 or uint16 array
+    (n,) uint8 or uint16 array
         Grey levels.
     """
     brightest = 2**bits - 1
     grey = brightest * (texture.grey(origins[:, 0], origins[:, 1]) + noise / 255)
-    size = round(len(origins) ** 0.5)
-    digits = np.clip(np.rint(grey), 0, brightest).reshape(size, size)
+    digits = np.clip(np.rint(grey), 0, brightest)
     return np.asarray(digits, dtype=np.uint16 if bits > 8 else np.uint8)
 
 

@@ -40,13 +40,13 @@ class RigidMotion:
         From x towards y, radians.
     centre : (2,) array
         Pixels.
-    shift : (2,) array
+    translation : (2,) array
         Of the centre, pixels.
     """
 
     angle: float
     centre: Array
-    shift: Array
+    translation: Array
 
     @property
     def rotation(self) -> Array:
@@ -67,7 +67,7 @@ class RigidMotion:
             Pixels.
         """
         arms = points - self.centre
-        return np.asarray(arms @ (self.rotation - np.eye(2)).T + self.shift)
+        return np.asarray(arms @ (self.rotation - np.eye(2)).T + self.translation)
 
 
 def build_rotation(angle: float) -> Array:

@@ -1,0 +1,18 @@
+"""The acceptance table of the start, as far as it is built: ``make accept-start``, a check alone with CHECK=NAME.
+
+Pairs are exact and settings are defaults: no start key in any case.
+"""
+
+from __future__ import annotations
+
+import sys
+
+from accept.hard_starts import CHECKS as HARD
+from accept.large_motions import CHECKS as LARGE
+from accept.table import Check, run_table
+
+CHECKS: dict[str, Check] = {**LARGE, **HARD}
+
+
+if __name__ == "__main__":
+    sys.exit(run_table("start", CHECKS))
