@@ -152,7 +152,7 @@ def measure_random(scale: Scale) -> list[Row]:
     n_fields = 2 if scale.smoke else N_RANDOM
     n_right, wrong, refused = 0, [], []
     low, high = (RANDOM_SIDE - RANDOM_REGION) / 2, (RANDOM_SIDE + RANDOM_REGION) / 2
-    mesh = ddic.structured_mesh((low, low, high, high), 15)
+    mesh = ddic.structured_mesh((low, low, high, high), 20)
     for seed in range(n_fields):
         random = np.random.default_rng(seed)
         deformation = _make_random(random)

@@ -25,8 +25,9 @@ from ddic.kinematics.strain import compute_strain
 
 Array = NDArray[np.float64]
 
-SIDE, REGION, ELEMENT = 1000, 300, 20
-"""Sides of the images, of the region in their middle, and of the elements, pixels."""
+SIDE, REGION, ELEMENT = 1000, 260, 20
+"""Sides of the images, of the region in their middle, which stays in the image turned and shifted, and of the elements,
+pixels."""
 
 SHIFT = 0.3
 """Share of the image's side by which the region moves as well."""
