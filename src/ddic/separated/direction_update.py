@@ -1,0 +1,1 @@
+def update_direction(*a, **k): raise NotImplementedError
