@@ -1,1 +1,93 @@
-def update_direction(*a, **k): raise NotImplementedError
+"""All functions of one direction found anew, those of the other direction kept."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.separated.diagonals import add_up, multiply, solve_coupled
+from ddic.separated.line_elements import LineElements
+from ddic.separated.pixel_bands import FramePixels
+from ddic.separated.rank_one import hold_nodes
+from ddic.separated.separated_field import SeparatedField, normalize_modes
+from ddic.separated.separated_regularization import SeparatedOperator
+
+Array = NDArray[np.float64]
+
+
+def update_direction(pixels: FramePixels, operator: SeparatedOperator | None, displacement: SeparatedField,
+                     mode: SeparatedField, *, along_y: bool, loss: float) -> SeparatedField:
+    """Find all functions of one direction anew, those of the other direction and of a new mode kept.
+
+    One banded system couples all modes and both components. The functions kept are made orthogonal first.
+
+    Parameters
+    ----------
+    pixels : FramePixels
+        With the residual at the displacement.
+    operator : SeparatedOperator or None
+        Regularisation, weight included.
+    displacement : SeparatedField
+        u.
+    mode : SeparatedField
+        The correction that brings a new function to keep.
+    along_y : bool
+        Whether functions of y are found anew, not those of x.
+    loss : float
+        RMS displacement that making functions orthogonal may lose, pixels.
+
+    Returns
+    -------
+    SeparatedField
+        u with the correction that is best for these functions.
+
+    Raises
+    ------
+    SingularSubdomainError
+        Where the images do not determine the functions.
+    """
+    # A new function counts, however small its amplitude.
+    kept = displacement.add(mode).recompress(min(loss, 1e-3 * float(mode.measure_rms().max())))
+    line, other = (kept.along_y, kept.along_x) if along_y else (kept.along_x, kept.along_y)
+    functions = kept.x if along_y else kept.y
+    data, right = pixels.integrate_pairs(other.evaluate_at_pixels(functions), along_y=along_y)
+    blocks = _assemble_blocks(line, data)
+    blocks = blocks + hold_nodes(line, blocks)
+    vector = np.stack([line.sum_at_nodes(row) for row in right])
+    if operator is not None:
+        oriented = operator.swap() if along_y else operator
+        blocks = add_up([blocks, _couple(oriented, functions)])
+        given = (displacement.y, displacement.scaled_x) if along_y else (displacement.scaled_x, displacement.y)
+        vector = vector - _regularize(oriented, functions, *given)
+    found = solve_coupled(blocks, vector, "update of one direction").reshape(-1, 2, line.n_nodes)
+    x, y = (functions, found) if along_y else (found, functions)
+    return displacement.add(normalize_modes(kept.along_x, kept.along_y, x, y)).recompress(loss)
+
+
+def _assemble_blocks(line: LineElements, data: Array) -> Array:
+    """Matrices between all functions from their integrals at pixels (m, m, n_pixels), (m, m, 3, n)."""
+    m = len(data)
+    blocks = np.empty((m, m, 3, line.n_nodes))
+    for row in range(m):
+        for column in range(row, m):
+            blocks[row, column] = blocks[column, row] = line.assemble(data[row, column])
+    return blocks
+
+
+def _couple(operator: SeparatedOperator, functions: Array) -> Array:
+    """What regularisation couples: (m, m, 2 w + 1, n), function k of component c being m = 2 k + c."""
+    n_modes, width, n = len(functions), operator.x.shape[1], operator.x.shape[2]
+    blocks = np.zeros((n_modes, 2, n_modes, 2, width, n))
+    for t, (c, d) in enumerate(zip(operator.rows, operator.columns, strict=True)):
+        weights = functions[:, c] @ multiply(operator.y[t], functions[:, d]).T
+        blocks[:, c, :, d] += weights[..., None, None] * operator.x[t]
+    return blocks.reshape(2 * n_modes, 2 * n_modes, width, n)
+
+
+def _regularize(operator: SeparatedOperator, functions: Array, x: Array, y: Array) -> Array:
+    """L u against functions (n_modes, 2, n_other), (m, n); u: functions x and y of its modes."""
+    of_x, of_y = operator.apply(x, y)
+    total = np.zeros((len(functions), 2, operator.x.shape[2]))
+    for t, c in enumerate(operator.rows):
+        total[:, c] += (functions[:, c] @ of_y[t].T) @ of_x[t]
+    return total.reshape(-1, total.shape[2])

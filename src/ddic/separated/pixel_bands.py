@@ -305,6 +305,44 @@ class FramePixels:
             found.append(sums)
         return self.reference.sums.join(found)
 
+    def integrate_pairs(self, functions: Array, *, along_y: bool) -> tuple[Array, Array]:
+        """Integrate all pairs of several functions against the slopes, and each against the residual.
+
+        Parameters
+        ----------
+        functions : (n_modes, 2, height or width) array
+            Of the direction that is integrated over, at its pixels.
+        along_y : bool
+            Whether what is left is a function of y, and integrals are over x.
+
+        Returns
+        -------
+        pairs : (2 n_modes, 2 n_modes, n) array
+            Sums of f_c f_d v w for v of component c and w of component d; function k of component c is 2 k + c.
+        single : (2 n_modes, n) array
+            Sums of r f_c v.
+        """
+        n_modes = len(functions)
+        first = self.reference.along_y.pixels.start
+        pairs, single = [], []
+        for band in self.bands:
+            rows = band.reference.rows
+            given = functions if along_y else functions[..., rows.start - first:rows.stop - first]
+            slopes = (band.by_x.astype(np.float64), band.by_y.astype(np.float64))
+            n = len(rows) if along_y else band.by_x.shape[1]
+            of_band, of_residual = np.empty((n_modes, 2, n_modes, 2, n)), np.empty((n_modes, 2, n))
+            for c in range(2):
+                of_residual[:, c] = _integrate(slopes[c] * band.residual, given[:, c], along_y=along_y)
+                for d in range(c, 2):
+                    products = (given[:, None, c] * given[None, :, d]).reshape(n_modes**2, -1)
+                    found = _integrate(slopes[c] * slopes[d], products, along_y=along_y)
+                    of_band[:, c, :, d] = found.reshape(n_modes, n_modes, n)
+            of_band[:, 1, :, 0] = of_band[:, 0, :, 1].swapaxes(0, 1)
+            pairs.append(of_band.reshape(2 * n_modes, 2 * n_modes, n))
+            single.append(of_residual.reshape(2 * n_modes, n))
+        bring = self.reference.sums.join if along_y else self.reference.sums.add_up
+        return bring(pairs), bring(single)
+
     def sum_blocks(self, edges_x: NDArray[np.int64], edges_y: NDArray[np.int64]) -> Array:
         """Sum the residual against grad f over blocks of pixels.
 
@@ -460,3 +498,8 @@ class FramePixels:
         # Where nothing of it is in the image, any window will do: no pixel counts.
         clipped = window.clip(extent.width, extent.height)
         return clipped if clipped.width > 0 and clipped.height > 0 else Window(0, 0, 1, 1)
+
+
+def _integrate(image: Array, functions: Array, *, along_y: bool) -> Array:
+    """Integrals of an image (n_rows, width) against functions (m, n), (m, n_rows) or (m, width)."""
+    return np.asarray(functions @ (image.T if along_y else image))

@@ -75,7 +75,7 @@ class Direction:
         sums = self.integrate(self.other.evaluate_at_pixels(given))
         xx, xy, yy = (self.line.assemble(row) for row in sums[:3])
         blocks = np.stack([np.stack([xx, xy]), np.stack([xy, yy])])
-        blocks = blocks + _hold(self.line, blocks)
+        blocks = blocks + hold_nodes(self.line, blocks)
         right = np.stack([self.line.sum_at_nodes(row) for row in sums[3:]])
         if self.operator is not None:
             weights = self.operator.reduce(given, given)
@@ -94,13 +94,28 @@ class Direction:
         return np.stack([of_terms[operator.rows == c].sum(axis=0) for c in range(2)])
 
 
-def _hold(line: LineElements, blocks: Array) -> Array:
-    """What holds nodes that no pixel shows, (2, 2, 3, n)."""
-    scale = HELD * float(blocks[[0, 1], [0, 1], 1].mean()) / float(line.stiffness[1].mean())
+def hold_nodes(line: LineElements, blocks: Array) -> Array:
+    """Give what holds the nodes that no pixel shows.
+
+    Parameters
+    ----------
+    line : LineElements
+        Of the functions sought.
+    blocks : (m, m, 3, n) array
+        What pixels give, by the functions that it couples.
+
+    Returns
+    -------
+    (m, m, 3, n) array
+        Diagonal in the functions.
+    """
+    every = np.arange(len(blocks))
+    scale = HELD * float(blocks[every, every, 1].mean()) / float(line.stiffness[1].mean())
     held = scale * line.stiffness
     held[1] += ANCHORED * held[1].mean()
-    none = np.zeros_like(held)
-    return np.stack([np.stack([held, none]), np.stack([none, held])])
+    diagonal = np.zeros_like(blocks)
+    diagonal[every, every] = held
+    return diagonal
 
 
 @dataclass(frozen=True)
