@@ -195,7 +195,8 @@ def correct_displacement(pixels: FramePixels, start: SeparatedField, regularizat
         if len(records) == rules.max_corrections:
             raise ConvergenceError(_describe_failure(records, rules))
         mode = find_rank_one(pixels, build_directions(pixels, operator, u), scheme.max_sweeps, scheme.stagnation)
-        noise_gain = predict_noise_gain(pixels.reference, regularization, grey)
+        noise_gain = predict_noise_gain(start.along_x, start.along_y,
+                                        None if regularization is None else regularization.wavelength, grey.residual_rms)
         if rules.stops_at_noise and mode.gain <= noise_gain:
             _require_match(sums)
             stop = f"noise: a further correction would fit the images no better than noise ({mode.gain:.3g} <= " \
