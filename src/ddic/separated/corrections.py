@@ -189,14 +189,14 @@ def correct_displacement(pixels: FramePixels, start: SeparatedField, regularizat
         Where the images do not determine a correction.
     """
     operator = None if regularization is None else regularization.operator
+    wavelength = None if regularization is None else regularization.wavelength
     u, records, stop = start, list[CorrectionRecord](), ""
     sums, grey = _evaluate(pixels, u, scheme.correction)
     while not stop:
         if len(records) == rules.max_corrections:
             raise ConvergenceError(_describe_failure(records, rules))
         mode = find_rank_one(pixels, build_directions(pixels, operator, u), scheme.max_sweeps, scheme.stagnation)
-        noise_gain = predict_noise_gain(start.along_x, start.along_y,
-                                        None if regularization is None else regularization.wavelength, grey.residual_rms)
+        noise_gain = predict_noise_gain(start.along_x, start.along_y, wavelength, grey.residual_rms)
         if rules.stops_at_noise and mode.gain <= noise_gain:
             _require_match(sums)
             stop = f"noise: a further correction would fit the images no better than noise ({mode.gain:.3g} <= " \
@@ -207,7 +207,7 @@ def correct_displacement(pixels: FramePixels, start: SeparatedField, regularizat
         records.append(record)
         note(record)
         sums, grey = _evaluate(pixels, u, scheme.correction)
-        stop = _find_stop(record, rules)
+        stop = pixels.reference.sums.agree(_find_stop(record, rules))
     return SeparatedSolution(u.recompress(LOSS_PX), records, grey, sums, stop)
 
 
@@ -228,7 +228,7 @@ def _evaluate(pixels: FramePixels, u: SeparatedField, correction: GreyCorrection
 
 def _add_mode(pixels: FramePixels, operator: SeparatedOperator | None, u: SeparatedField, mode: Mode,
               n_before: int | None) -> SeparatedField:
-    """u with a mode; with ``n_before`` corrections before it, functions of one direction are found anew."""
+    """U with a mode; with ``n_before`` corrections before it, functions of one direction are found anew."""
     if n_before is not None:
         return update_direction(pixels, operator, u, mode.field, along_y=n_before % 2 == 1, loss=LOSS_PX)
     added = u.add(mode.field)
@@ -275,7 +275,7 @@ def _require_match(sums: GreySums) -> None:
 
 def _describe_failure(records: list[CorrectionRecord], rules: StoppingRules) -> str:
     last = records[-1]
-    return (f"PGD-DIC does not converge: after {rules.max_corrections} corrections the last one is {last.rms[0]:.1e} px "
-            f"along x and {last.rms[1]:.1e} px along y (pgd.tolerance = {rules.tolerance:g}, pgd.rms_tolerance = "
+    return (f"PGD-DIC does not converge: after {rules.max_corrections} corrections the last one is {last.rms[0]:.1e} "
+            f"px along x and {last.rms[1]:.1e} px along y (pgd.tolerance = {rules.tolerance:g}, pgd.rms_tolerance = "
             f"{rules.rms_tolerance:g}); give a larger pgd.tolerance, larger elements, [regularization], or more "
             "pgd.max_corrections")

@@ -96,6 +96,8 @@ def widen(bands: Array, width: int) -> Array:
         The same matrices.
     """
     more = width - bands.shape[-2] // 2
+    if not more:
+        return bands
     return np.pad(bands, [(0, 0)] * (bands.ndim - 2) + [(more, more), (0, 0)])
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -47,7 +49,8 @@ def update_direction(pixels: FramePixels, operator: SeparatedOperator | None, di
         Where the images do not determine the functions.
     """
     # A new function counts, however small its amplitude.
-    kept = displacement.add(mode).recompress(min(loss, 1e-3 * float(mode.measure_rms().max())))
+    kept = pixels.reference.sums.agree(
+        displacement.add(mode).recompress(min(loss, 1e-3 * float(mode.measure_rms().max()))))
     line, other = (kept.along_y, kept.along_x) if along_y else (kept.along_x, kept.along_y)
     functions = kept.x if along_y else kept.y
     data, right = pixels.integrate_pairs(other.evaluate_at_pixels(functions), along_y=along_y)
@@ -61,7 +64,8 @@ def update_direction(pixels: FramePixels, operator: SeparatedOperator | None, di
         vector = vector - _regularize(oriented, functions, *given)
     found = solve_coupled(blocks, vector, "update of one direction").reshape(-1, 2, line.n_nodes)
     x, y = (functions, found) if along_y else (found, functions)
-    return displacement.add(normalize_modes(kept.along_x, kept.along_y, x, y)).recompress(loss)
+    corrected = displacement.add(normalize_modes(kept.along_x, kept.along_y, x, y))
+    return pixels.reference.sums.agree(corrected.recompress(loss))
 
 
 def _assemble_blocks(line: LineElements, data: Array) -> Array:
@@ -78,9 +82,11 @@ def _couple(operator: SeparatedOperator, functions: Array) -> Array:
     """What regularisation couples: (m, m, 2 w + 1, n), function k of component c being m = 2 k + c."""
     n_modes, width, n = len(functions), operator.x.shape[1], operator.x.shape[2]
     blocks = np.zeros((n_modes, 2, n_modes, 2, width, n))
-    for t, (c, d) in enumerate(zip(operator.rows, operator.columns, strict=True)):
-        weights = functions[:, c] @ multiply(operator.y[t], functions[:, d]).T
-        blocks[:, c, :, d] += weights[..., None, None] * operator.x[t]
+    for c, d in product(range(2), repeat=2):
+        chosen = np.flatnonzero((operator.rows == c) & (operator.columns == d))
+        if len(chosen):
+            weights = np.stack([functions[:, c] @ multiply(operator.y[t], functions[:, d]).T for t in chosen])
+            blocks[:, c, :, d] = np.tensordot(weights, operator.x[chosen], axes=(0, 0))
     return blocks.reshape(2 * n_modes, 2 * n_modes, width, n)
 
 

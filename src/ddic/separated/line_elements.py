@@ -58,6 +58,16 @@ class LineElements:
         places = np.arange(self.pixels.start, self.pixels.stop, dtype=float)
         return np.asarray((places - self.nodes[self._elements]) / np.diff(self.nodes)[self._elements])
 
+    def count_pixels(self) -> NDArray[np.int64]:
+        """Count the pixels of each element.
+
+        Returns
+        -------
+        (n_nodes - 1,) int64 array
+            Along the line.
+        """
+        return np.bincount(self._elements, minlength=self.n_nodes - 1).astype(np.int64)
+
     def evaluate_at_pixels(self, values: Array) -> Array:
         """Evaluate functions at pixel centres.
 
@@ -134,7 +144,8 @@ class LineElements:
 
     def _sum_by_node(self, of_pixels: Array, end: int) -> Array:
         """Sums over pixels at the lower (0) or upper (1) node of their element, (n_nodes,)."""
-        return np.bincount(self._elements + end, weights=of_pixels, minlength=self.n_nodes)
+        summed = np.bincount(self._elements + end, weights=of_pixels, minlength=self.n_nodes)
+        return np.asarray(summed, dtype=np.float64)
 
     @cached_property
     def mass(self) -> Array:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,15 +13,12 @@ from ddic.images.spline import PADDING, GradientImage, SplineImage
 from ddic.images.sub_image import DeformedSubImage
 from ddic.images.window import Window
 from ddic.separated import separated_kernels as kernels
+from ddic.separated.band_sums import BandSums
 from ddic.separated.line_elements import LineElements
 from ddic.separated.separated_field import SeparatedField
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.float32]
-
-N_BANDS = 16
-"""Bands of rows, whatever the number of ranks, so that sums are rounded alike on all of them: most ranks that have
-work. With more, sums over bands take longer."""
 
 CHUNK = 1 << 17
 """Pixels whose displacement is held at once: 2 MB, of the second-level cache."""
@@ -31,70 +27,6 @@ SAMPLES = 33
 """Places along a side at which a field is looked at to guess which window of g it needs."""
 
 _NOTHING_EXCLUDED = np.zeros((0, 0), dtype=np.uint8)
-
-
-class BandSums(Protocol):
-    """Brings together what bands of rows give, in their order; every rank has the result."""
-
-    def add_up(self, of_bands: Sequence[Array]) -> Array:
-        """Sum arrays of one shape.
-
-        Parameters
-        ----------
-        of_bands : sequence of array
-            One of each owned band.
-
-        Returns
-        -------
-        array
-            Sum over the bands of all ranks.
-        """
-        ...
-
-    def join(self, of_bands: Sequence[Array]) -> Array:
-        """Put arrays side by side along their last axis.
-
-        Parameters
-        ----------
-        of_bands : sequence of array
-            One of each owned band.
-
-        Returns
-        -------
-        array
-            Of all rows.
-        """
-        ...
-
-
-class SerialSums(BandSums):
-    """All bands are on this rank."""
-
-    def add_up(self, of_bands: Sequence[Array]) -> Array:
-        """Sum them."""
-        return np.asarray(np.sum(np.stack(of_bands), axis=0))
-
-    def join(self, of_bands: Sequence[Array]) -> Array:
-        """Put them side by side."""
-        return np.concatenate(of_bands, axis=-1)
-
-
-def divide_rows(along_y: LineElements) -> list[range]:
-    """Divide the rows of a rectangle into bands.
-
-    Parameters
-    ----------
-    along_y : LineElements
-        Of the rectangle.
-
-    Returns
-    -------
-    list of range
-        Rows of the image, N_BANDS of them or one a row.
-    """
-    rows = along_y.pixels
-    edges = np.linspace(rows.start, rows.stop, min(N_BANDS, len(rows)) + 1).round().astype(int)
-    return [range(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,10 +63,6 @@ class ReferencePixels:
         The whole image.
     sums : BandSums
         Over the bands of all ranks.
-    n_pixels : int
-        Of all ranks, that are not left out.
-    grey_range : float
-        Of all ranks, grey levels.
     """
 
     along_x: LineElements
@@ -142,8 +70,6 @@ class ReferencePixels:
     bands: list[ReferenceBand]
     extent: Window
     sums: BandSums
-    n_pixels: int
-    grey_range: float
 
     def sum_texture(self, component: int, of_columns: Array, of_rows: Array) -> float:
         """Sum f_a^2 p(x) q(y) over the pixels of all ranks.
@@ -322,26 +248,31 @@ class FramePixels:
         single : (2 n_modes, n) array
             Sums of r f_c v.
         """
-        n_modes = len(functions)
-        first = self.reference.along_y.pixels.start
-        pairs, single = [], []
+        sums = self.reference.sums
+        of_bands = self._integrate_bands(functions, along_y=along_y)
+        rows = sums.join(of_bands) if along_y else sums.add_up(of_bands)
+        m = 2 * len(functions)
+        return rows[:m * m].reshape(m, m, -1), rows[m * m:]
+
+    def _integrate_bands(self, functions: Array, *, along_y: bool) -> Iterator[Array]:
+        """Integrals over the pixels of each owned band: all pairs, row by row, then the single ones, (m^2 + m, n)."""
+        n_modes, first = len(functions), self.reference.along_y.pixels.start
         for band in self.bands:
             rows = band.reference.rows
             given = functions if along_y else functions[..., rows.start - first:rows.stop - first]
             slopes = (band.by_x.astype(np.float64), band.by_y.astype(np.float64))
             n = len(rows) if along_y else band.by_x.shape[1]
-            of_band, of_residual = np.empty((n_modes, 2, n_modes, 2, n)), np.empty((n_modes, 2, n))
+            m = 2 * n_modes
+            found = np.empty((m * m + m, n))
+            pairs, single = found[:m * m].reshape(n_modes, 2, n_modes, 2, n), found[m * m:].reshape(n_modes, 2, n)
             for c in range(2):
-                of_residual[:, c] = _integrate(slopes[c] * band.residual, given[:, c], along_y=along_y)
+                single[:, c] = _integrate(slopes[c] * band.residual, given[:, c], along_y=along_y)
                 for d in range(c, 2):
                     products = (given[:, None, c] * given[None, :, d]).reshape(n_modes**2, -1)
-                    found = _integrate(slopes[c] * slopes[d], products, along_y=along_y)
-                    of_band[:, c, :, d] = found.reshape(n_modes, n_modes, n)
-            of_band[:, 1, :, 0] = of_band[:, 0, :, 1].swapaxes(0, 1)
-            pairs.append(of_band.reshape(2 * n_modes, 2 * n_modes, n))
-            single.append(of_residual.reshape(2 * n_modes, n))
-        bring = self.reference.sums.join if along_y else self.reference.sums.add_up
-        return bring(pairs), bring(single)
+                    of_pairs = _integrate(slopes[c] * slopes[d], products, along_y=along_y)
+                    pairs[:, c, :, d] = of_pairs.reshape(n_modes, n_modes, n)
+            pairs[:, 1, :, 0] = pairs[:, 0, :, 1].swapaxes(0, 1)
+            yield found
 
     def sum_blocks(self, edges_x: NDArray[np.int64], edges_y: NDArray[np.int64]) -> Array:
         """Sum the residual against grad f over blocks of pixels.
@@ -378,7 +309,8 @@ class FramePixels:
         GreySums
             Over the pixels of all ranks that count.
         """
-        return GreySums(self.reference.sums.add_up(self._fill(displacement)))
+        sums = self.reference.sums
+        return GreySums(sums.add_up(sums.together(lambda: self._fill(displacement))))
 
     def correct_grey_levels(self, gain: float, offset: float) -> None:
         """Turn the residual f - g(x + u) into f - gain g(x + u) - offset.
@@ -419,7 +351,7 @@ class FramePixels:
             image = residual - (gain - 1.0) * (band.reference.values - residual) - offset
             found.append((band.reference.rows, image.astype(np.float32)))
 
-        self._fill(displacement, keep)
+        self.reference.sums.together(lambda: self._fill(displacement, keep))
         return found
 
     def _fill(self, displacement: SeparatedField, keep: Callable[[FrameBand, Grey], None] | None = None) -> list[Array]:

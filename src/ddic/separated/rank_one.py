@@ -184,16 +184,19 @@ def find_rank_one(pixels: FramePixels, directions: tuple[Direction, Direction], 
         The correction.
     """
     along_x, along_y = directions
+    agree = pixels.reference.sums.agree
     y = guess_functions(pixels)
     before: SeparatedField | None = None
-    for sweep in range(1, max_sweeps + 1):
-        x, _ = along_x.solve(y)
-        y, gain = along_y.solve(_scale(x))
+    n_sweeps = 0
+    while n_sweeps < max_sweeps:
+        n_sweeps += 1
+        x, _ = agree(along_x.solve(y))
+        y, gain = agree(along_y.solve(_scale(x)))
         mode = normalize_modes(along_x.line, along_y.line, _scale(x)[None], y[None])
-        if before is not None and _change(before, mode) <= stagnation:
+        if before is not None and agree(_change(before, mode) <= stagnation):
             break
         before, y = mode, _scale(y)
-    return Mode(mode, gain, sweep)
+    return Mode(mode, gain, n_sweeps)
 
 
 def guess_functions(pixels: FramePixels) -> Array:
@@ -222,7 +225,7 @@ def guess_functions(pixels: FramePixels) -> Array:
         # Its sign is arbitrary; that of the largest entry is not.
         left *= np.sign(left[np.argmax(np.abs(left))])
         guessed.append(np.interp(along_y.nodes, centres, left))
-    return _scale(np.stack(guessed))
+    return pixels.reference.sums.agree(_scale(np.stack(guessed)))
 
 
 def _block_edges(line: LineElements) -> NDArray[np.int64]:

@@ -18,7 +18,7 @@ _TINY = 1e-300
 
 @dataclass(frozen=True, eq=False)
 class SeparatedField:
-    """u_c(x, y) = sum_k a_kc X_kc(x) Y_kc(y) for both components c.
+    """Sum of products u_c(x, y) = sum_k a_kc X_kc(x) Y_kc(y) for both components c.
 
     Attributes
     ----------
@@ -269,7 +269,7 @@ def _pad(functions: Array, n_modes: int) -> Array:
 def _multiply_all(line: LineElements, functions: Array) -> Array:
     """Mean products of all pairs of functions, (2, n_modes, n_modes)."""
     weighted = multiply(line.mass, functions) / line.length
-    return np.einsum("kci,lci->ckl", functions, weighted, optimize=True)
+    return np.asarray(np.einsum("kci,lci->ckl", functions, weighted, optimize=True))
 
 
 def _measure_functions(line: LineElements, functions: Array) -> Array:

@@ -3,7 +3,7 @@
 Both components' integrals come from one sweep over the image, which then runs at the speed of the memory: a pixel
 brings 12 bytes (f_x, f_y and the residual, float32), everything summed is float64.
 """
-# mypy: disable-error-code="no-untyped-def"
+# mypy: disable-error-code="no-untyped-def, assignment"
 
 from __future__ import annotations
 
@@ -25,7 +25,19 @@ N_GREY = 6
 
 @numba.njit(**FLAGS)
 def sum_over_rows(by_x, by_y, residual, functions, sums):
-    """Add to sums (5, width) those over rows; functions (2, height): values of Y in each row."""
+    """Add integrals over the rows of a band.
+
+    Parameters
+    ----------
+    by_x, by_y : (height, width) float32 array
+        Slopes f_x and f_y, grey levels per pixel.
+    residual : (height, width) float32 array
+        r, grey levels.
+    functions : (2, height) array
+        v and w: Y of both components in each row.
+    sums : (5, width) array
+        Added to.
+    """
     height, width = residual.shape
     for first in range(0, width, TILE):
         last = min(first + TILE, width)
@@ -43,7 +55,19 @@ def sum_over_rows(by_x, by_y, residual, functions, sums):
 
 @numba.njit(**FLAGS)
 def sum_over_columns(by_x, by_y, residual, functions, sums):
-    """Set sums (5, height) to those over columns; functions (2, width): values of X in each column."""
+    """Compute integrals over the columns of a band.
+
+    Parameters
+    ----------
+    by_x, by_y : (height, width) float32 array
+        Slopes f_x and f_y, grey levels per pixel.
+    residual : (height, width) float32 array
+        r, grey levels.
+    functions : (2, width) array
+        v and w: X of both components in each column.
+    sums : (5, height) array
+        Overwritten.
+    """
     height, width = residual.shape
     for j in range(height):
         s0, s1, s2, s3, s4 = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -61,7 +85,21 @@ def sum_over_columns(by_x, by_y, residual, functions, sums):
 
 @numba.njit(**FLAGS)
 def sum_blocks(by_x, by_y, residual, first_row, edges_y, edges_x, sums):
-    """Add r f_x and r f_y over blocks of pixels to sums (2, n_blocks_y, n_blocks_x)."""
+    """Add r f_x and r f_y over blocks of pixels.
+
+    Parameters
+    ----------
+    by_x, by_y : (height, width) float32 array
+        Slopes f_x and f_y, grey levels per pixel.
+    residual : (height, width) float32 array
+        r, grey levels.
+    first_row : int
+        Of the band, counted from the rectangle's first row.
+    edges_y, edges_x : (n + 1,) int64 array
+        Rows and columns where blocks begin, counted from the rectangle's first ones.
+    sums : (2, n_y, n_x) array
+        Added to.
+    """
     height = residual.shape[0]
     row = 0
     for j in range(height):
@@ -78,7 +116,7 @@ def sum_blocks(by_x, by_y, residual, first_row, edges_y, edges_x, sums):
 
 
 @numba.njit(**FLAGS)
-def cubic_weights(t, weights):
+def _cubic_weights(t, weights):
     """Set the four weights of the cubic B-spline at a fraction t of a pixel."""
     s = 1.0 - t
     weights[0] = s * s * s / 6.0
@@ -88,7 +126,7 @@ def cubic_weights(t, weights):
 
 
 @numba.njit(**FLAGS)
-def quintic_weights(t, weights):
+def _quintic_weights(t, weights):
     """Set the six weights of the quintic B-spline at a fraction t of a pixel."""
     for k in range(6):
         # Distance from the tap, of a function that is even.
@@ -102,12 +140,53 @@ def quintic_weights(t, weights):
 
 
 @numba.njit(**FLAGS)
-def fill_residual(values, ux, uy, x0, y0, spline, degree, spline_x0, spline_y0, usable, extent, residual, report):
-    """Set the residual of a block of pixels, nan where one does not count.
+def _evaluate_spline(spline, left, top, right_by, down_by, degree, wx, wy):
+    """Evaluate the spline whose taps begin at [top, left], at fractions of a pixel; wx, wy (6,) are scratch."""
+    g = 0.0
+    if degree == 3:
+        _cubic_weights(right_by, wx)
+        _cubic_weights(down_by, wy)
+        for a in range(4):
+            line = spline[top + a]
+            g += wy[a] * (wx[0] * line[left] + wx[1] * line[left + 1] + wx[2] * line[left + 2]
+                          + wx[3] * line[left + 3])
+        return g
+    _quintic_weights(right_by, wx)
+    _quintic_weights(down_by, wy)
+    for a in range(6):
+        s = 0.0
+        for b in range(6):
+            s += wx[b] * spline[top + a, left + b]
+        g += wy[a] * s
+    return g
 
-    Pixel [0, 0] is (x0, y0); spline: coefficients, padded; its window begins at (spline_x0, spline_y0); usable: of the
-    same window, or (0, 0); extent: width and height of the image. To report (7,) are added the six grey sums, and the
-    number of pixels that the spline's window does not hold.
+
+@numba.njit(**FLAGS)
+def fill_residual(values, ux, uy, x0, y0, spline, degree, spline_x0, spline_y0, usable, extent, residual, report):
+    """Compute the residual of a block of pixels.
+
+    Parameters
+    ----------
+    values : (height, width) float32 array
+        f, grey levels; nan where a pixel is left out.
+    ux, uy : (height, width) array
+        Displacement, pixels.
+    x0, y0 : int
+        First column and row of the block.
+    spline : (rows, columns) float32 array
+        Coefficients of g's window, padded.
+    degree : int
+        3 or 5.
+    spline_x0, spline_y0 : int
+        First column and row of that window.
+    usable : (height, width) uint8 array
+        Of the window, as ``SplineImage`` has it; (0, 0) where nothing is excluded.
+    extent : (int, int)
+        Width and height of the image.
+    residual : (height, width) float32 array
+        Overwritten: f - g(x + u), grey levels; nan where a pixel does not count.
+    report : (7,) array
+        Added to: the six sums of ``GreySums``, then the number of pixels displaced beyond the window.
     """
     height, width = values.shape
     pad = (degree + 1) // 2
@@ -131,24 +210,8 @@ def fill_residual(values, ux, uy, x0, y0, spline, degree, spline_x0, spline_y0, 
                 continue
             if usable.size > 0 and not usable[row, column]:
                 continue
-            left, top = column - reach + pad, row - reach + pad
-            if degree == 3:
-                cubic_weights(dx - whole_x, wx)
-                cubic_weights(dy - whole_y, wy)
-                g = 0.0
-                for a in range(4):
-                    line = spline[top + a]
-                    g += wy[a] * (wx[0] * line[left] + wx[1] * line[left + 1] + wx[2] * line[left + 2]
-                                  + wx[3] * line[left + 3])
-            else:
-                quintic_weights(dx - whole_x, wx)
-                quintic_weights(dy - whole_y, wy)
-                g = 0.0
-                for a in range(6):
-                    s = 0.0
-                    for b in range(6):
-                        s += wx[b] * spline[top + a, left + b]
-                    g += wy[a] * s
+            g = _evaluate_spline(spline, column - reach + pad, row - reach + pad, dx - whole_x,
+                                dy - whole_y, degree, wx, wy)
             r = f - g
             residual[j, i] = r
             if np.isnan(r):

@@ -81,7 +81,7 @@ class SeparatedOperator:
             Y_c^T Ay_t Y_d of each term.
         """
         products = multiply(self.y, right[self.columns])
-        return np.einsum("ti,ti->t", left[self.rows], products)
+        return np.asarray(np.einsum("ti,ti->t", left[self.rows], products))
 
     def assemble(self, weights: Array) -> Array:
         """Sum the matrices along x.
