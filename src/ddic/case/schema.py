@@ -392,14 +392,6 @@ class CorrelationSection(Section):
 class RegularizationSection(Section):
     """Equilibrium gap, or Tikhonov's term; weight given as eta or as a cut-off wavelength in pixels."""
 
-    operator: Literal["equilibrium_gap", "tikhonov"] = Field(
-        default="equilibrium_gap",
-        description=(
-            "What is kept small: forces out of equilibrium, or, with `[pgd]` alone, the gradient of the displacement, "
-            "which knows no material and holds edges too."
-        ),
-    )
-
     cut_off_wavelength: Positive | None = Field(
         default=None,
         description=(
@@ -413,6 +405,14 @@ class RegularizationSection(Section):
         description="Weight of the equilibrium gap, given directly.",
         json_schema_extra={"unit": "(grey levels / px)²; grey levels² with Tikhonov"},
     )
+    operator: Literal["equilibrium_gap", "tikhonov"] = Field(
+        default="equilibrium_gap",
+        description=(
+            "What is kept small: forces out of equilibrium, or, with `[pgd]` alone, the gradient of the displacement, "
+            "which knows no material and holds edges too."
+        ),
+    )
+
     not_controlled: tuple[str, ...] = Field(
         default=("boundary",),
         description=(

@@ -79,7 +79,7 @@ class SeparatedSession:
         self._listener.problem_size(problem.size)
         pixels = problem.open_frame(frame)
         with self._clock.phase(Phase.LINEAR_STEP):
-            solution = problem.team.replicate(lambda: correct_displacement(
+            solution = problem.team.alike(lambda: correct_displacement(
                 pixels, begin, problem.regularization, problem.scheme, problem.rules, self._listener.correction))
         self._listener.note(solution.stop)
         with self._clock.phase(Phase.FINISH):

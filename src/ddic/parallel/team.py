@@ -192,7 +192,7 @@ class Team:
         final: T = result
         return final
 
-    def replicate(self, work: Callable[[], T]) -> T:
+    def alike(self, work: Callable[[], T]) -> T:
         """Run work that every rank does alike, with collective operations inside it.
 
         Parameters

@@ -41,7 +41,7 @@ class TeamSums(BandSums):
         own = list(of_bands)
         return np.concatenate(own if self.team.size == 1 else self.team.gather_lists(own), axis=-1)
 
-    def agree(self, item: T) -> T:
+    def broadcast(self, item: T) -> T:
         """Give all ranks what rank 0 has."""
         return item if self.team.size == 1 else self.team.broadcast(item)
 

@@ -105,8 +105,8 @@ def _cell_data(measurement: Measurement, number: int, u: NDArray[np.float64]) ->
     n_cells = subdomain.mesh.n_cells
     strain = compute_strain(subdomain.mesh, u)
     data: dict[str, NDArray[Any]] = {
-        schema.STRAIN_INFINITESIMAL: spread_to_six_components(strain.infinitesimal),
-        schema.STRAIN_GREEN_LAGRANGE: spread_to_six_components(strain.green_lagrange),
+        schema.STRAIN_INFINITESIMAL: convert_to_six_components(strain.infinitesimal),
+        schema.STRAIN_GREEN_LAGRANGE: convert_to_six_components(strain.green_lagrange),
         schema.RESIDUAL_RMS: _residual_rms(measurement, subdomain.camera, own_residual),
         schema.RESIDUAL_N_PIXELS: own_residual.cell_sums.n_pixels.astype(np.int64),
         schema.EQUIVALENT_ERROR: errors.equivalent,
@@ -119,7 +119,7 @@ def _cell_data(measurement: Measurement, number: int, u: NDArray[np.float64]) ->
     return data
 
 
-def spread_to_six_components(tensor: NDArray[np.float64]) -> NDArray[np.float64]:
+def convert_to_six_components(tensor: NDArray[np.float64]) -> NDArray[np.float64]:
     """Write tensors in the plane as VTK does.
 
     Parameters

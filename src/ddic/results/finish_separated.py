@@ -5,7 +5,7 @@ from __future__ import annotations
 from ddic.problem.cameras import Frame
 from ddic.problem.rectangle import choose_output_lines
 from ddic.problem.separated_problem import SeparatedProblem
-from ddic.results.separated_cells import judge_output_cells
+from ddic.results.separated_cells import evaluate_output_cells
 from ddic.results.separated_measurement import SeparatedMeasurement
 from ddic.separated.corrections import SeparatedSolution
 from ddic.separated.pixel_bands import FramePixels
@@ -35,6 +35,6 @@ def finish_separated(problem: SeparatedProblem, frame: Frame, pixels: FramePixel
     """
     residual = pixels.compute_residual_rows(solution.field, solution.grey.gain, solution.grey.offset)
     lines = choose_output_lines(problem.inputs.case, problem.rectangle)
-    cells = judge_output_cells(problem.team, lines, problem.reference, residual)
+    cells = evaluate_output_cells(problem.team, lines, problem.reference, residual)
     notes = (*problem.inputs.notes, *notes, solution.stop, *cells.notes)
     return SeparatedMeasurement(problem, frame, solution, cells, residual, notes)

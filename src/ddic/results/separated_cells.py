@@ -18,7 +18,7 @@ from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.structured import Grid
 from ddic.parallel.team import Team
 from ddic.results.cell_errors import CellErrors, CellResiduals, describe_doubtful_cells, find_cell_errors
-from ddic.results.field_pieces import spread_to_six_components
+from ddic.results.field_pieces import convert_to_six_components
 from ddic.separated.line_elements import LineElements
 from ddic.separated.pixel_bands import ReferencePixels
 from ddic.separated.separated_field import SeparatedField
@@ -64,7 +64,7 @@ class OutputCells:
         return build_mesh(grid.nodes, {Q4: grid.quads})
 
 
-def judge_output_cells(team: Team, lines: tuple[Array, Array], reference: ReferencePixels,
+def evaluate_output_cells(team: Team, lines: tuple[Array, Array], reference: ReferencePixels,
                        residual: Sequence[Rows]) -> OutputCells:
     """Sum the residual over cells; collective.
 
@@ -130,7 +130,7 @@ def write_output_cells(writer: ResultWriter, cells: OutputCells, field: Separate
         Of the case: size of a pixel.
     """
     mesh = cells.build_mesh()
-    displacement = field.expand(cells.x, cells.y).reshape(-1, 2)
+    displacement = field.evaluate_on_grid(cells.x, cells.y).reshape(-1, 2)
     length_unit = None if images.pixel_size is None else images.length_unit
     writer.create_pieces([PieceSize(mesh.n_nodes, mesh.n_cells, len(mesh.connectivity))],
                          schema.point_fields(length_unit), schema.cell_fields())
@@ -148,8 +148,8 @@ def write_output_cells(writer: ResultWriter, cells: OutputCells, field: Separate
 def _describe_cells(mesh: Mesh, cells: OutputCells, displacement: Array) -> dict[str, NDArray[Any]]:
     strain = compute_strain(mesh, displacement.ravel())
     return {
-        schema.STRAIN_INFINITESIMAL: spread_to_six_components(strain.infinitesimal),
-        schema.STRAIN_GREEN_LAGRANGE: spread_to_six_components(strain.green_lagrange),
+        schema.STRAIN_INFINITESIMAL: convert_to_six_components(strain.infinitesimal),
+        schema.STRAIN_GREEN_LAGRANGE: convert_to_six_components(strain.green_lagrange),
         schema.RESIDUAL_RMS: cells.residual_rms,
         schema.RESIDUAL_N_PIXELS: cells.n_pixels.astype(np.int64),
         schema.EQUIVALENT_ERROR: cells.errors.equivalent,

@@ -54,7 +54,7 @@ class BandTree:
 
     groups: dict[Place, Array] = field(default_factory=dict)
 
-    def insert(self, place: Place, values: Array) -> None:
+    def add(self, place: Place, values: Array) -> None:
         """Add a group's sum.
 
         Parameters
@@ -70,7 +70,7 @@ class BandTree:
             self.groups[place] = values
             return
         first, second = (neighbour, values) if number % 2 else (values, neighbour)
-        self.insert((level + 1, number // 2), first + second)
+        self.add((level + 1, number // 2), first + second)
 
     def finish(self) -> Array:
         """Sum what is left: one group where the number of bands is a power of 2.
@@ -107,7 +107,7 @@ def build_tree(first: int, of_bands: Iterable[Array]) -> BandTree:
     """
     tree = BandTree()
     for number, values in enumerate(of_bands, start=first):
-        tree.insert((0, number), values)
+        tree.add((0, number), values)
     return tree
 
 
@@ -127,7 +127,7 @@ def join_trees(groups: Iterable[Mapping[Place, Array]]) -> Array:
     tree = BandTree()
     for of_rank in groups:
         for place, values in of_rank.items():
-            tree.insert(place, values)
+            tree.add(place, values)
     return tree.finish()
 
 
@@ -164,7 +164,7 @@ class BandSums(Protocol):
         """
         ...
 
-    def agree(self, item: T) -> T:
+    def broadcast(self, item: T) -> T:
         """Give all ranks what the first one has, so that rounding lets none of them decide otherwise.
 
         Parameters
@@ -206,7 +206,7 @@ class SerialSums(BandSums):
         """Put them side by side."""
         return np.concatenate(list(of_bands), axis=-1)
 
-    def agree(self, item: T) -> T:
+    def broadcast(self, item: T) -> T:
         """Return it."""
         return item
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError
 from ddic.functionals.grey_statistics import GreyCorrection, GreyState, GreySums
-from ddic.separated.direction_update import update_direction
-from ddic.separated.noise_gain import predict_noise_gain
+from ddic.separated.direction_update import renew_functions
+from ddic.separated.noise_gain import estimate_noise_gain
 from ddic.separated.pixel_bands import FramePixels
 from ddic.separated.rank_one import Mode, build_directions, find_rank_one
 from ddic.separated.separated_field import SeparatedField
@@ -196,7 +196,7 @@ def correct_displacement(pixels: FramePixels, start: SeparatedField, regularizat
         if len(records) == rules.max_corrections:
             raise ConvergenceError(_describe_failure(records, rules))
         mode = find_rank_one(pixels, build_directions(pixels, operator, u), scheme.max_sweeps, scheme.stagnation)
-        noise_gain = predict_noise_gain(start.along_x, start.along_y, wavelength, grey.residual_rms)
+        noise_gain = estimate_noise_gain(start.along_x, start.along_y, wavelength, grey.residual_rms)
         if rules.stops_at_noise and mode.gain <= noise_gain:
             _require_match(sums)
             stop = f"noise: a further correction would fit the images no better than noise ({mode.gain:.3g} <= " \
@@ -207,8 +207,8 @@ def correct_displacement(pixels: FramePixels, start: SeparatedField, regularizat
         records.append(record)
         note(record)
         sums, grey = _evaluate(pixels, u, scheme.correction)
-        stop = pixels.reference.sums.agree(_find_stop(record, rules))
-    return SeparatedSolution(u.recompress(LOSS_PX), records, grey, sums, stop)
+        stop = pixels.reference.sums.broadcast(_find_stop(record, rules))
+    return SeparatedSolution(u.reduce_modes(LOSS_PX), records, grey, sums, stop)
 
 
 def _evaluate(pixels: FramePixels, u: SeparatedField, correction: GreyCorrection) -> tuple[GreySums, GreyState]:
@@ -230,9 +230,9 @@ def _add_mode(pixels: FramePixels, operator: SeparatedOperator | None, u: Separa
               n_before: int | None) -> SeparatedField:
     """U with a mode; with ``n_before`` corrections before it, functions of one direction are found anew."""
     if n_before is not None:
-        return update_direction(pixels, operator, u, mode.field, along_y=n_before % 2 == 1, loss=LOSS_PX)
+        return renew_functions(pixels, operator, u, mode.field, along_y=n_before % 2 == 1, loss=LOSS_PX)
     added = u.add(mode.field)
-    return added if added.n_modes <= MOST_MODES else added.recompress(LOSS_PX)
+    return added if added.n_modes <= MOST_MODES else added.reduce_modes(LOSS_PX)
 
 
 def _describe(number: int, mode: Mode, u: SeparatedField, noise_gain: float, grey: GreyState) -> CorrectionRecord:

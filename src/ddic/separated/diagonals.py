@@ -36,7 +36,7 @@ def multiply(bands: Array, vectors: Array) -> Array:
     return np.asarray(product)
 
 
-def compose(left: Array, right: Array) -> Array:
+def multiply_matrices(left: Array, right: Array) -> Array:
     """Multiply two matrices.
 
     Parameters
@@ -80,7 +80,7 @@ def transpose(bands: Array) -> Array:
     return turned
 
 
-def widen(bands: Array, width: int) -> Array:
+def pad_diagonals(bands: Array, width: int) -> Array:
     """Add empty diagonals.
 
     Parameters
@@ -154,7 +154,7 @@ def add_up(bands: Sequence[Array]) -> Array:
         Their sum, as wide as the widest.
     """
     width = max(matrix.shape[-2] // 2 for matrix in bands)
-    total = widen(bands[0], width)
+    total = pad_diagonals(bands[0], width)
     for matrix in bands[1:]:
-        total = total + widen(matrix, width)
+        total = total + pad_diagonals(matrix, width)
     return total

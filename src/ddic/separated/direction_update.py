@@ -11,13 +11,13 @@ from ddic.separated.diagonals import add_up, multiply, solve_coupled
 from ddic.separated.line_elements import LineElements
 from ddic.separated.pixel_bands import FramePixels
 from ddic.separated.rank_one import hold_nodes
-from ddic.separated.separated_field import SeparatedField, normalize_modes
+from ddic.separated.separated_field import SeparatedField, scale_modes
 from ddic.separated.separated_regularization import SeparatedOperator
 
 Array = NDArray[np.float64]
 
 
-def update_direction(pixels: FramePixels, operator: SeparatedOperator | None, displacement: SeparatedField,
+def renew_functions(pixels: FramePixels, operator: SeparatedOperator | None, displacement: SeparatedField,
                      mode: SeparatedField, *, along_y: bool, loss: float) -> SeparatedField:
     """Find all functions of one direction anew, those of the other direction and of a new mode kept.
 
@@ -49,8 +49,8 @@ def update_direction(pixels: FramePixels, operator: SeparatedOperator | None, di
         Where the images do not determine the functions.
     """
     # A new function counts, however small its amplitude.
-    kept = pixels.reference.sums.agree(
-        displacement.add(mode).recompress(min(loss, 1e-3 * float(mode.measure_rms().max()))))
+    kept = pixels.reference.sums.broadcast(
+        displacement.add(mode).reduce_modes(min(loss, 1e-3 * float(mode.measure_rms().max()))))
     line, other = (kept.along_y, kept.along_x) if along_y else (kept.along_x, kept.along_y)
     functions = kept.x if along_y else kept.y
     data, right = pixels.integrate_pairs(other.evaluate_at_pixels(functions), along_y=along_y)
@@ -58,14 +58,14 @@ def update_direction(pixels: FramePixels, operator: SeparatedOperator | None, di
     blocks = blocks + hold_nodes(line, blocks)
     vector = np.stack([line.sum_at_nodes(row) for row in right])
     if operator is not None:
-        oriented = operator.swap() if along_y else operator
+        oriented = operator.transpose() if along_y else operator
         blocks = add_up([blocks, _couple(oriented, functions)])
         given = (displacement.y, displacement.scaled_x) if along_y else (displacement.scaled_x, displacement.y)
         vector = vector - _regularize(oriented, functions, *given)
     found = solve_coupled(blocks, vector, "update of one direction").reshape(-1, 2, line.n_nodes)
     x, y = (functions, found) if along_y else (found, functions)
-    corrected = displacement.add(normalize_modes(kept.along_x, kept.along_y, x, y))
-    return pixels.reference.sums.agree(corrected.recompress(loss))
+    corrected = displacement.add(scale_modes(kept.along_x, kept.along_y, x, y))
+    return pixels.reference.sums.broadcast(corrected.reduce_modes(loss))
 
 
 def _assemble_blocks(line: LineElements, data: Array) -> Array:

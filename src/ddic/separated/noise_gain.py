@@ -11,7 +11,7 @@ WAVES = 1.4
 with noise, on elements of 1 to 32 px and wavelengths of 16 to 128 px. A larger value ends corrections earlier."""
 
 
-def predict_noise_gain(along_x: LineElements, along_y: LineElements, wavelength: float | None,
+def estimate_noise_gain(along_x: LineElements, along_y: LineElements, wavelength: float | None,
                        residual_rms: float) -> float:
     """Predict by how much the best rank-one correction of noise lowers half the sum of squared residuals.
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ddic.separated.diagonals import add_up, solve_coupled
 from ddic.separated.line_elements import LineElements
 from ddic.separated.pixel_bands import FramePixels
-from ddic.separated.separated_field import SeparatedField, normalize_modes
+from ddic.separated.separated_field import SeparatedField, scale_modes
 from ddic.separated.separated_regularization import SeparatedOperator
 
 Array = NDArray[np.float64]
@@ -158,7 +158,7 @@ def build_directions(pixels: FramePixels, operator: SeparatedOperator | None,
     x, y = pixels.reference.along_x, pixels.reference.along_y
     none = np.zeros((0, 0, 0))
     of_x, of_y = (none, none) if operator is None else operator.apply(displacement.scaled_x, displacement.y)
-    swapped = None if operator is None else operator.swap()
+    swapped = None if operator is None else operator.transpose()
     return (Direction(x, y, pixels.integrate_over_y, operator, of_x, of_y, "x"),
             Direction(y, x, pixels.integrate_over_x, swapped, of_y, of_x, "y"))
 
@@ -184,22 +184,22 @@ def find_rank_one(pixels: FramePixels, directions: tuple[Direction, Direction], 
         The correction.
     """
     along_x, along_y = directions
-    agree = pixels.reference.sums.agree
-    y = guess_functions(pixels)
+    broadcast = pixels.reference.sums.broadcast
+    y = estimate_functions(pixels)
     before: SeparatedField | None = None
     n_sweeps = 0
     while n_sweeps < max_sweeps:
         n_sweeps += 1
-        x, _ = agree(along_x.solve(y))
-        y, gain = agree(along_y.solve(_scale(x)))
-        mode = normalize_modes(along_x.line, along_y.line, _scale(x)[None], y[None])
-        if before is not None and agree(_change(before, mode) <= stagnation):
+        x, _ = broadcast(along_x.solve(y))
+        y, gain = broadcast(along_y.solve(_scale(x)))
+        mode = scale_modes(along_x.line, along_y.line, _scale(x)[None], y[None])
+        if before is not None and broadcast(_change(before, mode) <= stagnation):
             break
         before, y = mode, _scale(y)
     return Mode(mode, gain, n_sweeps)
 
 
-def guess_functions(pixels: FramePixels) -> Array:
+def estimate_functions(pixels: FramePixels) -> Array:
     """Guess functions of y from the residual in blocks.
 
     Parameters
@@ -225,7 +225,7 @@ def guess_functions(pixels: FramePixels) -> Array:
         # Its sign is arbitrary; that of the largest entry is not.
         left *= np.sign(left[np.argmax(np.abs(left))])
         guessed.append(np.interp(along_y.nodes, centres, left))
-    return pixels.reference.sums.agree(_scale(np.stack(guessed)))
+    return pixels.reference.sums.broadcast(_scale(np.stack(guessed)))
 
 
 def _block_edges(line: LineElements) -> NDArray[np.int64]:

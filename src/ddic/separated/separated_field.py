@@ -64,7 +64,7 @@ class SeparatedField:
         return SeparatedField(self.along_x, self.along_y, np.concatenate([self.amplitudes, other.amplitudes]),
                               np.concatenate([self.x, other.x]), np.concatenate([self.y, other.y]))
 
-    def expand(self, x: Array, y: Array) -> Array:
+    def evaluate_on_grid(self, x: Array, y: Array) -> Array:
         """Evaluate on a grid.
 
         Parameters
@@ -126,7 +126,7 @@ class SeparatedField:
             squares = squares - means.sum(axis=0) ** 2
         return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
 
-    def recompress(self, tolerance: float) -> SeparatedField:
+    def reduce_modes(self, tolerance: float) -> SeparatedField:
         """Write the same field with orthogonal functions, largest first.
 
         Parameters
@@ -166,7 +166,7 @@ def build_zero_field(along_x: LineElements, along_y: LineElements) -> SeparatedF
                           np.zeros((0, 2, along_y.n_nodes)))
 
 
-def normalize_modes(along_x: LineElements, along_y: LineElements, x: Array, y: Array) -> SeparatedField:
+def scale_modes(along_x: LineElements, along_y: LineElements, x: Array, y: Array) -> SeparatedField:
     """Give modes functions of mean square 1, and amplitudes.
 
     Parameters
@@ -188,7 +188,7 @@ def normalize_modes(along_x: LineElements, along_y: LineElements, x: Array, y: A
     return SeparatedField(along_x, along_y, sizes[0] * sizes[1], x / safe[0], y / safe[1])
 
 
-def decompose_grid(along_x: LineElements, along_y: LineElements, values: Array, tolerance: float) -> SeparatedField:
+def factorize_grid(along_x: LineElements, along_y: LineElements, values: Array, tolerance: float) -> SeparatedField:
     """Separate a displacement that is given on the grid of all nodes or on a coarser one.
 
     Parameters
@@ -213,7 +213,7 @@ def decompose_grid(along_x: LineElements, along_y: LineElements, values: Array, 
     n_modes = max(len(rows) for rows, _ in found)
     x = np.stack([_pad(columns, n_modes) for _, columns in found], axis=1)
     y = np.stack([_pad(rows, n_modes) for rows, _ in found], axis=1)
-    return normalize_modes(along_x, along_y, x, y)
+    return scale_modes(along_x, along_y, x, y)
 
 
 def _recompress_component(field: SeparatedField, c: int, tolerance: float) -> tuple[Array, Array, Array]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import PHASES, find_cut_off_weight
-from ddic.separated.diagonals import compose, multiply, transpose, widen
+from ddic.separated.diagonals import multiply, multiply_matrices, pad_diagonals, transpose
 from ddic.separated.line_elements import LineElements
 
 Array = NDArray[np.float64]
@@ -57,7 +57,7 @@ class SeparatedOperator:
     x: Array
     y: Array
 
-    def swap(self) -> SeparatedOperator:
+    def transpose(self) -> SeparatedOperator:
         """Exchange the directions.
 
         Returns
@@ -165,7 +165,7 @@ def build_tikhonov(along_x: LineElements, along_y: LineElements) -> SeparatedOpe
     return _stack(terms)
 
 
-def separate_stiffness(along_x: LineElements, along_y: LineElements,
+def factorize_stiffness(along_x: LineElements, along_y: LineElements,
                        material: Material) -> dict[tuple[int, int], list[Product]]:
     """Separate K of the Q4 elements between the lines of a rectangle.
 
@@ -227,7 +227,7 @@ def build_equilibrium_gap(along_x: LineElements, along_y: LineElements, material
     SeparatedOperator
         Eight terms for each pair of components, square pixels.
     """
-    stiffness = separate_stiffness(along_x, along_y, material)
+    stiffness = factorize_stiffness(along_x, along_y, material)
     p_x, p_y = (np.asarray(lines, dtype=float) for lines in (controlled.x, controlled.y))
     terms: list[tuple[int, int, Product]] = []
     for c in range(2):
@@ -235,16 +235,16 @@ def build_equilibrium_gap(along_x: LineElements, along_y: LineElements, material
             for row in range(2):
                 for left_x, left_y in stiffness[row, c]:
                     for right_x, right_y in stiffness[row, d]:
-                        terms.append((c, d, (compose(transpose(left_x), p_x * right_x),
-                                             compose(transpose(left_y), p_y * right_y))))
+                        terms.append((c, d, (multiply_matrices(transpose(left_x), p_x * right_x),
+                                             multiply_matrices(transpose(left_y), p_y * right_y))))
     return _stack(terms)
 
 
 def _stack(terms: Sequence[tuple[int, int, Product]]) -> SeparatedOperator:
     rows, columns, products = zip(*terms, strict=True)
     width = max(len(matrix) // 2 for product in products for matrix in product)
-    return SeparatedOperator(np.array(rows), np.array(columns), np.stack([widen(x, width) for x, _ in products]),
-                             np.stack([widen(y, width) for _, y in products]))
+    return SeparatedOperator(np.array(rows), np.array(columns), np.stack([pad_diagonals(x, width) for x, _ in products]),
+                             np.stack([pad_diagonals(y, width) for _, y in products]))
 
 
 def build_plane_waves(along_x: LineElements, along_y: LineElements, wavelength: float) -> list[Wave]:
@@ -291,7 +291,7 @@ def measure_wave_gaps(along_x: LineElements, along_y: LineElements, material: Ma
     (n_waves,) array
         Square pixels, as ``measure_gap_energies``.
     """
-    stiffness = separate_stiffness(along_x, along_y, material)
+    stiffness = factorize_stiffness(along_x, along_y, material)
     energies = np.zeros(len(waves))
     for number, wave in enumerate(waves):
         for row in range(2):

@@ -12,7 +12,7 @@ from ddic.problem.cameras import Frame
 from ddic.problem.rectangle import Rectangle
 from ddic.problem.separated_problem import SeparatedProblem
 from ddic.separated.line_elements import LineElements
-from ddic.separated.separated_field import SeparatedField, decompose_grid, normalize_modes
+from ddic.separated.separated_field import SeparatedField, factorize_grid, scale_modes
 from ddic.start.coarse_field import CoarseSearch, describe_start, prepare_search
 from ddic.start.multilevel import MultilevelStart
 
@@ -26,7 +26,7 @@ MOST_LINES = 129
 """Lines of each direction at whose crossings an earlier result on another mesh is looked up."""
 
 
-def separate_coarse_field(found: MultilevelStart, rectangle: Rectangle) -> tuple[SeparatedField, tuple[str, ...]]:
+def factorize_coarse_field(found: MultilevelStart, rectangle: Rectangle) -> tuple[SeparatedField, tuple[str, ...]]:
     """Write a coarse field as products.
 
     Interpolation between the nodes of its grid is a product itself, so that nothing is lost but small modes.
@@ -67,10 +67,10 @@ def _evaluate_hats(places: Array, origin: float, spacing: float, n: int) -> Arra
 def _decompose(values: Array, x: Array, y: Array, rectangle: Rectangle) -> SeparatedField:
     """Products of a displacement at the nodes of a coarse grid, interpolated by x (n_columns, n_x) and y."""
     n_rows, n_columns = values.shape[:2]
-    coarse = decompose_grid(LineElements(np.arange(max(n_columns, 2), dtype=float)),
+    coarse = factorize_grid(LineElements(np.arange(max(n_columns, 2), dtype=float)),
                             LineElements(np.arange(max(n_rows, 2), dtype=float)), _at_least_two(values), LOSS_PX)
     fine_x, fine_y = coarse.scaled_x[..., :n_columns] @ x, coarse.y[..., :n_rows] @ y
-    return normalize_modes(rectangle.along_x, rectangle.along_y, fine_x, fine_y)
+    return scale_modes(rectangle.along_x, rectangle.along_y, fine_x, fine_y)
 
 
 def _at_least_two(values: Array) -> Array:
@@ -131,14 +131,14 @@ def find_separated_start(problem: SeparatedProblem, search: CoarseSearch, frame:
     if path is not None:
         return team.on_root(lambda: _convert(read_result(path), rectangle)), (f"start: displacement of {path}",)
     found = search.share(team.together(search.prepare(frame)))
-    return team.together(lambda: separate_coarse_field(require_held(found)[0], rectangle))
+    return team.together(lambda: factorize_coarse_field(require_held(found)[0], rectangle))
 
 
 def _convert(result: Result, rectangle: Rectangle) -> SeparatedField:
     along_x, along_y = rectangle.along_x, rectangle.along_y
     if result.separated is not None:
         earlier = result.separated
-        return normalize_modes(along_x, along_y, earlier.along_x.evaluate(earlier.scaled_x, along_x.nodes),
+        return scale_modes(along_x, along_y, earlier.along_x.evaluate(earlier.scaled_x, along_x.nodes),
                                earlier.along_y.evaluate(earlier.y, along_y.nodes))
     coarse = [np.linspace(line.nodes[0], line.nodes[-1], min(line.n_nodes, MOST_LINES)) for line in (along_x, along_y)]
     x, y = np.meshgrid(*coarse)
