@@ -13,7 +13,7 @@ JOBS ?= 2
 SIZE ?= 22000
 
 .PHONY: help setup demo test lint docs bench bench-iterations bench-interface bench-paper bench-peers bench-big bench-scaling \
-	bench-threads accept-core accept-solver accept-performance accept-near-far accept-house accept-right accept-xdic smoke clean
+	bench-threads accept-core accept-solver accept-performance accept-near-far accept-house accept-right accept-xdic accept-pgd smoke clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -92,6 +92,9 @@ accept-right: $(BENCH_STAMP) $(DOCS_STAMP) ## measure the table of right numbers
 
 accept-xdic: setup ## measure the table of discontinuities, as far as it is built (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.xdic $(CHECK)
+
+accept-pgd: setup ## measure the table of PGD-DIC (CHECK=NAME: one check)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.pgd $(CHECK)
 
 smoke: setup ## run every check of every acceptance table on tiny cases: minutes, no bound is judged
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.smoke

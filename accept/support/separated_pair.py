@@ -133,11 +133,12 @@ def render(field: Plate | Uniform | Crack, kind: str, size: int = SIZE, seed: in
 def store(grey: Array, kind: str, random: np.random.Generator) -> NDArray[Any]:
     """Store grey levels of 256 as one of KINDS."""
     if kind == "float":
-        return grey.astype(np.float32)
+        return np.asarray(grey, dtype=np.float32)
     if kind == "16 bit":
-        return np.rint(257.0 * grey).astype(np.uint16)
+        return np.asarray(np.rint(257.0 * grey), dtype=np.uint16)
     noise = 2.0 if kind.endswith("of 2") else 0.0
-    return np.clip(np.rint(grey + noise * random.standard_normal(grey.shape)), 0, 255).astype(np.uint8)
+    levels = np.clip(np.rint(grey + noise * random.standard_normal(grey.shape)), 0, 255)
+    return np.asarray(levels, dtype=np.uint8)
 
 
 def list_pixels(region: tuple[float, float, float, float] = REGION) -> Array:

@@ -243,8 +243,9 @@ def build_equilibrium_gap(along_x: LineElements, along_y: LineElements, material
 def _stack(terms: Sequence[tuple[int, int, Product]]) -> SeparatedOperator:
     rows, columns, products = zip(*terms, strict=True)
     width = max(len(matrix) // 2 for product in products for matrix in product)
-    return SeparatedOperator(np.array(rows), np.array(columns), np.stack([pad_diagonals(x, width) for x, _ in products]),
-                             np.stack([pad_diagonals(y, width) for _, y in products]))
+    of_x = np.stack([pad_diagonals(x, width) for x, _ in products])
+    of_y = np.stack([pad_diagonals(y, width) for _, y in products])
+    return SeparatedOperator(np.array(rows), np.array(columns), of_x, of_y)
 
 
 def build_plane_waves(along_x: LineElements, along_y: LineElements, wavelength: float) -> list[Wave]:
