@@ -16,6 +16,10 @@ from ddic.separated.separated_regularization import SeparatedOperator
 
 Array = NDArray[np.float64]
 
+NEGLECTED = 0.1
+"""RMS of the modes whose functions are left as they are, relative to the new mode's. A smaller value takes the square
+of the number of functions in time and memory, and no fewer corrections: 1e-3 takes as many as 0.1."""
+
 
 def renew_functions(pixels: FramePixels, operator: SeparatedOperator | None, displacement: SeparatedField,
                      mode: SeparatedField, *, along_y: bool, loss: float) -> SeparatedField:
@@ -48,9 +52,8 @@ def renew_functions(pixels: FramePixels, operator: SeparatedOperator | None, dis
     SingularSubdomainError
         Where the images do not determine the functions.
     """
-    # A new function counts, however small its amplitude.
     kept = pixels.reference.sums.broadcast(
-        displacement.add(mode).reduce_modes(min(loss, 1e-3 * float(mode.measure_rms().max()))))
+        displacement.add(mode).reduce_modes(NEGLECTED * float(mode.measure_rms().max())))
     line, other = (kept.along_y, kept.along_x) if along_y else (kept.along_x, kept.along_y)
     functions = kept.x if along_y else kept.y
     data, right = pixels.integrate_pairs(other.evaluate_at_pixels(functions), along_y=along_y)
