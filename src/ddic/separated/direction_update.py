@@ -11,7 +11,7 @@ from ddic.separated.diagonals import add_up, multiply, solve_coupled
 from ddic.separated.line_elements import LineElements
 from ddic.separated.pixel_bands import FramePixels
 from ddic.separated.rank_one import hold_nodes
-from ddic.separated.separated_field import SeparatedField, scale_modes
+from ddic.separated.separated_field import SeparatedField, orthonormalize, scale_modes
 from ddic.separated.separated_regularization import SeparatedOperator
 
 Array = NDArray[np.float64]
@@ -19,6 +19,10 @@ Array = NDArray[np.float64]
 NEGLECTED = 0.1
 """RMS of the modes whose functions are left as they are, relative to the new mode's. A smaller value takes the square
 of the number of functions in time and memory, and no fewer corrections: 1e-3 takes as many as 0.1."""
+
+
+DEPENDENT = 1e-6
+"""Part of a function, of mean square 1, that is not made of those before it, below which it is left out."""
 
 
 def renew_functions(pixels: FramePixels, operator: SeparatedOperator | None, displacement: SeparatedField,
@@ -52,10 +56,8 @@ def renew_functions(pixels: FramePixels, operator: SeparatedOperator | None, dis
     SingularSubdomainError
         Where the images do not determine the functions.
     """
-    kept = pixels.reference.sums.broadcast(
-        displacement.add(mode).reduce_modes(NEGLECTED * float(mode.measure_rms().max())))
-    line, other = (kept.along_y, kept.along_x) if along_y else (kept.along_x, kept.along_y)
-    functions = kept.x if along_y else kept.y
+    line, other = (mode.along_y, mode.along_x) if along_y else (mode.along_x, mode.along_y)
+    functions = pixels.reference.sums.broadcast(_choose_functions(displacement, mode, along_y=along_y))
     data, right = pixels.integrate_pairs(other.evaluate_at_pixels(functions), along_y=along_y)
     blocks = _assemble_blocks(line, data)
     blocks = blocks + hold_nodes(line, blocks)
@@ -67,8 +69,24 @@ def renew_functions(pixels: FramePixels, operator: SeparatedOperator | None, dis
         vector = vector - _regularize(oriented, functions, *given)
     found = solve_coupled(blocks, vector, "update of one direction").reshape(-1, 2, line.n_nodes)
     x, y = (functions, found) if along_y else (found, functions)
-    corrected = displacement.add(scale_modes(kept.along_x, kept.along_y, x, y))
+    corrected = displacement.add(scale_modes(mode.along_x, mode.along_y, x, y))
     return pixels.reference.sums.broadcast(corrected.reduce_modes(loss))
+
+
+def _choose_functions(displacement: SeparatedField, mode: SeparatedField, *, along_y: bool) -> Array:
+    """Orthonormal functions of the direction that is kept (m, 2, n): of large modes, and of the new one in any case.
+
+    The sum of both is no way to choose: what the mode takes away from the displacement would look small in it.
+    """
+    large = displacement.reduce_modes(NEGLECTED * float(mode.measure_rms().max()))
+    line = mode.along_x if along_y else mode.along_y
+    given = np.concatenate([large.x, mode.x] if along_y else [large.y, mode.y])
+    chosen = []
+    for c in range(2):
+        functions, r = orthonormalize(line, given[:, c])
+        chosen.append(functions[np.abs(np.diag(r)) > DEPENDENT])
+    n_functions = max(len(functions) for functions in chosen)
+    return np.stack([np.pad(functions, ((0, n_functions - len(functions)), (0, 0))) for functions in chosen], axis=1)
 
 
 def _assemble_blocks(line: LineElements, data: Array) -> Array:

@@ -218,15 +218,30 @@ def factorize_grid(along_x: LineElements, along_y: LineElements, values: Array, 
 
 def _recompress_component(field: SeparatedField, c: int, tolerance: float) -> tuple[Array, Array, Array]:
     """Amplitudes (m,) and functions (m, n_x), (m, n_y) of one component."""
-    q_x, r_x = _orthonormalize(field.along_x, field.scaled_x[:, c])
-    q_y, r_y = _orthonormalize(field.along_y, field.y[:, c])
+    q_x, r_x = orthonormalize(field.along_x, field.scaled_x[:, c])
+    q_y, r_y = orthonormalize(field.along_y, field.y[:, c])
     left, singular, right = np.linalg.svd(r_x @ r_y.T)
     kept = _count_kept(singular, tolerance)
     return singular[:kept], left[:, :kept].T @ q_x, right[:kept] @ q_y
 
 
-def _orthonormalize(line: LineElements, functions: Array) -> tuple[Array, Array]:
-    """Orthonormal functions (m, n) of mean square 1, and R (m, n_modes): functions = R^T Q."""
+def orthonormalize(line: LineElements, functions: Array) -> tuple[Array, Array]:
+    """Find orthogonal functions of mean square 1 that make up others, one after the other.
+
+    Parameters
+    ----------
+    line : LineElements
+        On which they live.
+    functions : (m, n_nodes) array
+        At the nodes.
+
+    Returns
+    -------
+    orthonormal : (k, n_nodes) array
+        Q, k the smaller one of m and n_nodes.
+    coefficients : (k, m) array
+        R, upper triangular: functions = R^T Q.
+    """
     # With the Cholesky factor L of the mass matrix, L^T f has the function's norm for its length.
     n = line.n_nodes
     diagonal, beside = line.mass[1] / line.length, line.mass[2] / line.length
