@@ -10,7 +10,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from ddic.functionals.pixel_kernels import FLAGS
+from ddic.functionals.pixel_kernels import FLAGS, INLINED
 
 TILE = 512
 """Columns whose sums are kept in the first-level cache while rows pass."""
@@ -39,18 +39,25 @@ def sum_over_rows(by_x, by_y, residual, functions, sums):
         Added to.
     """
     height, width = residual.shape
+    # One array for all five, a constant apart: the compiler then knows that they do not overlap.
+    tile = np.empty(N_SUMS * TILE)
     for first in range(0, width, TILE):
-        last = min(first + TILE, width)
+        n = min(TILE, width - first)
+        tile[:] = 0.0
         for j in range(height):
             v, w = functions[0, j], functions[1, j]
             vv, vw, ww = v * v, v * w, w * w
-            for i in range(first, last):
-                a, b, r = np.float64(by_x[j, i]), np.float64(by_y[j, i]), np.float64(residual[j, i])
-                sums[0, i] += a * a * vv
-                sums[1, i] += a * b * vw
-                sums[2, i] += b * b * ww
-                sums[3, i] += r * a * v
-                sums[4, i] += r * b * w
+            of_x, of_y, of_r = by_x[j, first:first + n], by_y[j, first:first + n], residual[j, first:first + n]
+            for i in range(n):
+                a, b, r = np.float64(of_x[i]), np.float64(of_y[i]), np.float64(of_r[i])
+                tile[i] += a * a * vv
+                tile[TILE + i] += a * b * vw
+                tile[2 * TILE + i] += b * b * ww
+                tile[3 * TILE + i] += r * a * v
+                tile[4 * TILE + i] += r * b * w
+        for k in range(N_SUMS):
+            for i in range(n):
+                sums[k, first + i] += tile[k * TILE + i]
 
 
 @numba.njit(**FLAGS)
@@ -115,14 +122,12 @@ def sum_blocks(by_x, by_y, residual, first_row, edges_y, edges_x, sums):
             sums[1, row, column] += t
 
 
-@numba.njit(**FLAGS)
-def _cubic_weights(t, weights):
-    """Set the four weights of the cubic B-spline at a fraction t of a pixel."""
+@numba.njit(**INLINED)
+def _cubic_weights(t):
+    """Weights of the cubic B-spline's four taps at a fraction t of a pixel."""
     s = 1.0 - t
-    weights[0] = s * s * s / 6.0
-    weights[1] = 2.0 / 3.0 - t * t * (2.0 - t) / 2.0
-    weights[2] = 2.0 / 3.0 - s * s * (2.0 - s) / 2.0
-    weights[3] = t * t * t / 6.0
+    return (s * s * s / 6.0, 2.0 / 3.0 - t * t * (2.0 - t) / 2.0, 2.0 / 3.0 - s * s * (2.0 - s) / 2.0,
+            t * t * t / 6.0)
 
 
 @numba.njit(**FLAGS)
@@ -139,17 +144,16 @@ def _quintic_weights(t, weights):
             weights[k] = (3.0 - d) ** 5 / 120.0
 
 
-@numba.njit(**FLAGS)
+@numba.njit(**INLINED)
 def _evaluate_spline(spline, left, top, right_by, down_by, degree, wx, wy):
     """Evaluate the spline whose taps begin at [top, left], at fractions of a pixel; wx, wy (6,) are scratch."""
     g = 0.0
     if degree == 3:
-        _cubic_weights(right_by, wx)
-        _cubic_weights(down_by, wy)
-        for a in range(4):
-            line = spline[top + a]
-            g += wy[a] * (wx[0] * line[left] + wx[1] * line[left + 1] + wx[2] * line[left + 2]
-                          + wx[3] * line[left + 3])
+        a, b, c, d = _cubic_weights(right_by)
+        for k, weight in enumerate(_cubic_weights(down_by)):
+            row = top + k
+            g += weight * (a * spline[row, left] + b * spline[row, left + 1] + c * spline[row, left + 2]
+                           + d * spline[row, left + 3])
         return g
     _quintic_weights(right_by, wx)
     _quintic_weights(down_by, wy)
