@@ -34,6 +34,9 @@ WAVELENGTH = 64.0
 MOST_CORRECTIONS, MOST_CPU_S, PAPER_RESIDUAL = 10, 1.5, 0.59
 """Corrections on float images, CPU seconds of a measurement, and the paper's residual in percent of the range."""
 
+RUNS = (("default", True, True), ("published", True, False), ("published from a rigid translation", False, False))
+"""Whether a pyramid starts, and whether all functions of a direction are found anew after each mode."""
+
 SIDES, SMOKE_SIDES = (100, 200, 400, 700), (60,)
 """Of the regions that are measured by both methods, pixels."""
 
@@ -76,7 +79,7 @@ def find_region(size: int, side: int) -> tuple[float, float, float, float]:
     return first, first, first + side, first + side
 
 
-def measure_pixels(pair: Pair, side: int, regularization: dict[str, Any] | None = None,
+def measure_pixels(pair: Pair, side: int, regularization: dict[str, Any] | None = None, *, pyramid: bool = True,
                    **pgd: Any) -> ddic.Result:
     """Measure a square in the middle of the images by PGD-DIC with elements of a pixel.
 
@@ -88,6 +91,8 @@ def measure_pixels(pair: Pair, side: int, regularization: dict[str, Any] | None 
         Of the square, pixels.
     regularization : dict, optional
         Keys of ``[regularization]``; a cut-off wavelength of 64 px by default.
+    pyramid : bool
+        Whether one starts.
     **pgd : object
         Keys of ``[pgd]``.
 
@@ -97,8 +102,9 @@ def measure_pixels(pair: Pair, side: int, regularization: dict[str, Any] | None 
         In memory.
     """
     region = find_region(len(pair[0]), side)
-    return ddic.measure(pair, options={"pgd": pgd, "regularization": regularization or {
-        "cut_off_wavelength": WAVELENGTH}, "mesh": {"structured": {"region": region, "element_size": 1}}})
+    return ddic.measure(pair, options={"pgd": pgd, "start": {"pyramid": pyramid},
+                                       "regularization": regularization or {"cut_off_wavelength": WAVELENGTH},
+                                       "mesh": {"structured": {"region": region, "element_size": 1}}})
 
 
 def timed(measure: Callable[[], ddic.Result]) -> Timed:
@@ -129,8 +135,8 @@ def measure_million(scale: Scale) -> list[Row]:
     rows = []
     for kind in ("float", "8 bit", "8 bit, noise of 2"):
         pair = render_reference(size, kind)
-        runs = {name: timed(partial(measure_pixels, pair, side, update=update))
-                for name, update in (("default", True), ("published", False))}
+        runs = {name: timed(partial(measure_pixels, pair, side, pyramid=pyramid, update=update))
+                for name, pyramid, update in RUNS}
         counts = {name: len(result.corrections["correction"]) for name, (result, _) in runs.items()}
         texts = []
         for name, (result, cpu) in runs.items():

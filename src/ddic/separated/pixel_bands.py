@@ -154,15 +154,15 @@ class FrameBand:
         grad f; 0 where a pixel is hidden.
     residual : (n_rows, width) float32 array
         f - g(x + u), grey levels; 0 where a pixel does not count.
-    n_hidden : int
-        Pixels that do not count at the last displacement, though the reference image shows them.
+    absent : (n_rows, width) array of bool or None
+        Pixels that do not count at the last displacement; None where all do.
     """
 
     reference: ReferenceBand
     by_x: Grey
     by_y: Grey
     residual: Grey
-    n_hidden: int = 0
+    absent: NDArray[np.bool_] | None = None
 
 
 @dataclass(eq=False)
@@ -323,9 +323,9 @@ class FramePixels:
             Grey levels.
         """
         for band in self.bands:
-            seen = np.isfinite(band.reference.values) & (band.residual != 0)
-            r, f = band.residual[seen].astype(np.float64), band.reference.values[seen]
-            band.residual[seen] = r - (gain - 1.0) * (f - r) - offset
+            r = band.residual.astype(np.float64)
+            corrected = r - (gain - 1.0) * (band.reference.values - r) - offset
+            band.residual[:] = corrected if band.absent is None else np.where(band.absent, 0.0, corrected)
 
     def compute_residual_rows(self, displacement: SeparatedField, gain: float,
                               offset: float) -> list[tuple[range, Grey]]:
@@ -373,11 +373,10 @@ class FramePixels:
             report = self._fill_pixels(band, x, of_rows, self.deformed.get_spline(self._find_window(rows, x, of_rows)))
         if keep is not None:
             keep(band, band.residual)
-        n_left_out = band.residual.size - int(report[0])
-        if n_left_out:
+        if int(report[0]) < band.residual.size:
             self._leave_out(band)
-        elif band.n_hidden:
-            band.by_x, band.by_y, band.n_hidden = band.reference.by_x, band.reference.by_y, 0
+        else:
+            band.by_x, band.by_y, band.absent = band.reference.by_x, band.reference.by_y, None
         return report[:kernels.N_GREY]
 
     def _fill_pixels(self, band: FrameBand, x: Array, y: Array, spline: SplineImage) -> Array:
@@ -396,15 +395,11 @@ class FramePixels:
 
     def _leave_out(self, band: FrameBand) -> None:
         """Pixels that do not count leave the integrals."""
-        absent = np.isnan(band.residual)
-        n_hidden = int((absent & np.isfinite(band.reference.values)).sum())
-        if n_hidden:
-            band.by_x = np.where(absent, np.float32(0), band.reference.by_x)
-            band.by_y = np.where(absent, np.float32(0), band.reference.by_y)
-        elif band.n_hidden:
-            band.by_x, band.by_y = band.reference.by_x, band.reference.by_y
-        band.n_hidden = n_hidden
+        band.absent = absent = np.isnan(band.residual)
         band.residual[absent] = 0.0
+        is_hidden = bool((absent & np.isfinite(band.reference.values)).any())
+        slopes = (band.reference.by_x, band.reference.by_y)
+        band.by_x, band.by_y = (np.where(absent, np.float32(0), slope) if is_hidden else slope for slope in slopes)
 
     def _guess_window(self, x: Array, y: Array) -> Window:
         """The window of g that a sample of the pixels of all owned bands is displaced to."""
