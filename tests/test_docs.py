@@ -32,6 +32,7 @@ SECTIONS: dict[str, type[BaseModel]] = {
     "[solver]": schema.SolverSection,
     "[gauss_newton]": schema.GaussNewtonSection,
     "[start]": schema.StartSection,
+    "[pgd]": schema.PgdSection,
     "[output]": schema.OutputSection,
 }
 HOLES = {schema.Circle, schema.Polygon}

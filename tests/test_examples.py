@@ -221,6 +221,16 @@ def test_sliding(tmp_path: Path) -> None:
     assert spread < 0.01
 
 
+def test_pixel_elements(tmp_path: Path) -> None:
+    side, n_unknowns, n_corrections, error, size, complete = run_script("pixel_elements", tmp_path)
+    assert (side, size) == (1, 16)
+    assert n_unknowns == 2 * 300**2
+    assert n_corrections <= 6
+    # Noise of 2 grey levels on 16-px elements; a cut-off of 64 px averages over four times their side.
+    assert error < 4e-3
+    assert 2 * error < complete < 0.015
+
+
 def test_measure_arrays(tmp_path: Path) -> None:
     strain_xx, strain_yy, rms, _ = run_script("measure_arrays", tmp_path)
     # Noise of the mean over 260 px and ten rows of nodes stays below 1e-4.

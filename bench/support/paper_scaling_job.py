@@ -25,6 +25,7 @@ from ddic.methods.run_case import run_case
 from ddic.parallel.phases import Phase
 from ddic.parallel.team import Team
 from ddic.problem.problem_size import ProblemSize
+from ddic.separated.corrections import CorrectionRecord
 from ddic.solvers.dual.coarse_space import CoarseSpace
 from ddic.solvers.dual.local_dual import LocalDual
 from ddic.solvers.dual.preconditioner import LocalPreconditioner
@@ -72,6 +73,9 @@ class CountingListener:
                          "n_pixels": size.n_pixels}
 
     def iteration(self, record: IterationRecord) -> None:
+        """Nothing."""
+
+    def correction(self, record: CorrectionRecord) -> None:
         """Nothing."""
 
 

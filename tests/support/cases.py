@@ -12,6 +12,7 @@ import tifffile
 
 from ddic.parallel.phases import Phase
 from ddic.problem.problem_size import ProblemSize
+from ddic.separated.corrections import CorrectionRecord
 from ddic.solvers.gauss_newton import IterationRecord
 from ddic.synth.fields import DisplacementField, Sinusoidal
 from support.pictures import pair_of
@@ -48,6 +49,7 @@ class Ears:
     notes: list[str] = field(default_factory=list)
     sizes: list[ProblemSize] = field(default_factory=list)
     records: list[IterationRecord] = field(default_factory=list)
+    corrections: list[CorrectionRecord] = field(default_factory=list)
 
     def phase(self, phase: Phase) -> None:
         self.phases.append(phase)
@@ -60,6 +62,9 @@ class Ears:
 
     def iteration(self, record: IterationRecord) -> None:
         self.records.append(record)
+
+    def correction(self, record: CorrectionRecord) -> None:
+        self.corrections.append(record)
 
 
 def contents(path: Path) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,3 +44,8 @@ def square_mesh(low: float, high: float, element: float = 16.0) -> Mesh:
 def rms_error(q: NDArray[np.float64], nodes: NDArray[np.float64], field: DisplacementField) -> float:
     """RMS over nodes and components of the difference to the known field, pixels."""
     return float(np.sqrt(np.mean((q.reshape(nodes.shape) - field.displacement(nodes)) ** 2)))
+
+
+def rms_error_at(result: Any, field: DisplacementField, points: NDArray[np.float64]) -> float:
+    """RMS difference per component between a result and the known displacement at points (n, 2), pixels."""
+    return float(np.sqrt(((result.at(points) - field.displacement(points))**2).mean()))

@@ -23,10 +23,11 @@ from ddic.images.grey_levels import find_saturation
 from ddic.images.sub_image import MaskedSource
 from ddic.io.result_reader import Result
 from ddic.mesh.mesh import Mesh
-from ddic.methods.dd_dic import Session as RecipeSession
+from ddic.methods.choose_recipe import Recipe, prepare_recipe
+from ddic.methods.dd_dic import Session as DecomposedSession
 from ddic.methods.detect import find_discontinuity, is_line_wanted
 from ddic.parallel.phases import PhaseClock
-from ddic.parallel.team import Team
+from ddic.parallel.team import Team, require_held
 from ddic.problem.cameras import Camera, Frame, make_setup
 from ddic.problem.check_inputs import check_inputs
 from ddic.problem.check_mesh_uses import check_mesh
@@ -34,9 +35,11 @@ from ddic.problem.check_output import check_output_file
 from ddic.problem.check_ranks import check_ranks
 from ddic.problem.inputs import Inputs, open_inputs
 from ddic.problem.mesh_source import accept_mesh, convert_mapping
+from ddic.problem.rectangle import Rectangle, check_rectangle, find_rectangle, find_rectangle_of_case
 from ddic.results.listener import Silence
 from ddic.results.measurement import Measurement
 from ddic.results.publishing import Destination, gather, publish
+from ddic.results.separated_measurement import SeparatedMeasurement
 
 if TYPE_CHECKING:
     import meshio
@@ -63,7 +66,7 @@ class Session:
         # Where a line is to be found, the first deformed image is needed too.
         self._recipe = None if is_line_wanted(inputs.case) else self._prepare(inputs)
         # Unknowns of the last field alone: its images would stay in memory.
-        self._last: list[Array] | None = None
+        self._last: Any = None
 
     def __enter__(self) -> Self:
         return self
@@ -76,13 +79,13 @@ class Session:
     def n_assembled(self) -> int:
         """Times that this rank assembled M of a subdomain."""
         self._require_open()
-        return 0 if self._recipe is None else self._recipe.problem.n_assembled
+        return self._recipe.problem.n_assembled if isinstance(self._recipe, DecomposedSession) else 0
 
     @property
     def n_factorized(self) -> int:
         """Operators that this rank factorised."""
         self._require_open()
-        return 0 if self._recipe is None else self._recipe.problem.solver.n_factorized
+        return self._recipe.problem.solver.n_factorized if isinstance(self._recipe, DecomposedSession) else 0
 
     def measure(self, deformed: ImageLike | Sequence[ImageLike], *, from_last: bool = False,
                 output: str | Path | None = None) -> Result:
@@ -125,10 +128,10 @@ class Session:
         if self._is_closed:
             raise InputError("session: it is closed; measure inside its with statement, or prepare another")
 
-    def _prepare(self, inputs: Inputs) -> RecipeSession:
-        return RecipeSession(self._team, inputs, Silence(), PhaseClock(waiting=self._team.waiting))
+    def _prepare(self, inputs: Inputs) -> Recipe:
+        return prepare_recipe(self._team, inputs, Silence(), PhaseClock(waiting=self._team.waiting))
 
-    def _measure_frame(self, frame: Frame, start: list[Array] | None, output: Path | None) -> Result:
+    def _measure_frame(self, frame: Frame, start: Any, output: Path | None) -> Result:
         if self._recipe is not None:
             return self._publish(self._recipe.measure(frame, start), output)
         clock = PhaseClock(waiting=self._team.waiting)
@@ -141,8 +144,8 @@ class Session:
         with recipe:
             return self._publish(recipe.measure(frame, start), output)
 
-    def _publish(self, measurement: Measurement, output: Path | None) -> Result:
-        self._last = measurement.q
+    def _publish(self, measurement: Measurement | SeparatedMeasurement, output: Path | None) -> Result:
+        self._last = measurement.unknowns
         if output is not None:
             publish(measurement, Destination(output, self._inputs.case.output.flip_y))
         return gather(measurement)
@@ -255,26 +258,47 @@ def prepare(source: ImageLike | Case | LoadedCase, mesh: Mesh | meshio.Mesh | tu
         return Session(team, _open_case(team, chosen, source, None)[0])
 
     # What the ranks were given is looked at by all together: it may be wrong on one of them alone.
-    def look() -> tuple[Options, LoadedCase, Mesh]:
-        chosen = choose_options(options)
-        if mesh is None:
-            raise InputError("mesh: none is given; ddic.structured_mesh makes one, meshio reads one (under mpirun give "
-                             "it on every rank)")
-        case = make_case(chosen.settings)
-        loaded = LoadedCase(case, Path("options"), "")
-        check_ranks(loaded, team.size)
-        return chosen, loaded, convert_given_mesh(mesh, convert_mapping(case.mesh.mapping))
-
-    chosen, loaded, given = team.together(look)
+    chosen, loaded, given = team.together(lambda: _look(team, mesh, options))
     reference = open_given_image(team, source, "reference image")
     camera = Camera(0, reference, make_setup(identity(), reference, "none"), None)
+    if loaded.case.pgd is not None:
+        rectangle = team.together(lambda: _choose_rectangle(chosen, loaded, given, reference))
+        return Session(team, Inputs(loaded.case, (camera,), _build_no_mesh, rectangle=rectangle))
 
     def build() -> tuple[Mesh, None]:
-        whole = accept_mesh(given, "mesh", reference.image.width, reference.image.height)
+        whole = accept_mesh(require_held(given), "mesh", reference.image.width, reference.image.height)
         check_mesh(loaded, whole)
         return whole, None
 
     return Session(team, Inputs(loaded.case, (camera,), build, check_kinematics(chosen.kinematics)))
+
+
+def _look(team: Team, mesh: Mesh | meshio.Mesh | tuple[Any, Any] | None,
+          options: Options | Mapping[str, Any] | None) -> tuple[Options, LoadedCase, Mesh | None]:
+    """What was given beside images, looked at; free of communication."""
+    chosen = choose_options(options)
+    case = make_case(chosen.settings)
+    if mesh is None and case.mesh.structured is None:
+        raise InputError("mesh: none is given; ddic.structured_mesh makes one, meshio reads one (under mpirun give "
+                         "it on every rank)")
+    if mesh is not None and case.mesh.structured is not None:
+        raise InputError("options: mesh.structured stands for the mesh; leave one of them out")
+    loaded = LoadedCase(case, Path("options"), "")
+    check_ranks(loaded, team.size)
+    return chosen, loaded, None if mesh is None else convert_given_mesh(mesh, convert_mapping(case.mesh.mapping))
+
+
+def _choose_rectangle(chosen: Options, loaded: LoadedCase, mesh: Mesh | None, reference: MaskedSource) -> Rectangle:
+    """What PGD-DIC measures of images in memory; raises InputError where it cannot."""
+    if chosen.kinematics is not None:
+        _refuse_kinematics()
+    rectangle = find_rectangle_of_case(loaded.case) if mesh is None else find_rectangle(mesh)
+    check_rectangle(loaded.case, rectangle, reference.image.width, reference.image.height)
+    return rectangle
+
+
+def _build_no_mesh() -> tuple[Mesh, None]:
+    raise TypeError("PGD-DIC measures without a mesh")
 
 
 def _options_beside_a_case(mesh: object, options: Options | Mapping[str, Any] | None) -> Options:
@@ -298,7 +322,13 @@ def _open_case(team: Team, options: Options, source: object, output: str | Path 
         return loaded
 
     inputs, frame = open_inputs(team, team.on_root(load))
+    if inputs.rectangle is not None and options.kinematics is not None:
+        team.together(_refuse_kinematics)
     return replace(inputs, choose_kinematics=check_kinematics(options.kinematics)), frame
+
+
+def _refuse_kinematics() -> None:
+    raise InputError("kinematics: [pgd] has products of functions for unknowns; leave one of them out")
 
 
 def _load(source: object) -> LoadedCase:

@@ -162,10 +162,12 @@ def make_case(settings: Mapping[str, Any]) -> Case:
 def _refuse_what_arguments_say(data: Mapping[str, Any]) -> None:
     for name, keys in _IN_MEMORY.items():
         given = data.get(name)
+        # Elements of a pixel are too many for a mesh in memory.
+        known = (*keys, "structured") if name == "mesh" and "pgd" in data else keys
         # Of another type it is a mistake that the schema tells.
-        unknown = [key for key in given if key not in keys] if isinstance(given, dict) else []
+        unknown = [key for key in given if key not in known] if isinstance(given, dict) else []
         if unknown:
-            listed = ", ".join(f"{name}.{known}" for known in keys)
+            listed = ", ".join(f"{name}.{key}" for key in known)
             raise InputError(f"options: {name}.{unknown[0]} is for case files; give what it says as an argument. Valid "
                              f"here: {listed}")
     if "near" in data:
@@ -178,7 +180,7 @@ def _complete(data: Mapping[str, Any]) -> dict[str, Any]:
     return {
         **data,
         "images": {"reference": _NO_PATH, "deformed": _NO_PATH, **images} if isinstance(images, dict) else images,
-        "mesh": {"file": "mesh", **mesh} if isinstance(mesh, dict) else mesh,
+        "mesh": {"file": "mesh", **mesh} if isinstance(mesh, dict) and "structured" not in mesh else mesh,
     }
 
 

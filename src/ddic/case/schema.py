@@ -409,7 +409,7 @@ class CorrelationSection(Section):
 
 
 class RegularizationSection(Section):
-    """Equilibrium gap; weight given as eta or as a cut-off wavelength in pixels."""
+    """Equilibrium gap, or Tikhonov's term; weight given as eta or as a cut-off wavelength in pixels."""
 
     cut_off_wavelength: Positive | None = Field(
         default=None,
@@ -422,8 +422,16 @@ class RegularizationSection(Section):
     eta: Positive | None = Field(
         default=None,
         description="Weight of the equilibrium gap, given directly.",
-        json_schema_extra={"unit": "(grey levels / px)²"},
+        json_schema_extra={"unit": "(grey levels / px)²; grey levels² with Tikhonov"},
     )
+    operator: Literal["equilibrium_gap", "tikhonov"] = Field(
+        default="equilibrium_gap",
+        description=(
+            "What is kept small: forces out of equilibrium, or, with `[pgd]` alone, the gradient of the displacement, "
+            "which knows no material and holds edges too."
+        ),
+    )
+
     not_controlled: tuple[str, ...] = Field(
         default=("boundary",),
         description=(
@@ -451,6 +459,14 @@ class RegularizationSection(Section):
         """Refuse both ways to give the weight, or none."""
         if (self.eta is None) == (self.cut_off_wavelength is None):
             raise ValueError("give either regularization.cut_off_wavelength or regularization.eta")
+        return self
+
+    @model_validator(mode="after")
+    def _tikhonov_has_no_material(self) -> RegularizationSection:
+        """Refuse keys of the equilibrium gap beside Tikhonov's term."""
+        of_gap = {"not_controlled", "boxes", "poisson_ratio", "plane"} & self.model_fields_set
+        if self.operator == "tikhonov" and of_gap:
+            raise ValueError(f'regularization.{min(of_gap)} goes with regularization.operator = "equilibrium_gap"')
         return self
 
 
@@ -613,6 +629,57 @@ class StartSection(Section):
     )
 
 
+class PgdSection(Section):
+    """PGD-DIC: the displacement as a sum of products of functions of x and of y, with elements of 1 px or more."""
+
+    tolerance: Annotated[float, Field(gt=0, lt=1)] = Field(
+        default=1e-3,
+        description=(
+            "Corrections end where the RMS of one, component by component, is at most this much of the component "
+            "without its mean, or at most `rms_tolerance`."
+        ),
+    )
+    rms_tolerance: NonNegative = Field(
+        default=1e-4,
+        description="The same in pixels: a component that hardly moves is done by it.",
+        json_schema_extra={"unit": "px"},
+    )
+    stop_at_noise: bool = Field(
+        default=True,
+        description=(
+            "End where a correction fits the images no better than it would fit noise of the residual's level "
+            "([pgd.md](pgd.md#when-corrections-end)); later ones would measure the noise."
+        ),
+    )
+    update: bool = Field(
+        default=True,
+        description=(
+            "After each mode find all functions of one direction anew, in turn those of x and of y: far fewer "
+            "corrections. `false` is the published algorithm."
+        ),
+    )
+    max_corrections: Annotated[int, Field(ge=1)] = Field(
+        default=200,
+        description="Corrections after which the run fails.",
+    )
+    max_sweeps: Annotated[int, Field(ge=1)] = Field(
+        default=6,
+        description="Most sweeps of the fixed point that finds a correction, each along x and along y.",
+    )
+    stagnation: Annotated[float, Field(ge=0, lt=1)] = Field(
+        default=0.05,
+        description="Change from sweep to sweep, relative to the correction, at which the fixed point ends earlier.",
+    )
+    output_spacing: Positive | None = Field(
+        default=None,
+        description=(
+            "Side of the cells on which the displacement is written out, a whole number of elements; the products "
+            "themselves are in the file too."
+        ),
+        json_schema_extra={"unit": "px", "default": "4 px or more, for at most 250,000 cells"},
+    )
+
+
 class OutputSection(Section):
     """What is written, relative to the case file."""
 
@@ -646,6 +713,7 @@ class Case(Section):
     solver: SolverSection = SolverSection()
     gauss_newton: GaussNewtonSection = GaussNewtonSection()
     start: StartSection = StartSection()
+    pgd: PgdSection | None = None
     output: OutputSection = OutputSection()
 
     @model_validator(mode="after")
@@ -681,4 +749,33 @@ class Case(Section):
         if self.near and self.solver.subdomains is not None and self.solver.subdomains <= len(self.near):
             raise ValueError(f"solver.subdomains = {self.solver.subdomains}: the far field and every near field need "
                              f"a subdomain each; ask for at least {len(self.near) + 1}")
+        return self
+
+    @model_validator(mode="after")
+    def _tikhonov_needs_products(self) -> Case:
+        """Refuse Tikhonov's term where no method has it."""
+        if self.pgd is None and self.regularization is not None and self.regularization.operator == "tikhonov":
+            raise ValueError('regularization.operator = "tikhonov" goes with [pgd]; use "equilibrium_gap"')
+        return self
+
+    @model_validator(mode="after")
+    def _pgd_stands_alone(self) -> Case:
+        """Refuse what makes no sense beside PGD-DIC."""
+        if self.pgd is None:
+            return self
+        of_gap = frozenset() if self.regularization is None else self.regularization.model_fields_set
+        refused = {
+            "[[near]]": (bool(self.near), "measure one image pair at a time"),
+            "[[discontinuity]]": (bool(self.discontinuity), "leave [pgd] out: products of functions hold no lines"),
+            "[solver]": ("solver" in self.model_fields_set, "leave it out: PGD-DIC solves along lines only"),
+            "[gauss_newton]": ("gauss_newton" in self.model_fields_set,
+                               "give pgd.tolerance, pgd.rms_tolerance and pgd.max_corrections"),
+            "regularization.boxes": ("boxes" in of_gap, "name whole sides in regularization.not_controlled"),
+            "start.independent": ("independent" in self.start.model_fields_set, "leave it out"),
+            "start.largest_enriched_block": ("largest_enriched_block" in self.start.model_fields_set, "leave it out"),
+            'correlation.grey_correction = "element"': (self.correlation.grey_correction == "element", 'use "global"'),
+        }
+        for what, (is_given, remedy) in refused.items():
+            if is_given:
+                raise ValueError(f"{what} does not go with [pgd]; {remedy}")
         return self

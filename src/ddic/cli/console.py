@@ -15,11 +15,15 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn
 from ddic.parallel.phases import REPEATED, Phase
 from ddic.problem.problem_size import ProblemSize
 from ddic.results.summary import Summary
+from ddic.separated.corrections import CorrectionRecord
 from ddic.solvers.gauss_newton import IterationRecord
 
 _COLUMNS = ("iter", "|dq|/|q|", "RMS dq [px]", "max dq [px]", "residual [grey]", "[% range]", "Krylov",
             "its error [px]", "residual [s]", "step [s]")
 
+
+_CORRECTION_COLUMNS = ("correction", "RMS du_x [px]", "RMS du_y [px]", "of u_x", "of u_y", "gain", "of noise",
+                       "residual [grey]", "sweeps", "modes")
 
 NOTICEABLE = 0.05
 """Seconds below which a batch log does not mention a phase. A larger value prints fewer lines."""
@@ -75,7 +79,7 @@ class RunConsole:
         self._print(line)
 
     def problem_size(self, size: ProblemSize) -> None:
-        """Print the sizes and the head of the iteration table.
+        """Print the sizes.
 
         Parameters
         ----------
@@ -90,7 +94,6 @@ class RunConsole:
                     f"{size.n_interface} interface unknowns{weight}")
         if size.half_amplitudes is not None:
             self._print(f"regularization: {size.half_amplitudes.describe()}")
-        self._print("  ".join(f"{name:>{max(len(name), 9)}}" for name in _COLUMNS))
 
     def iteration(self, record: IterationRecord) -> None:
         """Print a line of the iteration table; the residual is that before the correction.
@@ -100,6 +103,8 @@ class RunConsole:
         record : IterationRecord
             Of the iteration that has ended.
         """
+        if record.number == 1:
+            self._print("  ".join(f"{name:>{max(len(name), 9)}}" for name in _COLUMNS))
         spent = {phase: record.seconds[phase] - self._seconds.get(phase, 0.0) for phase in REPEATED}
         self._seconds = record.seconds
         cells = (f"{record.number}", f"{record.size.relative:.2e}", f"{record.size.rms:.2e}",
@@ -109,6 +114,22 @@ class RunConsole:
                  f"{record.linear_error:.1e}", f"{spent[Phase.RESIDUAL]:.2f}",
                  f"{spent[Phase.LINEAR_STEP]:.2f}")
         self._print("  ".join(f"{cell:>{max(len(name), 9)}}" for cell, name in zip(cells, _COLUMNS, strict=True)))
+
+    def correction(self, record: CorrectionRecord) -> None:
+        """Print a line of the table of corrections, below its head; the residual is that before the correction.
+
+        Parameters
+        ----------
+        record : CorrectionRecord
+            Of the correction that was made.
+        """
+        if record.number == 1:
+            self._print("  ".join(f"{name:>{max(len(name), 9)}}" for name in _CORRECTION_COLUMNS))
+        cells = (f"{record.number}", f"{record.rms[0]:.2e}", f"{record.rms[1]:.2e}", f"{record.fluctuation[0]:.2e}",
+                 f"{record.fluctuation[1]:.2e}", f"{record.gain:.2e}", f"{record.noise_gain:.2e}",
+                 f"{record.grey.residual_std:.3f}", f"{record.n_sweeps}", f"{record.n_modes}")
+        self._print("  ".join(f"{cell:>{max(len(name), 9)}}" for cell, name in zip(cells, _CORRECTION_COLUMNS,
+                                                                                 strict=True)))
 
     def finish(self, summary: Summary) -> None:
         """Print what was found.
@@ -121,7 +142,8 @@ class RunConsole:
         self._bar.stop()
         seconds = ", ".join(f"{name} {value:.2f}" for name, value in summary.seconds.items())
         memory = ", ".join(f"{value / 2**20:.0f}" for value in summary.peak_memory_bytes)
-        self._print(f"converged in {summary.iterations} iterations; residual {summary.residual_std_grey:.3f} grey "
+        steps = "iterations" if summary.n_modes is None else f"corrections to {_count(summary.n_modes, 'mode')}"
+        self._print(f"converged in {summary.iterations} {steps}; residual {summary.residual_std_grey:.3f} grey "
                     f"levels ({summary.residual_percent_of_range:.2f} % of the dynamic range), "
                     f"grey-level correction: {summary.grey_correction}")
         for number, near in enumerate(summary.near, start=1):
@@ -129,7 +151,8 @@ class RunConsole:
             self._print(f"near field {number}: residual {near.residual_std_grey:.3f} grey levels; its set-up moved by "
                         f"alpha = ({near.alpha_px[0]:.4f} +- {near.alpha_std_px[0]:.4f}, {near.alpha_px[1]:.4f} +- "
                         f"{near.alpha_std_px[1]:.4f}) far-field px{turned}")
-        self._print(f"largest jump left at an interface node: {summary.largest_jump_px:.1e} px")
+        if summary.n_modes is None:
+            self._print(f"largest jump left at an interface node: {summary.largest_jump_px:.1e} px")
         if math.isfinite(summary.linear_error_px):
             self._print("estimated displacement error left by the linear solver: "
                         f"{summary.linear_error_px:.1e} px RMS")

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 
 Lines = list[tuple[str, str]]
 
+MOST_MODES = 10
+"""Modes of PGD-DIC whose sizes are listed."""
+
 
 @click.command()
 @click.argument("file", metavar="FILE", type=click.Path(path_type=Path))
@@ -94,10 +97,24 @@ def _result_lines(result: Result) -> Lines:
         lines.append(("residual", f"standard deviation {np.nanstd(image):.4g} grey levels"))
     lines += [(f"{place} field", name) for place, fields in (("node", result.point_data),
                                                              ("cell", result.cell_data)) for name in fields]
-    lines.append(("Gauss-Newton", f"{max(map(len, result.gauss_newton.values()), default=0)} iterations"))
-    lines.append(("Krylov", ", ".join(str(max(len(h) - 1, 0)) for h in result.krylov) or "none"))
+    if result.separated is not None:
+        separated, n_corrections = result.separated, len(result.corrections.get("correction", ()))
+        lines.append(("PGD-DIC", f"{separated.n_modes} modes after {n_corrections} corrections, functions of "
+                                 f"{separated.along_x.n_nodes} and {separated.along_y.n_nodes} nodes"))
+        amplitudes = np.sqrt((separated.amplitudes**2).sum(axis=1))
+        lines.append(("RMS of modes", ", ".join(f"{size:.3g}" for size in amplitudes[:MOST_MODES]) + " px"))
+    else:
+        lines += _linear_steps(result)
     for group, values in result.attributes.items():
         lines += [(f"{group}.{name}", _short(value)) for name, value in sorted(values.items())]
+    return lines
+
+
+def _linear_steps(result: Result) -> Lines:
+    """Of Gauss-Newton and its linear steps."""
+    lines = []
+    lines.append(("Gauss-Newton", f"{max(map(len, result.gauss_newton.values()), default=0)} iterations"))
+    lines.append(("Krylov", ", ".join(str(max(len(h) - 1, 0)) for h in result.krylov) or "none"))
     return lines
 
 

@@ -17,8 +17,9 @@ if TYPE_CHECKING:
 
     from ddic.io.plots.preview import Preview
     from ddic.io.result_reader import Result
+    from ddic.separated.separated_field import SeparatedField
 
-KINDS = ("partition", "deformed", "residual", "difference", "krylov", "opening", "near-far")
+KINDS = ("partition", "deformed", "residual", "difference", "krylov", "opening", "near-far", "modes", "corrections")
 
 
 @click.command()
@@ -77,6 +78,10 @@ def _kinds(asked: str, result: Result, other: Result | None) -> list[str]:
         lacking["opening"] = "was measured without discontinuities; choose another --kind"
     if CAMERA not in result.cell_data:
         lacking["near-far"] = "is of one camera (a case without [[near]]); choose another --kind"
+    if result.separated is None:
+        lacking["modes"] = lacking["corrections"] = "was not measured by PGD-DIC ([pgd]); choose another --kind"
+    elif not len(result.corrections.get("correction", ())):
+        lacking["corrections"] = "took no correction; choose another --kind"
     if asked in lacking:
         raise InputError(f"{result.path}: {lacking[asked]}")
     return [kind for kind in KINDS if kind not in lacking] if asked == "all" else [asked]
@@ -108,8 +113,10 @@ def _figure(kind: str, result: Result, other: Result | None, preview: Preview | 
             component: Literal["x", "y", "magnitude"], amplification: float | None) -> Figure:
     """One figure, by its kind; a difference is asked for only where there is another result."""
     from ddic.io.plots.camera_fields import draw_near_far
+    from ddic.io.plots.correction_curves import draw_corrections
     from ddic.io.plots.deformed import draw_deformed
     from ddic.io.plots.difference import draw_difference
+    from ddic.io.plots.mode_functions import draw_modes
     from ddic.io.plots.partition import draw_partition
     from ddic.io.plots.residual import draw_residual
 
@@ -121,8 +128,17 @@ def _figure(kind: str, result: Result, other: Result | None, preview: Preview | 
         "krylov": lambda: _draw_krylov(result, other),
         "opening": lambda: _draw_opening(result),
         "near-far": lambda: draw_near_far(result, component),
+        "modes": lambda: draw_modes(_get_separated(result)),
+        "corrections": lambda: draw_corrections(result.corrections),
     }
     return by_kind[kind]()
+
+
+def _get_separated(result: Result) -> SeparatedField:
+    """The products of a result that has them: others are not asked for modes."""
+    if result.separated is None:
+        raise TypeError("a result without products has no modes")
+    return result.separated
 
 
 def _draw_krylov(result: Result, other: Result | None) -> Figure:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,8 @@ from ddic.io.mesh_export import to_meshio, to_pyvista
 from ddic.mesh.interpolation import differentiate_shapes_at, interpolate, locate
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.shapes import pad_cells
+from ddic.separated.line_elements import LineElements
+from ddic.separated.separated_field import SeparatedField
 
 SAME_NODE_PX = 1e-9
 """Distance, pixels, from a node below which a point is that node: rounding of coordinates."""
@@ -47,6 +49,10 @@ class Result:
         Of the groups case, provenance, time, units and near_1, near_2, ...
     flipped : bool
         The file itself has y up.
+    corrections : dict of (n_corrections,) arrays
+        Columns of the table of PGD-DIC's corrections; empty for other methods.
+    separated : SeparatedField or None
+        The displacement as a sum of products, of which ``displacement`` are values; None for other methods.
     """
 
     path: Path
@@ -59,6 +65,8 @@ class Result:
     krylov: tuple[NDArray[np.float64], ...]
     attributes: Mapping[str, Mapping[str, Any]]
     flipped: bool
+    corrections: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    separated: SeparatedField | None = None
 
     def __repr__(self) -> str:
         origin = "in memory" if self.path == Path() else str(self.path)
@@ -80,7 +88,7 @@ class Result:
         return fields
 
     def at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Interpolate the displacement by the shape functions of the cell that holds a point.
+        """Interpolate the displacement by the shape functions of the cell that holds a point, or sum its products.
 
         Parameters
         ----------
@@ -101,6 +109,8 @@ class Result:
         if positions.ndim != 2 or positions.shape[1] != self.mesh.dim:
             raise InputError(f"points: an array of shape {positions.shape}, (n, {self.mesh.dim}) expected: x and y of "
                              "each point, pixels")
+        if self.separated is not None:
+            return self.separated.at(positions)
         return interpolate(self.mesh, self.displacement, positions)
 
     def to_meshio(self) -> Any:
@@ -280,11 +290,22 @@ def read_open_file(path: Path, file: Any) -> Result:
         krylov=tuple(_arrays(file, schema.KRYLOV).values()),
         attributes={name: dict(file[name].attrs) for name in file if schema.has_attributes(name)},
         flipped=flipped,
+        corrections=_arrays(file, schema.CORRECTIONS),
+        separated=_read_separated(file),
     )
     if path == Path():
         # What is computed at first use may also be put in place, whatever the class is frozen for.
         result.__dict__["residual_image"] = _read_residual_image(file)
     return result
+
+
+def _read_separated(file: Any) -> SeparatedField | None:
+    """The products of an open file; None if there are none."""
+    data = _arrays(file, schema.SEPARATED)
+    if not data:
+        return None
+    along_x, along_y = LineElements(data["nodes_x"]), LineElements(data["nodes_y"])
+    return SeparatedField(along_x, along_y, data["amplitudes"], data["x"], data["y"])
 
 
 def _read_residual_image(file: Any) -> NDArray[np.float32] | None:

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-SCHEMA_VERSION = "1.4"
+from ddic.separated.separated_field import SeparatedField
+
+SCHEMA_VERSION = "1.5"
 VTKHDF_VERSION = (2, 0)
 
 VTKHDF = "VTKHDF"
@@ -19,6 +21,9 @@ RESIDUAL_IMAGE = "residual_image"
 RESIDUAL = "residual"
 GAUSS_NEWTON = "history/gauss_newton"
 KRYLOV = "history/krylov"
+CORRECTIONS = "history/corrections"
+SEPARATED = "separated"
+PGD = "PGD-DIC"
 PHASES = "history/phases"
 CASE = "case"
 PROVENANCE = "provenance"
@@ -124,6 +129,28 @@ def cell_fields(n_cameras: int = 1) -> tuple[FieldSpec, ...]:
     if n_cameras == 1:
         return fields
     return (*fields, FieldSpec(CAMERA, 1, np.int32, "1", "camera that measures the cell: 0 the far field, 1 ... near"))
+
+
+def describe_separated(field: SeparatedField) -> dict[str, tuple[NDArray[np.float64], str, str]]:
+    """List the datasets of a separated displacement.
+
+    Parameters
+    ----------
+    field : SeparatedField
+        The displacement.
+
+    Returns
+    -------
+    dict of ((...) array, str, str)
+        By name: values, unit, description.
+    """
+    return {
+        "nodes_x": (field.along_x.nodes, "px", "nodes of the functions of x"),
+        "nodes_y": (field.along_y.nodes, "px", "nodes of the functions of y, down"),
+        "amplitudes": (field.amplitudes, "px", "RMS displacement of each mode (n_modes, 2), of u_x and of u_y"),
+        "x": (field.x, "1", "functions of x at their nodes (n_modes, 2, n_x), of mean square 1"),
+        "y": (field.y, "1", "functions of y at their nodes (n_modes, 2, n_y), of mean square 1"),
+    }
 
 
 def near_group(camera: int) -> str:

@@ -19,6 +19,7 @@ from ddic.io.replace_on_exit import replaced_on_exit
 from ddic.io.residual_sidecar import write_sidecar
 from ddic.io.result_reader import Result, read_open_file
 from ddic.io.result_schema import FieldSpec
+from ddic.separated.separated_field import SeparatedField
 
 CHUNK_ROWS = 16384
 CHUNK_CACHE_BYTES = 64 << 20
@@ -263,6 +264,20 @@ class ResultWriter:
         target = self._file.require_group(group)
         for number, curve in enumerate(curves):
             target[f"{number:04d}"] = np.asarray(curve, np.float64)
+
+    def write_separated(self, field: SeparatedField) -> None:
+        """Write the products that a displacement is a sum of, in the image's axes whatever the mesh's are.
+
+        Parameters
+        ----------
+        field : SeparatedField
+            The displacement.
+        """
+        target = self._file.require_group(schema.SEPARATED)
+        for name, (values, unit, description) in schema.describe_separated(field).items():
+            target[name] = values
+            target[name].attrs["unit"] = unit
+            target[name].attrs["description"] = description
 
     def write_attributes(self, group: str, values: Mapping[str, Any]) -> None:
         """Write attributes of a group.

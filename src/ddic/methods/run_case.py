@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ddic.io.result_schema import summary_path
-from ddic.methods.dd_dic import Session
+from ddic.methods.choose_recipe import prepare_recipe
 from ddic.methods.detect import find_discontinuity
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
@@ -46,8 +46,8 @@ def run_case(team: Team, path: Path, listener: Listener) -> Summary:
     with clock.phase(Phase.MESH):
         inputs, frame = open_inputs(team, loaded)
     inputs = find_discontinuity(team, inputs, frame, listener, clock)
-    with Session(team, inputs, listener, clock, frame) as session:
-        measurement = session.measure(frame)
+    with prepare_recipe(team, inputs, listener, clock, frame) as recipe:
+        measurement = recipe.measure(frame)
     with clock.phase(Phase.WRITE):
         publish(measurement, Destination(output.file, output.flip_y, gather_phase_times(team, clock)))
     summary = summarize(measurement, clock)

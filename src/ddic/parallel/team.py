@@ -192,6 +192,29 @@ class Team:
         final: T = result
         return final
 
+    def alike(self, work: Callable[[], T]) -> T:
+        """Run work that every rank does alike, with collective operations inside it.
+
+        Parameters
+        ----------
+        work : callable
+            Whose errors follow from what all ranks know, and are the same on all of them.
+
+        Returns
+        -------
+        T
+            Its result.
+
+        Raises
+        ------
+        DdicError
+            What the work raises, on all ranks.
+        """
+        try:
+            return work()
+        except DdicError as error:
+            raise as_collective(error) from error.__cause__
+
     def _raise_lowest(self, error: Exception | None) -> None:
         """Raise on all ranks what the lowest rank with an error brings."""
         with self.waiting.counted():

@@ -18,6 +18,7 @@ from ddic.problem.check_images import check_images
 from ddic.problem.check_mesh_uses import CheckedMesh, check_mesh_uses
 from ddic.problem.check_output import check_output
 from ddic.problem.check_report import CheckReport, describe_inputs
+from ddic.problem.check_separated import check_separated_case
 from ddic.problem.gather_problems import Problems
 from ddic.problem.mesh_source import build_meshes
 
@@ -57,6 +58,8 @@ def check_case(loaded: LoadedCase, count_pixels: PixelCounter | None = None) -> 
             read_result(case.start.from_result)
     if reference is None:
         raise InputError(problems.lines)
+    if case.pgd is not None:
+        return check_separated_case(loaded, reference, problems)
     checked = _check_mesh(loaded, reference, count_pixels or _count_pixels, problems)
     not_controlled = check_mesh_uses(loaded, checked, problems)
     problems.require_none()

@@ -20,13 +20,7 @@ from ddic.partition.ties import Tying
 from ddic.problem.cut_region import check_lines
 from ddic.problem.gather_problems import Problems
 from ddic.problem.mesh_source import describe_mesh_source
-
-SHORTEST_WAVELENGTH = 3.0
-"""Elements per cut-off wavelength below which a plane wave is not one on the mesh (aliasing)."""
-
-LONGEST_WAVELENGTH = 1000.0
-"""Elements per cut-off wavelength beyond which M is lost in A = M + eta Kbar^T Kbar, whose ratio grows as its
-fourth power (1e12 here, of 1e16)."""
+from ddic.problem.wavelength_limits import check_wavelength_fits
 
 
 @dataclass(frozen=True)
@@ -137,12 +131,4 @@ def check_wavelength(case: Case, mesh: Mesh) -> None:
     wavelength = None if case.regularization is None else case.regularization.cut_off_wavelength
     if wavelength is None:
         return
-    size = measure_cell_size(mesh)
-    if wavelength < SHORTEST_WAVELENGTH * size:
-        raise InputError(f"regularization.cut_off_wavelength = {wavelength:g}: the mesh, of elements of {size:.3g} px, "
-                         f"carries no wave shorter than {SHORTEST_WAVELENGTH:g} elements; give at least "
-                         f"{SHORTEST_WAVELENGTH * size:.3g}, or leave the regularization out")
-    if wavelength > LONGEST_WAVELENGTH * size:
-        raise InputError(f"regularization.cut_off_wavelength = {wavelength:g}: more than {LONGEST_WAVELENGTH:g} "
-                         f"elements of {size:.3g} px, where rounding hides the images (eta grows as its fourth "
-                         f"power); give at most {LONGEST_WAVELENGTH * size:.3g}")
+    check_wavelength_fits(wavelength, measure_cell_size(mesh))

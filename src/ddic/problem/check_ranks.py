@@ -7,6 +7,7 @@ from pathlib import Path
 from ddic.case.loader import LoadedCase, load_case
 from ddic.errors import InputError
 from ddic.problem.check_inputs import check_inputs
+from ddic.problem.rectangle import check_number_of_ranks
 
 
 def check_ranks(loaded: LoadedCase, n_ranks: int) -> None:
@@ -22,8 +23,11 @@ def check_ranks(loaded: LoadedCase, n_ranks: int) -> None:
     Raises
     ------
     InputError
-        Where a rank would have no subdomain.
+        Where a rank would have no subdomain, or no rows of the images.
     """
+    if loaded.case.pgd is not None:
+        check_number_of_ranks(n_ranks)
+        return
     solver = loaded.case.solver
     if solver.method == "monolithic":
         if n_ranks > 1:

@@ -14,6 +14,7 @@ from ddic.parallel.team import Team
 from ddic.partition.ties import Tying
 from ddic.problem.cameras import Camera, Frame, open_cameras, open_frame, open_on_all_ranks
 from ddic.problem.mesh_source import build_meshes
+from ddic.problem.rectangle import Rectangle, find_rectangle_of_case
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,8 @@ class Inputs:
         Its content; empty where there is none.
     notes : tuple of str
         What the user should know of how the case was completed.
+    rectangle : Rectangle, optional
+        What is measured where the case has [pgd]; ``build_mesh`` is not called then.
     """
 
     case: Case
@@ -46,6 +49,7 @@ class Inputs:
     case_path: Path = Path()
     case_text: str = ""
     notes: tuple[str, ...] = ()
+    rectangle: Rectangle | None = None
 
 
 def open_inputs(team: Team, loaded: LoadedCase) -> tuple[Inputs, Frame]:
@@ -75,5 +79,6 @@ def open_inputs(team: Team, loaded: LoadedCase) -> tuple[Inputs, Frame]:
     cameras = open_cameras(case, opener)
     image = cameras[0].reference.image
     inputs = Inputs(case, cameras, lambda: build_meshes(case, image.width, image.height),
-                    case_path=loaded.path, case_text=loaded.text)
+                    case_path=loaded.path, case_text=loaded.text,
+                    rectangle=None if case.pgd is None else find_rectangle_of_case(case))
     return inputs, open_frame(case, opener)

@@ -86,4 +86,7 @@ def describe_cut_off(section: RegularizationSection | None) -> HalfAmplitudes | 
     """
     if section is None or section.cut_off_wavelength is None:
         return None
+    if section.operator == "tikhonov":
+        # 1 / (1 + (l_c / l)^2) of a wave of any direction is left.
+        return HalfAmplitudes(section.cut_off_wavelength, section.cut_off_wavelength)
     return find_half_amplitudes(build_material(section), section.cut_off_wavelength)

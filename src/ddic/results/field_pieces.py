@@ -105,8 +105,8 @@ def _cell_data(measurement: Measurement, number: int, u: NDArray[np.float64]) ->
     n_cells = subdomain.mesh.n_cells
     strain = compute_strain(subdomain.mesh, u)
     data: dict[str, NDArray[Any]] = {
-        schema.STRAIN_INFINITESIMAL: _six_components(strain.infinitesimal),
-        schema.STRAIN_GREEN_LAGRANGE: _six_components(strain.green_lagrange),
+        schema.STRAIN_INFINITESIMAL: convert_to_six_components(strain.infinitesimal),
+        schema.STRAIN_GREEN_LAGRANGE: convert_to_six_components(strain.green_lagrange),
         schema.RESIDUAL_RMS: _residual_rms(measurement, subdomain.camera, own_residual),
         schema.RESIDUAL_N_PIXELS: own_residual.cell_sums.n_pixels.astype(np.int64),
         schema.EQUIVALENT_ERROR: errors.equivalent,
@@ -119,8 +119,19 @@ def _cell_data(measurement: Measurement, number: int, u: NDArray[np.float64]) ->
     return data
 
 
-def _six_components(tensor: NDArray[np.float64]) -> NDArray[np.float64]:
-    """In-plane (xx, yy, xy) as VTK's (xx, yy, zz, xy, yz, xz)."""
+def convert_to_six_components(tensor: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Write tensors in the plane as VTK does.
+
+    Parameters
+    ----------
+    tensor : (n, 3) array
+        xx, yy, xy.
+
+    Returns
+    -------
+    (n, 6) array
+        xx, yy, zz, xy, yz, xz.
+    """
     zero = np.zeros(len(tensor))
     return np.stack([tensor[:, 0], tensor[:, 1], zero, tensor[:, 2], zero, zero], axis=1)
 

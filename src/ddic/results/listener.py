@@ -6,6 +6,7 @@ from typing import Protocol
 
 from ddic.parallel.phases import Phase
 from ddic.problem.problem_size import ProblemSize
+from ddic.separated.corrections import CorrectionRecord
 from ddic.solvers.gauss_newton import IterationRecord
 
 
@@ -52,6 +53,16 @@ class Listener(Protocol):
         """
         ...
 
+    def correction(self, record: CorrectionRecord) -> None:
+        """Take note of one correction of PGD-DIC.
+
+        Parameters
+        ----------
+        record : CorrectionRecord
+            Of it.
+        """
+        ...
+
 
 class Silence(Listener):
     """Says nothing."""
@@ -66,6 +77,9 @@ class Silence(Listener):
         """Ignore."""
 
     def iteration(self, record: IterationRecord) -> None:
+        """Ignore."""
+
+    def correction(self, record: CorrectionRecord) -> None:
         """Ignore."""
 
 
@@ -95,3 +109,7 @@ class WithoutNotes(Listener):
     def iteration(self, record: IterationRecord) -> None:
         """Pass it on."""
         self._listener.iteration(record)
+
+    def correction(self, record: CorrectionRecord) -> None:
+        """Pass it on."""
+        self._listener.correction(record)

@@ -107,6 +107,11 @@ class Measurement:
         """Displacement of each owned subdomain's nodes, node by node, specimen's frame, (n_dofs,), pixels."""
         return [s.displacement(q_s) for s, q_s in zip(self.subdomains, self.q, strict=True)]
 
+    @property
+    def unknowns(self) -> list[Array]:
+        """What another frame may start from."""
+        return self.q
+
     def at(self, points: Array) -> Array:
         """Interpolate the displacement by shape functions, never across a hole; collective.
 

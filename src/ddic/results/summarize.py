@@ -8,15 +8,16 @@ from ddic.parallel.phases import PhaseClock
 from ddic.results.measurement import Measurement
 from ddic.results.near_attributes import summarize_near_field
 from ddic.results.phase_times import gather_phase_times
+from ddic.results.separated_measurement import SeparatedMeasurement
 from ddic.results.summary import Summary
 
 
-def summarize(measurement: Measurement, clock: PhaseClock) -> Summary:
+def summarize(measurement: Measurement | SeparatedMeasurement, clock: PhaseClock) -> Summary:
     """Sum up a measurement in numbers for scripts and people; collective.
 
     Parameters
     ----------
-    measurement : Measurement
+    measurement : Measurement or SeparatedMeasurement
         What was measured.
     clock : PhaseClock
         This rank's.
@@ -26,6 +27,8 @@ def summarize(measurement: Measurement, clock: PhaseClock) -> Summary:
     Summary
         The same on all ranks.
     """
+    if isinstance(measurement, SeparatedMeasurement):
+        return _summarize_separated(measurement, clock)
     team, case, size = measurement.team, measurement.inputs.case, measurement.size
     grey = measurement.evaluation.grey
     memory = team.gather_lists([resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024])
@@ -56,4 +59,36 @@ def summarize(measurement: Measurement, clock: PhaseClock) -> Summary:
         result_file=str(case.output.file),
         stop=measurement.stop,
         half_amplitudes=size.half_amplitudes,
+    )
+
+
+def _summarize_separated(measurement: SeparatedMeasurement, clock: PhaseClock) -> Summary:
+    team, case, size, solution = measurement.team, measurement.inputs.case, measurement.size, measurement.solution
+    memory = team.gather_lists([resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024])
+    times = gather_phase_times(team, clock)
+    return Summary(
+        converged=True,
+        iterations=len(solution.records),
+        residual_std_grey=solution.grey.residual_std,
+        residual_percent_of_range=100 * solution.grey.residual_std / (size.dynamic_range or 1.0),
+        n_dofs=size.n_unknowns,
+        n_subdomains=size.n_subdomains,
+        n_ranks=size.n_ranks,
+        n_pixels=solution.grey.n_pixels,
+        n_pixels_outside=size.n_pixels - solution.grey.n_pixels,
+        krylov_iterations=[],
+        seconds=times.seconds,
+        cpu_seconds=times.cpu_seconds,
+        imbalance=times.imbalance,
+        peak_memory_bytes=memory,
+        eta=size.eta or None,
+        cut_off_wavelength=None if case.regularization is None else case.regularization.cut_off_wavelength,
+        largest_jump_px=0.0,
+        linear_error_px=float("nan"),
+        grey_correction=case.correlation.grey_correction,
+        notes=measurement.notes,
+        result_file=str(case.output.file),
+        stop=solution.stop,
+        half_amplitudes=size.half_amplitudes,
+        n_modes=solution.field.n_modes,
     )

@@ -98,6 +98,8 @@ class Summary:
         Which tolerances ended Gauss-Newton.
     half_amplitudes : HalfAmplitudes or None
         Waves that the cut-off wavelength halves, pixels; None without one.
+    n_modes : int or None
+        Products that the displacement of PGD-DIC is a sum of; None for other methods. Its iterations are corrections.
     """
 
     converged: bool
@@ -124,6 +126,7 @@ class Summary:
     near: Sequence[NearSummary] = field(default_factory=tuple)
     stop: str = ""
     half_amplitudes: HalfAmplitudes | None = None
+    n_modes: int | None = None
 
 
 def write_summary(path: Path, summary: Summary) -> None:

@@ -195,11 +195,23 @@ def fit_coarse_fields(cameras: Sequence[Camera], references: Sequence[ReferenceV
     notes: list[str] = []
     for camera, start in zip(cameras, found, strict=True):
         prefix = "" if len(cameras) == 1 else f"{camera.label}, "
-        notes += [prefix + line for line in _describe(start)]
+        notes += [prefix + line for line in describe_start(start)]
     return StartField(q, tuple(notes))
 
 
-def _describe(start: MultilevelStart) -> list[str]:
+def describe_start(start: MultilevelStart) -> list[str]:
+    """Say how a coarse field was found.
+
+    Parameters
+    ----------
+    start : MultilevelStart
+        The coarse field.
+
+    Returns
+    -------
+    list of str
+        For the log.
+    """
     lines = list(start.warnings)
     shifts = [f"({found.shift[0]:.2f}, {found.shift[1]:.2f}) px, correlation coefficient {found.coefficient:.3f}"
               for found in start.rigid]

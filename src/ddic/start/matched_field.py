@@ -48,18 +48,36 @@ class MatchedField:
         (n_nodes, 2) array
             Displacement, pixels; beyond the region that of the piece of the nearest match.
         """
-        on_own_side = find_points_on_own_side(mesh)
+        return self._interpolate(mesh.nodes, find_points_on_own_side(mesh))
+
+    def at(self, points: Array) -> Array:
+        """Interpolate the displacement.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n, 2) array
+            Displacement, pixels; beyond the region that of the piece of the nearest match.
+        """
+        return self._interpolate(points, points)
+
+    def _interpolate(self, points: Array, on_own_side: Array) -> Array:
+        """Displacement of points, each in the piece that a point on its own side lies in."""
         cells = locate(self.mesh, on_own_side).cells
         nearest = cKDTree(self.matches.points).query(on_own_side)[1]
         pieces = np.where(cells >= 0, self.piece_of_cell[cells], self.matches.pieces[nearest])
         # A piece in which nothing was found moves with what is next to it.
         pieces = np.where(np.isin(pieces, self.matches.pieces), pieces, self.matches.pieces[nearest])
-        values = np.empty((mesh.n_nodes, 2))
+        values = np.empty(points.shape)
         for piece in np.unique(pieces):
             wanted, own = np.flatnonzero(pieces == piece), np.flatnonzero(self.matches.pieces == piece)
-            points = self.matches.points[own]
             n_neighbours = min(N_NEIGHBOURS, len(own))
-            near = own[cKDTree(points).query(mesh.nodes[wanted], list(range(1, n_neighbours + 1)))[1]]
-            offsets = self.matches.points[near] - mesh.nodes[wanted, None]
+            tree = cKDTree(self.matches.points[own])
+            near = own[tree.query(points[wanted], list(range(1, n_neighbours + 1)))[1]]
+            offsets = self.matches.points[near] - points[wanted, None]
             values[wanted] = fit_robustly(offsets, self.matches.displacement[near])
         return values

@@ -1,0 +1,46 @@
+"""The recipe that a case asks for."""
+
+from __future__ import annotations
+
+from ddic.methods.dd_dic import Session
+from ddic.methods.pgd_dic import SeparatedSession
+from ddic.parallel.phases import PhaseClock
+from ddic.parallel.team import Team
+from ddic.problem.cameras import Frame
+from ddic.problem.inputs import Inputs
+from ddic.results.listener import Listener
+
+Recipe = Session | SeparatedSession
+"""A prepared measurement."""
+
+
+def prepare_recipe(team: Team, inputs: Inputs, listener: Listener, clock: PhaseClock,
+                   first_frame: Frame | None = None) -> Recipe:
+    """Prepare the reference images as the case's method does; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    inputs : Inputs
+        Reference images, mesh and settings.
+    listener : Listener
+        Told what happens.
+    clock : PhaseClock
+        Of the phases.
+    first_frame : Frame, optional
+        Where it is known already.
+
+    Returns
+    -------
+    Session or SeparatedSession
+        PGD-DIC where the case has [pgd].
+
+    Raises
+    ------
+    InputError, SingularSubdomainError, FactorizationError
+        On all ranks.
+    """
+    if inputs.case.pgd is not None:
+        return SeparatedSession(team, inputs, listener, clock)
+    return Session(team, inputs, listener, clock, first_frame)

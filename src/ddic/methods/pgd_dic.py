@@ -1,0 +1,89 @@
+"""PGD-DIC: successive rank-one corrections of a displacement that is a sum of products, Fig. 2 of [PP12]."""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import Self
+
+from ddic.parallel.phases import Phase, PhaseClock
+from ddic.parallel.team import Team
+from ddic.problem.cameras import Frame
+from ddic.problem.inputs import Inputs
+from ddic.problem.separated_problem import prepare_separated_problem
+from ddic.results.finish_separated import finish_separated
+from ddic.results.listener import Listener
+from ddic.results.separated_measurement import SeparatedMeasurement
+from ddic.separated.corrections import correct_displacement
+from ddic.separated.separated_field import SeparatedField
+from ddic.start.separated_start import find_separated_start, prepare_separated_search
+
+
+class SeparatedSession:
+    """A prepared PGD-DIC measurement, for any number of frames; use it in a ``with`` statement as other sessions.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks, each of which reads some bands of rows.
+    inputs : Inputs
+        Reference image, rectangle and settings.
+    listener : Listener
+        Told what happens.
+    clock : PhaseClock
+        Of the phases.
+
+    Raises
+    ------
+    InputError
+        On all ranks.
+    """
+
+    def __init__(self, team: Team, inputs: Inputs, listener: Listener, clock: PhaseClock) -> None:
+        self._listener, self._clock = listener, clock
+        self._problem = prepare_separated_problem(team, inputs, clock)
+        with clock.phase(Phase.START):
+            self._search = prepare_separated_search(self._problem)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self.close()
+
+    def measure(self, frame: Frame, start: SeparatedField | None = None) -> SeparatedMeasurement:
+        """Measure the displacement between the reference image and a frame; collective.
+
+        Parameters
+        ----------
+        frame : Frame
+            One deformed image.
+        start : SeparatedField, optional
+            Displacement to start from; by default as the case says.
+
+        Returns
+        -------
+        SeparatedMeasurement
+            Pixels spread over ranks.
+
+        Raises
+        ------
+        InputError, SingularSubdomainError, ConvergenceError
+            On all ranks; the session can measure other frames afterwards.
+        """
+        problem = self._problem
+        with self._clock.phase(Phase.START):
+            begin, notes = find_separated_start(problem, self._search, frame, start)
+        for line in notes:
+            self._listener.note(line)
+        self._listener.problem_size(problem.size)
+        pixels = problem.open_frame(frame)
+        with self._clock.phase(Phase.LINEAR_STEP):
+            solution = problem.team.alike(lambda: correct_displacement(
+                pixels, begin, problem.regularization, problem.scheme, problem.rules, self._listener.correction))
+        self._listener.note(solution.stop)
+        with self._clock.phase(Phase.FINISH):
+            return finish_separated(problem, frame, pixels, solution, notes)
+
+    def close(self) -> None:
+        """Do nothing: there is no object of PETSc to free."""

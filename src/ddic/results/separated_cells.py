@@ -1,0 +1,159 @@
+"""The cells on which a separated displacement is written out, and what the residual says of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.case.schema import ImagesSection
+from ddic.io import result_schema as schema
+from ddic.io.result_writer import Piece, PieceSize, ResultWriter
+from ddic.kinematics.strain import compute_strain
+from ddic.mesh.cell_type import Q4
+from ddic.mesh.mesh import Mesh, build_mesh
+from ddic.mesh.structured import Grid
+from ddic.parallel.team import Team
+from ddic.results.cell_errors import CellErrors, CellResiduals, describe_doubtful_cells, find_cell_errors
+from ddic.results.field_pieces import convert_to_six_components
+from ddic.separated.line_elements import LineElements
+from ddic.separated.pixel_bands import ReferencePixels
+from ddic.separated.separated_field import SeparatedField
+
+Array = NDArray[np.float64]
+Rows = tuple[range, NDArray[np.float32]]
+
+
+@dataclass(frozen=True, eq=False)
+class OutputCells:
+    """Cells between some lines of a rectangle.
+
+    Attributes
+    ----------
+    x, y : (n,) array
+        The lines, pixels.
+    n_pixels : (n_rows n_columns,) array
+        That count, row by row.
+    residual_rms : (n_rows n_columns,) array
+        Grey levels; nan where no pixel counts.
+    errors : CellErrors
+        What the residual says about them.
+    notes : tuple of str
+        For the user.
+    """
+
+    x: Array
+    y: Array
+    n_pixels: Array
+    residual_rms: Array
+    errors: CellErrors
+    notes: tuple[str, ...]
+
+    def build_mesh(self) -> Mesh:
+        """Mesh them.
+
+        Returns
+        -------
+        Mesh
+            Of Q4 cells, row by row.
+        """
+        grid = Grid(self.x, self.y)
+        return build_mesh(grid.nodes, {Q4: grid.quads})
+
+
+def evaluate_output_cells(team: Team, lines: tuple[Array, Array], reference: ReferencePixels,
+                       residual: Sequence[Rows]) -> OutputCells:
+    """Sum the residual over cells; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    lines : tuple of (n,) array
+        Between the cells, along x and along y, pixels.
+    reference : ReferencePixels
+        The reference image.
+    residual : sequence of (range, (n_rows, width) array)
+        Residual of this rank's bands, grey levels, grey levels corrected.
+
+    Returns
+    -------
+    OutputCells
+        The same on all ranks.
+    """
+    x, y = lines
+    sums = team.sum(sum((_sum_band(LineElements(x), LineElements(y), reference, number, rows)
+                         for number, rows in enumerate(residual)), np.zeros((4, len(y) - 1, len(x) - 1))))
+    n, r, rr, slopes = sums.reshape(4, -1)
+    safe = np.maximum(n, 1.0)
+    # The mean of a cell's residual is brightness, not displacement.
+    variance = np.where(n > 0, np.maximum(rr / safe - (r / safe) ** 2, 0.0), np.nan)
+    residuals = CellResiduals(0, n, variance, slopes / safe)
+    errors = find_cell_errors(team, [residuals] if team.is_root else [])
+    notes = describe_doubtful_cells(team, errors)
+    rms = np.where(n > 0, np.sqrt(np.maximum(rr / safe, 0.0)), np.nan)
+    return OutputCells(x, y, n, rms, team.broadcast(errors[0] if team.is_root else None), notes)
+
+
+def _sum_band(along_x: LineElements, along_y: LineElements, reference: ReferencePixels, number: int,
+              rows: Rows) -> Array:
+    """Sums over the pixels of a band of (1, r, r^2, |grad f|^2) in each cell, (4, n_rows, n_columns)."""
+    band, r = reference.bands[number], rows[1].astype(np.float64)
+    counts = np.isfinite(r)
+    r[~counts] = 0.0
+    slopes = np.where(counts, band.by_x.astype(np.float64)**2 + band.by_y.astype(np.float64)**2, 0.0)
+    starts = np.searchsorted(np.arange(reference.along_x.pixels.start, reference.along_x.pixels.stop),
+                             along_x.nodes[:-1])
+    places = np.searchsorted(along_y.nodes, np.array(rows[0]), side="right") - 1
+    sums = np.zeros((4, along_y.n_nodes - 1, along_x.n_nodes - 1))
+    for k, image in enumerate((counts.astype(np.float64), r, r**2, slopes)):
+        np.add.at(sums[k], np.clip(places, 0, along_y.n_nodes - 2), np.add.reduceat(image, starts, axis=1))
+    return sums
+
+
+def write_output_cells(writer: ResultWriter, cells: OutputCells, field: SeparatedField,
+                       images: ImagesSection) -> None:
+    """Write cells with the displacement at their nodes; on rank 0.
+
+    Parameters
+    ----------
+    writer : ResultWriter
+        Open.
+    cells : OutputCells
+        Whose nodes are nodes of the elements too.
+    field : SeparatedField
+        The displacement.
+    images : ImagesSection
+        Of the case: size of a pixel.
+    """
+    mesh = cells.build_mesh()
+    displacement = field.evaluate_on_grid(cells.x, cells.y).reshape(-1, 2)
+    length_unit = None if images.pixel_size is None else images.length_unit
+    writer.create_pieces([PieceSize(mesh.n_nodes, mesh.n_cells, len(mesh.connectivity))],
+                         schema.point_fields(length_unit), schema.cell_fields())
+    point_data: dict[str, NDArray[Any]] = {
+        schema.DISPLACEMENT: displacement,
+        schema.DISPLACEMENT_MESH_UNITS: displacement,
+        schema.GLOBAL_NODE_ID: np.arange(mesh.n_nodes),
+    }
+    if images.pixel_size is not None:
+        point_data[schema.DISPLACEMENT_PHYSICAL] = displacement * images.pixel_size
+    writer.write_pieces(range(1), Piece(mesh.nodes, mesh.connectivity, mesh.offsets, mesh.types, point_data,
+                                        _describe_cells(mesh, cells, displacement)))
+
+
+def _describe_cells(mesh: Mesh, cells: OutputCells, displacement: Array) -> dict[str, NDArray[Any]]:
+    strain = compute_strain(mesh, displacement.ravel())
+    return {
+        schema.STRAIN_INFINITESIMAL: convert_to_six_components(strain.infinitesimal),
+        schema.STRAIN_GREEN_LAGRANGE: convert_to_six_components(strain.green_lagrange),
+        schema.RESIDUAL_RMS: cells.residual_rms,
+        schema.RESIDUAL_N_PIXELS: cells.n_pixels.astype(np.int64),
+        schema.EQUIVALENT_ERROR: cells.errors.equivalent,
+        schema.DOUBTFUL: cells.errors.doubtful.astype(np.uint8),
+        schema.SUBDOMAIN_ID: np.zeros(mesh.n_cells, dtype=np.int32),
+        schema.GLOBAL_CELL_ID: np.arange(mesh.n_cells),
+    }

@@ -1,0 +1,432 @@
+"""Pixels of a rectangle in bands of rows: integrals over them along either direction, and the residual."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.functionals.grey_statistics import GreySums
+from ddic.images.spline import PADDING, GradientImage, SplineImage
+from ddic.images.sub_image import DeformedSubImage
+from ddic.images.window import Window
+from ddic.separated import separated_kernels as kernels
+from ddic.separated.band_sums import BandSums
+from ddic.separated.line_elements import LineElements
+from ddic.separated.separated_field import SeparatedField
+
+Array = NDArray[np.float64]
+Grey = NDArray[np.float32]
+
+CHUNK = 1 << 17
+"""Pixels whose displacement is held at once: 2 MB, of the second-level cache."""
+
+SAMPLES = 33
+"""Places along a side at which a field is looked at to guess which window of g it needs."""
+
+_NOTHING_EXCLUDED = np.zeros((0, 0), dtype=np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceBand:
+    """Rows of the reference image.
+
+    Attributes
+    ----------
+    rows : range
+        Of the image.
+    values : (n_rows, width) float32 array
+        f, grey levels; nan where a pixel is left out.
+    by_x, by_y : (n_rows, width) float32 array
+        grad f, grey levels per pixel; 0 where a pixel is left out.
+    """
+
+    rows: range
+    values: Grey
+    by_x: Grey
+    by_y: Grey
+
+
+@dataclass(frozen=True, eq=False)
+class ReferencePixels:
+    """The reference image in a rectangle, as one rank sees it.
+
+    Attributes
+    ----------
+    along_x, along_y : LineElements
+        Of the rectangle.
+    bands : list of ReferenceBand
+        Owned ones, in order.
+    extent : Window
+        The whole image.
+    sums : BandSums
+        Over the bands of all ranks.
+    """
+
+    along_x: LineElements
+    along_y: LineElements
+    bands: list[ReferenceBand]
+    extent: Window
+    sums: BandSums
+
+    def sum_texture(self, component: int, of_columns: Array, of_rows: Array) -> float:
+        """Sum f_a^2 p(x) q(y) over the pixels of all ranks.
+
+        Parameters
+        ----------
+        component : int
+            a.
+        of_columns : (width,) array
+            p.
+        of_rows : (height,) array
+            q.
+
+        Returns
+        -------
+        float
+            Grey levels squared, times the units of p and q.
+        """
+        first = self.along_y.pixels.start
+        found = []
+        for band in self.bands:
+            slope = (band.by_x, band.by_y)[component].astype(np.float64)
+            weights = of_rows[band.rows.start - first:band.rows.stop - first]
+            found.append(np.atleast_1d(weights @ (slope**2 @ of_columns)))
+        return float(self.sums.add_up(found)[0])
+
+
+def cut_bands(reference: GradientImage, along_x: LineElements, rows: Sequence[range]) -> list[ReferenceBand]:
+    """Cut a window of the reference image into bands.
+
+    Parameters
+    ----------
+    reference : GradientImage
+        Of a window that holds them.
+    along_x : LineElements
+        Whose pixels are the columns.
+    rows : sequence of range
+        Of the bands.
+
+    Returns
+    -------
+    list of ReferenceBand
+        In order.
+    """
+    bands = []
+    for of_band in rows:
+        window = Window(along_x.pixels.start, of_band.start, along_x.pixels.stop, of_band.stop)
+        part = reference.restrict(window)
+        values, by_x, by_y = (np.ascontiguousarray(array) for array in (part.values, part.by_x, part.by_y))
+        if part.usable is not None:
+            left_out = part.usable == 0
+            values[left_out], by_x[left_out], by_y[left_out] = np.nan, 0.0, 0.0
+        bands.append(ReferenceBand(of_band, values, by_x, by_y))
+    return bands
+
+
+def count_usable(bands: Sequence[ReferenceBand]) -> int:
+    """Count the pixels that are not left out.
+
+    Parameters
+    ----------
+    bands : sequence of ReferenceBand
+        Of one rank.
+
+    Returns
+    -------
+    int
+        Of these bands.
+    """
+    return sum(int(np.isfinite(band.values).sum()) for band in bands)
+
+
+@dataclass(eq=False)
+class FrameBand:
+    """Rows of both images; what the deformed one hides is left out of the slopes too.
+
+    Attributes
+    ----------
+    reference : ReferenceBand
+        Of the reference image.
+    by_x, by_y : (n_rows, width) float32 array
+        grad f; 0 where a pixel is hidden.
+    residual : (n_rows, width) float32 array
+        f - g(x + u), grey levels; 0 where a pixel does not count.
+    absent : (n_rows, width) array of bool or None
+        Pixels that do not count at the last displacement; None where all do.
+    """
+
+    reference: ReferenceBand
+    by_x: Grey
+    by_y: Grey
+    residual: Grey
+    absent: NDArray[np.bool_] | None = None
+
+
+@dataclass(eq=False)
+class FramePixels:
+    """Both images in a rectangle, as one rank sees them, at the displacement that was evaluated last.
+
+    Attributes
+    ----------
+    reference : ReferencePixels
+        The reference image.
+    deformed : DeformedSubImage
+        g.
+    bands : list of FrameBand
+        Owned ones.
+    """
+
+    reference: ReferencePixels
+    deformed: DeformedSubImage
+    bands: list[FrameBand] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.bands = [FrameBand(band, band.by_x, band.by_y, np.zeros_like(band.values))
+                      for band in self.reference.bands]
+
+    def integrate_over_y(self, functions: Array) -> Array:
+        """Integrate Eq. (19) of [PP12] over the rows, for both components in one sweep.
+
+        Parameters
+        ----------
+        functions : (2, height) array
+            Y of both components in each row.
+
+        Returns
+        -------
+        (5, width) array
+            Sums of f_x^2 Y1^2, f_x f_y Y1 Y2, f_y^2 Y2^2, r f_x Y1 and r f_y Y2.
+        """
+        first = self.reference.along_y.pixels.start
+        found = []
+        for band in self.bands:
+            rows = band.reference.rows
+            sums = np.zeros((kernels.N_SUMS, band.by_x.shape[1]))
+            of_band = np.ascontiguousarray(functions[:, rows.start - first:rows.stop - first])
+            kernels.sum_over_rows(band.by_x, band.by_y, band.residual, of_band, sums)
+            found.append(sums)
+        return self.reference.sums.add_up(found)
+
+    def integrate_over_x(self, functions: Array) -> Array:
+        """Integrate Eq. (22) of [PP12] over the columns, for both components in one sweep.
+
+        Parameters
+        ----------
+        functions : (2, width) array
+            X of both components in each column.
+
+        Returns
+        -------
+        (5, height) array
+            Sums of f_x^2 X1^2, f_x f_y X1 X2, f_y^2 X2^2, r f_x X1 and r f_y X2.
+        """
+        functions = np.ascontiguousarray(functions)
+        found = []
+        for band in self.bands:
+            sums = np.empty((kernels.N_SUMS, band.by_x.shape[0]))
+            kernels.sum_over_columns(band.by_x, band.by_y, band.residual, functions, sums)
+            found.append(sums)
+        return self.reference.sums.join(found)
+
+    def integrate_pairs(self, functions: Array, *, along_y: bool) -> tuple[Array, Array]:
+        """Integrate all pairs of several functions against the slopes, and each against the residual.
+
+        Parameters
+        ----------
+        functions : (n_modes, 2, height or width) array
+            Of the direction that is integrated over, at its pixels.
+        along_y : bool
+            Whether what is left is a function of y, and integrals are over x.
+
+        Returns
+        -------
+        pairs : (2 n_modes, 2 n_modes, n) array
+            Sums of f_c f_d v w for v of component c and w of component d; function k of component c is 2 k + c.
+        single : (2 n_modes, n) array
+            Sums of r f_c v.
+        """
+        sums = self.reference.sums
+        of_bands = self._integrate_bands(functions, along_y=along_y)
+        rows = sums.join(of_bands) if along_y else sums.add_up(of_bands)
+        m = 2 * len(functions)
+        return rows[:m * m].reshape(m, m, -1), rows[m * m:]
+
+    def _integrate_bands(self, functions: Array, *, along_y: bool) -> Iterator[Array]:
+        """Integrals over the pixels of each owned band: all pairs, row by row, then the single ones, (m^2 + m, n)."""
+        n_modes, first = len(functions), self.reference.along_y.pixels.start
+        for band in self.bands:
+            rows = band.reference.rows
+            given = functions if along_y else functions[..., rows.start - first:rows.stop - first]
+            slopes = (band.by_x.astype(np.float64), band.by_y.astype(np.float64))
+            n = len(rows) if along_y else band.by_x.shape[1]
+            m = 2 * n_modes
+            found = np.empty((m * m + m, n))
+            pairs, single = found[:m * m].reshape(n_modes, 2, n_modes, 2, n), found[m * m:].reshape(n_modes, 2, n)
+            for c in range(2):
+                single[:, c] = _integrate(slopes[c] * band.residual, given[:, c], along_y=along_y)
+                for d in range(c, 2):
+                    products = (given[:, None, c] * given[None, :, d]).reshape(n_modes**2, -1)
+                    of_pairs = _integrate(slopes[c] * slopes[d], products, along_y=along_y)
+                    pairs[:, c, :, d] = of_pairs.reshape(n_modes, n_modes, n)
+            pairs[:, 1, :, 0] = pairs[:, 0, :, 1].swapaxes(0, 1)
+            yield found
+
+    def sum_blocks(self, edges_x: NDArray[np.int64], edges_y: NDArray[np.int64]) -> Array:
+        """Sum the residual against grad f over blocks of pixels.
+
+        Parameters
+        ----------
+        edges_x, edges_y : (n + 1,) int64 array
+            Columns and rows where blocks begin, counted from the rectangle's first ones.
+
+        Returns
+        -------
+        (2, n_y, n_x) array
+            Sums of r f_x and r f_y.
+        """
+        first = self.reference.along_y.pixels.start
+        found = []
+        for band in self.bands:
+            sums = np.zeros((2, len(edges_y) - 1, len(edges_x) - 1))
+            kernels.sum_blocks(band.by_x, band.by_y, band.residual, band.reference.rows.start - first, edges_y,
+                               edges_x, sums)
+            found.append(sums)
+        return self.reference.sums.add_up(found)
+
+    def evaluate(self, displacement: SeparatedField) -> GreySums:
+        """Evaluate the residual at a displacement.
+
+        Parameters
+        ----------
+        displacement : SeparatedField
+            u.
+
+        Returns
+        -------
+        GreySums
+            Over the pixels of all ranks that count.
+        """
+        sums = self.reference.sums
+        return GreySums(sums.add_up(sums.together(lambda: self._fill(displacement))))
+
+    def correct_grey_levels(self, gain: float, offset: float) -> None:
+        """Turn the residual f - g(x + u) into f - gain g(x + u) - offset.
+
+        Parameters
+        ----------
+        gain : float
+            No unit.
+        offset : float
+            Grey levels.
+        """
+        for band in self.bands:
+            r = band.residual.astype(np.float64)
+            corrected = r - (gain - 1.0) * (band.reference.values - r) - offset
+            band.residual[:] = corrected if band.absent is None else np.where(band.absent, 0.0, corrected)
+
+    def compute_residual_rows(self, displacement: SeparatedField, gain: float,
+                              offset: float) -> list[tuple[range, Grey]]:
+        """Compute the residual image.
+
+        Parameters
+        ----------
+        displacement : SeparatedField
+            u.
+        gain : float
+            No unit.
+        offset : float
+            Grey levels.
+
+        Returns
+        -------
+        list of (range, (n_rows, width) array)
+            Rows and f - gain g(x + u) - offset of each owned band; nan where a pixel does not count.
+        """
+        found = []
+
+        def keep(band: FrameBand, residual: Grey) -> None:
+            image = residual - (gain - 1.0) * (band.reference.values - residual) - offset
+            found.append((band.reference.rows, image.astype(np.float32)))
+
+        self.reference.sums.together(lambda: self._fill(displacement, keep))
+        return found
+
+    def _fill(self, displacement: SeparatedField, keep: Callable[[FrameBand, Grey], None] | None = None) -> list[Array]:
+        """Fill the residual of all bands; returns their grey sums."""
+        if not self.bands:
+            return []
+        x = self.reference.along_x.evaluate_at_pixels(displacement.scaled_x)
+        y = self.reference.along_y.evaluate_at_pixels(displacement.y)
+        self.deformed.hold(self._guess_window(x, y))
+        return [self._fill_band(band, x, y, keep) for band in self.bands]
+
+    def _fill_band(self, band: FrameBand, x: Array, y: Array,
+                   keep: Callable[[FrameBand, Grey], None] | None) -> Array:
+        rows = band.reference.rows
+        of_rows = y[..., rows.start - self.reference.along_y.pixels.start:][..., :len(rows)]
+        report = self._fill_pixels(band, x, of_rows, self.deformed.get_spline(Window(0, 0, 0, 0)))
+        if report[kernels.N_GREY] > 0:
+            # Some pixels are displaced beyond the window that was guessed.
+            report = self._fill_pixels(band, x, of_rows, self.deformed.get_spline(self._find_window(rows, x, of_rows)))
+        if keep is not None:
+            keep(band, band.residual)
+        if int(report[0]) < band.residual.size:
+            self._leave_out(band)
+        else:
+            band.by_x, band.by_y, band.absent = band.reference.by_x, band.reference.by_y, None
+        return report[:kernels.N_GREY]
+
+    def _fill_pixels(self, band: FrameBand, x: Array, y: Array, spline: SplineImage) -> Array:
+        report = np.zeros(kernels.N_GREY + 1)
+        rows = band.reference.rows
+        x0, extent = self.reference.along_x.pixels.start, self.reference.extent
+        usable = _NOTHING_EXCLUDED if spline.usable is None else spline.usable
+        step = max(CHUNK // x.shape[-1], 1)
+        for begin in range(0, len(rows), step):
+            part = slice(begin, min(begin + step, len(rows)))
+            ux, uy = (np.ascontiguousarray(y[:, c, part].T) @ x[:, c] for c in range(2))
+            kernels.fill_residual(band.reference.values[part], ux, uy, x0, rows.start + begin, spline.coefficients,
+                                  spline.degree, spline.window.x0, spline.window.y0, usable,
+                                  (extent.width, extent.height), band.residual[part], report)
+        return report
+
+    def _leave_out(self, band: FrameBand) -> None:
+        """Pixels that do not count leave the integrals."""
+        band.absent = absent = np.isnan(band.residual)
+        band.residual[absent] = 0.0
+        is_hidden = bool((absent & np.isfinite(band.reference.values)).any())
+        slopes = (band.reference.by_x, band.reference.by_y)
+        band.by_x, band.by_y = (np.where(absent, np.float32(0), slope) if is_hidden else slope for slope in slopes)
+
+    def _guess_window(self, x: Array, y: Array) -> Window:
+        """The window of g that a sample of the pixels of all owned bands is displaced to."""
+        first = self.reference.along_y.pixels.start
+        rows = range(self.bands[0].reference.rows.start, self.bands[-1].reference.rows.stop)
+        own = y[..., rows.start - first:rows.stop - first]
+        i = np.linspace(0, x.shape[-1] - 1, SAMPLES).round().astype(int)
+        j = np.linspace(0, len(rows) - 1, SAMPLES).round().astype(int)
+        return self._bound(np.array(rows)[j], i, x[..., i], own[..., j])
+
+    def _find_window(self, rows: range, x: Array, y: Array) -> Window:
+        """The window of g that all pixels of a band are displaced to."""
+        return self._bound(np.array(rows), np.arange(x.shape[-1]), x, y)
+
+    def _bound(self, rows: NDArray[np.int64], columns: NDArray[np.int64], x: Array, y: Array) -> Window:
+        ux, uy = (y[:, c].T @ x[:, c] for c in range(2))
+        right = self.reference.along_x.pixels.start + columns[None, :] + ux
+        down = rows[:, None] + uy
+        pad = PADDING[self.deformed.degree]
+        window = Window(int(np.floor(right.min())) - pad, int(np.floor(down.min())) - pad,
+                        int(np.ceil(right.max())) + pad + 1, int(np.ceil(down.max())) + pad + 1)
+        extent = self.reference.extent
+        # Where nothing of it is in the image, any window will do: no pixel counts.
+        clipped = window.clip(extent.width, extent.height)
+        return clipped if clipped.width > 0 and clipped.height > 0 else Window(0, 0, 1, 1)
+
+
+def _integrate(image: Array, functions: Array, *, along_y: bool) -> Array:
+    """Integrals of an image (n_rows, width) against functions (m, n), (m, n_rows) or (m, width)."""
+    return np.asarray(functions @ (image.T if along_y else image))

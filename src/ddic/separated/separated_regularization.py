@@ -1,0 +1,381 @@
+"""Regularisation of a rectangle as a sum of products of one-dimensional matrices: Tikhonov and the equilibrium gap."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.functionals.elasticity import Material
+from ddic.functionals.equilibrium_gap import PHASES, find_cut_off_weight
+from ddic.separated.diagonals import multiply, multiply_matrices, pad_diagonals, transpose
+from ddic.separated.line_elements import LineElements
+
+Array = NDArray[np.float64]
+
+Product = tuple[Array, Array]
+"""A matrix along x and one along y, by their diagonals: their Kronecker product acts on the grid's nodes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Wave:
+    """A plane wave of one component along one axis, as a product of functions at the nodes.
+
+    Attributes
+    ----------
+    component : int
+        That moves.
+    x : (n_x,) array
+        Of x, pixels.
+    y : (n_y,) array
+        Of y, no unit.
+    """
+
+    component: int
+    x: Array
+    y: Array
+
+
+@dataclass(frozen=True, eq=False)
+class SeparatedOperator:
+    """A symmetric operator L between the two components, L_cd = sum_t Ax_t (x) Ay_t.
+
+    Attributes
+    ----------
+    rows, columns : (n_terms,) int64 array
+        Components c and d that each term couples.
+    x : (n_terms, 2 w + 1, n_x) array
+        Matrices along x.
+    y : (n_terms, 2 w + 1, n_y) array
+        Matrices along y.
+    """
+
+    rows: NDArray[np.int64]
+    columns: NDArray[np.int64]
+    x: Array
+    y: Array
+
+    def transpose(self) -> SeparatedOperator:
+        """Exchange the directions.
+
+        Returns
+        -------
+        SeparatedOperator
+            The same operator, x named y.
+        """
+        return SeparatedOperator(self.rows, self.columns, self.y, self.x)
+
+    def reduce(self, left: Array, right: Array) -> Array:
+        """Weigh the matrices along x by products of functions of y.
+
+        Parameters
+        ----------
+        left, right : (2, n_y) array
+            Y of both components on either side.
+
+        Returns
+        -------
+        (n_terms,) array
+            Y_c^T Ay_t Y_d of each term.
+        """
+        products = multiply(self.y, right[self.columns])
+        return np.asarray(np.einsum("ti,ti->t", left[self.rows], products))
+
+    def assemble(self, weights: Array) -> Array:
+        """Sum the matrices along x.
+
+        Parameters
+        ----------
+        weights : (n_terms,) array
+            Of each term.
+
+        Returns
+        -------
+        (2, 2, 2 w + 1, n_x) array
+            By the components that they couple.
+        """
+        blocks = np.zeros((2, 2, *self.x.shape[1:]))
+        for c in range(2):
+            for d in range(2):
+                chosen = (self.rows == c) & (self.columns == d)
+                blocks[c, d] = np.einsum("t,tki->ki", weights[chosen], self.x[chosen])
+        return blocks
+
+    def apply(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Multiply by modes, one direction alone.
+
+        Parameters
+        ----------
+        x : (n_modes, 2, n_x) array
+            Functions of x.
+        y : (n_modes, 2, n_y) array
+            Functions of y.
+
+        Returns
+        -------
+        of_x : (n_terms, n_modes, n_x) array
+            Ax_t X_d.
+        of_y : (n_terms, n_modes, n_y) array
+            Ay_t Y_d.
+        """
+        return (multiply(self.x[:, None], x[:, self.columns].swapaxes(0, 1)),
+                multiply(self.y[:, None], y[:, self.columns].swapaxes(0, 1)))
+
+    def measure_energy(self, x: Array, y: Array) -> float:
+        """Measure u^T L u.
+
+        Parameters
+        ----------
+        x : (n_modes, 2, n_x) array
+            Functions of x.
+        y : (n_modes, 2, n_y) array
+            Functions of y.
+
+        Returns
+        -------
+        float
+            Of the sum of the modes.
+        """
+        of_x, of_y = self.apply(x, y)
+        rows = self.rows
+        left = np.einsum("kti,tli->tkl", x[:, rows], of_x, optimize=True)
+        right = np.einsum("kti,tli->tkl", y[:, rows], of_y, optimize=True)
+        return float((left * right).sum())
+
+
+def build_tikhonov(along_x: LineElements, along_y: LineElements) -> SeparatedOperator:
+    """Build the integral of grad u : grad v, whose Euler equation is Laplace's: Eq. (26)-(28) of [PP12].
+
+    Parameters
+    ----------
+    along_x, along_y : LineElements
+        Of the rectangle.
+
+    Returns
+    -------
+    SeparatedOperator
+        Which couples no components, no unit.
+    """
+    terms: list[tuple[int, int, Product]] = []
+    for c in range(2):
+        terms.append((c, c, (along_x.stiffness, along_y.mass)))
+        terms.append((c, c, (along_x.mass, along_y.stiffness)))
+    return _stack(terms)
+
+
+def factorize_stiffness(along_x: LineElements, along_y: LineElements,
+                       material: Material) -> dict[tuple[int, int], list[Product]]:
+    """Separate K of the Q4 elements between the lines of a rectangle.
+
+    Parameters
+    ----------
+    along_x, along_y : LineElements
+        Of the rectangle.
+    material : Material
+        The same everywhere.
+
+    Returns
+    -------
+    dict of list
+        By components c and d, the products whose sum is K_cd.
+    """
+    lame, mu = material.lame
+    s_x, m_x, c_x = along_x.stiffness, along_x.mass, along_x.mixed
+    s_y, m_y, c_y = along_y.stiffness, along_y.mass, along_y.mixed
+    # Of the form v^T K u: the integral of lambda dv_c/dx_c du_d/dx_d + mu (dv_c/dx_d du_d/dx_c + grad v_c . grad u_c).
+    return {
+        (0, 0): [((lame + 2 * mu) * s_x, m_y), (mu * m_x, s_y)],
+        (1, 1): [((lame + 2 * mu) * m_x, s_y), (mu * s_x, m_y)],
+        (0, 1): [(lame * c_x, transpose(c_y)), (mu * transpose(c_x), c_y)],
+        (1, 0): [(lame * transpose(c_x), c_y), (mu * c_x, transpose(c_y))],
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class ControlledLines:
+    """Which nodes' equilibrium is imposed: those on controlled lines of both directions.
+
+    Attributes
+    ----------
+    x : (n_x,) array of bool
+        Of the vertical lines.
+    y : (n_y,) array of bool
+        Of the horizontal lines.
+    """
+
+    x: NDArray[np.bool_]
+    y: NDArray[np.bool_]
+
+
+def build_equilibrium_gap(along_x: LineElements, along_y: LineElements, material: Material,
+                          controlled: ControlledLines) -> SeparatedOperator:
+    """Build Kbar^T Kbar, Kbar = P K, of the Q4 elements between the lines of a rectangle.
+
+    Parameters
+    ----------
+    along_x, along_y : LineElements
+        Of the rectangle.
+    material : Material
+        The same everywhere.
+    controlled : ControlledLines
+        P.
+
+    Returns
+    -------
+    SeparatedOperator
+        Eight terms for each pair of components, square pixels.
+    """
+    stiffness = factorize_stiffness(along_x, along_y, material)
+    p_x, p_y = (np.asarray(lines, dtype=float) for lines in (controlled.x, controlled.y))
+    terms: list[tuple[int, int, Product]] = []
+    for c in range(2):
+        for d in range(2):
+            for row in range(2):
+                for left_x, left_y in stiffness[row, c]:
+                    for right_x, right_y in stiffness[row, d]:
+                        terms.append((c, d, (multiply_matrices(transpose(left_x), p_x * right_x),
+                                             multiply_matrices(transpose(left_y), p_y * right_y))))
+    return _stack(terms)
+
+
+def _stack(terms: Sequence[tuple[int, int, Product]]) -> SeparatedOperator:
+    rows, columns, products = zip(*terms, strict=True)
+    width = max(len(matrix) // 2 for product in products for matrix in product)
+    of_x = np.stack([pad_diagonals(x, width) for x, _ in products])
+    of_y = np.stack([pad_diagonals(y, width) for _, y in products])
+    return SeparatedOperator(np.array(rows), np.array(columns), of_x, of_y)
+
+
+def build_plane_waves(along_x: LineElements, along_y: LineElements, wavelength: float) -> list[Wave]:
+    """Build the waves v = e_a cos(2 pi x_b / l_c + phi) of ``evaluate_plane_waves``, in its order.
+
+    Parameters
+    ----------
+    along_x, along_y : LineElements
+        Of the rectangle.
+    wavelength : float
+        l_c, pixels.
+
+    Returns
+    -------
+    list of Wave
+        For all axes a, b and phases phi, the phase varying fastest, then b.
+    """
+    waves = []
+    for a in range(2):
+        for b in range(2):
+            for phase in PHASES:
+                lines = (along_x, along_y)
+                functions = [np.ones(line.n_nodes) for line in lines]
+                functions[b] = np.cos(2 * np.pi * lines[b].nodes / wavelength + phase)
+                waves.append(Wave(a, functions[0], functions[1]))
+    return waves
+
+
+def measure_wave_gaps(along_x: LineElements, along_y: LineElements, material: Material,
+                      waves: Sequence[Wave]) -> Array:
+    """Measure |K v|^2 of waves on the inner nodes' rows.
+
+    Parameters
+    ----------
+    along_x, along_y : LineElements
+        Of the rectangle.
+    material : Material
+        The same everywhere.
+    waves : sequence of Wave
+        v.
+
+    Returns
+    -------
+    (n_waves,) array
+        Square pixels, as ``measure_gap_energies``.
+    """
+    stiffness = factorize_stiffness(along_x, along_y, material)
+    energies = np.zeros(len(waves))
+    for number, wave in enumerate(waves):
+        for row in range(2):
+            forces = [(multiply(matrix_x, wave.x)[1:-1], multiply(matrix_y, wave.y)[1:-1])
+                      for matrix_x, matrix_y in stiffness[row, wave.component]]
+            energies[number] += sum(float(x @ other_x) * float(y @ other_y)
+                                    for x, y in forces for other_x, other_y in forces)
+    return energies
+
+
+def measure_wave_gradients(operator: SeparatedOperator, waves: Sequence[Wave]) -> Array:
+    """Measure v^T L v of waves.
+
+    Parameters
+    ----------
+    operator : SeparatedOperator
+        L.
+    waves : sequence of Wave
+        v.
+
+    Returns
+    -------
+    (n_waves,) array
+        In the unit of L times square pixels.
+    """
+    energies = []
+    for wave in waves:
+        x, y = np.zeros((1, 2, len(wave.x))), np.zeros((1, 2, len(wave.y)))
+        x[0, wave.component], y[0, wave.component] = wave.x, wave.y
+        energies.append(operator.measure_energy(x, y))
+    return np.array(energies)
+
+
+SumTexture = Callable[[int, Array, Array], float]
+"""Gives the sum over pixels of f_a^2 p(x) q(y), of a component a and values of p and q at columns and rows."""
+
+
+def measure_wave_textures(along_x: LineElements, along_y: LineElements, waves: Sequence[Wave],
+                          sum_texture: SumTexture) -> Array:
+    """Measure v^T M v of waves on the inner nodes' rows.
+
+    Parameters
+    ----------
+    along_x, along_y : LineElements
+        Of the rectangle.
+    waves : sequence of Wave
+        v.
+    sum_texture : callable
+        Sums over the pixels of the reference image.
+
+    Returns
+    -------
+    (n_waves,) array
+        Grey levels squared, as ``measure_texture_energies``.
+    """
+    energies = []
+    for wave in waves:
+        x = along_x.evaluate_at_pixels(wave.x) * along_x.evaluate_at_pixels(_inner(wave.x))
+        y = along_y.evaluate_at_pixels(wave.y) * along_y.evaluate_at_pixels(_inner(wave.y))
+        energies.append(sum_texture(wave.component, x, y))
+    return np.array(energies)
+
+
+def find_weight(texture: Array, energies: Array) -> float:
+    """Choose the weight at which texture and regularisation count alike at l_c, as ``find_cut_off_weight`` does.
+
+    Parameters
+    ----------
+    texture : (n_waves,) array
+        v^T M v.
+    energies : (n_waves,) array
+        v^T L v, or |K v|^2.
+
+    Returns
+    -------
+    float
+        eta.
+    """
+    return find_cut_off_weight(texture, energies)
+
+
+def _inner(values: Array) -> Array:
+    """Values of the inner nodes, 0 at both ends."""
+    inner = values.copy()
+    inner[[0, -1]] = 0.0
+    return inner

@@ -1,0 +1,163 @@
+"""Where corrections of a separated displacement begin: the coarse field, or an earlier result, as products."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.io.result_reader import Result, displacement_at, read_result
+from ddic.parallel.team import require_held
+from ddic.problem.cameras import Frame, MeasuredCells
+from ddic.problem.rectangle import Rectangle
+from ddic.problem.separated_problem import SeparatedProblem
+from ddic.separated.line_elements import LineElements
+from ddic.separated.separated_field import SeparatedField, factorize_grid, scale_modes
+from ddic.start.coarse_field import CoarseSearch, describe_start, prepare_search
+from ddic.start.cut_field import CutField
+from ddic.start.matched_field import MatchedField
+from ddic.start.multilevel import MultilevelStart
+
+Array = NDArray[np.float64]
+
+LOSS_PX = 5e-3
+"""RMS displacement of a start that may be lost when it is written as few products: less than it errs by. A
+smaller value starts with more products, most of which hold noise."""
+
+MOST_LINES = 129
+"""Lines of each direction at whose crossings an earlier result on another mesh, or a field between matched features, is
+looked up."""
+
+
+def factorize_coarse_field(found: MultilevelStart, rectangle: Rectangle) -> tuple[SeparatedField, tuple[str, ...]]:
+    """Write a coarse field as products.
+
+    Interpolation between the nodes of its grid is a product itself, so that nothing is lost but small modes.
+
+    Parameters
+    ----------
+    found : MultilevelStart
+        The coarse field.
+    rectangle : Rectangle
+        What is measured.
+
+    Returns
+    -------
+    field : SeparatedField
+        On the rectangle's elements.
+    notes : tuple of str
+        How it was found.
+
+    Raises
+    ------
+    TypeError
+        Where lines cut the field.
+    """
+    grid = found.field
+    if isinstance(grid, CutField):
+        raise TypeError("PGD-DIC knows no discontinuities, hence no field that is cut by lines")
+    if isinstance(grid, MatchedField):
+        return _factorize_values(grid.at, rectangle), tuple(describe_start(found))
+    x = _evaluate_hats(rectangle.along_x.nodes, grid.origin[0], grid.spacing[0], grid.values.shape[1])
+    y = _evaluate_hats(rectangle.along_y.nodes, grid.origin[1], grid.spacing[1], grid.values.shape[0])
+    return _decompose(grid.values, x, y, rectangle), tuple(describe_start(found))
+
+
+def _factorize_values(evaluate: Callable[[Array], Array], rectangle: Rectangle) -> SeparatedField:
+    """Products of a displacement that is known at points, looked up at the crossings of a few lines."""
+    lines = (rectangle.along_x, rectangle.along_y)
+    coarse = [np.linspace(line.nodes[0], line.nodes[-1], min(line.n_nodes, MOST_LINES)) for line in lines]
+    x, y = np.meshgrid(*coarse)
+    values = evaluate(np.column_stack([x.ravel(), y.ravel()])).reshape(*x.shape, 2)
+    hats = [_evaluate_hats(line.nodes, at[0], at[1] - at[0], len(at)) for line, at in zip(lines, coarse, strict=True)]
+    return _decompose(values, hats[0], hats[1], rectangle)
+
+
+def _evaluate_hats(places: Array, origin: float, spacing: float, n: int) -> Array:
+    """Shape functions of a coarse line at places, (n, n_places); constant beyond its ends."""
+    at = np.clip((places - origin) / spacing, 0, n - 1)
+    return np.asarray(np.maximum(1.0 - np.abs(at - np.arange(n)[:, None]), 0.0))
+
+
+def _decompose(values: Array, x: Array, y: Array, rectangle: Rectangle) -> SeparatedField:
+    """Products of a displacement at the nodes of a coarse grid, interpolated by x (n_columns, n_x) and y."""
+    n_rows, n_columns = values.shape[:2]
+    coarse = factorize_grid(LineElements(np.arange(max(n_columns, 2), dtype=float)),
+                            LineElements(np.arange(max(n_rows, 2), dtype=float)), _at_least_two(values), LOSS_PX)
+    fine_x, fine_y = coarse.scaled_x[..., :n_columns] @ x, coarse.y[..., :n_rows] @ y
+    return scale_modes(rectangle.along_x, rectangle.along_y, fine_x, fine_y)
+
+
+def _at_least_two(values: Array) -> Array:
+    """Values of a grid of two nodes or more along each side."""
+    for axis in range(2):
+        if values.shape[axis] == 1:
+            values = np.repeat(values, 2, axis=axis)
+    return values
+
+
+def prepare_separated_search(problem: SeparatedProblem) -> CoarseSearch:
+    """Prepare the search for a coarse field; collective.
+
+    Parameters
+    ----------
+    problem : SeparatedProblem
+        What is measured.
+
+    Returns
+    -------
+    CoarseSearch
+        For any number of frames.
+    """
+    measured = None
+    if problem.team.is_root:
+        mesh = problem.rectangle.build_coarse_mesh()
+        measured = [MeasuredCells(np.arange(mesh.n_cells), mesh, mesh)]
+    return prepare_search(problem.team, problem.inputs, measured)
+
+
+def find_separated_start(problem: SeparatedProblem, search: CoarseSearch, frame: Frame,
+                         earlier: SeparatedField | None) -> tuple[SeparatedField, tuple[str, ...]]:
+    """Find where corrections begin; collective.
+
+    Parameters
+    ----------
+    problem : SeparatedProblem
+        What is measured.
+    search : CoarseSearch
+        For a coarse field.
+    frame : Frame
+        The deformed image.
+    earlier : SeparatedField or None
+        Displacement of an earlier frame, which is taken as it is.
+
+    Returns
+    -------
+    field : SeparatedField
+        On the rectangle's elements; a coarse field, or an earlier result as the case says.
+    notes : tuple of str
+        Where it comes from.
+
+    Raises
+    ------
+    InputError
+        On all ranks, where an earlier result is none.
+    """
+    if earlier is not None:
+        return earlier, ("start: an earlier frame",)
+    team, path, rectangle = problem.team, problem.inputs.case.start.from_result, problem.rectangle
+    if path is not None:
+        return team.on_root(lambda: _convert(read_result(path), rectangle)), (f"start: displacement of {path}",)
+    found = search.share(team.together(search.prepare(frame)))
+    return team.together(lambda: factorize_coarse_field(require_held(found)[0], rectangle))
+
+
+def _convert(result: Result, rectangle: Rectangle) -> SeparatedField:
+    along_x, along_y = rectangle.along_x, rectangle.along_y
+    if result.separated is not None:
+        earlier = result.separated
+        return scale_modes(along_x, along_y, earlier.along_x.evaluate(earlier.scaled_x, along_x.nodes),
+                               earlier.along_y.evaluate(earlier.y, along_y.nodes))
+    return _factorize_values(partial(displacement_at, result), rectangle)

@@ -1,0 +1,87 @@
+"""Pixels of a rectangle for PGD-DIC, on one rank, and random separated displacements."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.functionals.elasticity import Material
+from ddic.images.sub_image import DeformedSubImage, read_reference
+from ddic.images.window import Window
+from ddic.separated.band_sums import SerialSums, divide_rows
+from ddic.separated.line_elements import LineElements
+from ddic.separated.pixel_bands import FramePixels, ReferencePixels, cut_bands
+from ddic.separated.separated_field import SeparatedField, scale_modes
+from ddic.separated.separated_regularization import (
+    ControlledLines,
+    SeparatedOperator,
+    build_equilibrium_gap,
+)
+from ddic.synth.fields import DisplacementField
+from support.pictures import pair_of, source
+
+Array = NDArray[np.float64]
+
+
+def lines(region: tuple[float, float, float, float], size: float) -> tuple[LineElements, LineElements]:
+    """Lines of square elements."""
+    x0, y0, x1, y1 = region
+    return tuple(LineElements(np.linspace(a, b, max(1, round((b - a) / size)) + 1)) for a, b in ((x0, x1), (y0, y1)))
+
+
+def reference_of(image: Array, region: tuple[float, float, float, float], size: float, *,
+                 mask: NDArray[np.bool_] | None = None, degree: int = 3) -> ReferencePixels:
+    """The reference image in a rectangle."""
+    along_x, along_y = lines(region, size)
+    read = source(image, mask)
+    window = Window(along_x.pixels.start, along_y.pixels.start, along_x.pixels.stop, along_y.pixels.stop)
+    bands = cut_bands(read_reference(read, window, degree), along_x, divide_rows(along_y))
+    return ReferencePixels(along_x, along_y, bands, read.extent, SerialSums())
+
+
+def frame_of(displacement: DisplacementField, region: tuple[float, float, float, float], size: float, *,
+             side: int = 192, mask: NDArray[np.bool_] | None = None,
+             deformed_mask: NDArray[np.bool_] | None = None, degree: int = 3) -> FramePixels:
+    """Both images of a known displacement in a rectangle."""
+    pair = pair_of(displacement, side)
+    reference = reference_of(pair.reference, region, size, mask=mask, degree=degree)
+    return FramePixels(reference, DeformedSubImage(source(pair.deformed, deformed_mask), degree))
+
+
+def random_field(along_x: LineElements, along_y: LineElements, n_modes: int, seed: int = 0,
+                 size: float = 0.3) -> SeparatedField:
+    """Products of random functions."""
+    random = np.random.default_rng(seed)
+    x = random.normal(size=(n_modes, 2, along_x.n_nodes))
+    y = random.normal(size=(n_modes, 2, along_y.n_nodes))
+    return scale_modes(along_x, along_y, size * x, y)
+
+
+def weighted_gap(along_x: LineElements, along_y: LineElements, weight: float) -> SeparatedOperator:
+    """The equilibrium gap of the inner nodes, times a weight."""
+    inner = []
+    for line in (along_x, along_y):
+        rows = np.ones(line.n_nodes, dtype=bool)
+        rows[[0, -1]] = False
+        inner.append(rows)
+    gap = build_equilibrium_gap(along_x, along_y, Material(), ControlledLines(*inner))
+    return SeparatedOperator(gap.rows, gap.columns, weight * gap.x, gap.y)
+
+
+def dense(bands: Array) -> Array:
+    """A matrix from its diagonals."""
+    width, n = len(bands) // 2, bands.shape[1]
+    matrix = np.zeros((n, n))
+    for k in range(-width, width + 1):
+        for i in range(max(0, -k), min(n, n - k)):
+            matrix[i, i + k] = bands[width + k, i]
+    return matrix
+
+
+def dense_operator(operator: SeparatedOperator) -> Array:
+    """An operator on the grid's nodes, row by row, components fastest."""
+    n = operator.x.shape[2] * operator.y.shape[2]
+    matrix = np.zeros((n, 2, n, 2))
+    for c, d, x, y in zip(operator.rows, operator.columns, operator.x, operator.y, strict=True):
+        matrix[:, c, :, d] += np.kron(dense(y), dense(x))
+    return matrix.reshape(2 * n, 2 * n)
