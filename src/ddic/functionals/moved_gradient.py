@@ -45,6 +45,26 @@ def compute_inverse_deformations(mesh: Mesh, u: Array) -> Array:
     return inverse
 
 
+def find_largest_gradient(mesh: Mesh, u: Array) -> float:
+    """Find by how much the cell has turned or stretched that has most.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Any, in the image's pixels.
+    u : (n_dofs,) array
+        Nodal displacement, pixels.
+
+    Returns
+    -------
+    float
+        Norm of F - I, of cells whose displacement is believed.
+    """
+    gradients = compute_displacement_gradients(mesh, u)
+    believed = _is_believed(np.eye(mesh.dim) + gradients)
+    return float(np.linalg.norm(gradients, axis=(1, 2)).max(initial=0.0, where=believed))
+
+
 def measure_deformation(before: Array | None, now: Array | None) -> float:
     """Measure how much the cells have turned and stretched.
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.functionals.moved_gradient import LARGE, compute_inverse_deformations, measure_deformation
+from ddic.functionals.moved_gradient import LARGE, compute_inverse_deformations, find_largest_gradient
 from ddic.parallel.team import Team
 from ddic.problem.views import FrameViews
 
@@ -53,7 +53,6 @@ def is_deformation_large(team: Team, views: Sequence[FrameViews], q: Sequence[Ar
     bool
         The same on all ranks.
     """
-    largest = [measure_deformation(None, inverse)
-               for of_subdomain, q_s in zip(views, q, strict=True)
-               for inverse in find_inverse_deformations(of_subdomain, q_s) if inverse is not None]
+    largest = [find_largest_gradient(view.view.correlation.mesh, view.view.kinematics.displacement(q_s))
+               for of_subdomain, q_s in zip(views, q, strict=True) for view in of_subdomain.views]
     return bool(team.maximum(max(largest, default=0.0)) > LARGE)
