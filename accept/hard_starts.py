@@ -34,7 +34,8 @@ RIGHT_PX = 0.3
 """Largest error of a node, pixels, of a field that counts as right."""
 
 N_RANDOM, FEWEST_RIGHT = 300, 299
-RANDOM_SIDE, RANDOM_REGION = 900, 180
+RANDOM_SIDE, RANDOM_REGION, RANDOM_ELEMENT = 900, 180, 20
+"""Sides of the images, of the region in their middle and of the elements, pixels; elements hold two of the largest speckles."""
 LARGEST_DISPLACEMENT, LARGEST_GRADIENT = 0.4, 0.15
 TORN = 60.0
 
@@ -152,7 +153,7 @@ def measure_random(scale: Scale) -> list[Row]:
     n_fields = 2 if scale.smoke else N_RANDOM
     n_right, wrong, refused = 0, [], []
     low, high = (RANDOM_SIDE - RANDOM_REGION) / 2, (RANDOM_SIDE + RANDOM_REGION) / 2
-    mesh = ddic.structured_mesh((low, low, high, high), 20)
+    mesh = ddic.structured_mesh((low, low, high, high), RANDOM_ELEMENT)
     for seed in range(n_fields):
         random = np.random.default_rng(seed)
         deformation = _make_random(random)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.functionals.moved_gradient import LARGE, compute_inverse_deformations, find_largest_gradient
+from ddic.functionals.moved_gradient import LARGE_SHARE, compute_inverse_deformations, count_large_gradients
 from ddic.parallel.team import Team
 from ddic.problem.views import FrameViews
 
@@ -37,7 +37,7 @@ def find_inverse_deformations(of_subdomain: FrameViews, q: Array) -> ByView:
 
 
 def is_deformation_large(team: Team, views: Sequence[FrameViews], q: Sequence[Array]) -> bool:
-    """Tell whether any cell of the region turns or stretches by much; collective.
+    """Tell whether more than a few cells of the region turn or stretch by much; collective.
 
     Parameters
     ----------
@@ -53,6 +53,9 @@ def is_deformation_large(team: Team, views: Sequence[FrameViews], q: Sequence[Ar
     bool
         The same on all ranks.
     """
-    largest = [find_largest_gradient(view.view.correlation.mesh, view.view.kinematics.displacement(q_s))
-               for of_subdomain, q_s in zip(views, q, strict=True) for view in of_subdomain.views]
-    return bool(team.maximum(max(largest, default=0.0)) > LARGE)
+    n_cells, n_large = 0, 0
+    for of_subdomain, q_s in zip(views, q, strict=True):
+        own = of_subdomain.views[0].view
+        n_cells += own.correlation.mesh.n_cells
+        n_large += count_large_gradients(own.correlation.mesh, own.kinematics.displacement(q_s))
+    return bool(team.sum(n_large) > LARGE_SHARE * team.sum(n_cells))

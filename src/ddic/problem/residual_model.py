@@ -64,7 +64,7 @@ class ResidualModel:
     rotation: HeldRotation | None = None
 
     def with_large_gradients(self, q: Sequence[Array]) -> ResidualModel:
-        """Take the gradient where the displacement puts it, if any cell turns or stretches by much; collective.
+        """Take the gradient where the displacement puts it, if cells turn or stretch by much; collective.
 
         Parameters
         ----------
