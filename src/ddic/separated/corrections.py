@@ -104,7 +104,7 @@ class CorrectionRecord:
     number : int
         From 1.
     rms : (x, y)
-        RMS of the correction, pixels.
+        RMS of the correction, what the update changed included, pixels.
     relative : (x, y)
         The paper's eta: the same over the RMS of the displacement with the correction.
     fluctuation : (x, y)
@@ -202,8 +202,9 @@ def correct_displacement(pixels: FramePixels, start: SeparatedField, regularizat
             stop = f"noise: a further correction would fit the images no better than noise ({mode.gain:.3g} <= " \
                    f"{noise_gain:.3g} grey levels squared)"
             break
-        u = _add_mode(pixels, operator, u, mode, len(records) if scheme.update else None)
-        record = _describe(len(records) + 1, mode, u, noise_gain, grey)
+        before, u = u, _add_mode(pixels, operator, u, mode, len(records) if scheme.update else None)
+        rms = u.measure_difference(before) if scheme.update else mode.field.measure_rms()
+        record = _describe(len(records) + 1, mode, rms, u, noise_gain, grey)
         records.append(record)
         note(record)
         sums, grey = _evaluate(pixels, u, scheme.correction)
@@ -235,8 +236,8 @@ def _add_mode(pixels: FramePixels, operator: SeparatedOperator | None, u: Separa
     return added if added.n_modes <= MOST_MODES else added.reduce_modes(LOSS_PX)
 
 
-def _describe(number: int, mode: Mode, u: SeparatedField, noise_gain: float, grey: GreyState) -> CorrectionRecord:
-    rms = mode.field.measure_rms()
+def _describe(number: int, mode: Mode, rms: Array, u: SeparatedField, noise_gain: float,
+              grey: GreyState) -> CorrectionRecord:
     sizes, fluctuations = u.measure_rms(), u.measure_rms(without_mean=True)
 
     def relative(to: Array) -> tuple[float, float]:
