@@ -86,13 +86,13 @@ class Regularization:
         weight L.
     weight : float
         eta, in grey levels squared over pixels squared and the unit of L.
-    wavelength : float or None
-        Cut-off wavelength, pixels; None where the weight was given.
+    density : float
+        Functions per pixel of a side that it lets through.
     """
 
     operator: SeparatedOperator
     weight: float
-    wavelength: float | None
+    density: float
 
 
 @dataclass(frozen=True)
@@ -189,14 +189,14 @@ def correct_displacement(pixels: FramePixels, start: SeparatedField, regularizat
         Where the images do not determine a correction.
     """
     operator = None if regularization is None else regularization.operator
-    wavelength = None if regularization is None else regularization.wavelength
+    density = None if regularization is None else regularization.density
     u, records, stop = start, list[CorrectionRecord](), ""
     sums, grey = _evaluate(pixels, u, scheme.correction)
     while not stop:
         if len(records) == rules.max_corrections:
             raise ConvergenceError(_describe_failure(records, rules))
         mode = find_rank_one(pixels, build_directions(pixels, operator, u), scheme.max_sweeps, scheme.stagnation)
-        noise_gain = estimate_noise_gain(start.along_x, start.along_y, wavelength, grey.residual_rms)
+        noise_gain = estimate_noise_gain(start.along_x, start.along_y, density, grey.residual_rms)
         if rules.stops_at_noise and mode.gain <= noise_gain:
             _require_match(sums)
             stop = f"noise: a further correction would fit the images no better than noise ({mode.gain:.3g} <= " \
