@@ -23,7 +23,7 @@ def draw_comparison(sides: Sequence[float], found: Mapping[str, Sequence[Mapping
     Figure
         The page.
     """
-    figure = Figure(figsize=(9.0, 4.0), layout="tight")
+    figure = Figure(figsize=(9.0, 5.0), layout="tight")
     times, apart = figure.subplots(1, 2)
     for style, (kind, of_sides) in zip(("-", "--", ":"), found.items(), strict=False):
         for axes, keys in ((times, {"pgd_cpu_s": "PGD-DIC", "q4_cpu_s": "Q4 R-DIC, dual solver"}),
@@ -37,5 +37,7 @@ def draw_comparison(sides: Sequence[float], found: Mapping[str, Sequence[Mapping
     for axes in (times, apart):
         axes.set_xlabel("side of the region [px]")
         axes.grid(which="both", alpha=0.25)
-        axes.legend(fontsize="x-small")
+        axes.set_xticks(list(sides), [f"{side:g}" for side in sides])
+        axes.set_xticks([], minor=True)
+        axes.legend(fontsize="x-small", loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2)
     return figure

@@ -20,7 +20,7 @@ from ddic.separated.corrections import (
     StoppingRules,
     correct_displacement,
 )
-from ddic.separated.noise_gain import estimate_noise_gain
+from ddic.separated.noise_gain import OF_GAP, estimate_noise_gain
 from ddic.separated.pixel_bands import FramePixels
 from ddic.separated.rank_one import build_directions, find_rank_one
 from ddic.separated.separated_field import build_zero_field
@@ -53,7 +53,7 @@ def _weigh(frame: FramePixels, wavelength: float) -> Regularization:
     waves = build_plane_waves(x, y, wavelength)
     weight = find_cut_off_weight(measure_wave_textures(x, y, waves, frame.reference.sum_texture),
                                  measure_wave_gaps(x, y, Material(), waves))
-    return Regularization(weighted_gap(x, y, weight), weight, wavelength)
+    return Regularization(weighted_gap(x, y, weight), weight, OF_GAP / wavelength)
 
 
 @pytest.mark.parametrize("update", [False, True])
@@ -137,8 +137,9 @@ def test_noise_gain_is_what_noise_gains(element: float, wavelength: float | None
         sums = frame.evaluate(zero)
         operator = None if wavelength is None else _weigh(frame, wavelength).operator
         mode = find_rank_one(frame, build_directions(frame, operator, zero), 6, 0.05)
+        density = None if wavelength is None else OF_GAP / wavelength
         rms = float(np.sqrt(sums.values[3] / sums.n_pixels))
-        gains.append(mode.gain / estimate_noise_gain(*lines(REGION, element), wavelength, rms))
+        gains.append(mode.gain / estimate_noise_gain(*lines(REGION, element), density, rms))
     # 0.55 to 0.95 were seen, least where there are fewest functions: five a side.
     assert 0.45 <= np.mean(gains) <= 1.05
 

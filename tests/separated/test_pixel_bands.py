@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from ddic.functionals.correlation import read_correlation
-from ddic.images.sub_image import DeformedSubImage
+from ddic.images.spline import PADDING
+from ddic.images.sub_image import GROWTH, DeformedSubImage
+from ddic.images.window import Window
 from ddic.mesh.structured import build_structured_mesh
 from ddic.separated.pixel_bands import FramePixels
 from ddic.separated.separated_field import SeparatedField, build_zero_field, scale_modes
@@ -87,6 +89,14 @@ def test_window_grows_where_a_sample_of_the_pixels_does_not_show_it() -> None:
     far = frame_of(Translation((0.0, 0.0)), REGION, 1.0)
     far.deformed.hold(far.reference.extent)
     assert np.array_equal(frame.evaluate(field).values, far.evaluate(field).values)
+
+
+def test_no_more_of_the_deformed_image_is_read_than_pixels_are_displaced_to() -> None:
+    frame = frame_of(Translation((0.0, 0.0)), (100.0, 110.0, 164.0, 160.0), 16.0)
+    frame.evaluate(build_zero_field(frame.reference.along_x, frame.reference.along_y))
+    held = frame.deformed.get_spline(Window(110, 120, 120, 130)).window
+    # The region, the spline's padding and GROWTH on every side.
+    assert held == Window(100, 110, 164, 160).grow(PADDING[3] + GROWTH).clip(192, 192)
 
 
 def test_pixels_out_of_the_image_leave_integrals_and_come_back() -> None:

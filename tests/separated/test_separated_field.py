@@ -64,6 +64,13 @@ def test_reduction_loses_what_it_may() -> None:
     assert lost.max() > 0.1 * allowed
 
 
+def test_difference_is_measured_however_small() -> None:
+    field = random_field(ALONG_X, ALONG_Y, 3)
+    change = random_field(ALONG_X, ALONG_Y, 1, seed=1, size=1e-9)
+    # Rounding of numbers of size 1.
+    assert np.allclose(field.add(change).measure_difference(field), change.measure_rms(), rtol=0, atol=1e-14)
+
+
 def test_grid_is_factorised_exactly() -> None:
     values = random_field(ALONG_X, ALONG_Y, 4).evaluate_on_grid(ALONG_X.nodes, ALONG_Y.nodes)
     found = factorize_grid(ALONG_X, ALONG_Y, values, 1e-12)

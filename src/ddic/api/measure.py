@@ -202,7 +202,8 @@ def measure(source: str | Path | Case | LoadedCase | Sequence[ImageLike],
     source : str, Path, Case, LoadedCase or pair of images
         A case file, a case, or the reference image and the deformed one: arrays (height, width), files or ``Image``.
     mesh : Mesh, meshio.Mesh or tuple of arrays, optional
-        With a pair of images: the mesh in pixels, as a tuple (nodes (n_nodes, 2), cells (n_cells, 3 or 4)).
+        With a pair of images: the mesh in pixels, as a tuple (nodes (n_nodes, 2), cells (n_cells, 3 or 4)). Beside
+        ``pgd`` the options' ``mesh.structured`` may stand for it.
     options : Options or mapping, optional
         Sections and keys of a case file, for a pair of images, or these with kinematics and a communicator.
     output : str or Path, optional
@@ -238,7 +239,8 @@ def prepare(source: ImageLike | Case | LoadedCase, mesh: Mesh | meshio.Mesh | tu
     source : Image, (height, width) array, str, Path, Case or LoadedCase
         The reference image; or a case, or a case file whose name ends in .toml.
     mesh : Mesh, meshio.Mesh or tuple of arrays, optional
-        With an image: pixels; as a tuple (nodes (n_nodes, 2), cells (n_cells, 3 or 4)).
+        With an image: pixels; as a tuple (nodes (n_nodes, 2), cells (n_cells, 3 or 4)). Beside ``pgd`` the options'
+        ``mesh.structured`` may stand for it.
     options : Options or mapping, optional
         Sections and keys of a case file, for an image, or these with kinematics and a communicator.
 

@@ -14,6 +14,7 @@ from ddic.problem.inputs import Inputs
 from ddic.problem.rectangle import Rectangle, choose_controlled_lines, get_material
 from ddic.separated.band_sums import divide_rows
 from ddic.separated.corrections import Regularization
+from ddic.separated.noise_gain import OF_GAP, OF_TIKHONOV
 from ddic.separated.pixel_bands import ReferencePixels, count_usable, cut_bands
 from ddic.separated.separated_regularization import (
     SeparatedOperator,
@@ -131,4 +132,5 @@ def build_regularization(section: RegularizationSection | None, reference: Refer
         wavelength *= (section.eta / weight) ** (1 / POWER[section.operator])
         weight = section.eta
     weighted = SeparatedOperator(operator.rows, operator.columns, weight * operator.x, operator.y)
-    return Regularization(weighted, weight, wavelength)
+    per_wave = OF_TIKHONOV if section.operator == "tikhonov" else OF_GAP
+    return Regularization(weighted, weight, per_wave / wavelength)

@@ -86,13 +86,13 @@ class Regularization:
         weight L.
     weight : float
         eta, in grey levels squared over pixels squared and the unit of L.
-    wavelength : float or None
-        Cut-off wavelength, pixels; None where the weight was given.
+    density : float
+        Functions per pixel of a side that it lets through.
     """
 
     operator: SeparatedOperator
     weight: float
-    wavelength: float | None
+    density: float
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class CorrectionRecord:
     number : int
         From 1.
     rms : (x, y)
-        RMS of the correction, pixels.
+        RMS of the correction, what the update changed included, pixels.
     relative : (x, y)
         The paper's eta: the same over the RMS of the displacement with the correction.
     fluctuation : (x, y)
@@ -189,21 +189,22 @@ def correct_displacement(pixels: FramePixels, start: SeparatedField, regularizat
         Where the images do not determine a correction.
     """
     operator = None if regularization is None else regularization.operator
-    wavelength = None if regularization is None else regularization.wavelength
+    density = None if regularization is None else regularization.density
     u, records, stop = start, list[CorrectionRecord](), ""
     sums, grey = _evaluate(pixels, u, scheme.correction)
     while not stop:
         if len(records) == rules.max_corrections:
             raise ConvergenceError(_describe_failure(records, rules))
         mode = find_rank_one(pixels, build_directions(pixels, operator, u), scheme.max_sweeps, scheme.stagnation)
-        noise_gain = estimate_noise_gain(start.along_x, start.along_y, wavelength, grey.residual_rms)
+        noise_gain = estimate_noise_gain(start.along_x, start.along_y, density, grey.residual_rms)
         if rules.stops_at_noise and mode.gain <= noise_gain:
             _require_match(sums)
             stop = f"noise: a further correction would fit the images no better than noise ({mode.gain:.3g} <= " \
                    f"{noise_gain:.3g} grey levels squared)"
             break
-        u = _add_mode(pixels, operator, u, mode, len(records) if scheme.update else None)
-        record = _describe(len(records) + 1, mode, u, noise_gain, grey)
+        before, u = u, _add_mode(pixels, operator, u, mode, len(records) if scheme.update else None)
+        rms = u.measure_difference(before) if scheme.update else mode.field.measure_rms()
+        record = _describe(len(records) + 1, mode, rms, u, noise_gain, grey)
         records.append(record)
         note(record)
         sums, grey = _evaluate(pixels, u, scheme.correction)
@@ -235,8 +236,8 @@ def _add_mode(pixels: FramePixels, operator: SeparatedOperator | None, u: Separa
     return added if added.n_modes <= MOST_MODES else added.reduce_modes(LOSS_PX)
 
 
-def _describe(number: int, mode: Mode, u: SeparatedField, noise_gain: float, grey: GreyState) -> CorrectionRecord:
-    rms = mode.field.measure_rms()
+def _describe(number: int, mode: Mode, rms: Array, u: SeparatedField, noise_gain: float,
+              grey: GreyState) -> CorrectionRecord:
     sizes, fluctuations = u.measure_rms(), u.measure_rms(without_mean=True)
 
     def relative(to: Array) -> tuple[float, float]:

@@ -6,13 +6,14 @@ import numpy as np
 
 from ddic.separated.line_elements import LineElements
 
-WAVES = 1.4
-"""Functions that a cut-off wavelength lets through, per wavelength along a side: 1.1 to 1.45 were measured on speckle
-with noise, on elements of 1 to 32 px and wavelengths of 16 to 128 px. A larger value ends corrections earlier."""
+OF_GAP, OF_TIKHONOV = 1.4, 1.9
+"""Functions that a regularisation lets through, per cut-off wavelength along a side: 1.1 to 1.45 and 1.1 to 1.9 were
+measured on speckle with noise, on elements of 1 to 32 px and wavelengths of 16 to 128 px. A larger value ends
+corrections earlier."""
 
 
-def estimate_noise_gain(along_x: LineElements, along_y: LineElements, wavelength: float | None,
-                       residual_rms: float) -> float:
+def estimate_noise_gain(along_x: LineElements, along_y: LineElements, density: float | None,
+                        residual_rms: float) -> float:
     """Predict by how much the best rank-one correction of noise lowers half the sum of squared residuals.
 
     Seen with M^(-1/2), noise is a random matrix of n_x by n_y independent entries for each component, whose largest
@@ -23,8 +24,8 @@ def estimate_noise_gain(along_x: LineElements, along_y: LineElements, wavelength
     ----------
     along_x, along_y : LineElements
         Of the rectangle.
-    wavelength : float or None
-        Cut-off wavelength of the regularisation, pixels; None without one.
+    density : float or None
+        Functions per pixel of a side that the regularisation lets through; None without one.
     residual_rms : float
         Of the residual, taken for noise, grey levels.
 
@@ -33,12 +34,12 @@ def estimate_noise_gain(along_x: LineElements, along_y: LineElements, wavelength
     float
         Grey levels squared; 0.76 to 0.9 of it were measured on noise without regularisation.
     """
-    n_x, n_y = (_count_functions(line, wavelength) for line in (along_x, along_y))
+    n_x, n_y = (_count_functions(line, density) for line in (along_x, along_y))
     # Half of the square of the largest singular value, for each of two components.
     return residual_rms**2 * float(np.sqrt(n_x) + np.sqrt(n_y)) ** 2
 
 
-def _count_functions(line: LineElements, wavelength: float | None) -> float:
+def _count_functions(line: LineElements, density: float | None) -> float:
     """Functions of one direction that pixels determine."""
     n = float(min(line.n_nodes, len(line.pixels)))
-    return n if wavelength is None else min(n, 1.0 + WAVES * line.length / wavelength)
+    return n if density is None else min(n, 1.0 + density * line.length)

@@ -360,14 +360,15 @@ class FramePixels:
             return []
         x = self.reference.along_x.evaluate_at_pixels(displacement.scaled_x)
         y = self.reference.along_y.evaluate_at_pixels(displacement.y)
-        self.deformed.hold(self._guess_window(x, y))
-        return [self._fill_band(band, x, y, keep) for band in self.bands]
+        window = self._guess_window(x, y)
+        self.deformed.hold(window)
+        return [self._fill_band(band, x, y, window, keep) for band in self.bands]
 
-    def _fill_band(self, band: FrameBand, x: Array, y: Array,
+    def _fill_band(self, band: FrameBand, x: Array, y: Array, window: Window,
                    keep: Callable[[FrameBand, Grey], None] | None) -> Array:
         rows = band.reference.rows
         of_rows = y[..., rows.start - self.reference.along_y.pixels.start:][..., :len(rows)]
-        report = self._fill_pixels(band, x, of_rows, self.deformed.get_spline(Window(0, 0, 0, 0)))
+        report = self._fill_pixels(band, x, of_rows, self.deformed.get_spline(window))
         if report[kernels.N_GREY] > 0:
             # Some pixels are displaced beyond the window that was guessed.
             report = self._fill_pixels(band, x, of_rows, self.deformed.get_spline(self._find_window(rows, x, of_rows)))

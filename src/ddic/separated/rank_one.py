@@ -241,7 +241,6 @@ def _scale(functions: Array) -> Array:
 
 def _change(before: SeparatedField, now: SeparatedField) -> float:
     """RMS of the difference of two modes relative to the second one."""
-    negative = SeparatedField(before.along_x, before.along_y, -before.amplitudes, before.x, before.y)
-    difference = now.add(negative).measure_rms()
+    difference = now.measure_difference(before)
     size = float(np.linalg.norm(now.measure_rms()))
     return float(np.linalg.norm(difference)) / max(size, _TINY)

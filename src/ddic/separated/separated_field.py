@@ -126,6 +126,23 @@ class SeparatedField:
             squares = squares - means.sum(axis=0) ** 2
         return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
 
+    def measure_difference(self, other: SeparatedField) -> Array:
+        """Measure the root mean square difference to another field, however small beside both.
+
+        Parameters
+        ----------
+        other : SeparatedField
+            On the same elements.
+
+        Returns
+        -------
+        (2,) array
+            Of both components, pixels.
+        """
+        negative = SeparatedField(other.along_x, other.along_y, -other.amplitudes, other.x, other.y)
+        # Sums of squares of the products would cancel: half of the digits would be lost.
+        return np.asarray(np.sqrt((self.add(negative).reduce_modes(0.0).amplitudes**2).sum(axis=0)))
+
     def reduce_modes(self, tolerance: float) -> SeparatedField:
         """Write the same field with orthogonal functions, largest first.
 

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 
 def draw_corrections(table: Mapping[str, NDArray[Any]]) -> Figure:
-    """Draw the size of corrections, what they gain and the residual before them.
+    """Draw the size of corrections, what they gain and the residual before them, its standard deviation.
 
     Parameters
     ----------
@@ -34,12 +35,13 @@ def draw_corrections(table: Mapping[str, NDArray[Any]]) -> Figure:
     sizes.set_ylabel("RMS of the correction [-]")
     gains.semilogy(number, _positive(table["gain"]), color="tab:blue", marker="o", markersize=3, label="correction")
     gains.semilogy(number, _positive(table["noise_gain"]), "--", color="tab:grey", label="of noise")
-    gains.set_ylabel("decrease of half the sum of squares [grey levels²]")
+    gains.set_ylabel("gain [grey levels²]")
     residual.plot(number, table["residual_std_grey"], color="tab:blue", marker="o", markersize=3)
-    residual.set_ylabel("standard deviation of the residual before it [grey levels]")
+    residual.set_ylabel("residual before it [grey levels]")
     residual.set_ylim(bottom=0.0)
     for axes in (sizes, gains, residual):
         axes.set_xlabel("correction [-]")
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.grid(which="both", alpha=0.25)
     for axes in (sizes, gains):
         axes.legend(fontsize="x-small")
