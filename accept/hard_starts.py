@@ -35,7 +35,7 @@ RIGHT_PX = 0.3
 
 N_RANDOM, FEWEST_RIGHT = 300, 299
 RANDOM_SIDE, RANDOM_REGION, RANDOM_ELEMENT = 900, 180, 20
-"""Sides of the images, of the region in their middle, and of the elements, which hold two of the largest speckles; pixels."""
+"""Sides of the images, of the region in their middle, and of the elements, two of the largest speckles wide; pixels."""
 LARGEST_DISPLACEMENT, LARGEST_GRADIENT = 0.4, 0.15
 TORN = 60.0
 
