@@ -19,6 +19,10 @@ SIZES, SMOKE_SIZES = (16, 8), (16,)
 MOST, PAPER = 2e-3, (0.9e-3, 1.2e-3)
 """Difference in the whole vector's norm, and the paper's two."""
 
+DEFAULTS_JUDGED_AT = 16
+"""Elements, pixels, at which the default settings are judged too. On smaller ones they leave out more of Q4-DIC's noise
+than the bound."""
+
 
 def measure_separated_openhole(scale: Scale) -> list[Row]:
     """Measure frames 53 -> 70 by both methods.
@@ -48,8 +52,9 @@ def measure_separated_openhole(scale: Scale) -> list[Row]:
         append_result("pgd_runs", {"check": "openhole", "size": size, "differences": differences, "counts": counts})
         listed = "; ".join(f"{name} {100 * one:.3f} % after {counts[name]} corrections"
                            for name, one in differences.items())
+        judged = ("published", "default") if size == DEFAULTS_JUDGED_AT else ("published",)
         rows.append(Row(f"openhole 53 -> 70, a rectangle below the hole, {size}-px elements: difference to Q4-DIC in "
-                        "the whole vector's norm, published algorithm",
+                        f"the whole vector's norm, {' and '.join(judged)}",
                         f"<= {100 * MOST:g} %; the paper's {100 * PAPER[0]:.2f} and {100 * PAPER[1]:.2f} %",
-                        listed, differences["published"] <= MOST))
+                        listed, all(differences[name] <= MOST for name in judged)))
     return rows

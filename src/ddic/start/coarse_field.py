@@ -106,7 +106,7 @@ class CoarseSearch:
         if frame is None or self.section.from_result is not None:
             return lambda: None
         if not (self.section.rigid or self.section.pyramid):
-            zero = MultilevelStart(build_uniform_field((0.0, 0.0)), (), 0, 0, (), ())
+            zero = MultilevelStart(build_uniform_field((0.0, 0.0)), (), (), ())
             return lambda: [zero] * len(self.cameras)
         pairs = [_bin_together(self.team, camera.reference, deformed)
                  for camera, deformed in zip(self.cameras, frame, strict=True)]

@@ -119,20 +119,20 @@ class MultilevelStart:
     rigid : tuple of RigidShift
         The translations found first, pixels: of the region where one stands out, then of pieces that lines cut it
         into.
-    n_matches, n_found : int
-        Features by whose displacement the field was found, and all that were matched; 0 where none were.
     levels : tuple of int
         Block sizes of the pyramid's levels that were measured, pixels, coarsest first.
     warnings : tuple of str
         What did not work.
+    n_matches, n_found : int
+        Features by whose displacement the field was found, and all that were matched; 0 where none were.
     """
 
     field: CoarseField
     rigid: tuple[RigidShift, ...]
-    n_matches: int
-    n_found: int
     levels: tuple[int, ...]
     warnings: tuple[str, ...]
+    n_matches: int = 0
+    n_found: int = 0
 
 
 def find_multilevel_start(pair: BinnedPair, mesh: Mesh, stages: Stages, correction: GreyCorrection,
@@ -184,7 +184,7 @@ def find_multilevel_start(pair: BinnedPair, mesh: Mesh, stages: Stages, correcti
             starts = (field, *rigid_start.fields)
             done.append(size)
     n_matches, n_found = (0, 0) if matched is None else (len(matched.matches.points), matched.matches.n_found)
-    return MultilevelStart(starts[0], rigid_start.translations, n_matches, n_found, tuple(done), tuple(warnings))
+    return MultilevelStart(starts[0], rigid_start.translations, tuple(done), tuple(warnings), n_matches, n_found)
 
 
 def _match_features(pair: BinnedPair, mesh: Mesh, discontinuities: Discontinuities) -> MatchedField | None:
