@@ -34,7 +34,8 @@ WAVELENGTH = 64.0
 MOST_CORRECTIONS, MOST_CPU_S, PAPER_RESIDUAL = 10, 1.5, 0.59
 """Corrections on float images, CPU seconds of a measurement, and the paper's residual in percent of the range."""
 
-RUNS = (("default", True, True), ("published", True, False), ("published from a rigid translation", False, False))
+RUNS = (("default", True, True), ("without update", True, False),
+        ("without update, from a rigid translation", False, False))
 """Whether a pyramid starts, and whether all functions of a direction are found anew after each mode."""
 
 SIDES, SMOKE_SIDES = (100, 200, 400, 700), (60,)

@@ -276,7 +276,8 @@ def _require_match(sums: GreySums) -> None:
 
 def _describe_failure(records: list[CorrectionRecord], rules: StoppingRules) -> str:
     last = records[-1]
+    end_at_noise = "" if rules.stops_at_noise else ", pgd.stop_at_noise = true"
     return (f"PGD-DIC does not converge: after {rules.max_corrections} corrections the last one is {last.rms[0]:.1e} "
             f"px along x and {last.rms[1]:.1e} px along y (pgd.tolerance = {rules.tolerance:g}, pgd.rms_tolerance = "
-            f"{rules.rms_tolerance:g}); give a larger pgd.tolerance, larger elements, [regularization], or more "
-            "pgd.max_corrections")
+            f"{rules.rms_tolerance:g}); give a larger pgd.tolerance{end_at_noise}, larger elements, [regularization], "
+            "or more pgd.max_corrections")
