@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from ddic.functionals.corner_weights import weigh_corners
 from ddic.functionals.elasticity import Material, assemble_stiffness
 from ddic.kinematics.enriched import EnrichedRegion, enrich
-from ddic.kinematics.tip_functions import N_FUNCTIONS, TipPatch, enrich_at_tips, evaluate_tip_functions, find_tips
+from ddic.kinematics.tip_functions import (
+    N_FUNCTIONS,
+    TipPatch,
+    enrich_at_tips,
+    evaluate_tip_functions,
+    find_bends_at_tips,
+    find_tips,
+)
 from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.interpolation import interpolate
 from ddic.mesh.mesh import Mesh
@@ -19,14 +28,15 @@ from ddic.mesh.structured import build_structured_mesh
 
 MESHES = {kind: build_structured_mesh((20, 20, 180, 180), 16, kind) for kind in ("Q4", "T3")}
 LINES = {"inclined": np.array([[0.0, 71.3], [103.2, 107.9]]),
-         # Through nodes of the small cells.
-         "along the cells": np.array([[0.0, 106.0], [103.0, 106.0]])}
+         # Through nodes of the small cells, and of all cells.
+         "along the small cells": np.array([[0.0, 106.0], [103.0, 106.0]]),
+         "through nodes": np.array([[0.0, 0.0], [93.0, 93.0]])}
 CASES = [(kind, line) for kind in MESHES for line in LINES]
 
 
 def _enrich(kind: str, line: str) -> tuple[Mesh, TipPatch, EnrichedRegion, EnrichedRegion, np.ndarray]:
     mesh = MESHES[kind]
-    patch = find_tips(mesh, [LINES[line]])
+    patch = find_tips(mesh, [LINES[line]], [True])
     assert patch is not None
     cut = cut_mesh(mesh, [LINES[line]], patch.small.nodes)
     sides = enrich(cut, weigh_corners(cut.mesh, cut.find_cells_at_phantoms(), 3), ["both"])
@@ -34,8 +44,8 @@ def _enrich(kind: str, line: str) -> tuple[Mesh, TipPatch, EnrichedRegion, Enric
 
 
 def test_only_ends_inside_are_tips() -> None:
-    assert find_tips(MESHES["Q4"], [np.array([[0.0, 71.0], [300.0, 80.0]])]) is None
-    patch = find_tips(MESHES["Q4"], [np.array([[60.0, 71.0], [130.0, 80.0]]), LINES["inclined"]])
+    assert find_tips(MESHES["Q4"], [np.array([[0.0, 71.0], [300.0, 80.0]])], [True]) is None
+    patch = find_tips(MESHES["Q4"], [np.array([[60.0, 71.0], [130.0, 80.0]]), LINES["inclined"]], [True, True])
     assert patch is not None
     np.testing.assert_allclose([tip.position for tip in patch.tips], [[60.0, 71.0], [130.0, 80.0], [103.2, 107.9]])
     assert patch.tips[0].ahead[0] < 0 < patch.tips[1].ahead[0]
@@ -47,6 +57,9 @@ def test_in_the_tips_own_cell_the_functions_are_exact(kind: str, line: str) -> N
     """With u_a = F(x_a) and amplitudes of 1, sum N_a u_a + sum N_a (F - F(x_a)) = F, on both faces."""
     mesh, patch, sides, region, cell_of = _enrich(kind, line)
     (tip,) = patch.tips
+    assert region.mesh.parts is not None
+    # The line was moved off nodes.
+    tip = replace(tip, position=region.mesh.parts.lines.polylines[0][-1])
     # A unit of an amplitude is about a pixel.
     amplitude = np.sqrt(measure_cell_size(mesh))
     small = region.mesh
@@ -66,6 +79,41 @@ def test_in_the_tips_own_cell_the_functions_are_exact(kind: str, line: str) -> N
             expected = np.zeros_like(u)
             expected[:, component] = evaluate_tip_functions(tip, small.nodes[nodes], own_side[nodes])[:, j]
             np.testing.assert_allclose(u, expected, atol=1e-10)
+
+
+@pytest.mark.parametrize(("kind", "line"), CASES)
+def test_each_face_opens_to_its_own_side(kind: str, line: str) -> None:
+    """Behind the tip, root of r times sin(theta / 2) has the sign of the side that a cell lies on, at all its nodes."""
+    _, patch, sides, region, cell_of = _enrich(kind, line)
+    assert region.mesh.parts is not None
+    # The line was moved off nodes.
+    tip = replace(patch.tips[0], position=region.mesh.parts.lines.polylines[0][-1])
+    q = np.zeros(region.n_unknowns)
+    for place, node in enumerate(tip.nodes):
+        at_node = region.mesh.nodes[[node]]
+        q[node * 2] = evaluate_tip_functions(tip, at_node, at_node)[0, 0]
+        q[sides.n_unknowns + place * N_FUNCTIONS * 2] = np.sqrt(measure_cell_size(MESHES[kind]))
+    u = (region.matrix @ q).reshape(-1, 2)[:, 0]
+    across = np.array([-tip.ahead[1], tip.ahead[0]])
+    checked = 0
+    for cell in np.flatnonzero(np.isin(cell_of, tip.cells)):
+        centre = region.mesh.centroids[cell] - tip.position
+        # Small cells that end more than two of their own behind the tip.
+        if centre @ tip.ahead > -4.0 or abs(centre @ across) > 2.0:
+            continue
+        nodes = region.mesh.cells[cell]
+        opened = u[nodes[nodes >= 0]] * np.sign(centre @ across)
+        # Times the sum of the tip's shape functions, which is zero at the edge of the small cells.
+        assert opened.min() > -1e-12
+        checked += opened.max() > 0.1
+    assert checked > 10
+
+
+def test_bends_beside_a_tip_are_found() -> None:
+    bent = np.array([[0.0, 60.0], [90.0, 95.0], [103.2, 96.0]])
+    np.testing.assert_array_equal(find_bends_at_tips(MESHES["Q4"], bent), bent[1:2])
+    far = np.array([[0.0, 60.0], [40.0, 80.0], [103.2, 96.0]])
+    assert len(find_bends_at_tips(MESHES["Q4"], far)) == 0
 
 
 @pytest.mark.parametrize(("kind", "line"), CASES)

@@ -203,6 +203,7 @@ def test_start_finds_sides_that_are_far_apart() -> None:
     ({"vertices": [[-50, -50], [-10, -10]]}, "discontinuity, entry 1: its line crosses no element"),
     ({"vertices": [[50, 50], [50, 50]]}, "a vertex repeats the one before it"),
     ({"vertices": [[50, 50]]}, "expected at least 2 items"),
+    ({"vertices": [[0, 60], [90, 95], [103.2, 96]], "tip_functions": True}, r"its line bends at \(90, 95\) px"),
     ({"vertices": LINE, "tip_functions": True}, "neither end of its line lies in the mesh"),
     ({"tip_functions": True}, "give discontinuity.vertices up to the tip"),
     ({"vertices": [[0, 62.3], [100, 70]], "opening": "normal", "tip_functions": True}, 'leave opening = "normal" out'),

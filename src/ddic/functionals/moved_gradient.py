@@ -19,8 +19,8 @@ LARGE = 0.1
 operators that only fit one image."""
 
 LARGE_SHARE = 0.02
-"""Share of all cells from which on so large gradients count. A few cells may be a crack that continuous elements smear,
-where the images turn and stretch nowhere. A larger share leaves more to slow convergence."""
+"""Share of all pixels from which on so large gradients count. A few cells may be a crack that continuous elements
+smear, where the images turn and stretch nowhere. A larger share leaves more to slow convergence."""
 
 LEAST_AREA, LARGEST_STRETCH = 0.2, 3.0
 """Least det F, and largest norm of F, of a cell whose displacement is believed. Others keep grad f."""
@@ -49,8 +49,8 @@ def compute_inverse_deformations(mesh: Mesh, u: Array) -> Array:
     return inverse
 
 
-def count_large_gradients(mesh: Mesh, u: Array) -> int:
-    """Count the cells that have turned or stretched by much.
+def find_large_gradients(mesh: Mesh, u: Array) -> NDArray[np.bool_]:
+    """Find the cells that have turned or stretched by much.
 
     Parameters
     ----------
@@ -61,12 +61,12 @@ def count_large_gradients(mesh: Mesh, u: Array) -> int:
 
     Returns
     -------
-    int
-        Cells whose norm of F - I is above ``LARGE``, and whose displacement is believed.
+    (n_cells,) array of bool
+        Whether a cell's norm of F - I is above ``LARGE``, and its displacement is believed.
     """
     gradients = compute_displacement_gradients(mesh, u)
     believed = _is_believed(np.eye(mesh.dim) + gradients)
-    return int((believed & (np.linalg.norm(gradients, axis=(1, 2)) > LARGE)).sum())
+    return np.asarray(believed & (np.linalg.norm(gradients, axis=(1, 2)) > LARGE))
 
 
 def measure_deformation(before: Array | None, now: Array | None) -> float:

@@ -13,13 +13,16 @@ from ddic.kinematics.discontinuities import Discontinuities, Opening
 from ddic.mesh.cell_parts import CellParts, Lines
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.polyline import find_runs, subdivide
-from ddic.mesh.quality import measure_cell_size
 
 Array = NDArray[np.float64]
 
 REACH = 2.0
 """Distance from a mesh's nodes, in diameters of its largest cell, up to which a camera sees a line. Within one diameter
 are the cells, and pixels beside a line that do not count are to be found there whole."""
+
+LONGEST = 8.0
+"""Pixels of the specimen between vertices of a line that a camera sees: its mapping bends little over so many. The same
+whatever the partition."""
 
 
 def see_parts(parts: CellParts, mesh: Mesh, mapping: CameraMapping) -> CellParts:
@@ -74,7 +77,7 @@ def see_discontinuities(discontinuities: Discontinuities, mesh: Mesh, mapping: C
 
 def _see_line(line: Array, mesh: Mesh, mapping: CameraMapping) -> list[Array]:
     """Pieces of a line near a mesh, the camera's pixels: as straight within a cell as the cells' edges are."""
-    vertices = subdivide(line, measure_cell_size(mesh))
+    vertices = subdivide(line, LONGEST)
     return [mapping.to_image(vertices[run]) for run in find_runs(_is_near(vertices, mesh))]
 
 

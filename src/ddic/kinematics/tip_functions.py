@@ -7,7 +7,7 @@ nothing else knows of them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,12 +45,18 @@ class Tip:
         Nodes of the cell that it lies in.
     cells : (m,) array of int64
         Cells around these nodes.
+    line : int
+        Number of the line.
+    vertex : int
+        Of the line, 0 or -1.
     """
 
     position: Array
     ahead: Array
     nodes: NDArray[np.int64]
     cells: NDArray[np.int64]
+    line: int
+    vertex: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +78,7 @@ class TipPatch:
     cell_of: NDArray[np.int64]
 
 
-def find_tips(mesh: Mesh, lines: Sequence[Array]) -> TipPatch | None:
+def find_tips(mesh: Mesh, lines: Sequence[Array], with_functions: Sequence[bool]) -> TipPatch | None:
     """Find the ends of lines that lie inside a mesh.
 
     Parameters
@@ -81,13 +87,16 @@ def find_tips(mesh: Mesh, lines: Sequence[Array]) -> TipPatch | None:
         The whole mesh, not cut.
     lines : sequence of (n_vertices, 2) array
         Polylines, pixels.
+    with_functions : sequence of bool
+        Whether the ends of each line count.
 
     Returns
     -------
     TipPatch or None
-        None where no line ends in the mesh.
+        None where no such line ends in the mesh.
     """
-    tips = [tip for line in lines for tip in _find_ends_inside(mesh, line)]
+    tips = [tip for number, line in enumerate(lines) if with_functions[number]
+            for tip in _find_ends_inside(mesh, line, number)]
     if not tips:
         return None
     around = np.unique(np.concatenate([tip.cells for tip in tips]))
@@ -95,9 +104,30 @@ def find_tips(mesh: Mesh, lines: Sequence[Array]) -> TipPatch | None:
     return TipPatch(tuple(tips), small, cell_of)
 
 
-def _find_ends_inside(mesh: Mesh, line: Array) -> list[Tip]:
+def find_bends_at_tips(mesh: Mesh, line: Array) -> Array:
+    """Find the vertices of a line at which it bends in the small cells about one of its ends.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        The whole mesh, not cut.
+    line : (n_vertices, 2) array
+        Polyline, pixels.
+
+    Returns
+    -------
+    (n, 2) array
+        Pixels.
+    """
+    around = [tip.cells for tip in _find_ends_inside(mesh, line, 0)]
+    cells = locate(mesh, line[1:-1]).cells
+    return np.asarray(line[1:-1][np.isin(cells, np.concatenate([np.zeros(0, np.int64), *around]))])
+
+
+def _find_ends_inside(mesh: Mesh, line: Array, number: int) -> list[Tip]:
     tips = []
-    for end, before in ((line[0], line[1]), (line[-1], line[-2])):
+    for vertex, before in ((0, line[1]), (-1, line[-2])):
+        end = line[vertex]
         cell = int(locate(mesh, end[None]).cells[0])
         if cell < 0:
             continue
@@ -106,7 +136,7 @@ def _find_ends_inside(mesh: Mesh, line: Array) -> list[Tip]:
         touches = np.isin(mesh.connectivity, nodes)
         cells = np.flatnonzero(np.logical_or.reduceat(touches, mesh.offsets[:-1])).astype(np.int64)
         ahead = (end - before) / np.linalg.norm(end - before)
-        tips.append(Tip(end, ahead, nodes, cells))
+        tips.append(Tip(end, ahead, nodes, cells, number, vertex))
     return tips
 
 
@@ -166,7 +196,9 @@ def enrich_at_tips(cut: CutMesh, region: EnrichedRegion,
     small = cut_mesh(patch.small, _lines_of(cut))
     points, on_own_side = small.mesh.nodes, find_points_on_own_side(small.mesh)
     shapes = _evaluate_shapes_of_whole(cut.mesh, points, on_own_side)
-    of_tips = [_evaluate_products(cut.mesh, tip, shapes, points, on_own_side) for tip in patch.tips]
+    # Lines were moved off nodes, which would else lie on neither face.
+    tips = [replace(tip, position=_lines_of(cut)[tip.line][tip.vertex]) for tip in patch.tips]
+    of_tips = [_evaluate_products(cut.mesh, tip, shapes, points, on_own_side) for tip in tips]
 
     dim = cut.mesh.dim
     at_patch = sparse.hstack([sparse.kron(block, sparse.identity(dim)) for block in (shapes, *of_tips)]).tocsr()

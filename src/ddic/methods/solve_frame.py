@@ -59,7 +59,8 @@ def solve_frame(problem: WeightedProblem, model: ResidualModel, q: list[NDArray[
         found = gauss_newton(model, solution.q, problem.solver.step, problem.tolerances, progress)
         solution = Solution(found.q, [*solution.records, *found.records], found.stop)
         # Where the start was far off, other pixels are hidden here: that held the step back, or left a node to nothing.
-        model, turned = problem.hold_rotation(model.with_large_gradients(solution.q), solution.q)
+        followed = model if model.follows else model.with_large_gradients(solution.q)
+        model, turned = problem.hold_rotation(followed, solution.q)
         renewed = (*turned, *problem.renew(model, solution.q))
         if not renewed:
             listener.note(solution.stop)
@@ -68,5 +69,5 @@ def solve_frame(problem: WeightedProblem, model: ResidualModel, q: list[NDArray[
             listener.note(line)
         notes = (*notes, *renewed)
     raise as_collective(ConvergenceError(
-        f"the pixels that the frame shows still change after {MOST_RENEWALS} solutions; look at the masks and the "
-        "start, or give a longer regularization.cut_off_wavelength"))
+        f"what the frame shows, pixels or how far they turn, still changes after {MOST_RENEWALS} solutions; look at "
+        "the masks and the start, or give a longer regularization.cut_off_wavelength"))

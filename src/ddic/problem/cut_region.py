@@ -13,7 +13,7 @@ from ddic.errors import InputError
 from ddic.functionals.corner_weights import weigh_corners
 from ddic.kinematics.discontinuities import Discontinuities
 from ddic.kinematics.enriched import EnrichedRegion, enrich
-from ddic.kinematics.tip_functions import enrich_at_tips, find_tips
+from ddic.kinematics.tip_functions import enrich_at_tips, find_bends_at_tips, find_tips
 from ddic.mesh.cut_mesh import CutMesh, cut_mesh, is_cut_by
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_areas
@@ -144,7 +144,7 @@ def cut_region(inputs: Inputs, mesh: Mesh, labels: NDArray[np.int64]) -> CutRegi
     if not discontinuities.n_lines:
         return None
     check_lines(inputs.case, mesh)
-    patch = find_tips(mesh, list_lines_with_tips(inputs.case))
+    patch = find_tips(mesh, discontinuities.lines, list_tip_functions(inputs.case))
     cut = cut_mesh(mesh, discontinuities.lines, None if patch is None else patch.small.nodes)
     around_tips = () if patch is None else tuple(tip.cells for tip in patch.tips)
     while True:
@@ -160,8 +160,8 @@ def cut_region(inputs: Inputs, mesh: Mesh, labels: NDArray[np.int64]) -> CutRegi
     return CutRegion(mesh, sides, labels, *enrich_at_tips(cut, sides.kinematics, patch))
 
 
-def list_lines_with_tips(case: Case) -> list[NDArray[np.float64]]:
-    """Give the lines about whose ends the case asks for tip functions.
+def list_tip_functions(case: Case) -> list[bool]:
+    """List about the ends of which lines the case asks for tip functions.
 
     Parameters
     ----------
@@ -170,10 +170,10 @@ def list_lines_with_tips(case: Case) -> list[NDArray[np.float64]]:
 
     Returns
     -------
-    list of (n_vertices, 2) array
-        Pixels.
+    list of bool
+        By line of ``list_discontinuities``.
     """
-    return [np.array(section.vertices) for section in case.discontinuity if section.tip_functions]
+    return [section.tip_functions for section in case.discontinuity if section.vertices is not None]
 
 
 def _weigh_corners(cut: CutMesh, measured: Sequence[MeasuredCells], degree: int) -> NDArray[np.float64]:
@@ -229,9 +229,21 @@ def check_lines(case: Case, mesh: Mesh) -> None:
     idle = [k for k, line in enumerate(list_discontinuities(case).lines, start=1) if not is_cut_by(mesh, line)]
     problems = [f"discontinuity, entry {k}: its line crosses no element of the mesh from side to side; correct "
                 "discontinuity.vertices (px), or use smaller elements" for k in idle]
-    problems += [f"discontinuity, entry {k}: tip_functions = true, but neither end of its line lies in the mesh; give "
-                 "the line up to the crack's tip, or leave tip_functions out"
-                 for k, section in enumerate(case.discontinuity, start=1)
-                 if section.tip_functions and find_tips(mesh, [np.array(section.vertices)]) is None]
+    for k, section in enumerate(case.discontinuity, start=1):
+        if section.tip_functions:
+            problems += _check_tips(f"discontinuity, entry {k}", mesh, np.array(section.vertices))
     if problems:
         raise InputError(problems)
+
+
+def _check_tips(entry: str, mesh: Mesh, line: NDArray[np.float64]) -> list[str]:
+    """What is wrong with a line about whose ends there are to be tip functions."""
+    if find_tips(mesh, [line], [True]) is None:
+        return [f"{entry}: tip_functions = true, but neither end of its line lies in the mesh; give the line up to the "
+                "crack's tip, or leave tip_functions out"]
+    bends = find_bends_at_tips(mesh, line)
+    if len(bends):
+        x, y = bends[0]
+        return [f"{entry}: tip_functions = true, but its line bends at ({x:g}, {y:g}) px, next to the tip; give a line "
+                "that is straight for two elements behind it, or leave tip_functions out"]
+    return []

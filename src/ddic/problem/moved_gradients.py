@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.functionals.moved_gradient import LARGE_SHARE, compute_inverse_deformations, count_large_gradients
+from ddic.functionals.moved_gradient import LARGE_SHARE, compute_inverse_deformations, find_large_gradients
 from ddic.parallel.team import Team
 from ddic.problem.views import FrameViews
 
@@ -53,9 +53,12 @@ def is_deformation_large(team: Team, views: Sequence[FrameViews], q: Sequence[Ar
     bool
         The same on all ranks.
     """
-    n_cells, n_large = 0, 0
+    n_pixels, n_large = 0, 0
     for of_subdomain, q_s in zip(views, q, strict=True):
         own = of_subdomain.views[0].view
-        n_cells += own.correlation.mesh.n_cells
-        n_large += count_large_gradients(own.correlation.mesh, own.kinematics.displacement(q_s))
-    return bool(team.sum(n_large) > LARGE_SHARE * team.sum(n_cells))
+        # By pixels: cells about a crack's tip are small and many.
+        of_cells = own.count_pixels()
+        is_large = find_large_gradients(own.correlation.mesh, own.kinematics.displacement(q_s))
+        n_pixels += int(of_cells.sum())
+        n_large += int(of_cells[is_large].sum())
+    return bool(team.sum(n_large) > LARGE_SHARE * team.sum(n_pixels))

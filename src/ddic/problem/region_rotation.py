@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.mesh.quality import measure_areas
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.solvers.exchange import Exchange
@@ -28,6 +29,10 @@ LEAST_ANGLE = 0.005
 STEP_ANGLE = 0.1
 """The stiffness is turned by whole multiples of this angle, radians, whatever the start was. A larger one makes forces
 of strains less exact, by its half; a smaller one factorises more often."""
+
+KEPT_STEPS = 0.6
+"""Steps by which the region may turn on before the stiffness is turned along: more than half of one, so that noise does
+not turn it to and fro."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +92,24 @@ def build_rotation(angle: float) -> Array:
     return np.array([[c, -s], [s, c]])
 
 
+def measure_turn(other: float, one: float) -> float:
+    """Measure the turn from one angle to another.
+
+    Parameters
+    ----------
+    other, one : float
+        Radians.
+
+    Returns
+    -------
+    float
+        The second less the first, between -pi and pi.
+    """
+    return float((one - other + np.pi) % (2 * np.pi) - np.pi)
+
+
 def fit_rigid_motion(team: Team, subdomains: Sequence[Subdomain], q: Sequence[Array]) -> RigidMotion:
-    """Fit a rigid motion to the displacement of all nodes, every node counted once; collective.
+    """Fit a rigid motion to the displacement of all nodes, each weighted by the area about it; collective.
 
     Parameters
     ----------
@@ -114,9 +135,11 @@ def fit_rigid_motion(team: Team, subdomains: Sequence[Subdomain], q: Sequence[Ar
 
 
 def _sum_moments(subdomain: Subdomain, q: Array) -> Array:
-    """Of the nodes: their number, and the sums of X, of x and of x X^T, (9,)."""
-    weights = 1.0 / subdomain.node_multiplicity
-    nodes = subdomain.mesh.nodes
+    """Of the nodes: their areas, and the sums of X, of x and of x X^T, (9,)."""
+    mesh, nodes = subdomain.mesh, subdomain.mesh.nodes
+    n_corners = np.diff(mesh.offsets)
+    of_corners = np.repeat(measure_areas(mesh) / n_corners, n_corners)
+    weights = np.bincount(mesh.connectivity, weights=of_corners, minlength=mesh.n_nodes)
     moved = nodes + subdomain.kinematics.displacement(q[:subdomain.n_field]).reshape(nodes.shape)
     return np.concatenate([[weights.sum()], weights @ nodes, weights @ moved,
                            ((moved * weights[:, None]).T @ nodes).ravel()])

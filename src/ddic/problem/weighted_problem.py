@@ -17,11 +17,13 @@ from ddic.problem.linear_solver import LinearSolver, compute_cut_off_wavelength
 from ddic.problem.problem_size import ProblemSize, measure_problem_size
 from ddic.problem.reference_problem import ReferenceProblem
 from ddic.problem.region_rotation import (
+    KEPT_STEPS,
     LEAST_ANGLE,
     STEP_ANGLE,
     HeldRotation,
     build_rotation,
     fit_rigid_motion,
+    measure_turn,
 )
 from ddic.problem.renewal import AssembledFrom, RenewalRule, find_renewal
 from ddic.problem.residual_model import ResidualModel
@@ -206,17 +208,31 @@ class WeightedProblem:
         if self.reference.inputs.case.regularization is None:
             return model, ()
         angle = fit_rigid_motion(self.team, self.reference.subdomains, q).angle
-        turned = round(angle / STEP_ANGLE) * STEP_ANGLE
-        if turned != self._stiffness_angle:
-            self._stiffness_angle = turned
-            self.destroy()
-            self._weigh(self._weights)
+        notes: tuple[str, ...] = ()
+        # Not at every step's edge: two solutions might take turns.
+        if abs(measure_turn(self._stiffness_angle, angle)) > KEPT_STEPS * STEP_ANGLE:
+            self._turn_stiffness(round(angle / STEP_ANGLE) * STEP_ANGLE)
+            notes = (f"the stiffness is turned by {np.rad2deg(self._stiffness_angle):.1f} degrees",)
         elif (abs(angle) > LEAST_ANGLE) == (model.rotation is not None):
             return model, ()
         if abs(angle) <= LEAST_ANGLE:
-            return replace(model, rotation=None), ()
+            return replace(model, rotation=None), notes
         note = f"the region has turned by {np.rad2deg(angle):.2f} degrees: the equilibrium gap is that of what is left"
-        return replace(model, rotation=HeldRotation(self.team, tuple(self.solver.assembly.systems))), (note,)
+        held = HeldRotation(self.team, tuple(self.solver.assembly.systems))
+        return replace(model, rotation=held), (*notes, note)
+
+    def _turn_stiffness(self, angle: float) -> None:
+        """Set the systems up anew, with R K R^T; where that fails, the old ones stay."""
+        before, old = self._stiffness_angle, self.solver
+        self._stiffness_angle = angle
+        try:
+            self._weigh(self._weights)
+        except BaseException:
+            self._stiffness_angle, self._solver = before, old
+            raise
+        self.solver.n_factorized = old.n_factorized
+        # Before the new ones are factorised.
+        old.destroy()
 
     def renew(self, model: ResidualModel, q: Sequence[NDArray[np.float64]]) -> tuple[str, ...]:
         """Assemble and factorise again where a frame shows something else than M was made of; collective.
