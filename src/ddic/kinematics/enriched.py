@@ -154,13 +154,13 @@ def _find_directions(cut: CutMesh, nodes: NDArray[np.int64], openings: Sequence[
 
 def _find_nearest_lines(cut: CutMesh, points: Array) -> NDArray[np.intp]:
     """Number of the line nearest to each point."""
-    distances = np.array([measure_distance(points, line) for line in _lines_of(cut)])
+    distances = np.array([measure_distance(points, line) for line in cut.lines])
     return np.asarray(distances.argmin(axis=0))
 
 
 def _find_tangents(cut: CutMesh, points: Array) -> tuple[Array, NDArray[np.intp]]:
     """Unit vector along the nearest segment of any line, (n, dim), and the number of that line."""
-    lines = _lines_of(cut)
+    lines = cut.lines
     nearest = _find_nearest_lines(cut, points)
     tangents = np.empty(points.shape)
     for number, line in enumerate(lines):
@@ -168,12 +168,6 @@ def _find_tangents(cut: CutMesh, points: Array) -> tuple[Array, NDArray[np.intp]
         along = np.diff(line, axis=0)[find_nearest_segments(points[mine], line)[0]]
         tangents[mine] = along / np.linalg.norm(along, axis=1)[:, None]
     return tangents, nearest
-
-
-def _lines_of(cut: CutMesh) -> tuple[Array, ...]:
-    if cut.mesh.parts is None:
-        raise ValueError("no line cuts the mesh")
-    return cut.mesh.parts.lines.polylines
 
 
 def _directions_of(opening: Opening, tangent: Array) -> Array:

@@ -193,11 +193,11 @@ def enrich_at_tips(cut: CutMesh, region: EnrichedRegion,
     cell_of : (region.mesh.n_cells,) array of int64
         Cell of the whole mesh that each cell is, or lies in.
     """
-    small = cut_mesh(patch.small, _lines_of(cut))
+    small = cut_mesh(patch.small, cut.lines)
     points, on_own_side = small.mesh.nodes, find_points_on_own_side(small.mesh)
     shapes = _evaluate_shapes_of_whole(cut.mesh, points, on_own_side)
     # Lines were moved off nodes, which would else lie on neither face.
-    tips = [replace(tip, position=_lines_of(cut)[tip.line][tip.vertex]) for tip in patch.tips]
+    tips = [replace(tip, position=cut.lines[tip.line][tip.vertex]) for tip in patch.tips]
     of_tips = [_evaluate_products(cut.mesh, tip, shapes, points, on_own_side) for tip in tips]
 
     dim = cut.mesh.dim
@@ -213,12 +213,6 @@ def enrich_at_tips(cut: CutMesh, region: EnrichedRegion,
                               np.concatenate([region.node_of_unknown, nodes_of_tips]),
                               np.concatenate([region.seen_at, nodes_of_tips]))
     return enriched, np.concatenate([cut.cell_of[kept], patch.cell_of[small.cell_of]])
-
-
-def _lines_of(cut: CutMesh) -> tuple[Array, ...]:
-    if cut.mesh.parts is None:
-        raise ValueError("no line cuts the mesh")
-    return cut.mesh.parts.lines.polylines
 
 
 def _evaluate_shapes_of_whole(mesh: Mesh, points: Array, on_own_side: Array) -> sparse.csr_matrix:

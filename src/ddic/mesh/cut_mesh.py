@@ -49,6 +49,11 @@ class CutMesh:
     node_of: NDArray[np.int64]
     cell_of: NDArray[np.int64]
 
+    @property
+    def lines(self) -> tuple[Array, ...]:
+        """The polylines that cut it, pixels; none where it has no part."""
+        return () if self.mesh.parts is None else self.mesh.parts.lines.polylines
+
     def find_with_phantoms(self, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
         """Find some nodes of the whole mesh, and their phantoms, in the cut one.
 

@@ -64,8 +64,8 @@ def keep_cameras_determined(sides: CutSides, cameras: NDArray[np.int64]) -> NDAr
             kept[cells] = 0
     for cell in _list_cells_with_needs(needs):
         of_same_camera = _choose_hosts(needs[[cell]], sees_enough, cell, kept == kept[cell])
-        hosts = _choose_hosts(needs[[cell]], sees_enough, cell, np.ones(len(kept), dtype=bool))
         if not _are_met(needs[[cell]], sees_enough, [cell, *of_same_camera]):
+            hosts = _choose_hosts(needs[[cell]], sees_enough, cell, np.ones(len(kept), dtype=bool))
             kept[[cell, *hosts]] = 0
     return kept
 

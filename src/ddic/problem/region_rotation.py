@@ -11,7 +11,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from ddic.mesh.quality import measure_areas
 from ddic.parallel.team import Team
@@ -160,10 +159,6 @@ class HeldRotation:
     team: Team
     systems: tuple[LocalSystem, ...]
 
-    @cached_property
-    def _kbars(self) -> list[sparse.csr_matrix]:
-        return [without_weights(system) for system in self.systems]
-
     def compute_forces(self, q: Sequence[Array]) -> list[Array]:
         """Compute eta Kbar^T Kbar q_R, which b has to be given for the gap to be that of q - q_R; collective.
 
@@ -177,28 +172,49 @@ class HeldRotation:
         list of (n_unknowns,) array
             Of each owned subdomain; they add up over subdomains.
         """
+        motion = fit_rigid_motion(self.team, [system.subdomain for system in self.systems], q)
+        shares = np.array([*motion.translation, np.cos(motion.angle) - 1.0, np.sin(motion.angle)])
+        return [np.asarray(forces @ shares) for forces in self._forces_of_fields]
+
+    @cached_property
+    def _forces_of_fields(self) -> list[Array]:
+        """Forces of the fields that rigid motions are sums of, (n_unknowns, 4); found once, collectively."""
         subdomains = [system.subdomain for system in self.systems]
-        motion = fit_rigid_motion(self.team, subdomains, q)
-        gaps = []
-        for subdomain, kbar in zip(subdomains, self._kbars, strict=True):
-            rest = np.zeros(subdomain.n_unknowns)
-            rest[:subdomain.n_field] = subdomain.kinematics.fit(motion.evaluate(subdomain.mesh.nodes).ravel())
-            gaps.append(kbar @ rest)
-        complete = _add_up(self.team, subdomains, gaps)
-        return [np.asarray(system.eta * (kbar.T @ gap))
-                for system, kbar, gap in zip(self.systems, self._kbars, complete, strict=True)]
+        # Whatever the motion, its centre is the region's.
+        at_rest = [np.zeros(subdomain.n_unknowns) for subdomain in subdomains]
+        return _compute_forces(self.team, self.systems, fit_rigid_motion(self.team, subdomains, at_rest).centre)
+
+
+def _compute_forces(team: Team, systems: Sequence[LocalSystem], centre: Array) -> list[Array]:
+    """Compute eta Kbar^T Kbar of both translations, a dilation and a turn, (n_unknowns, 4) of each subdomain."""
+    kbars = [without_weights(system) for system in systems]
+    gaps = [kbar @ _fit_fields(system.subdomain, centre) for system, kbar in zip(systems, kbars, strict=True)]
+    complete = _add_up(team, [system.subdomain for system in systems], gaps)
+    return [np.asarray(system.eta * (kbar.T @ gap))
+            for system, kbar, gap in zip(systems, kbars, complete, strict=True)]
+
+
+def _fit_fields(subdomain: Subdomain, centre: Array) -> Array:
+    """Unknowns of both translations, of X - centre, and of the same turned by 90 degrees, (n_unknowns, 4)."""
+    arms = subdomain.mesh.nodes - centre
+    fields = [np.tile(axis, (len(arms), 1)) for axis in np.eye(2)]
+    fields += [arms, arms @ build_rotation(np.pi / 2).T]
+    unknowns = np.zeros((subdomain.n_unknowns, len(fields)))
+    for k, field in enumerate(fields):
+        unknowns[:subdomain.n_field, k] = subdomain.kinematics.fit(field.ravel())
+    return unknowns
 
 
 def _add_up(team: Team, subdomains: Sequence[Subdomain], values: Sequence[Array]) -> list[Array]:
-    """Sums over all subdomains of values on their unknowns."""
+    """Sums over all subdomains of values on their unknowns, (n_unknowns, k)."""
     numbers = [subdomain.numbers for subdomain in subdomains]
     n_unknowns = team.sum(sum(int(subdomain.owned.sum()) for subdomain in subdomains))
     n_share = len(range(team.rank, n_unknowns, team.size))
     with PetscStack() as stack:
         exchange = stack.keep(Exchange(team, n_share, numbers))
         places = [np.searchsorted(exchange.ghosts, n) for n in numbers]
-        here = np.zeros(len(exchange.ghosts))
+        here = np.zeros((len(exchange.ghosts), values[0].shape[1]))
         for place, of_subdomain in zip(places, values, strict=True):
             here[place] += of_subdomain
-        total = exchange.sum_over_ranks(here)
+        total = np.stack([exchange.sum_over_ranks(np.ascontiguousarray(column)) for column in here.T], axis=1)
         return [total[place] for place in places]
