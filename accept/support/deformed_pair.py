@@ -16,6 +16,7 @@ from accept.support.opened_pair import picture
 from ddic.functionals.correlation import read_correlation
 from ddic.images.binned import ArraySource
 from ddic.images.sub_image import MaskedSource
+from ddic.kinematics.strain import compute_strain
 from ddic.synth.inverse import find_reference_points
 from ddic.synth.speckle_texture import SpeckleTexture
 
@@ -152,12 +153,15 @@ class Measured:
         Why it was refused; empty where it converged.
     n_iterations : int
         Of Gauss-Newton.
+    largest_strain : float
+        Green-Lagrange, of any cell; nan where it did not converge.
     """
 
     rms: float
     largest: float
     refusal: str = ""
     n_iterations: int = 0
+    largest_strain: float = np.nan
 
     @property
     def converged(self) -> bool:
@@ -190,8 +194,9 @@ def measure_deformed(pair: Pair, mesh: ddic.Mesh, deformation: Deformation,
     except ddic.DdicError as error:
         return Measured(np.nan, np.nan, str(error).splitlines()[0])
     off = result.at(mesh.nodes) - deformation.displacement(mesh.nodes)
+    strain = compute_strain(result.mesh, result.displacement.ravel()).green_lagrange
     return Measured(float(np.sqrt(np.mean(off**2))), float(np.linalg.norm(off, axis=1).max()),
-                    n_iterations=len(result.gauss_newton["iteration"]))
+                    n_iterations=len(result.gauss_newton["iteration"]), largest_strain=float(np.abs(strain).max()))
 
 
 def predict_floor(pair: Pair, mesh: ddic.Mesh, deformation: Deformation, noise: float) -> float:

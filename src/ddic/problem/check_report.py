@@ -93,10 +93,9 @@ def describe_inputs(case: Case, reference: ImageSource, checked: CheckedMesh,
     n_not_controlled = int((not_controlled < n_unknown_nodes).sum())
     n_controlled_nodes = 0 if case.regularization is None else n_unknown_nodes - n_not_controlled
     types, n_of_type = np.unique(mesh.types, return_counts=True)
-    saturation = reference.saturation
     return CheckReport(
         image_size=(reference.width, reference.height),
-        bits=None if saturation is None else int(saturation).bit_length(),
+        bits=count_bits(reference),
         n_nodes=mesh.n_nodes,
         n_cells=mesh.n_cells,
         n_dofs=mesh.dim * n_unknown_nodes,
@@ -109,6 +108,23 @@ def describe_inputs(case: Case, reference: ImageSource, checked: CheckedMesh,
         discontinuities=_describe_discontinuities(case, mesh),
         half_amplitudes=describe_cut_off(case.regularization),
     )
+
+
+def count_bits(image: ImageSource) -> int | None:
+    """Count the bits per pixel of an image.
+
+    Parameters
+    ----------
+    image : ImageSource
+        Any.
+
+    Returns
+    -------
+    int or None
+        None for floats.
+    """
+    saturation = image.saturation
+    return None if saturation is None else int(saturation).bit_length()
 
 
 def _describe_discontinuities(case: Case, mesh: Mesh) -> str | None:

@@ -6,7 +6,7 @@ from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case
 from ddic.errors import InputError
 from ddic.images.source import ImageSource
-from ddic.problem.check_report import CheckReport
+from ddic.problem.check_report import CheckReport, count_bits
 from ddic.problem.gather_problems import Problems
 from ddic.problem.problem_size import describe_cut_off
 from ddic.problem.rectangle import (
@@ -60,10 +60,9 @@ def _describe(case: Case, reference: ImageSource, rectangle: Rectangle) -> Check
     elif section.operator == "equilibrium_gap":
         lines = choose_controlled_lines(section, rectangle)
         n_controlled = int(lines.x.sum()) * int(lines.y.sum())
-    saturation = reference.saturation
     return CheckReport(
         image_size=(reference.width, reference.height),
-        bits=None if saturation is None else int(saturation).bit_length(),
+        bits=count_bits(reference),
         n_nodes=n_nodes,
         n_cells=n_cells,
         n_dofs=2 * n_nodes,

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from ddic.case.schema import Case, RegularizationSection, StructuredSection
 from ddic.errors import InputError
-from ddic.functionals.elasticity import Material
 from ddic.mesh.control import BOUNDARY
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.repair import check_inside
@@ -227,22 +226,6 @@ def choose_controlled_lines(section: RegularizationSection, rectangle: Rectangle
             on_lines, end = ends[side]
             on_lines[end] = False
     return lines
-
-
-def get_material(section: RegularizationSection) -> Material:
-    """Give the elastic constants of a section.
-
-    Parameters
-    ----------
-    section : RegularizationSection
-        Of the case.
-
-    Returns
-    -------
-    Material
-        With E = 1.
-    """
-    return Material(section.poisson_ratio, section.plane)
 
 
 def choose_output_lines(case: Case, rectangle: Rectangle) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -11,7 +11,8 @@ from ddic.images.window import Window
 from ddic.parallel.team import Team
 from ddic.parallel.team_sums import TeamSums
 from ddic.problem.inputs import Inputs
-from ddic.problem.rectangle import Rectangle, choose_controlled_lines, get_material
+from ddic.problem.rectangle import Rectangle, choose_controlled_lines
+from ddic.problem.region_mesh import build_material
 from ddic.separated.band_sums import divide_rows
 from ddic.separated.corrections import Regularization
 from ddic.separated.noise_gain import OF_GAP, OF_TIKHONOV
@@ -124,7 +125,7 @@ def build_regularization(section: RegularizationSection | None, reference: Refer
         operator = build_tikhonov(along_x, along_y)
         energies = measure_wave_gradients(operator, waves)
     else:
-        material = get_material(section)
+        material = build_material(section)
         operator = build_equilibrium_gap(along_x, along_y, material, choose_controlled_lines(section, rectangle))
         energies = measure_wave_gaps(along_x, along_y, material, waves)
     weight = find_weight(measure_wave_textures(along_x, along_y, waves, reference.sum_texture), energies)
