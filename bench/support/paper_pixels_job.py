@@ -84,7 +84,7 @@ def do_once(team: Team, inputs: Inputs, frame: Frame, subdomains: list[Subdomain
     shared = merge_windows(rasters, HALO[degree] + PADDING[degree])
     watch("gradient", lambda: [read_reference(camera.reference, window, degree) for window, _ in shared])
     watch("M", lambda: [reference.own.correlation.compute_cell_hessians() for reference in references])
-    model = ResidualModel(team, views, case.correlation.grey_correction)
+    model = ResidualModel(team, views, case.correlation.correction_of_start)
     watch("residual", lambda: model.linearize(q))
     return watch.times
 

@@ -402,10 +402,26 @@ class CorrelationSection(Section):
             "0.054 px on the foam of [near-far.md](near-far.md)."
         ),
     )
-    grey_correction: Literal["none", "global", "element"] = Field(
-        default="none",
-        description="Correction of brightness and contrast: none, one for the whole image, or one per element.",
+    grey_correction: Literal["auto", "none", "global", "element"] = Field(
+        default="auto",
+        description=(
+            'Correction of brightness and contrast: none, one for the whole image, or one per element. `"auto"` takes '
+            "the first of these that leaves no more than noise, and says which."
+        ),
     )
+    spoilt_pixels: Literal["exclude", "keep"] = Field(
+        default="exclude",
+        description=(
+            "Whether pixels that do not show the specimen's surface (dirt, a reflection, what lies in front of it, a "
+            "crack) are found from their residual and left out, with elements that hold no other, or no texture; the "
+            "result marks them (`excluded`)."
+        ),
+    )
+
+    @property
+    def correction_of_start(self) -> Literal["none", "global", "element"]:
+        """Correction of grey levels before there is a field that tells which one is needed."""
+        return "global" if self.grey_correction == "auto" else self.grey_correction
 
 
 class RegularizationSection(Section):

@@ -34,6 +34,6 @@ def find_line_of_case(inputs: Inputs, frame: Frame, displacement: NDArray[np.flo
     usable = camera.reference.find_usable(extent)
     active = np.ones((extent.height, extent.width), dtype=np.uint8) if usable is None else usable
     images = Images(camera.reference, deformed, active, case.correlation.spline_degree,
-                    case.correlation.grey_correction)
+                    case.correlation.correction_of_start)
     mesh, _ = inputs.build_mesh()
     return find_line(images, mesh, displacement, case.discontinuity[0].opening)

@@ -59,6 +59,21 @@ class View:
             return raster.pixel_counts
         return raster.sum_by_cell(reference.usable, reference.window.x0, reference.window.y0)
 
+    def measure_texture(self) -> NDArray[np.float64]:
+        """Measure the mean of |grad f|^2 over the pixels of each cell that count.
+
+        Returns
+        -------
+        (n_cells,) array
+            (Grey levels / px)^2; 0 without pixels.
+        """
+        reference, raster = self.correlation.reference, self.correlation.raster
+        energy = reference.by_x**2 + reference.by_y**2
+        if reference.usable is not None:
+            energy *= reference.usable
+        total = raster.sum_by_cell(energy, reference.window.x0, reference.window.y0)
+        return np.asarray(total / np.maximum(self.count_pixels(), 1))
+
     def measure_grey_range(self) -> tuple[float, float]:
         """Measure the range of the reference image's grey levels on the window that holds the view.
 

@@ -45,6 +45,7 @@ RESIDUAL_RMS = "residual_rms"
 RESIDUAL_N_PIXELS = "residual_n_pixels"
 EQUIVALENT_ERROR = "equivalent_error"
 DOUBTFUL = "doubtful"
+EXCLUDED = "excluded"
 
 VECTOR, SYMMETRIC_TENSOR = 3, 6
 AXES_OF_IMAGE, AXES_OF_MESH_FILE = "image", "mesh file"
@@ -123,6 +124,8 @@ def cell_fields(n_cameras: int = 1) -> tuple[FieldSpec, ...]:
         FieldSpec(RESIDUAL_N_PIXELS, 1, np.int64, "px", "number of pixels correlated"),
         FieldSpec(EQUIVALENT_ERROR, 1, np.float64, "px", "error that would leave the residual beyond noise"),
         FieldSpec(DOUBTFUL, 1, np.uint8, "1", "1 where the residual is that of an error, or no pixel counts"),
+        FieldSpec(EXCLUDED, 1, np.uint8, "1", "0 where the cell is measured, else why not: 1 it has no texture, 2 it "
+                  "shows something else than the reference, 3 too few of its pixels are in both images"),
         FieldSpec(SUBDOMAIN_ID, 1, np.int32, "1", "subdomain that owns the cell"),
         FieldSpec(GLOBAL_CELL_ID, 1, np.int64, "1", "number of the cell in the whole mesh"),
     )

@@ -58,7 +58,7 @@ def find_inverted_cells(mesh: Mesh, q: NDArray[np.float64]) -> NDArray[np.int64]
     mesh : Mesh
         Any.
     q : (n_dofs,) array
-        Nodal displacement, pixels.
+        Nodal displacement, pixels; nan where it is not known.
 
     Returns
     -------
@@ -66,7 +66,8 @@ def find_inverted_cells(mesh: Mesh, q: NDArray[np.float64]) -> NDArray[np.int64]
         Their sorted numbers.
     """
     deformation = np.eye(mesh.dim) + compute_displacement_gradients(mesh, q)
-    return np.flatnonzero(np.linalg.det(deformation) <= 0).astype(np.int64)
+    with np.errstate(invalid="ignore"):
+        return np.flatnonzero(np.linalg.det(deformation) <= 0).astype(np.int64)
 
 
 def compute_displacement_gradients(mesh: Mesh, q: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -22,6 +22,10 @@ CELLS_A_BUCKET = 1.0
 longer a point."""
 
 
+AT_OTHER_NODES = 1e-9
+"""Shape function of a node below which a point lies on others."""
+
+
 @dataclass(frozen=True)
 class Located:
     """Where points lie in a mesh.
@@ -108,7 +112,10 @@ def interpolate_located(mesh: Mesh, values: NDArray[np.float64], located: Locate
         nodes = mesh.cells[located.cells[members]]
         total = np.zeros((len(members), values.shape[1]))
         for a in range(block.type.n_nodes):
-            total += shapes[:, a, None] * values[nodes[:, a]]
+            share = shapes[:, a, None] * values[nodes[:, a]]
+            # A node without a value says nothing of points on the other nodes.
+            unknown_elsewhere = np.isnan(share) & (np.abs(shapes[:, a, None]) < AT_OTHER_NODES)
+            total += np.where(unknown_elsewhere, 0.0, share)
         found[members] = total
     return found
 

@@ -85,23 +85,48 @@ class Raster:
         np.add.at(steps, (rows[inside], np.clip(self.stops, 0, width)[inside]), -1)
         return np.asarray(np.cumsum(steps, axis=1)[:, :width] > 0, dtype=np.uint8)
 
-    def sum_by_cell(self, image: NDArray[np.uint8], x0: int = 0, y0: int = 0) -> NDArray[np.int64]:
+    def draw_cells(self, cells: NDArray[np.int64], window: Window) -> NDArray[np.uint8]:
+        """Draw the pixels of some cells.
+
+        Parameters
+        ----------
+        cells : (n,) int64 array
+            Their numbers.
+        window : Window
+            Holds all pixels of the mesh.
+
+        Returns
+        -------
+        (window.height, window.width) uint8 array
+            1 on these pixels, 0 elsewhere.
+        """
+        chosen = np.zeros(len(self.first_row), dtype=bool)
+        chosen[cells] = True
+        of_runs = np.repeat(chosen, np.diff(self.row_ptr)) & (self.stops > self.starts)
+        rows = self.rows[of_runs] - window.y0
+        steps = np.zeros((window.height, window.width + 1), dtype=np.int32)
+        np.add.at(steps, (rows, self.starts[of_runs] - window.x0), 1)
+        np.add.at(steps, (rows, self.stops[of_runs] - window.x0), -1)
+        return np.asarray(np.cumsum(steps, axis=1)[:, :-1] > 0, dtype=np.uint8)
+
+    def sum_by_cell(self, image: NDArray[Any], x0: int = 0, y0: int = 0) -> NDArray[Any]:
         """Add up an image over each cell's pixels.
 
         Parameters
         ----------
-        image : (height, width) uint8 array
+        image : (height, width) uint8 or float32 array
             What is added up; nothing outside of it is.
         x0, y0 : int
             Column and row of its first pixel.
 
         Returns
         -------
-        (n_cells,) int64 array
+        (n_cells,) int64 or float64 array
             Sums.
         """
         height, width = image.shape
-        up_to = np.zeros((height, width + 1), dtype=np.int64)
+        is_counted = np.issubdtype(image.dtype, np.integer)
+        up_to = np.zeros((height, width + 1), dtype=np.int64 if is_counted else np.float64)
         np.cumsum(image, axis=1, out=up_to[:, 1:])
         rows = self.rows - y0
         outside = (rows < 0) | (rows >= height)
@@ -112,9 +137,10 @@ class Raster:
         by_run[outside] = 0
         return self._sum_by_cell(by_run)
 
-    def _sum_by_cell(self, by_run: NDArray[np.integer[Any]]) -> NDArray[np.int64]:
+    def _sum_by_cell(self, by_run: NDArray[Any]) -> NDArray[Any]:
         """Sums over the cells' runs, (n_cells,)."""
-        up_to = np.concatenate([[0], np.cumsum(by_run, dtype=np.int64)])
+        is_counted = np.issubdtype(by_run.dtype, np.integer)
+        up_to = np.concatenate([[0], np.cumsum(by_run, dtype=np.int64 if is_counted else np.float64)])
         return np.asarray(up_to[self.row_ptr[1:]] - up_to[self.row_ptr[:-1]])
 
 

@@ -102,10 +102,10 @@ class Session:
         started = find_start(self._start, frame, views, first_found, start)
         model = problem.build_residual_model(views)
         self._tell(started.notes)
-        solution, renewals = solve_frame(problem, model, started.q, self._listener, self._clock)
+        solved = solve_frame(problem, model, started.q, self._listener, self._clock)
         with self._clock.phase(Phase.FINISH):
-            notes = (*problem.reference.notes, *started.notes, *renewals)
-            measurement = finish_measurement(problem, model, frame, solution, notes)
+            notes = (*problem.reference.notes, *started.notes, *solved.notes)
+            measurement = finish_measurement(problem, frame, solved, notes)
         self._tell(measurement.notes[len(notes):])
         return measurement
 

@@ -1,32 +1,45 @@
-"""Gauss-Newton on one frame, with operators that fit the pixels that the frame shows."""
+"""Gauss-Newton on one frame, with operators and grey levels that fit what the frame shows of the specimen."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError, as_collective
 from ddic.parallel.phases import Phase, PhaseClock
+from ddic.problem.exclusions import exclude
+from ddic.problem.noise_of_field import accept_noise
 from ddic.problem.residual_model import ResidualModel
+from ddic.problem.see_frame import see_frame, see_start
+from ddic.problem.solved_frame import SolvedFrame
 from ddic.problem.views import read_frame_windows
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.results.listener import Listener
-from ddic.solvers.gauss_newton import Progress, Solution, gauss_newton
+from ddic.solvers.dual.continuity import average_copies
+from ddic.solvers.gauss_newton import Progress, Solution, run_gauss_newton
 
-MOST_RENEWALS = 5
-"""Times that operators are renewed for one frame before it is given up."""
+Array = NDArray[np.float64]
+
+MOST_ROUNDS = 8
+"""Times that a field is sought with what the last one showed before a frame is given up."""
+
+GROWING = 3
+"""Rounds after which what was left out stays so: cells might come and go for ever."""
 
 
-def solve_frame(problem: WeightedProblem, model: ResidualModel, q: list[NDArray[np.float64]], listener: Listener,
-                clock: PhaseClock) -> tuple[Solution, tuple[str, ...]]:
+def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[Array], listener: Listener,
+                clock: PhaseClock) -> SolvedFrame:
     """Iterate from a start until neither the field nor what the frame shows of it changes; collective.
 
     Parameters
     ----------
     problem : WeightedProblem
         Operators, renewed where the frame asks for it.
-    model : ResidualModel
-        Of the frame, cameras weighted.
+    whole : ResidualModel
+        Of all pixels that the frame shows, cameras weighted.
     q : list of (n_unknowns,) array
         Start of each owned subdomain.
     listener : Listener
@@ -36,10 +49,8 @@ def solve_frame(problem: WeightedProblem, model: ResidualModel, q: list[NDArray[
 
     Returns
     -------
-    solution : Solution
-        Unknowns and all iterations.
-    notes : tuple of str
-        What was renewed.
+    SolvedFrame
+        Where nothing changes any more.
 
     Raises
     ------
@@ -47,27 +58,51 @@ def solve_frame(problem: WeightedProblem, model: ResidualModel, q: list[NDArray[
         On all ranks.
     """
     with clock.phase(Phase.READ):
-        model.team.together(lambda: read_frame_windows(model.views, q))
-    model, notes = problem.hold_rotation(model.with_large_gradients(q), q)
-    notes = (*notes, *problem.renew(model, q))
-    for line in notes:
-        listener.note(line)
+        whole.team.together(lambda: read_frame_windows(whole.views, q))
+    case, textures = problem.reference.inputs.case, problem.textures
+    with clock.phase(Phase.RESIDUAL):
+        seen, of_blur = see_start(case, problem.reference.inputs.cameras, whole, q, textures)
+    model, notes = _fit_operators(problem, exclude(seen.whole.with_large_gradients(q), seen.excluded), q)
+    notes = (*of_blur, *notes)
+    _tell(listener, notes)
     listener.problem_size(problem.size)
     solution = Solution(q, [])
-    for _ in range(MOST_RENEWALS):
+    for n_rounds in range(1, MOST_ROUNDS + 1):
         progress = Progress(clock, listener.iteration, len(solution.records))
-        found = gauss_newton(model, solution.q, problem.solver.step, problem.tolerances, progress)
-        solution = Solution(found.q, [*solution.records, *found.records], found.stop)
+        found = run_gauss_newton(model, solution.q, problem.solver.step, problem.tolerances, progress)
+        solution = replace(found, records=[*solution.records, *found.records])
+        field = average_copies(whole.team, problem.reference.subdomains, solution.q)
+        with clock.phase(Phase.RESIDUAL):
+            now = see_frame(case, seen.whole, field.q, textures)
+        excluded = now.excluded if n_rounds < GROWING else seen.excluded.join(now.excluded)
+        is_seen_otherwise = (now.whole.correction != seen.whole.correction
+                             or excluded.is_other_than(whole.team, seen.excluded))
+        if is_seen_otherwise:
+            seen = replace(now, excluded=excluded)
         # Where the start was far off, other pixels are hidden here: that held the step back, or left a node to nothing.
         followed = model if model.follows else model.with_large_gradients(solution.q)
-        model, turned = problem.hold_rotation(followed, solution.q)
-        renewed = (*turned, *problem.renew(model, solution.q))
-        if not renewed:
-            listener.note(solution.stop)
-            return solution, notes
-        for line in renewed:
-            listener.note(line)
+        kept = exclude(replace(followed, views=seen.whole.views, correction=seen.whole.correction), seen.excluded)
+        model, renewed = _fit_operators(problem, kept, solution.q)
+        _tell(listener, renewed)
         notes = (*notes, *renewed)
+        if not (is_seen_otherwise or renewed):
+            if not found.converged:
+                solution = accept_noise(model, now.evaluation, solution, problem.solver.step)
+            listener.note(solution.stop)
+            return SolvedFrame(field, solution, seen.whole, model, now.evaluation, seen.excluded, notes)
     raise as_collective(ConvergenceError(
-        f"what the frame shows, pixels or how far they turn, still changes after {MOST_RENEWALS} solutions; look at "
+        f"what the frame shows, pixels or how far they turn, still changes after {MOST_ROUNDS} solutions; look at "
         "the masks and the start, or give a longer regularization.cut_off_wavelength"))
+
+
+def _fit_operators(problem: WeightedProblem, model: ResidualModel,
+                   q: Sequence[Array]) -> tuple[ResidualModel, tuple[str, ...]]:
+    """Let rotations cost nothing and M count what is used; collective."""
+    turned, of_rotation = problem.hold_rotation(model, q)
+    fitted, of_pixels = problem.renew(turned, q)
+    return fitted, (*of_rotation, *of_pixels)
+
+
+def _tell(listener: Listener, notes: Sequence[str]) -> None:
+    for line in notes:
+        listener.note(line)

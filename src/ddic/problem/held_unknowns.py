@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from ddic.errors import SingularSubdomainError, as_collective
+from ddic.errors import SingularSubdomainError
 from ddic.parallel.team import Team, require_held
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.assembly import Assembly
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
-from ddic.solvers.singularity import describe_singular
 
 DETERMINED = 1e-5
 """Lowest eigenvalue of eta K^T K, relative to the mean diagonal of M, with which equilibrium determines unknowns that
@@ -79,8 +78,8 @@ def sum_pixels(subdomain: Subdomain, counts: CellCounts) -> NDArray[np.float64]:
     return np.asarray(abs(subdomain.kinematics.tangent).T @ np.repeat(of_nodes, mesh.dim))
 
 
-def refuse_undetermined(team: Team, unseen: Sequence[NDArray[np.bool_]], assembly: Assembly) -> None:
-    """Refuse a frame that leaves an unknown to nothing: such a one would keep what it started from; collective.
+def is_determined(team: Team, unseen: Sequence[NDArray[np.bool_]], assembly: Assembly) -> bool:
+    """Tell whether mechanics determine what a frame does not show; collective.
 
     Unknowns that no pixel holds in any subdomain must follow from the others by equilibrium. They do where each has a
     controlled row of its own. Where some have none, the rows that there are decide: around a corner, say, that of the
@@ -95,35 +94,60 @@ def refuse_undetermined(team: Team, unseen: Sequence[NDArray[np.bool_]], assembl
     assembly : Assembly
         The systems of the same subdomains.
 
-    Raises
-    ------
-    SingularSubdomainError
-        On all ranks, with the place.
+    Returns
+    -------
+    bool
+        The same on all ranks.
     """
     subdomains = [system.subdomain for system in assembly.systems]
-    copies = [copy for s, is_unseen in zip(subdomains, unseen, strict=True)
-              for copy in zip(s.kinematics.numbers[is_unseen].tolist(), s.multiplicity[is_unseen].tolist(),
-                              s.controlled[is_unseen].tolist(), strict=True)]
-    gathered = team.gather_lists(copies)
-    n_copies = Counter(number for number, _, _ in gathered)
-    # Held in none of the subdomains that share it.
-    unheld = {number for number, multiplicity, _ in gathered if n_copies[number] == multiplicity}
-    uncontrolled = {number for number, _, is_controlled in gathered if not is_controlled} & unheld
-    if not uncontrolled:
-        return
-    where = _describe_place(team, subdomains, min(uncontrolled))
+    unheld = find_free_unknowns(team, subdomains, unseen)
+    copies = [number for s in subdomains for number in s.kinematics.numbers[~s.controlled].tolist()
+              if number in unheld]
+    if not team.gather_lists(copies):
+        return True
     if assembly.eta == 0:
-        raise as_collective(SingularSubdomainError(describe_singular(where)))
+        return False
     numbers = np.array(sorted(unheld))
     rows = team.gather_to([_find_rows(system, numbers) for system in assembly.systems])
 
-    def check() -> None:
+    def check() -> bool:
         found = [of_subdomain for of_rank in require_held(rows) for of_subdomain in of_rank]
         gap = _join_rows(found, numbers)
         operator = (assembly.eta * (gap.T @ gap)).tocsr()
-        LocalOperator(operator, smallest_eigenvalue=DETERMINED * assembly.mean_diagonal, where=where).destroy()
+        try:
+            LocalOperator(operator, smallest_eigenvalue=DETERMINED * assembly.mean_diagonal,
+                          where="what the frame does not show").destroy()
+        except SingularSubdomainError:
+            return False
+        return True
 
-    team.on_root(check)
+    return bool(team.on_root(check))
+
+
+def find_free_unknowns(team: Team, subdomains: Sequence[Subdomain], unseen: Sequence[NDArray[np.bool_]]) -> set[int]:
+    """Find the unknowns that no pixel holds in any subdomain; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    subdomains : sequence of Subdomain
+        Owned ones.
+    unseen : sequence of (n_field,) array of bool
+        Their unknowns without pixels.
+
+    Returns
+    -------
+    set of int
+        Numbers in the whole problem, on all ranks.
+    """
+    copies = [copy for s, is_unseen in zip(subdomains, unseen, strict=True)
+              for copy in zip(s.kinematics.numbers[is_unseen].tolist(), s.multiplicity[is_unseen].tolist(),
+                              strict=True)]
+    gathered = team.gather_lists(copies)
+    n_copies = Counter(number for number, _ in gathered)
+    # Held in none of the subdomains that share it.
+    return {number for number, multiplicity in gathered if n_copies[number] == multiplicity}
 
 
 def _find_rows(system: LocalSystem, unheld: NDArray[np.int64]) -> _Rows:
@@ -143,18 +167,3 @@ def _join_rows(found: Sequence[_Rows], unheld: NDArray[np.int64]) -> sparse.csr_
     columns = np.searchsorted(unheld, np.concatenate([part.columns for part in found]))
     values = np.concatenate([part.values for part in found])
     return sparse.csr_matrix((values, (rows.ravel(), columns)), shape=(len(row_numbers), len(unheld)))
-
-
-def _describe_place(team: Team, subdomains: Sequence[Subdomain], number: int) -> str:
-    """Say where the node lies that an unknown displaces most; collective."""
-    positions = team.gather_lists([_find_position(s, int(place)) for s in subdomains
-                                   for place in np.flatnonzero(s.kinematics.numbers == number)])
-    x, y = positions[0]
-    return f"the region around column {x:.0f}, row {y:.0f}"
-
-
-def _find_position(subdomain: Subdomain, place: int) -> NDArray[np.float64]:
-    """Position of the node that an unknown displaces most, pixels."""
-    column = abs(subdomain.kinematics.tangent[:, [place]]).toarray().ravel()
-    position: NDArray[np.float64] = subdomain.mesh.nodes[int(column.argmax()) // subdomain.mesh.dim]
-    return position

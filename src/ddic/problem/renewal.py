@@ -13,10 +13,13 @@ from scipy import sparse
 from ddic.errors import list_first
 from ddic.functionals.moved_gradient import LARGE, measure_deformation
 from ddic.functionals.view import FrameView, View
+from ddic.images.blurred import Blur
 from ddic.parallel.team import Team
 from ddic.problem.assembly import Assembly, Hessians
-from ddic.problem.held_unknowns import CellCounts, find_held, refuse_undetermined, sum_pixels
+from ddic.problem.filled_cells import FilledCells, fill_cells
+from ddic.problem.held_unknowns import CellCounts, find_held, is_determined, sum_pixels
 from ddic.problem.moved_gradients import ByView, find_inverse_deformations
+from ddic.problem.region_rotation import STEP_ANGLE, fit_rigid_motion, measure_turn
 from ddic.problem.views import FrameViews
 
 T = TypeVar("T")
@@ -55,10 +58,13 @@ class RenewalRule:
         Cut-off wavelength, pixels; infinite where eta is given, 0 without regularization.
     follows : bool
         Whether the frame turns or stretches the specimen so much that M takes the gradient of its image.
+    blurs : tuple of (int, Blur)
+        Of the reference images of cameras whose frame is less sharp.
     """
 
     wavelength: float
     follows: bool = False
+    blurs: tuple[tuple[int, Blur], ...] = ()
 
     @property
     def is_regularized(self) -> bool:
@@ -94,10 +100,19 @@ class AssembledFrom:
         Pixels that it counts, of each subdomain and view.
     inverse_deformations : list of tuple of (n_cells, 2, 2) array or None
         F^-1 with which their gradients were turned, of each subdomain and view; None where they were not.
+    filled : list of (n_cells,) bool array
+        Cells that were given an elastic energy, of each subdomain.
+    angle : float
+        By which the region had turned then, radians.
+    blurs : tuple of (int, Blur)
+        Of the reference images of cameras.
     """
 
     by_view: list[CellCounts]
     inverse_deformations: list[ByView]
+    filled: list[NDArray[np.bool_]]
+    angle: float = 0.0
+    blurs: tuple[tuple[int, Blur], ...] = ()
 
     @classmethod
     def all_of(cls, hessian_views: Sequence[Sequence[View]]) -> AssembledFrom:
@@ -114,7 +129,8 @@ class AssembledFrom:
             Of these views.
         """
         return cls([tuple(view.count_pixels() for view in views) for views in hessian_views],
-                   [(None,) * len(views) for views in hessian_views])
+                   [(None,) * len(views) for views in hessian_views],
+                   [np.zeros(views[0].correlation.mesh.n_cells, dtype=bool) for views in hessian_views])
 
 
 @dataclass(frozen=True)
@@ -129,11 +145,14 @@ class Renewal:
         What M is made of from now on.
     notes : tuple of str
         What the log says; nothing where nothing changes on any rank.
+    filled : FilledCells or None
+        The cells that nothing else holds; None where there are none.
     """
 
     hessians: list[sparse.csr_matrix | None]
     assembled_from: AssembledFrom
     notes: tuple[str, ...]
+    filled: FilledCells | None = None
 
 
 def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np.float64]],
@@ -161,37 +180,52 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
     Renewal
         New M where more than ``rule.bound_changes`` of a subdomain's pixels have come or gone, or a cell has gained
         more than ``GAINED_SHARE``, or an unknown whose equilibrium is not controlled has lost more than ``LOST_SHARE``;
-        or where a cell has turned or stretched by more than ``LARGE`` since, in a frame that asks for it.
-
-    Raises
-    ------
-    SingularSubdomainError
-        On all ranks, where the frame leaves an unknown to neither pixels nor mechanics.
+        or where a cell has turned or stretched by more than ``LARGE`` since, in a frame that asks for it; or where
+        other cells are left to neither pixels nor mechanics, which are filled.
     """
     counted, whole = assembled
     shown = team.together(lambda: [tuple(view.without_hidden(q_s) for view in of_subdomain.views)
                                    for of_subdomain, q_s in zip(views, q, strict=True)])
     counts = [tuple(view.count_pixels() for view in of_shown) for of_shown in shown]
-    unseen = [_find_unseen(of_subdomain, now) for of_subdomain, now in zip(views, counts, strict=True)]
-    refuse_undetermined(team, unseen, assembly)
+    unseen = [_find_unseen(of_subdomain, now, rule) for of_subdomain, now in zip(views, counts, strict=True)]
+    subdomains = [of_subdomain.subdomain for of_subdomain in views]
+    filled, angle = None, 0.0
+    cells = [np.zeros(len(now[0]), dtype=bool) for now in counts]
+    if not is_determined(team, unseen, assembly):
+        cells = [np.sum(now, axis=0) == 0 for now in counts]
+        angle = fit_rigid_motion(team, subdomains, q).angle
+        filled = fill_cells(team, subdomains, cells, assembly.mean_diagonal, angle)
 
     now = AssembledFrom(counts, [_find_gradients(of_subdomain, q_s, rule)
-                                 for of_subdomain, q_s in zip(views, q, strict=True)])
+                                 for of_subdomain, q_s in zip(views, q, strict=True)], cells, angle, rule.blurs)
     lost = [not _are_pixels_kept(of_subdomain, a, b, rule)
             for of_subdomain, a, b in zip(views, counted.by_view, now.by_view, strict=True)]
     turned = [not _are_gradients_kept(a, b)
               for a, b in zip(counted.inverse_deformations, now.inverse_deformations, strict=True)]
-    renewed = [of_pixels or of_gradients for of_pixels, of_gradients in zip(lost, turned, strict=True)]
-    hessians = team.together(lambda: [
-        _assemble_shown(of_subdomain.views, _follow(of_shown, inverse), hessian, rule) if is_renewed else None
-        for of_subdomain, of_shown, inverse, hessian, is_renewed
-        in zip(views, shown, now.inverse_deformations, whole, renewed, strict=True)])
+    is_turned = abs(measure_turn(counted.angle, angle)) > STEP_ANGLE
+    refilled = [bool((a != b).any() or (b.any() and is_turned)) for a, b in zip(counted.filled, cells, strict=True)]
+    is_other_image = rule.blurs != counted.blurs
+    renewed = [is_other_image or any(reasons) for reasons in zip(lost, turned, refilled, strict=True)]
+
+    def assemble(number: int) -> sparse.csr_matrix | None:
+        if not renewed[number]:
+            return None
+        followed = _follow(shown[number], now.inverse_deformations[number])
+        hessian = _assemble_shown(views[number].views, followed, whole[number], rule)
+        return hessian if filled is None else sparse.csr_matrix(hessian + filled.stiffness[number])
+
+    hessians = team.together(lambda: [assemble(number) for number in range(len(views))])
     assembled_from = AssembledFrom(_choose(renewed, now.by_view, counted.by_view),
-                                   _choose(renewed, now.inverse_deformations, counted.inverse_deformations))
+                                   _choose(renewed, now.inverse_deformations, counted.inverse_deformations),
+                                   cells, counted.angle if not is_turned else angle, rule.blurs)
     notes = (*_describe(team, views, lost, "lost or gained more pixels than their operators bear: these are renewed"),
              *_describe(team, views, turned, "turned or stretched by more than 10 %: their operators take the gradient "
-                                             "of the deformed image"))
-    return Renewal(hessians, assembled_from, notes)
+                                             "of the deformed image"),
+             *_describe(team, views, refilled, "hold cells that the frame does not show, or shows again, and nothing "
+                                               "else holds: these follow their neighbours"))
+    if is_other_image:
+        notes = (*notes, "all operators take the reference image as sharp as the frame")
+    return Renewal(hessians, assembled_from, notes, filled)
 
 
 def _choose(is_new: Sequence[bool], new: Sequence[T], old: Sequence[T]) -> list[T]:
@@ -222,10 +256,12 @@ def _follow(shown: Sequence[View], inverse: ByView) -> list[View]:
             for view, of_view in zip(shown, inverse, strict=True)]
 
 
-def _find_unseen(of_subdomain: FrameViews, counts: CellCounts) -> NDArray[np.bool_]:
-    """Which unknowns have pixels in the reference images and none in the frame, (n_field,)."""
+def _find_unseen(of_subdomain: FrameViews, counts: CellCounts, rule: RenewalRule) -> NDArray[np.bool_]:
+    """Which unknowns have pixels in the reference images and none in the frame, (n_field,); without mechanics, none."""
     subdomain = of_subdomain.subdomain
-    in_reference = tuple(view.view.count_pixels() for view in of_subdomain.views)
+    if not rule.is_regularized:
+        return ~find_held(subdomain, counts)
+    in_reference = tuple(view.count_pixels() for view in of_subdomain.reference.views)
     if all(np.array_equal(a, b) for a, b in zip(in_reference, counts, strict=True)):
         return np.zeros(subdomain.n_field, dtype=bool)
     # What the reference images do not show either is held as the factor of the reference found.
@@ -245,7 +281,7 @@ def _are_pixels_kept(of_subdomain: FrameViews, before: CellCounts, now: CellCoun
     if (lost & ~subdomain.controlled).any():
         # Without a row of its own it would follow what is left of its pixels as slowly as M counts the others.
         return False
-    n_reference = sum(view.view.n_pixels for view in of_subdomain.views)
+    n_reference = sum(view.n_pixels for view in of_subdomain.reference.views)
     return n_changed <= rule.bound_changes(n_reference)
 
 

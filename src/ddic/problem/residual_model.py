@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from ddic.errors import ConvergenceError, as_collective
 from ddic.functionals.correlation import Residual
 from ddic.functionals.grey_statistics import GreyCorrection, GreyState, GreySums
+from ddic.images.blurred import Blur
 from ddic.parallel.team import Team
+from ddic.problem.filled_cells import FilledCells
 from ddic.problem.moved_gradients import is_deformation_large
 from ddic.problem.region_rotation import HeldRotation
 from ddic.problem.views import FrameViews, read_frame_windows
@@ -54,6 +56,10 @@ class ResidualModel:
         Whether b takes the gradient of the deformed image where the displacement puts it, F^-T grad f.
     rotation : HeldRotation, optional
         Lets the region's rotation cost nothing; None, by default, where it has not turned.
+    filled : FilledCells, optional
+        Cells that neither pixels nor mechanics hold; None, by default, where there are none.
+    blurs : tuple of (int, Blur)
+        Cameras whose reference image was blurred as much as the frame is, and how; none by default.
     """
 
     team: Team
@@ -62,6 +68,8 @@ class ResidualModel:
     n_cameras: int = 1
     follows: bool = False
     rotation: HeldRotation | None = None
+    filled: FilledCells | None = None
+    blurs: tuple[tuple[int, Blur], ...] = ()
 
     def with_large_gradients(self, q: Sequence[Array]) -> ResidualModel:
         """Take the gradient where the displacement puts it, if cells turn or stretch by much; collective.
@@ -180,6 +188,8 @@ class ResidualModel:
         b = self.assemble_right_hand_sides(evaluation, q)
         if self.rotation is not None:
             b = [b_s + forces for b_s, forces in zip(b, self.rotation.compute_forces(q), strict=True)]
+        if self.filled is not None:
+            b = [b_s + forces for b_s, forces in zip(b, self.filled.compute_forces(q), strict=True)]
         return b, evaluation.grey
 
     def measure_correction(self, dq: Sequence[Array], q: Sequence[Array]) -> CorrectionSize:

@@ -57,7 +57,7 @@ def choose_scheme(case: Case) -> Scheme:
         As the case asks for.
     """
     section = _get_section(case)
-    return Scheme(section.max_sweeps, section.stagnation, section.update, case.correlation.grey_correction)
+    return Scheme(section.max_sweeps, section.stagnation, section.update, case.correlation.correction_of_start)
 
 
 def choose_rules(case: Case) -> StoppingRules:

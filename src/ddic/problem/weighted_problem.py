@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -147,8 +148,14 @@ class WeightedProblem:
             What Gauss-Newton asks of the images.
         """
         inputs = self.reference.inputs
-        correction = inputs.case.correlation.grey_correction
+        asked = inputs.case.correlation.grey_correction
+        correction = "none" if asked == "auto" else asked
         return ResidualModel(self.team, self.weigh(views), correction, len(inputs.cameras))
+
+    @cached_property
+    def textures(self) -> list[list[NDArray[np.float64]]]:
+        """Mean |grad f|^2 of the cells of each owned subdomain and view, (grey levels / px)^2."""
+        return [[view.measure_texture() for view in r.views] for r in self.reference.references]
 
     def set_noise(self, noise: Sequence[float]) -> None:
         """Weight the cameras by their noise; collective.
@@ -234,7 +241,8 @@ class WeightedProblem:
         # Before the new ones are factorised.
         old.destroy()
 
-    def renew(self, model: ResidualModel, q: Sequence[NDArray[np.float64]]) -> tuple[str, ...]:
+    def renew(self, model: ResidualModel,
+              q: Sequence[NDArray[np.float64]]) -> tuple[ResidualModel, tuple[str, ...]]:
         """Assemble and factorise again where a frame shows something else than M was made of; collective.
 
         Parameters
@@ -246,7 +254,9 @@ class WeightedProblem:
 
         Returns
         -------
-        tuple of str
+        model : ResidualModel
+            With the cells that neither pixels nor mechanics hold.
+        notes : tuple of str
             What the log says; nothing where nothing changes.
 
         Raises
@@ -254,7 +264,7 @@ class WeightedProblem:
         SingularSubdomainError, FactorizationError
             On all ranks.
         """
-        rule = RenewalRule(compute_cut_off_wavelength(self.reference.inputs.case), model.follows)
+        rule = RenewalRule(compute_cut_off_wavelength(self.reference.inputs.case), model.follows, model.blurs)
         with self._clock.phase(Phase.ASSEMBLE):
             renewal = find_renewal(self.team, model.views, q, (self._assembled_from, self.reference.hessians), rule,
                                    self.solver.assembly)
@@ -265,7 +275,7 @@ class WeightedProblem:
             self._assembled_from = renewal.assembled_from
         if self._size is None:
             self._size = measure_problem_size(self.team, self.reference, self.solver)
-        return renewal.notes
+        return replace(model, filled=renewal.filled), renewal.notes
 
     def destroy(self) -> None:
         """Free PETSc's objects."""

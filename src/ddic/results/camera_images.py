@@ -42,7 +42,7 @@ def _write_residual_image(measurement: Measurement, camera: Camera, writer: Resu
 
 def _make_patches(measurement: Measurement, camera: int) -> Iterator[Patch]:
     """A camera's residual on each owned subdomain, computed one by one."""
-    model, evaluation = measurement.model, measurement.evaluation
+    model, evaluation = measurement.whole, measurement.evaluation
     for of_subdomain, q, residuals in zip(model.views, measurement.q, evaluation.residuals, strict=True):
         for view, residual in zip(of_subdomain.views, residuals, strict=True):
             if view.camera == camera:

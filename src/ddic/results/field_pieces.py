@@ -111,6 +111,7 @@ def _cell_data(measurement: Measurement, number: int, u: NDArray[np.float64]) ->
         schema.RESIDUAL_N_PIXELS: own_residual.cell_sums.n_pixels.astype(np.int64),
         schema.EQUIVALENT_ERROR: errors.equivalent,
         schema.DOUBTFUL: errors.doubtful.astype(np.uint8),
+        schema.EXCLUDED: measurement.excluded.cells[number][0],
         schema.SUBDOMAIN_ID: np.full(n_cells, subdomain.index, dtype=np.int32),
         schema.GLOBAL_CELL_ID: subdomain.cell_ids,
     }

@@ -8,30 +8,35 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.case.schema import Case
 from ddic.errors import ConvergenceError, as_collective, list_first
 from ddic.io.result_writer import ResultWriter
 from ddic.kinematics.strain import find_inverted_cells
+from ddic.mesh.interpolation import interpolate
 from ddic.parallel.team import Team, require_held
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.cameras import Camera, Frame
-from ddic.problem.inputs import Inputs
-from ddic.problem.problem_size import ProblemSize
-from ddic.problem.region_mesh import Region
-from ddic.problem.residual_model import Evaluation, ResidualModel
-from ddic.problem.weighted_problem import WeightedProblem
-from ddic.results.camera_images import write_residual_images
-from ddic.results.cell_errors import (
+from ddic.problem.cell_errors import (
     CellErrors,
     describe_doubtful_cells,
     find_cell_errors,
     measure_cell_residuals,
 )
+from ddic.problem.exclusions import Exclusions
+from ddic.problem.held_unknowns import find_free_unknowns, find_held
+from ddic.problem.inputs import Inputs
+from ddic.problem.problem_size import ProblemSize
+from ddic.problem.region_mesh import Region
+from ddic.problem.residual_model import Evaluation, ResidualModel
+from ddic.problem.solved_frame import SolvedFrame
+from ddic.problem.weighted_problem import WeightedProblem
+from ddic.results.camera_images import write_residual_images
+from ddic.results.describe_exclusions import describe_exclusions
 from ddic.results.field_pieces import write_pieces
 from ddic.results.histories import write_attributes, write_histories
 from ddic.results.provenance import describe_image
 from ddic.results.setup_motion import SetupMotion, collect_motions, describe_motions, estimate_covariances
-from ddic.solvers.dual.continuity import average_copies
-from ddic.solvers.gauss_newton import IterationRecord, Solution
+from ddic.solvers.gauss_newton import IterationRecord
 
 Array = NDArray[np.float64]
 
@@ -68,6 +73,12 @@ class Measurement:
         Of each camera, grey levels; empty with one camera.
     cell_errors : list of CellErrors
         What the residual says about the cells of each owned subdomain.
+    excluded : Exclusions
+        Cells and pixels that do not count.
+    unmeasured : list of (n_nodes,) bool array
+        Nodes of each that nothing holds: their displacement is nan.
+    whole : ResidualModel
+        With all pixels that the frame shows, also those that do not count.
     stop : str
         Which tolerances ended Gauss-Newton.
     """
@@ -85,6 +96,9 @@ class Measurement:
     motions: tuple[SetupMotion, ...]
     noise: tuple[float, ...]
     cell_errors: list[CellErrors]
+    excluded: Exclusions
+    unmeasured: list[NDArray[np.bool_]]
+    whole: ResidualModel
     stop: str
 
     @property
@@ -105,7 +119,12 @@ class Measurement:
     @property
     def displacements(self) -> list[Array]:
         """Displacement of each owned subdomain's nodes, node by node, specimen's frame, (n_dofs,), pixels."""
-        return [s.displacement(q_s) for s, q_s in zip(self.subdomains, self.q, strict=True)]
+        found = []
+        for subdomain, q_s, is_unmeasured in zip(self.subdomains, self.q, self.unmeasured, strict=True):
+            displacement = np.array(subdomain.displacement(q_s))
+            displacement.reshape(subdomain.mesh.nodes.shape)[is_unmeasured] = np.nan
+            found.append(displacement)
+        return found
 
     @property
     def unknowns(self) -> list[Array]:
@@ -123,11 +142,11 @@ class Measurement:
         Returns
         -------
         (n, 2) array
-            Displacement, pixels, on all ranks; nan outside the mesh.
+            Displacement, pixels, on all ranks; nan outside the mesh and where nothing was measured.
         """
         total, n_found = np.zeros(points.shape), np.zeros(len(points))
-        for subdomain, q_s in zip(self.subdomains, self.q, strict=True):
-            found = subdomain.kinematics.at(points, q_s[:subdomain.n_field])
+        for subdomain, displacement in zip(self.subdomains, self.displacements, strict=True):
+            found = interpolate(subdomain.mesh, displacement.reshape(subdomain.mesh.nodes.shape), points)
             inside = np.isfinite(found).all(axis=1)
             total[inside] += found[inside]
             n_found += inside
@@ -165,20 +184,18 @@ class Measurement:
                 **describe_image("reference", reference), **describe_image("deformed", deformed)}
 
 
-def finish_measurement(problem: WeightedProblem, model: ResidualModel, frame: Frame, solution: Solution,
+def finish_measurement(problem: WeightedProblem, frame: Frame, solved: SolvedFrame,
                        notes: tuple[str, ...]) -> Measurement:
-    """Average the copies of interface unknowns and evaluate the residual there; collective.
+    """Evaluate the residual at a field and judge its cells; collective.
 
     Parameters
     ----------
     problem : WeightedProblem
         That was solved.
-    model : ResidualModel
-        Of the frame.
     frame : Frame
         The deformed images.
-    solution : Solution
-        Of Gauss-Newton.
+    solved : SolvedFrame
+        Its field.
     notes : tuple of str
         What the user should know.
 
@@ -194,19 +211,46 @@ def finish_measurement(problem: WeightedProblem, model: ResidualModel, frame: Fr
     """
     team, inputs = problem.team, problem.reference.inputs
     subdomains = problem.reference.subdomains
-    field = average_copies(team, subdomains, solution.q)
-    refuse_inverted_cells(team, subdomains, field.q)
+    field, model, excluded = solved.field, solved.used, solved.excluded
     motions: tuple[SetupMotion, ...] = ()
     if any(camera.setup.n_motion_unknowns for camera in inputs.cameras):
         solver = problem.solver
         spread = estimate_covariances(team, solver.assembly.systems, solver.step, problem.noise[0])
         motions = describe_motions(inputs.cameras, collect_motions(team, inputs.cameras, subdomains, field.q), spread)
-    evaluation = model.evaluate(field.q)
+    evaluation = model.evaluate(field.q) if excluded.is_any(team) else solved.evaluation
     cell_errors = _judge_cells(problem, model, evaluation)
-    notes = (*notes, *describe_doubtful_cells(team, cell_errors))
-    return Measurement(inputs, frame, problem.reference.region, model, field.q, field.largest_jump, evaluation,
-                       problem.size, solution.records, notes, motions, problem.noise, cell_errors,
-                       solution.stop)
+    unmeasured = _find_unmeasured_nodes(problem, evaluation)
+    notes = (*notes, *_describe_correction(inputs.case, model), *describe_exclusions(team, model.views, excluded),
+             *describe_doubtful_cells(team, cell_errors))
+    measurement = Measurement(inputs, frame, problem.reference.region, model, field.q, field.largest_jump, evaluation,
+                              problem.size, solved.solution.records, notes, motions, problem.noise, cell_errors,
+                              excluded, unmeasured, solved.whole, solved.solution.stop)
+    refuse_inverted_cells(team, subdomains, measurement.displacements)
+    return measurement
+
+
+def _find_unmeasured_nodes(problem: WeightedProblem, evaluation: Evaluation) -> list[NDArray[np.bool_]]:
+    """Nodes of each owned subdomain that neither pixels nor mechanics hold; collective."""
+    subdomains = problem.reference.subdomains
+    if problem.reference.inputs.case.regularization is not None:
+        return [np.zeros(subdomain.mesh.n_nodes, dtype=bool) for subdomain in subdomains]
+    unseen = [~find_held(subdomain, tuple(residual.cell_sums.n_pixels.astype(np.int64) for residual in of_views))
+              for subdomain, of_views in zip(subdomains, evaluation.residuals, strict=True)]
+    unheld = np.array(sorted(find_free_unknowns(problem.team, subdomains, unseen)), dtype=np.int64)
+    found = []
+    for subdomain in subdomains:
+        columns = np.isin(subdomain.kinematics.numbers, unheld)
+        of_dofs = np.asarray(abs(subdomain.kinematics.tangent)[:, columns].sum(axis=1)).ravel() > 0
+        found.append(of_dofs.reshape(subdomain.mesh.nodes.shape).any(axis=1))
+    return found
+
+
+def _describe_correction(case: Case, model: ResidualModel) -> tuple[str, ...]:
+    """Say which correction of grey levels was chosen, where the choice was left to the pair."""
+    if case.correlation.grey_correction != "auto" or model.correction == "none":
+        return ()
+    whose = {"global": "one gain and offset for the whole image", "element": "a gain and an offset of every element"}
+    return (f"grey levels: {whose[model.correction]}, chosen from the pair (correlation.grey_correction)",)
 
 
 def _judge_cells(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation) -> list[CellErrors]:
@@ -219,7 +263,7 @@ def _judge_cells(problem: WeightedProblem, model: ResidualModel, evaluation: Eva
     return find_cell_errors(team, residuals)
 
 
-def refuse_inverted_cells(team: Team, subdomains: Sequence[Subdomain], q: Sequence[Array]) -> None:
+def refuse_inverted_cells(team: Team, subdomains: Sequence[Subdomain], displacements: Sequence[Array]) -> None:
     """Refuse a field that turns cells inside out, however small the last correction: no matter moves so; collective.
 
     Parameters
@@ -228,16 +272,16 @@ def refuse_inverted_cells(team: Team, subdomains: Sequence[Subdomain], q: Sequen
         All ranks.
     subdomains : sequence of Subdomain
         Owned ones.
-    q : sequence of (n_unknowns,) array
-        Their unknowns.
+    displacements : sequence of (n_dofs,) array
+        Of their nodes, pixels; nan where nothing was measured.
 
     Raises
     ------
     ConvergenceError
         On all ranks.
     """
-    found = team.gather_lists([s.cell_ids[find_inverted_cells(s.mesh, s.displacement(q_s))]
-                               for s, q_s in zip(subdomains, q, strict=True)])
+    found = team.gather_lists([s.cell_ids[find_inverted_cells(s.mesh, u)]
+                               for s, u in zip(subdomains, displacements, strict=True)])
     cells = np.sort(np.concatenate(found))
     if len(cells):
         raise as_collective(ConvergenceError(

@@ -17,7 +17,8 @@ from ddic.mesh.cell_type import Q4
 from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.structured import Grid
 from ddic.parallel.team import Team
-from ddic.results.cell_errors import CellErrors, CellResiduals, describe_doubtful_cells, find_cell_errors
+from ddic.problem.cell_errors import CellErrors, CellResiduals, describe_doubtful_cells, find_cell_errors
+from ddic.problem.exclusions import KEPT, UNSEEN
 from ddic.results.field_pieces import convert_to_six_components
 from ddic.separated.line_elements import LineElements
 from ddic.separated.pixel_bands import ReferencePixels
@@ -154,6 +155,7 @@ def _describe_cells(mesh: Mesh, cells: OutputCells, displacement: Array) -> dict
         schema.RESIDUAL_N_PIXELS: cells.n_pixels.astype(np.int64),
         schema.EQUIVALENT_ERROR: cells.errors.equivalent,
         schema.DOUBTFUL: cells.errors.doubtful.astype(np.uint8),
+        schema.EXCLUDED: np.where(cells.n_pixels > 0, KEPT, UNSEEN).astype(np.uint8),
         schema.SUBDOMAIN_ID: np.zeros(mesh.n_cells, dtype=np.int32),
         schema.GLOBAL_CELL_ID: np.arange(mesh.n_cells),
     }

@@ -53,7 +53,7 @@ def summarize(measurement: Measurement | SeparatedMeasurement, clock: PhaseClock
         cut_off_wavelength=None if case.regularization is None else case.regularization.cut_off_wavelength,
         largest_jump_px=measurement.largest_jump,
         linear_error_px=measurement.records[-1].linear_error,
-        grey_correction=case.correlation.grey_correction,
+        grey_correction=measurement.model.correction,
         notes=measurement.notes,
         near=[summarize_near_field(measurement, motion) for motion in measurement.motions],
         result_file=str(case.output.file),

@@ -30,6 +30,14 @@ GAIN = 0.2
 LAST_SHARE = 0.05
 """Share of the tolerance on RMS dq that the last linear step may leave; a larger one leaves more in the result."""
 
+PATIENCE = 20
+"""Iterations after which a correction must be smaller than before. A larger value waits longer for what does not
+converge."""
+
+STAGNATION = 0.8
+"""Share of the smallest RMS dq so far below which that of the last ``PATIENCE`` iterations must come: linear
+convergence by 2 % an iteration passes. A larger share lets slower ones go on."""
+
 
 class Model(Protocol):
     """What Gauss-Newton asks of the images."""
@@ -152,12 +160,15 @@ class Solution:
     records : list of IterationRecord
         How they came about.
     stop : str
-        Which tolerances ended the iteration.
+        Which tolerances ended the iteration, or why it was given up.
+    converged : bool
+        Whether the last correction was small enough.
     """
 
     q: list[Array]
     records: list[IterationRecord]
     stop: str = ""
+    converged: bool = True
 
 
 def gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, tolerances: Tolerances,
@@ -187,6 +198,39 @@ def gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, tolerances:
     ConvergenceError
         On all ranks, where the correction does not become small or is not finite.
     """
+    solution = run_gauss_newton(model, q, step, tolerances, progress)
+    if not solution.converged:
+        raise as_collective(ConvergenceError(solution.stop))
+    return solution
+
+
+def run_gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, tolerances: Tolerances,
+            progress: Progress) -> Solution:
+    """Iterate q <- q + dq until the correction is small, or does not become smaller.
+
+    Parameters
+    ----------
+    model : Model
+        Gives b from the images.
+    q : sequence of (n_unknowns,) array
+        Start, of each owned subdomain.
+    step : LinearStep
+        Solves Eq. 11 of [BP17] for dq.
+    tolerances : Tolerances
+        When to stop.
+    progress : Progress
+        Where to write.
+
+    Returns
+    -------
+    Solution
+        Unknowns and the table of iterations, converged or not.
+
+    Raises
+    ------
+    ConvergenceError
+        On all ranks, where the correction is not finite.
+    """
     current = [np.array(q_s) for q_s in q]
     records: list[IterationRecord] = []
     clock = progress.clock
@@ -202,7 +246,17 @@ def gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, tolerances:
         progress.report(records[-1])
         if model.team.on_root(partial(_decide, size, tolerances)):
             return Solution(current, records, size.describe_stop(tolerances))
-    raise as_collective(ConvergenceError(_not_converged(records[-1], tolerances)))
+        if model.team.on_root(partial(_stagnates, records)):
+            break
+    return Solution(current, records, _not_converged(records, tolerances), converged=False)
+
+
+def _stagnates(records: Sequence[IterationRecord]) -> bool:
+    """Whether the last corrections are no smaller than the ones before them."""
+    if len(records) <= PATIENCE:
+        return False
+    sizes = [record.size.rms for record in records]
+    return min(sizes[-PATIENCE:]) > STAGNATION * min(sizes[:-PATIENCE])
 
 
 def _solve_as_far_as_it_pays(model: Model, step: LinearStep, system: tuple[Sequence[Array], Sequence[Array]],
@@ -243,8 +297,10 @@ def _decide(size: CorrectionSize, tolerances: Tolerances) -> bool:
     return size.is_below(tolerances)
 
 
-def _not_converged(last: IterationRecord, tolerances: Tolerances) -> str:
-    return (f"Gauss-Newton did not converge in {tolerances.max_iterations} iterations "
+def _not_converged(records: Sequence[IterationRecord], tolerances: Tolerances) -> str:
+    last = records[-1]
+    how = "stagnates after" if len(records) < tolerances.max_iterations else "did not converge in"
+    return (f"Gauss-Newton {how} {len(records)} iterations "
             f"(last |dq|/|q| = {last.size.relative:.1e}, RMS dq = {last.size.rms:.1e} px, largest dq = "
             f"{last.size.largest:.1e} px in subdomain {last.size.subdomain}, "
             f"residual {last.grey.residual_std:.2f} grey levels); look at the images and the start, raise "

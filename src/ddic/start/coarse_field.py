@@ -158,7 +158,7 @@ def prepare_search(team: Team, inputs: Inputs, measured: Sequence[MeasuredCells]
     regions = None
     if measured is not None:
         regions = [_see_region(case, camera, cells) for camera, cells in zip(inputs.cameras, measured, strict=True)]
-    return CoarseSearch(team, inputs.cameras, case.start, case.correlation.grey_correction,
+    return CoarseSearch(team, inputs.cameras, case.start, case.correlation.correction_of_start,
                         team.send_from_root(regions, team.size - 1))
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.parallel.distribution import split_evenly
 from ddic.parallel.team import Team
-from ddic.results.cell_errors import (
+from ddic.problem.cell_errors import (
     CellErrors,
     CellResiduals,
     describe_doubtful_cells,

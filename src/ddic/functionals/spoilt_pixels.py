@@ -1,0 +1,114 @@
+"""Pixels of a cell whose residual neither noise nor brightness nor a displacement explains.
+
+A displacement that is wrong by e leaves a residual of mean square |grad f|^2 e^2 / 2. Where the residual about a pixel
+is that of more than a limit, something else is seen there: dirt, a reflection, what lies in front of the specimen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+ABOUT = 5
+"""Side, pixels, of the square about a pixel over which the residual is averaged: single pixels of what hides the
+specimen may be as bright as it. A larger one finds weaker spots and loses more pixels about them."""
+
+BEYOND_NOISE = 4.0
+"""Mean square of the residual about a pixel, relative to the noise's variance, from which on noise does not explain it:
+that of 25 pixels is known to a third."""
+
+MARGIN = 2
+"""Pixels about a spoilt one that are left out too: edges of spots are blurred by lens and interpolation."""
+
+WEAK_SHARE = 0.3
+"""Share of the cell's mean |grad f|^2 that a pixel's surroundings are given at least."""
+
+FIT_ROUNDS = 4
+"""Times that gain and offset of a cell are fitted to the pixels that agree with them best."""
+
+KEPT_SHARE = 0.5
+"""Share of a cell's pixels to which they are fitted."""
+
+FLAT = 0.1
+"""Variance of g on these pixels, relative to that of f on all of the cell, below which they show no speckle."""
+
+
+@dataclass(frozen=True, eq=False)
+class CellPatch:
+    """The box of pixels about a cell.
+
+    Attributes
+    ----------
+    counts : (height, width) bool array
+        The cell's own pixels, where both images show them.
+    f, g : (height, width) array
+        Grey levels, g displaced and corrected; anything where a pixel does not count.
+    energy : (height, width) array
+        |grad f|^2, (grey levels / px)^2.
+    """
+
+    counts: NDArray[np.bool_]
+    f: Array
+    g: Array
+    energy: Array
+
+
+def find_spoilt_pixels(patch: CellPatch, noise: float, limit: float, *, own_brightness: bool) -> NDArray[np.bool_]:
+    """Find the spoilt pixels of a cell, and those close to them.
+
+    Parameters
+    ----------
+    patch : CellPatch
+        The cell.
+    noise : float
+        Variance of the residual where nothing is spoilt, grey levels squared.
+    limit : float
+        Largest error of the displacement, pixels.
+    own_brightness : bool
+        Whether the cell has a gain and an offset of its own.
+
+    Returns
+    -------
+    (height, width) bool array
+        Where pixels are spoilt; none beside the cell.
+    """
+    if not patch.counts.any():
+        return np.zeros(patch.counts.shape, dtype=bool)
+    fitted = _fit_brightness(patch) if own_brightness else (1.0, 0.0)
+    if fitted is None:
+        return patch.counts.copy()
+    gain, offset = fitted
+    squared = np.where(patch.counts, (patch.f - gain * patch.g - offset)**2, 0.0)
+    energy = np.where(patch.counts, patch.energy, 0.0)
+    n = np.maximum(_add_about(patch.counts.astype(float)), 1.0)
+    residual = _add_about(squared) / n
+    weak = WEAK_SHARE * float(energy.sum()) / float(patch.counts.sum())
+    texture = np.maximum(_add_about(energy) / n, max(weak, 1e-300))
+    spoilt = (residual > BEYOND_NOISE * noise) & (residual - noise > 0.5 * texture * limit**2) & patch.counts
+    reach = 2 * MARGIN + 1
+    return np.asarray(cv2.dilate(spoilt.astype(np.uint8), np.ones((reach, reach), np.uint8)) > 0) & patch.counts
+
+
+def _add_about(values: Array) -> Array:
+    """Sums over the square about each pixel; nothing beyond the edge."""
+    return np.asarray(cv2.boxFilter(values, -1, (ABOUT, ABOUT), normalize=False, borderType=cv2.BORDER_CONSTANT))
+
+
+def _fit_brightness(patch: CellPatch) -> tuple[float, float] | None:
+    """Gain and offset of the pixels that agree best, least trimmed squares; None where these show no speckle."""
+    f, g = patch.f[patch.counts], patch.g[patch.counts]
+    gain, offset = 1.0, float(np.median(f - g))
+    n_kept = max(int(KEPT_SHARE * len(f)), 2)
+    for _ in range(FIT_ROUNDS):
+        best = np.argpartition(np.abs(f - gain * g - offset), n_kept - 1)[:n_kept]
+        spread = float(g[best].var())
+        if spread <= FLAT * float(f.var()):
+            return None
+        gain = float(np.cov(f[best], g[best], bias=True)[0, 1]) / spread
+        offset = float(np.mean(f[best] - gain * g[best]))
+    return gain, offset

@@ -1,0 +1,147 @@
+"""Pixels and cells of a frame that count for nothing, since they do not show the specimen's speckle."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.functionals.view import FrameView
+from ddic.parallel.team import Team
+from ddic.problem.residual_model import ResidualModel
+from ddic.problem.views import FrameViews
+
+KEPT, BLANK, SPOILT, UNSEEN = 0, 1, 2, 3
+"""Cells: used, of no texture, of something else than the specimen, or of too few pixels that the frame shows."""
+
+PIXELS_CHANGED = 0.1
+"""Share of the spoilt pixels that must come or go for a field to be sought again."""
+
+
+@dataclass(frozen=True, eq=False)
+class Exclusions:
+    """What is excluded of a frame.
+
+    Attributes
+    ----------
+    cells : list of tuple of (n_cells,) uint8 array
+        KEPT or why not, by owned subdomain and view.
+    pixels : list of tuple of (n, 2) int64 array
+        Column and row of spoilt pixels in cells that are kept, likewise.
+    """
+
+    cells: list[tuple[NDArray[np.uint8], ...]]
+    pixels: list[tuple[NDArray[np.int64], ...]]
+
+    @classmethod
+    def nothing(cls, views: Sequence[FrameViews]) -> Exclusions:
+        """Exclude nothing.
+
+        Parameters
+        ----------
+        views : sequence of FrameViews
+            Owned subdomains.
+
+        Returns
+        -------
+        Exclusions
+            Of these.
+        """
+        return cls([tuple(np.zeros(view.view.correlation.mesh.n_cells, dtype=np.uint8) for view in of_subdomain.views)
+                    for of_subdomain in views],
+                   [tuple(np.zeros((0, 2), dtype=np.int64) for _ in of_subdomain.views) for of_subdomain in views])
+
+    def is_any(self, team: Team) -> bool:
+        """Tell whether anything is excluded; collective.
+
+        Parameters
+        ----------
+        team : Team
+            All ranks.
+
+        Returns
+        -------
+        bool
+            The same on all ranks.
+        """
+        n = sum(int(state.any()) for of_subdomain in self.cells for state in of_subdomain)
+        n += sum(len(spots) for of_subdomain in self.pixels for spots in of_subdomain)
+        return bool(team.sum(n) > 0)
+
+    def join(self, other: Exclusions) -> Exclusions:
+        """Exclude what either does.
+
+        Parameters
+        ----------
+        other : Exclusions
+            Of the same subdomains.
+
+        Returns
+        -------
+        Exclusions
+            Of both.
+        """
+        cells = [tuple(np.where(a == KEPT, b, a) for a, b in zip(one, two, strict=True))
+                 for one, two in zip(self.cells, other.cells, strict=True)]
+        pixels = [tuple(np.unique(np.concatenate([a, b]), axis=0) for a, b in zip(one, two, strict=True))
+                  for one, two in zip(self.pixels, other.pixels, strict=True)]
+        return Exclusions(cells, pixels)
+
+    def is_other_than(self, team: Team, other: Exclusions) -> bool:
+        """Tell whether another excludes other cells, or much more or less of the pixels; collective.
+
+        Parameters
+        ----------
+        team : Team
+            All ranks.
+        other : Exclusions
+            Of the same subdomains.
+
+        Returns
+        -------
+        bool
+            The same on all ranks.
+        """
+        n_cells = sum(int(((a == KEPT) != (b == KEPT)).sum())
+                      for one, two in zip(self.cells, other.cells, strict=True) for a, b in zip(one, two, strict=True))
+        n_pixels = sum(abs(len(a) - len(b)) for one, two in zip(self.pixels, other.pixels, strict=True)
+                       for a, b in zip(one, two, strict=True))
+        n_all = sum(len(a) for one in self.pixels for a in one)
+        changed = team.sum(np.array([n_cells, n_pixels, n_all], dtype=float))
+        return bool(changed[0] > 0 or changed[1] > PIXELS_CHANGED * max(changed[2], 1.0))
+
+
+def exclude(model: ResidualModel, excluded: Exclusions) -> ResidualModel:
+    """Exclude pixels and cells of a frame from M and b.
+
+    Parameters
+    ----------
+    model : ResidualModel
+        With all pixels that the frame shows.
+    excluded : Exclusions
+        Of its subdomains.
+
+    Returns
+    -------
+    ResidualModel
+        With the others.
+    """
+    views = [replace(of_subdomain, views=tuple(
+                 _without(view, cells, pixels) for view, cells, pixels in zip(of_subdomain.views, cells_of, pixels_of,
+                                                                             strict=True)))
+             for of_subdomain, cells_of, pixels_of in zip(model.views, excluded.cells, excluded.pixels, strict=True)]
+    return replace(model, views=views)
+
+
+def _without(view: FrameView, cells: NDArray[np.uint8], pixels: NDArray[np.int64]) -> FrameView:
+    if not cells.any() and not len(pixels):
+        return view
+    correlation = view.view.correlation
+    image = correlation.reference
+    usable = np.ones(image.values.shape, dtype=np.uint8) if image.usable is None else image.usable.copy()
+    usable[correlation.raster.draw_cells(np.flatnonzero(cells), image.window) > 0] = 0
+    usable[pixels[:, 1] - image.window.y0, pixels[:, 0] - image.window.x0] = 0
+    kept = replace(correlation, reference=replace(image, usable=usable))
+    return replace(view, view=replace(view.view, correlation=kept))

@@ -1,0 +1,101 @@
+"""Cells that a frame does not show and nothing else holds: elastic matter that follows its neighbours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from ddic.functionals.elasticity import Material, integrate_cell_stiffness
+from ddic.kinematics.cell_interpolation import interpolate_cells
+from ddic.parallel.team import Team
+from ddic.partition.subdomain import Subdomain
+from ddic.problem.region_rotation import build_rotation, fit_rigid_motion
+
+Array = NDArray[np.float64]
+
+STIFFNESS = 1e-4
+"""Young's modulus of filled cells, relative to the mean diagonal of M. They pull at the cells beside them: a larger
+value moves these, a smaller one worsens the operators' condition."""
+
+
+@dataclass(frozen=True, eq=False)
+class FilledCells:
+    """Elastic energy of the cells that a frame does not show, less that of the region's rigid motion.
+
+    Attributes
+    ----------
+    team : Team
+        All ranks.
+    subdomains : tuple of Subdomain
+        Owned ones.
+    stiffness : tuple of (n_unknowns, n_unknowns) csr_matrix
+        Of the filled cells of each, grey levels squared per pixel squared.
+    """
+
+    team: Team
+    subdomains: tuple[Subdomain, ...]
+    stiffness: tuple[sparse.csr_matrix, ...]
+
+    def compute_forces(self, q: Sequence[Array]) -> list[Array]:
+        """Compute the forces that b is given; collective.
+
+        Parameters
+        ----------
+        q : sequence of (n_unknowns,) array
+            Unknowns of each owned subdomain.
+
+        Returns
+        -------
+        list of (n_unknowns,) array
+            Grey levels squared per pixel.
+        """
+        motion = fit_rigid_motion(self.team, self.subdomains, q)
+        forces = []
+        for subdomain, stiffness, q_s in zip(self.subdomains, self.stiffness, q, strict=True):
+            rest = q_s.copy()
+            rest[:subdomain.n_field] -= subdomain.kinematics.fit(motion.evaluate(subdomain.mesh.nodes).ravel())
+            forces.append(np.asarray(-(stiffness @ rest)))
+        return forces
+
+
+def fill_cells(team: Team, subdomains: Sequence[Subdomain], cells: Sequence[NDArray[np.bool_]], weight: float,
+               angle: float) -> FilledCells:
+    """Give cells without pixels an elastic energy; free of communication.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    subdomains : sequence of Subdomain
+        Owned ones.
+    cells : sequence of (n_cells,) bool array
+        Which of their cells are filled.
+    weight : float
+        Mean diagonal of M, grey levels squared per pixel squared.
+    angle : float
+        By which the region has turned, radians.
+
+    Returns
+    -------
+    FilledCells
+        Of all of them.
+    """
+    stiffness = [_assemble(subdomain, chosen, STIFFNESS * weight, angle)
+                 for subdomain, chosen in zip(subdomains, cells, strict=True)]
+    return FilledCells(team, tuple(subdomains), tuple(stiffness))
+
+
+def _assemble(subdomain: Subdomain, chosen: NDArray[np.bool_], modulus: float, angle: float) -> sparse.csr_matrix:
+    n_motion = subdomain.n_motion
+    if not chosen.any():
+        return sparse.csr_matrix((subdomain.n_unknowns, subdomain.n_unknowns))
+    of_cells = integrate_cell_stiffness(subdomain.mesh, Material())
+    of_cells[~chosen] = 0.0
+    stiffness = interpolate_cells(subdomain.mesh).assemble_matrix(modulus * of_cells)
+    turn = sparse.kron(sparse.identity(subdomain.mesh.n_nodes), build_rotation(angle)).tocsr()
+    of_field = subdomain.kinematics.project_matrix((turn @ stiffness @ turn.T).tocsr())
+    return sparse.block_diag([of_field, sparse.csr_matrix((n_motion, n_motion))]).tocsr() if n_motion else of_field

@@ -1,0 +1,128 @@
+"""How a frame shows the specimen at some displacement: its brightness, and what of it does not show the specimen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.case.schema import Case
+from ddic.problem.cameras import Camera
+from ddic.problem.exclusions import Exclusions
+from ddic.problem.find_exclusions import AT_END, AT_START, Limits, find_exclusions
+from ddic.problem.grey_choice import choose_correction
+from ddic.problem.match_sharpness import match_sharpness
+from ddic.problem.residual_model import Evaluation, ResidualModel
+from ddic.problem.seen_cells import SeenCells, TypicalCell, collect_cells, find_typical_cell, measure_seen_cells
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SeenFrame:
+    """How a frame shows the specimen.
+
+    Attributes
+    ----------
+    whole : ResidualModel
+        Of all pixels that it shows, with the correction of grey levels that they need.
+    evaluation : Evaluation
+        Of it.
+    typical : mapping of int to TypicalCell
+        What most cells are like, by camera.
+    excluded : Exclusions
+        What does not show the specimen.
+    """
+
+    whole: ResidualModel
+    evaluation: Evaluation
+    typical: Mapping[int, TypicalCell]
+    excluded: Exclusions
+
+
+def see_frame(case: Case, whole: ResidualModel, q: Sequence[Array], textures: Sequence[Sequence[Array]],
+              limits: Limits = AT_END) -> SeenFrame:
+    """See how a frame has to be corrected, and what of it does not show the specimen; collective.
+
+    Parameters
+    ----------
+    case : Case
+        Says whether that is wanted.
+    whole : ResidualModel
+        Of all pixels that the frame shows.
+    q : sequence of (n_unknowns,) array
+        Where it is thought to show them.
+    textures : sequence of sequence of (n_cells,) array
+        Mean |grad f|^2 of the cells of each view, (grey levels / px)^2.
+    limits : Limits
+        From which displacement error on a residual is not believed; those of a field by default.
+
+    Returns
+    -------
+    SeenFrame
+        At q.
+
+    Raises
+    ------
+    ConvergenceError
+        On all ranks, where most of the frame does not show the specimen.
+    """
+    evaluation = whole.evaluate(q)
+    seen = measure_seen_cells(whole, evaluation, textures)
+    sample = collect_cells(whole, seen)
+    chosen = _choose(case, whole, sample)
+    if chosen.correction != whole.correction:
+        whole, evaluation = chosen, chosen.evaluate(q)
+    typical = {camera: find_typical_cell(cells) for camera, cells in sample.items()}
+    if case.correlation.spoilt_pixels == "keep":
+        return SeenFrame(whole, evaluation, typical, Exclusions.nothing(whole.views))
+    corrected = typical
+    if whole.correction == "none":
+        corrected = {camera: replace(of_camera, gain=1.0, offset=0.0) for camera, of_camera in typical.items()}
+    excluded = find_exclusions(whole, q, seen, corrected, limits, is_regularized=case.regularization is not None)
+    return SeenFrame(whole, evaluation, typical, excluded)
+
+
+def see_start(case: Case, cameras: Sequence[Camera], whole: ResidualModel, q: Sequence[Array],
+              textures: Sequence[Sequence[Array]]) -> tuple[SeenFrame, tuple[str, ...]]:
+    """See the same at a start, and blur the reference images as much as the frame is; collective.
+
+    Parameters
+    ----------
+    case : Case
+        Says whether that is wanted.
+    cameras : sequence of Camera
+        With their reference images.
+    whole : ResidualModel
+        Of all pixels that the frame shows.
+    q : sequence of (n_unknowns,) array
+        Where it is thought to show them.
+    textures : sequence of sequence of (n_cells,) array
+        Mean |grad f|^2 of the cells of each view, (grey levels / px)^2.
+
+    Returns
+    -------
+    seen : SeenFrame
+        At q.
+    notes : tuple of str
+        What the log says.
+
+    Raises
+    ------
+    ConvergenceError
+        On all ranks, where the frame shows no pixel.
+    """
+    seen = see_frame(case, whole, q, textures, AT_START)
+    matched, notes = match_sharpness(seen.whole, cameras, q, seen.typical)
+    return (see_frame(case, matched, q, textures, AT_START) if notes else seen), notes
+
+
+def _choose(case: Case, whole: ResidualModel, sample: Mapping[int, SeenCells]) -> ResidualModel:
+    """The model with the correction of grey levels that the case asks for, or leaves to the pair."""
+    if case.correlation.grey_correction != "auto":
+        return whole
+    # Small cells about a tip do not tell their own.
+    has_tips = any(line.tip_functions for line in case.discontinuity)
+    return replace(whole, correction=choose_correction(sample, whole.correction, "global" if has_tips else "element"))

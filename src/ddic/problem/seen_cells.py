@@ -1,0 +1,195 @@
+"""What a frame shows of cells: grey levels, residual, and what most cells are like."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.functionals.correlation import Residual
+from ddic.functionals.weighted_median import find_weighted_median
+from ddic.problem.residual_model import Evaluation, ResidualModel
+
+Array = NDArray[np.float64]
+
+FEWEST_PIXELS = 36
+"""Pixels of a cell from which on a gain, an offset and single spoilt pixels can be told in it."""
+
+ENOUGH_CELLS = 20_000
+"""Cells of the region of which medians are taken, evenly spread over their numbers: these are known to a per cent."""
+
+TEXTURED = 0.9
+"""Share of the pixels in cells of weaker texture than what is called textured."""
+
+
+@dataclass(frozen=True, eq=False)
+class SeenCells:
+    """Cells of a view in a frame; all (n_cells,).
+
+    Attributes
+    ----------
+    n_pixels : array
+        That count.
+    variance : array
+        Of the residual, with a gain and an offset of the cell's own where its pixels tell them, grey levels squared.
+    texture : array
+        Mean of |grad f|^2, (grey levels / px)^2.
+    mean_f, mean_g : array
+        Grey levels.
+    spread_f, spread_g : array
+        Standard deviations, grey levels.
+    coefficient : array
+        Correlation coefficient of f and g(x + u).
+    """
+
+    n_pixels: Array
+    variance: Array
+    texture: Array
+    mean_f: Array
+    mean_g: Array
+    spread_f: Array
+    spread_g: Array
+    coefficient: Array
+
+    def choose(self, chosen: NDArray[np.bool_]) -> SeenCells:
+        """Choose some of the cells.
+
+        Parameters
+        ----------
+        chosen : (n_cells,) bool array
+            Which.
+
+        Returns
+        -------
+        SeenCells
+            Of these.
+        """
+        return SeenCells(*(getattr(self, field.name)[chosen] for field in fields(self)))
+
+
+@dataclass(frozen=True)
+class TypicalCell:
+    """What most cells of a camera are like, by pixels.
+
+    Attributes
+    ----------
+    noise : float
+        Median variance of the residual, grey levels squared.
+    contrast : float
+        Median variance of f, grey levels squared.
+    texture : float
+        Mean of |grad f|^2 of textured cells, (grey levels / px)^2.
+    gain, offset : float
+        Medians of f = gain g + offset; no unit, and grey levels.
+    """
+
+    noise: float
+    contrast: float
+    texture: float
+    gain: float
+    offset: float
+
+
+def measure_seen_cells(whole: ResidualModel, evaluation: Evaluation,
+                       textures: Sequence[Sequence[Array]]) -> list[list[SeenCells]]:
+    """Measure the cells of owned subdomains in a frame; free of communication.
+
+    Parameters
+    ----------
+    whole : ResidualModel
+        Of the frame.
+    evaluation : Evaluation
+        Of it.
+    textures : sequence of sequence of (n_cells,) array
+        Mean |grad f|^2 of the cells of each view, (grey levels / px)^2.
+
+    Returns
+    -------
+    list of list of SeenCells
+        By subdomain and view.
+    """
+    return [[_measure(residual, texture, whole.find_correction(evaluation, view.camera, residual))
+             for view, residual, texture in zip(of_subdomain.views, residuals, of_views, strict=True)]
+            for of_subdomain, residuals, of_views in zip(whole.views, evaluation.residuals, textures, strict=True)]
+
+
+def _measure(residual: Residual, texture: Array, correction: tuple[Array, Array]) -> SeenCells:
+    sums = residual.cell_sums
+    n = sums.n_pixels
+    safe = np.maximum(n, 1.0)
+    _, of_own = sums.sum_residual(*sums.fit_gain_and_offset())
+    _, of_used = sums.sum_residual(*correction)
+    variance = np.where(n >= FEWEST_PIXELS, of_own, of_used) / safe
+    _, r, g, rr, gg, rg = np.moveaxis(sums.values, -1, 0)
+    mean_f, mean_g = (r + g) / safe, g / safe
+    spread_f = np.sqrt(np.maximum((rr + 2 * rg + gg) / safe - mean_f**2, 0.0))
+    spread_g = np.sqrt(np.maximum(gg / safe - mean_g**2, 0.0))
+    covariance = (rg + gg) / safe - mean_f * mean_g
+    coefficient = covariance / np.maximum(spread_f * spread_g, 1e-300)
+    return SeenCells(n, variance, texture, mean_f, mean_g, spread_f, spread_g, coefficient)
+
+
+def collect_cells(whole: ResidualModel, seen: Sequence[Sequence[SeenCells]]) -> dict[int, SeenCells]:
+    """Gather cells with pixels from all ranks, not more than medians need; collective.
+
+    Parameters
+    ----------
+    whole : ResidualModel
+        Of the frame.
+    seen : sequence of sequence of SeenCells
+        Of owned subdomains, by view.
+
+    Returns
+    -------
+    dict of int to SeenCells
+        By camera, on all ranks; the same on any number of ranks but for the order.
+    """
+    team = whole.team
+    n_cells = team.sum(sum(of_subdomain.subdomain.mesh.n_cells for of_subdomain in whole.views))
+    step = max(1, int(n_cells) // ENOUGH_CELLS)
+    mine = []
+    for of_subdomain, of_views in zip(whole.views, seen, strict=True):
+        is_sampled = of_subdomain.subdomain.cell_ids % step == 0
+        mine += [(view.camera, of_view.choose(is_sampled & (of_view.n_pixels > 0)))
+                 for view, of_view in zip(of_subdomain.views, of_views, strict=True)]
+    by_camera: dict[int, list[SeenCells]] = {}
+    for camera, cells in team.gather_lists(mine):
+        by_camera.setdefault(camera, []).append(cells)
+    return {camera: _join(parts) for camera, parts in by_camera.items()}
+
+
+def _join(parts: Sequence[SeenCells]) -> SeenCells:
+    return SeenCells(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(SeenCells)))
+
+
+def find_typical_cell(cells: SeenCells) -> TypicalCell:
+    """Find what most of some cells are like.
+
+    Parameters
+    ----------
+    cells : SeenCells
+        With pixels.
+
+    Returns
+    -------
+    TypicalCell
+        Medians; zeros, and no correction, where there are no cells.
+    """
+    n = cells.n_pixels
+    if not len(n):
+        return TypicalCell(0.0, 0.0, 0.0, 1.0, 0.0)
+    gain, varies = 1.0, cells.spread_g > 0
+    if varies.any():
+        gain = find_weighted_median(cells.spread_f[varies] / cells.spread_g[varies], n[varies])
+    offset = find_weighted_median(cells.mean_f - gain * cells.mean_g, n)
+    return TypicalCell(find_weighted_median(cells.variance, n), find_weighted_median(cells.spread_f, n)**2,
+                       _find_texture(cells.texture, n), gain, offset)
+
+
+def _find_texture(texture: Array, n_pixels: Array) -> float:
+    """Mean |grad f|^2 above which a tenth of the pixels lie: most of the region may be blank."""
+    order = np.argsort(texture, kind="stable")
+    reached = np.cumsum(n_pixels[order])
+    return float(texture[order[np.searchsorted(reached, TEXTURED * reached[-1])]])
