@@ -6,6 +6,7 @@ import math
 import os
 import sys
 import time
+from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import Protocol, Self
 
@@ -18,12 +19,18 @@ from ddic.results.summary import Summary
 from ddic.separated.corrections import CorrectionRecord
 from ddic.solvers.gauss_newton import IterationRecord
 
-_COLUMNS = ("iter", "|dq|/|q|", "RMS dq [px]", "max dq [px]", "residual [grey]", "[% range]", "Krylov",
-            "its error [px]", "residual [s]", "step [s]")
+_COLUMNS = {"iter": 4, "|dq|/|q|": 8, "RMS dq/px": 9, "max dq/px": 9, "residual": 8, "% range": 7, "Krylov": 6,
+            "error/px": 8, "pass/s": 6, "step/s": 6}
+"""Names and widths of the table of iterations, which fits 100 characters with up to two cameras. The residual is in
+grey levels, by camera; the error is what the Krylov solver leaves of the correction; the seconds are those of the pass
+over the pixels and of the linear step."""
 
+_CORRECTION_COLUMNS = {"number": 6, "du_x/px": 8, "du_y/px": 8, "of u_x": 8, "of u_y": 8, "gain": 8, "of noise": 8,
+                       "residual": 8, "sweeps": 6, "modes": 6}
+"""The same of the table of corrections; sizes of corrections are RMS."""
 
-_CORRECTION_COLUMNS = ("correction", "RMS du_x [px]", "RMS du_y [px]", "of u_x", "of u_y", "gain", "of noise",
-                       "residual [grey]", "sweeps", "modes")
+_OF_CAMERA = 9
+"""Characters of a camera's residual, with the blank after it."""
 
 NOTICEABLE = 0.05
 """Seconds below which a batch log does not mention a phase. A larger value prints fewer lines."""
@@ -103,8 +110,9 @@ class RunConsole:
         record : IterationRecord
             Of the iteration that has ended.
         """
+        widths = _COLUMNS | {"residual": max(_COLUMNS["residual"], _OF_CAMERA * len(record.cameras) - 1)}
         if record.number == 1:
-            self._print("  ".join(f"{name:>{max(len(name), 9)}}" for name in _COLUMNS))
+            self._print(_align(list(widths), widths))
         spent = {phase: record.seconds[phase] - self._seconds.get(phase, 0.0) for phase in REPEATED}
         self._seconds = record.seconds
         cells = (f"{record.number}", f"{record.size.relative:.2e}", f"{record.size.rms:.2e}",
@@ -113,7 +121,7 @@ class RunConsole:
                  f"{100 * record.grey.residual_std / self._range:.2f}", f"{record.krylov_iterations}",
                  f"{record.linear_error:.1e}", f"{spent[Phase.RESIDUAL]:.2f}",
                  f"{spent[Phase.LINEAR_STEP]:.2f}")
-        self._print("  ".join(f"{cell:>{max(len(name), 9)}}" for cell, name in zip(cells, _COLUMNS, strict=True)))
+        self._print(_align(cells, widths))
 
     def correction(self, record: CorrectionRecord) -> None:
         """Print a line of the table of corrections, below its head; the residual is that before the correction.
@@ -124,12 +132,11 @@ class RunConsole:
             Of the correction that was made.
         """
         if record.number == 1:
-            self._print("  ".join(f"{name:>{max(len(name), 9)}}" for name in _CORRECTION_COLUMNS))
+            self._print(_align(list(_CORRECTION_COLUMNS), _CORRECTION_COLUMNS))
         cells = (f"{record.number}", f"{record.rms[0]:.2e}", f"{record.rms[1]:.2e}", f"{record.fluctuation[0]:.2e}",
                  f"{record.fluctuation[1]:.2e}", f"{record.gain:.2e}", f"{record.noise_gain:.2e}",
                  f"{record.grey.residual_std:.3f}", f"{record.n_sweeps}", f"{record.n_modes}")
-        self._print("  ".join(f"{cell:>{max(len(name), 9)}}" for cell, name in zip(cells, _CORRECTION_COLUMNS,
-                                                                                 strict=True)))
+        self._print(_align(cells, _CORRECTION_COLUMNS))
 
     def finish(self, summary: Summary) -> None:
         """Print what was found.
@@ -156,6 +163,8 @@ class RunConsole:
         if math.isfinite(summary.linear_error_px):
             self._print("estimated displacement error left by the linear solver: "
                         f"{summary.linear_error_px:.1e} px RMS")
+        if math.isfinite(summary.noise_floor_px):
+            self._print(_describe_noise_floor(summary))
         if summary.n_pixels_outside:
             self._print(f"{summary.n_pixels_outside} pixels were left out: mapped outside the deformed image or onto "
                         "excluded pixels of it")
@@ -167,6 +176,18 @@ class RunConsole:
         """Print a line as it is, at once."""
         self._console.print(line, markup=False)
         sys.stdout.flush()
+
+
+def _align(cells: Sequence[str], widths: Mapping[str, int]) -> str:
+    """A row of a table, flush right; widths: by name of the column."""
+    return "  ".join(f"{cell:>{width}}" for cell, width in zip(cells, widths.values(), strict=True))
+
+
+def _describe_noise_floor(summary: Summary) -> str:
+    """What noise leaves, beside the correction at which the iteration stopped."""
+    line = f"noise floor: {summary.noise_floor_px:.2g} px RMS a component, were the residual all noise"
+    last = list(summary.iteration_table.get("rms_correction_px", ()))
+    return f"{line}; the last correction was {last[-1]:.1e} px RMS" if last else line
 
 
 def _count(number: int, noun: str) -> str:

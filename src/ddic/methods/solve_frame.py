@@ -44,7 +44,7 @@ def solve_frame(problem: WeightedProblem, model: ResidualModel, q: list[NDArray[
     Raises
     ------
     ConvergenceError, SingularSubdomainError, FactorizationError
-        On all ranks.
+        On all ranks; the first with the last Solution.
     """
     with clock.phase(Phase.READ):
         model.team.together(lambda: read_frame_windows(model.views, q))
@@ -56,8 +56,12 @@ def solve_frame(problem: WeightedProblem, model: ResidualModel, q: list[NDArray[
     solution = Solution(q, [])
     for _ in range(MOST_RENEWALS):
         progress = Progress(clock, listener.iteration, len(solution.records))
-        found = gauss_newton(model, solution.q, problem.solver.step, problem.tolerances, progress)
-        solution = Solution(found.q, [*solution.records, *found.records], found.stop)
+        try:
+            found = gauss_newton(model, solution.q, problem.solver.step, problem.tolerances, progress)
+        except ConvergenceError as error:
+            error.last = _join(solution, error.last)
+            raise
+        solution = _join(solution, found)
         # Where the start was far off, other pixels are hidden here: that held the step back, or left a node to nothing.
         followed = model if model.follows else model.with_large_gradients(solution.q)
         model, turned = problem.hold_rotation(followed, solution.q)
@@ -70,4 +74,9 @@ def solve_frame(problem: WeightedProblem, model: ResidualModel, q: list[NDArray[
         notes = (*notes, *renewed)
     raise as_collective(ConvergenceError(
         f"what the frame shows, pixels or how far they turn, still changes after {MOST_RENEWALS} solutions; look at "
-        "the masks and the start, or give a longer regularization.cut_off_wavelength"))
+        "the masks and the start, or give a longer regularization.cut_off_wavelength", solution))
+
+
+def _join(before: Solution, found: Solution) -> Solution:
+    """The later of two solutions of a frame, with the iterations of both."""
+    return Solution(found.q, [*before.records, *found.records], found.stop)

@@ -70,6 +70,8 @@ class Measurement:
         What the residual says about the cells of each owned subdomain.
     stop : str
         Which tolerances ended Gauss-Newton.
+    failure : str
+        Why it is no result; empty where it converged.
     """
 
     inputs: Inputs
@@ -86,6 +88,7 @@ class Measurement:
     noise: tuple[float, ...]
     cell_errors: list[CellErrors]
     stop: str
+    failure: str = ""
 
     @property
     def team(self) -> Team:
@@ -151,6 +154,7 @@ class Measurement:
     def _write_histories(self, writer: ResultWriter) -> None:
         write_histories(self, writer)
         write_attributes(self, writer)
+        writer.write_status(self.failure)
 
     def describe_origin(self) -> dict[str, str | int]:
         """Say what it was measured from.
@@ -165,8 +169,8 @@ class Measurement:
                 **describe_image("reference", reference), **describe_image("deformed", deformed)}
 
 
-def finish_measurement(problem: WeightedProblem, model: ResidualModel, frame: Frame, solution: Solution,
-                       notes: tuple[str, ...]) -> Measurement:
+def finish_measurement(problem: WeightedProblem, model: ResidualModel, frame: Frame, notes: tuple[str, ...],
+                       solution: Solution, failure: str = "") -> Measurement:
     """Average the copies of interface unknowns and evaluate the residual there; collective.
 
     Parameters
@@ -177,10 +181,12 @@ def finish_measurement(problem: WeightedProblem, model: ResidualModel, frame: Fr
         Of the frame.
     frame : Frame
         The deformed images.
-    solution : Solution
-        Of Gauss-Newton.
     notes : tuple of str
         What the user should know.
+    solution : Solution
+        Of Gauss-Newton.
+    failure : str, optional
+        Why the field is no result; nothing where it converged.
 
     Returns
     -------
@@ -190,12 +196,13 @@ def finish_measurement(problem: WeightedProblem, model: ResidualModel, frame: Fr
     Raises
     ------
     ConvergenceError
-        On all ranks, where the field turns cells inside out or leaves no pixel of a camera.
+        On all ranks, where the field leaves no pixel of a camera; with the measurement, where a field that converged
+        turns cells inside out.
     """
     team, inputs = problem.team, problem.reference.inputs
     subdomains = problem.reference.subdomains
     field = average_copies(team, subdomains, solution.q)
-    refuse_inverted_cells(team, subdomains, field.q)
+    inverted = describe_inverted_cells(team, subdomains, field.q)
     motions: tuple[SetupMotion, ...] = ()
     if any(camera.setup.n_motion_unknowns for camera in inputs.cameras):
         solver = problem.solver
@@ -204,9 +211,12 @@ def finish_measurement(problem: WeightedProblem, model: ResidualModel, frame: Fr
     evaluation = model.evaluate(field.q)
     cell_errors = _judge_cells(problem, model, evaluation)
     notes = (*notes, *describe_doubtful_cells(team, cell_errors))
-    return Measurement(inputs, frame, problem.reference.region, model, field.q, field.largest_jump, evaluation,
-                       problem.size, solution.records, notes, motions, problem.noise, cell_errors,
-                       solution.stop)
+    measurement = Measurement(inputs, frame, problem.reference.region, model, field.q, field.largest_jump, evaluation,
+                              problem.size, solution.records, notes, motions, problem.noise, cell_errors,
+                              solution.stop, failure or inverted)
+    if inverted and not failure:
+        raise as_collective(ConvergenceError(inverted, measurement))
+    return measurement
 
 
 def _judge_cells(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation) -> list[CellErrors]:
@@ -219,8 +229,8 @@ def _judge_cells(problem: WeightedProblem, model: ResidualModel, evaluation: Eva
     return find_cell_errors(team, residuals)
 
 
-def refuse_inverted_cells(team: Team, subdomains: Sequence[Subdomain], q: Sequence[Array]) -> None:
-    """Refuse a field that turns cells inside out, however small the last correction: no matter moves so; collective.
+def describe_inverted_cells(team: Team, subdomains: Sequence[Subdomain], q: Sequence[Array]) -> str:
+    """Say which cells a field turns inside out, however small the last correction: no matter moves so; collective.
 
     Parameters
     ----------
@@ -231,15 +241,15 @@ def refuse_inverted_cells(team: Team, subdomains: Sequence[Subdomain], q: Sequen
     q : sequence of (n_unknowns,) array
         Their unknowns.
 
-    Raises
-    ------
-    ConvergenceError
-        On all ranks.
+    Returns
+    -------
+    str
+        Why the field is no result; empty where no cell is inverted.
     """
     found = team.gather_lists([s.cell_ids[find_inverted_cells(s.mesh, s.displacement(q_s))]
                                for s, q_s in zip(subdomains, q, strict=True)])
     cells = np.sort(np.concatenate(found))
-    if len(cells):
-        raise as_collective(ConvergenceError(
-            f"the measured field turns {len(cells)} elements inside out (numbers {list_first(cells)}): the images do "
-            "not determine it; use larger elements or a longer regularization.cut_off_wavelength"))
+    if not len(cells):
+        return ""
+    return (f"the measured field turns {len(cells)} elements inside out (numbers {list_first(cells)}): the images do "
+            "not determine it; use larger elements or a longer regularization.cut_off_wavelength")

@@ -44,6 +44,8 @@ class SeparatedMeasurement:
         Residual image of this rank's bands, grey levels.
     notes : tuple of str
         What the user should know.
+    failure : str
+        Why it is no result; empty where it converged.
     """
 
     problem: SeparatedProblem
@@ -52,6 +54,7 @@ class SeparatedMeasurement:
     cells: OutputCells
     residual_rows: list[tuple[range, NDArray[np.float32]]]
     notes: tuple[str, ...]
+    failure: str = ""
 
     @property
     def team(self) -> Team:
@@ -109,6 +112,7 @@ class SeparatedMeasurement:
         write_output_cells(writer, self.cells, self.solution.field, self.inputs.case.images)
         writer.write_separated(self.solution.field)
         write_separated_tables(self, writer)
+        writer.write_status(self.failure)
 
     def _write_residual_image(self, writer: ResultWriter | None) -> None:
         image, columns = self.cameras[0].reference.image, self.problem.rectangle.along_x.pixels
