@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import pty
+import re
 import sys
 import time
 from collections.abc import Sequence
@@ -191,10 +192,14 @@ def test_a_terminal_gets_a_bar(monkeypatch: pytest.MonkeyPatch) -> None:
         with RunConsole() as console:
             console.phase(Phase.ASSEMBLE)
             console.note("a note")
-            time.sleep(0.5)  # the bar is drawn ten times a second
+            time.sleep(0.3)  # the bar is drawn ten times a second
+            console.progress(0.5)
+            time.sleep(0.3)
         screen.flush()
         shown = os.read(outer, 100_000).decode()
     os.close(outer)
     assert "\x1b[" in shown
     assert "assemble" in shown
     assert "a note" in shown
+    # 34 per cent are done after less than a second.
+    assert re.search(r"about [12] s left", shown)

@@ -11,8 +11,19 @@ from types import TracebackType
 from typing import Protocol, Self
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    ProgressColumn,
+    SpinnerColumn,
+    Task,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+)
+from rich.text import Text
 
+from ddic.cli.run_share import OF_CORRECTION, OF_ITERATION, RunShare
 from ddic.parallel.phases import REPEATED, Phase
 from ddic.problem.problem_size import ProblemSize
 from ddic.results.summary import Summary
@@ -35,6 +46,9 @@ _OF_CAMERA = 9
 NOTICEABLE = 0.05
 """Seconds below which a batch log does not mention a phase. A larger value prints fewer lines."""
 
+LEAST_SHARE = 0.03
+"""Share of a run before which nothing is said of the time left. A larger value guesses later and better."""
+
 LONG = 1.0
 """Seconds of a phase after which the lines of those before it are printed. A larger value adds up more and prints
 later."""
@@ -44,6 +58,8 @@ class _Bar(Protocol):
     """What shows the phases."""
 
     def phase(self, phase: Phase) -> None: ...
+    def set_share(self, share: float) -> None: ...
+    def add_iteration(self, share: float) -> None: ...
     def settle(self) -> None: ...
     def stop(self) -> None: ...
 
@@ -74,6 +90,16 @@ class RunConsole:
             Of the run.
         """
         self._bar.phase(phase)
+
+    def progress(self, share: float) -> None:
+        """Show how far the phase at hand is.
+
+        Parameters
+        ----------
+        share : float
+            From 0 to 1.
+        """
+        self._bar.set_share(share)
 
     def note(self, line: str) -> None:
         """Print a line.
@@ -110,6 +136,7 @@ class RunConsole:
         record : IterationRecord
             Of the iteration that has ended.
         """
+        self._bar.add_iteration(OF_ITERATION)
         widths = _COLUMNS | {"residual": max(_COLUMNS["residual"], _OF_CAMERA * len(record.cameras) - 1)}
         if record.number == 1:
             self._print(_align(list(widths), widths))
@@ -131,6 +158,7 @@ class RunConsole:
         record : CorrectionRecord
             Of the correction that was made.
         """
+        self._bar.add_iteration(OF_CORRECTION)
         if record.number == 1:
             self._print(_align(list(_CORRECTION_COLUMNS), _CORRECTION_COLUMNS))
         cells = (f"{record.number}", f"{record.rms[0]:.2e}", f"{record.rms[1]:.2e}", f"{record.fluctuation[0]:.2e}",
@@ -195,21 +223,50 @@ def _count(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
+def _describe_seconds(seconds: float) -> str:
+    """A time to wait, in words."""
+    if seconds < 60:
+        return f"{math.ceil(seconds)} s"
+    if seconds < 3600:
+        return f"{math.ceil(seconds / 60)} min"
+    return f"{seconds / 3600:.1f} h"
+
+
 class _ProgressBar:
     def __init__(self, console: Console) -> None:
         self._progress = Progress(SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(),
-                                  console=console, transient=True)
-        self._task: TaskID = self._progress.add_task("start", total=len(Phase))
+                                  _TimeLeft(), console=console, transient=True)
+        self._share = RunShare()
+        self._task: TaskID = self._progress.add_task("start", total=1.0)
         self._progress.start()
 
     def phase(self, phase: Phase) -> None:
-        self._progress.update(self._task, description=phase, completed=list(Phase).index(phase))
+        self._share.begin(phase)
+        self._progress.update(self._task, description=phase, completed=self._share.done)
+
+    def set_share(self, share: float) -> None:
+        self._share.set_share(share)
+        self._progress.update(self._task, completed=self._share.done)
+
+    def add_iteration(self, share: float) -> None:
+        self._share.add_iteration(share)
+        self._progress.update(self._task, completed=self._share.done)
 
     def settle(self) -> None:
         pass
 
     def stop(self) -> None:
         self._progress.stop()
+
+
+class _TimeLeft(ProgressColumn):
+    """What a run takes yet if it goes on as before."""
+
+    def render(self, task: Task) -> Text:
+        done, elapsed = float(task.completed), task.elapsed or 0.0
+        if done < LEAST_SHARE:
+            return Text("")
+        return Text(f"about {_describe_seconds(elapsed * (1.0 - done) / done)} left")
 
 
 class _PhaseLines:
@@ -229,6 +286,12 @@ class _PhaseLines:
         self._close()
         self._phase = phase
         self._began = time.perf_counter()
+
+    def set_share(self, share: float) -> None:
+        pass
+
+    def add_iteration(self, share: float) -> None:
+        pass
 
     def settle(self) -> None:
         # So that no line of a phase before lands in the iteration table.

@@ -42,7 +42,7 @@ def run_case(team: Team, path: Path, listener: Listener) -> Summary:
     """
     loaded = team.on_root(lambda: load_checked_case(path, team.size))
     output, start = loaded.case.output, loaded.case.start.from_result
-    clock = PhaseClock(entered=listener.phase, waiting=team.waiting)
+    clock = PhaseClock(entered=listener.phase, advanced=listener.progress, waiting=team.waiting)
     try:
         with clock.phase(Phase.MESH):
             inputs, frame = open_inputs(team, loaded)

@@ -161,7 +161,7 @@ class LinearSolver:
 
         def factorize() -> list[LocalOperator]:
             operators = []
-            for system, kept in zip(self.assembly.systems, old, strict=True):
+            for system, kept in self._clock.note_each(list(zip(self.assembly.systems, old, strict=True))):
                 if kept is not None:
                     operators.append(kept)
                     continue
