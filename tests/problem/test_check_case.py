@@ -211,6 +211,13 @@ def test_colour_images_are_announced(folder: Path) -> None:
     assert "colour" in done.stderr
 
 
+@pytest.mark.parametrize("kept", ["r.not_converged.tif", "r.earlier.tif"])
+def test_what_a_failed_run_writes_may_not_overwrite_an_input(folder: Path, kept: str) -> None:
+    (folder / "g.tif").rename(folder / kept)
+    (line,) = _problems(folder, IMAGES.replace("g.tif", kept) + GRID + '[output]\nfile = "r.tif"\n')
+    assert f"would overwrite the input {folder / kept}" in line
+
+
 @pytest.mark.parametrize(("name", "input_"), [
     ("g.tif", "g.tif"), ("case.toml", "case.toml"), ("part.txt", "part.txt"), ("g.residual.tif", None),
 ])

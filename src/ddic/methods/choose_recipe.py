@@ -55,8 +55,8 @@ def prepare_recipe(team: Team, inputs: Inputs, listener: Listener, clock: PhaseC
 def estimate_noise_floor(recipe: Recipe, measurement: Measurement | SeparatedMeasurement, clock: PhaseClock) -> float:
     """Estimate what noise of the residual's size leaves in a measured displacement; collective.
 
-    The residual is taken to be noise of both images, of which near fields say their own share: an upper bound, as it
-    also holds what the field cannot follow.
+    The residual is taken to be noise of both images; it also holds what the field cannot follow, and lacks what
+    interpolation averages out. With several cameras the noise is the one that weighs them.
 
     Parameters
     ----------
