@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from ddic.errors import ConvergenceError, is_collective
+from ddic.errors import ConvergenceError, DdicError, is_collective
 from ddic.parallel.phases import Phase, PhaseClock
 
 Finish = Callable[[Any, str], object]
@@ -43,7 +43,7 @@ def last_field_kept(clock: PhaseClock, finish: Finish) -> Iterator[None]:
 def _finish(finish: Finish, found: Any, failure: str) -> object:
     try:
         return finish(found, failure)
-    except ConvergenceError as error:
+    except DdicError as error:
         # Where no pixel is left, say, there is nothing to show; what this rank alone raises must end the job.
         if not is_collective(error):
             raise
