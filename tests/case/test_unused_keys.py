@@ -50,3 +50,16 @@ def test_nothing_is_left_where_needed_keys_are_bad(tmp_path: Path, text: str) ->
     loaded, problems = load_case_leniently(tmp_path / "case.toml")
     assert loaded is None
     assert problems
+
+
+def test_missing_files_are_told_beside_keys_that_nothing_can_be_done_without(tmp_path: Path) -> None:
+    (tmp_path / "f.tif").touch()
+    text = INPUTS.replace("element_size = 10", 'element_size = "10"') + '[output]\nfile = "r.vtkhdf"\n'
+    near = '[[near]]\nreference = "n.tif"\ndeformed = "f.tif"\nratio = 4\n'
+    (tmp_path / "case.toml").write_text(text + near)
+    loaded, problems = load_case_leniently(tmp_path / "case.toml")
+    assert loaded is None
+    words = ['element_size = "10": expected a number', "near.ratio", f"{tmp_path / 'g.tif'}: no such file",
+             f"{tmp_path / 'n.tif'}: no such file"]
+    assert len(problems) == len(words)
+    assert all(any(word in line for line in problems) for word in words), problems

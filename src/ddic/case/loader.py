@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import json
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
 from ddic.case.messages import describe
-from ddic.case.schema import Case
-from ddic.case.sections import Location
+from ddic.case.schema import Case, OutputSection
+from ddic.case.sections import Location, find_section_in
 from ddic.errors import InputError
 
 DETECT = "detect"
@@ -99,8 +99,14 @@ def load_case_leniently(path: Path | str) -> tuple[LoadedCase | None, list[str]]
         data = convert_shorthand(tomllib.loads(text))
     except (OSError, ValueError):
         return None, problems
+    folder = path.resolve().parent
+    missing = [f"{file}: no such file; check the path" for file in _list_named_files(data, Case, folder)
+               if not file.is_file()]
     case = _validate_without_bad_keys(data)
-    return None if case is None else LoadedCase(_absolute(case, path.resolve().parent), path.resolve(), text), problems
+    if case is None:
+        # Little else can be said of it.
+        return None, [*problems, *missing]
+    return LoadedCase(_absolute(case, folder), path.resolve(), text), problems
 
 
 def _validate_without_bad_keys(data: dict[str, Any]) -> Case | None:
@@ -115,6 +121,26 @@ def _validate_without_bad_keys(data: dict[str, Any]) -> Case | None:
         for location in locations:
             _remove(data, location)
     return None
+
+
+def _list_named_files(data: Any, section: type[BaseModel], folder: Path) -> Iterator[Path]:
+    """Input files that a case names, wherever else it is wrong; absolute."""
+    if isinstance(data, list):
+        for item in data:
+            yield from _list_named_files(item, section, folder)
+    if not isinstance(data, dict):
+        return
+    for key, value in data.items():
+        field = section.model_fields.get(key)
+        inner = None if field is None else find_section_in(field.annotation)
+        if inner is not None and inner is not OutputSection:
+            yield from _list_named_files(value, inner, folder)
+        elif field is not None and _takes_path(field.annotation) and isinstance(value, str):
+            yield (folder / value).resolve()
+
+
+def _takes_path(annotation: Any) -> bool:
+    return annotation is Path or Path in get_args(annotation)
 
 
 def _remove(data: Any, location: Location) -> None:

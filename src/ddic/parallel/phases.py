@@ -82,13 +82,15 @@ class PhaseClock:
             self.cpu[phase] = self.cpu.get(phase, 0.0) + cpu
             self.busy[phase] = self.busy.get(phase, 0.0) + cpu - waited
 
-    def note_each(self, items: Sequence[T]) -> Iterator[T]:
+    def note_each(self, items: Sequence[T], begin: float = 0.0, end: float = 1.0) -> Iterator[T]:
         """Go through what the phase at hand works on, item by item, and tell how far it is.
 
         Parameters
         ----------
         items : sequence
             As long to work on, each, as far as is known.
+        begin, end : float, optional
+            Shares of the phase before and after all of them.
 
         Yields
         ------
@@ -98,4 +100,4 @@ class PhaseClock:
         for n_done, item in enumerate(items, start=1):
             yield item
             if self.advanced is not None:
-                self.advanced(n_done / len(items))
+                self.advanced(begin + (end - begin) * n_done / len(items))

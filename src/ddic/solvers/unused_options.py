@@ -35,7 +35,10 @@ def list_unused_options(team: Team, words: Sequence[str]) -> list[str]:
 
 def _is_used(name: str) -> bool:
     """Whether PETSc has looked for an option; petsc4py does not say it, the library that it is linked with does."""
-    ask = ctypes.CDLL(PETSc.__file__).PetscOptionsUsed
+    ask = getattr(ctypes.CDLL(PETSc.__file__), "PetscOptionsUsed", None)
+    if ask is None:
+        # Where the library hides its names, nothing is known, and nobody is warned in vain.
+        return True
     ask.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.POINTER(ctypes.c_int)]
     used = ctypes.c_int(0)
     ask(None, name.encode(), ctypes.byref(used))
