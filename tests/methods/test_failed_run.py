@@ -221,3 +221,17 @@ def test_a_full_disk_does_not_hide_why_the_run_failed(shared_path: Path, monkeyp
     assert "No space left on device" in str(error)
     assert is_collective(error)
     assert _names(shared_path) == []
+
+
+@pytest.mark.parallel([1, 2])
+def test_an_earlier_result_that_does_not_move_whole_hides_nothing(shared_path: Path) -> None:
+    path = _write(shared_path, FAILS)
+    if MPI.COMM_WORLD.rank == 0:
+        (shared_path / "result.vtkhdf").write_text("an earlier result")
+        (shared_path / "result.residual.vtkhdf").write_text("nothing that leads to a residual image")
+    error = _fail(Team.world(), path)
+    assert str(error).startswith("Gauss-Newton did not converge in 2 iterations")
+    assert f"the last field, not converged, is in {shared_path.resolve()}" in str(error)
+    assert "; an earlier result could not be moved whole from " in str(error)
+    assert "result.vtkhdf" not in _names(shared_path)
+    assert (shared_path / "result.earlier.vtkhdf").read_text() == "an earlier result"

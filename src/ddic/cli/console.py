@@ -46,7 +46,7 @@ _OF_CAMERA = 9
 NOTICEABLE = 0.05
 """Seconds below which a batch log does not mention a phase. A larger value prints fewer lines."""
 
-LEAST_SHARE = 0.03
+LEAST_SHARE = 0.1
 """Share of a run before which nothing is said of the time left. A larger value guesses later and better."""
 
 LONG = 1.0

@@ -21,8 +21,8 @@ def remove_result(result: Path) -> None:
     result : Path
         The result file.
     """
-    for path in (result, schema.summary_path(result), *_list_sidecars(result)):
-        path.unlink(missing_ok=True)
+    result.unlink(missing_ok=True)
+    _remove_company(result)
 
 
 def move_result(result: Path, target: Path) -> None:
@@ -35,8 +35,9 @@ def move_result(result: Path, target: Path) -> None:
     target : Path
         Its new name, in the same folder.
     """
-    remove_result(target)
-    result.rename(target)
+    # First, and at once: whatever fails afterwards, neither is lost.
+    result.replace(target)
+    _remove_company(target)
     for camera, sidecar in enumerate(list(_list_sidecars(result))):
         _write_moved_sidecar(sidecar, target, camera)
         sidecar.unlink()
@@ -44,6 +45,11 @@ def move_result(result: Path, target: Path) -> None:
     if summary.is_file():
         summary.rename(schema.summary_path(target))
         _write_new_name(schema.summary_path(target), target)
+
+
+def _remove_company(result: Path) -> None:
+    for path in (schema.summary_path(result), *_list_sidecars(result)):
+        path.unlink(missing_ok=True)
 
 
 def _list_sidecars(result: Path) -> Iterator[Path]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -85,15 +86,20 @@ def keep_failed_run(team: Team, error: DdicError, destination: Destination, star
     file = destination.path
     if file is None or isinstance(error, InputError) or not is_collective(error):
         return
+    last = _try(lambda: _write_last_field(team, error, destination, start, clock), "the last field could not be written")
+    earlier = _try(lambda: team.on_root(lambda: _move_earlier_result(file, start)),
+                   f"an earlier result could not be moved whole from {file}")
+    error.args = ("; ".join([str(error), *last, *earlier]),)
+
+
+def _try(work: Callable[[], list[str]], otherwise: str) -> list[str]:
+    """What work says, or that it failed: the run's own failure is what is told first, for this one comes of it."""
     try:
-        told = _write_last_field(team, error, destination, start, clock)
-        told += team.on_root(lambda: _move_earlier_result(file, start))
+        return work()
     except (OSError, DdicError) as second:
-        # The run's own failure is what is told: this one comes of it.
         if not is_collective(second):
             raise
-        told = [f"what it found, or an earlier result, could not be written or moved ({second})"]
-    error.args = ("; ".join([str(error), *told]),)
+        return [f"{otherwise} ({second})"]
 
 
 def _write_last_field(team: Team, error: DdicError, destination: Destination, start: Path | None,
