@@ -86,7 +86,8 @@ def keep_failed_run(team: Team, error: DdicError, destination: Destination, star
     file = destination.path
     if file is None or isinstance(error, InputError) or not is_collective(error):
         return
-    last = _try(lambda: _write_last_field(team, error, destination, start, clock), "the last field could not be written")
+    last = _try(lambda: _write_last_field(team, error, destination, start, clock),
+                "the last field could not be written")
     earlier = _try(lambda: team.on_root(lambda: _move_earlier_result(file, start)),
                    f"an earlier result could not be moved whole from {file}")
     error.args = ("; ".join([str(error), *last, *earlier]),)
