@@ -64,6 +64,9 @@ class CountingListener:
         """The phase that begins."""
         LEDGER.phase = phase
 
+    def progress(self, share: float) -> None:
+        """Nothing."""
+
     def note(self, line: str) -> None:
         """Nothing."""
 

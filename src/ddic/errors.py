@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from itertools import islice
-from typing import TypeVar
+from typing import Any, TypeVar
 
 
 class DdicError(Exception):
@@ -30,7 +30,28 @@ class InputError(DdicError):
 
 
 class ConvergenceError(DdicError):
-    """An iteration (Krylov or Gauss-Newton) did not reach its tolerance."""
+    """An iteration (Krylov or Gauss-Newton) did not reach its tolerance.
+
+    Parameters
+    ----------
+    message : str
+        One line.
+    last : object, optional
+        What was found before.
+
+    Attributes
+    ----------
+    last : object or None
+        What was found before: a solver's solution, of which a recipe makes a measurement that did not converge. None
+        where nothing was, or nothing can be shown.
+    result : Result or None
+        The same for who measures from Python: the last field, not converged, on every rank.
+    """
+
+    def __init__(self, message: str, last: Any = None) -> None:
+        super().__init__(message)
+        self.last = last
+        self.result: Any = None
 
 
 class SingularSubdomainError(DdicError):

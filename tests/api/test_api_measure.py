@@ -370,6 +370,43 @@ def test_session_goes_on_after_a_frame_that_fails(pair: Pair, mesh: ddic.Mesh) -
         assert np.abs(session.measure(deformed, from_last=True).displacement - good.displacement).max() < 1e-3
 
 
+def test_failed_measurement_brings_its_last_field(pair: Pair, mesh: ddic.Mesh, tmp_path: Path) -> None:
+    reference, deformed = pair
+    output = tmp_path / "frame.vtkhdf"
+    with ddic.prepare(reference, mesh) as session:
+        session.measure(deformed, output=tmp_path / "first.vtkhdf")
+        session.measure(deformed, output=output)
+        with pytest.raises(ddic.ConvergenceError, match=r"is in .*frame\.not_converged\.vtkhdf") as caught:
+            session.measure(255 - deformed, output=output)
+        result = caught.value.result
+        assert not result.converged
+        assert str(caught.value).startswith(result.failure)
+        assert np.isfinite(result.displacement).all()
+        assert result.residual_image.shape == reference.shape
+        # Frames before it are as they were.
+        assert sorted(p.name for p in tmp_path.glob("*.vtkhdf") if "residual" not in p.name) == [
+            "first.vtkhdf", "frame.earlier.vtkhdf", "frame.not_converged.vtkhdf"]
+        with pytest.warns(UserWarning, match="did not converge"):
+            kept = ddic.open(tmp_path / "frame.not_converged.vtkhdf")
+        assert np.array_equal(kept.displacement, result.displacement)
+        assert largest_error(ddic.open(tmp_path / "first.vtkhdf")) < WITHIN
+        session.measure(deformed, output=output)
+    assert output.is_file()
+    assert not list(tmp_path.glob("frame.not_converged*"))
+
+
+def test_failed_measurement_in_memory_writes_nothing(pair: Pair, mesh: ddic.Mesh, tmp_path: Path,
+                                                     monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ddic.ConvergenceError) as caught:
+        ddic.measure((pair[0], 255 - pair[1]), mesh)
+    assert not caught.value.result.converged
+    # Errors that are sent on, by a pool of workers, say, bring their field along.
+    assert np.array_equal(pickle.loads(pickle.dumps(caught.value)).result.displacement,
+                          caught.value.result.displacement)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_synthetic_pair_takes_functions_and_fields(pair: Pair) -> None:
     from ddic.synth.fields import Affine
 

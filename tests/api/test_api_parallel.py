@@ -54,6 +54,28 @@ def test_every_rank_gets_the_whole_result(pair: Pair, mesh: ddic.Mesh, shared_pa
     assert np.array_equal(read.displacement, result.displacement)
 
 
+@pytest.mark.filterwarnings("ignore:.*did not converge:UserWarning")
+@pytest.mark.parallel([2, 3])
+@pytest.mark.parametrize("options", [
+    REGULARIZED | {"solver": {"subdomains": 4}, "gauss_newton": {"max_iterations": 1}},
+    {"pgd": {"max_corrections": 1, "stop_at_noise": False}}], ids=["dual", "pgd"])
+def test_every_rank_gets_the_last_field_of_a_failure(pair: Pair, mesh: ddic.Mesh, shared_path: Path,
+                                                     options: dict[str, Any]) -> None:
+    options = options | {"start": {"pyramid": False}}
+    with ddic.prepare(pair[0], mesh, options=options) as session:
+        # Identical images need one iteration, and no correction of those that are counted.
+        first = session.measure(pair[0], output=shared_path / "first.vtkhdf") if "pgd" not in options else None
+        with pytest.raises(ddic.ConvergenceError) as caught:
+            session.measure(pair[1], output=shared_path / "second.vtkhdf")
+    assert is_collective(caught.value)
+    result = caught.value.result
+    assert same_on_all_ranks(result.displacement)
+    assert len(set(MPI.COMM_WORLD.allgather(str(caught.value)))) == 1
+    assert np.array_equal(ddic.open(shared_path / "second.not_converged.vtkhdf").displacement, result.displacement)
+    if first is not None:
+        assert np.array_equal(ddic.open(shared_path / "first.vtkhdf").displacement, first.displacement)
+
+
 @pytest.mark.parallel([2])
 def test_files_masks_and_sessions(files: tuple[Path, Path], pair: Pair, mesh: ddic.Mesh) -> None:
     mask = np.ones(pair[0].shape)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import pty
+import re
 import sys
 import time
 from collections.abc import Sequence
@@ -16,6 +17,7 @@ from ddic.cli.console import RunConsole, is_on_terminal
 from ddic.parallel.phases import REPEATED, Phase
 from ddic.problem.problem_size import ProblemSize
 from ddic.results.summary import Summary
+from ddic.separated.corrections import CorrectionRecord
 from ddic.solvers.correction_size import CorrectionSize
 from ddic.solvers.gauss_newton import GreyState, IterationRecord
 
@@ -135,6 +137,31 @@ def test_table_rows_hold_each_iterations_own_seconds(capsys: pytest.CaptureFixtu
     assert len(lines[head]) == len(lines[head + 1]) == len(lines[head + 2])
 
 
+def test_tables_fit_a_hundred_columns(capsys: pytest.CaptureFixture[str]) -> None:
+    correction = CorrectionRecord(100, (0.1, 0.2), (1e-3, 1e-3), (1e-3, 1e-3), 1e-10, 1e-10, 6,
+                                  GreyState(1234.5, 1234.5, 10**9, 1.0, 0.0), 24)
+    with RunConsole() as console:
+        console.problem_size(dataclasses.replace(SIZE, dynamic_range=4095.0))
+        capsys.readouterr()
+        for number, seconds in ((1, 123.0), (50, 234.5)):
+            record = _record(number, seconds)
+            console.iteration(dataclasses.replace(record, cameras=2 * (GreyState(1234.5, 1234.5, 10**9, 1.0, 0.0),)))
+        for number in (1, 100):
+            console.correction(dataclasses.replace(correction, number=number))
+    lines = capsys.readouterr().out.splitlines()
+    assert max(len(line) for line in lines) <= 100
+    # Each table's rows are as wide as its head.
+    assert len({len(line) for line in lines[:3]}) == len({len(line) for line in lines[3:]}) == 1
+
+
+def test_noise_floor_is_told_beside_the_last_correction(capsys: pytest.CaptureFixture[str]) -> None:
+    _speak()
+    assert "noise floor" not in capsys.readouterr().out
+    _speak(dataclasses.replace(SUMMARY, noise_floor_px=0.00534, iteration_table={"rms_correction_px": [0.1, 2e-6]}))
+    line = "noise floor: 0.0053 px RMS a component, were the residual all noise; the last correction was 2.0e-06 px RMS"
+    assert line in capsys.readouterr().out.splitlines()
+
+
 def test_pixels_left_out_are_told_only_if_there_are_any(capsys: pytest.CaptureFixture[str]) -> None:
     _speak()
     assert "left out" not in capsys.readouterr().out
@@ -165,10 +192,14 @@ def test_a_terminal_gets_a_bar(monkeypatch: pytest.MonkeyPatch) -> None:
         with RunConsole() as console:
             console.phase(Phase.ASSEMBLE)
             console.note("a note")
-            time.sleep(0.5)  # the bar is drawn ten times a second
+            time.sleep(0.3)  # the bar is drawn ten times a second
+            console.progress(0.5)
+            time.sleep(0.3)
         screen.flush()
         shown = os.read(outer, 100_000).decode()
     os.close(outer)
     assert "\x1b[" in shown
     assert "assemble" in shown
     assert "a note" in shown
+    # 34 per cent are done after less than a second.
+    assert re.search(r"about [12] s left", shown)

@@ -55,6 +55,8 @@ def test_a_good_case(folder: Path, ranks: int) -> None:
     summary = json.loads((folder / "result.json").read_text())
     assert summary["n_ranks"] == max(ranks, 1)
     assert summary["converged"] is True
+    assert 0 < summary["noise_floor_px"] < 0.02  # rounding to 8 bit alone: 0.3 grey levels, on gradients of tens
+    assert f"noise floor: {summary['noise_floor_px']:.2g} px RMS a component" in job.out
     # A batch log: plain lines, one table row per iteration, no escape codes.
     assert "\x1b" not in job.out
     assert "\r" not in job.out
@@ -74,6 +76,19 @@ def test_a_warning_is_told_once(folder: Path, ranks: int) -> None:
     assert job.code == 0, job.err
     assert len(job.errors) == 1
     assert job.errors[0].startswith(f"warning: {folder / 'f.tif'}: colour image, turned to grey")
+
+
+@pytest.mark.parametrize("command", ["run", "check"])
+def test_bad_keys_do_not_hide_bad_files(folder: Path, command: str) -> None:
+    more = '[solver]\nsubdomain = 4\n[regularization]\neta = 1.0\nnot_controlled = ["lefft"]\n'
+    write_case(folder, more, deformed="h.tif", region="region = [24, 24, 300, 168]")
+    job = ddic(command, folder / "case.toml")
+    assert job.code == 2
+    words = ["solver.subdomain: unknown key", "h.tif: no such image file", "the mesh lies outside the image",
+             'no node set is named "lefft"']
+    assert len(job.errors) == len(words)
+    for line, word in zip(job.errors, words, strict=True):
+        assert word in line
 
 
 BAD = {
@@ -130,6 +145,66 @@ def test_petsc_options_pass_through(folder: Path) -> None:
     _refused(folder, job, 1, "interface problem did not converge in 1 Krylov iterations", "solver.max_iterations")
 
 
+FAILS = "[gauss_newton]\nmax_iterations = 1\n[start]\nrigid = false\npyramid = false\nindependent = false\n"
+
+
+@pytest.mark.parametrize("ranks", [0, 3])
+def test_a_failed_run_says_where_its_field_is_and_other_commands_say_what_it_is(folder: Path, ranks: int) -> None:
+    write_case(folder, FOUR)
+    assert ddic("run", folder / "case.toml", ranks=ranks).code == 0
+    write_case(folder, FOUR + FAILS)
+    job = ddic("run", folder / "case.toml", ranks=ranks)
+    field = folder / "result.not_converged.vtkhdf"
+    assert job.code == 1
+    assert len(job.errors) == 1
+    assert f"the last field, not converged, is in {field}; " in job.errors[0]
+    assert job.errors[0].endswith(f"is now {folder / 'result.earlier.vtkhdf'}")
+    # No name that a script looks for is that of a result.
+    assert not set(_names(folder)) & set(OUTPUTS)
+    warning = f"warning: {field}: this field did not converge (Gauss-Newton did not converge in 1 iterations"
+    told = ddic("info", field)
+    assert told.code == 0
+    assert told.errors[0].startswith(warning)
+    assert any(line.startswith("status ") and "NOT CONVERGED: Gauss-Newton" in line for line in told.out.splitlines())
+    assert "NOT CONVERGED" not in ddic("info", folder / "result.earlier.vtkhdf").out
+    drawn = ddic("plot", field, "--kind", "deformed")
+    assert (drawn.code, len(drawn.errors)) == (0, 1)
+    assert drawn.errors[0].startswith(warning)
+    assert (folder / "result.not_converged.deformed.png").is_file()
+    write_case(folder, FOUR + '[start]\nfrom_result = "result.not_converged.vtkhdf"\n')
+    restarted = ddic("run", folder / "case.toml", ranks=ranks)
+    assert restarted.code == 0
+    assert len(restarted.errors) == 1
+    assert restarted.errors[0].startswith(warning)
+
+
+@pytest.mark.parametrize("words", [["other.toml"], ["-dual_ksp_rtol", "1e-9", "other"],
+                                   ["-dual_ksp_monitor", "other.toml"], ["-dual_ksp_rtol", "-1", "2"]])
+def test_a_word_too_many_is_refused(folder: Path, words: list[str]) -> None:
+    job = ddic("run", folder / "case.toml", *words)
+    assert job.code == 2
+    assert f"{words[-1]} is one word too many" in job.err
+    assert _names(folder) == INPUTS
+
+
+@pytest.mark.parametrize("ranks", [0, 2])
+def test_an_option_that_petsc_never_asks_for_is_told(folder: Path, ranks: int) -> None:
+    words = ["-dual_ksp_monitr", "-dual_ksp_rtol", "1e-9", "-options_left", "no", "-log_view", ":/dev/null"]
+    job = ddic("run", folder / "case.toml", *words, ranks=ranks)
+    assert job.code == 0
+    # Not of one that another rank, or PETSc's own beginning or end, asks for.
+    assert len(job.errors) == 1
+    assert job.errors[0].startswith("warning: PETSc's option -dual_ksp_monitr was never asked for")
+
+
+def test_a_key_without_effect_is_told(folder: Path) -> None:
+    write_case(folder, '[solver]\nmethod = "assembled"\nrecycle = true\n')
+    job = ddic("run", folder / "case.toml")
+    assert job.code == 0
+    assert len(job.errors) == 1
+    assert job.errors[0].startswith(f"warning: {folder / 'case.toml'}: solver.recycle changes nothing here")
+
+
 def test_options_that_are_not_petscs_are_refused(folder: Path) -> None:
     job = ddic("run", folder / "case.toml", "--verbose")
     assert job.code == 2
@@ -171,6 +246,16 @@ def test_a_failure_on_one_rank_ends_all(folder: Path, where: str, error: str, me
         assert sum(message in line for line in job.errors) == 1, job.err
         assert any(f"rank {rank}" in line for line in job.errors)
         assert "in fail" in job.err
+    assert _names(folder) == INPUTS
+
+
+def test_a_rank_that_breaks_after_a_failure_ends_all(folder: Path) -> None:
+    # While the last field is made ready: the others wait for this rank in a sum.
+    write_case(folder, FOUR + FAILS)
+    job = finished(driven(ON_RANK_1.format(where="measurement.average_copies", error="KeyError(8)", rank=1), folder), 2)
+    assert job.code == 1
+    assert job.seconds < SECONDS_TO_END
+    assert sum("KeyError: 8" in line for line in job.errors) == 1, job.err
     assert _names(folder) == INPUTS
 
 

@@ -63,6 +63,17 @@ def test_result_and_summary_are_written(shared_path: Path) -> None:
 
 
 @pytest.mark.parallel(RANKS)
+def test_long_phases_say_how_far_they_are(shared_path: Path) -> None:
+    team, ears = Team(MPI.COMM_WORLD), Ears()
+    run_case(team, _write(shared_path, "[solver]\nsubdomains = 12\n"), ears)
+    n_own = 12 // team.size
+    for phase in (Phase.ASSEMBLE, Phase.INDEPENDENT_START, Phase.FACTORIZE, Phase.INTERFACE_SET_UP):
+        # A subdomain's worth at a time, of those that this rank owns.
+        shares = [share for of_phase, share in ears.shares if of_phase == phase]
+        assert shares[:n_own] == pytest.approx([k / n_own for k in range(1, n_own + 1)])
+
+
+@pytest.mark.parallel(RANKS)
 @pytest.mark.parametrize(("more", "sections", "line"), [
     ("[solver]\nsubdomain = 4\n", {}, "subdomains"),
     ("", {"deformed": "h.tif"}, "h.tif: no such image file"),
@@ -78,7 +89,7 @@ def test_bad_input_is_refused_on_all_ranks_before_anything_is_read(
 
 
 @pytest.mark.parallel(RANKS)
-def test_nothing_is_written_without_convergence(shared_path: Path) -> None:
+def test_without_convergence_nothing_has_the_name_of_the_result(shared_path: Path) -> None:
     path = _write(shared_path, "[solver]\nsubdomains = 4\n[gauss_newton]\nmax_iterations = 1\n[start]\n"
                                "rigid = false\npyramid = false\nindependent = false\n")
     if MPI.COMM_WORLD.rank == 0:
@@ -87,8 +98,10 @@ def test_nothing_is_written_without_convergence(shared_path: Path) -> None:
         run_case(Team(MPI.COMM_WORLD), path, Ears())
     assert is_collective(caught.value)
     MPI.COMM_WORLD.barrier()
-    assert sorted(p.name for p in shared_path.iterdir()) == ["case.toml", "f.tif", "g.tif", "result.vtkhdf"]
-    assert (shared_path / "result.vtkhdf").read_text() == "an earlier result"
+    assert sorted(p.name for p in shared_path.iterdir()) == [
+        "case.toml", "f.tif", "g.tif", "result.earlier.vtkhdf", "result.not_converged.json",
+        "result.not_converged.residual.vtkhdf", "result.not_converged.vtkhdf"]
+    assert (shared_path / "result.earlier.vtkhdf").read_text() == "an earlier result"
 
 
 @pytest.mark.parallel([2, 3, 4])

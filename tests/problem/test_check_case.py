@@ -82,6 +82,24 @@ def test_missing_images_and_output_are_reported_together(folder: Path) -> None:
     assert "is a folder" in found[1]
 
 
+def test_missing_reference_image_does_not_hide_node_sets(folder: Path) -> None:
+    text = IMAGES.replace("f.tif", "x.tif") + GRID + '[regularization]\neta = 1\nnot_controlled = ["lefft"]\n'
+    found = _problems(folder, text)
+    assert len(found) == 2
+    assert "x.tif" in found[0]
+    assert '"lefft"' in found[1]
+    # A mesh of which nothing can be said without the image is not complained of.
+    (line,) = _problems(folder, text.replace("element_size = 10", 'element_size = 10\nmask = "x.tif"'))
+    assert "x.tif: no such image file" in line
+
+
+def test_mesh_outside_the_image_does_not_hide_node_sets(folder: Path) -> None:
+    found = _problems(folder, IMAGES + GRID.replace("90", "190")
+                      + '[regularization]\neta = 1\nnot_controlled = ["lefft"]\n[solver]\nsubdomains = 5000\n')
+    assert [line.rpartition("case.toml: ")[2].split(":")[0] for line in found] == [
+        "mesh.structured", "regularization.not_controlled", "solver.subdomains = 5000"]
+
+
 def test_missing_deformed_image_does_not_hide_the_mesh(folder: Path) -> None:
     found = _problems(folder, IMAGES.replace("g.tif", "y.tif") + GRID.replace("90", "190"))
     assert len(found) == 2
@@ -191,6 +209,13 @@ def test_colour_images_are_announced(folder: Path) -> None:
     assert done.exit_code == 0
     assert "warning: " in done.stderr
     assert "colour" in done.stderr
+
+
+@pytest.mark.parametrize("kept", ["r.not_converged.tif", "r.earlier.tif"])
+def test_what_a_failed_run_writes_may_not_overwrite_an_input(folder: Path, kept: str) -> None:
+    (folder / "g.tif").rename(folder / kept)
+    (line,) = _problems(folder, IMAGES.replace("g.tif", kept) + GRID + '[output]\nfile = "r.tif"\n')
+    assert f"would overwrite the input {folder / kept}" in line
 
 
 @pytest.mark.parametrize(("name", "input_"), [

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import pytest
 
 from ddic.errors import InputError
 from ddic.io.result_schema import summary_path
-from ddic.results.summary import Summary, write_summary
+from ddic.results.summary import FieldRanges, Summary, write_summary
 
 
 def summary() -> Summary:
@@ -35,3 +36,14 @@ def test_summary_is_plain_json_beside_the_result(tmp_path: Path) -> None:
 def test_summary_in_a_folder_that_does_not_exist_is_an_input_error(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="nowhere"):
         write_summary(tmp_path / "nowhere" / "r.json", summary())
+
+
+def test_summary_holds_ranges_and_tables(tmp_path: Path) -> None:
+    ranges = FieldRanges({"x": (-1.0, 2.0)}, {"xx": (0.0, float("nan"))})
+    told = dataclasses.replace(summary(), ranges=ranges, iteration_table={"iteration": [1, np.int64(2)]},
+                               case={"path": "c.toml"}, images={"reference": "f.tif"})
+    write_summary(tmp_path / "r.json", told)
+    read = json.loads((tmp_path / "r.json").read_text(), parse_constant=pytest.fail)
+    assert read["ranges"] == {"displacement_px": {"x": [-1.0, 2.0]}, "strain": {"xx": [0.0, None]}}
+    assert read["iteration_table"] == {"iteration": [1, 2]}
+    assert (read["case"], read["images"]) == ({"path": "c.toml"}, {"reference": "f.tif"})

@@ -113,6 +113,10 @@ def test_too_few_iterations_raise_with_numbers_and_remedies() -> None:
                                                r"gauss_newton\.max_iterations") as caught:
         measure_alone(pair_model, tolerances=Tolerances(max_iterations=1))
     assert is_collective(caught.value)
+    # The field after the one correction, which a run that may take more has after its first as well.
+    last = caught.value.last
+    assert [record.number for record in last.records] == [1]
+    assert np.abs(last.q[0].reshape(-1, 2).mean(axis=0) - (0.3, -0.4)).max() < 0.2
 
 
 class _Broken:
@@ -138,6 +142,9 @@ def test_a_correction_that_is_not_finite_is_divergence(value: float) -> None:
         gauss_newton(pair_model, [np.zeros(MESH.n_dofs)], _Broken(value), Tolerances(),
                      Progress(PhaseClock(), stay_silent))
     assert is_collective(caught.value)
+    # The last unknowns that are numbers: those of the start.
+    assert (caught.value.last.q[0] == 0).all()
+    assert len(caught.value.last.records) == 1
 
 
 def test_the_window_grows_with_the_displacement() -> None:

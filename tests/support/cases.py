@@ -46,6 +46,7 @@ class Ears:
     """A listener that keeps what it is told."""
 
     phases: list[str] = field(default_factory=list)
+    shares: list[tuple[str, float]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     sizes: list[ProblemSize] = field(default_factory=list)
     records: list[IterationRecord] = field(default_factory=list)
@@ -53,6 +54,9 @@ class Ears:
 
     def phase(self, phase: Phase) -> None:
         self.phases.append(phase)
+
+    def progress(self, share: float) -> None:
+        self.shares.append((self.phases[-1], share))
 
     def note(self, line: str) -> None:
         self.notes.append(line)

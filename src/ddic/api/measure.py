@@ -17,7 +17,7 @@ from ddic.api.image import ImageLike, check_same_size, open_given_image
 from ddic.api.options import Options, check_kinematics, choose_options, choose_team, make_case
 from ddic.case.loader import LoadedCase, load_case
 from ddic.case.schema import Case
-from ddic.errors import InputError
+from ddic.errors import ConvergenceError, DdicError, InputError
 from ddic.images.camera import identity
 from ddic.images.grey_levels import find_saturation
 from ddic.images.sub_image import MaskedSource
@@ -39,6 +39,7 @@ from ddic.problem.rectangle import Rectangle, check_rectangle, find_rectangle, f
 from ddic.results.listener import Silence
 from ddic.results.measurement import Measurement
 from ddic.results.publishing import Destination, gather, publish
+from ddic.results.run_files import keep_failed_run, remove_failed_field
 from ddic.results.separated_measurement import SeparatedMeasurement
 
 if TYPE_CHECKING:
@@ -108,7 +109,8 @@ class Session:
         Raises
         ------
         InputError, ConvergenceError, SingularSubdomainError
-            On all ranks; the session can measure other images afterwards.
+            On all ranks; the session can measure other images afterwards. The second has the last field as ``result``,
+            which is written as well where there is an output, under a name that says so.
         """
         self._team.together(self._require_open)
         images = self._team.together(lambda: self._check_images(deformed, from_last=from_last))
@@ -132,6 +134,15 @@ class Session:
         return prepare_recipe(self._team, inputs, Silence(), PhaseClock(waiting=self._team.waiting))
 
     def _measure_frame(self, frame: Frame, start: Any, output: Path | None) -> Result:
+        try:
+            return self._measure_converged(frame, start, output)
+        except DdicError as error:
+            keep_failed_run(self._team, error, Destination(output, self._inputs.case.output.flip_y), self._start)
+            if isinstance(error, ConvergenceError):
+                _gather_last_field(error)
+            raise
+
+    def _measure_converged(self, frame: Frame, start: Any, output: Path | None) -> Result:
         if self._recipe is not None:
             return self._publish(self._recipe.measure(frame, start), output)
         clock = PhaseClock(waiting=self._team.waiting)
@@ -148,7 +159,13 @@ class Session:
         self._last = measurement.unknowns
         if output is not None:
             publish(measurement, Destination(output, self._inputs.case.output.flip_y))
+            remove_failed_field(self._team, output, self._start)
         return gather(measurement)
+
+    @property
+    def _start(self) -> Path | None:
+        """Earlier result that every frame starts from."""
+        return self._inputs.case.start.from_result
 
     def _open_frame(self, images: Sequence[ImageLike]) -> Frame:
         """Open a deformed image of each camera; collective."""
@@ -192,6 +209,13 @@ class Session:
         return path
 
 
+def _gather_last_field(error: ConvergenceError) -> None:
+    """Bring the last field together as a result that did not converge; collective."""
+    last, error.last = error.last, None
+    if isinstance(last, Measurement | SeparatedMeasurement):
+        error.result = gather(last)
+
+
 def measure(source: str | Path | Case | LoadedCase | Sequence[ImageLike],
             mesh: Mesh | meshio.Mesh | tuple[Any, Any] | None = None, *,
             options: Options | Mapping[str, Any] | None = None, output: str | Path | None = None) -> Result:
@@ -217,7 +241,7 @@ def measure(source: str | Path | Case | LoadedCase | Sequence[ImageLike],
     Raises
     ------
     InputError, ConvergenceError, SingularSubdomainError
-        On all ranks.
+        On all ranks; the second has the last field, not converged, as ``result``.
     """
     team = choose_team(options)
     if isinstance(source, str | Path | Case | LoadedCase):

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import json
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
 from ddic.case.messages import describe
-from ddic.case.schema import Case
+from ddic.case.schema import Case, OutputSection
+from ddic.case.sections import Location, find_section_in
 from ddic.errors import InputError
 
 DETECT = "detect"
 """In place of discontinuities: one line, found by itself."""
+
+MOST_REPAIRS = 5
+"""Times that bad keys are taken out of a case to see what else is wrong: some show only when others are gone."""
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -70,6 +74,84 @@ def load_case(path: Path | str) -> LoadedCase:
     return LoadedCase(_absolute(case, path.resolve().parent), path.resolve(), text)
 
 
+def load_case_leniently(path: Path | str) -> tuple[LoadedCase | None, list[str]]:
+    """Read a case file as far as it can be read, so that what else is wrong can be told beside its bad keys.
+
+    Parameters
+    ----------
+    path : Path or str
+        The file.
+
+    Returns
+    -------
+    loaded : LoadedCase or None
+        The case without its bad keys, not to be run where there are any; None where it makes no sense without them.
+    problems : list of str
+        Of the keys, one line each.
+    """
+    try:
+        return load_case(path), []
+    except InputError as error:
+        problems = list(error.problems)
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+        data = convert_shorthand(tomllib.loads(text))
+    except (OSError, ValueError):
+        return None, problems
+    folder = path.resolve().parent
+    missing = [f"{file}: no such file; check the path" for file in _list_named_files(data, Case, folder)
+               if not file.is_file()]
+    case = _validate_without_bad_keys(data)
+    if case is None:
+        # Little else can be said of it.
+        return None, [*problems, *missing]
+    return LoadedCase(_absolute(case, folder), path.resolve(), text), problems
+
+
+def _validate_without_bad_keys(data: dict[str, Any]) -> Case | None:
+    """The case that is left without what is wrong; what one bad key hides may be wrong too."""
+    for _ in range(MOST_REPAIRS):
+        try:
+            return _validate(data)
+        except ValidationError as error:
+            locations = [problem["loc"] for problem in error.errors() if problem["type"] != "missing"]
+        if not locations:
+            return None
+        for location in locations:
+            _remove(data, location)
+    return None
+
+
+def _list_named_files(data: Any, section: type[BaseModel], folder: Path) -> Iterator[Path]:
+    """Input files that a case names, wherever else it is wrong; absolute."""
+    if isinstance(data, list):
+        for item in data:
+            yield from _list_named_files(item, section, folder)
+    if not isinstance(data, dict):
+        return
+    for key, value in data.items():
+        field = section.model_fields.get(key)
+        inner = None if field is None else find_section_in(field.annotation)
+        if inner is not None and inner is not OutputSection:
+            yield from _list_named_files(value, inner, folder)
+        elif field is not None and _takes_path(field.annotation) and isinstance(value, str):
+            yield (folder / value).resolve()
+
+
+def _takes_path(annotation: Any) -> bool:
+    return annotation is Path or Path in get_args(annotation)
+
+
+def _remove(data: Any, location: Location) -> None:
+    """Remove a key; what a list holds goes with the whole list, whose places would else change their meaning."""
+    keys = location[:next((k for k, step in enumerate(location) if isinstance(step, int)), len(location))]
+    for step in keys[:-1]:
+        data = data.get(step, {})
+    if keys:
+        data.pop(keys[-1], None)
+
+
 def parse_case(text: str, path: Path) -> Case:
     """Validate the text of a case file.
 
@@ -99,10 +181,14 @@ def parse_case(text: str, path: Path) -> Case:
         raise InputError(f'{path}: discontinuity = "{word}": write "{DETECT}", or [[discontinuity]] sections')
     data = convert_shorthand(data)
     try:
-        # Only pydantic's JSON mode is strict about types ("8" is not 8) and yet takes lists for tuples.
-        return Case.model_validate_json(json.dumps(data, default=_no_json_type), strict=True)
+        return _validate(data)
     except ValidationError as error:
         raise InputError([f"{path}: {line}" for line in describe(error, data)]) from error
+
+
+def _validate(data: Mapping[str, Any]) -> Case:
+    # Only pydantic's JSON mode is strict about types ("8" is not 8) and yet takes lists for tuples.
+    return Case.model_validate_json(json.dumps(data, default=_no_json_type), strict=True)
 
 
 def convert_shorthand(data: Mapping[str, Any]) -> dict[str, Any]:
@@ -128,8 +214,9 @@ def _no_json_type(value: object) -> list[list[object]]:
 
 def _absolute(model: Model, folder: Path) -> Model:
     """The same section with absolute paths."""
-    changes = {name: _absolute_value(getattr(model, name), folder) for name in type(model).model_fields}
-    return model.model_copy(update=changes)
+    values = {name: _absolute_value(getattr(model, name), folder) for name in type(model).model_fields}
+    # A copy with other values would forget which keys the file gives.
+    return type(model).model_construct(model.model_fields_set, **values)
 
 
 def _absolute_value(value: Any, folder: Path) -> Any:

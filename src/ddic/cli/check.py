@@ -23,13 +23,12 @@ def check(case_file: Path) -> None:
     Prints what was found; with problems, one line each on standard error and exit code 2.
     """
     # Imported here because they bring numba, meshio and OpenCV, which --help does not need.
-    from ddic.case.loader import load_case
-    from ddic.problem.check_inputs import check_inputs
+    from ddic.problem.check_ranks import check_case_file
 
     try:
         with warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always", UserWarning)
-            report = check_inputs(load_case(case_file))
+            report = check_case_file(case_file)
     except InputError as error:
         for line in error.problems:
             click.echo(line, err=True)

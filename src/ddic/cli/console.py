@@ -6,27 +6,48 @@ import math
 import os
 import sys
 import time
+from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import Protocol, Self
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    ProgressColumn,
+    SpinnerColumn,
+    Task,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+)
+from rich.text import Text
 
+from ddic.cli.run_share import OF_CORRECTION, OF_ITERATION, RunShare
 from ddic.parallel.phases import REPEATED, Phase
 from ddic.problem.problem_size import ProblemSize
 from ddic.results.summary import Summary
 from ddic.separated.corrections import CorrectionRecord
 from ddic.solvers.gauss_newton import IterationRecord
 
-_COLUMNS = ("iter", "|dq|/|q|", "RMS dq [px]", "max dq [px]", "residual [grey]", "[% range]", "Krylov",
-            "its error [px]", "residual [s]", "step [s]")
+_COLUMNS = {"iter": 4, "|dq|/|q|": 8, "RMS dq/px": 9, "max dq/px": 9, "residual": 8, "% range": 7, "Krylov": 6,
+            "error/px": 8, "pass/s": 6, "step/s": 6}
+"""Names and widths of the table of iterations, which fits 100 characters with up to two cameras. The residual is in
+grey levels, by camera; the error is what the Krylov solver leaves of the correction; the seconds are those of the pass
+over the pixels and of the linear step."""
 
+_CORRECTION_COLUMNS = {"number": 6, "du_x/px": 8, "du_y/px": 8, "of u_x": 8, "of u_y": 8, "gain": 8, "of noise": 8,
+                       "residual": 8, "sweeps": 6, "modes": 6}
+"""The same of the table of corrections; sizes of corrections are RMS."""
 
-_CORRECTION_COLUMNS = ("correction", "RMS du_x [px]", "RMS du_y [px]", "of u_x", "of u_y", "gain", "of noise",
-                       "residual [grey]", "sweeps", "modes")
+_OF_CAMERA = 9
+"""Characters of a camera's residual, with the blank after it."""
 
 NOTICEABLE = 0.05
 """Seconds below which a batch log does not mention a phase. A larger value prints fewer lines."""
+
+LEAST_SHARE = 0.1
+"""Share of a run before which nothing is said of the time left. A larger value guesses later and better."""
 
 LONG = 1.0
 """Seconds of a phase after which the lines of those before it are printed. A larger value adds up more and prints
@@ -37,6 +58,8 @@ class _Bar(Protocol):
     """What shows the phases."""
 
     def phase(self, phase: Phase) -> None: ...
+    def set_share(self, share: float) -> None: ...
+    def add_iteration(self, share: float) -> None: ...
     def settle(self) -> None: ...
     def stop(self) -> None: ...
 
@@ -67,6 +90,16 @@ class RunConsole:
             Of the run.
         """
         self._bar.phase(phase)
+
+    def progress(self, share: float) -> None:
+        """Show how far the phase at hand is.
+
+        Parameters
+        ----------
+        share : float
+            From 0 to 1.
+        """
+        self._bar.set_share(share)
 
     def note(self, line: str) -> None:
         """Print a line.
@@ -103,8 +136,10 @@ class RunConsole:
         record : IterationRecord
             Of the iteration that has ended.
         """
+        self._bar.add_iteration(OF_ITERATION)
+        widths = _COLUMNS | {"residual": max(_COLUMNS["residual"], _OF_CAMERA * len(record.cameras) - 1)}
         if record.number == 1:
-            self._print("  ".join(f"{name:>{max(len(name), 9)}}" for name in _COLUMNS))
+            self._print(_align(list(widths), widths))
         spent = {phase: record.seconds[phase] - self._seconds.get(phase, 0.0) for phase in REPEATED}
         self._seconds = record.seconds
         cells = (f"{record.number}", f"{record.size.relative:.2e}", f"{record.size.rms:.2e}",
@@ -113,7 +148,7 @@ class RunConsole:
                  f"{100 * record.grey.residual_std / self._range:.2f}", f"{record.krylov_iterations}",
                  f"{record.linear_error:.1e}", f"{spent[Phase.RESIDUAL]:.2f}",
                  f"{spent[Phase.LINEAR_STEP]:.2f}")
-        self._print("  ".join(f"{cell:>{max(len(name), 9)}}" for cell, name in zip(cells, _COLUMNS, strict=True)))
+        self._print(_align(cells, widths))
 
     def correction(self, record: CorrectionRecord) -> None:
         """Print a line of the table of corrections, below its head; the residual is that before the correction.
@@ -123,13 +158,13 @@ class RunConsole:
         record : CorrectionRecord
             Of the correction that was made.
         """
+        self._bar.add_iteration(OF_CORRECTION)
         if record.number == 1:
-            self._print("  ".join(f"{name:>{max(len(name), 9)}}" for name in _CORRECTION_COLUMNS))
+            self._print(_align(list(_CORRECTION_COLUMNS), _CORRECTION_COLUMNS))
         cells = (f"{record.number}", f"{record.rms[0]:.2e}", f"{record.rms[1]:.2e}", f"{record.fluctuation[0]:.2e}",
                  f"{record.fluctuation[1]:.2e}", f"{record.gain:.2e}", f"{record.noise_gain:.2e}",
                  f"{record.grey.residual_std:.3f}", f"{record.n_sweeps}", f"{record.n_modes}")
-        self._print("  ".join(f"{cell:>{max(len(name), 9)}}" for cell, name in zip(cells, _CORRECTION_COLUMNS,
-                                                                                 strict=True)))
+        self._print(_align(cells, _CORRECTION_COLUMNS))
 
     def finish(self, summary: Summary) -> None:
         """Print what was found.
@@ -156,6 +191,8 @@ class RunConsole:
         if math.isfinite(summary.linear_error_px):
             self._print("estimated displacement error left by the linear solver: "
                         f"{summary.linear_error_px:.1e} px RMS")
+        if math.isfinite(summary.noise_floor_px):
+            self._print(_describe_noise_floor(summary))
         if summary.n_pixels_outside:
             self._print(f"{summary.n_pixels_outside} pixels were left out: mapped outside the deformed image or onto "
                         "excluded pixels of it")
@@ -169,26 +206,67 @@ class RunConsole:
         sys.stdout.flush()
 
 
+def _align(cells: Sequence[str], widths: Mapping[str, int]) -> str:
+    """A row of a table, flush right; widths: by name of the column."""
+    return "  ".join(f"{cell:>{width}}" for cell, width in zip(cells, widths.values(), strict=True))
+
+
+def _describe_noise_floor(summary: Summary) -> str:
+    """What noise leaves, beside the correction at which the iteration stopped."""
+    line = f"noise floor: {summary.noise_floor_px:.2g} px RMS a component, were the residual all noise"
+    last = list(summary.iteration_table.get("rms_correction_px", ()))
+    return f"{line}; the last correction was {last[-1]:.1e} px RMS" if last else line
+
+
 def _count(number: int, noun: str) -> str:
     """A number and its noun."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
+def _describe_seconds(seconds: float) -> str:
+    """A time to wait, in words."""
+    if seconds < 60:
+        return f"{math.ceil(seconds)} s"
+    if seconds < 3600:
+        return f"{math.ceil(seconds / 60)} min"
+    return f"{seconds / 3600:.1f} h"
+
+
 class _ProgressBar:
     def __init__(self, console: Console) -> None:
         self._progress = Progress(SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(),
-                                  console=console, transient=True)
-        self._task: TaskID = self._progress.add_task("start", total=len(Phase))
+                                  _TimeLeft(), console=console, transient=True)
+        self._share = RunShare()
+        self._task: TaskID = self._progress.add_task("start", total=1.0)
         self._progress.start()
 
     def phase(self, phase: Phase) -> None:
-        self._progress.update(self._task, description=phase, completed=list(Phase).index(phase))
+        self._share.begin(phase)
+        self._progress.update(self._task, description=phase, completed=self._share.done)
+
+    def set_share(self, share: float) -> None:
+        self._share.set_share(share)
+        self._progress.update(self._task, completed=self._share.done)
+
+    def add_iteration(self, share: float) -> None:
+        self._share.add_iteration(share)
+        self._progress.update(self._task, completed=self._share.done)
 
     def settle(self) -> None:
         pass
 
     def stop(self) -> None:
         self._progress.stop()
+
+
+class _TimeLeft(ProgressColumn):
+    """What a run takes yet if it goes on as before."""
+
+    def render(self, task: Task) -> Text:
+        done, elapsed = float(task.completed), task.elapsed or 0.0
+        if done < LEAST_SHARE:
+            return Text("")
+        return Text(f"about {_describe_seconds(elapsed * (1.0 - done) / done)} left")
 
 
 class _PhaseLines:
@@ -208,6 +286,12 @@ class _PhaseLines:
         self._close()
         self._phase = phase
         self._began = time.perf_counter()
+
+    def set_share(self, share: float) -> None:
+        pass
+
+    def add_iteration(self, share: float) -> None:
+        pass
 
     def settle(self) -> None:
         # So that no line of a phase before lands in the iteration table.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
+from ddic.cli.warned import warnings_as_lines
 from ddic.errors import DdicError
 
 if TYPE_CHECKING:
@@ -33,7 +34,8 @@ def crack(file: Path, line: int, tip: tuple[float, float] | None, inner: float |
     from ddic.io.result_reader import read_result
 
     try:
-        result = read_result(file)
+        with warnings_as_lines():
+            result = read_result(file)
         found = find_crack_tip(result, line, tip=tip, poisson_ratio=poisson_ratio, plane=plane,
                                ring=Ring(inner, outer))
     except DdicError as error:

@@ -86,6 +86,7 @@ def _result_lines(result: Result) -> Lines:
            for number, line in enumerate(get_lines(result), start=1)]
     lines = [
         ("result", str(result.path)),
+        *([] if result.converged else [("status", f"NOT CONVERGED: {result.failure}")]),
         ("mesh", f"{result.mesh.n_nodes} nodes, {result.mesh.n_cells} cells, {result.mesh.n_dofs} unknowns"),
         ("subdomains", str(result.n_subdomains)),
         ("y axis in the file", "up" if result.flipped else "down"),

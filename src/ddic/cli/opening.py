@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from ddic.cli.warned import warnings_as_lines
 from ddic.errors import InputError
 
 
@@ -32,7 +33,8 @@ def opening(file: Path, output: Path | None) -> None:
 
     target = file.with_name(f"{file.stem}.opening.csv") if output is None else output
     try:
-        result = read_result(file)
+        with warnings_as_lines():
+            result = read_result(file)
         found = measure_openings(result)
         with replaced_on_exit(target) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
             table = csv.writer(stream)

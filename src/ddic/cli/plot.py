@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
+from ddic.cli.warned import warnings_as_lines
 from ddic.errors import InputError
 
 if TYPE_CHECKING:
@@ -45,8 +46,9 @@ def plot(file: Path, kind: str, component: Literal["x", "y", "magnitude"], ampli
 
     folder = file.parent if output is None else output
     try:
-        result = read_result(file)
-        second = None if other is None else read_result(other)
+        with warnings_as_lines():
+            result = read_result(file)
+            second = None if other is None else read_result(other)
         kinds = _kinds(kind, result, second)
         preview = _reference(result, image) if "partition" in kinds else None
         folder.mkdir(parents=True, exist_ok=True)

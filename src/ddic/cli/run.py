@@ -10,9 +10,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import NoReturn, TextIO
+from typing import TYPE_CHECKING, NoReturn, TextIO
 
 import click
+
+if TYPE_CHECKING:
+    from ddic.parallel.team import Team
 
 
 @click.command(context_settings={"ignore_unknown_options": True})
@@ -23,18 +26,39 @@ def run(case_file: Path, petsc_options: tuple[str, ...]) -> None:
 
     Options that PETSC_OPTIONS give pass to PETSc, for instance -dual_ksp_monitor.
     """
-    unknown = [option for option in petsc_options if option.startswith("--")]
-    if unknown:
-        raise click.UsageError(f"no such option: {unknown[0]}; PETSc's options begin with one dash")
+    _check_words(case_file, petsc_options)
     signal.signal(signal.SIGTERM, _stop)
     # Imported here because MPI and PETSc start with them, which --help does not need.
     import petsc4py
 
     petsc4py.init(["ddic", *petsc_options])
-    sys.exit(_run_everywhere(case_file))
+    sys.exit(_run_everywhere(case_file, petsc_options))
 
 
-def _run_everywhere(case_file: Path) -> int:
+def _check_words(case_file: Path, words: tuple[str, ...]) -> None:
+    """Refuse what is neither the one case file, nor an option of PETSc, nor the value of one."""
+    if str(case_file).startswith("-"):
+        raise click.UsageError(f"{case_file} stands where the case file belongs: ddic run CASE.toml [PETSc options]")
+    takes_value = False
+    for word in words:
+        if word.startswith("--"):
+            raise click.UsageError(f"no such option: {word}; PETSc's options begin with one dash")
+        is_option = word.startswith("-") and not _is_number(word)
+        if not is_option and (not takes_value or word.endswith(".toml")):
+            raise click.UsageError(f"{word} is one word too many: ddic run takes one case file, then PETSc's options; "
+                                   "run several cases one after the other")
+        takes_value = is_option
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _run_everywhere(case_file: Path, petsc_options: tuple[str, ...]) -> int:
     """Run on all ranks; an error that only this rank has ends the job."""
     import cv2
 
@@ -49,12 +73,23 @@ def _run_everywhere(case_file: Path) -> int:
         with _warnings_told_once(team.is_root):
             if not team.is_root:
                 run_case(team, case_file, Silence())
-                return 0
-            with RunConsole() as console:
-                console.finish(run_case(team, case_file, console))
+            else:
+                with RunConsole() as console:
+                    console.finish(run_case(team, case_file, console))
+        _warn_of_unused_options(team, petsc_options)
     except BaseException as error:
-        return _failed(team, error)
+        return _failed(team, error, petsc_options)
     return 0
+
+
+def _warn_of_unused_options(team: Team, petsc_options: tuple[str, ...]) -> None:
+    """Tell once which options of PETSc changed nothing; collective."""
+    from ddic.solvers.unused_options import list_unused_options
+
+    for option in list_unused_options(team, petsc_options):
+        if team.is_root:
+            click.echo(f"warning: PETSc's option {option} was never asked for: it is mistyped, or belongs to what this "
+                       "run did not do", err=True)
 
 
 @contextmanager
@@ -76,12 +111,10 @@ def _warnings_told_once(speaks: bool) -> Iterator[None]:
         yield
 
 
-def _failed(team: object, error: BaseException) -> int:
+def _failed(team: Team, error: BaseException, petsc_options: tuple[str, ...]) -> int:
     """Say what went wrong, once, and return the exit code or end the job."""
-    from ddic.errors import DdicError, is_collective
-    from ddic.parallel.team import Team
+    from ddic.errors import ConvergenceError, DdicError, is_collective
 
-    assert isinstance(team, Team)
     everywhere = is_collective(error)
     code = error.exit_code if isinstance(error, DdicError) else 1
     if team.is_root or not everywhere:
@@ -99,6 +132,9 @@ def _failed(team: object, error: BaseException) -> int:
         sys.stderr.flush()
     if team.size > 1 and not everywhere:
         team.abort(code)
+    if everywhere and isinstance(error, ConvergenceError):
+        # It may be why.
+        _warn_of_unused_options(team, petsc_options)
     return code
 
 

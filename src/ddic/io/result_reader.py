@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -53,6 +54,8 @@ class Result:
         Columns of the table of PGD-DIC's corrections; empty for other methods.
     separated : SeparatedField or None
         The displacement as a sum of products, of which ``displacement`` are values; None for other methods.
+    failure : str
+        Why the field is no result: the last one of a measurement that did not converge. Empty where it converged.
     """
 
     path: Path
@@ -67,11 +70,18 @@ class Result:
     flipped: bool
     corrections: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     separated: SeparatedField | None = None
+    failure: str = ""
 
     def __repr__(self) -> str:
         origin = "in memory" if self.path == Path() else str(self.path)
-        return (f"<ddic.Result {origin}: {self.mesh.n_nodes} nodes, {self.mesh.n_cells} cells, "
+        doubt = "" if self.converged else " NOT CONVERGED,"
+        return (f"<ddic.Result {origin}:{doubt} {self.mesh.n_nodes} nodes, {self.mesh.n_cells} cells, "
                 f"{self.n_subdomains} subdomains; fields {', '.join(self.fields)}>")
+
+    @property
+    def converged(self) -> bool:
+        """Whether the measurement converged; files before schema 1.6 say nothing else."""
+        return not self.failure
 
     @property
     def n_subdomains(self) -> int:
@@ -146,7 +156,7 @@ class Result:
 
 
 def read_result(path: Path | str) -> Result:
-    """Read a result file.
+    """Read a result file; a UserWarning tells of a field that did not converge.
 
     Parameters
     ----------
@@ -171,9 +181,13 @@ def read_result(path: Path | str) -> Result:
     try:
         with h5py.File(path, "r") as file:
             _check_schema(path, file)
-            return read_open_file(path, file)
+            result = read_open_file(path, file)
     except (OSError, KeyError, ValueError, IndexError) as error:
         raise InputError(f"{path}: not a readable ddic result file ({error}); run ddic again") from error
+    if not result.converged:
+        reason = result.failure.partition(";")[0]
+        warnings.warn(f"{path}: this field did not converge ({reason})", UserWarning, stacklevel=2)
+    return result
 
 
 def displacement_at(result: Result, points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -292,6 +306,7 @@ def read_open_file(path: Path, file: Any) -> Result:
         flipped=flipped,
         corrections=_arrays(file, schema.CORRECTIONS),
         separated=_read_separated(file),
+        failure=str(file.attrs.get(schema.FAILURE, "")),
     )
     if path == Path():
         # What is computed at first use may also be put in place, whatever the class is frozen for.

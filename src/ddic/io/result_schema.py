@@ -11,7 +11,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from ddic.separated.separated_field import SeparatedField
 
-SCHEMA_VERSION = "1.5"
+SCHEMA_VERSION = "1.6"
 VTKHDF_VERSION = (2, 0)
 
 VTKHDF = "VTKHDF"
@@ -29,6 +29,8 @@ CASE = "case"
 PROVENANCE = "provenance"
 TIME = "time"
 UNITS = "units"
+STATUS, FAILURE = "status", "failure"
+CONVERGED, NOT_CONVERGED = "converged", "not converged"
 NEAR_PREFIX = "near_"
 ATTRIBUTE_GROUPS = (CASE, PROVENANCE, TIME, UNITS)
 
@@ -218,6 +220,43 @@ def summary_path(result: Path) -> Path:
         In the same folder.
     """
     return result.with_suffix(".json")
+
+
+def not_converged_path(result: Path) -> Path:
+    """Name the file of a field that did not converge.
+
+    Parameters
+    ----------
+    result : Path
+        The result file that was asked for.
+
+    Returns
+    -------
+    Path
+        In the same folder, NAME.not_converged.vtkhdf.
+    """
+    return _insert(result, "not_converged")
+
+
+def earlier_path(result: Path) -> Path:
+    """Name the file to which a failed run moves an earlier result of the name that it was to write.
+
+    Parameters
+    ----------
+    result : Path
+        The result file that was asked for.
+
+    Returns
+    -------
+    Path
+        In the same folder, NAME.earlier.vtkhdf.
+    """
+    return _insert(result, "earlier")
+
+
+def _insert(path: Path, word: str) -> Path:
+    # Without an ending of its own, the word would be taken for one.
+    return path.with_name(f"{path.stem}.{word}{path.suffix or '.vtkhdf'}")
 
 
 def sidecar_path(path: Path, camera: int = 0) -> Path:

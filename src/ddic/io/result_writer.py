@@ -293,6 +293,17 @@ class ResultWriter:
         for name, value in values.items():
             target.attrs[name] = value
 
+    def write_status(self, failure: str) -> None:
+        """Write whether the field converged, as attributes of the file.
+
+        Parameters
+        ----------
+        failure : str
+            Why it is no result; empty where it converged.
+        """
+        self._file.attrs[schema.STATUS] = schema.NOT_CONVERGED if failure else schema.CONVERGED
+        self._file.attrs[schema.FAILURE] = failure
+
     def _open(self, stack: ExitStack) -> h5py.File:
         """The file under its temporary name, or in memory."""
         if self._path is None:

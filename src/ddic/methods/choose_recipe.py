@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import math
+
+from ddic.errors import ConvergenceError, is_collective
 from ddic.methods.dd_dic import Session
 from ddic.methods.pgd_dic import SeparatedSession
-from ddic.parallel.phases import PhaseClock
+from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.cameras import Frame
 from ddic.problem.inputs import Inputs
 from ddic.results.listener import Listener
+from ddic.results.measurement import Measurement
+from ddic.results.separated_measurement import SeparatedMeasurement
+from ddic.solvers.noise_floor import estimate_noise_by_steps
 
 Recipe = Session | SeparatedSession
 """A prepared measurement."""
@@ -44,3 +50,39 @@ def prepare_recipe(team: Team, inputs: Inputs, listener: Listener, clock: PhaseC
     if inputs.case.pgd is not None:
         return SeparatedSession(team, inputs, listener, clock)
     return Session(team, inputs, listener, clock, first_frame)
+
+
+def estimate_noise_floor(recipe: Recipe, measurement: Measurement | SeparatedMeasurement, clock: PhaseClock) -> float:
+    """Estimate what noise of the residual's size leaves in a measured displacement; collective.
+
+    The residual is taken to be noise of both images; it also holds what the field cannot follow, and lacks what
+    interpolation averages out. With several cameras the noise is the one that weighs them.
+
+    Parameters
+    ----------
+    recipe : Session or SeparatedSession
+        That measured.
+    measurement : Measurement or SeparatedMeasurement
+        What it measured last.
+    clock : PhaseClock
+        Of the phases.
+
+    Returns
+    -------
+    float
+        RMS of a component at a node, pixels; nan for PGD-DIC, and where a linear step fails.
+    """
+    if not isinstance(recipe, Session) or not isinstance(measurement, Measurement):
+        return float("nan")
+    problem = recipe.problem
+    sigma = problem.noise[0] if problem.noise else measurement.evaluation.grey[0].residual_std / math.sqrt(2.0)
+    with clock.phase(Phase.FINISH):
+        try:
+            counted = [~is_unmeasured for is_unmeasured in measurement.unmeasured]
+            return estimate_noise_by_steps(problem.team, problem.solver.assembly.systems, problem.solver.step, sigma,
+                                           counted)
+        except ConvergenceError as error:
+            # What was measured stands without it; what this rank alone raises must end the job.
+            if not is_collective(error):
+                raise
+            return float("nan")

@@ -16,6 +16,7 @@ from ddic.problem.cameras import Frame
 from ddic.problem.inputs import Inputs
 from ddic.problem.reference_problem import build_whole_mesh, prepare_reference
 from ddic.problem.weighted_problem import WeightedProblem
+from ddic.results.last_field import last_field_kept
 from ddic.results.listener import Listener
 from ddic.results.measurement import Measurement, finish_measurement
 from ddic.start.coarse_field import prepare_search
@@ -93,7 +94,7 @@ class Session:
         Raises
         ------
         InputError, SingularSubdomainError, ConvergenceError
-            On all ranks; the session can measure other frames afterwards.
+            On all ranks, the last with the last field; the session can measure other frames afterwards.
         """
         problem, first_found = self.problem, None
         if frame is self._first_frame:
@@ -102,11 +103,12 @@ class Session:
         started = find_start(self._start, frame, views, first_found, start)
         model = problem.build_residual_model(views)
         self._tell(started.notes)
-        solved = solve_frame(problem, model, started.q, self._listener, self._clock)
+        notes = (*problem.reference.notes, *started.notes)
+        with last_field_kept(self._clock, lambda *last: finish_measurement(problem, frame, notes, *last)):
+            solved = solve_frame(problem, model, started.q, self._listener, self._clock)
         with self._clock.phase(Phase.FINISH):
-            notes = (*problem.reference.notes, *started.notes, *solved.notes)
-            measurement = finish_measurement(problem, frame, solved, notes)
-        self._tell(measurement.notes[len(notes):])
+            measurement = finish_measurement(problem, frame, notes, solved)
+        self._tell(measurement.notes[len(notes) + len(solved.notes):])
         return measurement
 
     def _tell(self, notes: tuple[str, ...]) -> None:

@@ -74,8 +74,9 @@ def find_discontinuity(team: Team, inputs: Inputs, frame: Frame, listener: Liste
         try:
             measurement = session.measure(frame)
         except ConvergenceError as error:
-            raise as_collective(ConvergenceError(f"detection: the continuous field in which a line is looked for does "
-                                                 f"not converge; give discontinuity.vertices ({error})")) from error
+            raise as_collective(ConvergenceError("detection: the continuous field in which a line is looked for does "
+                                                 f"not converge; give discontinuity.vertices ({error})",
+                                                 error.last)) from error
     with clock.phase(Phase.START):
         displacement = gather_displacement(measurement)
         found = team.on_root(lambda: find_line_of_case(inputs, frame, require_held(displacement)))

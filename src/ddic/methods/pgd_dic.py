@@ -11,6 +11,7 @@ from ddic.problem.cameras import Frame
 from ddic.problem.inputs import Inputs
 from ddic.problem.separated_problem import prepare_separated_problem
 from ddic.results.finish_separated import finish_separated
+from ddic.results.last_field import last_field_kept
 from ddic.results.listener import Listener
 from ddic.results.separated_measurement import SeparatedMeasurement
 from ddic.separated.corrections import correct_displacement
@@ -69,7 +70,7 @@ class SeparatedSession:
         Raises
         ------
         InputError, SingularSubdomainError, ConvergenceError
-            On all ranks; the session can measure other frames afterwards.
+            On all ranks, the last with the last field; the session can measure other frames afterwards.
         """
         problem = self._problem
         with self._clock.phase(Phase.START):
@@ -78,12 +79,13 @@ class SeparatedSession:
             self._listener.note(line)
         self._listener.problem_size(problem.size)
         pixels = problem.open_frame(frame)
-        with self._clock.phase(Phase.LINEAR_STEP):
+        with (last_field_kept(self._clock, lambda *found: finish_separated(problem, frame, pixels, notes, *found)),
+              self._clock.phase(Phase.LINEAR_STEP)):
             solution = problem.team.alike(lambda: correct_displacement(
                 pixels, begin, problem.regularization, problem.scheme, problem.rules, self._listener.correction))
         self._listener.note(solution.stop)
         with self._clock.phase(Phase.FINISH):
-            return finish_separated(problem, frame, pixels, solution, notes)
+            return finish_separated(problem, frame, pixels, notes, solution)
 
     def close(self) -> None:
         """Do nothing: there is no object of PETSc to free."""

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ddic.io.result_schema import summary_path
-from ddic.methods.choose_recipe import prepare_recipe
+from ddic.errors import DdicError
+from ddic.methods.choose_recipe import estimate_noise_floor, prepare_recipe
 from ddic.methods.detect import find_discontinuity
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.check_ranks import load_checked_case
 from ddic.problem.inputs import open_inputs
 from ddic.results.listener import Listener
-from ddic.results.phase_times import gather_phase_times
-from ddic.results.publishing import Destination, publish
-from ddic.results.summarize import summarize
-from ddic.results.summary import Summary, write_summary
+from ddic.results.publishing import Destination
+from ddic.results.run_files import keep_failed_run, remove_failed_field, write_run
+from ddic.results.summary import Summary
 
 
 def run_case(team: Team, path: Path, listener: Listener) -> Summary:
@@ -38,19 +37,23 @@ def run_case(team: Team, path: Path, listener: Listener) -> Summary:
     Raises
     ------
     DdicError
-        On all ranks; nothing is written unless the measurement converged.
+        On all ranks. Where the measurement does not converge, its last field is written under a name that says so, and
+        an earlier result is moved out of the way; the message says where both are.
     """
     loaded = team.on_root(lambda: load_checked_case(path, team.size))
-    output = loaded.case.output
-    clock = PhaseClock(entered=listener.phase, waiting=team.waiting)
-    with clock.phase(Phase.MESH):
-        inputs, frame = open_inputs(team, loaded)
-    inputs = find_discontinuity(team, inputs, frame, listener, clock)
-    with prepare_recipe(team, inputs, listener, clock, frame) as recipe:
-        measurement = recipe.measure(frame)
-    with clock.phase(Phase.WRITE):
-        publish(measurement, Destination(output.file, output.flip_y, gather_phase_times(team, clock)))
-    summary = summarize(measurement, clock)
-    team.on_root(lambda: write_summary(summary_path(output.file), summary))
+    output, start = loaded.case.output, loaded.case.start.from_result
+    clock = PhaseClock(entered=listener.phase, advanced=listener.progress, waiting=team.waiting)
+    try:
+        with clock.phase(Phase.MESH):
+            inputs, frame = open_inputs(team, loaded)
+        inputs = find_discontinuity(team, inputs, frame, listener, clock)
+        with prepare_recipe(team, inputs, listener, clock, frame) as recipe:
+            measurement = recipe.measure(frame)
+            noise_floor = estimate_noise_floor(recipe, measurement, clock)
+    except DdicError as error:
+        keep_failed_run(team, error, Destination(output.file, output.flip_y), start, clock)
+        raise
+    summary = write_run(measurement, clock, output.file, noise_floor)
+    remove_failed_field(team, output.file, start)
     return summary
 

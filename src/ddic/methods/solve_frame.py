@@ -55,44 +55,56 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[Array], 
     Raises
     ------
     ConvergenceError, SingularSubdomainError, FactorizationError
-        On all ranks.
+        On all ranks; the first with the last SolvedFrame.
     """
     with clock.phase(Phase.READ):
         whole.team.together(lambda: read_frame_windows(whole.views, q))
-    case, textures = problem.reference.inputs.case, problem.textures
+    case, textures, subdomains = problem.reference.inputs.case, problem.textures, problem.reference.subdomains
     with clock.phase(Phase.RESIDUAL):
         seen, of_blur = see_start(case, problem.reference.inputs.cameras, whole, q, textures)
     model, notes = _fit_operators(problem, exclude(seen.whole.with_large_gradients(q), seen.excluded), q)
     notes = (*of_blur, *notes)
     _tell(listener, notes)
     listener.problem_size(problem.size)
-    solution = Solution(q, [])
+    solved = SolvedFrame(average_copies(whole.team, subdomains, q), Solution(q, []), seen, model, notes)
     for n_rounds in range(1, MOST_ROUNDS + 1):
-        progress = Progress(clock, listener.iteration, len(solution.records))
-        found = run_gauss_newton(model, solution.q, problem.solver.step, problem.tolerances, progress)
-        solution = replace(found, records=[*solution.records, *found.records])
-        field = average_copies(whole.team, problem.reference.subdomains, solution.q)
+        found = _iterate(problem, solved, Progress(clock, listener.iteration, len(solved.solution.records)))
+        field = average_copies(whole.team, subdomains, found.q)
         with clock.phase(Phase.RESIDUAL):
             now = see_frame(case, seen.whole, field.q, textures)
         excluded = now.excluded if n_rounds < GROWING else seen.excluded.join(now.excluded)
         is_seen_otherwise = (now.whole.correction != seen.whole.correction
                              or excluded.is_other_than(whole.team, seen.excluded))
-        if is_seen_otherwise:
-            seen = replace(now, excluded=excluded)
-        # Where the start was far off, other pixels are hidden here: that held the step back, or left a node to nothing.
-        followed = model if model.follows else model.with_large_gradients(solution.q)
-        kept = exclude(replace(followed, views=seen.whole.views, correction=seen.whole.correction), seen.excluded)
-        model, renewed = _fit_operators(problem, kept, solution.q)
-        _tell(listener, renewed)
-        notes = (*notes, *renewed)
-        if not (is_seen_otherwise or renewed):
+        seen = replace(now, excluded=excluded) if is_seen_otherwise else replace(seen, evaluation=now.evaluation)
+        if not (found.converged or is_seen_otherwise):
+            found = accept_noise(problem, solved.used, now.evaluation, found)
             if not found.converged:
-                solution = accept_noise(model, now.evaluation, solution, problem.solver.step)
-            listener.note(solution.stop)
-            return SolvedFrame(field, solution, seen.whole, model, now.evaluation, seen.excluded, notes)
+                raise as_collective(ConvergenceError(found.stop, replace(solved, field=field, solution=found)))
+        # Where the start was far off, other pixels are hidden here: that held the step back, or left a node to nothing.
+        followed = model if model.follows else model.with_large_gradients(found.q)
+        kept = exclude(replace(followed, views=seen.whole.views, correction=seen.whole.correction), seen.excluded)
+        model, renewed = _fit_operators(problem, kept, found.q)
+        _tell(listener, renewed)
+        solved = SolvedFrame(field, found, seen, model, (*solved.notes, *renewed))
+        if not (is_seen_otherwise or renewed):
+            listener.note(found.stop)
+            return solved
     raise as_collective(ConvergenceError(
         f"what the frame shows, pixels or how far they turn, still changes after {MOST_ROUNDS} solutions; look at "
-        "the masks and the start, or give a longer regularization.cut_off_wavelength"))
+        "the masks and the start, or give a longer regularization.cut_off_wavelength", solved))
+
+
+def _iterate(problem: WeightedProblem, solved: SolvedFrame, progress: Progress) -> Solution:
+    """Go on from what was solved; where that fails, the error has the last field."""
+    before = solved.solution
+    try:
+        found = run_gauss_newton(solved.used, before.q, problem.solver.step, problem.tolerances, progress)
+    except ConvergenceError as error:
+        last = replace(error.last, records=[*before.records, *error.last.records])
+        field = average_copies(problem.team, problem.reference.subdomains, last.q)
+        error.last = replace(solved, solution=last, field=field, is_evaluated=False)
+        raise
+    return replace(found, records=[*before.records, *found.records])
 
 
 def _fit_operators(problem: WeightedProblem, model: ResidualModel,

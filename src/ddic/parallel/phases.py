@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import TypeVar
 
 from ddic.parallel.team import Waiting
+
+T = TypeVar("T")
 
 
 class Phase(StrEnum):
@@ -43,6 +46,8 @@ class PhaseClock:
         CPU seconds by phase without those that ``waiting`` counts.
     entered : callable or None
         Told each phase that begins.
+    advanced : callable or None
+        Told which share of the phase at hand this rank has done, from 0 to 1.
     waiting : Waiting
         Of the team whose communication is no work; by default nothing counts as waiting.
     """
@@ -51,6 +56,7 @@ class PhaseClock:
     cpu: dict[Phase, float] = field(default_factory=dict)
     busy: dict[Phase, float] = field(default_factory=dict)
     entered: Callable[[Phase], None] | None = None
+    advanced: Callable[[float], None] | None = None
     waiting: Waiting = field(default_factory=Waiting)
 
     @contextmanager
@@ -75,3 +81,23 @@ class PhaseClock:
             self.wall[phase] = self.wall.get(phase, 0.0) + time.perf_counter() - wall_before
             self.cpu[phase] = self.cpu.get(phase, 0.0) + cpu
             self.busy[phase] = self.busy.get(phase, 0.0) + cpu - waited
+
+    def note_each(self, items: Sequence[T], begin: float = 0.0, end: float = 1.0) -> Iterator[T]:
+        """Go through what the phase at hand works on, item by item, and tell how far it is.
+
+        Parameters
+        ----------
+        items : sequence
+            As long to work on, each, as far as is known.
+        begin, end : float, optional
+            Shares of the phase before and after all of them.
+
+        Yields
+        ------
+        object
+            The items.
+        """
+        for n_done, item in enumerate(items, start=1):
+            yield item
+            if self.advanced is not None:
+                self.advanced(begin + (end - begin) * n_done / len(items))

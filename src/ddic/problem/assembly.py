@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,15 +55,15 @@ class Assembly:
         return 1.0 if self.eta == 0 else float(1.0 / np.sqrt(self.eta * self.mean_diagonal))
 
 
-def assemble_hessians(team: Team, references: Sequence[ReferenceViews]) -> list[Hessians]:
+def assemble_hessians(team: Team, references: Iterable[ReferenceViews]) -> list[Hessians]:
     """Assemble M of all views of owned subdomains; an error is raised on all ranks.
 
     Parameters
     ----------
     team : Team
         All ranks.
-    references : sequence of ReferenceViews
-        Owned subdomains.
+    references : iterable of ReferenceViews
+        Owned subdomains, gone through once.
 
     Returns
     -------

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ddic.case.loader import LoadedCase
+from ddic.case.schema import Case
+from ddic.case.unused_keys import list_unused_keys
 from ddic.errors import InputError
 from ddic.images.source import ImageSource
 from ddic.io.result_reader import read_result
@@ -20,7 +23,7 @@ from ddic.problem.check_output import check_output
 from ddic.problem.check_report import CheckReport, describe_inputs
 from ddic.problem.check_separated import check_separated_case
 from ddic.problem.gather_problems import Problems
-from ddic.problem.mesh_source import build_meshes
+from ddic.problem.mesh_source import build_mesh_anywhere, build_meshes
 
 PixelCounter = Callable[[Mesh, Tying | None], NDArray[np.int64]]
 """Gives the number of pixels of each cell of a mesh, (n_cells,); raises InputError where an image is unfit."""
@@ -48,6 +51,8 @@ def check_case(loaded: LoadedCase, count_pixels: PixelCounter | None = None) -> 
     """
     case = loaded.case
     problems = Problems()
+    for line in list_unused_keys(case):
+        warnings.warn(f"{loaded.path}: {line}", UserWarning, stacklevel=2)
     reference = check_images(case.images, problems)
     for near in case.near:
         check_images(near, problems)
@@ -56,32 +61,53 @@ def check_case(loaded: LoadedCase, count_pixels: PixelCounter | None = None) -> 
     with problems.gathered():
         if case.start.from_result is not None:
             read_result(case.start.from_result)
-    if reference is None:
-        raise InputError(problems.lines)
     if case.pgd is not None:
+        if reference is None:
+            raise InputError(problems.lines)
         return check_separated_case(loaded, reference, problems)
     checked = _check_mesh(loaded, reference, count_pixels or _count_pixels, problems)
     not_controlled = check_mesh_uses(loaded, checked, problems)
-    problems.require_none()
+    if reference is None or problems.lines:
+        raise InputError(problems.lines)
     return describe_inputs(case, reference, checked, not_controlled)
 
 
-def _check_mesh(loaded: LoadedCase, reference: ImageSource, count_pixels: PixelCounter,
+def _check_mesh(loaded: LoadedCase, reference: ImageSource | None, count_pixels: PixelCounter,
                 problems: Problems) -> CheckedMesh:
-    """The mesh and its pixels; where there is none, raises InputError with this and all earlier problems."""
+    """The mesh and its pixels; where there is none at all, raises InputError with this and all earlier problems."""
+    case = loaded.case
     try:
-        mesh, tying = build_meshes(loaded.case, reference.width, reference.height)
+        if reference is None:
+            return _without_pixels(build_mesh_anywhere(case))
+        mesh, tying = build_meshes(case, reference.width, reference.height)
     except InputError as error:
-        problems.add(error)
-        raise InputError(problems.lines) from error
+        if reference is not None:
+            problems.add(error)
+        return _build_unplaced(case, problems)
     # What several cameras see of the mesh cannot be said without all of their images.
-    if loaded.case.near:
-        problems.require_none()
+    if case.near and problems.lines:
+        return _without_pixels(mesh, tying)
     try:
         return CheckedMesh(mesh, tying, count_pixels(mesh, tying))
     except InputError as error:
         problems.add(error, loaded.path)
+        return _without_pixels(mesh, tying)
+
+
+def _build_unplaced(case: Case, problems: Problems) -> CheckedMesh:
+    """The mesh outside the image, for its node sets' sake."""
+    try:
+        return _without_pixels(build_mesh_anywhere(case))
+    except InputError as error:
+        # What is wrong with it was said above, unless no image was there to build it for.
+        if not problems.lines:
+            problems.add(error)
         raise InputError(problems.lines) from error
+
+
+def _without_pixels(mesh: Mesh, tying: Tying | None = None) -> CheckedMesh:
+    """A mesh of which nothing is said by pixels."""
+    return CheckedMesh(mesh, tying, np.ones(mesh.n_cells, np.int64))
 
 
 def _count_pixels(mesh: Mesh, _: Tying | None) -> NDArray[np.int64]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case, ImagesSection, MeshSection, NearSection
 from ddic.errors import InputError
-from ddic.io.result_schema import sidecar_path, summary_path
+from ddic.io.result_schema import earlier_path, not_converged_path, sidecar_path, summary_path
 
 
 def check_output(loaded: LoadedCase) -> None:
@@ -58,8 +58,8 @@ def check_output_file(file: Path) -> None:
 def _check_nothing_is_overwritten(loaded: LoadedCase) -> None:
     result = loaded.case.output.file
     n_cameras = 1 + len(loaded.case.near)
-    sidecars = [sidecar_path(result, camera) for camera in range(n_cameras)]
-    written = {path.resolve() for path in (result, summary_path(result), *sidecars)}
+    written = {path.resolve() for name in (result, not_converged_path(result), earlier_path(result))
+               for path in (name, summary_path(name), *(sidecar_path(name, camera) for camera in range(n_cameras)))}
     for path in (loaded.path, *_list_inputs(loaded.case)):
         if path is not None and path.resolve() in written:
             raise InputError(f"output.file: {result} would overwrite the input {path}; choose another name")

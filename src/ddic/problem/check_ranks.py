@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ddic.case.loader import LoadedCase, load_case
+from ddic.case.loader import LoadedCase, load_case_leniently
 from ddic.errors import InputError
 from ddic.problem.check_inputs import check_inputs
+from ddic.problem.check_report import CheckReport
+from ddic.problem.gather_problems import Problems
 from ddic.problem.rectangle import check_number_of_ranks
 
 
@@ -61,7 +63,43 @@ def load_checked_case(path: Path, n_ranks: int) -> LoadedCase:
     InputError
         With all problems, one line each.
     """
-    loaded = load_case(path)
-    check_inputs(loaded)
-    check_ranks(loaded, n_ranks)
+    loaded, _ = _load_and_check(path, n_ranks)
     return loaded
+
+
+def check_case_file(path: Path) -> CheckReport:
+    """Check a case file and everything that it names.
+
+    Parameters
+    ----------
+    path : Path
+        The case file.
+
+    Returns
+    -------
+    CheckReport
+        What the inputs are.
+
+    Raises
+    ------
+    InputError
+        With all problems, one line each.
+    """
+    return _load_and_check(path, None)[1]
+
+
+def _load_and_check(path: Path, n_ranks: int | None) -> tuple[LoadedCase, CheckReport]:
+    loaded, of_keys = load_case_leniently(path)
+    if loaded is None:
+        raise InputError(of_keys)
+    problems, report = Problems(), None
+    problems.lines += of_keys
+    with problems.gathered():
+        report = check_inputs(loaded)
+    if n_ranks is not None:
+        with problems.gathered():
+            check_ranks(loaded, n_ranks)
+    problems.require_none()
+    if report is None:
+        raise TypeError("inputs without problems have a report")
+    return loaded, report

@@ -146,7 +146,7 @@ class LinearSolver:
         else:
             self.n_factorized += sum(changed)
         with self._clock.phase(Phase.INTERFACE_SET_UP if method == "dual" else Phase.FACTORIZE):
-            self._step = _make_step(self._team, self._case, self.assembly, self._operators)
+            self._step = _make_step(self._team, self._case, self.assembly, self._operators, self._clock)
 
     def _factorize(self, changed: Sequence[bool]) -> None:
         """Factorise A_s where it changed; old factors are freed before new ones need their memory."""
@@ -161,7 +161,7 @@ class LinearSolver:
 
         def factorize() -> list[LocalOperator]:
             operators = []
-            for system, kept in zip(self.assembly.systems, old, strict=True):
+            for system, kept in self._clock.note_each(list(zip(self.assembly.systems, old, strict=True))):
                 if kept is not None:
                     operators.append(kept)
                     continue
@@ -178,7 +178,8 @@ class LinearSolver:
                              where=_describe(system.subdomain))
 
 
-def _make_step(team: Team, case: Case, assembly: Assembly, operators: Sequence[LocalOperator]) -> LinearStep:
+def _make_step(team: Team, case: Case, assembly: Assembly, operators: Sequence[LocalOperator],
+               clock: PhaseClock) -> LinearStep:
     """The step of Gauss-Newton that a case asks for; operators: local factors, none outside LOCAL_FACTORS."""
     solver = case.solver
     if solver.method == "monolithic":
@@ -190,7 +191,7 @@ def _make_step(team: Team, case: Case, assembly: Assembly, operators: Sequence[L
     preconditioner = choose_preconditioner(team, case, [system.subdomain for system in assembly.systems])
     settings = DualSettings(preconditioner, solver.tolerance, solver.max_iterations, solver.recycle,
                             solver.local_inverse)
-    return DualStep(team, assembly.systems, operators, assembly.reaction_scale, settings)
+    return DualStep(team, assembly.systems, operators, assembly.reaction_scale, settings, clock)
 
 
 def choose_preconditioner(team: Team, case: Case, subdomains: Sequence[Subdomain]) -> Preconditioner:

@@ -73,6 +73,29 @@ def build_meshes(case: Case, width: int, height: int) -> tuple[Mesh, Tying | Non
     return tie_meshes(far, near)
 
 
+def build_mesh_anywhere(case: Case) -> Mesh:
+    """Build the case's mesh wherever it lies, to check what refers to it beside an image that it does not fit.
+
+    Parameters
+    ----------
+    case : Case
+        With absolute paths.
+
+    Returns
+    -------
+    Mesh
+        Not fit for measuring.
+
+    Raises
+    ------
+    InputError
+        Where it cannot be built, or not without an image whose size its mask has.
+    """
+    if case.mesh.structured is not None and case.mesh.structured.mask is not None:
+        raise InputError("mesh.structured.mask: its image cannot be read")
+    return repair(_raw_mesh(case.mesh, 0, 0))
+
+
 def describe_mesh_source(case: Case) -> str:
     """Name the mesh for messages.
 

@@ -143,7 +143,7 @@ def _read_and_assemble(team: Team, inputs: Inputs, region_mesh: RegionMesh | Non
         references = team.together(lambda: read_reference_views(case, inputs.cameras, subdomains))
         n_pixels = sum(team.gather_lists([view.n_pixels for r in references for view in r.views]))
     with clock.phase(Phase.ASSEMBLE):
-        hessians = assemble_hessians(team, references)
+        hessians = assemble_hessians(team, clock.note_each(references))
     lines = _describe_discontinuities(team, region_mesh)
     notes = (*inputs.notes, *notes, *lines, *note_crowded_cores(team, case.solver.threads), *describe_missing_package())
     return ReferenceProblem(inputs, region, references, hessians, n_pixels, notes)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ddic.problem.exclusions import Exclusions
-from ddic.problem.residual_model import Evaluation, ResidualModel
+from ddic.problem.residual_model import ResidualModel
+from ddic.problem.see_frame import SeenFrame
 from ddic.solvers.dual.continuity import ContinuousField
 from ddic.solvers.gauss_newton import Solution
 
@@ -20,20 +20,19 @@ class SolvedFrame:
         Unknowns, one value for the copies of each (Eq. 41 of [BP17]).
     solution : Solution
         Unknowns before that, and all iterations.
-    whole, used : ResidualModel
-        Of all pixels that the frame shows, and of those that were used.
-    evaluation : Evaluation
-        Of all of them, at the field.
-    excluded : Exclusions
-        The others, and cells.
+    seen : SeenFrame
+        All pixels that the frame shows, and what of them was excluded.
+    used : ResidualModel
+        Of the others.
     notes : tuple of str
         What was renewed.
+    is_evaluated : bool
+        Whether what is seen was evaluated at the field.
     """
 
     field: ContinuousField
     solution: Solution
-    whole: ResidualModel
+    seen: SeenFrame
     used: ResidualModel
-    evaluation: Evaluation
-    excluded: Exclusions
     notes: tuple[str, ...]
+    is_evaluated: bool = True

@@ -11,8 +11,8 @@ from ddic.separated.corrections import SeparatedSolution
 from ddic.separated.pixel_bands import FramePixels
 
 
-def finish_separated(problem: SeparatedProblem, frame: Frame, pixels: FramePixels, solution: SeparatedSolution,
-                     notes: tuple[str, ...]) -> SeparatedMeasurement:
+def finish_separated(problem: SeparatedProblem, frame: Frame, pixels: FramePixels, notes: tuple[str, ...],
+                     solution: SeparatedSolution, failure: str = "") -> SeparatedMeasurement:
     """Compute the residual image and judge cells; collective.
 
     Parameters
@@ -23,10 +23,12 @@ def finish_separated(problem: SeparatedProblem, frame: Frame, pixels: FramePixel
         The deformed image.
     pixels : FramePixels
         Of this rank.
-    solution : SeparatedSolution
-        The displacement.
     notes : tuple of str
         So far.
+    solution : SeparatedSolution
+        The displacement.
+    failure : str, optional
+        Why the displacement is no result; nothing where it converged.
 
     Returns
     -------
@@ -36,5 +38,5 @@ def finish_separated(problem: SeparatedProblem, frame: Frame, pixels: FramePixel
     residual = pixels.compute_residual_rows(solution.field, solution.grey.gain, solution.grey.offset)
     lines = choose_output_lines(problem.inputs.case, problem.rectangle)
     cells = evaluate_output_cells(problem.team, lines, problem.reference, residual)
-    notes = (*problem.inputs.notes, *notes, solution.stop, *cells.notes)
-    return SeparatedMeasurement(problem, frame, solution, cells, residual, notes)
+    notes = (*problem.inputs.notes, *notes, failure or solution.stop, *cells.notes)
+    return SeparatedMeasurement(problem, frame, solution, cells, residual, notes, failure)

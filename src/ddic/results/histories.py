@@ -22,6 +22,23 @@ def write_histories(measurement: Measurement, writer: ResultWriter) -> None:
     writer : ResultWriter
         Open.
     """
+    writer.write_table(schema.GAUSS_NEWTON, list_iterations(measurement))
+    writer.write_curves(schema.KRYLOV, [r.krylov_history for r in measurement.records])
+
+
+def list_iterations(measurement: Measurement) -> dict[str, list[Any]]:
+    """List Gauss-Newton's iterations.
+
+    Parameters
+    ----------
+    measurement : Measurement
+        What was measured.
+
+    Returns
+    -------
+    dict of list
+        Columns of their table, by name; the residual is that before each correction.
+    """
     records = measurement.records
     columns: dict[str, list[Any]] = {
         "iteration": [r.number for r in records],
@@ -38,8 +55,7 @@ def write_histories(measurement: Measurement, writer: ResultWriter) -> None:
         columns[f"near_{camera.number}_residual_std_grey"] = [r.cameras[camera.number].residual_std for r in records]
     columns["krylov_iterations"] = [r.krylov_iterations for r in records]
     columns["linear_error_px"] = [r.linear_error for r in records]
-    writer.write_table(schema.GAUSS_NEWTON, columns)
-    writer.write_curves(schema.KRYLOV, [r.krylov_history for r in records])
+    return columns
 
 
 def write_attributes(measurement: Measurement, writer: ResultWriter) -> None:

@@ -23,6 +23,16 @@ class Listener(Protocol):
         """
         ...
 
+    def progress(self, share: float) -> None:
+        """Take note of how far the phase at hand is.
+
+        Parameters
+        ----------
+        share : float
+            That this rank has done, from 0 to 1.
+        """
+        ...
+
     def note(self, line: str) -> None:
         """Take note of something worth a line.
 
@@ -70,6 +80,9 @@ class Silence(Listener):
     def phase(self, phase: Phase) -> None:
         """Ignore."""
 
+    def progress(self, share: float) -> None:
+        """Ignore."""
+
     def note(self, line: str) -> None:
         """Ignore."""
 
@@ -98,6 +111,10 @@ class WithoutNotes(Listener):
     def phase(self, phase: Phase) -> None:
         """Pass it on."""
         self._listener.phase(phase)
+
+    def progress(self, share: float) -> None:
+        """Pass it on."""
+        self._listener.progress(share)
 
     def note(self, line: str) -> None:
         """Ignore."""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ddic.case.schema import Case
 from ddic.errors import ConvergenceError, as_collective, list_first
+from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.io.result_writer import ResultWriter
 from ddic.kinematics.strain import find_inverted_cells
 from ddic.mesh.interpolation import interpolate
@@ -23,8 +24,8 @@ from ddic.problem.cell_errors import (
     measure_cell_residuals,
 )
 from ddic.problem.exclusions import Exclusions
-from ddic.problem.held_unknowns import find_free_unknowns, find_held
 from ddic.problem.inputs import Inputs
+from ddic.problem.noise_of_field import find_unmeasured_nodes
 from ddic.problem.problem_size import ProblemSize
 from ddic.problem.region_mesh import Region
 from ddic.problem.residual_model import Evaluation, ResidualModel
@@ -81,6 +82,8 @@ class Measurement:
         With all pixels that the frame shows, also those that do not count.
     stop : str
         Which tolerances ended Gauss-Newton.
+    failure : str
+        Why it is no result; empty where it converged.
     """
 
     inputs: Inputs
@@ -100,6 +103,7 @@ class Measurement:
     unmeasured: list[NDArray[np.bool_]]
     whole: ResidualModel
     stop: str
+    failure: str = ""
 
     @property
     def team(self) -> Team:
@@ -125,6 +129,11 @@ class Measurement:
             displacement.reshape(subdomain.mesh.nodes.shape)[is_unmeasured] = np.nan
             found.append(displacement)
         return found
+
+    @property
+    def grey_correction(self) -> GreyCorrection:
+        """Correction of grey levels that was taken."""
+        return self.model.correction
 
     @property
     def unknowns(self) -> list[Array]:
@@ -170,6 +179,7 @@ class Measurement:
     def _write_histories(self, writer: ResultWriter) -> None:
         write_histories(self, writer)
         write_attributes(self, writer)
+        writer.write_status(self.failure)
 
     def describe_origin(self) -> dict[str, str | int]:
         """Say what it was measured from.
@@ -184,8 +194,8 @@ class Measurement:
                 **describe_image("reference", reference), **describe_image("deformed", deformed)}
 
 
-def finish_measurement(problem: WeightedProblem, frame: Frame, solved: SolvedFrame,
-                       notes: tuple[str, ...]) -> Measurement:
+def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str, ...], solved: SolvedFrame,
+                       failure: str = "") -> Measurement:
     """Evaluate the residual at a field and judge its cells; collective.
 
     Parameters
@@ -194,10 +204,12 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, solved: SolvedFra
         That was solved.
     frame : Frame
         The deformed images.
-    solved : SolvedFrame
-        Its field.
     notes : tuple of str
         What the user should know.
+    solved : SolvedFrame
+        Its field.
+    failure : str, optional
+        Why the field is no result; nothing where it converged.
 
     Returns
     -------
@@ -207,42 +219,30 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, solved: SolvedFra
     Raises
     ------
     ConvergenceError
-        On all ranks, where the field turns cells inside out or leaves no pixel of a camera.
+        On all ranks, where the field leaves no pixel of a camera; with the measurement, where a field that converged
+        turns cells inside out.
     """
     team, inputs = problem.team, problem.reference.inputs
     subdomains = problem.reference.subdomains
-    field, model, excluded = solved.field, solved.used, solved.excluded
+    field, model, excluded = solved.field, solved.used, solved.seen.excluded
     motions: tuple[SetupMotion, ...] = ()
     if any(camera.setup.n_motion_unknowns for camera in inputs.cameras):
         solver = problem.solver
         spread = estimate_covariances(team, solver.assembly.systems, solver.step, problem.noise[0])
         motions = describe_motions(inputs.cameras, collect_motions(team, inputs.cameras, subdomains, field.q), spread)
-    evaluation = model.evaluate(field.q) if excluded.is_any(team) else solved.evaluation
+    is_known = solved.is_evaluated and not excluded.is_any(team)
+    evaluation = solved.seen.evaluation if is_known else model.evaluate(field.q)
     cell_errors = _judge_cells(problem, model, evaluation)
-    unmeasured = _find_unmeasured_nodes(problem, evaluation)
-    notes = (*notes, *_describe_correction(inputs.case, model), *describe_exclusions(team, model.views, excluded),
-             *describe_doubtful_cells(team, cell_errors))
+    unmeasured = find_unmeasured_nodes(problem, evaluation)
+    notes = (*notes, *solved.notes, *_describe_correction(inputs.case, model),
+             *describe_exclusions(team, model.views, excluded), *describe_doubtful_cells(team, cell_errors))
     measurement = Measurement(inputs, frame, problem.reference.region, model, field.q, field.largest_jump, evaluation,
                               problem.size, solved.solution.records, notes, motions, problem.noise, cell_errors,
-                              excluded, unmeasured, solved.whole, solved.solution.stop)
-    refuse_inverted_cells(team, subdomains, measurement.displacements)
+                              excluded, unmeasured, solved.seen.whole, solved.solution.stop, failure)
+    inverted = describe_inverted_cells(team, subdomains, measurement.displacements)
+    if inverted and not failure:
+        raise as_collective(ConvergenceError(inverted, replace(measurement, failure=inverted)))
     return measurement
-
-
-def _find_unmeasured_nodes(problem: WeightedProblem, evaluation: Evaluation) -> list[NDArray[np.bool_]]:
-    """Nodes of each owned subdomain that neither pixels nor mechanics hold; collective."""
-    subdomains = problem.reference.subdomains
-    if problem.reference.inputs.case.regularization is not None:
-        return [np.zeros(subdomain.mesh.n_nodes, dtype=bool) for subdomain in subdomains]
-    unseen = [~find_held(subdomain, tuple(residual.cell_sums.n_pixels.astype(np.int64) for residual in of_views))
-              for subdomain, of_views in zip(subdomains, evaluation.residuals, strict=True)]
-    unheld = np.array(sorted(find_free_unknowns(problem.team, subdomains, unseen)), dtype=np.int64)
-    found = []
-    for subdomain in subdomains:
-        columns = np.isin(subdomain.kinematics.numbers, unheld)
-        of_dofs = np.asarray(abs(subdomain.kinematics.tangent)[:, columns].sum(axis=1)).ravel() > 0
-        found.append(of_dofs.reshape(subdomain.mesh.nodes.shape).any(axis=1))
-    return found
 
 
 def _describe_correction(case: Case, model: ResidualModel) -> tuple[str, ...]:
@@ -263,8 +263,8 @@ def _judge_cells(problem: WeightedProblem, model: ResidualModel, evaluation: Eva
     return find_cell_errors(team, residuals)
 
 
-def refuse_inverted_cells(team: Team, subdomains: Sequence[Subdomain], displacements: Sequence[Array]) -> None:
-    """Refuse a field that turns cells inside out, however small the last correction: no matter moves so; collective.
+def describe_inverted_cells(team: Team, subdomains: Sequence[Subdomain], displacements: Sequence[Array]) -> str:
+    """Say which cells a field turns inside out, however small the last correction: no matter moves so; collective.
 
     Parameters
     ----------
@@ -275,15 +275,15 @@ def refuse_inverted_cells(team: Team, subdomains: Sequence[Subdomain], displacem
     displacements : sequence of (n_dofs,) array
         Of their nodes, pixels; nan where nothing was measured.
 
-    Raises
-    ------
-    ConvergenceError
-        On all ranks.
+    Returns
+    -------
+    str
+        Why the field is no result; empty where no cell is inverted.
     """
     found = team.gather_lists([s.cell_ids[find_inverted_cells(s.mesh, u)]
                                for s, u in zip(subdomains, displacements, strict=True)])
     cells = np.sort(np.concatenate(found))
-    if len(cells):
-        raise as_collective(ConvergenceError(
-            f"the measured field turns {len(cells)} elements inside out (numbers {list_first(cells)}): the images do "
-            "not determine it; use larger elements or a longer regularization.cut_off_wavelength"))
+    if not len(cells):
+        return ""
+    return (f"the measured field turns {len(cells)} elements inside out (numbers {list_first(cells)}): the images do "
+            "not determine it; use larger elements or a longer regularization.cut_off_wavelength")

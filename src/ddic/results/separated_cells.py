@@ -64,6 +64,21 @@ class OutputCells:
         grid = Grid(self.x, self.y)
         return build_mesh(grid.nodes, {Q4: grid.quads})
 
+    def evaluate_displacement(self, field: SeparatedField) -> Array:
+        """Evaluate a displacement at their nodes.
+
+        Parameters
+        ----------
+        field : SeparatedField
+            The displacement.
+
+        Returns
+        -------
+        (n_nodes, 2) array
+            Row by row, pixels.
+        """
+        return field.evaluate_on_grid(self.x, self.y).reshape(-1, 2)
+
 
 def evaluate_output_cells(team: Team, lines: tuple[Array, Array], reference: ReferencePixels,
                        residual: Sequence[Rows]) -> OutputCells:
@@ -131,7 +146,7 @@ def write_output_cells(writer: ResultWriter, cells: OutputCells, field: Separate
         Of the case: size of a pixel.
     """
     mesh = cells.build_mesh()
-    displacement = field.evaluate_on_grid(cells.x, cells.y).reshape(-1, 2)
+    displacement = cells.evaluate_displacement(field)
     length_unit = None if images.pixel_size is None else images.length_unit
     writer.create_pieces([PieceSize(mesh.n_nodes, mesh.n_cells, len(mesh.connectivity))],
                          schema.point_fields(length_unit), schema.cell_fields())

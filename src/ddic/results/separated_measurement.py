@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.images.window import Window
 from ddic.io import result_schema as schema
 from ddic.io.image_chunks import ChunkGrid
@@ -44,6 +45,8 @@ class SeparatedMeasurement:
         Residual image of this rank's bands, grey levels.
     notes : tuple of str
         What the user should know.
+    failure : str
+        Why it is no result; empty where it converged.
     """
 
     problem: SeparatedProblem
@@ -52,6 +55,12 @@ class SeparatedMeasurement:
     cells: OutputCells
     residual_rows: list[tuple[range, NDArray[np.float32]]]
     notes: tuple[str, ...]
+    failure: str = ""
+
+    @property
+    def grey_correction(self) -> GreyCorrection:
+        """Correction of grey levels that was taken."""
+        return self.problem.scheme.correction
 
     @property
     def team(self) -> Team:
@@ -109,6 +118,7 @@ class SeparatedMeasurement:
         write_output_cells(writer, self.cells, self.solution.field, self.inputs.case.images)
         writer.write_separated(self.solution.field)
         write_separated_tables(self, writer)
+        writer.write_status(self.failure)
 
     def _write_residual_image(self, writer: ResultWriter | None) -> None:
         image, columns = self.cameras[0].reference.image, self.problem.rectangle.along_x.pixels

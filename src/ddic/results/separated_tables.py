@@ -21,7 +21,7 @@ def write_separated_tables(measurement: SeparatedMeasurement, writer: ResultWrit
     writer : ResultWriter
         Open.
     """
-    writer.write_table(schema.CORRECTIONS, _list_corrections(measurement))
+    writer.write_table(schema.CORRECTIONS, list_corrections(measurement))
     inputs, size = measurement.inputs, measurement.size
     images = inputs.case.images
     writer.write_attributes(schema.CASE, {
@@ -35,8 +35,19 @@ def write_separated_tables(measurement: SeparatedMeasurement, writer: ResultWrit
                                               "half_amplitude_longitudinal_px": size.half_amplitudes.longitudinal})
 
 
-def _list_corrections(measurement: SeparatedMeasurement) -> dict[str, list[Any]]:
-    """Columns of the table; the residual is that before each correction."""
+def list_corrections(measurement: SeparatedMeasurement) -> dict[str, list[Any]]:
+    """List the corrections of PGD-DIC.
+
+    Parameters
+    ----------
+    measurement : SeparatedMeasurement
+        What was measured.
+
+    Returns
+    -------
+    dict of list
+        Columns of their table, by name; the residual is that before each correction.
+    """
     records = measurement.solution.records
     return {
         "correction": [r.number for r in records],

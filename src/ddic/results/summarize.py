@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import resource
+from typing import Any
 
 from ddic.parallel.phases import PhaseClock
+from ddic.results.field_ranges import find_field_ranges
+from ddic.results.histories import list_iterations
 from ddic.results.measurement import Measurement
 from ddic.results.near_attributes import summarize_near_field
 from ddic.results.phase_times import gather_phase_times
 from ddic.results.separated_measurement import SeparatedMeasurement
+from ddic.results.separated_tables import list_corrections
 from ddic.results.summary import Summary
 
 
@@ -27,68 +32,81 @@ def summarize(measurement: Measurement | SeparatedMeasurement, clock: PhaseClock
     Summary
         The same on all ranks.
     """
+    shared = _summarize_run(measurement, clock)
     if isinstance(measurement, SeparatedMeasurement):
-        return _summarize_separated(measurement, clock)
-    team, case, size = measurement.team, measurement.inputs.case, measurement.size
-    grey = measurement.evaluation.grey
-    memory = team.gather_lists([resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024])
-    times = gather_phase_times(team, clock)
+        return _summarize_separated(measurement, shared)
+    grey, size, records = measurement.evaluation.grey, measurement.size, measurement.records
     n_pixels = sum(camera.n_pixels for camera in grey)
+    fields = zip((subdomain.mesh for subdomain in measurement.subdomains), measurement.displacements, strict=True)
     return Summary(
-        converged=True,
-        iterations=len(measurement.records),
+        **shared,
+        iterations=len(records),
         residual_std_grey=grey[0].residual_std,
         residual_percent_of_range=100 * grey[0].residual_std / size.dynamic_range,
-        n_dofs=size.n_unknowns,
-        n_subdomains=size.n_subdomains,
-        n_ranks=size.n_ranks,
         n_pixels=n_pixels,
         n_pixels_outside=size.n_pixels - n_pixels,
-        krylov_iterations=[record.krylov_iterations for record in measurement.records],
-        seconds=times.seconds,
-        cpu_seconds=times.cpu_seconds,
-        imbalance=times.imbalance,
-        peak_memory_bytes=memory,
-        eta=size.eta or None,
-        cut_off_wavelength=None if case.regularization is None else case.regularization.cut_off_wavelength,
+        krylov_iterations=[record.krylov_iterations for record in records],
         largest_jump_px=measurement.largest_jump,
-        linear_error_px=measurement.records[-1].linear_error,
-        grey_correction=measurement.model.correction,
-        notes=measurement.notes,
+        linear_error_px=records[-1].linear_error if records else float("nan"),
         near=[summarize_near_field(measurement, motion) for motion in measurement.motions],
-        result_file=str(case.output.file),
         stop=measurement.stop,
-        half_amplitudes=size.half_amplitudes,
+        ranges=find_field_ranges(measurement.team, list(fields)),
+        iteration_table=list_iterations(measurement),
     )
 
 
-def _summarize_separated(measurement: SeparatedMeasurement, clock: PhaseClock) -> Summary:
-    team, case, size, solution = measurement.team, measurement.inputs.case, measurement.size, measurement.solution
-    memory = team.gather_lists([resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024])
-    times = gather_phase_times(team, clock)
+def _summarize_separated(measurement: SeparatedMeasurement, shared: dict[str, Any]) -> Summary:
+    team, size, solution = measurement.team, measurement.size, measurement.solution
+    mesh, u = measurement.cells.build_mesh(), measurement.cells.evaluate_displacement(solution.field)
     return Summary(
-        converged=True,
+        **shared,
         iterations=len(solution.records),
         residual_std_grey=solution.grey.residual_std,
         residual_percent_of_range=100 * solution.grey.residual_std / (size.dynamic_range or 1.0),
-        n_dofs=size.n_unknowns,
-        n_subdomains=size.n_subdomains,
-        n_ranks=size.n_ranks,
         n_pixels=solution.grey.n_pixels,
         n_pixels_outside=size.n_pixels - solution.grey.n_pixels,
         krylov_iterations=[],
-        seconds=times.seconds,
-        cpu_seconds=times.cpu_seconds,
-        imbalance=times.imbalance,
-        peak_memory_bytes=memory,
-        eta=size.eta or None,
-        cut_off_wavelength=None if case.regularization is None else case.regularization.cut_off_wavelength,
         largest_jump_px=0.0,
         linear_error_px=float("nan"),
-        grey_correction=case.correlation.grey_correction,
-        notes=measurement.notes,
-        result_file=str(case.output.file),
         stop=solution.stop,
-        half_amplitudes=size.half_amplitudes,
         n_modes=solution.field.n_modes,
+        ranges=find_field_ranges(team, [(mesh, u.ravel())]),
+        iteration_table=list_corrections(measurement),
     )
+
+
+def _summarize_run(measurement: Measurement | SeparatedMeasurement, clock: PhaseClock) -> dict[str, Any]:
+    """What is told of any method, by field of the summary; collective."""
+    team, inputs, size = measurement.team, measurement.inputs, measurement.size
+    case = inputs.case
+    memory = team.gather_lists([resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024])
+    times = gather_phase_times(team, clock)
+    return {
+        "converged": not measurement.failure,
+        "failure": measurement.failure,
+        "n_dofs": size.n_unknowns,
+        "n_subdomains": size.n_subdomains,
+        "n_ranks": size.n_ranks,
+        "seconds": times.seconds,
+        "cpu_seconds": times.cpu_seconds,
+        "imbalance": times.imbalance,
+        "peak_memory_bytes": memory,
+        "eta": size.eta or None,
+        "cut_off_wavelength": None if case.regularization is None else case.regularization.cut_off_wavelength,
+        "grey_correction": measurement.grey_correction,
+        "notes": measurement.notes,
+        "result_file": str(case.output.file),
+        "half_amplitudes": size.half_amplitudes,
+        "images": _list_images(measurement),
+        "case": {"path": str(inputs.case_path), **json.loads(case.model_dump_json())},
+    }
+
+
+def _list_images(measurement: Measurement | SeparatedMeasurement) -> dict[str, str]:
+    """Paths of all cameras' images, by what they are."""
+    paths = {}
+    for camera, deformed in zip(measurement.cameras, measurement.frame, strict=True):
+        prefix = f"near_{camera.number}_" if camera.number else ""
+        paths[f"{prefix}reference"] = str(camera.reference.image.path)
+        paths[f"{prefix}deformed"] = str(deformed.image.path)
+    return paths

@@ -43,13 +43,29 @@ class NearSummary:
 
 
 @dataclass(frozen=True)
+class FieldRanges:
+    """Least and largest values of a field.
+
+    Attributes
+    ----------
+    displacement_px : dict of (least, largest)
+        Of the nodes, by component: x, y; pixels.
+    strain : dict of (least, largest)
+        Infinitesimal, at the cells' centres, by component: xx, yy, xy; no unit.
+    """
+
+    displacement_px: Mapping[str, tuple[float, float]]
+    strain: Mapping[str, tuple[float, float]]
+
+
+@dataclass(frozen=True)
 class Summary:
     """What a run did and measured.
 
     Attributes
     ----------
     converged : bool
-        Whether Gauss-Newton did.
+        Whether the measurement did.
     iterations : int
         Of Gauss-Newton at full resolution.
     residual_std_grey : float
@@ -100,6 +116,19 @@ class Summary:
         Waves that the cut-off wavelength halves, pixels; None without one.
     n_modes : int or None
         Products that the displacement of PGD-DIC is a sum of; None for other methods. Its iterations are corrections.
+    failure : str
+        Why it did not converge; empty where it did.
+    noise_floor_px : float
+        RMS displacement error of a component of a node that noise of the residual's size leaves, pixels; nan where it
+        is not estimated.
+    ranges : FieldRanges or None
+        Of displacement and strain.
+    iteration_table : dict of sequence
+        Columns of the table of iterations, or of PGD-DIC's corrections, as the result file has them.
+    images : dict of str
+        Paths of the images: reference, deformed, near_1_reference, near_1_deformed, ...
+    case : dict
+        The validated case with all defaults, as the result file has it, and the path of its file as ``path``.
     """
 
     converged: bool
@@ -127,6 +156,12 @@ class Summary:
     stop: str = ""
     half_amplitudes: HalfAmplitudes | None = None
     n_modes: int | None = None
+    failure: str = ""
+    noise_floor_px: float = float("nan")
+    ranges: FieldRanges | None = None
+    iteration_table: Mapping[str, Sequence[Any]] = field(default_factory=dict)
+    images: Mapping[str, str] = field(default_factory=dict)
+    case: Mapping[str, Any] = field(default_factory=dict)
 
 
 def write_summary(path: Path, summary: Summary) -> None:

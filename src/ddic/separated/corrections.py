@@ -184,7 +184,8 @@ def correct_displacement(pixels: FramePixels, start: SeparatedField, regularizat
     Raises
     ------
     ConvergenceError
-        Where neither rule is met after ``max_corrections``, or noise is all that is left of images that do not match.
+        Where neither rule is met after ``max_corrections``, or noise is all that is left of images that do not match;
+        with the last SeparatedSolution.
     SingularSubdomainError
         Where the images do not determine a correction.
     """
@@ -194,11 +195,11 @@ def correct_displacement(pixels: FramePixels, start: SeparatedField, regularizat
     sums, grey = _evaluate(pixels, u, scheme.correction)
     while not stop:
         if len(records) == rules.max_corrections:
-            raise ConvergenceError(_describe_failure(records, rules))
+            raise ConvergenceError(_describe_failure(records, rules), SeparatedSolution(u, records, grey, sums, ""))
         mode = find_rank_one(pixels, build_directions(pixels, operator, u), scheme.max_sweeps, scheme.stagnation)
         noise_gain = estimate_noise_gain(start.along_x, start.along_y, density, grey.residual_rms)
         if rules.stops_at_noise and mode.gain <= noise_gain:
-            _require_match(sums)
+            _require_match(SeparatedSolution(u, records, grey, sums, ""))
             stop = f"noise: a further correction would fit the images no better than noise ({mode.gain:.3g} <= " \
                    f"{noise_gain:.3g} grey levels squared)"
             break
@@ -261,9 +262,9 @@ def _find_stop(record: CorrectionRecord, rules: StoppingRules) -> str:
     return f"converged: the last correction is {met[0]} along x, {met[1]} along y"
 
 
-def _require_match(sums: GreySums) -> None:
+def _require_match(found: SeparatedSolution) -> None:
     """Raise ConvergenceError where what looks like noise are images that do not match."""
-    n, r, g, rr, gg, rg = (float(value) for value in sums.values)
+    n, r, g, rr, gg, rg = (float(value) for value in found.sums.values)
     of_f = rr + 2 * rg + gg - (r + g) ** 2 / n
     of_g = gg - g**2 / n
     product = gg + rg - (r + g) * g / n
@@ -271,7 +272,7 @@ def _require_match(sums: GreySums) -> None:
     if coefficient < LEAST_CORRELATION:
         raise ConvergenceError(f"no correction fits the images better than noise, yet they do not match (correlation "
                                f"coefficient {coefficient:.2f}): the start is too far off; see [start], or measure "
-                               "a frame between the two first")
+                               "a frame between the two first", found)
 
 
 def _describe_failure(records: list[CorrectionRecord], rules: StoppingRules) -> str:

@@ -196,16 +196,16 @@ def gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, tolerances:
     Raises
     ------
     ConvergenceError
-        On all ranks, where the correction does not become small or is not finite.
+        On all ranks, where the correction does not become small or is not finite; with the last Solution.
     """
     solution = run_gauss_newton(model, q, step, tolerances, progress)
     if not solution.converged:
-        raise as_collective(ConvergenceError(solution.stop))
+        raise as_collective(ConvergenceError(solution.stop, solution))
     return solution
 
 
 def run_gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, tolerances: Tolerances,
-            progress: Progress) -> Solution:
+                     progress: Progress) -> Solution:
     """Iterate q <- q + dq until the correction is small, or does not become smaller.
 
     Parameters
@@ -229,10 +229,19 @@ def run_gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, toleran
     Raises
     ------
     ConvergenceError
-        On all ranks, where the correction is not finite.
+        On all ranks, where the correction is not finite or the linear step fails; with the last Solution.
     """
-    current = [np.array(q_s) for q_s in q]
-    records: list[IterationRecord] = []
+    found = Solution([np.array(q_s) for q_s in q], [])
+    try:
+        return _iterate(model, found, step, tolerances, progress)
+    except ConvergenceError as error:
+        error.last = found
+        raise
+
+
+def _iterate(model: Model, found: Solution, step: LinearStep, tolerances: Tolerances, progress: Progress) -> Solution:
+    """Iterate from what was found, which holds the last finite unknowns and all iterations at any time."""
+    current, records = found.q, found.records
     clock = progress.clock
     for number in range(1, tolerances.max_iterations + 1):
         with clock.phase(Phase.RESIDUAL):
@@ -240,7 +249,8 @@ def run_gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, toleran
         with clock.phase(Phase.LINEAR_STEP):
             last_rms = records[-1].size.rms if records else None
             result, size = _solve_as_far_as_it_pays(model, step, (current, b), tolerances, last_rms)
-        current = [q_s + dq for q_s, dq in zip(current, result.dq, strict=True)]
+        if size.is_finite:
+            current[:] = [q_s + dq for q_s, dq in zip(current, result.dq, strict=True)]
         records.append(IterationRecord(progress.n_before + number, size, grey, result.krylov_iterations,
                                        result.krylov_history, result.error, dict(clock.wall)))
         progress.report(records[-1])

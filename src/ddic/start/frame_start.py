@@ -133,7 +133,7 @@ def _refine_independently(by: FrameStart, views: Sequence[FrameViews],
     couples_several = reference.inputs.case.solver.method == "dual" and reference.region.n_subdomains > 1
     if not by.search.section.independent or (one_camera and not couples_several):
         return coarse.q, coarse.notes
-    refined = measure_independently(by.team, views, reference.hessians, coarse.q, by.search.correction)
+    refined = measure_independently(by.team, views, reference.hessians, coarse.q, by.search.correction, by.clock)
     kept = by.team.gather_lists(refined.kept)
     note = "start: independent FE-DIC on every subdomain"
     if kept:

@@ -44,7 +44,8 @@ class IndependentFields:
 
 
 def measure_independently(team: Team, views: Sequence[FrameViews], hessians: Sequence[Hessians],
-                          q: Sequence[NDArray[np.float64]], correction: GreyCorrection) -> IndependentFields:
+                          q: Sequence[NDArray[np.float64]], correction: GreyCorrection,
+                          clock: PhaseClock) -> IndependentFields:
     """Run FE-DIC on every owned subdomain by itself, by its own camera; collective.
 
     A subdomain whose M_s is singular or that does not converge keeps its q.
@@ -61,6 +62,8 @@ def measure_independently(team: Team, views: Sequence[FrameViews], hessians: Seq
         Start of each, the set-up of its camera still.
     correction : GreyCorrection
         Of grey levels.
+    clock : PhaseClock
+        Told how far it is.
 
     Returns
     -------
@@ -77,7 +80,7 @@ def measure_independently(team: Team, views: Sequence[FrameViews], hessians: Seq
 
     def measure() -> IndependentFields:
         fields, kept = [], []
-        for of_subdomain, hessian, q_s in zip(alone, projected, q, strict=True):
+        for of_subdomain, hessian, q_s in clock.note_each(list(zip(alone, projected, q, strict=True))):
             threshold = thresholds[of_subdomain.subdomain.camera]
             try:
                 model = ResidualModel(Team.alone(), [of_subdomain], correction, follows=follows)

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from scipy import sparse
 
+from ddic.parallel.phases import PhaseClock
 from ddic.partition.incidence import copies_of, scaled_incidence
 from ddic.solvers.dual.coarse_space import CoarseColumns, CoarsePart, CoarseSpace, build_coarse_columns
 from ddic.solvers.dual.dual_problem import DualProblem
@@ -21,6 +22,10 @@ from ddic.solvers.exchange import Exchange
 from ddic.solvers.petsc_stack import PetscStack
 
 Preconditioner = Literal["none", "paper", "scaled", "two_level"]
+
+
+OF_COLUMNS = 0.3
+"""Share of the set-up that the coarse vectors take, a guess for what shows progress."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +45,7 @@ class BuiltPreconditioner:
 
 
 def build_preconditioner(stack: PetscStack, problem: DualProblem, kind: Preconditioner,
-                         local_inverse: LocalInverseKind) -> BuiltPreconditioner:
+                         local_inverse: LocalInverseKind, clock: PhaseClock | None = None) -> BuiltPreconditioner:
     """Build a preconditioner of the interface problem; collective.
 
     Parameters
@@ -53,6 +58,8 @@ def build_preconditioner(stack: PetscStack, problem: DualProblem, kind: Precondi
         None, the paper's, the paper's with scaled assembly, or that with a coarse space.
     local_inverse : LocalInverseKind
         S_s^-1 as an array, by a sparse factor, or as its size asks.
+    clock : PhaseClock, optional
+        Told how far it is.
 
     Returns
     -------
@@ -66,11 +73,12 @@ def build_preconditioner(stack: PetscStack, problem: DualProblem, kind: Precondi
     """
     if kind == "none":
         return BuiltPreconditioner(None, None)
+    clock = clock or PhaseClock()
     is_paper = kind == "paper"
     assemblies = [local.incidence for local in problem.local_duals] if is_paper else _scale_assemblies(problem)
     # Before the inverses: what finds the modes is large, and gone when these are made.
-    columns = _find_columns(problem) if kind == "two_level" else []
-    pairs = _build_pairs(stack, problem, local_inverse)
+    columns = _find_columns(problem, clock) if kind == "two_level" else []
+    pairs = _build_pairs(stack, problem, local_inverse, clock)
     terms = [LocalPreconditioner(assembly, pair.inverse) for assembly, pair in zip(assemblies, pairs, strict=True)]
     one_level = DualPreconditioner(problem.exchange, terms)
     context: Preconditioning = one_level
@@ -85,20 +93,25 @@ def build_preconditioner(stack: PetscStack, problem: DualProblem, kind: Precondi
     return BuiltPreconditioner(context, coarse)
 
 
-def _find_columns(problem: DualProblem) -> list[CoarseColumns]:
+def _find_columns(problem: DualProblem, clock: PhaseClock) -> list[CoarseColumns]:
     """Coarse vectors of each owned subdomain."""
+    both = list(zip(problem.systems, problem.local_duals, strict=True))
+
     def find() -> list[CoarseColumns]:
         return [build_coarse_columns(find_low_energy_modes(system, local.operator), local)
-                for system, local in zip(problem.systems, problem.local_duals, strict=True)]
+                for system, local in clock.note_each(both, end=OF_COLUMNS)]
 
     return problem.team.together(find)
 
 
-def _build_pairs(stack: PetscStack, problem: DualProblem, local_inverse: LocalInverseKind) -> list[SchurPair]:
+def _build_pairs(stack: PetscStack, problem: DualProblem, local_inverse: LocalInverseKind,
+                 clock: PhaseClock) -> list[SchurPair]:
     """S_s and its inverse of each owned subdomain."""
+    both = list(zip(problem.systems, problem.local_duals, strict=True))
+
     def build() -> list[SchurPair]:
         pairs = []
-        for system, local in zip(problem.systems, problem.local_duals, strict=True):
+        for system, local in clock.note_each(both):
             pair = build_schur_pair(system, local, local_inverse)
             # One by one: where a later one is singular, those before are freed. The inverse alone, for S_s may go.
             stack.keep(pair.inverse)

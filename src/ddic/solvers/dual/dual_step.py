@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
+from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.solvers.displacement_size import measure_rms
 from ddic.solvers.dual.build_preconditioner import Preconditioner, build_preconditioner
@@ -65,6 +66,8 @@ class DualStep:
         c of ``build_local_dual``.
     settings : DualSettings
         How the interface problem is solved.
+    clock : PhaseClock, optional
+        Told how far the set-up is.
 
     Raises
     ------
@@ -73,10 +76,10 @@ class DualStep:
     """
 
     def __init__(self, team: Team, systems: Sequence[LocalSystem], operators: Sequence[LocalOperator],
-                 scale: float, settings: DualSettings) -> None:
+                 scale: float, settings: DualSettings, clock: PhaseClock | None = None) -> None:
         with PetscStack() as stack:
             self._problem = stack.keep(build_dual_problem(team, systems, operators, scale))
-            built = build_preconditioner(stack, self._problem, settings.preconditioner, settings.local_inverse)
+            built = build_preconditioner(stack, self._problem, settings.preconditioner, settings.local_inverse, clock)
             self._has_preconditioner = built.context is not None
             interface = InterfaceSettings(settings.tolerance, settings.max_iterations,
                                           settings.recycle and self._has_preconditioner)

@@ -1,0 +1,131 @@
+"""What a run leaves in its folder: a result with its summary, or the last field of one that did not converge."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from ddic.errors import ConvergenceError, DdicError, InputError, is_collective
+from ddic.io.result_files import move_result, remove_result
+from ddic.io.result_schema import earlier_path, not_converged_path, summary_path
+from ddic.parallel.phases import Phase, PhaseClock
+from ddic.parallel.team import Team
+from ddic.results.measurement import Measurement
+from ddic.results.phase_times import gather_phase_times
+from ddic.results.publishing import Destination, publish
+from ddic.results.separated_measurement import SeparatedMeasurement
+from ddic.results.summarize import summarize
+from ddic.results.summary import Summary, write_summary
+
+
+def write_run(measurement: Measurement | SeparatedMeasurement, clock: PhaseClock, file: Path,
+              noise_floor: float = float("nan")) -> Summary:
+    """Write a result and its summary; collective.
+
+    Parameters
+    ----------
+    measurement : Measurement or SeparatedMeasurement
+        What was measured, converged or not.
+    clock : PhaseClock
+        This rank's.
+    file : Path
+        The result file.
+    noise_floor : float, optional
+        RMS displacement that the images' noise leaves, pixels; nan where it is not known.
+
+    Returns
+    -------
+    Summary
+        The same on all ranks.
+    """
+    team, output = measurement.team, measurement.inputs.case.output
+    with clock.phase(Phase.WRITE):
+        publish(measurement, Destination(file, output.flip_y, gather_phase_times(team, clock)))
+    summary = replace(summarize(measurement, clock), result_file=str(file), noise_floor_px=noise_floor)
+    team.on_root(lambda: write_summary(summary_path(file), summary))
+    return summary
+
+
+def remove_failed_field(team: Team, file: Path, start: Path | None) -> None:
+    """Remove the field that an earlier run left when it did not converge; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    file : Path
+        The result file.
+    start : Path or None
+        Earlier result that the case starts from, which stays.
+    """
+    path = not_converged_path(file)
+    if path.resolve() != start:
+        team.on_root(lambda: remove_result(path))
+
+
+def keep_failed_run(team: Team, error: DdicError, destination: Destination, start: Path | None,
+                    clock: PhaseClock | None = None) -> None:
+    """Write what a failed run found, move an earlier result out of its way, and say both in the error; collective.
+
+    Nothing is touched where the inputs were refused, or not all ranks know of the failure.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    error : DdicError
+        As the run ended; its message gains where things are.
+    destination : Destination
+        Of the result, had there been one.
+    start : Path or None
+        Earlier result that the case starts from, which stays.
+    clock : PhaseClock, optional
+        This rank's; with one, a summary is written too.
+    """
+    file = destination.path
+    if file is None or isinstance(error, InputError) or not is_collective(error):
+        return
+    last = _try(lambda: _write_last_field(team, error, destination, start, clock),
+                "the last field could not be written")
+    earlier = _try(lambda: team.on_root(lambda: _move_earlier_result(file, start)),
+                   f"an earlier result could not be moved whole from {file}")
+    error.args = ("; ".join([str(error), *last, *earlier]),)
+
+
+def _try(work: Callable[[], list[str]], otherwise: str) -> list[str]:
+    """What work says, or that it failed: the run's own failure is what is told first, for this one comes of it."""
+    try:
+        return work()
+    except (OSError, DdicError) as second:
+        if not is_collective(second):
+            raise
+        return [f"{otherwise} ({second})"]
+
+
+def _write_last_field(team: Team, error: DdicError, destination: Destination, start: Path | None,
+                      clock: PhaseClock | None) -> list[str]:
+    """Write the field that an error brings; says where it is."""
+    file = destination.path
+    assert file is not None
+    last = error.last if isinstance(error, ConvergenceError) else None
+    if not isinstance(last, Measurement | SeparatedMeasurement):
+        remove_failed_field(team, file, start)
+        return []
+    path = not_converged_path(file)
+    if clock is None:
+        publish(last, replace(destination, path=path))
+    else:
+        write_run(last, clock, path)
+    return [f"the last field, not converged, is in {path}"]
+
+
+def _move_earlier_result(file: Path, start: Path | None) -> list[str]:
+    """Move an earlier result, lest it pass for this run's; says where it is."""
+    if not file.is_file():
+        return []
+    if file.resolve() == start:
+        return [f"{file} is still the earlier result that the case starts from"]
+    target = earlier_path(file)
+    move_result(file, target)
+    return [f"an earlier result of the same name is now {target}"]

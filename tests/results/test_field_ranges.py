@@ -1,0 +1,26 @@
+"""Ranges of a field that several ranks own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from ddic.mesh.structured import build_structured_mesh
+from ddic.parallel.team import Team
+from ddic.results.field_ranges import find_field_ranges
+
+
+@pytest.mark.parallel([1, 2, 3])
+def test_ranges_are_those_of_all_parts() -> None:
+    team = Team(MPI.COMM_WORLD)
+    parts = []
+    for number in range(team.rank, 6, team.size):
+        mesh = build_structured_mesh((0.0, 0.0, 20.0, 20.0), 10.0, "Q4")
+        x, y = mesh.nodes.T
+        # u = (n x, -n y) / 1000: the strain of a part is its number.
+        parts.append((mesh, 1e-3 * number * np.column_stack([x, -y]).ravel()))
+    found = find_field_ranges(team, parts)
+    assert found.displacement_px == {"x": pytest.approx((0.0, 0.1)), "y": pytest.approx((-0.1, 0.0))}
+    assert found.strain == {"xx": pytest.approx((0.0, 0.005)), "yy": pytest.approx((-0.005, 0.0)),
+                            "xy": pytest.approx((0.0, 0.0), abs=1e-12)}

@@ -1,0 +1,43 @@
+"""The noise floor estimated by linear steps, against the trace itself."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from ddic.parallel.team import Team
+from ddic.partition.build_subdomains import build_subdomains
+from ddic.solvers.dual.dual_step import DualSettings
+from ddic.solvers.noise_floor import estimate_noise_by_steps
+from support.linear import Decomposed, dense, linear_step, split
+
+SIGMA = 2.0
+
+
+@cache
+def _exact(wavelength: float | None) -> float:
+    """sqrt(2 sigma^2 trace(A^-1 M A^-1) / n) of the whole problem, pixels."""
+    problem = linear_step(12, wavelength)
+    whole = build_subdomains(problem.region, np.zeros(problem.mesh.n_cells, np.int64), problem.controlled)[0]
+    system = problem.system(whole, np.ones(problem.mesh.n_dofs))
+    inverse = np.linalg.inv(dense(system.operator))
+    covariance = 2 * SIGMA**2 * inverse @ dense(system.hessian) @ inverse
+    return float(np.sqrt(np.trace(covariance) / len(covariance)))
+
+
+@pytest.mark.parallel([1, 2, 3, 4])
+@pytest.mark.parametrize("wavelength", [None, 40.0])
+def test_it_is_that_of_the_covariance_whatever_the_partition(wavelength: float | None) -> None:
+    problem, team = linear_step(12, wavelength), Team(MPI.COMM_WORLD)
+    found = []
+    for kind, n in (("blocks", 4), ("metis", 7)):
+        with Decomposed(team, problem, split(problem.mesh, kind, n), "consistent") as parts:
+            step = parts.step(DualSettings("scaled"))
+            found.append(estimate_noise_by_steps(team, parts.systems, step, SIGMA))
+    # Four vectors of 338 signs, of which neighbours' go together: 3 % at one standard deviation.
+    assert found[0] == pytest.approx(_exact(wavelength), rel=0.06)
+    # The signs are the nodes': another partition changes what a step may leave alone.
+    assert found[1] == pytest.approx(found[0], rel=0.01)
