@@ -1,13 +1,15 @@
 """Leave out pixels that do not show the specimen.
 
-A wire hangs before the specimen and does not move with it. Without a mask it is taken for the specimen; with one, its
-pixels are left out of both images, and the elements under it follow from what is seen beside the wire.
+A wire hangs before the specimen and does not move with it. Taken for the specimen, it spoils the field. By default,
+pixels whose residual nothing explains are excluded, which leaves what looks alike in both images; with a mask, all of
+the wire is left out, and the elements under it follow from what is seen beside it.
 
     python examples/mask.py
 
 prints
 
-    without a mask: largest error 1.93 px
+    all pixels: largest error 1.93 px
+    spoilt pixels excluded: largest error 0.13 px
     with a mask: largest error 0.03 px
 """
 
@@ -30,12 +32,15 @@ mask = np.ones(reference.shape, dtype=bool)
 mask[wire] = False
 
 mesh = ddic.structured_mesh((20, 20, 280, 220), element_size=20)
-options = {"regularization": {"cut_off_wavelength": 60}}
-pairs = {
-    "without": (ddic.Image(reference), ddic.Image(deformed)),
-    "with": (ddic.Image(reference, mask), ddic.Image(deformed, mask)),
+regularization = {"cut_off_wavelength": 60}
+plain, masked = (ddic.Image(reference), ddic.Image(deformed)), (ddic.Image(reference, mask), ddic.Image(deformed, mask))
+runs = {
+    "all pixels": (plain, "keep"),
+    "spoilt pixels excluded": (plain, "exclude"),
+    "with a mask": (masked, "exclude"),
 }
-for name, pair in pairs.items():
+for name, (pair, spoilt_pixels) in runs.items():
+    options = {"regularization": regularization, "correlation": {"spoilt_pixels": spoilt_pixels}}
     result = ddic.measure(pair, mesh, options=options)
     error = np.abs(result.displacement - shear(result.mesh.nodes)).max()
-    print(f"{name} a mask: largest error {error:.2f} px")
+    print(f"{name}: largest error {error:.2f} px")

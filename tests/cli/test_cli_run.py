@@ -215,7 +215,7 @@ def test_options_that_are_not_petscs_are_refused(folder: Path) -> None:
 ON_RANK_1 = """
 from mpi4py import MPI
 import ddic.problem.linear_solver as linear_solver, ddic.problem.reference_problem as reference_problem
-import ddic.results.measurement as measurement
+import ddic.methods.solve_frame as solve_frame
 import ddic.solvers.dual.schur_operator as schur_operator
 from ddic.errors import InputError
 def fail(*arguments, **options):
@@ -233,7 +233,7 @@ PRODUCT = "schur_operator.DualSchurOperator.mult"
     ("linear_solver.LocalOperator", "MemoryError('no room')", "MemoryError: no room", 1),
     (PRODUCT, "KeyError(7)", "KeyError: 7", 0),
     (PRODUCT, "KeyError(7)", "KeyError: 7", 1),
-    ("measurement.average_copies", "KeyError(8)", "KeyError: 8", 1),
+    ("solve_frame.average_copies", "KeyError(8)", "KeyError: 8", 1),
 ], ids=["input", "memory", "inside PETSc on the root", "inside PETSc", "before a collective"])
 def test_a_failure_on_one_rank_ends_all(folder: Path, where: str, error: str, message: str, rank: int) -> None:
     job = finished(driven(ON_RANK_1.format(where=where, error=error, rank=rank), folder), ranks=2)

@@ -59,20 +59,23 @@ class View:
             return raster.pixel_counts
         return raster.sum_by_cell(reference.usable, reference.window.x0, reference.window.y0)
 
-    def measure_texture(self) -> NDArray[np.float64]:
-        """Measure the mean of |grad f|^2 over the pixels of each cell that count.
+    def measure_slopes(self) -> NDArray[np.float64]:
+        """Measure the mean of grad f grad f^T over the pixels of each cell that count.
 
         Returns
         -------
-        (n_cells,) array
+        (n_cells, 2, 2) array
             (Grey levels / px)^2; 0 without pixels.
         """
         reference, raster = self.correlation.reference, self.correlation.raster
-        energy = reference.by_x**2 + reference.by_y**2
-        if reference.usable is not None:
-            energy *= reference.usable
-        total = raster.sum_by_cell(energy, reference.window.x0, reference.window.y0)
-        return np.asarray(total / np.maximum(self.count_pixels(), 1))
+        n = np.maximum(self.count_pixels(), 1)
+        means = np.empty((len(n), 2, 2))
+        usable = np.float32(1.0) if reference.usable is None else reference.usable
+        slopes = (reference.by_x, reference.by_y)
+        for i, j in ((0, 0), (0, 1), (1, 1)):
+            sums = raster.sum_by_cell(slopes[i] * slopes[j] * usable, reference.window.x0, reference.window.y0)
+            means[:, i, j] = means[:, j, i] = sums / n
+        return means
 
     def measure_grey_range(self) -> tuple[float, float]:
         """Measure the range of the reference image's grey levels on the window that holds the view.

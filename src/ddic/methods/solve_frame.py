@@ -23,11 +23,11 @@ from ddic.solvers.gauss_newton import Progress, Solution, run_gauss_newton
 
 Array = NDArray[np.float64]
 
-MOST_ROUNDS = 8
+MOST_ROUNDS = 10
 """Times that a field is sought with what the last one showed before a frame is given up."""
 
-GROWING = 3
-"""Rounds after which what was left out stays so: cells might come and go for ever."""
+GROWING, SETTLED = 3, 6
+"""Rounds after which what was excluded stays so, and after which nothing else is: cells might come and go for ever."""
 
 
 def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[Array], listener: Listener,
@@ -59,9 +59,9 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[Array], 
     """
     with clock.phase(Phase.READ):
         whole.team.together(lambda: read_frame_windows(whole.views, q))
-    case, textures, subdomains = problem.reference.inputs.case, problem.textures, problem.reference.subdomains
+    case, slopes, subdomains = problem.reference.inputs.case, problem.slopes, problem.reference.subdomains
     with clock.phase(Phase.RESIDUAL):
-        seen, of_blur = see_start(case, problem.reference.inputs.cameras, whole, q, textures)
+        seen, of_blur = see_start(case, problem.reference.inputs.cameras, whole, q, slopes)
     model, notes = _fit_operators(problem, exclude(seen.whole.with_large_gradients(q), seen.excluded), q)
     notes = (*of_blur, *notes)
     _tell(listener, notes)
@@ -71,10 +71,10 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[Array], 
         found = _iterate(problem, solved, Progress(clock, listener.iteration, len(solved.solution.records)))
         field = average_copies(whole.team, subdomains, found.q)
         with clock.phase(Phase.RESIDUAL):
-            now = see_frame(case, seen.whole, field.q, textures)
+            now = see_frame(case, seen.whole, field.q, slopes)
         excluded = now.excluded if n_rounds < GROWING else seen.excluded.join(now.excluded)
-        is_seen_otherwise = (now.whole.correction != seen.whole.correction
-                             or excluded.is_other_than(whole.team, seen.excluded))
+        is_seen_otherwise = n_rounds < SETTLED and (now.whole.correction != seen.whole.correction
+                                                    or excluded.is_other_than(whole.team, seen.excluded))
         seen = replace(now, excluded=excluded) if is_seen_otherwise else replace(seen, evaluation=now.evaluation)
         if not (found.converged or is_seen_otherwise):
             found = accept_noise(problem, solved.used, now.evaluation, found)

@@ -47,6 +47,9 @@ SAME_SPECKLE = 0.4
 """Correlation coefficient of f and g in a cell, relative to what its contrast and the noise let expect, below which
 another part of the specimen is seen, however large the residual is everywhere. A larger share excludes more."""
 
+UNEXPLAINED = 0.5
+"""Share of the residual's variance that no translation explains from which on another part may be seen."""
+
 CORRELATED = 0.3
 """Correlation coefficient of f and g from which on a cell of weak texture is seen nevertheless: noise of 400 pixels has
 one of 0.05."""
@@ -152,19 +155,20 @@ def _find_standing_out(whole: ResidualModel, seen: Sequence[Sequence[SeenCells]]
 
 
 def _stands_out(seen: SeenCells, typical: TypicalCell, limit: float) -> NDArray[np.bool_]:
-    excess = seen.variance - typical.noise
+    excess = seen.unexplained - typical.noise
     texture = np.maximum(seen.texture, max(WEAK_TEXTURE * typical.texture, 1e-300))
     n = np.maximum(seen.n_pixels, 1.0)
     # Wilson and Hilferty's bound of a sum of n squares: few pixels vary more than a normal distribution says.
     by_chance = (1.0 - 2.0 / (9.0 * n) + SIGNIFICANT * np.sqrt(2.0 / (9.0 * n)))**3
     like_speckle = typical.noise / max(typical.contrast, 1e-300)
     least = typical.noise * np.maximum(by_chance, LEAST_EXCESS + OF_CONTRAST * like_speckle)
-    is_off = (excess > 0.5 * texture * limit**2) & (seen.variance > least)
+    is_off = (excess > 0.5 * texture * limit**2) & (seen.unexplained > least)
     contrast = seen.spread_f**2
     expected = contrast / np.maximum(contrast + typical.noise, 1e-300)
     is_textured = seen.texture > BLANK_TEXTURE * typical.texture
     has_contrast = is_textured & (expected > CORRELATED) & (n >= FEWEST_PIXELS) & np.isfinite(limit)
-    is_other = has_contrast & (seen.coefficient < SAME_SPECKLE * expected)
+    is_unlike = (seen.coefficient < SAME_SPECKLE * expected) & (seen.unexplained > UNEXPLAINED * seen.variance)
+    is_other = has_contrast & is_unlike
     return np.asarray((is_off | is_other) & (seen.n_pixels > 0))
 
 

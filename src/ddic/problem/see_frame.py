@@ -42,7 +42,7 @@ class SeenFrame:
     excluded: Exclusions
 
 
-def see_frame(case: Case, whole: ResidualModel, q: Sequence[Array], textures: Sequence[Sequence[Array]],
+def see_frame(case: Case, whole: ResidualModel, q: Sequence[Array], slopes: Sequence[Sequence[Array]],
               limits: Limits = AT_END) -> SeenFrame:
     """See how a frame has to be corrected, and what of it does not show the specimen; collective.
 
@@ -54,8 +54,8 @@ def see_frame(case: Case, whole: ResidualModel, q: Sequence[Array], textures: Se
         Of all pixels that the frame shows.
     q : sequence of (n_unknowns,) array
         Where it is thought to show them.
-    textures : sequence of sequence of (n_cells,) array
-        Mean |grad f|^2 of the cells of each view, (grey levels / px)^2.
+    slopes : sequence of sequence of (n_cells, 2, 2) array
+        Mean of grad f grad f^T on the cells of each view, (grey levels / px)^2.
     limits : Limits
         From which displacement error on a residual is not believed; those of a field by default.
 
@@ -70,7 +70,7 @@ def see_frame(case: Case, whole: ResidualModel, q: Sequence[Array], textures: Se
         On all ranks, where most of the frame does not show the specimen.
     """
     evaluation = whole.evaluate(q)
-    seen = measure_seen_cells(whole, evaluation, textures)
+    seen = measure_seen_cells(whole, evaluation, slopes)
     sample = collect_cells(whole, seen)
     chosen = _choose(case, whole, sample)
     if chosen.correction != whole.correction:
@@ -86,7 +86,7 @@ def see_frame(case: Case, whole: ResidualModel, q: Sequence[Array], textures: Se
 
 
 def see_start(case: Case, cameras: Sequence[Camera], whole: ResidualModel, q: Sequence[Array],
-              textures: Sequence[Sequence[Array]]) -> tuple[SeenFrame, tuple[str, ...]]:
+              slopes: Sequence[Sequence[Array]]) -> tuple[SeenFrame, tuple[str, ...]]:
     """See the same at a start, and blur the reference images as much as the frame is; collective.
 
     Parameters
@@ -99,8 +99,8 @@ def see_start(case: Case, cameras: Sequence[Camera], whole: ResidualModel, q: Se
         Of all pixels that the frame shows.
     q : sequence of (n_unknowns,) array
         Where it is thought to show them.
-    textures : sequence of sequence of (n_cells,) array
-        Mean |grad f|^2 of the cells of each view, (grey levels / px)^2.
+    slopes : sequence of sequence of (n_cells, 2, 2) array
+        Mean of grad f grad f^T on the cells of each view, (grey levels / px)^2.
 
     Returns
     -------
@@ -114,9 +114,9 @@ def see_start(case: Case, cameras: Sequence[Camera], whole: ResidualModel, q: Se
     ConvergenceError
         On all ranks, where the frame shows no pixel.
     """
-    seen = see_frame(case, whole, q, textures, AT_START)
+    seen = see_frame(case, whole, q, slopes, AT_START)
     matched, notes = match_sharpness(seen.whole, cameras, q, seen.typical)
-    return (see_frame(case, matched, q, textures, AT_START) if notes else seen), notes
+    return (see_frame(case, matched, q, slopes, AT_START) if notes else seen), notes
 
 
 def _choose(case: Case, whole: ResidualModel, sample: Mapping[int, SeenCells]) -> ResidualModel:

@@ -34,6 +34,8 @@ class SeenCells:
         That count.
     variance : array
         Of the residual, with a gain and an offset of the cell's own where its pixels tell them, grey levels squared.
+    unexplained : array
+        The same without what a translation of the cell would explain: a field that mechanics hold back, say.
     texture : array
         Mean of |grad f|^2, (grey levels / px)^2.
     mean_f, mean_g : array
@@ -46,6 +48,7 @@ class SeenCells:
 
     n_pixels: Array
     variance: Array
+    unexplained: Array
     texture: Array
     mean_f: Array
     mean_g: Array
@@ -76,7 +79,7 @@ class TypicalCell:
     Attributes
     ----------
     noise : float
-        Median variance of the residual, grey levels squared.
+        Median variance of the residual that a translation does not explain, grey levels squared.
     contrast : float
         Median variance of f, grey levels squared.
     texture : float
@@ -93,7 +96,7 @@ class TypicalCell:
 
 
 def measure_seen_cells(whole: ResidualModel, evaluation: Evaluation,
-                       textures: Sequence[Sequence[Array]]) -> list[list[SeenCells]]:
+                       slopes: Sequence[Sequence[Array]]) -> list[list[SeenCells]]:
     """Measure the cells of owned subdomains in a frame; free of communication.
 
     Parameters
@@ -102,20 +105,20 @@ def measure_seen_cells(whole: ResidualModel, evaluation: Evaluation,
         Of the frame.
     evaluation : Evaluation
         Of it.
-    textures : sequence of sequence of (n_cells,) array
-        Mean |grad f|^2 of the cells of each view, (grey levels / px)^2.
+    slopes : sequence of sequence of (n_cells, 2, 2) array
+        Mean of grad f grad f^T on the cells of each view, (grey levels / px)^2.
 
     Returns
     -------
     list of list of SeenCells
         By subdomain and view.
     """
-    return [[_measure(residual, texture, whole.find_correction(evaluation, view.camera, residual))
-             for view, residual, texture in zip(of_subdomain.views, residuals, of_views, strict=True)]
-            for of_subdomain, residuals, of_views in zip(whole.views, evaluation.residuals, textures, strict=True)]
+    return [[_measure(residual, of_view, whole.find_correction(evaluation, view.camera, residual))
+             for view, residual, of_view in zip(of_subdomain.views, residuals, of_views, strict=True)]
+            for of_subdomain, residuals, of_views in zip(whole.views, evaluation.residuals, slopes, strict=True)]
 
 
-def _measure(residual: Residual, texture: Array, correction: tuple[Array, Array]) -> SeenCells:
+def _measure(residual: Residual, slopes: Array, correction: tuple[Array, Array]) -> SeenCells:
     sums = residual.cell_sums
     n = sums.n_pixels
     safe = np.maximum(n, 1.0)
@@ -128,7 +131,20 @@ def _measure(residual: Residual, texture: Array, correction: tuple[Array, Array]
     spread_g = np.sqrt(np.maximum(gg / safe - mean_g**2, 0.0))
     covariance = (rg + gg) / safe - mean_f * mean_g
     coefficient = covariance / np.maximum(spread_f * spread_g, 1e-300)
-    return SeenCells(n, variance, texture, mean_f, mean_g, spread_f, spread_g, coefficient)
+    unexplained = np.maximum(variance - _explain(residual, slopes, correction), 0.0)
+    texture = np.trace(slopes, axis1=1, axis2=2)
+    return SeenCells(n, variance, unexplained, texture, mean_f, mean_g, spread_f, spread_g, coefficient)
+
+
+def _explain(residual: Residual, slopes: Array, correction: tuple[Array, Array]) -> Array:
+    """Mean square of a cell's residual that a small translation of it explains, (n_cells,), grey levels squared."""
+    gain, offset = (np.broadcast_to(value, len(slopes))[:, None] for value in correction)
+    of_r, of_g, of_one = np.moveaxis(residual.moments[..., 0], 1, 0)
+    safe = np.maximum(residual.cell_sums.n_pixels, 1.0)[:, None]
+    b = (of_r - (gain - 1.0) * of_g - offset * of_one) / safe
+    # Along speckle that varies in one direction only there is nothing to explain.
+    translation = np.einsum("cij,cj->ci", np.linalg.pinv(slopes, rcond=1e-6, hermitian=True), b)
+    return np.asarray(np.einsum("ci,ci->c", b, translation))
 
 
 def collect_cells(whole: ResidualModel, seen: Sequence[Sequence[SeenCells]]) -> dict[int, SeenCells]:
@@ -184,7 +200,7 @@ def find_typical_cell(cells: SeenCells) -> TypicalCell:
     if varies.any():
         gain = find_weighted_median(cells.spread_f[varies] / cells.spread_g[varies], n[varies])
     offset = find_weighted_median(cells.mean_f - gain * cells.mean_g, n)
-    return TypicalCell(find_weighted_median(cells.variance, n), find_weighted_median(cells.spread_f, n)**2,
+    return TypicalCell(find_weighted_median(cells.unexplained, n), find_weighted_median(cells.spread_f, n)**2,
                        _find_texture(cells.texture, n), gain, offset)
 
 

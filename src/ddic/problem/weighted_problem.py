@@ -153,9 +153,9 @@ class WeightedProblem:
         return ResidualModel(self.team, self.weigh(views), correction, len(inputs.cameras))
 
     @cached_property
-    def textures(self) -> list[list[NDArray[np.float64]]]:
-        """Mean |grad f|^2 of the cells of each owned subdomain and view, (grey levels / px)^2."""
-        return [[view.measure_texture() for view in r.views] for r in self.reference.references]
+    def slopes(self) -> list[list[NDArray[np.float64]]]:
+        """Mean of grad f grad f^T on the cells of each owned subdomain and view, (n_cells, 2, 2)."""
+        return [[view.measure_slopes() for view in r.views] for r in self.reference.references]
 
     def set_noise(self, noise: Sequence[float]) -> None:
         """Weight the cameras by their noise; collective.
