@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ddic.images.grid_field import GridField
-from ddic.start.coarse_displacement import CoarseField
 from ddic.start.cut_field import CutField
 from ddic.start.moved_on import MovedOn, move_on
 from ddic.start.multilevel import SURE, MultilevelStart, Pyramid, Stages
 from ddic.start.predicted_error import PredictedError, predict_error
 from ddic.start.rigid_start import RigidStart
-
-Array = NDArray[np.float64]
 
 RIGHT_PX = 1.0
 """Error, pixels, up to which a displacement is taken as it is: Gauss-Newton goes on from there. A larger value saves
@@ -34,8 +30,9 @@ BETTER = 0.9
 be taken in its place. A larger value replaces good displacements by coarse ones."""
 
 
-OUT_OF_REACH_NOTE = ("start: neither the given displacement nor a translation is in reach of a level of the pyramid; "
+NOTE_OUT_OF_REACH = ("start: neither the given displacement nor a translation is in reach of a level of the pyramid; "
                      "all levels are taken, from the best of them")
+NOTE_OF_FEATURES = "start: features match; the given displacement is not used"
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +41,15 @@ class _Candidate:
 
     field: GridField | CutField
     note: str
+
+
+@dataclass(frozen=True, eq=False)
+class _Choice:
+    """Levels to take, coarsest first, and the candidate that is best on the first of them, or on the coarsest."""
+
+    sizes: list[int]
+    best: _Candidate
+    in_reach: bool
 
 
 def find_start_from_given(given: CutField, pyramid: Pyramid, stages: Stages) -> MultilevelStart:
@@ -67,36 +73,43 @@ def find_start_from_given(given: CutField, pyramid: Pyramid, stages: Stages) -> 
     MultilevelStart
         The field is ``given`` itself where it is kept.
     """
-    finest = pyramid.finest_size
-    predicted = _predict(pyramid, finest, given)
+    predicted = _predict(pyramid, pyramid.finest_size, given)
     share = predicted.measure_share_beyond(RIGHT_PX)
     if share <= WRONG_SHARE:
         return MultilevelStart(given, (), (), ())
     begun = (f"start: that is off by more than {RIGHT_PX:g} px on {share:.0%} of the region (correlation coefficient "
              f"{predicted.coefficient:.2f}); searching on")
+    found = _search_on(given, pyramid, stages)
+    # Features that agree with each other are believed.
+    if isinstance(found.field, GridField | CutField):
+        left = 1 - _predict(pyramid, pyramid.finest_size, found.field).coefficient
+        if left > BETTER * (1 - predicted.coefficient):
+            kept = "start: nothing was found that explains the images better; the given displacement is kept"
+            return MultilevelStart(given, (), (), (), notes=(begun, kept))
+    return replace(found, notes=(begun, *found.notes))
+
+
+def _search_on(given: CutField, pyramid: Pyramid, stages: Stages) -> MultilevelStart:
+    """The best that is found from a given displacement, that moved on, and rest."""
     rigid = pyramid.find_rigid() if stages.rigid else None
     moved = move_on(given, pyramid.pairs[pyramid.rigid_size]) if stages.rigid else []
     candidates = _list_candidates(given, moved, rigid)
-    sizes, best = _choose_levels(pyramid, candidates)
-    is_in_reach = sizes is not None
-    sizes = pyramid.sizes if sizes is None else sizes
+    choice = _choose_levels(pyramid, candidates)
+    beside = [candidate.field for candidate in candidates]
+    sizes = choice.sizes if stages.pyramid else []
     matched = None
-    if stages.features and _predict(pyramid, pyramid.rigid_size, best.field).coefficient < SURE:
+    if stages.features and _predict(pyramid, pyramid.rigid_size, choice.best.field).coefficient < SURE:
         matched = pyramid.match()
-    fields: list[CoarseField] = [candidate.field for candidate in candidates]
-    starts: list[CoarseField] = [best.field] if is_in_reach else [best.field, *fields]
-    note = best.note if is_in_reach else OUT_OF_REACH_NOTE
     if matched is not None:
-        starts, sizes, note = [matched, *fields], sizes[-1:], "start: features match; the given displacement is not used"
-    found = pyramid.correlate(sizes if stages.pyramid else [], starts, fields)
-    is_from_nothing = rigid is not None and any(best.field is field for field in rigid.fields)
+        found = pyramid.correlate(sizes[-1:], [matched, *beside], beside)
+        return MultilevelStart(found.field, (), found.levels, found.warnings, len(matched.matches.points),
+                               matched.matches.n_found, (NOTE_OF_FEATURES,))
+    starts = [choice.best.field] if choice.in_reach else [choice.best.field, *beside]
+    found = pyramid.correlate(sizes, starts, beside)
+    is_from_nothing = rigid is not None and any(choice.best.field is field for field in rigid.fields)
     translations = rigid.translations if rigid is not None and is_from_nothing else ()
-    n_matches, n_found = (0, 0) if matched is None else (len(matched.matches.points), matched.matches.n_found)
-    notes = (begun, note)
-    if _is_no_better(pyramid, finest, found.field, predicted):
-        return MultilevelStart(given, (), (), (), notes=(
-            begun, "start: nothing was found that explains the images better; the given displacement is kept"))
-    return MultilevelStart(found.field, translations, found.levels, found.warnings, n_matches, n_found, notes)
+    note = choice.best.note if choice.in_reach else NOTE_OUT_OF_REACH
+    return MultilevelStart(found.field, translations, found.levels, found.warnings, notes=(note,))
 
 
 def _predict(pyramid: Pyramid, size: int, field: GridField | CutField) -> PredictedError:
@@ -118,25 +131,13 @@ def _list_candidates(given: CutField, moved: Sequence[MovedOn], rigid: RigidStar
     return candidates
 
 
-def _choose_levels(pyramid: Pyramid, candidates: Sequence[_Candidate]) -> tuple[list[int] | None, _Candidate]:
-    """Block sizes of the levels to take, coarsest first, and the candidate that is best on the first of them.
-
-    None where all candidates are out of reach of all levels.
-    """
+def _choose_levels(pyramid: Pyramid, candidates: Sequence[_Candidate]) -> _Choice:
+    """The finest level in whose reach a candidate is, and those below it; all where none is."""
     best = candidates[0]
     for size in reversed(pyramid.sizes or [pyramid.finest_size]):
         predicted = [_predict(pyramid, size, candidate.field) for candidate in candidates]
         number = int(np.argmax([of_one.coefficient for of_one in predicted]))
         best = candidates[number]
         if predicted[number].measure_share_beyond(np.inf) <= OUT_OF_REACH:
-            return [level for level in pyramid.sizes if level <= size], best
-    return None, best
-
-
-def _is_no_better(pyramid: Pyramid, size: int, field: CoarseField, of_given: PredictedError) -> bool:
-    """Whether a field explains the images hardly better than the given one."""
-    # Features that agree with each other are believed.
-    if not isinstance(field, GridField | CutField):
-        return False
-    found = _predict(pyramid, size, field)
-    return bool(1 - found.coefficient > BETTER * (1 - of_given.coefficient))
+            return _Choice([level for level in pyramid.sizes if level <= size], best, in_reach=True)
+    return _Choice(pyramid.sizes, best, in_reach=False)
