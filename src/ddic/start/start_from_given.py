@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ddic.images.grid_field import GridField
+from ddic.mesh.mesh import Mesh
+from ddic.start.coarse_displacement import CoarseField
 from ddic.start.cut_field import CutField
 from ddic.start.moved_on import MovedOn, move_on
 from ddic.start.multilevel import SURE, MultilevelStart, Pyramid, Stages
@@ -79,18 +81,16 @@ def find_start_from_given(given: CutField, pyramid: Pyramid, stages: Stages) -> 
         return MultilevelStart(given, (), (), ())
     begun = (f"start: that is off by more than {RIGHT_PX:g} px on {share:.0%} of the region (correlation coefficient "
              f"{predicted.coefficient:.2f}); searching on")
-    found = _search_on(given, pyramid, stages)
-    # Features that agree with each other are believed.
-    if isinstance(found.field, GridField | CutField):
-        left = 1 - _predict(pyramid, pyramid.finest_size, found.field).coefficient
-        if left > BETTER * (1 - predicted.coefficient):
-            kept = "start: nothing was found that explains the images better; the given displacement is kept"
-            return MultilevelStart(given, (), (), (), notes=(begun, kept))
+    found, field = _search_on(given, pyramid, stages)
+    left = 1 - _predict(pyramid, pyramid.finest_size, field).coefficient
+    if left > BETTER * (1 - predicted.coefficient):
+        kept = "start: nothing was found that explains the images better; the given displacement is kept"
+        return MultilevelStart(given, (), (), (), notes=(begun, kept))
     return replace(found, notes=(begun, *found.notes))
 
 
-def _search_on(given: CutField, pyramid: Pyramid, stages: Stages) -> MultilevelStart:
-    """The best that is found from a given displacement, that moved on, and rest."""
+def _search_on(given: CutField, pyramid: Pyramid, stages: Stages) -> tuple[MultilevelStart, GridField | CutField]:
+    """The best that is found from a given displacement, that moved on, and rest; and its field."""
     rigid = pyramid.find_rigid() if stages.rigid else None
     moved = move_on(given, pyramid.pairs[pyramid.rigid_size]) if stages.rigid else []
     candidates = _list_candidates(given, moved, rigid)
@@ -102,14 +102,21 @@ def _search_on(given: CutField, pyramid: Pyramid, stages: Stages) -> MultilevelS
         matched = pyramid.match()
     if matched is not None:
         found = pyramid.correlate(sizes[-1:], [matched, *beside], beside)
-        return MultilevelStart(found.field, (), found.levels, found.warnings, len(matched.matches.points),
-                               matched.matches.n_found, (NOTE_OF_FEATURES,))
+        start = MultilevelStart(found.field, (), found.levels, found.warnings, len(matched.matches.points),
+                                matched.matches.n_found, (NOTE_OF_FEATURES,))
+        return start, _take_at_nodes(found.field, given.mesh)
     starts = [choice.best.field] if choice.in_reach else [choice.best.field, *beside]
     found = pyramid.correlate(sizes, starts, beside)
     is_from_nothing = rigid is not None and any(choice.best.field is field for field in rigid.fields)
     translations = rigid.translations if rigid is not None and is_from_nothing else ()
     note = choice.best.note if choice.in_reach else NOTE_OUT_OF_REACH
-    return MultilevelStart(found.field, translations, found.levels, found.warnings, notes=(note,))
+    start = MultilevelStart(found.field, translations, found.levels, found.warnings, notes=(note,))
+    return start, _take_at_nodes(found.field, given.mesh)
+
+
+def _take_at_nodes(field: CoarseField, mesh: Mesh) -> GridField | CutField:
+    """The same where it is quickly evaluated, else between the nodes of a mesh."""
+    return field if isinstance(field, GridField | CutField) else CutField(mesh, field.interpolate_at_nodes(mesh))
 
 
 def _predict(pyramid: Pyramid, size: int, field: GridField | CutField) -> PredictedError:
