@@ -654,7 +654,7 @@ class StartSection(Section):
             "pixels of the reference image."
         ),
     )
-    points: Annotated[tuple[tuple[Finite, Finite, Finite, Finite], ...], Field(min_length=1)] | None = Field(
+    points: tuple[tuple[Finite, Finite, Finite, Finite], ...] | None = Field(
         default=None,
         description=(
             "The same from a few points: each in the reference image, then where it is in the deformed one. One says a "
@@ -669,6 +669,8 @@ class StartSection(Section):
         given = [name for name in ("from_result", "from_points", "points") if getattr(self, name) is not None]
         if len(given) > 1:
             raise ValueError(f"start.{given[0]} and start.{given[1]}: give one of them")
+        if self.points == ():
+            raise ValueError("start.points: the list is empty; give [x, y, x', y'] of at least one point")
         return self
 
 
