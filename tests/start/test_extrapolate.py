@@ -7,7 +7,9 @@ import pytest
 
 from ddic.functionals.elasticity import Material, assemble_stiffness
 from ddic.mesh.cell_type import Q4
+from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.mesh import Mesh, build_mesh
+from ddic.mesh.own_side import find_points_on_own_side
 from ddic.mesh.structured import build_structured_mesh
 from ddic.start.extrapolate import extrapolate
 
@@ -77,3 +79,12 @@ def test_one_known_node_says_a_translation() -> None:
     known[17] = True
     found = extrapolate(MESH, np.tile((3.0, -4.0), (MESH.n_nodes, 1)), known)
     np.testing.assert_allclose(found.displacement, np.tile((3.0, -4.0), (MESH.n_nodes, 1)), atol=1e-12)
+
+
+def test_sides_of_a_line_go_on_by_themselves() -> None:
+    mesh = cut_mesh(MESH, [np.array([[-10.0, 47.3], [210.0, 52.6]])]).mesh
+    on_own_side = find_points_on_own_side(mesh)
+    is_below = on_own_side[:, 1] > 49.95 + (on_own_side[:, 0] - 100) * 5.3 / 220
+    u = np.where(is_below[:, None], _turn(mesh.nodes, 10.0), 0.01 * mesh.nodes)
+    found = extrapolate(mesh, u, on_own_side[:, 0] < 121)
+    np.testing.assert_allclose(found.displacement, u, atol=1e-9)

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from ddic.mesh.cell_type import Q4
+from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.mesh import build_mesh
+from ddic.mesh.own_side import find_points_on_own_side
 from ddic.mesh.structured import build_structured_mesh
 from ddic.start.affine_map import fit_affine_map
 from ddic.start.pair_field import interpolate_pairs
@@ -74,3 +76,14 @@ def test_each_piece_follows_its_own_points() -> None:
     assert found.n_pieces_without == 1
     expected = np.repeat([[1.0, 0.0], [0.0, 60.0], [0.0, 60.0]], MESH.n_nodes, axis=0)
     np.testing.assert_array_equal(found.displacement, expected)
+
+
+def test_points_on_either_side_of_a_line_stay_there() -> None:
+    line = np.array([[-10.0, 47.3], [210.0, 52.6]])
+    mesh = cut_mesh(MESH, [line]).mesh
+    is_below = find_points_on_own_side(mesh)[:, 1] > 49.95 + (find_points_on_own_side(mesh)[:, 0] - 100) * 5.3 / 220
+    # Two points 2 px from the line, on its two sides.
+    places = np.array([[100.0, 48.0], [100.0, 52.0]])
+    found = interpolate_pairs(places, np.array([[0.0, -20.0], [0.0, 20.0]]), mesh)
+    np.testing.assert_array_equal(found.displacement[:, 1], np.where(is_below, 20.0, -20.0))
+    assert found.n_pieces_without == 0
