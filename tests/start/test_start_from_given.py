@@ -105,6 +105,19 @@ def test_half_a_region_that_is_hidden_does_not_replace_a_good_field() -> None:
     assert find_start_from_given(given, pyramid, STAGES).field is given
 
 
+@pytest.mark.parametrize("truth", [-37.0, 17.0, 41.0])
+def test_a_repetitive_texture_is_gone_on_from_where_it_is_given(truth: float) -> None:
+    y, x = np.mgrid[0:SIDE, 0:SIDE]
+    number = 2 * np.pi / 12
+    pictures = [127 + 100 * np.sin(number * (x - shift)) * np.sin(number * y) for shift in (0.0, truth)]
+    reference, deformed = (source(picture.astype(np.float32)) for picture in pictures)
+    pyramid = Pyramid(BinnedPair(reference, deformed, 1), MESH, "none")
+    # A period is 12 px: whatever correlates the images finds another one as likely.
+    found = find_start_from_given(_given(Translation((truth + 1.2, -0.8))), pyramid, STAGES)
+    assert _error(found, Translation((truth, 0.0))) <= 0.02
+    assert found.notes[1] == "start: the pyramid goes on from it"
+
+
 def test_without_the_pyramid_the_translation_is_all() -> None:
     later = _linear([[0.02, 0.0], [0.0, -0.006]], (24.0, -13.0))
     found = _find(_given(STRAINED), later, Stages(pyramid=False))

@@ -12,7 +12,7 @@ from ddic.mesh.mesh import Mesh
 from ddic.start.coarse_displacement import CoarseField
 from ddic.start.cut_field import CutField
 from ddic.start.moved_on import MovedOn, move_on
-from ddic.start.multilevel import SURE, MultilevelStart, Pyramid, Stages
+from ddic.start.multilevel import SURE, Correlated, MultilevelStart, Pyramid, Stages
 from ddic.start.predicted_error import PredictedError, predict_error
 from ddic.start.rigid_start import RigidStart
 
@@ -32,6 +32,7 @@ BETTER = 0.9
 be taken in its place. A larger value replaces good displacements by coarse ones."""
 
 
+NOTE_IN_REACH = "start: the pyramid goes on from it"
 NOTE_OUT_OF_REACH = ("start: neither the given displacement nor a translation is in reach of a level of the pyramid; "
                      "all levels are taken, from the best of them")
 NOTE_OF_FEATURES = "start: features match; the given displacement is not used"
@@ -57,9 +58,10 @@ class _Choice:
 def find_start_from_given(given: CutField, pyramid: Pyramid, stages: Stages) -> MultilevelStart:
     """Find a coarse field from a given displacement.
 
-    Where the images bear it out, nothing is searched. Else it is moved on by a translation; where neither explains the
-    images, nor a translation from rest, features are matched; then come the levels of the pyramid in whose reach the
-    best of them is. A displacement that explains the images worse than a start from nothing does is not used.
+    Where the images bear it out, nothing is searched; where it is in reach of the finest level, that one follows. Else
+    it is moved on by a translation; where neither explains the images, nor a translation from rest, features are
+    matched; then come the levels of the pyramid in whose reach the best of them is. A displacement that explains the
+    images worse than a start from nothing does is not used.
 
     Parameters
     ----------
@@ -81,16 +83,22 @@ def find_start_from_given(given: CutField, pyramid: Pyramid, stages: Stages) -> 
         return MultilevelStart(given, (), (), ())
     begun = (f"start: that is off by more than {RIGHT_PX:g} px on {share:.0%} of the region (correlation coefficient "
              f"{predicted.coefficient:.2f}); searching on")
-    found, field = _search_on(given, pyramid, stages)
+    if stages.pyramid and pyramid.sizes and predicted.measure_share_beyond(np.inf) <= WRONG_SHARE:
+        # Nothing else is looked at: on a repetitive texture another translation would look as good.
+        found = pyramid.correlate(pyramid.sizes[-1:], [given], [given])
+        start = MultilevelStart(found.field, (), found.levels, found.warnings, notes=(NOTE_IN_REACH,))
+    else:
+        start, found = _search_on(given, pyramid, stages)
+    field = _take_at_nodes(found.field, given.mesh)
     left = 1 - _predict(pyramid, pyramid.finest_size, field).coefficient
     if left > BETTER * (1 - predicted.coefficient):
         kept = "start: nothing was found that explains the images better; the given displacement is kept"
         return MultilevelStart(given, (), (), (), notes=(begun, kept))
-    return replace(found, notes=(begun, *found.notes))
+    return replace(start, notes=(begun, *start.notes))
 
 
-def _search_on(given: CutField, pyramid: Pyramid, stages: Stages) -> tuple[MultilevelStart, GridField | CutField]:
-    """The best that is found from a given displacement, that moved on, and rest; and its field."""
+def _search_on(given: CutField, pyramid: Pyramid, stages: Stages) -> tuple[MultilevelStart, Correlated]:
+    """The best that is found from a given displacement, that moved on, and rest."""
     rigid = pyramid.find_rigid() if stages.rigid else None
     moved = move_on(given, pyramid.pairs[pyramid.rigid_size]) if stages.rigid else []
     candidates = _list_candidates(given, moved, rigid)
@@ -102,16 +110,14 @@ def _search_on(given: CutField, pyramid: Pyramid, stages: Stages) -> tuple[Multi
         matched = pyramid.match()
     if matched is not None:
         found = pyramid.correlate(sizes[-1:], [matched, *beside], beside)
-        start = MultilevelStart(found.field, (), found.levels, found.warnings, len(matched.matches.points),
-                                matched.matches.n_found, (NOTE_OF_FEATURES,))
-        return start, _take_at_nodes(found.field, given.mesh)
+        return MultilevelStart(found.field, (), found.levels, found.warnings, len(matched.matches.points),
+                               matched.matches.n_found, (NOTE_OF_FEATURES,)), found
     starts = [choice.best.field] if choice.in_reach else [choice.best.field, *beside]
     found = pyramid.correlate(sizes, starts, beside)
     is_from_nothing = rigid is not None and any(choice.best.field is field for field in rigid.fields)
     translations = rigid.translations if rigid is not None and is_from_nothing else ()
     note = choice.best.note if choice.in_reach else NOTE_OUT_OF_REACH
-    start = MultilevelStart(found.field, translations, found.levels, found.warnings, notes=(note,))
-    return start, _take_at_nodes(found.field, given.mesh)
+    return MultilevelStart(found.field, translations, found.levels, found.warnings, notes=(note,)), found
 
 
 def _take_at_nodes(field: CoarseField, mesh: Mesh) -> GridField | CutField:
@@ -125,7 +131,7 @@ def _predict(pyramid: Pyramid, size: int, field: GridField | CutField) -> Predic
 
 def _list_candidates(given: CutField, moved: Sequence[MovedOn], rigid: RigidStart | None) -> list[_Candidate]:
     """What may be gone on from; what is given first, so that it wins where nothing is better."""
-    candidates = [_Candidate(given, "start: the pyramid goes on from it")]
+    candidates = [_Candidate(given, NOTE_IN_REACH)]
     for one in moved:
         by = ", ".join(f"({found.shift[0]:.2f}, {found.shift[1]:.2f}) px, correlation coefficient "
                        f"{found.coefficient:.3f}" for found in one.translations)
