@@ -93,7 +93,7 @@ def find_start_from_given(given: CutField, pyramid: Pyramid, stages: Stages) -> 
     left = 1 - _predict(pyramid, pyramid.finest_size, field).coefficient
     if left > BETTER * (1 - predicted.coefficient):
         kept = "start: nothing was found that explains the images better; the given displacement is kept"
-        return MultilevelStart(given, (), (), (), notes=(begun, kept))
+        return MultilevelStart(given, (), (), start.warnings, notes=(begun, kept))
     return replace(start, notes=(begun, *start.notes))
 
 
