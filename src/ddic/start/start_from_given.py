@@ -83,11 +83,11 @@ def find_start_from_given(given: CutField, pyramid: Pyramid, stages: Stages) -> 
         return MultilevelStart(given, (), (), ())
     begun = (f"start: that is off by more than {RIGHT_PX:g} px on {share:.0%} of the region (correlation coefficient "
              f"{predicted.coefficient:.2f}); searching on")
-    if stages.pyramid and pyramid.sizes and predicted.measure_share_beyond(np.inf) <= WRONG_SHARE:
-        # Nothing else is looked at: on a repetitive texture another translation would look as good.
-        found = pyramid.correlate(pyramid.sizes[-1:], [given], [given])
-        start = MultilevelStart(found.field, (), found.levels, found.warnings, notes=(NOTE_IN_REACH,))
-    else:
+    is_in_reach = predicted.measure_share_beyond(np.inf) <= WRONG_SHARE
+    # Then nothing else is looked at: on a repetitive texture another translation would look as good.
+    found = pyramid.correlate(pyramid.sizes[-1:] if stages.pyramid and is_in_reach else [], [given], [given])
+    start = MultilevelStart(found.field, (), found.levels, (), notes=(NOTE_IN_REACH,))
+    if not found.levels:
         start, found = _search_on(given, pyramid, stages)
     field = _take_at_nodes(found.field, given.mesh)
     left = 1 - _predict(pyramid, pyramid.finest_size, field).coefficient
@@ -106,7 +106,8 @@ def _search_on(given: CutField, pyramid: Pyramid, stages: Stages) -> tuple[Multi
     beside = [candidate.field for candidate in candidates]
     sizes = choice.sizes if stages.pyramid else []
     matched = None
-    if stages.features and _predict(pyramid, pyramid.rigid_size, choice.best.field).coefficient < SURE:
+    looks = stages.rigid and stages.features
+    if looks and _predict(pyramid, pyramid.rigid_size, choice.best.field).coefficient < SURE:
         matched = pyramid.match()
     if matched is not None:
         found = pyramid.correlate(sizes[-1:], [matched, *beside], beside)
