@@ -1,6 +1,6 @@
 """The acceptance table of the start, as far as it is built: ``make accept-start``, a check alone with CHECK=NAME.
 
-Pairs are exact and settings are defaults: no start key in any case.
+Pairs are exact and settings are defaults: no start key in any case but those of the check ``initial_fields``.
 """
 
 from __future__ import annotations
@@ -8,10 +8,11 @@ from __future__ import annotations
 import sys
 
 from accept.hard_starts import CHECKS as HARD
+from accept.initial_fields import CHECKS as INITIAL
 from accept.large_motions import CHECKS as LARGE
 from accept.table import Check, run_table
 
-CHECKS: dict[str, Check] = {**LARGE, **HARD}
+CHECKS: dict[str, Check] = {**LARGE, **HARD, **INITIAL}
 
 
 if __name__ == "__main__":

@@ -337,6 +337,13 @@ def test_residual_image(tmp_path: Path) -> None:
     assert (x, y) == (190, 80)
 
 
+def test_given_start(tmp_path: Path) -> None:
+    u, v, rms = run_script("given_start", tmp_path)
+    assert (u, v) == pytest.approx((41.0, 0.0), abs=0.01)
+    # Noise of 2 grey levels in both images on elements of 20 px, whose grey levels rise by 20 a pixel or so.
+    assert rms < 0.02
+
+
 def test_large_motion(tmp_path: Path) -> None:
     _, _, angle, rms = run_script("large_motion", tmp_path)
     # 0.006 px at 225 nodes, at 115 px from the middle on average.

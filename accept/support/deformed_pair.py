@@ -170,7 +170,7 @@ class Measured:
 
 
 def measure_deformed(pair: Pair, mesh: ddic.Mesh, deformation: Deformation,
-                     options: dict[str, Any] | None = None) -> Measured:
+                     options: dict[str, Any] | None = None, start: Any = None) -> Measured:
     """Measure a pair, and compare with what it was drawn with.
 
     Parameters
@@ -183,6 +183,8 @@ def measure_deformed(pair: Pair, mesh: ddic.Mesh, deformation: Deformation,
         The truth.
     options : dict, optional
         As ``ddic.measure`` takes them.
+    start : Result or pair of arrays, optional
+        As ``ddic.measure`` takes it.
 
     Returns
     -------
@@ -190,7 +192,7 @@ def measure_deformed(pair: Pair, mesh: ddic.Mesh, deformation: Deformation,
         Errors, or the refusal.
     """
     try:
-        result = ddic.measure(pair, mesh, options=options or {})
+        result = ddic.measure(pair, mesh, options=options or {}, start=start)
     except ddic.DdicError as error:
         return Measured(np.nan, np.nan, str(error).splitlines()[0])
     off = result.at(mesh.nodes) - deformation.displacement(mesh.nodes)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.api.given_displacement import StartLike, convert_start
 from ddic.api.given_mesh import convert_given_mesh
 from ddic.api.image import ImageLike, check_same_size, open_given_image
 from ddic.api.options import Options, check_kinematics, choose_options, choose_team, make_case
@@ -41,6 +42,7 @@ from ddic.results.measurement import Measurement
 from ddic.results.publishing import Destination, gather, publish
 from ddic.results.run_files import keep_failed_run, remove_failed_field
 from ddic.results.separated_measurement import SeparatedMeasurement
+from ddic.start.given_start import GivenStart
 
 if TYPE_CHECKING:
     import meshio
@@ -89,7 +91,7 @@ class Session:
         return self._recipe.problem.solver.n_factorized if isinstance(self._recipe, DecomposedSession) else 0
 
     def measure(self, deformed: ImageLike | Sequence[ImageLike], *, from_last: bool = False,
-                output: str | Path | None = None) -> Result:
+                start: StartLike | None = None, output: str | Path | None = None) -> Result:
         """Measure the displacement between the reference image and a deformed one.
 
         Parameters
@@ -97,7 +99,10 @@ class Session:
         deformed : Image, (height, width) array, str or Path
             As large as the reference image; a sequence with one of each camera where a case has several.
         from_last : bool
-            Start from the last field that this session measured instead of searching for one.
+            Start from the last field that this session measured, as it is, instead of searching for one.
+        start : Result or pair of (n, 2) arrays, optional
+            A displacement to start from: an earlier result, or points and their displacement, pixels of the reference
+            image. Where the images do not bear it out, the search goes on from it.
         output : str or Path, optional
             Result file to write as well; none by default.
 
@@ -113,10 +118,11 @@ class Session:
             which is written as well where there is an output, under a name that says so.
         """
         self._team.together(self._require_open)
-        images = self._team.together(lambda: self._check_images(deformed, from_last=from_last))
+        images = self._team.together(lambda: self._check_images(deformed, from_last=from_last, start=start))
+        given = self._convert_start(start)
         frame = self._open_frame(images)
         path = None if output is None else self._team.on_root(lambda: self._check_output(output, frame))
-        return self._measure_frame(frame, self._last if from_last else None, path)
+        return self._measure_frame(frame, self._last if from_last else given, path)
 
     def close(self) -> None:
         """Free the factors; what was measured stays."""
@@ -174,11 +180,17 @@ class Session:
         return tuple(self._open_deformed(image, camera, name)
                      for image, camera, name in zip(images, cameras, names, strict=True))
 
-    def _check_images(self, deformed: ImageLike | Sequence[ImageLike], *, from_last: bool) -> Sequence[ImageLike]:
+    def _convert_start(self, start: StartLike | None) -> GivenStart | None:
+        return self._team.alike(lambda: convert_start(self._team, start, self._inputs.cameras[0]))
+
+    def _check_images(self, deformed: ImageLike | Sequence[ImageLike], *, from_last: bool,
+                      start: StartLike | None) -> Sequence[ImageLike]:
         """Check what can be told before images are opened; one image of each camera."""
         n_cameras = len(self._inputs.cameras)
         if from_last and self._last is None:
             raise InputError("from_last: this session has measured nothing yet")
+        if from_last and start is not None:
+            raise InputError("from_last and start: give one of them")
         if n_cameras == 1:
             return [deformed]  # type: ignore[list-item]  # of another type it is refused where it is opened
         if not isinstance(deformed, list | tuple) or len(deformed) != n_cameras:
@@ -218,7 +230,8 @@ def _gather_last_field(error: ConvergenceError) -> None:
 
 def measure(source: str | Path | Case | LoadedCase | Sequence[ImageLike],
             mesh: Mesh | meshio.Mesh | tuple[Any, Any] | None = None, *,
-            options: Options | Mapping[str, Any] | None = None, output: str | Path | None = None) -> Result:
+            options: Options | Mapping[str, Any] | None = None, start: StartLike | None = None,
+            output: str | Path | None = None) -> Result:
     """Measure the displacement between two images; collective under mpirun.
 
     Parameters
@@ -230,6 +243,9 @@ def measure(source: str | Path | Case | LoadedCase | Sequence[ImageLike],
         ``pgd`` the options' ``mesh.structured`` may stand for it.
     options : Options or mapping, optional
         Sections and keys of a case file, for a pair of images, or these with kinematics and a communicator.
+    start : Result or pair of (n, 2) arrays, optional
+        A displacement to start from, in place of what a case says: an earlier result, or points and their displacement,
+        pixels of the reference image. Where the images do not bear it out, the search goes on from it.
     output : str or Path, optional
         Result file to write as well; none by default, also where a case names one.
 
@@ -248,10 +264,11 @@ def measure(source: str | Path | Case | LoadedCase | Sequence[ImageLike],
         chosen = team.together(lambda: _options_beside_a_case(mesh, options))
         inputs, frame = _open_case(team, chosen, source, output)
         with Session(team, inputs) as session:
-            return session._measure_frame(frame, None, None if output is None else Path(output))
+            given = session._convert_start(start)
+            return session._measure_frame(frame, given, None if output is None else Path(output))
     reference, deformed = team.together(lambda: _pair(source))
     with prepare(reference, mesh, options=options) as session:
-        return session.measure(deformed, output=output)
+        return session.measure(deformed, start=start, output=output)
 
 
 def prepare(source: ImageLike | Case | LoadedCase, mesh: Mesh | meshio.Mesh | tuple[Any, Any] | None = None, *,

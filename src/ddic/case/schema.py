@@ -610,7 +610,7 @@ class GaussNewtonSection(Section):
 
 
 class StartSection(Section):
-    """Initial displacement: each stage can be switched off; a result file replaces the first three."""
+    """Initial displacement: each stage can be switched off; the first three go on from a given displacement."""
 
     rigid: bool = Field(
         default=True,
@@ -641,8 +641,37 @@ class StartSection(Section):
     )
     from_result: Path | None = Field(
         default=None,
-        description="An earlier result file, on the same or another mesh; it replaces `rigid`, `features`, `pyramid`.",
+        description=(
+            "An earlier result file, on the same or another mesh. Where the images bear it out to a pixel it is taken "
+            "as it is; else `rigid`, `features` and `pyramid` go on from it "
+            "([start.md](start.md#from-a-given-displacement))."
+        ),
     )
+    from_points: Path | None = Field(
+        default=None,
+        description=(
+            "The same from displacements at points: a CSV file with a header row that names the columns x, y, u, v, "
+            "pixels of the reference image."
+        ),
+    )
+    points: tuple[tuple[Finite, Finite, Finite, Finite], ...] | None = Field(
+        default=None,
+        description=(
+            "The same from a few points: each in the reference image, then where it is in the deformed one. One says a "
+            "translation, two a rotation with a scale, three an affine map, more what lies between them."
+        ),
+        json_schema_extra={"unit": "px", "shape": "list of [x, y, x', y']"},
+    )
+
+    @model_validator(mode="after")
+    def _one_given(self) -> StartSection:
+        """Refuse several displacements to start from."""
+        given = [name for name in ("from_result", "from_points", "points") if getattr(self, name) is not None]
+        if len(given) > 1:
+            raise ValueError(f"start.{given[0]} and start.{given[1]}: give one of them")
+        if self.points == ():
+            raise ValueError("start.points: the list is empty; give [x, y, x', y'] of at least one point")
+        return self
 
 
 class PgdSection(Section):

@@ -21,6 +21,7 @@ from ddic.results.listener import Listener
 from ddic.results.measurement import Measurement, finish_measurement
 from ddic.start.coarse_field import prepare_search
 from ddic.start.frame_start import FrameStart, find_start
+from ddic.start.given_start import GivenStart
 
 
 class Session:
@@ -76,15 +77,15 @@ class Session:
                  trace: TracebackType | None) -> None:
         self.close()
 
-    def measure(self, frame: Frame, start: Sequence[NDArray[np.float64]] | None = None) -> Measurement:
+    def measure(self, frame: Frame, start: Sequence[NDArray[np.float64]] | GivenStart | None = None) -> Measurement:
         """Measure the displacement between the reference images and a frame; collective.
 
         Parameters
         ----------
         frame : Frame
             One deformed image of each camera.
-        start : sequence of (n_unknowns,) array, optional
-            Unknowns of each owned subdomain to start from; by default as the case says.
+        start : sequence of (n_unknowns,) array, EarlierResult or StartPoints, optional
+            Unknowns of each owned subdomain to start from, or a displacement to go on from; else as the case says.
 
         Returns
         -------

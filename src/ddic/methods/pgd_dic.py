@@ -16,6 +16,7 @@ from ddic.results.listener import Listener
 from ddic.results.separated_measurement import SeparatedMeasurement
 from ddic.separated.corrections import correct_displacement
 from ddic.separated.separated_field import SeparatedField
+from ddic.start.given_start import GivenStart
 from ddic.start.separated_start import find_separated_start, prepare_separated_search
 
 
@@ -52,15 +53,15 @@ class SeparatedSession:
                  trace: TracebackType | None) -> None:
         self.close()
 
-    def measure(self, frame: Frame, start: SeparatedField | None = None) -> SeparatedMeasurement:
+    def measure(self, frame: Frame, start: SeparatedField | GivenStart | None = None) -> SeparatedMeasurement:
         """Measure the displacement between the reference image and a frame; collective.
 
         Parameters
         ----------
         frame : Frame
             One deformed image.
-        start : SeparatedField, optional
-            Displacement to start from; by default as the case says.
+        start : SeparatedField, EarlierResult or StartPoints, optional
+            Displacement to start from, or to go on from; by default as the case says.
 
         Returns
         -------

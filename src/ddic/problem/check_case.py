@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ from ddic.problem.check_report import CheckReport, describe_inputs
 from ddic.problem.check_separated import check_separated_case
 from ddic.problem.gather_problems import Problems
 from ddic.problem.mesh_source import build_mesh_anywhere, build_meshes
+from ddic.problem.start_points import StartPoints, check_start_points, load_start_points, require_points_inside
 
 PixelCounter = Callable[[Mesh, Tying | None], NDArray[np.int64]]
 """Gives the number of pixels of each cell of a mesh, (n_cells,); raises InputError where an image is unfit."""
@@ -61,15 +63,34 @@ def check_case(loaded: LoadedCase, count_pixels: PixelCounter | None = None) -> 
     with problems.gathered():
         if case.start.from_result is not None:
             read_result(case.start.from_result)
+    points = _check_start_points(loaded, reference, problems)
     if case.pgd is not None:
         if reference is None:
             raise InputError(problems.lines)
         return check_separated_case(loaded, reference, problems)
     checked = _check_mesh(loaded, reference, count_pixels or _count_pixels, problems)
+    with problems.gathered(_case_of_points(loaded)):
+        if points is not None:
+            require_points_inside(points, checked.mesh)
     not_controlled = check_mesh_uses(loaded, checked, problems)
     if reference is None or problems.lines:
         raise InputError(problems.lines)
     return describe_inputs(case, reference, checked, not_controlled)
+
+
+def _check_start_points(loaded: LoadedCase, reference: ImageSource | None, problems: Problems) -> StartPoints | None:
+    """The points that the case starts from; None where there are none, or they are wrong."""
+    with problems.gathered(_case_of_points(loaded)):
+        points = load_start_points(loaded.case.start)
+        if points is not None and reference is not None:
+            check_start_points(points, reference.width, reference.height)
+        return points
+    return None
+
+
+def _case_of_points(loaded: LoadedCase) -> Path | None:
+    """The case file where it holds the points itself; a table of points is named by what is said of it."""
+    return None if loaded.case.start.points is None else loaded.path
 
 
 def _check_mesh(loaded: LoadedCase, reference: ImageSource | None, count_pixels: PixelCounter,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +13,19 @@ from ddic.start.cut_field import CutField
 from ddic.start.matched_field import MatchedField
 
 CoarseField = GridField | CutField | MatchedField
+
+
+@dataclass(frozen=True, eq=False)
+class KeptResult:
+    """An earlier result's displacement, taken as it is.
+
+    Attributes
+    ----------
+    beyond : CutField or None
+        What extends it, on the cells that the earlier mesh does not hold whole; None where there are none.
+    """
+
+    beyond: CutField | None
 
 
 def evaluate_at_nodes(field: CoarseField, mesh: Mesh) -> NDArray[np.float64]:

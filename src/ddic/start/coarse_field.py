@@ -1,35 +1,38 @@
-"""The displacement that Gauss-Newton starts from [BP17, Fig. 5]: coarse fields of the cameras, or an earlier result."""
+"""The displacement that Gauss-Newton starts from [BP17, Fig. 5]: coarse fields of the cameras."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ddic.case.schema import Case, StartSection
-from ddic.errors import InputError
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.images.binned import bin_rows, join_blocks
 from ddic.images.grid_field import build_uniform_field
 from ddic.images.sub_image import MaskedSource
-from ddic.io.result_reader import evaluate_on_sides, read_result
-from ddic.io.result_schema import near_group
-from ddic.kinematics.camera_kinematics import CameraSetup
 from ddic.kinematics.seen_lines import see_discontinuities
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.own_side import find_points_on_own_side
 from ddic.parallel.team import Team, require_held
 from ddic.problem.cameras import Camera, Frame, MeasuredCells
 from ddic.problem.cut_region import list_discontinuities
 from ddic.problem.inputs import Inputs
 from ddic.problem.views import ReferenceViews
 from ddic.start.binned_pair import BinnedPair
-from ddic.start.coarse_displacement import evaluate_at_nodes
-from ddic.start.multilevel import LinesOnLevels, MultilevelStart, Stages, choose_finest_block, find_multilevel_start
+from ddic.start.coarse_displacement import CoarseField, KeptResult, evaluate_at_nodes
+from ddic.start.given_start import EarlierResult, GivenStart, PlacedStart, load_given_start, place_start
+from ddic.start.multilevel import (
+    LinesOnLevels,
+    MultilevelStart,
+    Pyramid,
+    Stages,
+    choose_finest_block,
+    find_multilevel_start,
+)
+from ddic.start.start_from_given import find_start_from_given
 
 Array = NDArray[np.float64]
 
@@ -82,6 +85,8 @@ class CoarseSearch:
         Of grey levels.
     regions : list of SeenRegion or None
         By camera, on the last rank.
+    given : EarlierResult, StartPoints or None
+        What the user gives to start from, on rank 0 and on the last rank.
     """
 
     team: Team
@@ -89,6 +94,22 @@ class CoarseSearch:
     section: StartSection
     correction: GreyCorrection
     regions: list[SeenRegion] | None
+    given: GivenStart | None = None
+
+    def start_from(self, given: GivenStart) -> CoarseSearch:
+        """Give a search that starts from something else than the case says.
+
+        Parameters
+        ----------
+        given : EarlierResult or StartPoints
+            The same on all ranks.
+
+        Returns
+        -------
+        CoarseSearch
+            For any number of frames.
+        """
+        return replace(self, given=given)
 
     def prepare(self, frame: Frame | None) -> Callable[[], list[MultilevelStart] | None]:
         """Bin the images on all ranks; collective.
@@ -103,11 +124,10 @@ class CoarseSearch:
         callable
             What this rank has to do next, free of communication: the search itself on the last rank.
         """
-        if frame is None or self.section.from_result is not None:
+        if frame is None:
             return lambda: None
         if not (self.section.rigid or self.section.pyramid):
-            zero = MultilevelStart(build_uniform_field((0.0, 0.0)), (), (), ())
-            return lambda: [zero] * len(self.cameras)
+            return self._take_as_it_is
         pairs = [_bin_together(self.team, camera.reference, deformed)
                  for camera, deformed in zip(self.cameras, frame, strict=True)]
         return partial(self._search, pairs)
@@ -133,8 +153,37 @@ class CoarseSearch:
         if self.regions is None:
             return None
         stages = Stages(self.section.rigid, self.section.features, self.section.pyramid)
-        return [find_multilevel_start(require_held(pair), region.mesh, stages, self.correction, region.lines)
-                for pair, region in zip(pairs, self.regions, strict=True)]
+        found = []
+        for pair, region, camera in zip(pairs, self.regions, self.cameras, strict=True):
+            images = require_held(pair)
+            if self.given is None:
+                found.append(find_multilevel_start(images, region.mesh, stages, self.correction, region.lines))
+                continue
+            placed = self._place(self.given, region, camera)
+            pyramid = Pyramid(images, region.mesh, self.correction, region.lines)
+            found.append(self._describe(self.given, placed, find_start_from_given(placed.field, pyramid, stages)))
+        return found
+
+    def _take_as_it_is(self) -> list[MultilevelStart] | None:
+        """What is given, or rest, without a look at the images."""
+        if self.regions is None:
+            return None
+        if self.given is None:
+            return [MultilevelStart(build_uniform_field((0.0, 0.0)), (), (), ())] * len(self.cameras)
+        placed = [self._place(self.given, region, camera)
+                  for region, camera in zip(self.regions, self.cameras, strict=True)]
+        return [self._describe(self.given, one, MultilevelStart(one.field, (), (), ())) for one in placed]
+
+    @staticmethod
+    def _place(given: GivenStart, region: SeenRegion, camera: Camera) -> PlacedStart:
+        return place_start(given, region.mesh, region.lines.discontinuities, camera)
+
+    @staticmethod
+    def _describe(given: GivenStart, placed: PlacedStart, start: MultilevelStart) -> MultilevelStart:
+        """The same, with notes; an earlier result that is kept is looked up where it is needed, at all its digits."""
+        notes = (f"start: {given.describe()}", *placed.notes, *start.notes)
+        is_kept_result = start.field is placed.field and isinstance(given, EarlierResult)
+        return replace(start, notes=notes, field=KeptResult(placed.beyond) if is_kept_result else start.field)
 
 
 def prepare_search(team: Team, inputs: Inputs, measured: Sequence[MeasuredCells] | None) -> CoarseSearch:
@@ -154,12 +203,15 @@ def prepare_search(team: Team, inputs: Inputs, measured: Sequence[MeasuredCells]
     CoarseSearch
         For any number of frames.
     """
-    case = inputs.case
+    case, last = inputs.case, team.size - 1
+    loaded = team.build_on_root(lambda: [load_given_start(case.start)])
+    sent = team.send_from_root(loaded, last)
+    given = loaded if team.is_root else sent
     regions = None
     if measured is not None:
         regions = [_see_region(case, camera, cells) for camera, cells in zip(inputs.cameras, measured, strict=True)]
     return CoarseSearch(team, inputs.cameras, case.start, case.correlation.correction_of_start,
-                        team.send_from_root(regions, team.size - 1))
+                        team.send_from_root(regions, last), None if given is None else given[0])
 
 
 def _see_region(case: Case, camera: Camera, cells: MeasuredCells) -> SeenRegion:
@@ -187,16 +239,37 @@ def fit_coarse_fields(cameras: Sequence[Camera], references: Sequence[ReferenceV
     StartField
         Unknowns and notes.
     """
-    q = []
-    for reference in references:
-        still = reference.own.hold_still().kinematics
-        in_image = evaluate_at_nodes(found[reference.subdomain.camera].field, still.mesh)
-        q.append(still.fit(in_image.ravel()))
+    q = [_fit_coarse_field(reference, found[reference.subdomain.camera].field) for reference in references]
+    return StartField(q, describe_starts(cameras, found))
+
+
+def _fit_coarse_field(reference: ReferenceViews, field: CoarseField | KeptResult) -> Array:
+    if isinstance(field, KeptResult):
+        raise TypeError("an earlier result that is kept is looked up at the nodes")
+    still = reference.own.hold_still().kinematics
+    return still.fit(evaluate_at_nodes(field, still.mesh).ravel())
+
+
+def describe_starts(cameras: Sequence[Camera], found: Sequence[MultilevelStart]) -> tuple[str, ...]:
+    """Say how the coarse fields of all cameras were found.
+
+    Parameters
+    ----------
+    cameras : sequence of Camera
+        All of them.
+    found : sequence of MultilevelStart
+        By camera.
+
+    Returns
+    -------
+    tuple of str
+        For the log.
+    """
     notes: list[str] = []
     for camera, start in zip(cameras, found, strict=True):
         prefix = "" if len(cameras) == 1 else f"{camera.label}, "
         notes += [prefix + line for line in describe_start(start)]
-    return StartField(q, tuple(notes))
+    return tuple(notes)
 
 
 def describe_start(start: MultilevelStart) -> list[str]:
@@ -215,7 +288,7 @@ def describe_start(start: MultilevelStart) -> list[str]:
     lines = list(start.warnings)
     shifts = [f"({found.shift[0]:.2f}, {found.shift[1]:.2f}) px, correlation coefficient {found.coefficient:.3f}"
               for found in start.rigid]
-    lines = [*(f"start: rigid shift {shift}" for shift in shifts), *lines]
+    lines = [*start.notes, *(f"start: rigid shift {shift}" for shift in shifts), *lines]
     if start.n_matches:
         lines.append(f"start: {start.n_matches} of {start.n_found} matched features agree with their neighbours")
     if start.levels:
@@ -237,64 +310,3 @@ def _bin_together(team: Team, reference: MaskedSource, deformed: MaskedSource) -
         return None
     binned = [join_blocks(source, [of_rank[k] for of_rank in bands]) for k, source in enumerate(sources)]
     return BinnedPair(binned[0], binned[1], factor)
-
-
-def read_earlier_fields(team: Team, path: Path, cameras: Sequence[Camera],
-                        references: Sequence[ReferenceViews]) -> StartField:
-    """Start each subdomain from an earlier result; collective.
-
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    path : Path
-        The result file.
-    cameras : sequence of Camera
-        All of them.
-    references : sequence of ReferenceViews
-        Owned subdomains.
-
-    Returns
-    -------
-    StartField
-        The result's displacement, moved as the set-ups did, so that no set-up has moved.
-
-    Raises
-    ------
-    InputError
-        On all ranks, where the file is no result, or holds no motion of a near field.
-    """
-    wanted = team.gather_to([(find_points_on_own_side(reference.subdomain.mesh), reference.subdomain.mesh.nodes)
-                             for reference in references])
-
-    def read() -> list[list[Array]]:
-        result = read_result(path)
-        return [[evaluate_on_sides(result, points, nodes) for points, nodes in of_rank]
-                for of_rank in require_held(wanted)]
-
-    displacements = team.scatter_from_root(read)
-    motions = team.on_root(lambda: [_stored_motion(path, camera) for camera in cameras])
-
-    def fit(reference: ReferenceViews, u: Array) -> Array:
-        subdomain = reference.subdomain
-        nodes = subdomain.mesh.nodes
-        moved = cameras[subdomain.camera].setup.move(nodes + u, motions[subdomain.camera])
-        return subdomain.kinematics.fit((moved - nodes).ravel())
-
-    q = team.together(lambda: [fit(reference, u) for reference, u in zip(references, displacements, strict=True)])
-    labels = [""] if len(cameras) == 1 else [f"{camera.label}, " for camera in cameras]
-    return StartField(q, tuple(f"{label}start: displacement of {path}" for label in labels))
-
-
-def _stored_motion(path: Path, camera: Camera) -> Array:
-    """Unknowns of a set-up's motion in an earlier result, (n_motion_unknowns,)."""
-    setup: CameraSetup = camera.setup
-    if camera.number == 0:
-        return np.zeros(0)
-    stored = read_result(path).attributes.get(near_group(camera.number), {})
-    if "alpha_px" not in stored:
-        raise InputError(f"start.from_result: {path} holds no motion of near field {camera.number}; give a "
-                         "result of the same near-field images")
-    alpha = stored["alpha_px"]
-    theta = float(stored["theta_rad"])
-    return np.array([alpha[0], alpha[1], theta * setup.length])[:setup.n_motion_unknowns]

@@ -49,3 +49,24 @@ class CutField:
         nearest = cKDTree(find_points_on_own_side(self.mesh)).query(on_own_side[~is_held])[1]
         values[~is_held] = self.displacement[nearest]
         return values
+
+    def at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Interpolate the displacement.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n, 2) array
+            Displacement, pixels; outside the mesh that of the nearest node.
+        """
+        located = locate(self.mesh, points)
+        values = interpolate_located(self.mesh, self.displacement, located)
+        outside = located.cells < 0
+        if outside.any():
+            nearest = cKDTree(find_points_on_own_side(self.mesh)).query(points[outside])[1]
+            values[outside] = self.displacement[nearest]
+        return values

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +13,13 @@ from ddic.kinematics.camera_kinematics import CameraKinematics
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team, require_held
 from ddic.problem.cameras import Frame
+from ddic.problem.start_points import StartPoints
 from ddic.problem.views import FrameViews, ReferenceViews, read_frame_windows
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.start.camera_noise import describe_noise, estimate_noise
-from ddic.start.coarse_field import CoarseSearch, StartField, fit_coarse_fields, read_earlier_fields
+from ddic.start.coarse_field import CoarseSearch, StartField
+from ddic.start.earlier_field import fit_found_fields
+from ddic.start.given_start import EarlierResult, GivenStart
 from ddic.start.independent import measure_independently
 from ddic.start.multilevel import MultilevelStart
 from ddic.start.start_motions import start_motions
@@ -63,7 +66,7 @@ class StartedFrame:
 
 
 def find_start(by: FrameStart, frame: Frame, views: Sequence[FrameViews], found: list[MultilevelStart] | None,
-               earlier: Sequence[Array] | None) -> StartedFrame:
+               begin: Sequence[Array] | GivenStart | None) -> StartedFrame:
     """Find where Gauss-Newton starts; collective.
 
     Parameters
@@ -76,8 +79,9 @@ def find_start(by: FrameStart, frame: Frame, views: Sequence[FrameViews], found:
         Owned subdomains in the frame.
     found : list of MultilevelStart or None
         Coarse fields that were found already, by camera.
-    earlier : sequence of (n_unknowns,) array or None
-        Unknowns of an earlier frame, which replace all stages.
+    begin : sequence of (n_unknowns,) array, EarlierResult, StartPoints or None
+        Unknowns of an earlier frame, which replace all stages; or a displacement from which they go on, in place of
+        what the case gives.
 
     Returns
     -------
@@ -89,8 +93,10 @@ def find_start(by: FrameStart, frame: Frame, views: Sequence[FrameViews], found:
     InputError, ConvergenceError
         On all ranks.
     """
-    if earlier is not None:
-        return StartedFrame([np.array(q_s) for q_s in earlier], ("start: an earlier frame",))
+    if isinstance(begin, EarlierResult | StartPoints):
+        by, found = replace(by, search=by.search.start_from(begin)), None
+    elif begin is not None:
+        return StartedFrame([np.array(q_s) for q_s in begin], ("start: an earlier frame",))
     references = [of_subdomain.reference for of_subdomain in views]
     with by.clock.phase(Phase.START):
         coarse = _find_coarse_fields(by, frame, references, found)
@@ -114,14 +120,10 @@ def find_start(by: FrameStart, frame: Frame, views: Sequence[FrameViews], found:
 
 def _find_coarse_fields(by: FrameStart, frame: Frame, references: Sequence[ReferenceViews],
                         found: list[MultilevelStart] | None) -> StartField:
-    cameras, path = by.search.cameras, by.search.section.from_result
-    if path is not None:
-        return read_earlier_fields(by.team, path, cameras, references)
     if found is None:
         search = by.search.prepare(frame)
         found = by.search.share(by.team.together(search))
-    coarse = require_held(found)
-    return by.team.together(lambda: fit_coarse_fields(cameras, references, coarse))
+    return fit_found_fields(by.search, references, require_held(found))
 
 
 def _refine_independently(by: FrameStart, views: Sequence[FrameViews],

@@ -6,8 +6,9 @@ receives the coarse field.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -20,12 +21,13 @@ from ddic.kinematics.discontinuities import Discontinuities
 from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.mesh import Mesh
 from ddic.start.binned_pair import BinnedPair
-from ddic.start.coarse_displacement import CoarseField
+from ddic.start.coarse_displacement import CoarseField, KeptResult
 from ddic.start.coarse_grid import CELL
 from ddic.start.feature_matches import match_features
 from ddic.start.matched_field import MatchedField
+from ddic.start.pieces import find_pieces
 from ddic.start.pyramid_level import correlate_level
-from ddic.start.rigid_start import RigidStart, find_pieces, find_rigid_start
+from ddic.start.rigid_start import RigidStart, find_rigid_start
 
 LARGEST_COARSE_IMAGE = 1_000_000
 """Pixels of the finest image of the pyramid: what one rank is asked to hold and correlate. A larger value gives a
@@ -114,7 +116,7 @@ class MultilevelStart:
 
     Attributes
     ----------
-    field : GridField, CutField or MatchedField
+    field : GridField, CutField, MatchedField or KeptResult
         The displacement, pixels.
     rigid : tuple of RigidShift
         The translations found first, pixels: of the region where one stands out, then of pieces that lines cut it
@@ -125,14 +127,136 @@ class MultilevelStart:
         What did not work.
     n_matches, n_found : int
         Features by whose displacement the field was found, and all that were matched; 0 where none were.
+    notes : tuple of str
+        What became of a displacement that was given.
     """
 
-    field: CoarseField
+    field: CoarseField | KeptResult
     rigid: tuple[RigidShift, ...]
     levels: tuple[int, ...]
     warnings: tuple[str, ...]
     n_matches: int = 0
     n_found: int = 0
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Correlated:
+    """What levels of the pyramid found.
+
+    Attributes
+    ----------
+    field : GridField, CutField or MatchedField
+        That of the finest level that worked, or the first start, pixels.
+    levels : tuple of int
+        Block sizes of the levels that worked, pixels, coarsest first.
+    warnings : tuple of str
+        What did not work.
+    """
+
+    field: CoarseField
+    levels: tuple[int, ...]
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Pyramid:
+    """An image pair in blocks of several sizes, and what is measured on it.
+
+    Attributes
+    ----------
+    pair : BinnedPair
+        The images, binned at most as far as ``choose_finest_block`` says.
+    mesh : Mesh
+        The whole mesh, pixels.
+    correction : GreyCorrection
+        Of grey levels.
+    lines : LinesOnLevels
+        Discontinuities of the displacement.
+    """
+
+    pair: BinnedPair
+    mesh: Mesh
+    correction: GreyCorrection
+    lines: LinesOnLevels = NO_LINES
+
+    @cached_property
+    def sizes(self) -> list[int]:
+        """Block sizes of the levels, pixels, coarsest first."""
+        return choose_block_sizes(self._n_pixels, self.mesh)
+
+    @property
+    def finest_size(self) -> int:
+        """Block size of the finest level, pixels; of the smallest blocks where the region is too small for a level."""
+        return self.sizes[-1] if self.sizes else min(self.pairs)
+
+    @cached_property
+    def rigid_size(self) -> int:
+        """Side of the blocks in which a rigid translation is sought, pixels."""
+        return _rigid_block_size(self._n_pixels, self.mesh)
+
+    @cached_property
+    def pairs(self) -> dict[int, BinnedPair]:
+        """Both images at all block sizes."""
+        return _binned_pairs(self.pair, [*self.sizes, self.rigid_size])
+
+    @property
+    def _n_pixels(self) -> int:
+        return self.pair.n_blocks * self.pair.factor**2
+
+    def find_rigid(self) -> RigidStart:
+        """Find the translation of the region, and of each piece that lines cut it into.
+
+        Returns
+        -------
+        RigidStart
+            At rest, with a warning, where nothing stands out.
+        """
+        return find_rigid_start(self.pairs[self.rigid_size], self.mesh, self.lines.discontinuities)
+
+    def match(self) -> MatchedField | None:
+        """Match features.
+
+        Returns
+        -------
+        MatchedField or None
+            A field through features that were found again; None where they do not agree with each other.
+        """
+        region = cut_mesh(self.mesh, self.lines.discontinuities.lines).mesh
+        pieces = find_pieces(region)
+        matches = match_features(self.pairs[min(self.pairs)], region, pieces)
+        return MatchedField(matches, region, pieces) if matches.agree else None
+
+    def correlate(self, sizes: Sequence[int], starts: Sequence[CoarseField], beside: Sequence[CoarseField],
+                  ) -> Correlated:
+        """Correlate some levels, each from what the one before found.
+
+        Parameters
+        ----------
+        sizes : sequence of int
+            Their block sizes, coarsest first.
+        starts : sequence of GridField, CutField or MatchedField
+            At least one, pixels; the best of them starts the first level.
+        beside : sequence of GridField, CutField or MatchedField
+            What a level may start from beside what the one before found, pixels: a coarse level of a ragged region may
+            have gone astray, and the residual of the next one tells.
+
+        Returns
+        -------
+        Correlated
+            The field of the finest level that worked.
+        """
+        done, warnings = [], []
+        for size in sizes:
+            try:
+                field = correlate_level(self.pairs[size], self.mesh, starts, self.correction,
+                                        self.lines.choose_lines(size))
+            except (ConvergenceError, SingularSubdomainError) as error:
+                warnings.append(f"start: the pyramid's level with blocks of {size} px was left out ({error})")
+            else:
+                starts = (field, *beside)
+                done.append(size)
+        return Correlated(starts[0], tuple(done), tuple(warnings))
 
 
 def find_multilevel_start(pair: BinnedPair, mesh: Mesh, stages: Stages, correction: GreyCorrection,
@@ -157,42 +281,22 @@ def find_multilevel_start(pair: BinnedPair, mesh: Mesh, stages: Stages, correcti
     MultilevelStart
         The field of the finest level that worked.
     """
-    n_pixels = pair.n_blocks * pair.factor**2
-    sizes = choose_block_sizes(n_pixels, mesh) if stages.pyramid else []
-    rigid_size = _rigid_block_size(n_pixels, mesh)
-    all_sizes = [*sizes, rigid_size] if stages.rigid else sizes
-    pairs = _binned_pairs(pair, all_sizes)
-
+    pyramid = Pyramid(pair, mesh, correction, lines)
+    sizes = pyramid.sizes if stages.pyramid else []
     at_rest = RigidStart((build_uniform_field((0.0, 0.0)),), (), 1.0, ())
-    rigid_start = find_rigid_start(pairs[rigid_size], mesh, lines.discontinuities) if stages.rigid else at_rest
-    warnings = list(rigid_start.warnings)
+    rigid_start = pyramid.find_rigid() if stages.rigid else at_rest
+    warnings = rigid_start.warnings
     starts = rigid_start.fields
     matched = None
     if stages.features and rigid_start.coefficient < SURE:
-        matched = _match_features(pairs[min(all_sizes)], mesh, lines.discontinuities)
+        matched = pyramid.match()
     if matched is not None:
         # From there the finest level finds everything, and coarser ones would smooth it.
-        starts, sizes, warnings = (matched, *starts), sizes[-1:], []
-    done: list[int] = []
-    for size in sizes:
-        try:
-            field = correlate_level(pairs[size], mesh, starts, correction, lines.choose_lines(size))
-        except (ConvergenceError, SingularSubdomainError) as error:
-            warnings.append(f"start: the pyramid's level with blocks of {size} px was left out ({error})")
-        else:
-            # A coarse level of a ragged region may have gone astray: the residual of the next one tells.
-            starts = (field, *rigid_start.fields)
-            done.append(size)
+        starts, sizes, warnings = (matched, *starts), sizes[-1:], ()
+    found = pyramid.correlate(sizes, starts, rigid_start.fields)
     n_matches, n_found = (0, 0) if matched is None else (len(matched.matches.points), matched.matches.n_found)
-    return MultilevelStart(starts[0], rigid_start.translations, tuple(done), tuple(warnings), n_matches, n_found)
-
-
-def _match_features(pair: BinnedPair, mesh: Mesh, discontinuities: Discontinuities) -> MatchedField | None:
-    """A field through features that were found again; None where they do not agree with each other."""
-    region = cut_mesh(mesh, discontinuities.lines).mesh
-    pieces = find_pieces(region)
-    matches = match_features(pair, region, pieces)
-    return MatchedField(matches, region, pieces) if matches.agree else None
+    return MultilevelStart(found.field, rigid_start.translations, found.levels, (*warnings, *found.warnings), n_matches,
+                           n_found)
 
 
 def choose_finest_block(n_pixels: int) -> int:

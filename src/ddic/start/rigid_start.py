@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
 from ddic.images.grid_field import build_uniform_field
 from ddic.images.rigid import RigidShift, find_rigid_shift
@@ -21,6 +19,7 @@ from ddic.start.coarse_displacement import CoarseField
 from ddic.start.coarse_grid import CELL
 from ddic.start.cut_field import CutField
 from ddic.start.level_mesh import scale_to_pixels
+from ddic.start.pieces import find_pieces
 
 LEAST_COEFFICIENT = 0.3
 """Correlation coefficient below which a rigid translation is noise. A larger value starts from zero more often."""
@@ -119,23 +118,3 @@ def _find_shift(pair: BinnedPair, part: Mesh, fewest: float) -> RigidShift:
 def _values(source: MaskedSource) -> NDArray[np.float64]:
     """All grey levels of an image."""
     return source.image.read(source.extent).astype(np.float64)
-
-
-def find_pieces(mesh: Mesh) -> NDArray[np.int64]:
-    """Find the pieces of a mesh: cells that hang together by nodes are of one.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Perhaps cut by lines.
-
-    Returns
-    -------
-    (n_cells,) array of int64
-        Piece of each cell, from 0.
-    """
-    cell_of_corner = np.repeat(np.arange(mesh.n_cells), np.diff(mesh.offsets))
-    ones = np.ones(len(cell_of_corner))
-    has_node = sparse.csr_matrix((ones, (cell_of_corner, mesh.connectivity)), (mesh.n_cells, mesh.n_nodes))
-    _, pieces = connected_components(has_node @ has_node.T, directed=False)
-    return np.asarray(pieces, dtype=np.int64)

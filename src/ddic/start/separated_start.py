@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.io.result_reader import Result, displacement_at, read_result
+from ddic.io.result_reader import displacement_at
 from ddic.parallel.team import require_held
 from ddic.problem.cameras import Frame, MeasuredCells
 from ddic.problem.rectangle import Rectangle
 from ddic.problem.separated_problem import SeparatedProblem
 from ddic.separated.line_elements import LineElements
 from ddic.separated.separated_field import SeparatedField, factorize_grid, scale_modes
+from ddic.start.coarse_displacement import KeptResult
 from ddic.start.coarse_field import CoarseSearch, describe_start, prepare_search
 from ddic.start.cut_field import CutField
+from ddic.start.given_start import EarlierResult, GivenStart
 from ddic.start.matched_field import MatchedField
 from ddic.start.multilevel import MultilevelStart
 
@@ -53,12 +54,12 @@ def factorize_coarse_field(found: MultilevelStart, rectangle: Rectangle) -> tupl
     Raises
     ------
     TypeError
-        Where lines cut the field.
+        Where the field is an earlier result's.
     """
     grid = found.field
-    if isinstance(grid, CutField):
-        raise TypeError("PGD-DIC knows no discontinuities, hence no field that is cut by lines")
-    if isinstance(grid, MatchedField):
+    if isinstance(grid, KeptResult):
+        raise TypeError("an earlier result that is kept has products of its own, or is looked up")
+    if isinstance(grid, CutField | MatchedField):
         return _factorize_values(grid.at, rectangle), tuple(describe_start(found))
     x = _evaluate_hats(rectangle.along_x.nodes, grid.origin[0], grid.spacing[0], grid.values.shape[1])
     y = _evaluate_hats(rectangle.along_y.nodes, grid.origin[1], grid.spacing[1], grid.values.shape[0])
@@ -119,7 +120,7 @@ def prepare_separated_search(problem: SeparatedProblem) -> CoarseSearch:
 
 
 def find_separated_start(problem: SeparatedProblem, search: CoarseSearch, frame: Frame,
-                         earlier: SeparatedField | None) -> tuple[SeparatedField, tuple[str, ...]]:
+                         begin: SeparatedField | GivenStart | None) -> tuple[SeparatedField, tuple[str, ...]]:
     """Find where corrections begin; collective.
 
     Parameters
@@ -130,8 +131,8 @@ def find_separated_start(problem: SeparatedProblem, search: CoarseSearch, frame:
         For a coarse field.
     frame : Frame
         The deformed image.
-    earlier : SeparatedField or None
-        Displacement of an earlier frame, which is taken as it is.
+    begin : SeparatedField, EarlierResult, StartPoints or None
+        Displacement of an earlier frame, which is taken as it is; or one to go on from, in place of the case's.
 
     Returns
     -------
@@ -145,19 +146,35 @@ def find_separated_start(problem: SeparatedProblem, search: CoarseSearch, frame:
     InputError
         On all ranks, where an earlier result is none.
     """
-    if earlier is not None:
-        return earlier, ("start: an earlier frame",)
-    team, path, rectangle = problem.team, problem.inputs.case.start.from_result, problem.rectangle
-    if path is not None:
-        return team.on_root(lambda: _convert(read_result(path), rectangle)), (f"start: displacement of {path}",)
-    found = search.share(team.together(search.prepare(frame)))
-    return team.together(lambda: factorize_coarse_field(require_held(found)[0], rectangle))
+    if isinstance(begin, SeparatedField):
+        return begin, ("start: an earlier frame",)
+    if begin is not None:
+        search = search.start_from(begin)
+    team, rectangle = problem.team, problem.rectangle
+    found = require_held(search.share(team.together(search.prepare(frame))))[0]
+    kept = found.field
+    if isinstance(kept, KeptResult):
+        earlier = search.given
+        return team.on_root(lambda: _convert(earlier, kept, rectangle)), tuple(describe_start(found))
+    return team.together(lambda: factorize_coarse_field(found, rectangle))
 
 
-def _convert(result: Result, rectangle: Rectangle) -> SeparatedField:
-    along_x, along_y = rectangle.along_x, rectangle.along_y
-    if result.separated is not None:
-        earlier = result.separated
-        return scale_modes(along_x, along_y, earlier.along_x.evaluate(earlier.scaled_x, along_x.nodes),
-                               earlier.along_y.evaluate(earlier.y, along_y.nodes))
-    return _factorize_values(partial(displacement_at, result), rectangle)
+def _convert(earlier: GivenStart | None, kept: KeptResult, rectangle: Rectangle) -> SeparatedField:
+    if not isinstance(earlier, EarlierResult):
+        raise TypeError("only an earlier result is kept")
+    result, beyond = earlier.result, kept.beyond
+    if result.separated is not None and beyond is None:
+        along_x, along_y, products = rectangle.along_x, rectangle.along_y, result.separated
+        return scale_modes(along_x, along_y, products.along_x.evaluate(products.scaled_x, along_x.nodes),
+                           products.along_y.evaluate(products.y, along_y.nodes))
+
+    def evaluate(points: Array) -> Array:
+        if beyond is None:
+            return displacement_at(result, points)
+        known = earlier.find_known(points)
+        values = np.empty_like(points)
+        values[known] = displacement_at(result, points[known])
+        values[~known] = beyond.at(points[~known])
+        return values
+
+    return _factorize_values(evaluate, rectangle)

@@ -1,0 +1,254 @@
+"""A displacement that the user gives to start from, brought to the mesh of a region."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ddic.case.schema import StartSection
+from ddic.errors import InputError
+from ddic.io.result_reader import SAME_NODE_PX, Result, evaluate_on_sides, read_result
+from ddic.io.result_schema import near_group
+from ddic.kinematics.discontinuities import Discontinuities
+from ddic.mesh.cut_mesh import cut_mesh
+from ddic.mesh.interpolation import locate
+from ddic.mesh.mesh import Mesh
+from ddic.mesh.own_side import find_points_on_own_side
+from ddic.mesh.topology import find_boundary_facets
+from ddic.problem.cameras import Camera
+from ddic.problem.start_points import StartPoints, check_start_points, load_start_points, require_points_inside
+from ddic.start.cut_field import CutField
+from ddic.start.extrapolate import extrapolate
+from ddic.start.pair_field import interpolate_pairs
+
+Array = NDArray[np.float64]
+
+N_FACETS = 8
+"""Edges of the earlier mesh, by their middles, among which the nearest to a point is sought."""
+
+
+@dataclass(frozen=True, eq=False)
+class EarlierResult:
+    """A result to start from.
+
+    Attributes
+    ----------
+    result : Result
+        Its mesh and displacement, and how near set-ups moved.
+    name : str
+        The file, or what stands for it, for the log and for messages.
+    """
+
+    result: Result
+    name: str
+
+    def describe(self) -> str:
+        """Say what it is.
+
+        Returns
+        -------
+        str
+            For the log.
+        """
+        return f"displacement of {self.name}"
+
+    def find_known(self, points: Array) -> NDArray[np.bool_]:
+        """Tell which points the result says something of.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels of the specimen's frame.
+
+        Returns
+        -------
+        (n,) array of bool
+            Whether each lies in the earlier mesh.
+        """
+        if self.result.separated is not None:
+            return np.asarray(~np.isnan(self.result.at(points)).any(axis=1))
+        known = locate(self.result.mesh, points).cells >= 0
+        if not known.all():
+            known[~known] = cKDTree(self.result.mesh.nodes).query(points[~known])[0] <= SAME_NODE_PX
+        return np.asarray(known)
+
+    def get_motion(self, camera: Camera) -> Array:
+        """Get how a set-up moved.
+
+        Parameters
+        ----------
+        camera : Camera
+            Whose set-up it is.
+
+        Returns
+        -------
+        (n_motion_unknowns,) array
+            Pixels; none of the far camera.
+
+        Raises
+        ------
+        InputError
+            Where the result holds no motion of this near field.
+        """
+        if camera.number == 0:
+            return np.zeros(0)
+        stored = self.result.attributes.get(near_group(camera.number), {})
+        if "alpha_px" not in stored:
+            raise InputError(f"start.from_result: {self.name} holds no motion of near field {camera.number}; give a "
+                             "result of the same near-field images")
+        alpha = stored["alpha_px"]
+        theta = float(stored["theta_rad"])
+        unknowns = np.array([alpha[0], alpha[1], theta * camera.setup.length])
+        return unknowns[:camera.setup.n_motion_unknowns]
+
+
+GivenStart = EarlierResult | StartPoints
+"""What the user gives to start from."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedStart:
+    """What the user gives, on the mesh of a camera's region.
+
+    Attributes
+    ----------
+    field : CutField
+        Displacement at all nodes, pixels of the camera, as if no set-up had moved.
+    beyond : CutField or None
+        The same on the cells that an earlier result does not hold whole, by which it is extended; None where there are
+        none.
+    notes : tuple of str
+        What the user should know of it.
+    """
+
+    field: CutField
+    beyond: CutField | None
+    notes: tuple[str, ...]
+
+
+def load_given_start(section: StartSection) -> GivenStart | None:
+    """Load what a case gives to start from.
+
+    Parameters
+    ----------
+    section : StartSection
+        Of the case.
+
+    Returns
+    -------
+    EarlierResult, StartPoints or None
+        None where the case gives nothing.
+
+    Raises
+    ------
+    InputError
+        Where a file is missing or holds something else.
+    """
+    if section.from_result is not None:
+        return keep_displacement(read_result(section.from_result), str(section.from_result))
+    return load_start_points(section)
+
+
+def keep_displacement(result: Result, name: str) -> EarlierResult:
+    """Keep of a result what another run starts from.
+
+    Parameters
+    ----------
+    result : Result
+        The earlier one.
+    name : str
+        What to call it.
+
+    Returns
+    -------
+    EarlierResult
+        Small enough to be sent to another rank.
+    """
+    return EarlierResult(replace(result, point_data={}, cell_data={}, gauss_newton={}, krylov=(), corrections={}), name)
+
+
+def place_start(given: GivenStart, region: Mesh, discontinuities: Discontinuities, camera: Camera) -> PlacedStart:
+    """Bring what the user gives to the nodes of a camera's region.
+
+    Parameters
+    ----------
+    given : EarlierResult or StartPoints
+        Specimen's frame.
+    region : Mesh
+        The cells that the camera measures, its pixels.
+    discontinuities : Discontinuities
+        Its pixels.
+    camera : Camera
+        That sees them.
+
+    Returns
+    -------
+    PlacedStart
+        On the mesh, cut by the lines.
+
+    Raises
+    ------
+    InputError
+        Where it says nothing of the region.
+    """
+    mesh = cut_mesh(region, discontinuities.lines).mesh
+    if isinstance(given, StartPoints):
+        return _place_points(given, mesh, camera)
+    return _place_result(given, mesh, camera)
+
+
+def _place_points(given: StartPoints, mesh: Mesh, camera: Camera) -> PlacedStart:
+    mapping = camera.setup.mapping
+    if camera.number == 0:
+        image = camera.reference.image
+        check_start_points(given, image.width, image.height)
+        require_points_inside(given, mesh)
+    points = mapping.to_image(given.points)
+    found = interpolate_pairs(points, mapping.to_image(given.points + given.displacement) - points, mesh)
+    notes = _note_pieces(found.n_pieces_without, "point")
+    return PlacedStart(CutField(mesh, found.displacement), None, notes)
+
+
+def _place_result(given: EarlierResult, mesh: Mesh, camera: Camera) -> PlacedStart:
+    setup = camera.setup
+    nodes, on_own_side = setup.mapping.to_specimen(mesh.nodes), setup.mapping.to_specimen(find_points_on_own_side(mesh))
+    known = given.find_known(on_own_side)
+    if not known.any():
+        raise InputError(f"start.from_result: the mesh of {given.name} holds no node of this measurement's; give a "
+                         "result of the same specimen, in pixels of the same reference image")
+    displacement = np.zeros_like(mesh.nodes)
+    moved = nodes[known] + evaluate_on_sides(given.result, on_own_side[known], nodes[known])
+    displacement[known] = setup.mapping.to_image(setup.move(moved, given.get_motion(camera))) - mesh.nodes[known]
+    if known.all():
+        return PlacedStart(CutField(mesh, displacement), None, ())
+    extended = extrapolate(mesh, displacement, known)
+    touched = ((mesh.cells >= 0) & ~known[mesh.cells]).any(axis=1)
+    part, of_part = mesh.create_submesh(np.flatnonzero(touched))
+    farthest = _measure_distances(given.result.mesh, on_own_side[~known]).max()
+    n_unknown = int((~known).sum())
+    count = "1 node lies" if n_unknown == 1 else f"{n_unknown} nodes lie"
+    note = (f"start: {count} outside the mesh of {given.name}, by {farthest:.1f} px at most; displacement extrapolated "
+            "by equilibrium")
+    return PlacedStart(CutField(mesh, extended.displacement), CutField(part, extended.displacement[of_part]),
+                       (note, *_note_pieces(extended.n_pieces_without, "node of the earlier mesh")))
+
+
+def _note_pieces(n_pieces: int, what: str) -> tuple[str, ...]:
+    if not n_pieces:
+        return ()
+    pieces = "1 piece of the mesh holds" if n_pieces == 1 else f"{n_pieces} pieces of the mesh hold"
+    return (f"start: {pieces} no {what}; the affine map of the nearest piece stands in",)
+
+
+def _measure_distances(mesh: Mesh, points: Array) -> Array:
+    """Distance of points outside a mesh from its boundary, pixels."""
+    ends = mesh.nodes[find_boundary_facets(mesh)[:, :2]]
+    n_facets = min(N_FACETS, len(ends))
+    near = cKDTree(ends.mean(axis=1)).query(points, list(range(1, n_facets + 1)))[1]
+    first, along = ends[near, 0], ends[near, 1] - ends[near, 0]
+    share = ((points[:, None] - first) * along).sum(axis=2) / np.maximum((along**2).sum(axis=2), 1e-300)
+    feet = first + np.clip(share, 0.0, 1.0)[..., None] * along
+    return np.asarray(np.linalg.norm(points[:, None] - feet, axis=2).min(axis=1))

@@ -1,0 +1,195 @@
+"""What binned images say of the error of a displacement, before anything is solved."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from ddic.images.sub_image import MaskedSource
+from ddic.mesh.mesh import Mesh
+from ddic.mesh.raster import rasterize
+from ddic.start.binned_pair import BinnedPair, find_active_blocks, scale_mesh
+from ddic.start.coarse_grid import CELL
+
+Array = NDArray[np.float64]
+
+IN_REACH = 0.5
+"""Correlation coefficient of a square of blocks from which on its error can be predicted, and Gauss-Newton follows it.
+A larger value calls more displacements far off."""
+
+FEWEST_BLOCKS = 64
+"""Blocks of a square below which it says nothing."""
+
+MOST_SQUARES = 600
+"""Squares that are looked at, drawn from all: of a piece of the region of 2 % there are a dozen. More take longer."""
+
+LEAST_TEXTURE = 0.05
+"""Variance of a square's grey levels, times the median of all, below which it is blank and says nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedError:
+    """What images say of the error of a displacement, square by square of some blocks.
+
+    Attributes
+    ----------
+    correlation : (n,) array
+        Correlation coefficient of the reference image and the deformed one, brought back by the displacement.
+    error : (n,) array
+        Displacement that is missing, pixels; inf where the coefficient is too low to tell it.
+    n_blocks : (n,) array
+        Blocks of each square: its weight.
+    """
+
+    correlation: Array
+    error: Array
+    n_blocks: Array
+
+    @property
+    def coefficient(self) -> float:
+        """Mean correlation coefficient; 1 where no square says anything."""
+        return float(np.average(self.correlation, weights=self.n_blocks)) if self.n_blocks.size else 1.0
+
+    def measure_share_beyond(self, limit: float) -> float:
+        """Measure the part of the region whose error is larger than a limit.
+
+        Parameters
+        ----------
+        limit : float
+            Pixels; inf for the part whose error cannot be told.
+
+        Returns
+        -------
+        float
+            Between 0 and 1; 0 where no square says anything.
+        """
+        if not self.n_blocks.size:
+            return 0.0
+        is_beyond = np.isinf(self.error) | (self.error > limit)
+        return float(self.n_blocks[is_beyond].sum() / self.n_blocks.sum())
+
+
+def predict_error(pair: BinnedPair, mesh: Mesh, displace: Callable[[Array], Array]) -> PredictedError:
+    """Predict the error of a displacement: one step of optical flow in each square of ``CELL`` blocks.
+
+    Each square's gain and offset of grey levels are its own.
+
+    Parameters
+    ----------
+    pair : BinnedPair
+        The images.
+    mesh : Mesh
+        The region, pixels.
+    displace : callable
+        The displacement (n, 2) of points (n, 2), pixels.
+
+    Returns
+    -------
+    PredictedError
+        Of the squares that have texture. Errors hold up to a part of a speckle, or of a block where that is larger.
+    """
+    active = find_active_blocks(pair.reference, rasterize(scale_mesh(mesh, pair.factor)))
+    rows, columns = np.nonzero(active)
+    if not rows.size:
+        return PredictedError(np.zeros(0), np.zeros(0), np.zeros(0))
+    squares = _number_squares(rows, columns)
+    drawn = _draw_squares(squares)
+    rows, columns, squares = rows[drawn], columns[drawn], squares[drawn]
+    points = np.stack([columns, rows], axis=1) * float(pair.factor) + pair.centre
+    places = ((points + displace(points) - pair.centre) / pair.factor)[:, ::-1].T
+    f = _values(pair.reference)[rows, columns]
+    seen = _find_seen(pair.deformed, places)
+    sums = _sum_squares(f, _sample(pair.deformed, places), squares, seen)
+    return _judge(sums, pair.factor)
+
+
+def _number_squares(rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Square that each block lies in, from 0."""
+    row, column = (rows - rows.min()) // CELL, (columns - columns.min()) // CELL
+    return np.asarray(row * (column.max() + 1) + column)
+
+
+def _draw_squares(squares: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Blocks of the squares that are looked at: all, or some that are always the same."""
+    numbers = np.unique(squares)
+    if len(numbers) <= MOST_SQUARES:
+        return np.ones(len(squares), dtype=bool)
+    is_drawn = np.zeros(int(numbers[-1]) + 1, dtype=bool)
+    is_drawn[np.random.default_rng(0).choice(numbers, MOST_SQUARES, replace=False)] = True
+    return np.asarray(is_drawn[squares])
+
+
+def _values(source: MaskedSource) -> Array:
+    return source.image.read(source.extent).astype(np.float64)
+
+
+def _find_seen(deformed: MaskedSource, places: Array) -> NDArray[np.bool_]:
+    """Places (row, column) in the deformed image that are in it, and count."""
+    height, width = deformed.extent.height, deformed.extent.width
+    inside = (places >= 0).all(axis=0) & (places[0] <= height - 1) & (places[1] <= width - 1)
+    usable = deformed.find_usable(deformed.extent)
+    if usable is None:
+        return np.asarray(inside)
+    nearest = np.rint(np.where(inside, places, 0)).astype(np.int64)
+    return np.asarray(inside & (usable[nearest[0], nearest[1]] > 0))
+
+
+def _sample(deformed: MaskedSource, places: Array) -> Array:
+    """Grey levels of the deformed image at places, and their slopes there along x and y, a block: (3, n)."""
+    values = _values(deformed)
+    along_y, along_x = np.gradient(values)
+    grey = ndimage.map_coordinates(values, places, order=3, mode="nearest")
+    slopes = [ndimage.map_coordinates(slope, places, order=1, mode="nearest") for slope in (along_x, along_y)]
+    return np.stack([grey, *slopes])
+
+
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """Of each square: its blocks, how many are seen, and covariances of f, g, dg/dx, dg/dy, (n, 4, 4)."""
+
+    n_blocks: Array
+    n_seen: Array
+    covariance: Array
+
+
+def _sum_squares(f: Array, g: Array, squares: NDArray[np.int64], seen: NDArray[np.bool_]) -> _Sums:
+    n = int(squares.max()) + 1
+    n_blocks, own = np.bincount(squares, minlength=n).astype(float), squares[seen]
+    n_seen = np.bincount(own, minlength=n).astype(float)
+    safe = np.maximum(n_seen, 1.0)
+    signals = np.concatenate([f[None], g])[:, seen]
+    # About each square's mean: its offset of grey levels is its own.
+    signals = signals - np.stack([np.bincount(own, signal, n) / safe for signal in signals])[:, own]
+    covariance = np.empty((n, 4, 4))
+    for i in range(4):
+        for j in range(i + 1):
+            covariance[:, i, j] = covariance[:, j, i] = np.bincount(own, signals[i] * signals[j], n) / safe
+    return _Sums(n_blocks, n_seen, covariance)
+
+
+def _judge(sums: _Sums, factor: int) -> PredictedError:
+    variance_f, variance_g = sums.covariance[:, 0, 0], sums.covariance[:, 1, 1]
+    held = sums.n_blocks >= FEWEST_BLOCKS
+    # Squares that the displacement puts out of the image tell that it is wrong, or that the specimen has left.
+    is_out = held & (sums.n_seen < FEWEST_BLOCKS / 2)
+    told = held & ~is_out
+    if told.any():
+        told &= variance_f > LEAST_TEXTURE * np.median(variance_f[told])
+    product = np.sqrt(variance_f * variance_g)
+    likeness = np.where(product > 0, sums.covariance[:, 0, 1] / np.where(product > 0, product, 1.0), 0.0)
+    in_reach = told & (likeness >= IN_REACH)
+    error = np.full(len(likeness), np.inf)
+    if in_reach.any():
+        of_reach = sums.covariance[in_reach]
+        # f in the grey levels of g.
+        gain = np.sqrt(variance_g[in_reach] / variance_f[in_reach])
+        right = gain[:, None] * of_reach[:, 0, 2:] - of_reach[:, 1, 2:]
+        ridge = 1e-6 * np.trace(of_reach[:, 2:, 2:], axis1=1, axis2=2)
+        step = np.linalg.solve(of_reach[:, 2:, 2:] + ridge[:, None, None] * np.eye(2), right[..., None])[..., 0]
+        error[in_reach] = factor * np.linalg.norm(step, axis=1)
+    counted = told | is_out
+    return PredictedError(np.where(told, likeness, 0.0)[counted], error[counted], sums.n_blocks[counted])
