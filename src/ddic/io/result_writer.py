@@ -15,8 +15,8 @@ from numpy.typing import DTypeLike, NDArray
 
 from ddic.io import result_schema as schema
 from ddic.io.image_chunks import ChunkGrid
-from ddic.io.replace_on_exit import replaced_on_exit
 from ddic.io.physical_sidecar import write_physical_sidecar
+from ddic.io.replace_on_exit import replaced_on_exit
 from ddic.io.residual_sidecar import write_sidecar
 from ddic.io.result_reader import Result, read_open_file
 from ddic.io.result_schema import FieldSpec
