@@ -60,10 +60,11 @@ def measure_nodal_strain(scale: Scale) -> list[Row]:
 def _write_case(side: int, radius: int, element: int) -> str:
     middle = (side - 1) / 2
     edge = 0.05 * side
+    sides = '"left", "right", "top", "bottom"'
     return (f'[images]\nreference = "images/reference.tif"\ndeformed = "images/deformed.tif"\n'
             f"[mesh.structured]\nregion = [{edge}, {edge}, {side - edge}, {side - edge}]\nelement_size = {element}\n"
             f"circles = [{{ center = [{middle}, {middle}], radius = {radius} }}]\n"
-            f'[regularization]\ncut_off_wavelength = {4 * element}\nnot_controlled = ["left", "right", "top", "bottom"]\n'
+            f'[regularization]\ncut_off_wavelength = {4 * element}\nnot_controlled = [{sides}]\n'
             "[solver]\nsubdomains = 8\ntolerance = 1e-12\ninexact = false\n"
             "[gauss_newton]\ntolerance = 1e-10\nrms_tolerance = 0\n")
 
