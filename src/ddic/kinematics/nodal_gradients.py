@@ -33,6 +33,10 @@ reaches into the mesh, infinity at an edge with one row of cells."""
 FLAT = 1e-6
 """Spread of cells across, relative to that along, below which they lie on a line: rounding."""
 
+CELLS_AT_A_TIME, MOST_STEPS = 1 << 15, 32
+"""Cells whose sums are made together (some 30 MB), and into how many parts a mesh is divided for that; larger values
+take memory, or time."""
+
 N_PASSES = 2
 """How many cells away from a node that its own cells determine other nodes are reached; a larger value extrapolates
 farther. What is not reached, as in strips one cell wide, keeps the mean of its triangles."""
@@ -86,7 +90,7 @@ class _AtNodes:
 
 @dataclass(frozen=True, eq=False)
 class _Corners:
-    """Corners of all cells, one after the other: cell and node of each, edges to its neighbours in the cell (n, 2)."""
+    """Corners of some cells, one after the other: cell and node of each, the nodes ahead and behind, (n,) each."""
 
     cells: NDArray[np.int64]
     nodes: NDArray[np.int64]
@@ -94,14 +98,15 @@ class _Corners:
     behind: NDArray[np.int64]
 
 
-def _list_corners(mesh: Mesh) -> _Corners:
-    """The corners, with the node after and before each in its cell."""
-    counts = np.diff(mesh.offsets)
-    cells = np.repeat(np.arange(mesh.n_cells), counts)
-    place = np.arange(len(mesh.connectivity)) - mesh.offsets[cells]
-    ahead = mesh.offsets[cells] + (place + 1) % counts[cells]
-    behind = mesh.offsets[cells] + (place - 1) % counts[cells]
-    return _Corners(cells, mesh.connectivity, mesh.connectivity[ahead], mesh.connectivity[behind])
+def _list_corners(mesh: Mesh, begin: int, end: int) -> _Corners:
+    """The corners of cells begin to end, with the node after and before each in its cell."""
+    first, last = mesh.offsets[begin], mesh.offsets[end]
+    cells = np.repeat(np.arange(begin, end), np.diff(mesh.offsets[begin:end + 1]))
+    counts = np.diff(mesh.offsets)[cells]
+    place = np.arange(first, last) - mesh.offsets[cells]
+    ahead = mesh.offsets[cells] + (place + 1) % counts
+    behind = mesh.offsets[cells] + (place - 1) % counts
+    return _Corners(cells, mesh.connectivity[first:last], mesh.connectivity[ahead], mesh.connectivity[behind])
 
 
 def _measure_parts(mesh: Mesh) -> tuple[Array, Array]:
@@ -125,28 +130,42 @@ def _measure_polygons(points: Array, connectivity: NDArray[np.int64], offsets: N
 
 
 def _sum_cells(mesh: Mesh, u: Array) -> Array:
-    """Sums over the cells around each node, (n_nodes, 28).
+    """Sums over the cells around each node, (n_nodes, 29).
 
     By the cells' areas: 1, x, x x^T, G, G x with x from the node to the cell's middle and G the gradient there. By the
     areas of corners' triangles: 1, their gradients, and what curvature (xx, xy, yy) of u adds to these.
     """
-    corners, moves = _list_corners(mesh), u.reshape(-1, 2)
+    gradients = compute_displacement_gradients(mesh, u).reshape(-1, 4)
     areas, shares = _measure_parts(mesh)
-    gradients = compute_displacement_gradients(mesh, u).reshape(-1, 4)[corners.cells]
+    sums = np.zeros((mesh.n_nodes, 29))
+    step = max(CELLS_AT_A_TIME, -(-mesh.n_cells // MOST_STEPS))
+    for begin in range(0, mesh.n_cells, step):
+        corners = _list_corners(mesh, begin, min(begin + step, mesh.n_cells))
+        of_corners = [_weigh_cells(mesh, corners, gradients) * areas[corners.cells, None],
+                      _weigh_triangles(mesh, corners, u.reshape(-1, 2)) * shares[corners.cells, None]]
+        for k, column in enumerate(np.column_stack(of_corners).T):
+            sums[:, k] += np.bincount(corners.nodes, column, mesh.n_nodes)
+    return sums
+
+
+def _weigh_cells(mesh: Mesh, corners: _Corners, gradients: Array) -> Array:
+    """1, x, x x^T, G, G x of the cell of each corner, (n, 18)."""
+    gradient = gradients[corners.cells]
     x = mesh.centroids[corners.cells] - mesh.nodes[corners.nodes]
-    of_cells = np.column_stack([np.ones(len(x)), x, x[:, 0]**2, x[:, 0] * x[:, 1], x[:, 1]**2, gradients,
-                                gradients * x[:, :1], gradients * x[:, 1:]]) * areas[corners.cells, None]
+    return np.column_stack([np.ones(len(x)), x, x[:, 0]**2, x[:, 0] * x[:, 1], x[:, 1]**2, gradient,
+                            gradient * x[:, :1], gradient * x[:, 1:]])
+
+
+def _weigh_triangles(mesh: Mesh, corners: _Corners, moves: Array) -> Array:
+    """Area of each corner's triangle, and times it the gradient there and what curvature adds, (n, 11)."""
     one, other = (mesh.nodes[n] - mesh.nodes[corners.nodes] for n in (corners.ahead, corners.behind))
     to_one, to_other = (moves[n] - moves[corners.nodes] for n in (corners.ahead, corners.behind))
-    twice = multiply_across(one, other)
     # Area times E^-T of E = [one, other] has no division: a flat corner weighs nothing.
     from_one = 0.5 * np.column_stack([other[:, 1], -other[:, 0]])
     from_other = 0.5 * np.column_stack([-one[:, 1], one[:, 0]])
     slopes = to_one[:, :, None] * from_one[:, None, :] + to_other[:, :, None] * from_other[:, None, :]
     curving = _bend(one)[:, None, :] * from_one[:, :, None] + _bend(other)[:, None, :] * from_other[:, :, None]
-    of_triangles = np.column_stack([0.5 * twice, slopes.reshape(-1, 4), curving.reshape(-1, 6)])
-    sums = np.column_stack([of_cells, of_triangles * shares[corners.cells, None]])
-    return np.column_stack([np.bincount(corners.nodes, column, mesh.n_nodes) for column in sums.T])
+    return np.column_stack([0.5 * multiply_across(one, other), slopes.reshape(-1, 4), curving.reshape(-1, 6)])
 
 
 def _bend(edge: Array) -> Array:
