@@ -222,7 +222,7 @@ def _find_values_beyond(mappable: Any) -> Literal["neither", "min", "max", "both
     return "both" if below and above else "min" if below else "max" if above else "neither"
 
 
-def choose_limits(values: NDArray[np.float64], asked: Limits | None = None, *, symmetric: bool = False) -> Limits:
+def choose_limits(values: NDArray[np.float64], asked: Limits | None = None) -> Limits:
     """Choose where colours begin and end.
 
     Parameters
@@ -231,8 +231,6 @@ def choose_limits(values: NDArray[np.float64], asked: Limits | None = None, *, s
         What is in colour; nan is not.
     asked : (float, float), optional
         What the user wants; all values are spanned where it is left out.
-    symmetric : bool, optional
-        Put 0 in the middle.
 
     Returns
     -------
@@ -245,8 +243,6 @@ def choose_limits(values: NDArray[np.float64], asked: Limits | None = None, *, s
     if not finite.size:
         return 0.0, 1.0
     low, high = float(finite.min()), float(finite.max())
-    if symmetric:
-        low, high = -max(abs(low), abs(high)), max(abs(low), abs(high))
     # Colours of one value need a span; it is as wide as rounding would make it.
     return (low, high) if low < high else (low - max(abs(low), 1e-12) * 1e-6, high + max(abs(high), 1e-12) * 1e-6)
 

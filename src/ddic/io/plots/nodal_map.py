@@ -49,15 +49,15 @@ class Values:
     label : str
         Of the colour bar, with the unit.
     values : (n_nodes,) or (n_cells,) array
-        At the nodes, or on the cells; where there are as many of both, at the nodes.
-    symmetric : bool
-        Whether colours have 0 in the middle.
+        At the nodes, or on the cells.
+    by_cell : bool
+        Whether they are on the cells.
     """
 
     title: str
     label: str
     values: NDArray[np.float64]
-    symmetric: bool = False
+    by_cell: bool = False
 
 
 def draw_displacement(result: Result, image: Preview | None = None, component: Component = "magnitude",
@@ -116,8 +116,8 @@ def draw_values(mesh: Mesh, shown: Sequence[Values], image: Preview | None, unit
         bounds = image.clip(bounds, unit.size)
     figure, panels = make_panels([bounds] * len(shown), [panel.title for panel in shown], unit)
     for axes, panel in zip(panels, shown, strict=True):
-        low, high = choose_limits(panel.values, limits, symmetric=panel.symmetric)
-        colours = _add_colours(axes, mesh, nodes, panel.values)
+        low, high = choose_limits(panel.values, limits)
+        colours = _add_colours(axes, mesh, nodes, panel)
         colours.set_clim(low, high)
         if image is not None:
             # The image once more, thinly, and not colours thinly over it: those of triangles would show their edges.
@@ -128,13 +128,13 @@ def draw_values(mesh: Mesh, shown: Sequence[Values], image: Preview | None, unit
     return figure
 
 
-def _add_colours(axes: Axes, mesh: Mesh, nodes: NDArray[np.float64], values: NDArray[np.float64]) -> Collection:
+def _add_colours(axes: Axes, mesh: Mesh, nodes: NDArray[np.float64], panel: Values) -> Collection:
     """Colours by node, interpolated, or by cell; nodes: in the axes' unit."""
-    if len(values) == mesh.n_nodes:
-        of_triangles: Collection = axes.tripcolor(make_triangulation(mesh, nodes), values, shading="gouraud",
+    if not panel.by_cell:
+        of_triangles: Collection = axes.tripcolor(make_triangulation(mesh, nodes), panel.values, shading="gouraud",
                                                   cmap=COLOURS, rasterized=True)
         return of_triangles
-    cells = make_cell_polygons(mesh, nodes, array=values, cmap=COLOURS, edgecolors="face", linewidths=0.1,
+    cells = make_cell_polygons(mesh, nodes, array=panel.values, cmap=COLOURS, edgecolors="face", linewidths=0.1,
                                rasterized=mesh.n_cells > MOST_SHARP_CELLS)
     axes.add_collection(cells)
     return cells

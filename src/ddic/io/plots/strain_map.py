@@ -83,7 +83,7 @@ def draw_strain(result: Result, choice: StrainChoice, unit: LengthUnit = PIXELS,
     for number in numbers:
         written = f"${symbol}_{{{SYMBOLS[number]}}}$"
         panels.append(Values(f"{NAMES[choice.measure]} {written}{where}", f"{written} [-]",
-                             pick_number(tensors, number)))
+                             pick_number(tensors, number), choice.by_cell))
     return draw_values(result.mesh, panels, None, unit, limits)
 
 
