@@ -30,6 +30,7 @@ def check(case_file: Path, drawing: Path | None) -> None:
     Prints what was found; with problems, one line each on standard error and exit code 2.
     """
     # Imported here because they bring numba, meshio and OpenCV, which --help does not need.
+    from ddic.case.loader import load_case
     from ddic.problem.check_ranks import check_case_file
 
     try:
