@@ -13,7 +13,8 @@ JOBS ?= 2
 SIZE ?= 22000
 
 .PHONY: help setup demo test lint docs bench bench-iterations bench-interface bench-paper bench-peers bench-big bench-scaling \
-	bench-threads accept-core accept-solver accept-performance accept-near-far accept-house accept-right accept-xdic accept-start accept-pgd smoke clean
+	bench-threads accept-core accept-solver accept-performance accept-near-far accept-house accept-right accept-xdic accept-start accept-pgd \
+	accept-impressions smoke clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -98,6 +99,9 @@ accept-start: setup ## measure the table of the start, as far as it is built (CH
 
 accept-pgd: setup ## measure the table of PGD-DIC (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.pgd $(CHECK)
+
+accept-impressions: setup ## measure the table of first impressions: strain at nodes, pictures (CHECK=NAME: one check)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.impressions $(CHECK)
 
 smoke: setup ## run every check of every acceptance table on tiny cases: minutes, no bound is judged
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.smoke

@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 
-from accept import core, house, near_far, performance, pgd, right, solver, start, xdic
+from accept import core, house, impressions, near_far, performance, pgd, right, solver, start, xdic
 from accept.table import Check, run_table
 
 TABLES: dict[str, Mapping[str, Check]] = {
@@ -22,6 +22,7 @@ TABLES: dict[str, Mapping[str, Check]] = {
     "xdic": xdic.CHECKS,
     "start": start.CHECKS,
     "pgd": pgd.CHECKS,
+    "impressions": impressions.CHECKS,
 }
 N_JOBS = "2"
 """Processes at a time of checks that count and do not time."""

@@ -8,6 +8,7 @@ its fields, iterations, residual image and where it came from.
 prints
 
     fields at 80 nodes: GlobalNodeId, displacement, displacement_mesh_units, displacement_physical
+    strains there: nodal_strain_green_lagrange, nodal_strain_hencky, nodal_strain_infinitesimal
     the file's displacement differs by 0.0 px from the one measured
     3 iterations, the last moved by 0.0000 px RMS
     residual image 240 x 200 px, 1.5 grey levels RMS
@@ -24,7 +25,8 @@ options = {"images": {"pixel_size": 0.05, "length_unit": "mm"}}
 measured = ddic.measure(images, mesh, options=options, output="result.vtkhdf")
 
 result = ddic.open("result.vtkhdf")
-print(f"fields at {result.mesh.n_nodes} nodes: {', '.join(result.point_data)}")
+print(f"fields at {result.mesh.n_nodes} nodes: {', '.join(n for n in result.point_data if 'nodal' not in n)}")
+print(f"strains there: {', '.join(n for n in result.point_data if n.startswith('nodal_strain'))}")
 print(f"the file's displacement differs by {np.abs(result.displacement - measured.displacement).max()} px "
       "from the one measured")
 

@@ -2,7 +2,8 @@
 
 README.md, CONTRIBUTING.md and CHANGELOG.md become pages, with their links turned into those of the site. Every example
 becomes a page of its text, its files, and what it prints (printed.txt). Every entry of ``extra.api`` becomes a page of
-the Python interface. A link out of docs/ to a file that is no page is shown as the file's name.
+the Python interface. A link out of docs/ to a file that is no page is shown as the file's name. Pictures of the
+README's tour are drawn by its own run (tour_pictures.py).
 """
 
 from __future__ import annotations
@@ -18,6 +19,9 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 from pygments.formatters import HtmlFormatter
 
+# mkdocs loads a hook with its own folder among those of modules.
+from tour_pictures import draw_tour
+
 ROOT = Path(__file__).resolve().parents[1]
 TOP_PAGES = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
 """Files of the repository's top level that are pages, and their names in the site."""
@@ -27,6 +31,12 @@ TABLE_STYLE = """.wy-nav-content { max-width: 1100px; }
 """Pages as wide as the tables need, and cells that break their lines."""
 LANGUAGES = {".py": "python", ".toml": "toml", ".sh": "bash"}
 """Files of an example that its page shows, in this order of endings."""
+
+
+def on_pre_build(config: MkDocsConfig) -> None:
+    """Draw the pictures of the tour."""
+    del config
+    draw_tour()
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:

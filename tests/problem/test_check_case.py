@@ -162,6 +162,19 @@ def test_structured_mesh_with_mask_and_holes(folder: Path) -> None:
     assert len(mesh.node_sets["hole_1"]) > 0
 
 
+def test_structured_mesh_snapped_to_a_mask(folder: Path) -> None:
+    mask = np.full((80, 100), 255, dtype=np.uint8)
+    mask[33:58, 42:73] = 0
+    cv2.imwrite(str(folder / "mask.png"), mask)
+    (folder / "case.toml").write_text(IMAGES + GRID + 'mask = "mask.png"\nmask_outline = "snapped"\n')
+    mesh = build_mesh(load_case(folder / "case.toml").case, 100, 80)
+    found = mesh.nodes[mesh.node_sets["hole_0"]]
+    # The edges of the pixels that are left out, to the last digit, and their four corners.
+    assert (found.min(axis=0).tolist(), found.max(axis=0).tolist()) == ([41.5, 32.5], [72.5, 57.5])
+    corners = {(x, y) for x in (41.5, 72.5) for y in (32.5, 57.5)}
+    assert corners <= {tuple(node) for node in found.tolist()}
+
+
 @pytest.mark.parametrize(("text", "words"), [
     ("0 1 x 1", '"x" is not a subdomain'), ("0 -1 1 1", '"-1" is not a subdomain'), ("0 1 1", "holds 3 numbers"),
     ("0 2 2 0", "subdomain 1 has no cell"),

@@ -160,6 +160,13 @@ class StructuredSection(Section):
             "its pixels are."
         ),
     )
+    mask_outline: Literal["staircase", "snapped"] = Field(
+        default="staircase",
+        description=(
+            '"snapped": what the mask leaves out is a hole as circles and polygons are: nodes are moved onto its '
+            "outline, with one at each corner, and are node sets `hole_...`, numbered on after polygons."
+        ),
+    )
 
     @model_validator(mode="after")
     def _region_is_not_empty(self) -> StructuredSection:

@@ -12,23 +12,35 @@ import click
 from ddic.errors import InputError
 
 if TYPE_CHECKING:
+    from ddic.case.schema import Case
+    from ddic.mesh.mesh import Mesh
     from ddic.problem.check_report import CheckReport
+
+
+ENDINGS = (".png", ".pdf", ".svg")
 
 
 @click.command()
 @click.argument("case_file", metavar="CASE.toml", type=click.Path(path_type=Path))
-def check(case_file: Path) -> None:
+@click.option("--plot", "drawing", type=click.Path(path_type=Path, dir_okay=False), default=None, metavar="FILE",
+              help="Also draw the mesh over the reference image, as .png, .pdf or .svg.")
+def check(case_file: Path, drawing: Path | None) -> None:
     """Validate all inputs of a case file without solving.
 
     Prints what was found; with problems, one line each on standard error and exit code 2.
     """
     # Imported here because they bring numba, meshio and OpenCV, which --help does not need.
+    from ddic.case.loader import load_case
     from ddic.problem.check_ranks import check_case_file
 
     try:
         with warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always", UserWarning)
+            if drawing is not None:
+                _check_drawing(drawing)
             report = check_case_file(case_file)
+            if drawing is not None:
+                _draw(load_case(case_file).case, drawing)
     except InputError as error:
         for line in error.problems:
             click.echo(line, err=True)
@@ -37,6 +49,47 @@ def check(case_file: Path) -> None:
         click.echo(f"warning: {warning.message}", err=True)
     for name, value in _lines(report):
         click.echo(f"{name:<20}{value}")
+    if drawing is not None:
+        click.echo(f"{'picture':<20}{drawing}")
+
+
+def _check_drawing(drawing: Path) -> None:
+    """Raise InputError where a picture cannot be written under that name."""
+    if drawing.suffix.lower() not in ENDINGS:
+        raise InputError(f"--plot {drawing}: the name must end in one of {', '.join(ENDINGS)}")
+    if not drawing.absolute().parent.is_dir():
+        raise InputError(f"--plot {drawing}: its folder does not exist; create it")
+
+
+def _draw(case: Case, drawing: Path) -> None:
+    """Draw the mesh of a case that was found fit."""
+    from ddic.io.image_file import open_image
+    from ddic.io.plots.canvas import save_figure
+    from ddic.io.plots.mesh_preview import draw_mesh_preview
+    from ddic.io.plots.preview import read_preview
+    from ddic.problem.cut_region import list_discontinuities
+
+    reference = open_image(case.images.reference)
+    mesh = _build_mesh(case, reference.width, reference.height)
+    figure = draw_mesh_preview(mesh, read_preview(reference), list_discontinuities(case).lines)
+    try:
+        save_figure(figure, drawing)
+    except OSError as error:
+        raise InputError(f"--plot {drawing}: cannot be written ({error.strerror}); choose another file") from error
+
+
+def _build_mesh(case: Case, width: int, height: int) -> Mesh:
+    """The mesh of a case; that of the result with [pgd], whose elements may be single pixels."""
+    from ddic.mesh.cell_type import Q4
+    from ddic.mesh.mesh import build_mesh
+    from ddic.mesh.structured import Grid
+    from ddic.problem.mesh_source import build_meshes
+    from ddic.problem.rectangle import choose_output_lines, find_rectangle_of_case
+
+    if case.pgd is None:
+        return build_meshes(case, width, height)[0]
+    grid = Grid(*choose_output_lines(case, find_rectangle_of_case(case)))
+    return build_mesh(grid.nodes, {Q4: grid.quads}, grid.sides)
 
 
 def _lines(report: CheckReport) -> list[tuple[str, str]]:

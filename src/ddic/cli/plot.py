@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import warnings
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -16,46 +17,91 @@ from ddic.errors import InputError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from ddic.io.plots.length_unit import LengthUnit
     from ddic.io.plots.preview import Preview
+    from ddic.io.plots.strain_map import StrainChoice
     from ddic.io.result_reader import Result
     from ddic.separated.separated_field import SeparatedField
 
-KINDS = ("partition", "deformed", "residual", "difference", "krylov", "opening", "near-far", "modes", "corrections")
+KINDS = ("partition", "deformed", "displacement", "strain", "residual", "signed-residual", "difference", "krylov",
+         "opening", "near-far", "modes", "corrections")
+ONLY_ASKED_FOR = ("displacement", "signed-residual")
+"""Kinds that show again, in another form, what others of ``all`` show."""
+
+OVER_IMAGE = ("partition", "displacement")
+WITH_LIMITS = ("deformed", "displacement", "strain", "residual", "signed-residual", "difference")
+NUMBERS = ("xx", "yy", "xy", "principal-1", "principal-2", "von-mises")
+MEASURES = ("infinitesimal", "green-lagrange", "hencky")
+FORMATS = ("png", "pdf", "svg")
+
+
+@dataclass(frozen=True)
+class _Drawing:
+    """What is drawn: a result, what belongs to it, and in which component, unit and colours."""
+
+    result: Result
+    other: Result | None
+    preview: Preview | None
+    component: Literal["x", "y", "magnitude"]
+    strain: StrainChoice
+    unit: LengthUnit
+    limits: tuple[float, float] | None
 
 
 @click.command()
 @click.argument("file", metavar="FILE", type=click.Path(path_type=Path))
 @click.option("--kind", type=click.Choice([*KINDS, "all"]), default="all", show_default=True,
-              help="Figure to draw; all draws what the file allows.")
+              help="Figure to draw; all draws what the file allows, but not displacement and signed-residual.")
 @click.option("--component", type=click.Choice(["x", "y", "magnitude"]), default="magnitude",
               show_default=True, help="Displacement component in colour.")
+@click.option("--strain", "number", type=click.Choice(NUMBERS), default=None,
+              help="Strain in colour; by default a panel each of xx, yy and xy.")
+@click.option("--measure", type=click.Choice(MEASURES), default="infinitesimal", show_default=True,
+              help="Strain tensor that is drawn.")
+@click.option("--by-cell", is_flag=True, help="Draw the strain in the middle of cells, not that recovered at nodes.")
+@click.option("--limits", type=(float, float), default=None, metavar="LOW HIGH",
+              help="Where colours begin and end, in the unit of the colour bar.")
 @click.option("--amplification", type=float, default=None,
-              help="Factor on the displacement of the deformed mesh; chosen if not given.")
+              help="Factor on the whole displacement of the deformed mesh; by default rigid motion is taken out, and "
+                   "what is left is amplified as far as no cell folds.")
+@click.option("--units", type=click.Choice(["px", "physical"]), default=None,
+              help="Of lengths; by default physical where the case gives images.pixel_size.")
 @click.option("--other", type=click.Path(path_type=Path), default=None,
               help="Second result: its difference is drawn, and its Krylov curves beside the first one's.")
 @click.option("--image", type=click.Path(path_type=Path), default=None,
               help="Reference image; by default the one named in the result, if it is still there.")
+@click.option("--format", "ending", type=click.Choice(FORMATS), default="png", show_default=True,
+              help="Of the pictures.")
+@click.option("--dpi", type=click.IntRange(20, 2400), default=150, show_default=True,
+              help="Dots an inch; in PDF and SVG of images and colours alone.")
 @click.option("--output", type=click.Path(path_type=Path, file_okay=False), default=None,
               help="Folder of the pictures; by default that of FILE.")
-def plot(file: Path, kind: str, component: Literal["x", "y", "magnitude"], amplification: float | None,
-         other: Path | None, image: Path | None, output: Path | None) -> None:
-    """Draw a result file as PNG pictures named FILE.KIND.png."""
+def plot(file: Path, kind: str, component: Literal["x", "y", "magnitude"], number: str | None,
+         measure: Literal["infinitesimal", "green-lagrange", "hencky"], by_cell: bool,
+         limits: tuple[float, float] | None, amplification: float | None, units: str | None, other: Path | None,
+         image: Path | None, ending: str, dpi: int, output: Path | None) -> None:
+    """Draw a result file as pictures named FILE.KIND.png, for papers as PDF or SVG."""
     # Imported here because matplotlib is not needed by --help.
     from ddic.io.plots.canvas import save_figure
+    from ddic.io.plots.length_unit import find_length_unit
+    from ddic.io.plots.strain_map import StrainChoice
     from ddic.io.result_reader import read_result
 
     folder = file.parent if output is None else output
     try:
+        _check_limits(kind, limits)
         with warnings_as_lines():
             result = read_result(file)
             second = None if other is None else read_result(other)
         kinds = _kinds(kind, result, second)
-        preview = _reference(result, image) if "partition" in kinds else None
+        preview = _reference(result, image) if set(kinds) & set(OVER_IMAGE) else None
+        drawing = _Drawing(result, second, preview, component, StrainChoice(measure, number, by_cell),
+                           find_length_unit(result, units), limits)
         folder.mkdir(parents=True, exist_ok=True)
         for name in kinds:
-            figure = _figure(name, result, second, preview, component, amplification)
-            target = folder / f"{file.stem}.{name}.png"
-            save_figure(figure, target)
+            figure = _figure(name, drawing, amplification)
+            target = folder / f"{file.stem}.{name}.{ending}"
+            save_figure(figure, target, dpi)
             click.echo(target)
     except InputError as error:
         for line in error.problems:
@@ -66,10 +112,21 @@ def plot(file: Path, kind: str, component: Literal["x", "y", "magnitude"], ampli
         sys.exit(InputError.exit_code)
 
 
+def _check_limits(kind: str, limits: tuple[float, float] | None) -> None:
+    """Raise InputError where limits are no interval, or would be those of several colour bars or of none."""
+    if limits is None:
+        return
+    low, high = limits
+    if not low < high:
+        raise InputError(f"--limits {low:g} {high:g}: the first must be the smaller one")
+    if kind not in WITH_LIMITS:
+        raise InputError(f"--limits: for one kind with colours alone ({', '.join(WITH_LIMITS)}), not --kind {kind}")
+
+
 def _kinds(asked: str, result: Result, other: Result | None) -> list[str]:
     """Figures to draw; raises InputError if the one asked for needs what is not there."""
     from ddic.fracture.lines_of_result import get_lines
-    from ddic.io.result_schema import CAMERA
+    from ddic.io.result_schema import CAMERA, NODAL_INFINITESIMAL
 
     lacking = {}
     if other is None:
@@ -86,7 +143,12 @@ def _kinds(asked: str, result: Result, other: Result | None) -> list[str]:
         lacking["corrections"] = "took no correction; choose another --kind"
     if asked in lacking:
         raise InputError(f"{result.path}: {lacking[asked]}")
-    return [kind for kind in KINDS if kind not in lacking] if asked == "all" else [asked]
+    if asked != "all":
+        return [asked]
+    left_out = {*lacking, *ONLY_ASKED_FOR}
+    if NODAL_INFINITESIMAL not in result.point_data:
+        left_out.add("strain")
+    return [kind for kind in KINDS if kind not in left_out]
 
 
 def _has_curves(result: Result) -> bool:
@@ -95,13 +157,16 @@ def _has_curves(result: Result) -> bool:
 
 
 def _reference(result: Result, image: Path | None) -> Preview | None:
-    """The image that is drawn below the partition; None where it is no longer there."""
+    """The image that is drawn below; None where it is no longer there."""
     from ddic.io.image_file import open_image
     from ddic.io.plots.preview import read_preview
 
     if image is None:
-        image = Path(str(result.attributes.get("provenance", {}).get("reference_path", "")))
+        named = str(result.attributes.get("provenance", {}).get("reference_path", ""))
+        image = Path(named)
         if not image.is_file():
+            if named:
+                click.echo(f"warning: {named} is no longer there and not drawn; give the image by --image", err=True)
             return None
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always", UserWarning)
@@ -111,25 +176,31 @@ def _reference(result: Result, image: Path | None) -> Preview | None:
     return preview
 
 
-def _figure(kind: str, result: Result, other: Result | None, preview: Preview | None,
-            component: Literal["x", "y", "magnitude"], amplification: float | None) -> Figure:
+def _figure(kind: str, drawing: _Drawing, amplification: float | None) -> Figure:
     """One figure, by its kind; a difference is asked for only where there is another result."""
     from ddic.io.plots.camera_fields import draw_near_far
     from ddic.io.plots.correction_curves import draw_corrections
     from ddic.io.plots.deformed import draw_deformed
     from ddic.io.plots.difference import draw_difference
     from ddic.io.plots.mode_functions import draw_modes
+    from ddic.io.plots.nodal_map import draw_displacement
     from ddic.io.plots.partition import draw_partition
     from ddic.io.plots.residual import draw_residual
+    from ddic.io.plots.strain_map import draw_strain
 
+    result, preview, component = drawing.result, drawing.preview, drawing.component
+    unit, limits = drawing.unit, drawing.limits
     by_kind: dict[str, Callable[[], Figure]] = {
-        "partition": lambda: draw_partition(result, preview),
-        "deformed": lambda: draw_deformed(result, component, amplification),
-        "residual": lambda: draw_residual(result),
-        "difference": lambda: draw_difference(result, other or result, component),
-        "krylov": lambda: _draw_krylov(result, other),
-        "opening": lambda: _draw_opening(result),
-        "near-far": lambda: draw_near_far(result, component),
+        "partition": lambda: draw_partition(result, preview, unit),
+        "deformed": lambda: draw_deformed(result, component, amplification, unit, limits),
+        "displacement": lambda: draw_displacement(result, preview, component, unit, limits),
+        "strain": lambda: draw_strain(result, drawing.strain, unit, limits),
+        "residual": lambda: draw_residual(result, unit=unit, limits=limits),
+        "signed-residual": lambda: draw_residual(result, signed=True, unit=unit, limits=limits),
+        "difference": lambda: draw_difference(result, drawing.other or result, component, unit, limits),
+        "krylov": lambda: _draw_krylov(result, drawing.other),
+        "opening": lambda: _draw_opening(result, unit),
+        "near-far": lambda: draw_near_far(result, component, unit),
         "modes": lambda: draw_modes(_get_separated(result)),
         "corrections": lambda: draw_corrections(result.corrections),
     }
@@ -151,17 +222,20 @@ def _draw_krylov(result: Result, other: Result | None) -> Figure:
     return draw_krylov({_label(one, results): one.krylov for one in results})
 
 
-def _draw_opening(result: Result) -> Figure:
+def _draw_opening(result: Result, unit: LengthUnit) -> Figure:
     """Opening of all lines."""
     from ddic.fracture.line_opening import measure_openings
     from ddic.io.plots.opening_curves import draw_opening
 
     found = measure_openings(result)
-    return draw_opening({f"line {number}": (of_line.distance, of_line.tangential, of_line.normal)
-                         for number, of_line in enumerate(found, start=1)})
+    return draw_opening({f"line {number}": (unit.size * of_line.distance, unit.size * of_line.tangential,
+                                            unit.size * of_line.normal)
+                         for number, of_line in enumerate(found, start=1)}, unit)
 
 
 def _label(result: Result, among: list[Result]) -> str:
-    """File name, with its folder where two results have the same one."""
+    """File name, with its folder where two results have the same one; none where it is the only result."""
     names = [one.path.name for one in among]
+    if len(among) == 1:
+        return ""
     return str(result.path) if names.count(result.path.name) > 1 else result.path.name

@@ -258,6 +258,8 @@ def _check_schema(path: Path, file: Any) -> None:
     version = str(file.attrs.get("ddic_schema", ""))
     if not version or schema.VTKHDF not in file:
         raise InputError(f"{path}: an HDF5 file, but not a ddic result; give a file written by ddic run")
+    if schema.SHOWS in file.attrs:
+        raise InputError(f"{path}: shows {file.attrs[schema.SHOWS]} in its length unit; give that file itself")
     if schema.DISPLACEMENT not in file.get(schema.POINT_DATA, {}):
         raise InputError(f"{path}: holds no displacement (a residual image beside a result?); "
                          "give the result file itself")

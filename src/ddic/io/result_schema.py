@@ -31,6 +31,7 @@ TIME = "time"
 UNITS = "units"
 STATUS, FAILURE = "status", "failure"
 CONVERGED, NOT_CONVERGED = "converged", "not converged"
+SHOWS = "shows"
 NEAR_PREFIX = "near_"
 ATTRIBUTE_GROUPS = (CASE, PROVENANCE, TIME, UNITS)
 
@@ -43,6 +44,12 @@ CAMERA = "Camera"
 SUBDOMAIN_ID = "SubdomainId"
 STRAIN_INFINITESIMAL = "strain_infinitesimal"
 STRAIN_GREEN_LAGRANGE = "strain_green_lagrange"
+NODAL_INFINITESIMAL = "nodal_strain_infinitesimal"
+NODAL_GREEN_LAGRANGE = "nodal_strain_green_lagrange"
+NODAL_HENCKY = "nodal_strain_hencky"
+NODAL_PRINCIPAL_1 = "nodal_principal_strain_1"
+NODAL_PRINCIPAL_2 = "nodal_principal_strain_2"
+NODAL_VON_MISES = "nodal_von_mises_strain"
 RESIDUAL_RMS = "residual_rms"
 RESIDUAL_N_PIXELS = "residual_n_pixels"
 EQUIVALENT_ERROR = "equivalent_error"
@@ -103,6 +110,25 @@ def point_fields(length_unit: str | None) -> tuple[FieldSpec, ...]:
         return fields
     return (*fields, FieldSpec(DISPLACEMENT_PHYSICAL, VECTOR, np.float64, length_unit,
                                "displacement times the pixel size"))
+
+
+def nodal_strain_fields() -> tuple[FieldSpec, ...]:
+    """List the strains at the nodes, recovered from the cells around them.
+
+    Returns
+    -------
+    tuple of FieldSpec
+        In the order of the file.
+    """
+    of_hencky = "of the logarithmic strain"
+    return (
+        FieldSpec(NODAL_INFINITESIMAL, SYMMETRIC_TENSOR, np.float64, "1", "infinitesimal strain at the node"),
+        FieldSpec(NODAL_GREEN_LAGRANGE, SYMMETRIC_TENSOR, np.float64, "1", "Green-Lagrange strain at the node"),
+        FieldSpec(NODAL_HENCKY, SYMMETRIC_TENSOR, np.float64, "1", "logarithmic strain (Hencky) at the node, ln U"),
+        FieldSpec(NODAL_PRINCIPAL_1, 1, np.float64, "1", f"larger principal value in the plane {of_hencky}"),
+        FieldSpec(NODAL_PRINCIPAL_2, 1, np.float64, "1", f"smaller principal value in the plane {of_hencky}"),
+        FieldSpec(NODAL_VON_MISES, 1, np.float64, "1", f"equivalent strain of von Mises {of_hencky}, volume constant"),
+    )
 
 
 def cell_fields(n_cameras: int = 1) -> tuple[FieldSpec, ...]:
@@ -276,6 +302,22 @@ def sidecar_path(path: Path, camera: int = 0) -> Path:
     """
     near = "" if camera == 0 else f".near_{camera}"
     return path.with_name(f"{path.stem}{near}.residual.vtkhdf")
+
+
+def physical_path(result: Path) -> Path:
+    """Name the file that shows a result in its length unit.
+
+    Parameters
+    ----------
+    result : Path
+        The result file.
+
+    Returns
+    -------
+    Path
+        In the same folder, NAME.physical.vtkhdf.
+    """
+    return result.with_name(f"{result.stem}.physical.vtkhdf")
 
 
 def flip_components(values: NDArray[Any]) -> NDArray[Any]:

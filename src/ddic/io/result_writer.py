@@ -15,6 +15,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from ddic.io import result_schema as schema
 from ddic.io.image_chunks import ChunkGrid
+from ddic.io.physical_sidecar import write_physical_sidecar
 from ddic.io.replace_on_exit import replaced_on_exit
 from ddic.io.residual_sidecar import write_sidecar
 from ddic.io.result_reader import Result, read_open_file
@@ -99,6 +100,7 @@ class ResultWriter:
         self._pieces: _Pieces | None = None
         self._written: set[int] = set()
         self._grids: list[ChunkGrid] = []
+        self._has_units = False
         self._stack = ExitStack()
 
     def __enter__(self) -> Self:
@@ -123,6 +125,10 @@ class ResultWriter:
             schema.sidecar_path(self._path).unlink(missing_ok=True)
         for camera, grid in enumerate(self._grids):
             write_sidecar(self._path, camera, width=grid.width, height=grid.height, flip_y=self._flip_y)
+        if self._has_physical_units():
+            write_physical_sidecar(self._path)
+        else:
+            schema.physical_path(self._path).unlink(missing_ok=True)
 
     def read_back(self) -> Result:
         """Read what was written, with the residual image, while the file is open.
@@ -292,6 +298,7 @@ class ResultWriter:
         target = self._file.require_group(group)
         for name, value in values.items():
             target.attrs[name] = value
+        self._has_units |= group == schema.UNITS
 
     def write_status(self, failure: str) -> None:
         """Write whether the field converged, as attributes of the file.
@@ -317,6 +324,11 @@ class ResultWriter:
         missing = sorted(set(range(announced)) - self._written)
         if missing:
             raise ValueError(f"{self._path}: pieces {missing} were not written")
+
+    def _has_physical_units(self) -> bool:
+        """Whether displacements are written in a length unit, hence the size of a pixel is known."""
+        fields = () if self._pieces is None else self._pieces.point_fields
+        return self._has_units and any(field.name == schema.DISPLACEMENT_PHYSICAL for field in fields)
 
     def _oriented(self, values: NDArray[Any]) -> NDArray[Any]:
         """Vectors and tensors as the file has them."""

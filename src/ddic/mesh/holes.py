@@ -8,9 +8,15 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+NO_CORNERS = np.zeros((0, 2))
+
 
 class Hole(Protocol):
     """A closed outline in the plane."""
+
+    @property
+    def corners(self) -> NDArray[np.float64]:
+        """Points of the outline at which a node is to lie, (n, 2), pixels."""
 
     def measure_distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Measure the distance to the outline.
@@ -55,6 +61,11 @@ class CircularHole:
 
     center: tuple[float, float]
     radius: float
+
+    @property
+    def corners(self) -> NDArray[np.float64]:
+        """None, (0, 2)."""
+        return NO_CORNERS
 
     def measure_distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Measure the distance to the circle.
@@ -101,6 +112,11 @@ class PolygonalHole:
     """
 
     vertices: NDArray[np.float64]
+
+    @property
+    def corners(self) -> NDArray[np.float64]:
+        """None, (0, 2): nodes go to the nearest point of a side."""
+        return NO_CORNERS
 
     def measure_distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Measure the distance to the polygon.

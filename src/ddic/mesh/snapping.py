@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,9 @@ cells and a rougher outline."""
 
 SMALLEST_FRACTION = 0.25
 """Share of its way to the outline below which a node that is held back stays where it was."""
+
+MOST_CANDIDATES = 4
+"""Nodes near a corner of a hole, one of which is brought there; a larger value may take one from farther off."""
 
 BISECTIONS = 50
 """Steps that find where a side meets an outline, each of which halves the error: 50 reach a double's rounding."""
@@ -106,7 +110,47 @@ def snap_to_holes(nodes: NDArray[np.float64], quads: Cells, triangles: Cells, me
     target = nodes.copy()
     for member, hole in zip(on_holes, holes, strict=True):
         target[member] = _on_outline(nodes[member], hole, region)
+    for member, hole in zip(on_holes, holes, strict=True):
+        _take_corners(_Snapping(nodes, target, (quads, triangles), region), member, hole)
     return _move_carefully(nodes, target, quads, triangles), on_holes
+
+
+@dataclass(frozen=True, eq=False)
+class _Snapping:
+    """Nodes where they were and where they go, (n_nodes, 2) each, their cells, and the region (x0, y0, x1, y1)."""
+
+    nodes: NDArray[np.float64]
+    target: NDArray[np.float64]
+    cells: tuple[Cells, Cells]
+    region: Sequence[float]
+
+
+def _take_corners(snapping: _Snapping, member: Cells, hole: Hole) -> None:
+    """Bring a node to each corner of a hole: of those near it the one whose cells bear it best."""
+    nodes, target = snapping.nodes, snapping.target
+    x0, y0, x1, y1 = snapping.region
+
+    def is_inside(points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        return np.asarray(((points > [x0, y0]) & (points < [x1, y1])).all(axis=1))
+
+    # Nodes on a side of the region stay on it.
+    free = member[is_inside(nodes[member])]
+    for corner in hole.corners[is_inside(hole.corners)]:
+        near = free[np.argsort(np.linalg.norm(nodes[free] - corner, axis=1))[:MOST_CANDIDATES]]
+        if not len(near):
+            return
+        qualities = [_measure_worst(snapping, int(node), corner) for node in near]
+        chosen = near[int(np.argmax(qualities))]
+        target[chosen] = corner
+        free = free[free != chosen]
+
+
+def _measure_worst(snapping: _Snapping, node: int, place: NDArray[np.float64]) -> float:
+    """Smallest sine in the cells around a node, were it to go to a place."""
+    moved = snapping.target.copy()
+    moved[node] = place
+    quads, triangles = (cells[(cells == node).any(axis=1)] for cells in snapping.cells)
+    return float(measure_shape_quality(build_mesh(moved, {Q4: quads, T3: triangles})).min(initial=np.inf))
 
 
 def _nearest_hole(members: list[Cells], nodes: NDArray[np.float64], holes: Sequence[Hole]) -> list[Cells]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ddic.errors import InputError
 from ddic.mesh.cell_type import Q4, T3
 from ddic.mesh.holes import CircularHole, Hole, PolygonalHole
+from ddic.mesh.mask_outline import OutlinedHole
 from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.snapping import chop_corners, snap_to_holes
 
@@ -62,7 +63,7 @@ class Grid:
 
 def build_structured_mesh(region: Sequence[float], element_size: float, cell: Literal["Q4", "T3"] = "Q4",
                     circles: Sequence[tuple[tuple[float, float], float]] = (),
-                    polygons: Sequence[NDArray[np.float64]] = (),
+                    polygons: Sequence[NDArray[np.float64] | OutlinedHole] = (),
                     mask: NDArray[np.bool_] | None = None) -> Mesh:
     """Mesh a rectangle by regular cells that cover it exactly.
 
@@ -80,8 +81,8 @@ def build_structured_mesh(region: Sequence[float], element_size: float, cell: Li
         T3 with alternating diagonals.
     circles : sequence of (centre, radius)
         Round holes, pixels.
-    polygons : sequence of (n, 2) arrays
-        Vertices of other holes, pixels.
+    polygons : sequence of (n, 2) arrays or OutlinedHole
+        Vertices of other holes, pixels; what ``find_mask_holes`` finds in a mask.
     mask : (height, width) bool array, optional
         True where cells may be; a cell is kept if at least half of its pixels are.
 
@@ -98,7 +99,8 @@ def build_structured_mesh(region: Sequence[float], element_size: float, cell: Li
     _refuse_impossible(region, element_size, cell, mask)
     grid = _fit_grid(region, element_size)
     holes: list[Hole] = [CircularHole(center, radius) for center, radius in circles]
-    holes += [PolygonalHole(np.asarray(vertices, dtype=np.float64)) for vertices in polygons]
+    holes += [outline if isinstance(outline, OutlinedHole) else PolygonalHole(np.asarray(outline, dtype=np.float64))
+              for outline in polygons]
     in_holes = [_cells_in_hole(grid, hole, k) for k, hole in enumerate(holes)]
     kept = _kept_cells(grid, in_holes, mask)
     members = [np.intersect1d(grid.quads[kept], grid.quads[inside]) for inside in in_holes]
@@ -155,7 +157,8 @@ def _kept_cells(grid: Grid, in_holes: Sequence[NDArray[np.bool_]],
 def _cells_in_hole(grid: Grid, hole: Hole, number: int) -> NDArray[np.bool_]:
     """Cells whose centres lie in a hole."""
     inside = hole.measure_distance(grid.centroids) < 0
-    if not inside.any():
+    # What a mask leaves out may be smaller than a cell; a hole that was asked for may not.
+    if not inside.any() and not isinstance(hole, OutlinedHole):
         raise InputError(f"mesh.structured: hole_{number} holds the centre of no cell: it lies outside the "
                          "region, or is too small for element_size; leave it out or use smaller elements")
     return np.asarray(inside)

@@ -10,6 +10,7 @@ from ddic.case.schema import Case, MappingSection, MeshSection, StructuredSectio
 from ddic.errors import InputError
 from ddic.io.mask_file import read_mask
 from ddic.io.mesh_file import read_mesh
+from ddic.mesh.mask_outline import OutlinedHole, find_mask_holes
 from ddic.mesh.mesh import Mesh, Similarity
 from ddic.mesh.repair import check_inside, repair
 from ddic.mesh.structured import build_structured_mesh
@@ -175,9 +176,13 @@ def convert_mapping(section: MappingSection) -> Similarity:
 
 
 def _structured(section: StructuredSection, width: int, height: int) -> Mesh:
+    mask = None if section.mask is None else read_mask(section.mask, width, height)
+    outlined: list[OutlinedHole] = []
+    if mask is not None and section.mask_outline == "snapped":
+        outlined, mask = find_mask_holes(mask, section.region, section.element_size), None
     return build_structured_mesh(
         section.region, section.element_size, section.cell,
         circles=[(circle.center, circle.radius) for circle in section.circles],
-        polygons=[np.array(polygon.vertices) for polygon in section.polygons],
-        mask=None if section.mask is None else read_mask(section.mask, width, height),
+        polygons=[*(np.array(polygon.vertices) for polygon in section.polygons), *outlined],
+        mask=mask,
     )

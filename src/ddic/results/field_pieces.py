@@ -16,6 +16,7 @@ from ddic.kinematics.strain import compute_strain
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.team import require_held
 from ddic.results.drawn_mesh import DrawnMesh, draw_mesh
+from ddic.results.nodal_strain import convert_to_six_components, describe_nodal_strains, recover_nodal_gradients
 
 if TYPE_CHECKING:
     from ddic.results.measurement import Measurement
@@ -47,8 +48,10 @@ def write_pieces(measurement: Measurement, writer: ResultWriter | None) -> None:
     drawn = [draw_mesh(subdomain, n_nodes) for subdomain in measurement.subdomains]
     sizes = team.gather_lists([_size(piece.mesh) for piece in drawn])
     length_unit = None if images.pixel_size is None else images.length_unit
+    at_points = (*schema.point_fields(length_unit), *schema.nodal_strain_fields())
     team.build_on_root(lambda: require_held(writer).create_pieces(
-        sizes, schema.point_fields(length_unit), schema.cell_fields(len(measurement.cameras))))
+        sizes, at_points, schema.cell_fields(len(measurement.cameras))))
+    gradients = recover_nodal_gradients(team, measurement.subdomains, measurement.displacements)
     n_written = 0
 
     def write(batch: _Batch) -> None:
@@ -57,7 +60,7 @@ def write_pieces(measurement: Measurement, writer: ResultWriter | None) -> None:
         require_held(writer).write_pieces(numbers, batch.pieces)
         n_written = numbers.stop
 
-    team.stream_to_root(_join_batches(_make_pieces(measurement, drawn)), write)
+    team.stream_to_root(_join_batches(_make_pieces(measurement, drawn, gradients)), write)
 
 
 def _size(mesh: Mesh) -> PieceSize:
@@ -76,11 +79,15 @@ def _join_batches(pieces: Iterator[Piece]) -> Iterator[_Batch]:
         yield _Batch(len(waiting), join_pieces(waiting))
 
 
-def _make_pieces(measurement: Measurement, drawn: Sequence[DrawnMesh]) -> Iterator[Piece]:
+def _make_pieces(measurement: Measurement, drawn: Sequence[DrawnMesh],
+                 gradients: Sequence[NDArray[np.float64]]) -> Iterator[Piece]:
+    """Pieces of owned subdomains; gradients: of the displacement at their nodes, (n_nodes, 2, 2) each."""
     for number, (piece, u) in enumerate(zip(drawn, measurement.displacements, strict=True)):
         mesh = piece.mesh
         on_cells = _cell_data(measurement, number, u)
-        yield Piece(mesh.nodes, mesh.connectivity, mesh.offsets, mesh.types, _point_data(measurement, piece, u),
+        at_points = piece.interpolate(gradients[number].reshape(-1, 4)).reshape(-1, 2, 2)
+        yield Piece(mesh.nodes, mesh.connectivity, mesh.offsets, mesh.types,
+                    {**_point_data(measurement, piece, u), **describe_nodal_strains(at_points)},
                     {name: values[piece.cells] for name, values in on_cells.items()})
 
 
@@ -118,23 +125,6 @@ def _cell_data(measurement: Measurement, number: int, u: NDArray[np.float64]) ->
     if len(measurement.cameras) > 1:
         data[schema.CAMERA] = np.full(n_cells, subdomain.camera, dtype=np.int32)
     return data
-
-
-def convert_to_six_components(tensor: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Write tensors in the plane as VTK does.
-
-    Parameters
-    ----------
-    tensor : (n, 3) array
-        xx, yy, xy.
-
-    Returns
-    -------
-    (n, 6) array
-        xx, yy, zz, xy, yz, xz.
-    """
-    zero = np.zeros(len(tensor))
-    return np.stack([tensor[:, 0], tensor[:, 1], zero, tensor[:, 2], zero, zero], axis=1)
 
 
 def _residual_rms(measurement: Measurement, camera: int, residual: Residual) -> NDArray[np.float64]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ddic.case.schema import ImagesSection
 from ddic.io import result_schema as schema
 from ddic.io.result_writer import Piece, PieceSize, ResultWriter
+from ddic.kinematics.nodal_gradients import recover_gradients
 from ddic.kinematics.strain import compute_strain
 from ddic.mesh.cell_type import Q4
 from ddic.mesh.mesh import Mesh, build_mesh
@@ -19,7 +20,7 @@ from ddic.mesh.structured import Grid
 from ddic.parallel.team import Team
 from ddic.problem.cell_errors import CellErrors, CellResiduals, describe_doubtful_cells, find_cell_errors
 from ddic.problem.exclusions import KEPT, UNSEEN
-from ddic.results.field_pieces import convert_to_six_components
+from ddic.results.nodal_strain import convert_to_six_components, describe_nodal_strains
 from ddic.separated.line_elements import LineElements
 from ddic.separated.pixel_bands import ReferencePixels
 from ddic.separated.separated_field import SeparatedField
@@ -149,11 +150,12 @@ def write_output_cells(writer: ResultWriter, cells: OutputCells, field: Separate
     displacement = cells.evaluate_displacement(field)
     length_unit = None if images.pixel_size is None else images.length_unit
     writer.create_pieces([PieceSize(mesh.n_nodes, mesh.n_cells, len(mesh.connectivity))],
-                         schema.point_fields(length_unit), schema.cell_fields())
+                         (*schema.point_fields(length_unit), *schema.nodal_strain_fields()), schema.cell_fields())
     point_data: dict[str, NDArray[Any]] = {
         schema.DISPLACEMENT: displacement,
         schema.DISPLACEMENT_MESH_UNITS: displacement,
         schema.GLOBAL_NODE_ID: np.arange(mesh.n_nodes),
+        **describe_nodal_strains(recover_gradients([mesh], [displacement.ravel()], list)[0]),
     }
     if images.pixel_size is not None:
         point_data[schema.DISPLACEMENT_PHYSICAL] = displacement * images.pixel_size

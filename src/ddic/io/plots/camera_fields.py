@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,9 +20,11 @@ from ddic.io.plots.canvas import (
     find_mesh_bounds,
     format_component,
     make_cell_polygons,
+    make_panels,
     make_triangulation,
     pick_component,
 )
+from ddic.io.plots.length_unit import PIXELS, LengthUnit
 from ddic.io.result_reader import Result
 from ddic.io.result_schema import CAMERA, near_group
 from ddic.mesh.mesh import Mesh
@@ -74,7 +76,7 @@ def find_near_mesh(result: Result, camera: int) -> Mesh:
     return result.mesh.create_submesh(np.flatnonzero(result.cell_data[CAMERA] == camera))[0]
 
 
-def draw_near_far(result: Result, component: Component = "magnitude") -> Figure:
+def draw_near_far(result: Result, component: Component = "magnitude", unit: LengthUnit = PIXELS) -> Figure:
     """Draw the displacement of the whole mesh, then around each near field in colours of its own.
 
     Near fields are outlined; titles tell alpha, by which each near set-up moved.
@@ -84,7 +86,9 @@ def draw_near_far(result: Result, component: Component = "magnitude") -> Figure:
     result : Result
         Of several cameras.
     component : {"x", "y", "magnitude"}, optional
-        What is in colour, pixels.
+        What is in colour.
+    unit : LengthUnit, optional
+        Of axes and colours; alpha is in pixels.
 
     Returns
     -------
@@ -93,18 +97,26 @@ def draw_near_far(result: Result, component: Component = "magnitude") -> Figure:
     """
     last_camera = int(result.cell_data[CAMERA].max())
     cameras = range(1, last_camera + 1)
-    near = [find_near_mesh(result, camera) for camera in cameras]
+    near = [_scale(find_near_mesh(result, camera), unit) for camera in cameras]
+    whole = _scale(result.mesh, unit)
     titles = ["far field", *(_moved(result, camera) for camera in cameras)]
-    boxes = [find_mesh_bounds(result.mesh.nodes), *(find_mesh_bounds(mesh.nodes, AROUND) for mesh in near)]
-    figure, panels = _page(len(boxes), boxes[0])
-    values = pick_component(result.displacement, component)
-    for axes, title, box in zip(panels, titles, boxes, strict=True):
-        inside = values[_in_box(result.mesh.nodes, box)]
-        colours = axes.tripcolor(make_triangulation(result.mesh, result.mesh.nodes), values, shading="gouraud",
-                                 cmap=COLOURS, vmin=inside.min(), vmax=inside.max())
-        _finish(axes, title, box, near)
-        add_colour_bar(figure, axes, colours, f"{format_component('u', component)} [px]")
+    boxes = [find_mesh_bounds(whole.nodes), *(find_mesh_bounds(mesh.nodes, AROUND) for mesh in near)]
+    figure, panels = make_panels(boxes, titles, unit)
+    values = unit.size * pick_component(result.displacement, component)
+    for axes, box in zip(panels, boxes, strict=True):
+        inside = values[_in_box(whole.nodes, box)]
+        colours = axes.tripcolor(make_triangulation(whole, whole.nodes), values, shading="gouraud", cmap=COLOURS,
+                                 vmin=inside.min(), vmax=inside.max(), rasterized=True)
+        _outline(axes, near)
+        axes.set_xlim(box[0], box[2])
+        axes.set_ylim(box[3], box[1])
+        add_colour_bar(figure, axes, colours, f"{format_component('u', component)} [{unit.name}]")
     return figure
+
+
+def _scale(mesh: Mesh, unit: LengthUnit) -> Mesh:
+    """A mesh in the unit of the axes."""
+    return replace(mesh, nodes=unit.size * mesh.nodes)
 
 
 def draw_cell_panels(panels: Sequence[CellPanel], outlined: Sequence[Mesh], box: tuple[float, float, float, float],
@@ -156,13 +168,18 @@ def _page(n: int, box: tuple[float, float, float, float]) -> tuple[Figure, list[
     return figure, [figure.add_subplot(n_rows, n_columns, k + 1) for k in range(n)]
 
 
-def _finish(axes: Axes, title: str, box: tuple[float, float, float, float], outlined: Sequence[Mesh]) -> None:
-    """Outlines, limits and title of a panel."""
+def _outline(axes: Axes, outlined: Sequence[Mesh]) -> None:
+    """Outlines of meshes, on grey."""
     for mesh in outlined:
         edges = find_boundary_facets(mesh)[:, :2]
         segments = list(mesh.nodes[edges])
         axes.add_collection(LineCollection(segments, colors=OUTLINE, linewidths=1.2))
     axes.set_facecolor("0.6")
+
+
+def _finish(axes: Axes, title: str, box: tuple[float, float, float, float], outlined: Sequence[Mesh]) -> None:
+    """Outlines, limits and title of a panel."""
+    _outline(axes, outlined)
     axes.set_xlim(box[0], box[2])
     axes.set_ylim(box[3], box[1])
     axes.set_aspect("equal")

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator, ScalarFormatter
 from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
+from ddic.io.plots.length_unit import PIXELS, LengthUnit
+from ddic.io.plots.page_text import format_title
 from ddic.mesh.mesh import Mesh
 
 Component = Literal["x", "y", "magnitude"]
@@ -24,56 +30,139 @@ DPI = 150
 WIDTH_INCHES = 7.0
 """Width of a page."""
 
-NARROWEST_INCHES = 4.5
-"""Least width of a page; a larger value leaves more room beside tall meshes."""
+NARROWEST_INCHES = 3.8
+"""Least width of a page; a larger value leaves more room for titles over tall meshes."""
 
-TALLEST_INCHES = 9.0
+TALLEST_INCHES = 8.0
 """Most height of the axes."""
 
-LOWEST_INCHES = 2.0
-"""Least height of the axes."""
+LEFT_INCHES, RIGHT_INCHES = 0.85, 1.15
+"""Beside the axes: numbers and label of y; the colour bar with its own."""
 
-TITLE_INCHES = 0.6
-"""Height of what stands above and below the axes."""
+BELOW_INCHES = 0.6
+"""Below the axes: numbers and label of x."""
 
-COLOUR_BAR_INCHES = 2.0
-"""Width of labels and the colour bar beside the axes."""
+ABOVE_INCHES = 0.25
+"""Above the axes, beside the title's lines."""
+
+WIDE = 0.55
+"""Height over width of panels below which they stand above one another."""
+
+MOST_COLUMNS = 3
+"""Panels side by side."""
+
+PANEL_INCHES = 4.4
+"""Width of one of several panels side by side."""
+
+INCHES_A_NUMBER = 0.6
+"""Room for a number at an axis; a larger value writes fewer."""
+
+LINE_INCHES = 0.22
+"""Height of a line of a title."""
+
+SHORTEST_BAR_INCHES = 1.3
+"""Least height of a colour bar, beside meshes that are flat."""
+
+BAR_INCHES, GAP_INCHES = 0.16, 0.12
+"""Width of a colour bar, and what lies between it and the axes."""
+
+TITLE_POINTS = 11.0
+"""Size of a title's type."""
+
+MOST_SHARP_CELLS = 10_000
+"""Cells up to which they are drawn as lines and faces in PDF and SVG; a larger value makes larger files. Others are
+drawn as pixels."""
+
+Bounds = tuple[float, float, float, float]
+Limits = tuple[float, float]
 
 
-def make_image_figure(bounds: tuple[float, float, float, float], title: str) -> tuple[Figure, Axes]:
-    """Make a figure whose axes are those of the image: pixels, equal scales, y down.
+def make_image_figure(bounds: Bounds, title: str, unit: LengthUnit = PIXELS, *,
+                      beside: float = RIGHT_INCHES) -> tuple[Figure, Axes]:
+    """Make a figure whose axes are those of the image: equal scales, y down.
 
     Parameters
     ----------
     bounds : (float, float, float, float)
-        x0, y0, x1, y1, pixels.
+        x0, y0, x1, y1, in the unit.
     title : str
-        Above the axes.
+        Above the axes; broken into lines where it is wider than the page.
+    unit : LengthUnit, optional
+        Of both axes.
+    beside : float, optional
+        Room to the right of the axes, inches; that of a colour bar by default.
 
     Returns
     -------
     figure : Figure
-        The page.
+        The page, just as large as what is on it.
     axes : Axes
         Empty axes.
     """
-    x0, y0, x1, y1 = bounds
-    ratio = (y1 - y0) / max(x1 - x0, 1e-12)
-    height = float(np.clip(WIDTH_INCHES * ratio, LOWEST_INCHES, TALLEST_INCHES))
-    width = WIDTH_INCHES
-    if ratio > 0:
-        # A tall mesh gets a narrow page, with room for labels and the colour bar.
-        width_of_axes = height / ratio
-        width = float(np.clip(width_of_axes + COLOUR_BAR_INCHES, NARROWEST_INCHES, WIDTH_INCHES))
-    figure = Figure(figsize=(width, height + TITLE_INCHES), layout="tight")
-    axes = figure.add_subplot()
-    axes.set_xlim(x0, x1)
-    axes.set_ylim(y1, y0)
-    axes.set_aspect("equal")
-    axes.set_xlabel("x [px]")
-    axes.set_ylabel("y [px]")
-    axes.set_title(title)
+    figure, (axes,) = make_panels([bounds], [title], unit, beside=beside)
     return figure, axes
+
+
+def make_panels(boxes: Sequence[Bounds], titles: Sequence[str], unit: LengthUnit = PIXELS, *,
+                beside: float = RIGHT_INCHES) -> tuple[Figure, list[Axes]]:
+    """Make a figure of several panels of one size, each as ``make_image_figure`` makes its one.
+
+    Parameters
+    ----------
+    boxes : sequence of (float, float, float, float)
+        x0, y0, x1, y1 of each, in the unit; the first tells the size of all.
+    titles : sequence of str
+        Of each.
+    unit : LengthUnit, optional
+        Of all axes.
+    beside : float, optional
+        Room to the right of each, inches.
+
+    Returns
+    -------
+    figure : Figure
+        Panels side by side, or above one another where they are wide.
+    panels : list of Axes
+        Empty axes.
+    """
+    x0, y0, x1, y1 = boxes[0]
+    ratio = (y1 - y0) / max(x1 - x0, 1e-300)
+    n_columns = 1 if ratio < WIDE else min(len(boxes), MOST_COLUMNS)
+    n_rows = math.ceil(len(boxes) / n_columns)
+    widest = (WIDTH_INCHES if n_columns == 1 else PANEL_INCHES) - LEFT_INCHES - beside
+    height = min(widest * ratio, TALLEST_INCHES / n_rows)
+    width = height / ratio
+    panel_width = max(width + LEFT_INCHES + beside, NARROWEST_INCHES)
+    wrapped = [format_title(title, panel_width - 2 * GAP_INCHES, TITLE_POINTS) for title in titles]
+    above = ABOVE_INCHES + LINE_INCHES * max(text.count("\n") + 1 for text in wrapped)
+    panel_height = max(height, SHORTEST_BAR_INCHES) + above + BELOW_INCHES
+    page = np.array([n_columns * panel_width, n_rows * panel_height])
+    # In the middle of what a page with a long title or a short mesh leaves.
+    left = LEFT_INCHES + 0.5 * (panel_width - width - LEFT_INCHES - beside)
+    below = BELOW_INCHES + 0.5 * (panel_height - height - above - BELOW_INCHES)
+    figure = Figure(figsize=(float(page[0]), float(page[1])))
+    panels = []
+    for k, (box, title) in enumerate(zip(boxes, wrapped, strict=True)):
+        row, column = divmod(k, n_columns)
+        corner = np.array([column * panel_width + left, (n_rows - 1 - row) * panel_height + below])
+        axes = figure.add_axes((*(corner / page), width / page[0], height / page[1]))
+        _set_up_axes(axes, box, unit, (width, height))
+        # In the middle of the panel, not of the axes, which have more on their right than on their left.
+        axes.set_title(title, fontsize=TITLE_POINTS, x=(0.5 * panel_width - left) / width)
+        panels.append(axes)
+    return figure, panels
+
+
+def _set_up_axes(axes: Axes, bounds: Bounds, unit: LengthUnit, size: tuple[float, float]) -> None:
+    """Limits, labels and as many numbers as there is room for; size: width and height of the axes, inches."""
+    axes.set_xlim(bounds[0], bounds[2])
+    axes.set_ylim(bounds[3], bounds[1])
+    axes.set_aspect("equal")
+    axes.set_xlabel(f"x [{unit.name}]")
+    axes.set_ylabel(f"y [{unit.name}]")
+    for axis, length in zip((axes.xaxis, axes.yaxis), size, strict=True):
+        n_numbers = max(2, min(7, int(length / INCHES_A_NUMBER)))
+        axis.set_major_locator(MaxNLocator(nbins=n_numbers, steps=[1, 2, 5, 10]))
 
 
 def find_mesh_bounds(nodes: NDArray[np.float64], margin: float = 0.03) -> tuple[float, float, float, float]:
@@ -99,7 +188,7 @@ def find_mesh_bounds(nodes: NDArray[np.float64], margin: float = 0.03) -> tuple[
 
 
 def add_colour_bar(figure: Figure, axes: Axes, mappable: Any, label: str) -> None:
-    """Add a labelled colour bar as high as the axes.
+    """Add a labelled colour bar as high as the axes, or higher where they are flat.
 
     Parameters
     ----------
@@ -112,9 +201,50 @@ def add_colour_bar(figure: Figure, axes: Axes, mappable: Any, label: str) -> Non
     label : str
         With its unit.
     """
+    width, height = axes.get_position().size * figure.get_size_inches()
+    share = max(1.0, SHORTEST_BAR_INCHES / height)
     # x, y, width, height, of the axes'.
-    beside = axes.inset_axes((1.02, 0.0, 0.03, 1.0))
-    figure.colorbar(mappable, cax=beside, label=label)
+    beside = axes.inset_axes((1.0 + GAP_INCHES / width, 0.5 - 0.5 * share, BAR_INCHES / width, share))
+    bar = figure.colorbar(mappable, cax=beside, label=label, extend=_find_values_beyond(mappable))
+    # Strains are written times a power of ten: their zeros would need the room of the label.
+    numbers = ScalarFormatter(useMathText=True)
+    numbers.set_powerlimits((-2, 4))
+    bar.ax.yaxis.set_major_formatter(numbers)
+    bar.ax.yaxis.set_offset_position("left")
+
+
+def _find_values_beyond(mappable: Any) -> Literal["neither", "min", "max", "both"]:
+    """Sides of the colours on which there are values beyond, as matplotlib calls them: the bar has arrows there."""
+    # Masked where an image has no value; comparisons with nan are false.
+    values: NDArray[np.float64] = np.ma.getdata(mappable.get_array())  # type: ignore[no-untyped-call]
+    low, high = mappable.get_clim()
+    below, above = bool((values < low).any()), bool((values > high).any())
+    return "both" if below and above else "min" if below else "max" if above else "neither"
+
+
+def choose_limits(values: NDArray[np.float64], asked: Limits | None = None) -> Limits:
+    """Choose where colours begin and end.
+
+    Parameters
+    ----------
+    values : (n,) array
+        What is in colour; nan is not.
+    asked : (float, float), optional
+        What the user wants; all values are spanned where it is left out.
+
+    Returns
+    -------
+    (float, float)
+        Of the values' unit.
+    """
+    if asked is not None:
+        return asked
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return 0.0, 1.0
+    low, high = float(finite.min()), float(finite.max())
+    # Colours of one value need a span; it is as wide as rounding would make it.
+    return (low, high) if low < high else (low - max(abs(low), 1e-12) * 1e-6, high + max(abs(high), 1e-12) * 1e-6)
 
 
 def make_cell_polygons(mesh: Mesh, nodes: NDArray[np.float64], **style: Any) -> PolyCollection:
@@ -197,7 +327,7 @@ def format_component(symbol: str, component: Component) -> str:
     return f"$|{symbol}|$" if component == "magnitude" else f"${symbol}_{component}$"
 
 
-def save_figure(figure: Figure, path: Path) -> None:
+def save_figure(figure: Figure, path: Path, dpi: int = DPI) -> None:
     """Save a figure.
 
     Parameters
@@ -205,6 +335,11 @@ def save_figure(figure: Figure, path: Path) -> None:
     figure : Figure
         The page.
     path : Path
-        Whose ending tells the format.
+        Whose ending tells the format: png, pdf, svg.
+    dpi : int, optional
+        Dots an inch; in PDF and SVG of images and of fields in colour, beside which texts and lines stay sharp.
     """
-    figure.savefig(path, dpi=DPI)
+    # Journals refuse type 3, matplotlib's own choice; without a date the same picture is the same file.
+    with rc_context({"pdf.fonttype": 42, "svg.hashsalt": path.stem}):
+        dated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
+        figure.savefig(path, dpi=dpi, metadata=dated.get(path.suffix.lower()))

@@ -41,7 +41,9 @@ def draw_corrections(table: Mapping[str, NDArray[Any]]) -> Figure:
     residual.set_ylim(bottom=0.0)
     for axes in (sizes, gains, residual):
         axes.set_xlabel("correction [-]")
-        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        # One correction alone would have an axis of fractions.
+        axes.set_xlim(number.min() - 0.5, number.max() + 0.5)
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
         axes.grid(which="both", alpha=0.25)
     for axes in (sizes, gains):
         axes.legend(fontsize="x-small")

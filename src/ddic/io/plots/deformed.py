@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from matplotlib.figure import Figure
 
 from ddic.io.plots.canvas import (
     COLOURS,
+    MOST_SHARP_CELLS,
     Component,
+    Limits,
     add_colour_bar,
+    choose_limits,
     find_mesh_bounds,
     format_component,
     make_cell_polygons,
@@ -16,14 +21,24 @@ from ddic.io.plots.canvas import (
     make_triangulation,
     pick_component,
 )
+from ddic.io.plots.length_unit import PIXELS, LengthUnit
 from ddic.io.result_reader import Result
+from ddic.kinematics.rigid_part import count_folded_cells, find_largest_gradient, project_rigid_motion_out
 
 VISIBLE_SHARE = 0.05
+"""Largest displacement that is drawn, relative to the mesh, where cells bear it; a larger value exaggerates more."""
+
+LARGEST_STRETCH = 0.5
+"""Largest gradient of what is drawn: no cell is squeezed to less than the half. Below 1 no cell folds."""
+
 MOST_CELLS_WITH_EDGES = 20_000
+"""Cells up to which their edges are drawn; a larger value makes fine meshes black."""
 
 
 def choose_amplification(result: Result) -> float:
-    """Choose an amplification, one digit, that makes the departure from the mean displacement 5 % of the mesh.
+    """Choose an amplification, one digit, of the displacement without its rigid motion.
+
+    It makes that 5 % of the mesh, or less where the largest gradient of the displacement would fold cells.
 
     Parameters
     ----------
@@ -35,16 +50,24 @@ def choose_amplification(result: Result) -> float:
     float
         At least 1.
     """
-    departure = result.displacement - result.displacement.mean(axis=0)
+    departure = project_rigid_motion_out(result.mesh.nodes, result.displacement)
     largest = float(np.abs(departure).max())
     if largest == 0.0:
         return 1.0
     wanted = VISIBLE_SHARE * float(np.ptp(result.mesh.nodes, axis=0).max()) / largest
-    return max(1.0, float(f"{wanted:.0e}"))
+    limit = LARGEST_STRETCH / max(find_largest_gradient(result.mesh, departure), 1e-300)
+    factor = float(f"{wanted:.0e}")
+    return max(1.0, factor if factor <= limit else _round_down(limit))
 
 
-def draw_deformed(result: Result, component: Component = "magnitude",
-                  amplification: float | None = None) -> Figure:
+def _round_down(value: float) -> float:
+    """The largest number of one digit that is not above a positive one."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return math.floor(value / power) * power
+
+
+def draw_deformed(result: Result, component: Component = "magnitude", amplification: float | None = None,
+                  unit: LengthUnit = PIXELS, limits: Limits | None = None) -> Figure:
     """Draw the mesh moved by its amplified displacement, over its outline at rest in grey.
 
     Parameters
@@ -52,25 +75,38 @@ def draw_deformed(result: Result, component: Component = "magnitude",
     result : Result
         The displacement.
     component : {"x", "y", "magnitude"}, optional
-        What is in colour, pixels.
+        What is in colour.
     amplification : float, optional
-        Of the displacement; where it is left out, one that shows.
+        Of the whole displacement, rigid motion and all; where it is left out, one that shows the displacement without
+        its rigid motion and folds no cell.
+    unit : LengthUnit, optional
+        Of axes and colours.
+    limits : (float, float), optional
+        Of the colours, in that unit.
 
     Returns
     -------
     Figure
         The page.
     """
-    mesh = result.mesh
-    factor = choose_amplification(result) if amplification is None else amplification
-    moved = mesh.nodes + factor * result.displacement
-    bounds = find_mesh_bounds(np.concatenate([mesh.nodes, moved]))
-    figure, axes = make_image_figure(bounds, f"Deformed mesh, displacement amplified {factor:g} times")
-    axes.add_collection(make_cell_polygons(mesh, mesh.nodes, facecolors="0.9", edgecolors="0.9", linewidths=0.3))
-    values = pick_component(result.displacement, component)
-    colours = axes.tripcolor(make_triangulation(mesh, moved), values, shading="gouraud", cmap=COLOURS)
+    mesh, rest = result.mesh, unit.size * result.mesh.nodes
+    if amplification is None:
+        factor = choose_amplification(result)
+        moved = rest + unit.size * factor * project_rigid_motion_out(mesh.nodes, result.displacement)
+        title = f"Deformed mesh without rigid motion, amplified {factor:g} times"
+    else:
+        moved = rest + unit.size * amplification * result.displacement
+        n_folded = count_folded_cells(mesh, moved)
+        folded = f"; {n_folded} cells are folded" if n_folded else ""
+        title = f"Deformed mesh, displacement amplified {amplification:g} times{folded}"
+    figure, axes = make_image_figure(find_mesh_bounds(np.concatenate([rest, moved])), title, unit)
+    axes.add_collection(make_cell_polygons(mesh, rest, facecolors="0.9", edgecolors="0.9", linewidths=0.3))
+    values = unit.size * pick_component(result.displacement, component)
+    low, high = choose_limits(values, limits)
+    colours = axes.tripcolor(make_triangulation(mesh, moved), values, shading="gouraud", cmap=COLOURS, vmin=low,
+                             vmax=high, rasterized=True)
     if mesh.n_cells <= MOST_CELLS_WITH_EDGES:
-        axes.add_collection(make_cell_polygons(mesh, moved, facecolors="none", edgecolors="black",
-                                               linewidths=0.15))
-    add_colour_bar(figure, axes, colours, f"{format_component('u', component)} [px]")
+        axes.add_collection(make_cell_polygons(mesh, moved, facecolors="none", edgecolors="black", linewidths=0.15,
+                                               rasterized=mesh.n_cells > MOST_SHARP_CELLS))
+    add_colour_bar(figure, axes, colours, f"{format_component('u', component)} [{unit.name}]")
     return figure

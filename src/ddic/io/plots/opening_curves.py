@@ -9,18 +9,22 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from ddic.io.plots.length_unit import PIXELS, LengthUnit
+
 Array = NDArray[np.float64]
 
 STYLES = ("-", "--", "-.", ":")
 
 
-def draw_opening(curves: Mapping[str, tuple[Array, Array, Array]]) -> Figure:
+def draw_opening(curves: Mapping[str, tuple[Array, Array, Array]], unit: LengthUnit = PIXELS) -> Figure:
     """Draw slip and opening against the place along the line.
 
     Parameters
     ----------
     curves : dict of three (n,) arrays
-        Label of a line -> distance along it, tangential and normal opening, pixels.
+        Label of a line -> distance along it, tangential and normal opening.
+    unit : LengthUnit, optional
+        Of all of them.
 
     Returns
     -------
@@ -33,8 +37,8 @@ def draw_opening(curves: Mapping[str, tuple[Array, Array, Array]]) -> Figure:
         prefix = "" if len(curves) == 1 else f"{label}, "
         axes.plot(distance, normal, style, color="tab:blue", linewidth=1.4, label=f"{prefix}normal")
         axes.plot(distance, tangential, style, color="tab:orange", linewidth=1.4, label=f"{prefix}tangential")
-    axes.set_xlabel("distance along the line [px]")
-    axes.set_ylabel("opening [px]")
+    axes.set_xlabel(f"distance along the line [{unit.name}]")
+    axes.set_ylabel(f"opening [{unit.name}]")
     axes.set_title("Opening of discontinuities")
     axes.grid(alpha=0.25)
     axes.legend(fontsize="small")

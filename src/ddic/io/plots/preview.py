@@ -14,6 +14,9 @@ from ddic.images.window import Window
 
 LARGEST_SIDE = 2000
 
+OVER_ALL = 2.5
+"""Above matplotlib's patches and lines, below its texts."""
+
 
 @dataclass(frozen=True)
 class Preview:
@@ -34,16 +37,41 @@ class Preview:
     width: int
     height: int
 
-    def draw(self, axes: Axes) -> None:
+    def draw(self, axes: Axes, size: float = 1.0, opacity: float = 1.0) -> None:
         """Draw in grey, pixel centres at integers.
 
         Parameters
         ----------
         axes : Axes
             In image coordinates.
+        size : float, optional
+            Of a pixel, in the axes' unit.
+        opacity : float, optional
+            Below 1, it is drawn over everything that is there.
         """
-        axes.imshow(self.pixels, cmap="gray", interpolation="nearest", zorder=0,
-                    extent=find_thinned_extent(self.pixels.shape, self.step))
+        left, right, bottom, top = find_thinned_extent(self.pixels.shape, self.step)
+        axes.imshow(self.pixels, cmap="gray", interpolation="nearest", rasterized=True,
+                    zorder=0 if opacity == 1.0 else OVER_ALL, alpha=opacity,
+                    extent=(size * left, size * right, size * bottom, size * top))
+
+    def clip(self, bounds: tuple[float, float, float, float], size: float = 1.0) -> tuple[float, float, float, float]:
+        """Find the part of a box that lies in the image, whose pixels reach half a pixel beyond their centres.
+
+        Parameters
+        ----------
+        bounds : (float, float, float, float)
+            x0, y0, x1, y1, in the axes' unit.
+        size : float, optional
+            Of a pixel, in that unit.
+
+        Returns
+        -------
+        (float, float, float, float)
+            The same of the part.
+        """
+        x0, y0, x1, y1 = bounds
+        return (max(x0, -0.5 * size), max(y0, -0.5 * size), min(x1, (self.width - 0.5) * size),
+                min(y1, (self.height - 0.5) * size))
 
 
 def read_preview(source: ImageSource) -> Preview:

@@ -3,56 +3,100 @@
 from __future__ import annotations
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
-from ddic.io.plots.canvas import add_colour_bar, find_mesh_bounds, make_cell_polygons, make_image_figure
+from ddic.errors import InputError
+from ddic.io.plots.canvas import (
+    MOST_SHARP_CELLS,
+    Limits,
+    add_colour_bar,
+    choose_limits,
+    find_mesh_bounds,
+    make_cell_polygons,
+    make_image_figure,
+)
+from ddic.io.plots.length_unit import PIXELS, LengthUnit
 from ddic.io.plots.preview import LARGEST_SIDE, find_thinned_extent
 from ddic.io.result_reader import Result
 from ddic.io.result_schema import RESIDUAL_RMS
 
-PALETTE = "magma"
+PALETTE, SIGNED_PALETTE = "magma", "RdBu_r"
 SHOWN_PERCENT = 99.5
 LABEL = "grey levels"
 
 
-def draw_residual(result: Result) -> Figure:
-    """Draw the absolute residual |f(x) - g(x + u)| by pixel, or its RMS by cell if there is no residual image.
+def draw_residual(result: Result, *, signed: bool = False, unit: LengthUnit = PIXELS,
+                  limits: Limits | None = None) -> Figure:
+    """Draw the residual f(x) - g(x + u) by pixel, or its RMS by cell if there is no residual image.
 
-    Colours end at the 99.5 % quantile, so that single bad pixels do not darken the rest.
+    Colours end at the 99.5 % quantile of absolute values, so that single bad pixels do not darken the rest.
 
     Parameters
     ----------
     result : Result
         With or without residual image.
+    signed : bool, optional
+        With its sign, 0 in white; absolute values otherwise.
+    unit : LengthUnit, optional
+        Of the axes.
+    limits : (float, float), optional
+        Of the colours, grey levels.
 
     Returns
     -------
     Figure
         The page.
+
+    Raises
+    ------
+    InputError
+        Where a sign is asked for and there is no residual image.
     """
     image = result.residual_image
-    bounds = find_mesh_bounds(result.mesh.nodes)
     if image is None:
-        return _by_cell(result, bounds)
+        if signed:
+            raise InputError(f"{result.path}: holds no residual image, hence no signs (output.residual_image = false); "
+                             "choose --kind residual")
+        return _by_cell(result, unit, limits)
+    bounds = find_mesh_bounds(unit.size * result.mesh.nodes)
     std = float(np.nanstd(image)) if np.isfinite(image).any() else float("nan")
-    figure, axes = make_image_figure(bounds, f"Correlation residual, standard deviation {std:.3g} grey levels")
+    name = "Signed correlation residual" if signed else "Correlation residual"
+    figure, axes = make_image_figure(bounds, f"{name}, standard deviation {std:.3g} grey levels", unit)
     step = -(-max(image.shape) // LARGEST_SIDE)
-    shown = np.abs(image[::step, ::step])
-    finite = shown[np.isfinite(shown)]
-    top = float(np.percentile(finite, SHOWN_PERCENT)) if finite.size else 1.0
-    picture = axes.imshow(shown, cmap=PALETTE, vmin=0.0, vmax=top or 1.0, interpolation="nearest",
-                          extent=find_thinned_extent(shown.shape, step))
-    axes.set_xlim(bounds[0], bounds[2])
-    axes.set_ylim(bounds[3], bounds[1])
-    add_colour_bar(figure, axes, picture, f"$|f(x) - g(x + u)|$ [{LABEL}]")
+    shown = image[::step, ::step] if signed else np.abs(image[::step, ::step])
+    extent = find_thinned_extent(shown.shape, step)
+    low, high = limits or _find_residual_limits(shown, signed)
+    left, right, bottom, top = (unit.size * edge for edge in extent)
+    colours = axes.imshow(shown, cmap=SIGNED_PALETTE if signed else PALETTE, vmin=low, vmax=high,
+                          interpolation="nearest", extent=(left, right, bottom, top), rasterized=True)
+    _set_limits(axes, bounds)
+    symbol = "$f(x) - g(x + u)$" if signed else "$|f(x) - g(x + u)|$"
+    add_colour_bar(figure, axes, colours, f"{symbol} [{LABEL}]")
     return figure
 
 
-def _by_cell(result: Result, bounds: tuple[float, float, float, float]) -> Figure:
+def _find_residual_limits(shown: NDArray[np.float32], signed: bool) -> Limits:
+    """Where colours begin and end: 0 in the middle of signed values, at the beginning of others."""
+    finite = shown[np.isfinite(shown)]
+    top = float(np.percentile(np.abs(finite), SHOWN_PERCENT)) if finite.size else 1.0
+    top = top or 1.0
+    return (-top if signed else 0.0), top
+
+
+def _set_limits(axes: Axes, bounds: tuple[float, float, float, float]) -> None:
+    """The mesh's limits again: drawing an image moves them to its own."""
+    axes.set_xlim(bounds[0], bounds[2])
+    axes.set_ylim(bounds[3], bounds[1])
+
+
+def _by_cell(result: Result, unit: LengthUnit, limits: Limits | None) -> Figure:
     """RMS by cell in colour."""
-    figure, axes = make_image_figure(bounds, "Correlation residual by cell")
-    cells = make_cell_polygons(result.mesh, result.mesh.nodes, array=result.cell_data[RESIDUAL_RMS], cmap=PALETTE,
-                               edgecolors="face", linewidths=0.1)
+    nodes, values = unit.size * result.mesh.nodes, result.cell_data[RESIDUAL_RMS]
+    figure, axes = make_image_figure(find_mesh_bounds(nodes), "Correlation residual by cell", unit)
+    cells = make_cell_polygons(result.mesh, nodes, array=values, cmap=PALETTE, edgecolors="face", linewidths=0.1,
+                               clim=choose_limits(values, limits), rasterized=result.mesh.n_cells > MOST_SHARP_CELLS)
     axes.add_collection(cells)
     add_colour_bar(figure, axes, cells, f"RMS of $f(x) - g(x + u)$ [{LABEL}]")
     return figure

@@ -1,0 +1,21 @@
+"""First impressions: strains and pictures as a user sees them.
+
+Usage: python -m accept.impressions [--smoke] [CHECK ...]: all checks, or the named ones; exit code 1 where a bound is
+missed.
+"""
+
+from __future__ import annotations
+
+import sys
+
+from accept.nodal_strains import measure_nodal_strain
+from accept.paper_pictures import measure_pictures
+from accept.table import Check, run_table
+
+CHECKS: dict[str, Check] = {
+    "nodal_strain": measure_nodal_strain,
+    "pictures": measure_pictures,
+}
+
+if __name__ == "__main__":
+    sys.exit(run_table("impressions", CHECKS))

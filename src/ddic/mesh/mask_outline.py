@@ -1,0 +1,125 @@
+"""Holes that a mask image draws: outlines of what it leaves out, with their corners."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.mesh.holes import PolygonalHole
+from ddic.mesh.plane import multiply_across
+
+STRAIGHT_PX = 0.8
+"""Distance, pixels, from the edges of pixels within which an outline is straight: the steps of slanted lines are up to
+0.7 px high. A larger value rounds small features off."""
+
+SHARP_DEGREES = 30.0
+"""Turn of an outline from which on it is a corner; a larger value keeps fewer."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class OutlinedHole:
+    """A region between closed polygons, the outer one and those of islands in it.
+
+    Attributes
+    ----------
+    rings : tuple of PolygonalHole
+        Closed polygons; inside is what an odd number of them holds.
+    corners : (n, 2) array
+        Where they turn sharply, pixels.
+    """
+
+    rings: tuple[PolygonalHole, ...]
+    corners: Array
+
+    def measure_distance(self, points: Array) -> Array:
+        """Measure the distance to the outline.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n,) array
+            Pixels, negative inside.
+        """
+        distances = np.array([ring.measure_distance(points) for ring in self.rings])
+        inside = np.logical_xor.reduce(distances < 0, axis=0)
+        away = np.abs(distances).min(axis=0)
+        return np.where(inside, -away, away)
+
+    def find_nearest(self, points: Array) -> Array:
+        """Find the nearest point of the outline.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n, 2) array
+            Pixels.
+        """
+        nearest = np.array([ring.find_nearest(points) for ring in self.rings])
+        chosen = np.linalg.norm(nearest - points, axis=2).argmin(axis=0)
+        return np.asarray(nearest[chosen, np.arange(len(points))])
+
+
+def find_mask_holes(mask: NDArray[np.bool_], region: Sequence[float], element_size: float) -> list[OutlinedHole]:
+    """Find what a mask leaves out of a region, what lies outside of the image too.
+
+    Parameters
+    ----------
+    mask : (height, width) bool array
+        True where cells may be.
+    region : (x0, y0, x1, y1)
+        Pixels.
+    element_size : float
+        Of cells, pixels; turns between shorter sides than half of it are no corners.
+
+    Returns
+    -------
+    list of OutlinedHole
+        From top to bottom; specks of less than half an element's side across are left out.
+    """
+    low = np.floor(region[:2]).astype(int) - 1
+    high = np.ceil(region[2:]).astype(int) + 2
+    left_out = np.ones((high[1] - low[1], high[0] - low[0]), dtype=np.uint8)
+    begin, end = np.maximum(low, 0), np.minimum(high, (mask.shape[1], mask.shape[0]))
+    if (begin < end).all():
+        rows, columns = slice(begin[1], end[1]), slice(begin[0], end[0])
+        inside = left_out[rows.start - low[1]:rows.stop - low[1], columns.start - low[0]:columns.stop - low[0]]
+        inside[...] = ~mask[rows, columns]
+    # Where the region is as large as the image, the margin around it is no hole.
+    left_out = np.pad(left_out[1:-2, 1:-2], ((1, 2), (1, 2)), mode="edge")
+    n, labels, sizes, _ = cv2.connectedComponentsWithStats(left_out, connectivity=4)
+    large = [k for k in range(1, n) if sizes[k, cv2.CC_STAT_AREA] >= (0.5 * element_size) ** 2]
+    return [_outline(labels == k, low, element_size) for k in large]
+
+
+def _outline(inside: NDArray[np.bool_], low: NDArray[np.int_], element_size: float) -> OutlinedHole:
+    """Outline of some pixels along their edges; low: of the first pixel."""
+    padded = np.pad(inside, 1)
+    # Corners of these pixels: what lies between two of them is an edge.
+    corners = padded[1:, 1:] | padded[:-1, 1:] | padded[1:, :-1] | padded[:-1, :-1]
+    contours, _ = cv2.findContours(corners.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    polygons = [cv2.approxPolyDP(contour, STRAIGHT_PX, True)[:, 0] + low - 0.5 for contour in contours]
+    rings = [polygon for polygon in polygons if len(polygon) >= 3]
+    sharp = [_find_corners(ring, element_size) for ring in rings]
+    return OutlinedHole(tuple(PolygonalHole(ring) for ring in rings), np.concatenate([np.zeros((0, 2)), *sharp]))
+
+
+def _find_corners(ring: Array, element_size: float) -> Array:
+    """Vertices at which a closed polygon turns sharply between two long sides, (n, 2)."""
+    behind, ahead = ring - np.roll(ring, 1, axis=0), np.roll(ring, -1, axis=0) - ring
+    turn = np.degrees(np.abs(np.arctan2(multiply_across(behind, ahead), (behind * ahead).sum(axis=1))))
+    long = np.minimum(np.linalg.norm(behind, axis=1), np.linalg.norm(ahead, axis=1)) >= 0.5 * element_size
+    return np.asarray(ring[(turn >= SHARP_DEGREES) & long])
