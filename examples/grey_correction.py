@@ -1,16 +1,17 @@
 """Correct for light that changes between the images.
 
 Between the pictures the lamp got weaker, and a shadow fell across the specimen. "global" finds one brightness and one
-contrast for the whole image, "element" finds them for each element. The residual, what is left of f(x) - g(x + u), says
+contrast for the whole image, "element" finds them for each element, "auto" takes what the pair needs. The residual, what is left of f(x) - g(x + u), says
 how well that explains the images; noise alone would leave about 1.5 grey levels here.
 
     python examples/grey_correction.py
 
 prints
 
-    none: RMS error 0.347 px, residual 42.2 grey levels
-    global: RMS error 0.085 px, residual 13.1 grey levels
+    none: RMS error 0.348 px, residual 42.2 grey levels
+    global: RMS error 0.086 px, residual 13.1 grey levels
     element: RMS error 0.012 px, residual 1.9 grey levels
+    auto: RMS error 0.012 px, residual 1.9 grey levels
 """
 
 import numpy as np

@@ -51,7 +51,8 @@ def pieces_of(mesh: Mesh, extra: str | None = None) -> list[Piece]:
         pieces.append(Piece(sub.nodes, sub.connectivity, sub.offsets, sub.types, points, {
             schema.STRAIN_INFINITESIMAL: tensor, schema.STRAIN_GREEN_LAGRANGE: -tensor,
             schema.RESIDUAL_RMS: 1.0 + cells, schema.RESIDUAL_N_PIXELS: 100 + cells,
-            schema.EQUIVALENT_ERROR: 0.01 * cells, schema.DOUBTFUL: (cells % 3 == 0).astype(np.uint8), schema.EXCLUDED: (cells % 2).astype(np.uint8),
+            schema.EQUIVALENT_ERROR: 0.01 * cells, schema.DOUBTFUL: (cells % 3 == 0).astype(np.uint8),
+            schema.EXCLUDED: (cells % 2).astype(np.uint8),
             schema.SUBDOMAIN_ID: np.full(len(cells), s, np.int32), schema.GLOBAL_CELL_ID: cells}))
     return pieces
 

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from types import TracebackType
 from typing import Self
-
-import numpy as np
-from numpy.typing import NDArray
 
 from ddic.methods.solve_frame import solve_frame
 from ddic.parallel.phases import Phase, PhaseClock
@@ -20,8 +16,7 @@ from ddic.results.last_field import last_field_kept
 from ddic.results.listener import Listener
 from ddic.results.measurement import Measurement, finish_measurement
 from ddic.start.coarse_field import prepare_search
-from ddic.start.frame_start import FrameStart, find_start
-from ddic.start.given_start import GivenStart
+from ddic.start.frame_start import FrameStart, KnownStart, find_start
 
 
 class Session:
@@ -77,7 +72,7 @@ class Session:
                  trace: TracebackType | None) -> None:
         self.close()
 
-    def measure(self, frame: Frame, start: Sequence[NDArray[np.float64]] | GivenStart | None = None) -> Measurement:
+    def measure(self, frame: Frame, start: KnownStart | None = None) -> Measurement:
         """Measure the displacement between the reference images and a frame; collective.
 
         Parameters

@@ -15,9 +15,7 @@ from ddic.results.last_field import last_field_kept
 from ddic.results.listener import Listener
 from ddic.results.separated_measurement import SeparatedMeasurement
 from ddic.separated.corrections import correct_displacement
-from ddic.separated.separated_field import SeparatedField
-from ddic.start.given_start import GivenStart
-from ddic.start.separated_start import find_separated_start, prepare_separated_search
+from ddic.start.separated_start import KnownSeparatedStart, find_separated_start, prepare_separated_search
 
 
 class SeparatedSession:
@@ -53,7 +51,7 @@ class SeparatedSession:
                  trace: TracebackType | None) -> None:
         self.close()
 
-    def measure(self, frame: Frame, start: SeparatedField | GivenStart | None = None) -> SeparatedMeasurement:
+    def measure(self, frame: Frame, start: KnownSeparatedStart | None = None) -> SeparatedMeasurement:
         """Measure the displacement between the reference image and a frame; collective.
 
         Parameters

@@ -26,6 +26,9 @@ from ddic.start.start_motions import start_motions
 
 Array = NDArray[np.float64]
 
+KnownStart = Sequence[Array] | GivenStart
+"""Unknowns of each owned subdomain to start from, or a displacement to go on from."""
+
 
 @dataclass(frozen=True)
 class FrameStart:
@@ -66,7 +69,7 @@ class StartedFrame:
 
 
 def find_start(by: FrameStart, frame: Frame, views: Sequence[FrameViews], found: list[MultilevelStart] | None,
-               begin: Sequence[Array] | GivenStart | None) -> StartedFrame:
+               begin: KnownStart | None) -> StartedFrame:
     """Find where Gauss-Newton starts; collective.
 
     Parameters

@@ -23,6 +23,9 @@ from ddic.start.multilevel import MultilevelStart
 
 Array = NDArray[np.float64]
 
+KnownSeparatedStart = SeparatedField | GivenStart
+"""A displacement to start from as it is, or one to go on from."""
+
 LOSS_PX = 5e-3
 """RMS displacement of a start that may be lost when it is written as few products: less than it errs by. A
 smaller value starts with more products, most of which hold noise."""
@@ -120,7 +123,7 @@ def prepare_separated_search(problem: SeparatedProblem) -> CoarseSearch:
 
 
 def find_separated_start(problem: SeparatedProblem, search: CoarseSearch, frame: Frame,
-                         begin: SeparatedField | GivenStart | None) -> tuple[SeparatedField, tuple[str, ...]]:
+                         begin: KnownSeparatedStart | None) -> tuple[SeparatedField, tuple[str, ...]]:
     """Find where corrections begin; collective.
 
     Parameters
