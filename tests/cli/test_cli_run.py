@@ -252,7 +252,7 @@ def test_a_failure_on_one_rank_ends_all(folder: Path, where: str, error: str, me
 def test_a_rank_that_breaks_after_a_failure_ends_all(folder: Path) -> None:
     # While the last field is made ready: the others wait for this rank in a sum.
     write_case(folder, FOUR + FAILS)
-    job = finished(driven(ON_RANK_1.format(where="measurement.average_copies", error="KeyError(8)", rank=1), folder), 2)
+    job = finished(driven(ON_RANK_1.format(where="solve_frame.average_copies", error="KeyError(8)", rank=1), folder), 2)
     assert job.code == 1
     assert job.seconds < SECONDS_TO_END
     assert sum("KeyError: 8" in line for line in job.errors) == 1, job.err

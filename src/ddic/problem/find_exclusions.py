@@ -141,8 +141,8 @@ def find_exclusions(whole: ResidualModel, q: Sequence[Array], seen: Sequence[Seq
 
     excluded = team.together(find)
     # Mechanics hold what a frame does not show; what it shows beside something else is another matter.
-    n_doubted = sum(int(((state != KEPT) & ((state != UNSEEN) | (not is_regularized))).any())
-                    for of_subdomain in excluded.cells for state in of_subdomain)
+    doubted = (BLANK, SPOILT) if is_regularized else (BLANK, SPOILT, UNSEEN)
+    n_doubted = sum(int(np.isin(state, doubted).any()) for of_subdomain in excluded.cells for state in of_subdomain)
     return exclude_weak_cells(whole, excluded) if team.sum(n_doubted) else excluded
 
 

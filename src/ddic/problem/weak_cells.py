@@ -21,7 +21,7 @@ the cells about it are excluded as well. A larger share loses more of them, a sm
 
 
 def exclude_weak_cells(whole: ResidualModel, excluded: Exclusions) -> Exclusions:
-    """Leave out also the cells beside that hold one of their nodes by a few pixels only; collective.
+    """Exclude also the cells beside that hold one of their nodes by a few pixels only; collective.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def exclude_weak_cells(whole: ResidualModel, excluded: Exclusions) -> Exclusions
     totals = team.sum(np.array([sum(d.sum() for d in diagonals), sum((d > 0).sum() for d in diagonals)], dtype=float))
     mean = totals[0] / max(totals[1], 1.0)
     beside = set(np.concatenate(team.gather_lists(
-        [np.unique(_nodes_of(of_subdomain, _find_unseen(states)))
+        [np.unique(_nodes_of(of_subdomain, _find_lost(of_subdomain, states)))
          for of_subdomain, states in zip(views, excluded.cells, strict=True)])).tolist())
     copies = team.gather_lists([
         (int(number), float(diagonal)) for of_subdomain, of_nodes in zip(views, diagonals, strict=True)
@@ -59,9 +59,10 @@ def exclude_weak_cells(whole: ResidualModel, excluded: Exclusions) -> Exclusions
     return replace(excluded, cells=cells)
 
 
-def _find_unseen(states: Sequence[NDArray[np.uint8]]) -> NDArray[np.bool_]:
-    """Cells that no camera sees."""
-    return np.asarray(np.all([state != KEPT for state in states], axis=0))
+def _find_lost(of_subdomain: FrameViews, states: Sequence[NDArray[np.uint8]]) -> NDArray[np.bool_]:
+    """Cells that the reference images show and no camera sees: what they leave out holds no node in any frame."""
+    in_reference = np.sum([view.count_pixels() for view in of_subdomain.reference.views], axis=0)
+    return np.asarray(np.all([state != KEPT for state in states], axis=0) & (in_reference > 0))
 
 
 def _nodes_of(of_subdomain: FrameViews, cells: NDArray[np.bool_]) -> NDArray[np.int64]:
