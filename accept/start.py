@@ -1,4 +1,4 @@
-"""The acceptance table of the start, as far as it is built: ``make accept-start``, a check alone with CHECK=NAME.
+"""The acceptance table of the start and of spoilt images: ``make accept-start``, a check alone with CHECK=NAME.
 
 Pairs are exact and settings are defaults: no start key in any case but those of the check ``initial_fields``.
 """
@@ -10,9 +10,11 @@ import sys
 from accept.hard_starts import CHECKS as HARD
 from accept.initial_fields import CHECKS as INITIAL
 from accept.large_motions import CHECKS as LARGE
+from accept.neck_series import CHECKS as SERIES
+from accept.spoilt_images import CHECKS as SPOILT
 from accept.table import Check, run_table
 
-CHECKS: dict[str, Check] = {**LARGE, **HARD, **INITIAL}
+CHECKS: dict[str, Check] = {**LARGE, **HARD, **INITIAL, **SPOILT, **SERIES}
 
 
 if __name__ == "__main__":

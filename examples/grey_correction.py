@@ -1,8 +1,9 @@
 """Correct for light that changes between the images.
 
 Between the pictures the lamp got weaker, and a shadow fell across the specimen. "global" finds one brightness and one
-contrast for the whole image, "element" finds them for each element, "auto" takes what the pair needs. The residual, what is left of f(x) - g(x + u), says
-how well that explains the images; noise alone would leave about 1.5 grey levels here.
+contrast for the whole image, "element" finds them for each element, "auto", the default, takes the first of these that
+is enough. The residual, what is left of f(x) - g(x + u), says how well that explains the images; noise alone would
+leave about 1.5 grey levels here.
 
     python examples/grey_correction.py
 

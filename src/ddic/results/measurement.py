@@ -41,6 +41,9 @@ from ddic.solvers.gauss_newton import IterationRecord
 
 Array = NDArray[np.float64]
 
+LEAST_USED = 0.5
+"""Share of a cell's pixels in the reference image that must count; with fewer it is marked doubtful."""
+
 
 @dataclass(frozen=True)
 class Measurement:
@@ -260,7 +263,12 @@ def _judge_cells(problem: WeightedProblem, model: ResidualModel, evaluation: Eva
         measure_cell_residuals(of_subdomain.views[0].view, hessians[0], of_views[0])
         for of_subdomain, hessians, of_views in zip(model.views, problem.reference.hessians, evaluation.residuals,
                                                     strict=True)])
-    return find_cell_errors(team, residuals)
+    errors = find_cell_errors(team, residuals)
+    # What is left of a cell that is mostly hidden says little of it, whatever its residual.
+    are_hidden = [of_views[0].cell_sums.n_pixels < LEAST_USED * of_subdomain.reference.own.count_pixels()
+                  for of_subdomain, of_views in zip(model.views, evaluation.residuals, strict=True)]
+    return [replace(of_cells, doubtful=of_cells.doubtful | is_hidden)
+            for of_cells, is_hidden in zip(errors, are_hidden, strict=True)]
 
 
 def describe_inverted_cells(team: Team, subdomains: Sequence[Subdomain], displacements: Sequence[Array]) -> str:
