@@ -85,6 +85,25 @@ def _digest(path: Path) -> str:
     return hashlib.sha256(np.ascontiguousarray(tifffile.imread(path)).tobytes()).hexdigest()[:16]
 
 
+def use_all_pixels(text: str) -> str:
+    """Let all pixels count as they are, as the code before did, which knew nothing else.
+
+    Parameters
+    ----------
+    text : str
+        A case file.
+
+    Returns
+    -------
+    str
+        The same without the choices that are made from an image pair.
+    """
+    keys = 'spoilt_pixels = "keep"\n' + ("" if "grey_correction" in text else 'grey_correction = "none"\n')
+    if "[correlation]\n" in text:
+        return text.replace("[correlation]\n", f"[correlation]\n{keys}")
+    return f"{text}\n[correlation]\n{keys}"
+
+
 def measure_fields(case: RecordedCase, folder: Path, n_ranks: int, source: Source) -> dict[str, NDArray[np.float64]]:
     """Run a case through the command line.
 
@@ -109,7 +128,8 @@ def measure_fields(case: RecordedCase, folder: Path, n_ranks: int, source: Sourc
         if n_ranks not in run.ranks:
             continue
         output = f'\n[output]\nfile = "{run.name}.vtkhdf"\nresidual_image = false\n'
-        (folder / f"{run.name}.toml").write_text(run.text + output, encoding="utf-8")
+        text = run.text if source.folder is not None else use_all_pixels(run.text)
+        (folder / f"{run.name}.toml").write_text(text + output, encoding="utf-8")
         mpirun(n_ranks, ddic_command(), "run", str(folder / f"{run.name}.toml"), changes=source.environment)
         result = read_result(folder / f"{run.name}.vtkhdf")
         found[run.name] = result.displacement

@@ -364,7 +364,7 @@ def test_session_goes_on_after_a_frame_that_fails(pair: Pair, mesh: ddic.Mesh) -
             session.measure(deformed[:100])
         with pytest.raises(ddic.ConvergenceError):
             session.measure(255 - deformed)
-        with pytest.raises(ddic.SingularSubdomainError):
+        with pytest.raises(ddic.ConvergenceError, match="no pixel is left"):
             session.measure(ddic.Image(deformed, np.zeros(deformed.shape)))
         assert np.abs(session.measure(deformed).displacement - good.displacement).max() < 1e-6
         assert np.abs(session.measure(deformed, from_last=True).displacement - good.displacement).max() < 1e-3

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.errors import ConvergenceError
 from ddic.problem.residual_model import ResidualModel
-from ddic.problem.see_frame import SeenFrame
-from ddic.solvers.dual.continuity import ContinuousField
-from ddic.solvers.gauss_newton import Solution
+from ddic.problem.see_frame import SeenFrame, see_frame
+from ddic.problem.weighted_problem import WeightedProblem
+from ddic.solvers.dual.continuity import ContinuousField, average_copies
+from ddic.solvers.gauss_newton import Progress, Solution, run_gauss_newton
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -36,3 +44,92 @@ class SolvedFrame:
     used: ResidualModel
     notes: tuple[str, ...]
     is_evaluated: bool = True
+
+
+def begin_frame(problem: WeightedProblem, seen: SeenFrame, used: ResidualModel, q: Sequence[Array],
+                notes: tuple[str, ...]) -> SolvedFrame:
+    """Take a start for a field; collective.
+
+    Parameters
+    ----------
+    problem : WeightedProblem
+        Of the frame.
+    seen : SeenFrame
+        At the start.
+    used : ResidualModel
+        The pixels that count.
+    q : sequence of (n_unknowns,) array
+        The start, of each owned subdomain.
+    notes : tuple of str
+        What was renewed.
+
+    Returns
+    -------
+    SolvedFrame
+        Without iterations.
+    """
+    field = average_copies(problem.team, problem.reference.subdomains, q)
+    return SolvedFrame(field, Solution(list(q), []), seen, used, notes, is_evaluated=False)
+
+
+def solve_further(problem: WeightedProblem, solved: SolvedFrame, progress: Progress) -> SolvedFrame:
+    """Go on with Gauss-Newton, with the same operators; collective.
+
+    Parameters
+    ----------
+    problem : WeightedProblem
+        The linear step.
+    solved : SolvedFrame
+        Where to go on from.
+    progress : Progress
+        Where to write.
+
+    Returns
+    -------
+    SolvedFrame
+        Converged or not, with all iterations.
+
+    Raises
+    ------
+    ConvergenceError
+        On all ranks, where an iteration fails; with the last SolvedFrame.
+    """
+    before = solved.solution
+
+    def join(found: Solution) -> SolvedFrame:
+        joined = replace(found, records=[*before.records, *found.records])
+        field = average_copies(problem.team, problem.reference.subdomains, joined.q)
+        return replace(solved, field=field, solution=joined, is_evaluated=False)
+
+    try:
+        return join(run_gauss_newton(solved.used, before.q, problem.solver.step, problem.tolerances, progress))
+    except ConvergenceError as error:
+        error.last = join(error.last)
+        raise
+
+
+def see_solved_frame(problem: WeightedProblem, solved: SolvedFrame) -> SeenFrame:
+    """See the frame at a field; collective.
+
+    Parameters
+    ----------
+    problem : WeightedProblem
+        Of the frame.
+    solved : SolvedFrame
+        The field.
+
+    Returns
+    -------
+    SeenFrame
+        At the field.
+
+    Raises
+    ------
+    ConvergenceError
+        On all ranks, where the frame does not show the specimen there; with the SolvedFrame.
+    """
+    try:
+        return see_frame(problem.reference.inputs.case, solved.seen.whole, solved.field.q, problem.slopes)
+    except ConvergenceError as error:
+        error.last = solved
+        raise

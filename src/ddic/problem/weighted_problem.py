@@ -241,6 +241,33 @@ class WeightedProblem:
         # Before the new ones are factorised.
         old.destroy()
 
+    def fit(self, model: ResidualModel,
+            q: Sequence[NDArray[np.float64]]) -> tuple[ResidualModel, tuple[str, ...]]:
+        """Let a rotation of the region cost nothing, and M count what a model shows; collective.
+
+        Parameters
+        ----------
+        model : ResidualModel
+            Of the frame.
+        q : sequence of (n_unknowns,) array
+            Where the frame is thought to show the specimen.
+
+        Returns
+        -------
+        model : ResidualModel
+            With what lets the rotation cost nothing, and the cells that nothing else holds.
+        notes : tuple of str
+            What the log says; nothing where nothing changes.
+
+        Raises
+        ------
+        SingularSubdomainError, FactorizationError
+            On all ranks.
+        """
+        turned, of_rotation = self.hold_rotation(model, q)
+        fitted, of_pixels = self.renew(turned, q)
+        return fitted, (*of_rotation, *of_pixels)
+
     def renew(self, model: ResidualModel,
               q: Sequence[NDArray[np.float64]]) -> tuple[ResidualModel, tuple[str, ...]]:
         """Assemble and factorise again where a frame shows something else than M was made of; collective.
