@@ -40,15 +40,16 @@ def measure_neck_series(scale: Scale) -> list[Row]:
     for stride in STRIDES[-1:] if scale.smoke else STRIDES:
         chosen = [n for n in frames if n % stride == 0]
         n_iterations, told, holds = 0, "", False
+        result: ddic.Result | None = None
         with ddic.prepare(reference, mesh) as session:
-            for place, n in enumerate(chosen):
+            for n in chosen:
                 try:
-                    result = session.measure(frames[n], from_last=place > 0)
+                    result = session.measure(frames[n], start=result)
                 except ddic.DdicError as error:
                     told = f"frame {n}: {str(error).splitlines()[0]}"
                     break
                 n_iterations += len(result.gauss_newton["iteration"])
-            else:
+            if result is not None and not told:
                 off = result.at(mesh.nodes) - make_neck(NECK_WIDTH, chosen[-1] / N_FRAMES).displacement(mesh.nodes)
                 largest = float(np.linalg.norm(off, axis=1).max())
                 holds = largest <= RIGHT_PX

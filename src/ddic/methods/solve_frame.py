@@ -22,11 +22,12 @@ from ddic.solvers.gauss_newton import Progress
 
 Array = NDArray[np.float64]
 
-MOST_ROUNDS = 10
+MOST_ROUNDS = 20
 """Times that a field is sought with what the last one showed before a frame is given up."""
 
 GROWING, SETTLED = 3, 6
-"""Rounds after which what was excluded stays so, and after which nothing else is: cells might come and go for ever."""
+"""Rounds after which what was excluded stays so, and after which nothing else is, unless less and less is: cells might
+come and go for ever."""
 
 
 def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[Array], listener: Listener,
@@ -71,9 +72,11 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[Array], 
         found = solved.solution
         with clock.phase(Phase.RESIDUAL):
             now = see_solved_frame(problem, solved)
-        excluded = now.excluded if n_rounds < GROWING else seen.excluded.join(now.excluded)
-        is_seen_otherwise = n_rounds < SETTLED and (now.whole.correction != seen.whole.correction
-                                                    or excluded.is_other_than(whole.team, seen.excluded))
+        # Cells are found again one row after the other, each from its neighbours.
+        shrinks = now.excluded.count_cells(whole.team) < seen.excluded.count_cells(whole.team)
+        excluded = now.excluded if n_rounds < GROWING or shrinks else seen.excluded.join(now.excluded)
+        is_seen_otherwise = (n_rounds < SETTLED or shrinks) and (
+            now.whole.correction != seen.whole.correction or excluded.is_other_than(whole.team, seen.excluded))
         seen = replace(now, excluded=excluded) if is_seen_otherwise else replace(seen, evaluation=now.evaluation)
         if not (found.converged or is_seen_otherwise):
             found = accept_noise(problem, solved.used, now.evaluation, found)

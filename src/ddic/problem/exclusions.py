@@ -89,6 +89,21 @@ class Exclusions:
                   for one, two in zip(self.pixels, other.pixels, strict=True)]
         return Exclusions(cells, pixels)
 
+    def count_cells(self, team: Team) -> int:
+        """Count the cells of all ranks that are excluded; collective.
+
+        Parameters
+        ----------
+        team : Team
+            All ranks.
+
+        Returns
+        -------
+        int
+            By view.
+        """
+        return int(team.sum(sum(int((state != KEPT).sum()) for of_subdomain in self.cells for state in of_subdomain)))
+
     def is_other_than(self, team: Team, other: Exclusions) -> bool:
         """Tell whether another excludes other cells, or much more or less of the pixels; collective.
 

@@ -80,8 +80,9 @@ class Limits:
     searched: float
 
 
-AT_START, AT_END = Limits(0.7, 1.0, 0.7), Limits(0.3, 0.5, 0.15)
-"""Where the field is a start, and where it is found. Clean images of coarse meshes leave 0.26 px at most."""
+AT_START, AT_END = Limits(0.8, 1.0, 0.8), Limits(0.6, 0.5, 0.15)
+"""Where the field is a start, and where it is found. Real images of coarse meshes leave 0.46 px
+in a cell of little texture at the edge of a hole, and less than 0.3 px elsewhere."""
 
 NO_LIMITS = Limits(np.inf, np.inf, np.inf)
 """Where any residual is believed."""
@@ -212,7 +213,8 @@ def _judge_view(view: FrameView, q: Array, seen: SeenCells, typical: TypicalCell
         if not spoilt.any():
             continue
         is_most = spoilt.sum() > MOST_SPOILT * n_counted
-        states[cell] = SPOILT if is_most else KEPT
+        # A cell that does not stand out is as good as the field can follow it.
+        states[cell] = SPOILT if is_most and judgement.suspects[cell] else KEPT
         if not is_most:
             rows, columns = np.nonzero(spoilt)
             spots.append(np.column_stack([columns + origin[0], rows + origin[1]]))

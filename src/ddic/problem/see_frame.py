@@ -70,6 +70,9 @@ def see_frame(case: Case, whole: ResidualModel, q: Sequence[Array], slopes: Sequ
         On all ranks, where most of the frame does not show the specimen.
     """
     evaluation = whole.evaluate(q)
+    if whole.blurs:
+        # Those of a blurred reference image are weaker.
+        slopes = [[view.view.measure_slopes() for view in of_subdomain.views] for of_subdomain in whole.views]
     seen = measure_seen_cells(whole, evaluation, slopes)
     sample = collect_cells(whole, seen)
     chosen = _choose(case, whole, sample)

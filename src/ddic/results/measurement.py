@@ -258,9 +258,10 @@ def _describe_correction(case: Case, model: ResidualModel) -> tuple[str, ...]:
 
 def _judge_cells(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation) -> list[CellErrors]:
     """What the residual says about the cells of each owned subdomain; collective."""
-    team = problem.team
+    team, is_blurred = problem.team, bool(model.blurs)
     residuals = team.together(lambda: [
-        measure_cell_residuals(of_subdomain.views[0].view, hessians[0], of_views[0])
+        measure_cell_residuals(of_subdomain.views[0].view,
+                               of_subdomain.views[0].view.assemble_hessian() if is_blurred else hessians[0], of_views[0])
         for of_subdomain, hessians, of_views in zip(model.views, problem.reference.hessians, evaluation.residuals,
                                                     strict=True)])
     errors = find_cell_errors(team, residuals)

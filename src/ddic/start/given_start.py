@@ -220,7 +220,13 @@ def _place_result(given: EarlierResult, mesh: Mesh, camera: Camera) -> PlacedSta
         raise InputError(f"start.from_result: the mesh of {given.name} holds no node of this measurement's; give a "
                          "result of the same specimen, in pixels of the same reference image")
     displacement = np.zeros_like(mesh.nodes)
-    moved = nodes[known] + evaluate_on_sides(given.result, on_own_side[known], nodes[known])
+    moved = np.full(mesh.nodes.shape, np.nan)
+    moved[known] = nodes[known] + evaluate_on_sides(given.result, on_own_side[known], nodes[known])
+    # The earlier images did not show all of its mesh.
+    known = np.isfinite(moved).all(axis=1)
+    if not known.any():
+        raise InputError(f"start.from_result: {given.name} measured no node of this measurement's; give another result")
+    moved = moved[known]
     displacement[known] = setup.mapping.to_image(setup.move(moved, given.get_motion(camera))) - mesh.nodes[known]
     if known.all():
         return PlacedStart(CutField(mesh, displacement), None, ())
