@@ -6,11 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
+from scipy import fft, ndimage
 
 LEAST_OVERLAP = 0.5
 """Share of the region's pixels that a candidate translation must keep inside the deformed image. A larger one misses
 large translations, a smaller one takes chance likeness of few pixels for one."""
+
+ALIKE = 0.95
+"""Share of the largest coefficient from which on another translation is as good: noise changes it by less."""
 
 FLAT = 1e-9
 """Sum of squares about the mean, relative to the largest of all shifts, up to which an image is flat there: rounding
@@ -30,10 +33,13 @@ class RigidShift:
         Pixels.
     coefficient : float
         Correlation coefficient of f and g there, 1 at most.
+    n_alike : int
+        Other translations, apart from this one, with nearly the same coefficient.
     """
 
     shift: tuple[float, float]
     coefficient: float
+    n_alike: int = 0
 
 
 def find_rigid_shift(f: NDArray[np.float64], g: NDArray[np.float64], region: NDArray[np.bool_]) -> RigidShift:
@@ -84,7 +90,11 @@ def _find_peak(coefficient: NDArray[np.float64]) -> RigidShift:
     row, column = (int(k) for k in np.unravel_index(int(np.argmax(coefficient)), coefficient.shape))
     shift_y = _wrap(row, height) + _vertex(coefficient[:, column], row)
     shift_x = _wrap(column, width) + _vertex(coefficient[row], column)
-    return RigidShift((shift_x, shift_y), float(coefficient[row, column]))
+    best = float(coefficient[row, column])
+    # In the middle, where no peak lies across the ends of the array.
+    centred = np.roll(coefficient > ALIKE * best, (height // 2 - row, width // 2 - column), axis=(0, 1))
+    n_alike = int(ndimage.label(centred)[1]) - 1 if best > 0 else 0
+    return RigidShift((shift_x, shift_y), best, n_alike)
 
 
 def _wrap(index: int, size: int) -> int:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from ddic.case.schema import Case
 from ddic.errors import ConvergenceError, as_collective, list_first
@@ -30,6 +31,7 @@ from ddic.problem.problem_size import ProblemSize
 from ddic.problem.region_mesh import Region
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.solved_frame import SolvedFrame
+from ddic.problem.views import FrameViews
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.results.camera_images import write_residual_images
 from ddic.results.describe_exclusions import describe_exclusions
@@ -260,8 +262,8 @@ def _judge_cells(problem: WeightedProblem, model: ResidualModel, evaluation: Eva
     """What the residual says about the cells of each owned subdomain; collective."""
     team, is_blurred = problem.team, bool(model.blurs)
     residuals = team.together(lambda: [
-        measure_cell_residuals(of_subdomain.views[0].view,
-                               of_subdomain.views[0].view.assemble_hessian() if is_blurred else hessians[0], of_views[0])
+        measure_cell_residuals(of_subdomain.views[0].view, _take_hessian(of_subdomain, hessians, is_blurred=is_blurred),
+                               of_views[0])
         for of_subdomain, hessians, of_views in zip(model.views, problem.reference.hessians, evaluation.residuals,
                                                     strict=True)])
     errors = find_cell_errors(team, residuals)
@@ -270,6 +272,12 @@ def _judge_cells(problem: WeightedProblem, model: ResidualModel, evaluation: Eva
                   for of_subdomain, of_views in zip(model.views, evaluation.residuals, strict=True)]
     return [replace(of_cells, doubtful=of_cells.doubtful | is_hidden)
             for of_cells, is_hidden in zip(errors, are_hidden, strict=True)]
+
+
+def _take_hessian(of_subdomain: FrameViews, of_reference: Sequence[sparse.csr_matrix],
+                  *, is_blurred: bool) -> sparse.csr_matrix:
+    """M of a subdomain's own camera, of the reference image as it was compared."""
+    return of_subdomain.views[0].view.assemble_hessian() if is_blurred else of_reference[0]
 
 
 def describe_inverted_cells(team: Team, subdomains: Sequence[Subdomain], displacements: Sequence[Array]) -> str:

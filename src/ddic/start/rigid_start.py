@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.errors import ConvergenceError
 from ddic.images.grid_field import build_uniform_field
 from ddic.images.rigid import RigidShift, find_rigid_shift
 from ddic.images.sub_image import MaskedSource
@@ -23,6 +24,10 @@ from ddic.start.pieces import find_pieces
 
 LEAST_COEFFICIENT = 0.3
 """Correlation coefficient below which a rigid translation is noise. A larger value starts from zero more often."""
+
+REPETITIVE = 4
+"""Other translations as good as the best from which on the texture is taken to repeat itself: grids have one on each
+side. A few may be chance."""
 
 FEWEST_BLOCKS = 1.5 * CELL
 """Blocks of the region below which no translation is sought."""
@@ -70,10 +75,20 @@ def find_rigid_start(pair: BinnedPair, mesh: Mesh, discontinuities: Discontinuit
     -------
     RigidStart
         At rest, with a warning, where nothing stands out.
+
+    Raises
+    ------
+    ConvergenceError
+        Where the texture repeats itself, so that nobody knows which translation is right.
     """
     region = scale_mesh(mesh, pair.factor)
     shift = _find_shift(pair, region, FEWEST_BLOCKS)
     stands_out = shift.coefficient >= LEAST_COEFFICIENT
+    if stands_out and shift.n_alike >= REPETITIVE:
+        x, y = shift.shift
+        raise ConvergenceError(
+            f"the texture repeats itself: {shift.n_alike} other translations match as well as ({x:.0f}, {y:.0f}) px; "
+            "give a pair of points (start.points), or switch start.rigid off where nothing moves by half a period")
     whole = shift.shift if stands_out else (0.0, 0.0)
     of_pieces, field = _find_piece_shifts(pair, region, discontinuities, whole)
     fields: list[CoarseField] = [build_uniform_field(whole)]
@@ -112,7 +127,7 @@ def _find_shift(pair: BinnedPair, part: Mesh, fewest: float) -> RigidShift:
         return RigidShift((0.0, 0.0), 0.0)
     found = find_rigid_shift(_values(pair.reference), _values(pair.deformed), blocks)
     x, y = found.shift
-    return RigidShift((pair.factor * x, pair.factor * y), found.coefficient)
+    return RigidShift((pair.factor * x, pair.factor * y), found.coefficient, found.n_alike)
 
 
 def _values(source: MaskedSource) -> NDArray[np.float64]:
