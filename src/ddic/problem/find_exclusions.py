@@ -30,7 +30,7 @@ SIGNIFICANT = 6.0
 MOST_SPOILT = 0.5
 """Share of a cell's pixels that may be spoilt; of a larger share the rest says little of its nodes."""
 
-LEAST_SHOWN = 0.5
+LEAST_SHOWN = 0.3
 """Share of a cell's pixels that a frame must show where no mechanics hold its nodes: of a smaller one, pixels that come
 and go with the field hold some of them."""
 
