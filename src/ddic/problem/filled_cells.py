@@ -21,6 +21,12 @@ STIFFNESS = 1e-4
 """Young's modulus of filled cells, relative to the mean diagonal of M. They pull at the cells beside them: a larger
 value moves these, a smaller one worsens the operators' condition."""
 
+HELD = 1e-8
+"""What the operator of filled cells has on its diagonal beyond their stiffness, relative to the mean diagonal of M: a
+subdomain that is hidden altogether may move as a rigid body, and its operator must not be singular. Forces have nothing
+of it, so that it costs iterations only; a larger value costs more of them, where hundreds of cells are hidden in a row.
+"""
+
 
 @dataclass(frozen=True, eq=False)
 class FilledCells:
@@ -34,11 +40,31 @@ class FilledCells:
         Owned ones.
     stiffness : tuple of (n_unknowns, n_unknowns) csr_matrix
         Of the filled cells of each, grey levels squared per pixel squared.
+    held : float
+        What their operators have on the diagonal beyond it, grey levels squared per pixel squared.
     """
 
     team: Team
     subdomains: tuple[Subdomain, ...]
     stiffness: tuple[sparse.csr_matrix, ...]
+    held: float
+
+    def assemble_operator(self, number: int) -> sparse.csr_matrix:
+        """Assemble what the operator of an owned subdomain is given.
+
+        Parameters
+        ----------
+        number : int
+            Of the subdomain among the owned ones.
+
+        Returns
+        -------
+        (n_unknowns, n_unknowns) csr_matrix
+            Grey levels squared per pixel squared; positive on each unknown of filled cells.
+        """
+        stiffness = self.stiffness[number]
+        is_filled = stiffness.diagonal() > 0
+        return (stiffness + sparse.diags(self.held * is_filled)).tocsr()
 
     def compute_forces(self, q: Sequence[Array]) -> list[Array]:
         """Compute the forces that b is given; collective.
@@ -86,7 +112,7 @@ def fill_cells(team: Team, subdomains: Sequence[Subdomain], cells: Sequence[NDAr
     """
     stiffness = [_assemble(subdomain, chosen, STIFFNESS * weight, angle)
                  for subdomain, chosen in zip(subdomains, cells, strict=True)]
-    return FilledCells(team, tuple(subdomains), tuple(stiffness))
+    return FilledCells(team, tuple(subdomains), tuple(stiffness), HELD * weight)
 
 
 def _assemble(subdomain: Subdomain, chosen: NDArray[np.bool_], modulus: float, angle: float) -> sparse.csr_matrix:
