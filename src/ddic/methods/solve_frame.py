@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -70,7 +71,8 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[Array], 
     for n_rounds in range(1, MOST_ROUNDS + 1):
         found = _iterate(problem, solved, Progress(clock, listener.iteration, len(solved.solution.records)))
         field = average_copies(whole.team, subdomains, found.q)
-        with clock.phase(Phase.RESIDUAL):
+        last = replace(solved, field=field, solution=found, is_evaluated=False)
+        with clock.phase(Phase.RESIDUAL), _last_field_given(last):
             now = see_frame(case, seen.whole, field.q, textures)
         excluded = now.excluded if n_rounds < GROWING else seen.excluded.join(now.excluded)
         is_seen_otherwise = (now.whole.correction != seen.whole.correction
@@ -92,6 +94,16 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[Array], 
     raise as_collective(ConvergenceError(
         f"what the frame shows, pixels or how far they turn, still changes after {MOST_ROUNDS} solutions; look at "
         "the masks and the start, or give a longer regularization.cut_off_wavelength", solved))
+
+
+@contextmanager
+def _last_field_given(last: SolvedFrame) -> Iterator[None]:
+    """Within it, an error of a field that shows nothing of the specimen has that field."""
+    try:
+        yield
+    except ConvergenceError as error:
+        error.last = last
+        raise
 
 
 def _iterate(problem: WeightedProblem, solved: SolvedFrame, progress: Progress) -> Solution:
