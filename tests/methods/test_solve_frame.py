@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,8 +13,8 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 import ddic
-from ddic.problem.exclusions import BLANK, KEPT, SPOILT
-from support.spoilt import FIELD, MESH, SIDE, WITHIN, Spoilt, blank_half, blur, change, clean, hide, soil
+from ddic.problem.exclusions import BLANK, KEPT, SPOILT, UNSEEN
+from support.spoilt import FIELD, MESH, SIDE, WITHIN, Spoilt, blank_half, blur, change, clean, hide, measure_files, soil
 
 Options = dict[str, Any]
 RANKS = [1, 2, 3, 4]
@@ -230,3 +232,48 @@ def test_a_frame_that_shows_something_else_altogether_is_refused_with_its_last_f
     assert result.displacement.shape == MESH.nodes.shape
     assert not result.converged
     assert "do not show in the deformed image" in str(caught.value)
+
+
+def test_the_notes_say_what_was_found_and_where(tmp_path: Path) -> None:
+    measured, ears = measure_files(tmp_path, hide(MANY))
+    states = np.concatenate([of_view for of_subdomain in measured.excluded.cells for of_view in of_subdomain])
+    n_spoilt, n_unseen = (int((states == state).sum()) for state in (SPOILT, UNSEEN))
+    (line,) = [note for note in ears.notes if "show something else than the reference and are excluded (" in note]
+    assert line.startswith(f"{n_spoilt} of 144 cells ")
+    # One place, that of what hides them, less the displacement, to a cell.
+    x0, x1, y0, y1 = (int(number) for number in re.findall(r"columns (\d+) to (\d+), rows (\d+) to (\d+)", line)[0])
+    assert line.count("columns") == 1
+    assert np.abs(np.array([x0, y0, x1, y1]) - MANY).max() <= 16
+    if n_unseen:
+        assert any(note.startswith(f"{n_unseen} of 144 cells hold no or too few") for note in ears.notes)
+    assert all(note in ears.notes for note in measured.notes)
+    assert sum("follow their neighbours" in note for note in ears.notes) >= 1
+
+
+def test_the_note_names_the_correction_that_was_chosen_and_none_that_was_asked_for(tmp_path: Path) -> None:
+    dim = change(lambda g: 0.8 * g + 15.0)
+    measured, ears = measure_files(tmp_path, dim)
+    assert measured.grey_correction == "global"
+    assert "grey levels: one gain and offset for the whole image, chosen from the pair (correlation.grey_correction)" \
+        in ears.notes
+    for asked in ("global", "element"):
+        measured, ears = measure_files(tmp_path, dim, f'[correlation]\ngrey_correction = "{asked}"\n')
+        assert measured.grey_correction == asked
+        assert not any("chosen from the pair" in note for note in ears.notes)
+    measured, ears = measure_files(tmp_path, clean(), '[correlation]\ngrey_correction = "element"\n')
+    assert measured.grey_correction == "element"
+    measured, ears = measure_files(tmp_path, clean())
+    assert measured.grey_correction == "none"
+    assert not any("excluded" in note for note in ears.notes)
+
+
+def test_a_blur_is_noted_with_its_size(tmp_path: Path) -> None:
+    _, ears = measure_files(tmp_path, blur(2.5))
+    (line,) = [note for note in ears.notes if "less sharp" in note]
+    along, angle, across = (float(number) for number in re.findall(
+        r"deviation ([\d.]+) px at (-?\d+) degrees, ([\d.]+) px across", line)[0])
+    assert along == pytest.approx(2.5, abs=0.4)
+    assert across <= 0.6
+    assert abs((angle + 90) % 180 - 90) <= 5
+    _, ears = measure_files(tmp_path, clean())
+    assert not any("less sharp" in note for note in ears.notes)

@@ -5,14 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
+from pathlib import Path
 
 import cv2
 import numpy as np
+import tifffile
 from numpy.typing import NDArray
 
 from ddic.mesh.mesh import Mesh
+from ddic.parallel.team import Team
+from ddic.results.measurement import Measurement
 from ddic.synth.fields import Affine
 from ddic.synth.speckle_texture import SpeckleTexture
+from support.cases import Ears, write_case
+from support.measuring import measure
 from support.pictures import pair_of, square_mesh
 
 Array = NDArray[np.float64]
@@ -122,3 +128,12 @@ def blur(along: float) -> Spoilt:
     noise = NOISE * np.random.default_rng(2).standard_normal(blurred.shape)
     return replace(clean(), deformed=digitise(blurred + noise))
 
+
+
+def measure_files(folder: Path, scene: Spoilt, more: str = "") -> tuple[Measurement, Ears]:
+    """Measure a pair from files on one rank, and what a listener is told; more: further sections of the case."""
+    tifffile.imwrite(folder / "f.tif", scene.reference)
+    tifffile.imwrite(folder / "g.tif", scene.deformed)
+    ears = Ears()
+    path = write_case(folder, more, region="region = [32, 32, 224, 224]")
+    return measure(Team.alone(), path, ears), ears
