@@ -206,7 +206,7 @@ def _find_worst_unmarked(result: ddic.Result, specimen: Specimen, name: str, shi
         exact[nodes[:, 1] + exact[:, 1] >= _find_middle(specimen.box), 1] += CRACK
     errors = np.linalg.norm(result.displacement - (shift, 0) - exact, axis=1)
     of_cells = errors[result.mesh.connectivity.reshape(-1, 4)].mean(axis=1)
-    return float(of_cells[result.fields["doubtful"] == 0].max())
+    return float(of_cells[result.fields["doubtful"] == 0].max(initial=0.0))
 
 
 def _find_middle(box: tuple[int, int, int, int]) -> int:

@@ -147,3 +147,20 @@ def test_a_million_points_in_a_hundred_thousand_cells() -> None:
     held = ~np.isnan(found).any(axis=1)
     assert held.mean() > 0.99
     np.testing.assert_allclose(found[held], points[held], atol=1e-9)
+
+
+def test_a_node_without_a_value_leaves_those_beside_it_theirs() -> None:
+    mesh = build_structured_mesh((0, 0, 30, 30), 10)
+    values = 0.1 * mesh.nodes + (1.0, -2.0)
+    unknown = int(np.flatnonzero((mesh.nodes == (10.0, 10.0)).all(axis=1))[0])
+    values[unknown] = np.nan
+    found = interpolate(mesh, values, mesh.nodes)
+    np.testing.assert_allclose(np.delete(found, unknown, axis=0), np.delete(values, unknown, axis=0), atol=1e-12)
+    assert np.isnan(found[unknown]).all()
+    # On an edge that it is no end of, and nowhere else in its cells.
+    edge, inside, away = np.array([[20.0, 13.0]]), np.array([[19.0, 13.0]]), np.array([[21.0, 13.0]])
+    for points, is_known in ((edge, True), (inside, False), (away, True)):
+        of_point = interpolate(mesh, values, points)
+        assert np.isfinite(of_point).all() == is_known
+        if is_known:
+            np.testing.assert_allclose(of_point, 0.1 * points + (1.0, -2.0), atol=1e-12)

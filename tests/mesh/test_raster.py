@@ -173,3 +173,30 @@ def test_coverage_is_clipped_to_the_image() -> None:
     expected = np.zeros((8, 20), dtype=np.uint8)
     expected[:, :15] = 1
     np.testing.assert_array_equal(raster.find_covered(20, 8), expected)
+
+
+@settings(max_examples=50)
+@given(mesh=ANY_MESH, seed=SEEDS)
+def test_cells_are_drawn_and_summed_by_their_pixels(mesh: Mesh, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    raster = rasterize(mesh)
+    pixels = pixels_of(raster)
+    if not any(pixels):
+        return
+    window = raster.window.grow(int(random.integers(0, 3)))
+    cells = np.flatnonzero(random.random(mesh.n_cells) < 0.4)
+    expected = np.zeros((window.height, window.width), dtype=np.uint8)
+    for cell in cells:
+        for x, y in pixels[cell]:
+            expected[y - window.y0, x - window.x0] = 1
+    np.testing.assert_array_equal(raster.draw_cells(cells, window), expected)
+    image = random.uniform(-100, 100, expected.shape).astype(np.float32)
+    sums = [sum(float(image[y - window.y0, x - window.x0]) for x, y in of_cell) for of_cell in pixels]
+    found = raster.sum_by_cell(image, window.x0, window.y0)
+    assert found.dtype == np.float64
+    # Differences of sums along rows and over cells, some 1e5 grey levels large.
+    np.testing.assert_allclose(found, sums, atol=1e-8)
+    inner = window.x0 + 2
+    cut = [sum(float(image[y - window.y0, x - window.x0]) for x, y in of_cell if x >= inner) for of_cell in pixels]
+    if window.width > 2:
+        np.testing.assert_allclose(raster.sum_by_cell(image[:, 2:], inner, window.y0), cut, atol=1e-8)

@@ -10,7 +10,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from ddic.case.loader import load_case
-from ddic.errors import ConvergenceError, SingularSubdomainError, is_collective
+from ddic.errors import ConvergenceError, is_collective
 from ddic.methods.dd_dic import Session
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
@@ -192,16 +192,19 @@ def test_a_frame_that_cannot_be_measured_leaves_the_session_whole(shared_path: P
 
 
 @pytest.mark.parallel(RANKS)
-def test_a_renewal_that_fails_leaves_the_session_whole(shared_path: Path) -> None:
+def test_a_subdomain_that_is_hidden_altogether_is_not_measured_and_comes_back(shared_path: Path) -> None:
     team = Team.world()
     # Without regularization nothing holds the nodes of hidden cells: those of block 4, moved by (2, -1) px.
     write_frames(team, shared_path, BLOCKS + TIGHT, {1: shows_all_but((71, 124), (69, 121))})
     inputs, frames = open_frames(team, shared_path)
     with session_of(team, inputs) as session:
-        with pytest.raises(SingularSubdomainError, match=r"^the region around column \d+, row \d+") as caught:
-            session.measure(frames[1])
-        assert is_collective(caught.value)
+        hidden = whole_field(session.measure(frames[1]))
         found = [whole_field(session.measure(frames[k])) for k in (0, 2)]
+    # 4 x 4 nodes of 3 x 3 cells: at (72, 72) to (120, 120).
+    nodes = np.stack(np.meshgrid(*2 * (np.arange(24.0, 169.0, 16.0),)), axis=-1).reshape(-1, 2)
+    is_inside = ((nodes > 72 - 8) & (nodes < 120 + 8)).all(axis=1)
+    assert np.isnan(hidden[is_inside & ((nodes > 72) & (nodes < 120)).all(axis=1)]).all()
+    assert np.isfinite(hidden[~is_inside]).all()
     for number, field in zip((0, 2), found, strict=True):
         assert np.abs(field - whole_field(measure(team, shared_path / f"{number}.toml"))).max() <= SAME_PX
 

@@ -109,10 +109,30 @@ def test_new_m_is_that_of_the_pixels_shown_and_a_share_of_the_others() -> None:
             shown = of_subdomain.views[0].without_hidden(np.zeros(of_subdomain.subdomain.n_unknowns))
             assert m is not None
             expected = (1 - share) * shown.assemble_hessian().toarray() + share * whole.toarray()
+            if rule is NONE:
+                # Interfaces stay held: the pixels of a neighbour alone may see their nodes.
+                expected += np.diag(HELD_SHARE * whole.diagonal() * (of_subdomain.subdomain.multiplicity > 1))
             # The same sums once more.
             np.testing.assert_allclose(m, expected, rtol=1e-14, atol=0)
         # What M counts now asks for no other.
         assert region.renew(visible, rule, hidden)[0] == []
+
+
+@pytest.mark.parallel([1, 2])
+def test_a_subdomain_is_regular_where_neighbours_alone_see_its_interface() -> None:
+    # The cell at the inner corner of the first block: nothing in it shows the corner, which the other blocks see.
+    region = Region()
+    inner = (24 + 64 - 20, 24 + 72 + 1, 24 + 64 - 20, 24 + 72 + 1)
+    _, _, found, note = region.renew(region.whole, NONE, inner)
+    assert "follow their neighbours" not in note
+    for s, m, (whole,) in zip(region.own, found, region.hessians, strict=True):
+        if s.index == 0:
+            assert m is not None
+            unseen = np.diag(m) < 1e-5 * whole.diagonal()
+            assert (s.multiplicity[unseen] > 1).all()
+            assert unseen.sum() == 2
+            # The factor asks for 1e-9 of the mean diagonal.
+            assert np.linalg.eigvalsh(m)[0] > 1e-8 * whole.diagonal().mean()
 
 
 @pytest.mark.parallel(RANKS)

@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError, is_collective
+from ddic.functionals.grey_statistics import GreyState
 from ddic.functionals.view import View
 from ddic.images.sub_image import MaskedSource
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.phases import PhaseClock
+from ddic.parallel.team import Team
 from ddic.problem.residual_model import ResidualModel
-from ddic.solvers.correction_size import Tolerances
-from ddic.solvers.gauss_newton import IterationRecord, Progress, gauss_newton, stay_silent
+from ddic.solvers.correction_size import CorrectionSize, Tolerances
+from ddic.solvers.gauss_newton import (
+    PATIENCE,
+    IterationRecord,
+    Progress,
+    Solution,
+    gauss_newton,
+    run_gauss_newton,
+    stay_silent,
+)
 from ddic.solvers.linear_step import AllowedError, StepResult
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.monolithic import MonolithicStep
@@ -174,3 +184,69 @@ def test_float32_images_cost_no_accuracy() -> None:
         fields.append(measure_alone(model(source(f), source(g)), tolerances=exactly).q[0])
     # 4e-8 px measured; the cubic spline's bias is 1.4e-3 px.
     assert np.sqrt(np.mean((fields[1] - fields[0]) ** 2)) <= 1.5e-7
+
+
+class _Made:
+    """A model whose corrections have given sizes, as if each step were solved."""
+
+    def __init__(self, sizes: Callable[[int], float]) -> None:
+        self.team = Team.alone()
+        self._sizes = sizes
+        self.n_asked = 0
+
+    def linearize(self, q: Sequence[NDArray[np.float64]]) -> tuple[list[NDArray[np.float64]], tuple[GreyState, ...]]:
+        return [np.zeros_like(q_s) for q_s in q], (GreyState(1.0, 1.0, 100, 1.0, 0.0),)
+
+    def measure_correction(self, dq: Sequence[NDArray[np.float64]],
+                           q: Sequence[NDArray[np.float64]]) -> CorrectionSize:
+        size = self._sizes(self.n_asked)
+        self.n_asked += 1
+        return CorrectionSize(size, size, size, 0)
+
+
+def run_made(sizes: Callable[[int], float], most: int = 2000) -> Solution:
+    made = _Made(sizes)
+    tolerances = Tolerances(relative=1e-12, rms=1e-6, max_iterations=most, inexact=False)
+    solution = run_gauss_newton(made, [np.zeros(2)], _Broken(0.0), tolerances, Progress(PhaseClock(), stay_silent))
+    assert made.n_asked == len(solution.records)
+    return solution
+
+
+def test_what_never_converges_is_given_up_after_patience() -> None:
+    # Eight iterations of a digit each three, then nothing more.
+    solution = run_made(lambda k: max(0.5**k, 0.5**8))
+    assert not solution.converged
+    # The ninth is the smallest so far, and as many more must do better than it: by a fifth.
+    assert len(solution.records) == 9 + PATIENCE
+    assert "stagnates after 29 iterations" in solution.stop
+    # One that wanders up and down is the same.
+    random = np.random.default_rng(0)
+    wandering = run_made(lambda k: 1e-2 * random.uniform(0.9, 1.1))
+    assert not wandering.converged
+    assert len(wandering.records) <= 3 * PATIENCE
+
+
+@pytest.mark.parametrize("gained", [0.025, 0.1, 0.5])
+def test_what_converges_slowly_is_not_given_up(gained: float) -> None:
+    solution = run_made(lambda k: (1 - gained)**k)
+    assert solution.converged
+    assert len(solution.records) == int(np.ceil(np.log(1e-6) / np.log(1 - gained))) + 1
+
+
+def test_what_gains_less_than_a_fifth_in_that_many_is_given_up() -> None:
+    # 1 % an iteration: 18 % in 20.
+    solution = run_made(lambda k: 0.99**k)
+    assert not solution.converged
+    assert len(solution.records) == PATIENCE + 1
+
+
+def test_a_few_growing_corrections_are_borne() -> None:
+    # A start that is far off: corrections grow tenfold before they fall.
+    solution = run_made(lambda k: 0.1 * 1.3**k if k < 10 else 1.3**10 * 0.1 * 0.3**(k - 10))
+    assert solution.converged
+
+
+def test_too_few_iterations_are_no_stagnation() -> None:
+    solution = run_made(lambda k: 0.9**k, most=5)
+    assert not solution.converged
+    assert "did not converge in 5 iterations" in solution.stop

@@ -41,3 +41,31 @@ def test_it_is_that_of_the_covariance_whatever_the_partition(wavelength: float |
     assert found[0] == pytest.approx(_exact(wavelength), rel=0.06)
     # The signs are the nodes': another partition changes what a step may leave alone.
     assert found[1] == pytest.approx(found[0], rel=0.01)
+
+
+@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parametrize("wavelength", [None, 40.0])
+def test_nodes_that_do_not_count_have_no_part_in_it(wavelength: float | None) -> None:
+    problem, team = linear_step(12, wavelength), Team(MPI.COMM_WORLD)
+    whole = build_subdomains(problem.region, np.zeros(problem.mesh.n_cells, np.int64), problem.controlled)[0]
+    system = problem.system(whole, np.ones(problem.mesh.n_dofs))
+    inverse = np.linalg.inv(dense(system.operator))
+    diagonal = np.diag(2 * SIGMA**2 * inverse @ dense(system.hessian) @ inverse).reshape(-1, 2)
+    # Those at the edges, which have most of the noise, and a node in the middle that has little.
+    low, high = problem.mesh.nodes.min(axis=0) + 6.0, problem.mesh.nodes.max(axis=0) - 6.0
+    counted = ((problem.mesh.nodes > low) & (problem.mesh.nodes < high)).all(axis=1)
+    counted[len(counted) // 2] = False
+    expected = float(np.sqrt(diagonal[counted].mean()))
+    # Guards the test.
+    assert expected < 0.95 * float(np.sqrt(diagonal.mean()))
+    with Decomposed(team, problem, split(problem.mesh, "blocks", 4), "consistent") as parts:
+        step = parts.step(DualSettings("scaled"))
+        found = estimate_noise_by_steps(team, parts.systems, step, SIGMA,
+                                        [counted[s.node_ids] for s in parts.subdomains])
+        of_all = estimate_noise_by_steps(team, parts.systems, step, SIGMA, [np.ones(len(s.node_ids), dtype=bool)
+                                                                            for s in parts.subdomains])
+        without = estimate_noise_by_steps(team, parts.systems, step, SIGMA)
+    # As above, with fewer signs.
+    assert found == pytest.approx(expected, rel=0.08)
+    # Steps leave a share of what they solve, another one from another start.
+    assert of_all == pytest.approx(without, rel=0.01)

@@ -79,7 +79,7 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[Array], 
             now.whole.correction != seen.whole.correction or excluded.is_other_than(whole.team, seen.excluded))
         seen = replace(now, excluded=excluded) if is_seen_otherwise else replace(seen, evaluation=now.evaluation)
         if not (found.converged or is_seen_otherwise):
-            found = accept_noise(problem, solved.used, now.evaluation, found)
+            found = accept_noise(problem, solved.used, found)
             if not found.converged:
                 raise as_collective(ConvergenceError(found.stop, solved))
         # Where the start was far off, other pixels are hidden here: that held the step back, or left a node to nothing.

@@ -145,6 +145,35 @@ def _find_errors(cells: CellResiduals, noise: float) -> CellErrors:
     return CellErrors(equivalent, doubtful | (cells.n_pixels == 0))
 
 
+def find_noisy_cells(view: View, hessian: sparse.csr_matrix, deviation: float) -> NDArray[np.bool_]:
+    """Find the cells with a node that noise alone moves by more than a cell may be off; free of communication.
+
+    A node's own block of M holds it if its neighbours hold still; that they do not doubles the error.
+
+    Parameters
+    ----------
+    view : View
+        Of the camera that measures the subdomain.
+    hessian : (n_dofs, n_dofs) csr_matrix
+        Its M, grey levels squared per pixel squared.
+    deviation : float
+        Standard deviation of the residual, grey levels.
+
+    Returns
+    -------
+    (n_cells,) bool array
+        Which.
+    """
+    mesh = view.correlation.mesh
+    blocks = np.empty((mesh.n_nodes, mesh.dim, mesh.dim))
+    for i in range(mesh.dim):
+        for j in range(mesh.dim):
+            blocks[:, i, j] = hessian.diagonal(j - i)[min(i, j)::mesh.dim][:mesh.n_nodes]
+    weakest = np.linalg.eigvalsh(blocks)[:, 0]
+    error = 2.0 * deviation / np.sqrt(np.maximum(weakest, 1e-300))
+    return np.asarray((error > DOUBTFUL_PX)[pad_cells(mesh)].any(axis=1))
+
+
 def describe_doubtful_cells(team: Team, errors: Sequence[CellErrors]) -> tuple[str, ...]:
     """Say how many cells are doubtful; collective.
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.functionals.view import FrameView
+from ddic.mesh.raster import find_common_pixels
 from ddic.parallel.team import Team
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.views import FrameViews
@@ -121,7 +122,9 @@ class Exclusions:
         """
         n_cells = sum(int(((a == KEPT) != (b == KEPT)).sum())
                       for one, two in zip(self.cells, other.cells, strict=True) for a, b in zip(one, two, strict=True))
-        n_pixels = sum(abs(len(a) - len(b)) for one, two in zip(self.pixels, other.pixels, strict=True)
+        # One by one: a spot that has moved covers as many others.
+        n_pixels = sum(len(a) + len(b) - 2 * int(find_common_pixels(a, b).sum())
+                       for one, two in zip(self.pixels, other.pixels, strict=True)
                        for a, b in zip(one, two, strict=True))
         n_all = sum(len(a) for one in self.pixels for a in one)
         changed = team.sum(np.array([n_cells, n_pixels, n_all], dtype=float))

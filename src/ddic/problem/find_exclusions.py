@@ -226,10 +226,12 @@ def _cut_patch(correlation: Correlation, residual: NDArray[np.float32], cell: in
     """The box about a cell's pixels: its first column and row, and what is in it."""
     raster, image = correlation.raster, correlation.reference
     runs = slice(raster.row_ptr[cell], raster.row_ptr[cell + 1])
-    starts, stops = raster.starts[runs], raster.stops[runs]
-    filled = stops > starts
-    x0, x1 = int(starts[filled].min()), int(stops[filled].max())
-    y0 = int(raster.first_row[cell])
+    # Rows at a tip may hold no pixel's centre, and lie beyond the window then.
+    filled = np.flatnonzero(raster.stops[runs] > raster.starts[runs])
+    starts, stops = (ends[runs][filled[0]:filled[-1] + 1] for ends in (raster.starts, raster.stops))
+    is_filled = stops > starts
+    x0, x1 = int(starts[is_filled].min()), int(stops[is_filled].max())
+    y0 = int(raster.first_row[cell] + filled[0])
     columns = np.arange(x0, x1)
     own = (columns >= starts[:, None]) & (columns < stops[:, None])
     box = (slice(y0 - image.window.y0, y0 - image.window.y0 + len(starts)),

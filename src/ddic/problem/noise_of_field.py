@@ -22,8 +22,7 @@ LARGEST_OF_NOISE = 4.0
 """The same of the largest correction of a node: nodes at a corner have several times the noise of others."""
 
 
-def accept_noise(problem: WeightedProblem, used: ResidualModel, evaluation: Evaluation,
-                 solution: Solution) -> Solution:
+def accept_noise(problem: WeightedProblem, used: ResidualModel, solution: Solution) -> Solution:
     """Accept a field whose corrections do not become smaller, if they are far below its noise; collective.
 
     Images of much noise, whose gradients are half noise too, never come to rest.
@@ -34,8 +33,6 @@ def accept_noise(problem: WeightedProblem, used: ResidualModel, evaluation: Eval
         The linear step.
     used : ResidualModel
         The pixels that count.
-    evaluation : Evaluation
-        Of all pixels that the frame shows, at the field.
     solution : Solution
         That did not converge.
 
@@ -44,9 +41,11 @@ def accept_noise(problem: WeightedProblem, used: ResidualModel, evaluation: Eval
     Solution
         With the reason; the same where corrections are more than noise.
     """
+    # Of the pixels that count: what hides others is no noise.
+    evaluation = used.evaluate(solution.q)
     deviation = evaluation.grey[0].residual_std
     # Of a vector, as corrections are; the residual has the noise of both images.
-    counted = [~is_unmeasured for is_unmeasured in find_unmeasured_nodes(problem, used.evaluate(solution.q))]
+    counted = [~is_unmeasured for is_unmeasured in find_unmeasured_nodes(problem, evaluation)]
     noise = np.sqrt(2.0) * estimate_noise_by_steps(problem.team, problem.solver.assembly.systems, problem.solver.step,
                                                    deviation / np.sqrt(2.0), counted)
     last = solution.records[-1].size

@@ -45,7 +45,8 @@ large, and a cell that M counts nothing of is held by nothing. At 1 Gauss-Newton
 HELD_SHARE = 1e-6
 """Share of what hidden pixels gave to M that stays in it where mechanics find the displacement of hidden cells. It
 keeps the operator of a subdomain regular that is hidden altogether, and slows down waves that mechanics hold by less,
-those longer than 30 cut-off wavelengths. A larger share slows shorter ones."""
+those longer than 30 cut-off wavelengths. A larger share slows shorter ones. Without mechanics the same
+share of the diagonal stays at interfaces, whose nodes a neighbour's pixels may hold alone."""
 
 
 @dataclass(frozen=True)
@@ -212,7 +213,12 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
             return None
         followed = _follow(shown[number], now.inverse_deformations[number])
         hessian = _assemble_shown(views[number].views, followed, whole[number], rule)
-        return hessian if filled is None else sparse.csr_matrix(hessian + filled.stiffness[number])
+        if filled is not None:
+            hessian = sparse.csr_matrix(hessian + filled.assemble_operator(number))
+        if rule.is_regularized:
+            return hessian
+        is_filled = None if filled is None else filled.stiffness[number].diagonal() > 0
+        return _hold_shared(views[number], hessian, whole[number], is_filled)
 
     hessians = team.together(lambda: [assemble(number) for number in range(len(views))])
     assembled_from = AssembledFrom(_choose(renewed, now.by_view, counted.by_view),
@@ -296,3 +302,20 @@ def _assemble_shown(views: Sequence[FrameView], shown: Sequence[View], whole: Se
         projected = view.view.project(hessian)
         total = projected if total is None else total + projected
     return sparse.csr_matrix(total)
+
+
+def _hold_shared(of_subdomain: FrameViews, hessian: sparse.csr_matrix, whole: Sequence[sparse.csr_matrix],
+                 is_filled: NDArray[np.bool_] | None) -> sparse.csr_matrix:
+    """M_s that is regular where the pixels of neighbours alone hold unknowns, (n_unknowns, n_unknowns).
+
+    b has nothing of it: the fixed point is the same.
+    """
+    subdomain = of_subdomain.subdomain
+    diagonal = np.zeros(subdomain.n_unknowns)
+    for view, of_whole in zip(of_subdomain.views, whole, strict=True):
+        diagonal += view.view.project(of_whole).diagonal()
+    is_shared = np.zeros(subdomain.n_unknowns, dtype=bool)
+    is_shared[:subdomain.n_field] = subdomain.multiplicity > 1
+    if is_filled is not None:
+        is_shared &= ~is_filled
+    return sparse.csr_matrix(hessian + sparse.diags(HELD_SHARE * diagonal * is_shared))

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from ddic.mesh.shapes import pad_cells
 from ddic.parallel.team import Team
@@ -44,33 +43,37 @@ def describe_exclusions(team: Team, views: Sequence[FrameViews], excluded: Exclu
     n_cells = team.sum(sum(of_subdomain.subdomain.mesh.n_cells for of_subdomain in views))
     lines = []
     for reason, why in REASONS.items():
-        boxes = np.concatenate(team.gather_lists([
-            _bound_cells(of_subdomain, states[0] == reason)
-            for of_subdomain, states in zip(views, excluded.cells, strict=True)]))
+        found = team.gather_lists([_bound_cells(of_subdomain, states[0] == reason)
+                                   for of_subdomain, states in zip(views, excluded.cells, strict=True)])
+        boxes, corners = (np.concatenate(parts) for parts in zip(*found, strict=True))
         if len(boxes):
             lines.append(f"{len(boxes)} of {n_cells} cells {why} and are excluded (cell field \"excluded\"): "
-                         + "; ".join(_name_places(boxes)))
+                         + "; ".join(_name_places(boxes, corners)))
     n_pixels = team.sum(sum(len(spots) for of_subdomain in excluded.pixels for spots in of_subdomain))
     if n_pixels:
         lines.append(f"{n_pixels} pixels of other cells {REASONS[SPOILT]} and are excluded")
     return tuple(lines)
 
 
-def _bound_cells(of_subdomain: FrameViews, chosen: NDArray[np.bool_]) -> Array:
-    """First and last column, first and last row of some cells, (n, 4), pixels."""
+def _bound_cells(of_subdomain: FrameViews, chosen: NDArray[np.bool_]) -> tuple[Array, NDArray[np.int64]]:
+    """Of some cells: first and last column, first and last row, (n, 4), pixels; and their nodes' numbers, (n, 4)."""
     mesh = of_subdomain.subdomain.mesh
-    corners = mesh.nodes[pad_cells(mesh)[chosen]]
+    nodes = pad_cells(mesh)[chosen]
+    corners = mesh.nodes[nodes]
     low, high = corners.min(axis=1), corners.max(axis=1)
-    return np.column_stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]])
+    boxes = np.column_stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]])
+    return boxes, of_subdomain.subdomain.node_ids[nodes]
 
 
-def _name_places(boxes: Array) -> list[str]:
-    """Boxes of cells that touch each other, the largest first."""
-    centres = np.column_stack([boxes[:, :2].mean(axis=1), boxes[:, 2:].mean(axis=1)])
-    size = float(np.ptp(boxes[:, :2], axis=1).max())
-    pairs = cKDTree(centres).query_pairs(1.5 * size, output_type="ndarray")
-    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (len(boxes), len(boxes)))
-    n_places, place = connected_components(graph, directed=False)
+def _name_places(boxes: Array, corners: NDArray[np.int64]) -> list[str]:
+    """Boxes of cells that share nodes, the largest first."""
+    _, nodes = np.unique(corners, return_inverse=True)
+    cells = np.repeat(np.arange(len(boxes)), corners.shape[1])
+    n_all = len(boxes) + int(nodes.max()) + 1
+    graph = coo_matrix((np.ones(len(cells)), (cells, len(boxes) + nodes.ravel())), (n_all, n_all))
+    # Of cells and nodes.
+    place = connected_components(graph, directed=False)[1][:len(boxes)]
+    n_places = int(place.max()) + 1
     members = np.bincount(place, minlength=n_places)
     named = []
     for k in np.argsort(-members, kind="stable")[:MOST_PLACES]:

@@ -22,6 +22,7 @@ from ddic.problem.cell_errors import (
     CellErrors,
     describe_doubtful_cells,
     find_cell_errors,
+    find_noisy_cells,
     measure_cell_residuals,
 )
 from ddic.problem.exclusions import Exclusions
@@ -31,7 +32,6 @@ from ddic.problem.problem_size import ProblemSize
 from ddic.problem.region_mesh import Region
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.solved_frame import SolvedFrame
-from ddic.problem.views import FrameViews
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.results.camera_images import write_residual_images
 from ddic.results.describe_exclusions import describe_exclusions
@@ -260,13 +260,18 @@ def _describe_correction(case: Case, model: ResidualModel) -> tuple[str, ...]:
 
 def _judge_cells(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation) -> list[CellErrors]:
     """What the residual says about the cells of each owned subdomain; collective."""
-    team, is_blurred = problem.team, bool(model.blurs)
-    residuals = team.together(lambda: [
-        measure_cell_residuals(of_subdomain.views[0].view, _take_hessian(of_subdomain, hessians, is_blurred=is_blurred),
-                               of_views[0])
-        for of_subdomain, hessians, of_views in zip(model.views, problem.reference.hessians, evaluation.residuals,
-                                                    strict=True)])
-    errors = find_cell_errors(team, residuals)
+    team = problem.team
+    owned = list(zip(model.views, evaluation.residuals, _take_hessians(problem, model), strict=True))
+    errors = find_cell_errors(team, team.together(lambda: [
+        measure_cell_residuals(of_subdomain.views[0].view, hessian, of_views[0])
+        for of_subdomain, of_views, hessian in owned]))
+    if model.blurs:
+        # Little contrast is left, and the residual of a wrong place may be as small as that of the right one.
+        are_noisy = [find_noisy_cells(of_subdomain.views[0].view, hessian,
+                                      evaluation.grey[of_subdomain.subdomain.camera].residual_std)
+                     for of_subdomain, _, hessian in owned]
+        errors = [replace(of_cells, doubtful=of_cells.doubtful | is_noisy)
+                  for of_cells, is_noisy in zip(errors, are_noisy, strict=True)]
     # What is left of a cell that is mostly hidden says little of it, whatever its residual.
     are_hidden = [of_views[0].cell_sums.n_pixels < LEAST_USED * of_subdomain.reference.own.count_pixels()
                   for of_subdomain, of_views in zip(model.views, evaluation.residuals, strict=True)]
@@ -274,10 +279,12 @@ def _judge_cells(problem: WeightedProblem, model: ResidualModel, evaluation: Eva
             for of_cells, is_hidden in zip(errors, are_hidden, strict=True)]
 
 
-def _take_hessian(of_subdomain: FrameViews, of_reference: Sequence[sparse.csr_matrix],
-                  *, is_blurred: bool) -> sparse.csr_matrix:
-    """M of a subdomain's own camera, of the reference image as it was compared."""
-    return of_subdomain.views[0].view.assemble_hessian() if is_blurred else of_reference[0]
+def _take_hessians(problem: WeightedProblem, model: ResidualModel) -> list[sparse.csr_matrix]:
+    """M of each owned subdomain's own camera, of the reference image as it was compared."""
+    if model.blurs:
+        return problem.team.together(lambda: [of_subdomain.views[0].view.assemble_hessian()
+                                              for of_subdomain in model.views])
+    return [hessians[0] for hessians in problem.reference.hessians]
 
 
 def describe_inverted_cells(team: Team, subdomains: Sequence[Subdomain], displacements: Sequence[Array]) -> str:

@@ -1,0 +1,73 @@
+"""Corrections that do not become smaller are accepted where they are far below the noise of the field."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ddic.errors import ConvergenceError
+from ddic.problem.exclusions import KEPT
+from ddic.results.measurement import Measurement
+from support.measuring import whole_field
+from support.spoilt import MESH, Spoilt, clean, hide, measure_files
+
+MANY = (60, 60, 170, 130)
+
+
+AT_REST = "[start]\n" + "".join(f"{key} = false\n" for key in ("rigid", "features", "pyramid", "independent"))
+
+
+def stop_early(folder: Path, scene: Spoilt, iterations: int, more: str = "") -> tuple[Measurement, float, float]:
+    """Of a measurement that may take few iterations: the residual, grey levels, and the field's noise, pixels."""
+    measured, ears = measure_files(folder, scene, "[gauss_newton]\ntolerance = 1e-16\nrms_tolerance = 1e-9\n"
+                                                  f"max_iterations = {iterations}\n{more}")
+    pattern = r"a residual of ([\d.]+) grey levels leaves an error of ([\d.e+-]+) px RMS"
+    found = [match for note in ears.notes if (match := re.search(pattern, note))]
+    assert len(found) == 1
+    return measured, float(found[0][1]), float(found[0][2])
+
+
+@pytest.mark.parametrize("scene", [clean(), hide(MANY)], ids=["clean", "hidden"])
+def test_the_noise_is_that_of_the_pixels_that_count(tmp_path: Path, scene: Spoilt) -> None:
+    measured, residual, noise = stop_early(tmp_path, scene, 2)
+    # Noise of 2 grey levels in both images, interpolated in one of them.
+    assert 2.3 <= residual <= 3.1
+    # What such noise leaves on these cells: 0.02 px was measured. Elastic matter 1e-4 as stiff as texture, which nodes
+    # that were not measured have, would have a hundred times as much.
+    assert 0.012 <= noise <= 0.05
+    assert any(is_unmeasured.any() for is_unmeasured in measured.unmeasured) == scene.hidden.any()
+
+
+def test_a_correction_that_is_more_than_noise_is_refused(tmp_path: Path) -> None:
+    # After one iteration from 2.8 px off.
+    with pytest.raises(ConvergenceError, match="did not converge in 1 iterations"):
+        stop_early(tmp_path, clean(), 1, AT_REST)
+
+
+def test_unmeasured_nodes_are_those_without_a_cell_that_counts(tmp_path: Path) -> None:
+    measured, _ = measure_files(tmp_path, hide(MANY), '[solver]\npartition = "blocks"\nblocks = [4, 4]\n')
+    whole = np.zeros(MESH.n_nodes, dtype=int)
+    states = np.zeros(MESH.n_cells, dtype=int)
+    for subdomain, is_unmeasured, (of_cells,) in zip(measured.subdomains, measured.unmeasured, measured.excluded.cells,
+                                                     strict=True):
+        whole[subdomain.node_ids] += is_unmeasured
+        states[subdomain.cell_ids] = of_cells
+    kept = np.unique(MESH.connectivity.reshape(-1, 4)[states == KEPT])
+    expected = ~np.isin(np.arange(MESH.n_nodes), kept)
+    # All copies of a node say the same.
+    multiplicity = np.zeros(MESH.n_nodes, dtype=int)
+    for subdomain in measured.subdomains:
+        multiplicity[subdomain.node_ids] += 1
+    np.testing.assert_array_equal(whole, multiplicity * expected)
+    assert expected.sum() >= 16
+    field = whole_field(measured)
+    np.testing.assert_array_equal(np.isnan(field).all(axis=1), expected)
+
+
+def test_mechanics_leave_no_node_unmeasured(tmp_path: Path) -> None:
+    measured, _ = measure_files(tmp_path, hide(MANY), "[regularization]\ncut_off_wavelength = 100.0\n")
+    assert not any(is_unmeasured.any() for is_unmeasured in measured.unmeasured)
+    assert measured.excluded.is_any(measured.team)
