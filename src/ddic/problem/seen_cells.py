@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +43,7 @@ class SeenCells:
     spread_f, spread_g : array
         Standard deviations, grey levels.
     coefficient : array
-        Correlation coefficient of f and g(x + u).
+        Correlation coefficient of f and g(x + u); without its sign where gains are fitted, which may be negative.
     """
 
     n_pixels: Array
@@ -113,9 +113,13 @@ def measure_seen_cells(whole: ResidualModel, evaluation: Evaluation,
     list of list of SeenCells
         By subdomain and view.
     """
-    return [[_measure(residual, of_view, whole.find_correction(evaluation, view.camera, residual))
-             for view, residual, of_view in zip(of_subdomain.views, residuals, of_views, strict=True)]
-            for of_subdomain, residuals, of_views in zip(whole.views, evaluation.residuals, slopes, strict=True)]
+    found = [[_measure(residual, of_view, whole.find_correction(evaluation, view.camera, residual))
+              for view, residual, of_view in zip(of_subdomain.views, residuals, of_views, strict=True)]
+             for of_subdomain, residuals, of_views in zip(whole.views, evaluation.residuals, slopes, strict=True)]
+    if whole.correction == "none":
+        return found
+    return [[replace(cells, coefficient=np.abs(cells.coefficient)) for cells in of_subdomain]
+            for of_subdomain in found]
 
 
 def _measure(residual: Residual, slopes: Array, correction: tuple[Array, Array]) -> SeenCells:
