@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 from pathlib import Path
 
@@ -118,11 +119,21 @@ def test_more_ranks_than_subdomains(folder: Path) -> None:
     _refused(folder, ddic("run", folder / "case.toml", ranks=3), 2, "2 subdomains for 3 MPI ranks", "solver.subdomains")
 
 
-def test_a_blank_area_is_a_singular_subdomain(folder: Path) -> None:
+def test_a_blank_area_is_marked_and_the_rest_measured(folder: Path) -> None:
     f = tifffile.imread(folder / "f.tif")
     f[90:, 90:] = 128
     tifffile.imwrite(folder / "f.tif", f)
     write_case(folder, '[solver]\npartition = "blocks"\nblocks = [2, 2]\n')
+    job = ddic("run", folder / "case.toml", ranks=2)
+    assert job.code == 0, job.err
+    assert re.search(r"cells (show something else than the reference|have no texture) and are excluded", job.out)
+
+
+def test_a_blank_area_is_a_singular_subdomain_where_all_pixels_count(folder: Path) -> None:
+    f = tifffile.imread(folder / "f.tif")
+    f[90:, 90:] = 128
+    tifffile.imwrite(folder / "f.tif", f)
+    write_case(folder, '[solver]\npartition = "blocks"\nblocks = [2, 2]\n[correlation]\nspoilt_pixels = "keep"\n')
     _refused(folder, ddic("run", folder / "case.toml", ranks=2), 1, "subdomain 3", "too little texture")
 
 
@@ -215,7 +226,7 @@ def test_options_that_are_not_petscs_are_refused(folder: Path) -> None:
 ON_RANK_1 = """
 from mpi4py import MPI
 import ddic.problem.linear_solver as linear_solver, ddic.problem.reference_problem as reference_problem
-import ddic.methods.solve_frame as solve_frame
+import ddic.problem.solved_frame as solved_frame
 import ddic.solvers.dual.schur_operator as schur_operator
 from ddic.errors import InputError
 def fail(*arguments, **options):
@@ -233,7 +244,7 @@ PRODUCT = "schur_operator.DualSchurOperator.mult"
     ("linear_solver.LocalOperator", "MemoryError('no room')", "MemoryError: no room", 1),
     (PRODUCT, "KeyError(7)", "KeyError: 7", 0),
     (PRODUCT, "KeyError(7)", "KeyError: 7", 1),
-    ("solve_frame.average_copies", "KeyError(8)", "KeyError: 8", 1),
+    ("solved_frame.average_copies", "KeyError(8)", "KeyError: 8", 1),
 ], ids=["input", "memory", "inside PETSc on the root", "inside PETSc", "before a collective"])
 def test_a_failure_on_one_rank_ends_all(folder: Path, where: str, error: str, message: str, rank: int) -> None:
     job = finished(driven(ON_RANK_1.format(where=where, error=error, rank=rank), folder), ranks=2)
@@ -252,7 +263,8 @@ def test_a_failure_on_one_rank_ends_all(folder: Path, where: str, error: str, me
 def test_a_rank_that_breaks_after_a_failure_ends_all(folder: Path) -> None:
     # While the last field is made ready: the others wait for this rank in a sum.
     write_case(folder, FOUR + FAILS)
-    job = finished(driven(ON_RANK_1.format(where="solve_frame.average_copies", error="KeyError(8)", rank=1), folder), 2)
+    driver = ON_RANK_1.format(where="solved_frame.average_copies", error="KeyError(8)", rank=1)
+    job = finished(driven(driver, folder), 2)
     assert job.code == 1
     assert job.seconds < SECONDS_TO_END
     assert sum("KeyError: 8" in line for line in job.errors) == 1, job.err

@@ -167,7 +167,8 @@ def test_a_subdomain_without_texture_is_named_on_all_ranks(shared_path: Path) ->
         f[90:, 90:] = 128
         tifffile.imwrite(shared_path / "f.tif", f)
     MPI.COMM_WORLD.barrier()
-    path = _case(shared_path, '[solver]\npartition = "blocks"\nblocks = [2, 2]\n')
+    path = _case(shared_path, '[solver]\npartition = "blocks"\nblocks = [2, 2]\n'
+                              '[correlation]\nspoilt_pixels = "keep"\n')
     with pytest.raises(SingularSubdomainError, match=r"^subdomain 3 \(columns 88 to 168, rows 88 to 168\).*"
                                                      "too little texture") as caught:
         measure(Team(MPI.COMM_WORLD), path)

@@ -18,7 +18,7 @@ from ddic.problem.linear_solver import LONG_WAVELENGTH, MANY_SUBDOMAINS, LinearS
 from ddic.problem.reference_problem import ReferenceProblem
 from ddic.solvers.assembled import AssembledStep
 from ddic.solvers.conjugate_gradient import ConjugateGradientStep
-from ddic.solvers.dual.dual_step import DualStep
+from ddic.solvers.dual.dual_step import DualSettings, DualStep
 from ddic.solvers.monolithic import MonolithicStep
 from support.cases import write_case, write_images
 from support.petsc_objects import count_live_objects
@@ -163,7 +163,7 @@ def test_a_coarse_space_where_waves_are_longer_than_many_subdomains(
 
     class Spy(DualStep):
         def __init__(self, *args: object) -> None:
-            chosen.append(args[-1].preconditioner)  # type: ignore[attr-defined]
+            chosen.extend(settings.preconditioner for settings in args if isinstance(settings, DualSettings))
             make(self, *args)
 
     with pytest.MonkeyPatch.context() as patch:

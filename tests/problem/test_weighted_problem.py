@@ -56,7 +56,7 @@ def test_one_camera_is_set_up_at_once(shared_path: Path) -> None:
         assert problem.is_set_up
         # Operators are known for good when a frame has been looked at.
         q = [np.zeros(s.n_unknowns) for s in problem.reference.subdomains]
-        assert problem.renew(model_of(problem, inputs.cameras[0].reference), q) == ()
+        assert problem.renew(model_of(problem, inputs.cameras[0].reference), q)[1] == ()
         assert problem.noise == ()
         assert problem.n_assembled == problem.solver.n_factorized == len(problem.reference.references)
         assert {Phase.ASSEMBLE, Phase.FACTORIZE, Phase.INTERFACE_SET_UP} <= set(clock.wall)
@@ -127,12 +127,12 @@ def test_an_identical_frame_renews_nothing(shared_path: Path) -> None:
         model = model_of(problem, inputs.cameras[0].reference)
         q = [np.zeros(s.n_unknowns) for s in problem.reference.subdomains]
         step = problem.solver.step
-        assert problem.renew(model, q) == ()
+        assert problem.renew(model, q)[1] == ()
         assert problem.solver.step is step
         # Everything 100 px to the right: of columns 24 to 168 those beyond 91 leave the image.
         away = [np.tile([100.0, 0.0], s.mesh.n_nodes) for s in problem.reference.subdomains]
-        note, = problem.renew(model, away)
-        assert "renewed" in note
+        _, notes = problem.renew(model, away)
+        assert "renewed" in notes[0]
         assert team.sum(problem.n_assembled) == team.sum(problem.solver.n_factorized) > 4
     finally:
         problem.destroy()

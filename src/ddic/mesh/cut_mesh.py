@@ -218,4 +218,5 @@ def _outline_parts(parts: Parts, place_of_unit: Mapping[Unit, int], lines: Lines
     outlines = [parts[cell][place].corners for cell, place in units]
     offsets = np.concatenate([[0], np.cumsum([len(outline) for outline in outlines])]).astype(np.int64)
     places = np.array([place_of_unit[unit] for unit in units], np.int64)
-    return CellParts(places, offsets, np.concatenate(outlines), offsets[:-1], lines)
+    corners = np.concatenate([np.zeros((0, 2)), *outlines])
+    return CellParts(places, offsets, corners, offsets[:-1], lines)

@@ -68,7 +68,8 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[Array], 
     listener.problem_size(problem.size)
     solved = begin_frame(problem, seen, model, q, notes)
     for n_rounds in range(1, MOST_ROUNDS + 1):
-        solved = solve_further(problem, solved, Progress(clock, listener.iteration, len(solved.solution.records)))
+        n_before = len(solved.solution.records)
+        solved = solve_further(problem, solved, Progress(clock, listener.iteration, n_before))
         found = solved.solution
         with clock.phase(Phase.RESIDUAL):
             now = see_solved_frame(problem, solved)
@@ -79,7 +80,7 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[Array], 
             now.whole.correction != seen.whole.correction or excluded.is_other_than(whole.team, seen.excluded))
         seen = replace(now, excluded=excluded) if is_seen_otherwise else replace(seen, evaluation=now.evaluation)
         if not (found.converged or is_seen_otherwise):
-            found = accept_noise(problem, solved.used, found)
+            found = accept_noise(problem, solved.used, found, len(found.records) - n_before)
             if not found.converged:
                 raise as_collective(ConvergenceError(found.stop, solved))
         # Where the start was far off, other pixels are hidden here: that held the step back, or left a node to nothing.

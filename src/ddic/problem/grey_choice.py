@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.functionals.weighted_median import find_weighted_median
-from ddic.problem.seen_cells import SeenCells, find_typical_cell
+from ddic.problem.seen_cells import SeenCells, TypicalCell, find_typical_cell
 
 Array = NDArray[np.float64]
 
@@ -28,6 +28,10 @@ GROSS_SHARE = 0.005
 
 FEWEST_PIXELS = 64
 """Pixels of a cell, in the median, from which on it can tell its own gain and offset from a displacement."""
+
+LEAST_CHANGE, LEAST_GROSS = 0.005, 0.02
+"""Brightness change relative to the contrast of the speckle below which it is none, and not gross: images without noise
+are no reason to correct what interpolation leaves."""
 
 ORDER: tuple[GreyCorrection, ...] = ("none", "global", "element")
 """From the simplest on."""
@@ -62,23 +66,24 @@ def _choose(cells: SeenCells) -> GreyCorrection:
     n = cells.n_pixels
     change_of_mean = find_weighted_median(cells.mean_f - cells.mean_g, n)
     change_of_spread = find_weighted_median(cells.spread_f - cells.spread_g, n)
-    is_whole = change_of_mean**2 + change_of_spread**2 > GLOBAL_SHARE * typical.noise
+    least = max(GLOBAL_SHARE * typical.noise, LEAST_CHANGE**2 * typical.contrast)
+    is_whole = change_of_mean**2 + change_of_spread**2 > least
     correction = (typical.gain, typical.offset) if is_whole else (1.0, 0.0)
-    if np.median(n) >= FEWEST_PIXELS and _differ(cells, correction, typical.noise):
+    if np.median(n) >= FEWEST_PIXELS and _differ(cells, correction, typical):
         return "element"
     return "global" if is_whole else "none"
 
 
-def _differ(cells: SeenCells, correction: tuple[float, float], noise: float) -> bool:
+def _differ(cells: SeenCells, correction: tuple[float, float], typical: TypicalCell) -> bool:
     """Whether the brightness changes otherwise in some cells than in most."""
-    gain, offset = correction
+    noise, (gain, offset) = typical.noise, correction
     squared = ((cells.mean_f - gain * cells.mean_g - offset)**2
                + (cells.spread_f - gain * cells.spread_g)**2)
     # What is hidden, or not found yet, is not explained by brightness.
     is_explained = cells.variance <= GROSS * noise
     n = cells.n_pixels
-    is_gross = is_explained & (squared > GROSS * noise)
+    is_gross = is_explained & (squared > max(GROSS * noise, LEAST_GROSS**2 * typical.contrast))
     if n[is_gross].sum() > GROSS_SHARE * n.sum():
         return True
     mean_square = float((n * squared)[is_explained].sum() / max(n[is_explained].sum(), 1.0))
-    return mean_square > CELL_SHARE * noise
+    return mean_square > max(CELL_SHARE * noise, LEAST_CHANGE**2 * typical.contrast)

@@ -11,7 +11,7 @@ from ddic.partition.subdomain import Subdomain
 from ddic.problem.held_unknowns import find_free_unknowns, find_held
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.weighted_problem import WeightedProblem
-from ddic.solvers.gauss_newton import Solution
+from ddic.solvers.gauss_newton import PATIENCE, Solution
 from ddic.solvers.noise_floor import estimate_noise_by_steps
 
 SHARE_OF_NOISE = 0.2
@@ -22,7 +22,7 @@ LARGEST_OF_NOISE = 4.0
 """The same of the largest correction of a node: nodes at a corner have several times the noise of others."""
 
 
-def accept_noise(problem: WeightedProblem, used: ResidualModel, solution: Solution) -> Solution:
+def accept_noise(problem: WeightedProblem, used: ResidualModel, solution: Solution, n_last: int) -> Solution:
     """Accept a field whose corrections do not become smaller, if they are far below its noise; collective.
 
     Images of much noise, whose gradients are half noise too, never come to rest.
@@ -35,12 +35,17 @@ def accept_noise(problem: WeightedProblem, used: ResidualModel, solution: Soluti
         The pixels that count.
     solution : Solution
         That did not converge.
+    n_last : int
+        Its iterations since anything else changed.
 
     Returns
     -------
     Solution
         With the reason; the same where corrections are more than noise.
     """
+    if n_last <= PATIENCE:
+        # Fewer were asked for: nobody knows yet.
+        return solution
     # Of the pixels that count: what hides others is no noise.
     evaluation = used.evaluate(solution.q)
     deviation = evaluation.grey[0].residual_std
