@@ -152,7 +152,7 @@ def test_the_assembled_operator_needs_no_texture_in_every_subdomain(shared_path:
     team = Team(MPI.COMM_WORLD)
     monolithic = _monolithic(shared_path, CORNER)
     solver = '[solver]\nmethod = "assembled"\npartition = "blocks"\nblocks = [2, 2]\n'
-    measured = measure(team, _write(shared_path, CORNER, solver + TIGHT + CORNER.regularization))
+    measured = measure(team, _write(shared_path, CORNER, solver + TIGHT + KEEP + CORNER.regularization))
     assert measured.size.n_subdomains == 4
     assert np.abs(_field(measured)[1] - monolithic).max() <= SAME_PX
 
