@@ -68,7 +68,11 @@ class Polygon:
             To the right and to the left of the chord; the polygon itself where the chord misses it.
         """
         along = chord.end - chord.start
-        heights = multiply_across(along / np.linalg.norm(along), self.corners - chord.start)
+        length = float(np.linalg.norm(along))
+        if length <= SHORTEST:
+            # A line that turns back where it enters.
+            return (self,)
+        heights = multiply_across(along / length, self.corners - chord.start)
         if heights.max() <= SHORTEST or heights.min() >= -SHORTEST:
             return (self,)
         return self._keep(-heights), self._keep(heights)
