@@ -47,6 +47,9 @@ def delaunay_mesh(seed: int, n_points: int, extent: float, step: float | None = 
     points = rng.uniform(0.0, extent, (n_points, 2))
     if step is not None:
         points = np.unique(np.round(points / step) * step, axis=0)
+        if np.linalg.matrix_rank(points - points[0]) < 2:
+            # Few points may lie on a line.
+            points = np.unique(np.vstack([points, points[0] + [step, 0.0], points[0] + [0.0, step]]), axis=0)
     triangles = Delaunay(points, qhull_options="QJ Pp" if step is None else None).simplices.astype(np.int64)
     a, b, c = (points[triangles[:, k]] for k in range(3))
     area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
