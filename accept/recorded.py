@@ -86,7 +86,7 @@ def _digest(path: Path) -> str:
 
 
 def use_all_pixels(text: str) -> str:
-    """Let all pixels count as they are, as the code before did, which knew nothing else.
+    """Let all pixels count as they are, and edges follow them alone, as the code before did, which knew nothing else.
 
     Parameters
     ----------
@@ -99,6 +99,7 @@ def use_all_pixels(text: str) -> str:
         The same without the choices that are made from an image pair.
     """
     keys = 'spoilt_pixels = "keep"\n' + ("" if "grey_correction" in text else 'grey_correction = "none"\n')
+    text = text.replace("[regularization]\n", "[regularization]\nedge_wavelength = 0\n")
     if "[correlation]\n" in text:
         return text.replace("[correlation]\n", f"[correlation]\n{keys}")
     return f"{text}\n[correlation]\n{keys}"

@@ -16,6 +16,7 @@ from ddic.functionals.equilibrium_gap import (
     controlled_stiffness,
     evaluate_plane_waves,
     find_cut_off_weight,
+    find_edge_weight,
     measure_gap_energies,
     measure_texture_energies,
 )
@@ -121,3 +122,13 @@ def test_weight_lies_between_those_of_the_single_waves(seed: int, contrast: floa
     # Rounding of a sum of eight.
     assert find_cut_off_weight(contrast**2 * texture, gap) == pytest.approx(contrast**2 * eta, rel=1e-12)
     assert find_cut_off_weight(-3.5 * gap, gap) == pytest.approx(3.5, rel=1e-12)
+
+
+def test_edges_weigh_as_much_as_a_shorter_wavelength() -> None:
+    # eta of 16 px is (16 / 64)^4 of that of 64 px, and the weight of a row enters as its square.
+    assert find_edge_weight(5.0, (64.0, 5.0), 16.0) == pytest.approx((16.0 / 64.0)**2, rel=1e-14)
+    # Where eta was given: 16 times that of 64 px is that of 128 px.
+    assert find_edge_weight(80.0, (64.0, 5.0), 16.0) == pytest.approx((16.0 / 128.0)**2, rel=1e-14)
+    assert find_edge_weight(5.0, (64.0, 5.0), 0.0) == 0.0
+    # Never more than an inner node.
+    assert find_edge_weight(5.0, (64.0, 5.0), 100.0) == 1.0

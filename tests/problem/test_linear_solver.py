@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from ddic.problem.reference_problem import ReferenceProblem
 from ddic.solvers.assembled import AssembledStep
 from ddic.solvers.conjugate_gradient import ConjugateGradientStep
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
+from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.monolithic import MonolithicStep
 from support.cases import write_case, write_images
 from support.petsc_objects import count_live_objects
@@ -58,9 +60,9 @@ def _difference(team: Team, one: list[Array], other: list[Array]) -> float:
     return float(team.maximum(max(float(np.abs(x - y).max()) for x, y in zip(one, other, strict=True)))) / size
 
 
-def _heavier(problem: ReferenceProblem, assembly: Assembly, index: int) -> list[sparse.csr_matrix | None]:
+def _heavier(problem: ReferenceProblem, assembly: Assembly, index: int) -> list[LocalSystem | None]:
     """M_s of one subdomain three times as large, the others as they are."""
-    return [3.0 * system.hessian if s.index == index else None
+    return [replace(system, hessian=3.0 * system.hessian) if s.index == index else None
             for s, system in zip(problem.subdomains, assembly.systems, strict=True)]
 
 
@@ -98,8 +100,8 @@ def test_a_renewed_solver_is_one_made_anew(shared_path: Path, method: str) -> No
         found = _solve(problem, solver)
         renewed = solver.assembly
         # The others keep their factors.
-        assert solver.n_factorized == n_own + sum(m is not None for m in changed)
-        solver.renew([system.hessian for system in assembly.systems])
+        assert solver.n_factorized == n_own + sum(system is not None for system in changed)
+        solver.renew(assembly.systems)
         back = _solve(problem, solver)
     with _solver(team, problem, renewed) as solver:
         anew = _solve(problem, solver)
@@ -117,7 +119,7 @@ def test_a_renewal_that_fails_frees_all_and_can_be_made_good(shared_path: Path, 
     problem, assembly = _prepare(team, shared_path, f'method = "{method}"\nsubdomains = 6', more="")
     count_live_objects(team, shared_path)
     before = count_live_objects(team, shared_path)
-    nothing = [sparse.csr_matrix(system.hessian.shape) if s.index in (1, 5) else None
+    nothing = [replace(system, hessian=sparse.csr_matrix(system.hessian.shape)) if s.index in (1, 5) else None
                for s, system in zip(problem.subdomains, assembly.systems, strict=True)]
     with _solver(team, problem, assembly) as solver:
         expected = _solve(problem, solver)

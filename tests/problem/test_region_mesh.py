@@ -72,10 +72,15 @@ def test_every_rank_is_told_the_sizes_and_the_energies_of_waves(tmp_path: Path) 
     found = region_mesh_of(tmp_path, REGULARIZED)
     region = found.describe(5)
     assert (region.n_nodes, region.n_cells, region.n_field, region.n_subdomains) == (100, 81, 200, 5)
-    expected = measure_gap_energies(found.mesh, Material(), found.interior, 48.0)
-    np.testing.assert_array_equal(region.gap_energies, expected)
-    assert region_mesh_of(tmp_path, "[regularization]\neta = 2.0\n").describe(1).gap_energies is None
-    assert region_mesh_of(tmp_path).describe(1).gap_energies is None
+    assert region.probe is not None
+    assert region.probe.wavelength == 48.0
+    np.testing.assert_array_equal(region.probe.gap_energies,
+                                  measure_gap_energies(found.mesh, Material(), found.interior, 48.0))
+    of_eta = region_mesh_of(tmp_path, "[regularization]\neta = 2.0\n").describe(1).probe
+    assert of_eta is not None
+    # A quarter of the mesh's side of 9 elements of 16 px.
+    assert of_eta.wavelength == 36.0
+    assert region_mesh_of(tmp_path).describe(1).probe is None
 
 
 @pytest.mark.parametrize(("solver", "n_ranks", "n_parts"), [

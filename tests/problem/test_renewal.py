@@ -62,8 +62,8 @@ class Region:
         """Subdomains renewed on all ranks, what M counts then, this rank's new M, and what the log says."""
         renewal = find_renewal(self.team, self.frame(*hidden), self.q, (counted, self.hessians), rule,
                                self.assembly)
-        renewed = [s.index for s, m in zip(self.own, renewal.hessians, strict=True) if m is not None]
-        dense = [None if m is None else m.toarray() for m in renewal.hessians]
+        renewed = [s.index for s, system in zip(self.own, renewal.systems, strict=True) if system is not None]
+        dense = [None if system is None else system.hessian.toarray() for system in renewal.systems]
         return self.team.gather_lists(renewed), renewal.assembled_from, dense, "".join(renewal.notes)
 
 
@@ -196,3 +196,26 @@ def test_a_node_that_is_held_by_pixels_alone_renews_where_it_loses_most() -> Non
         region.references = [replace(r, subdomain=s) for r, s in zip(region.references, region.own, strict=True)]
         assert region.renew(region.whole, LONG, few)[0] == []
         assert region.renew(region.whole, LONG, most)[0] == expected
+
+
+@pytest.mark.parallel([1, 2])
+def test_unknowns_without_pixels_and_rows_are_in_equilibrium() -> None:
+    region = Region(build_structured_mesh((24, 24, 168, 168), 8), (2, 1))
+    region.own = [replace(s, controlled=s.mesh.nodes.repeat(2, axis=0)[:, 0] > 25.0) for s in region.own]
+    region.references = [replace(r, subdomain=s) for r, s in zip(region.references, region.own, strict=True)]
+    systems = [replace(system, subdomain=s) for system, s in zip(region.assembly.systems, region.own, strict=True)]
+    region.assembly = replace(region.assembly, systems=systems, edge_weight=0.25)
+    # Of the left edge, in the first subdomain, the four nodes from 48 to 72 px lose all pixels.
+    hidden = (0, 40, 40, 82)
+    renewal = find_renewal(region.team, region.frame(hidden), region.q, (region.whole, region.hessians), LONG,
+                           region.assembly)
+    for s, system in zip(region.own, renewal.systems, strict=True):
+        if s.index == 0:
+            assert system is not None
+            assert system.projection is not None
+            x, y = s.mesh.nodes.repeat(2, axis=0).T
+            expected = np.where((x > 25.0) | ((y >= 48.0) & (y <= 72.0)), 1.0, 0.25)
+            np.testing.assert_array_equal(system.projection, expected)
+        else:
+            assert system is None
+    assert any("follow their neighbours" in note for note in renewal.notes)

@@ -10,7 +10,7 @@ import pytest
 import ddic
 from ddic.errors import ConvergenceError
 from ddic.functionals.elasticity import Material
-from ddic.functionals.equilibrium_gap import find_cut_off_weight
+from ddic.functionals.equilibrium_gap import find_cut_off_weight, find_edge_weight
 from ddic.images.sub_image import DeformedSubImage
 from ddic.separated.corrections import (
     CorrectionRecord,
@@ -34,6 +34,8 @@ REGION = (24.0, 24.0, 168.0, 168.0)
 EXACT = StoppingRules(tolerance=1e-10, rms_tolerance=1e-9, max_corrections=400, stops_at_noise=False)
 COMPLETE = {"gauss_newton": {"tolerance": 1e-9, "rms_tolerance": 0, "largest_tolerance": 1e-8},
             "solver": {"method": "assembled"}}
+EDGE_WAVELENGTH = 16.0
+"""Default of the case file, pixels."""
 POINTS = np.random.default_rng(0).uniform(24, 168, (3000, 2))
 
 
@@ -53,7 +55,8 @@ def _weigh(frame: FramePixels, wavelength: float) -> Regularization:
     waves = build_plane_waves(x, y, wavelength)
     weight = find_cut_off_weight(measure_wave_textures(x, y, waves, frame.reference.sum_texture),
                                  measure_wave_gaps(x, y, Material(), waves))
-    return Regularization(weighted_gap(x, y, weight), weight, OF_GAP / wavelength)
+    of_edges = find_edge_weight(weight, (wavelength, weight), EDGE_WAVELENGTH)
+    return Regularization(weighted_gap(x, y, weight, of_edges), weight, OF_GAP / wavelength)
 
 
 @pytest.mark.parametrize("update", [False, True])

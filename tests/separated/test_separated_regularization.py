@@ -51,12 +51,14 @@ def test_stiffness_is_that_of_q4() -> None:
 
 
 @pytest.mark.parametrize("sides", ["", "lrtb", "l", "tb"])
-def test_equilibrium_gap_is_that_of_q4(sides: str) -> None:
+@pytest.mark.parametrize("edge_weight", [0.0, 0.3])
+def test_equilibrium_gap_is_that_of_q4(sides: str, edge_weight: float) -> None:
     lines = _lines(sides)
-    kept = np.repeat(np.outer(lines.y, lines.x).ravel(), 2).astype(float)
+    is_controlled = np.repeat(np.outer(lines.y, lines.x).ravel(), 2)
+    p = np.where(is_controlled, 1.0, edge_weight)
     k = _stiffness()
-    found = dense_operator(build_equilibrium_gap(ALONG_X, ALONG_Y, MATERIAL, lines))
-    assert np.abs(found - k.T @ (kept[:, None] * k)).max() <= 10 * SAME
+    found = dense_operator(build_equilibrium_gap(ALONG_X, ALONG_Y, MATERIAL, lines, edge_weight))
+    assert np.abs(found - k.T @ (p[:, None]**2 * k)).max() <= 10 * SAME
 
 
 def test_energy_is_that_of_the_field() -> None:

@@ -57,14 +57,15 @@ def random_field(along_x: LineElements, along_y: LineElements, n_modes: int, see
     return scale_modes(along_x, along_y, size * x, y)
 
 
-def weighted_gap(along_x: LineElements, along_y: LineElements, weight: float) -> SeparatedOperator:
-    """The equilibrium gap of the inner nodes, times a weight."""
+def weighted_gap(along_x: LineElements, along_y: LineElements, weight: float,
+                 edge_weight: float = 0.0) -> SeparatedOperator:
+    """The equilibrium gap of the inner nodes, and less of the others, times a weight."""
     inner = []
     for line in (along_x, along_y):
         rows = np.ones(line.n_nodes, dtype=bool)
         rows[[0, -1]] = False
         inner.append(rows)
-    gap = build_equilibrium_gap(along_x, along_y, Material(), ControlledLines(*inner))
+    gap = build_equilibrium_gap(along_x, along_y, Material(), ControlledLines(*inner), edge_weight)
     return SeparatedOperator(gap.rows, gap.columns, weight * gap.x, gap.y)
 
 

@@ -468,6 +468,15 @@ class RegularizationSection(Section):
         description="The nodes in these boxes are not controlled either; each must hold a node.",
         json_schema_extra={"unit": "px", "shape": "list of [x0, y0, x1, y1]"},
     )
+    edge_wavelength: Annotated[float, Field(ge=0)] = Field(
+        default=16.0,
+        description=(
+            "Wavelength below which equilibrium rules the nodes named in `not_controlled` and `boxes` as well, as if "
+            "nothing loaded them: elements smaller than the speckle are not determined there by the images. 0: they "
+            "are left to the images."
+        ),
+        json_schema_extra={"unit": "px"},
+    )
     poisson_ratio: Annotated[float, Field(gt=-1, lt=0.5)] = Field(
         default=0.3,
         description="Poisson's ratio; Young's modulus is 1.",
@@ -487,7 +496,7 @@ class RegularizationSection(Section):
     @model_validator(mode="after")
     def _tikhonov_has_no_material(self) -> RegularizationSection:
         """Refuse keys of the equilibrium gap beside Tikhonov's term."""
-        of_gap = {"not_controlled", "boxes", "poisson_ratio", "plane"} & self.model_fields_set
+        of_gap = {"not_controlled", "boxes", "edge_wavelength", "poisson_ratio", "plane"} & self.model_fields_set
         if self.operator == "tikhonov" and of_gap:
             raise ValueError(f'regularization.{min(of_gap)} goes with regularization.operator = "equilibrium_gap"')
         return self

@@ -152,6 +152,30 @@ def find_cut_off_weight(texture: NDArray[np.float64], gap: NDArray[np.float64]) 
     return float((texture_by_wave / gap_by_wave).mean())
 
 
+def find_edge_weight(eta: float, probe: tuple[float, float], edge_wavelength: float) -> float:
+    """Choose the weight of rows whose equilibrium is not imposed, relative to the others.
+
+    eta grows as the fourth power of the wavelength, and the rows' weight enters as its square.
+
+    Parameters
+    ----------
+    eta : float
+        Weight of the equilibrium gap, grey levels squared per square pixel.
+    probe : tuple of float
+        A wavelength, pixels, and the eta that belongs to it.
+    edge_wavelength : float
+        Below which equilibrium rules these rows, pixels; 0 for never.
+
+    Returns
+    -------
+    float
+        From 0 to 1.
+    """
+    wavelength, eta_there = probe
+    eta_of_edges = eta_there * (edge_wavelength / wavelength) ** 4
+    return min(1.0, float(np.sqrt(eta_of_edges / eta)))
+
+
 def _wave_forces(mesh: Mesh, material: Material, waves: NDArray[np.float64]) -> NDArray[np.float64]:
     """K v, (n_dofs, n_waves), of displacements v, the columns of waves."""
     cell_dofs = interpolate_cells(mesh).cell_dofs

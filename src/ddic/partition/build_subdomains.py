@@ -114,15 +114,15 @@ def _share(numbers: NDArray[np.int64], subdomains: NDArray[np.int64], n_things: 
     return Sharing(things, of_things, np.bincount(things, minlength=n_things))
 
 
-def number_chains(sharing: Sharing, controlled: NDArray[np.bool_], n_subdomains: int) -> Chains:
+def number_chains(sharing: Sharing, has_row: NDArray[np.bool_], n_subdomains: int) -> Chains:
     """Number rows and copies by owner, kind and unknown.
 
     Parameters
     ----------
     sharing : Sharing
         Of the unknowns.
-    controlled : (n_unknowns,) array of bool
-        Rows kept by P.
+    has_row : (n_unknowns,) array of bool
+        Whether Kbar has a row for each unknown.
     n_subdomains : int
         Number of subdomains.
 
@@ -131,10 +131,10 @@ def number_chains(sharing: Sharing, controlled: NDArray[np.bool_], n_subdomains:
     Chains
         Of jumps and of reactions.
     """
-    n_unknowns = len(controlled)
+    n_unknowns = len(has_row)
     shared = sharing.multiplicity > 1
     with_jump = np.flatnonzero(shared)
-    with_reaction = np.flatnonzero(shared & controlled)
+    with_reaction = np.flatnonzero(shared & has_row)
     unknown = np.concatenate([with_jump, with_reaction])
     kind = np.repeat([JUMPS, REACTIONS], [len(with_jump), len(with_reaction)])
     owner = sharing.lowest[unknown]
@@ -153,7 +153,8 @@ def number_chains(sharing: Sharing, controlled: NDArray[np.bool_], n_subdomains:
 
 
 def build_subdomains(kinematics: RegionKinematics, parts: NDArray[np.int64], controlled: NDArray[np.bool_],
-                     interior: NDArray[np.bool_] | None = None) -> list[Subdomain]:
+                     interior: NDArray[np.bool_] | None = None,
+                     has_row: NDArray[np.bool_] | None = None) -> list[Subdomain]:
     """Cut a mesh and its unknowns into self-contained subdomains.
 
     Parameters
@@ -166,6 +167,8 @@ def build_subdomains(kinematics: RegionKinematics, parts: NDArray[np.int64], con
         Whether each unknown's equilibrium row is controlled (P of Eq. 11 of [BP17]).
     interior : (n_nodes,) array of bool, optional
         Nodes at which texture is weighed against mechanics; by default those that are not on the mesh's boundary.
+    has_row : (n_unknowns,) array of bool, optional
+        Whether Kbar has a row for each unknown, of whatever weight; by default for controlled ones.
 
     Returns
     -------
@@ -176,7 +179,7 @@ def build_subdomains(kinematics: RegionKinematics, parts: NDArray[np.int64], con
     n_subdomains = int(parts.max()) + 1
     nodes = share_nodes(mesh, parts)
     unknowns = share_unknowns(nodes, kinematics)
-    chains = number_chains(unknowns, controlled, n_subdomains)
+    chains = number_chains(unknowns, controlled if has_row is None else has_row, n_subdomains)
     if interior is None:
         interior = np.ones(mesh.n_nodes, dtype=bool)
         interior[find_boundary_nodes(mesh)] = False

@@ -11,7 +11,12 @@ from scipy import sparse
 
 from ddic.case.schema import Case, RegularizationSection
 from ddic.errors import InputError, as_collective
-from ddic.functionals.equilibrium_gap import controlled_stiffness, find_cut_off_weight, measure_texture_energies
+from ddic.functionals.equilibrium_gap import (
+    controlled_stiffness,
+    find_cut_off_weight,
+    find_edge_weight,
+    measure_texture_energies,
+)
 from ddic.parallel.team import Team, require_held
 from ddic.partition.subdomain import Subdomain, interface_weights
 from ddic.problem.region_mesh import Region, build_material
@@ -38,11 +43,14 @@ class Assembly:
         Weight of the equilibrium gap, grey levels squared per pixel squared; 0 without.
     mean_diagonal : float
         Mean of diag M over the first camera's unknowns, grey levels squared per pixel squared.
+    edge_weight : float
+        P of rows that are not controlled.
     """
 
     systems: list[LocalSystem]
     eta: float
     mean_diagonal: float
+    edge_weight: float = 0.0
 
     @property
     def smallest_eigenvalue(self) -> float:
@@ -109,38 +117,53 @@ def assemble(team: Team, case: Case, region: Region, references: Sequence[Refere
         nothing = np.zeros(0)
         systems = [LocalSystem(r.subdomain, m, None, nothing, 0.0) for r, m in zip(references, projected, strict=True)]
         return Assembly(systems, 0.0, mean_diagonal)
-    eta = _find_eta(team, section, region, references, hessians)
+    gap = _weigh_gap(team, section, region, references, hessians)
     systems = team.together(lambda: [
-        _system(case, r.subdomain, m, eta, rotation) for r, m in zip(references, projected, strict=True)])
-    return Assembly(systems, eta, mean_diagonal)
+        _system(case, r.subdomain, m, gap, rotation) for r, m in zip(references, projected, strict=True)])
+    return Assembly(systems, gap.eta, mean_diagonal, gap.of_edges)
 
 
-def _find_eta(team: Team, section: RegularizationSection, region: Region, references: Sequence[ReferenceViews],
-              hessians: Sequence[Hessians]) -> float:
-    """Weight of the equilibrium gap: given, or that of the cut-off wavelength [LPHR11]; one for the whole region."""
-    if section.eta is not None:
-        return section.eta
-    gap = region.gap_energies
-    wavelength = section.cut_off_wavelength
-    if gap is None or wavelength is None or not gap.reshape(-1, 2).any(axis=1).all():
+@dataclass(frozen=True)
+class _GapWeight:
+    """What equilibrium weighs, one for the whole region.
+
+    eta : grey levels squared per pixel squared; of_edges : of rows that are not controlled, relative to the others.
+    """
+
+    eta: float
+    of_edges: float
+
+
+def _weigh_gap(team: Team, section: RegularizationSection, region: Region, references: Sequence[ReferenceViews],
+               hessians: Sequence[Hessians]) -> _GapWeight:
+    """The weight that is given, or that of the cut-off wavelength [LPHR11], and with it that of the edges."""
+    probe = require_held(region.probe)
+    is_weighable = probe.gap_energies.reshape(-1, 2).any(axis=1).all()
+    if not is_weighable and section.eta is None:
         raise as_collective(InputError(
             "regularization.cut_off_wavelength: the mesh has no interior node, so no wavelength can be given a "
             "weight; use a finer mesh or give regularization.eta"))
+    if not is_weighable:
+        return _GapWeight(require_held(section.eta), 0.0)
     texture = team.ordered_sum([
-        r.own.weight * measure_texture_energies(r.subdomain.mesh.nodes, m[0], r.subdomain.interior, wavelength)
+        r.own.weight * measure_texture_energies(r.subdomain.mesh.nodes, m[0], r.subdomain.interior, probe.wavelength)
         for r, m in zip(references, hessians, strict=True)])
-    return find_cut_off_weight(texture, gap)
+    eta_of_probe = find_cut_off_weight(texture, probe.gap_energies)
+    eta = eta_of_probe if section.eta is None else section.eta
+    return _GapWeight(eta, find_edge_weight(eta, (probe.wavelength, eta_of_probe), section.edge_wavelength))
 
 
-def _system(case: Case, subdomain: Subdomain, hessian: sparse.csr_matrix, eta: float,
+def _system(case: Case, subdomain: Subdomain, hessian: sparse.csr_matrix, gap: _GapWeight,
             rotation: NDArray[np.float64] | None) -> LocalSystem:
-    """M_s and Kbar_s = diag(w) P T^T K T of one subdomain, Eq. 11 of [BP17]."""
-    weights = interface_weights(subdomain.multiplicity, case.solver.weighting) * subdomain.controlled
+    """M_s, diag(w) T^T K T and P of one subdomain, Eq. 11 of [BP17]; P is small at edges, not 0."""
+    weights = interface_weights(subdomain.multiplicity, case.solver.weighting)
     material = build_material(require_held(case.regularization))
-    kbar = controlled_stiffness(subdomain.kinematics, material, weights, rotation)
+    of_field = controlled_stiffness(subdomain.kinematics, material, weights, rotation)
     # A camera's motion is no displacement of matter, hence in no equilibrium.
-    of_motion = sparse.csr_matrix((kbar.shape[0], subdomain.n_motion))
-    return LocalSystem(subdomain, hessian, sparse.hstack([kbar, of_motion]).tocsr(), weights, eta)
+    of_motion = sparse.csr_matrix((of_field.shape[0], subdomain.n_motion))
+    stiffness = sparse.hstack([of_field, of_motion]).tocsr()
+    projection = np.where(subdomain.controlled, 1.0, gap.of_edges)
+    return LocalSystem(subdomain, hessian, stiffness, weights, gap.eta, projection)
 
 
 def _mean_diagonal(team: Team, references: Sequence[ReferenceViews], hessians: Sequence[sparse.csr_matrix],

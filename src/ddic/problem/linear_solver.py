@@ -8,7 +8,6 @@ from types import TracebackType
 from typing import Self
 
 import numpy as np
-from scipy import sparse
 
 from ddic.case.schema import Case
 from ddic.parallel.phases import Phase, PhaseClock
@@ -98,13 +97,13 @@ class LinearSolver:
         """
         self.renew([None] * len(self.assembly.systems))
 
-    def renew(self, hessians: Sequence[sparse.csr_matrix | None]) -> None:
-        """Put new M_s in place of some subdomains' and factorise these again; collective.
+    def renew(self, systems: Sequence[LocalSystem | None]) -> None:
+        """Put new systems in place of some subdomains' and factorise these again; collective.
 
         Parameters
         ----------
-        hessians : sequence of (n_unknowns, n_unknowns) csr_matrix or None
-            New M_s of owned subdomains, None where it stays.
+        systems : sequence of LocalSystem or None
+            New ones of owned subdomains, None where the old one stays.
 
         Raises
         ------
@@ -112,10 +111,9 @@ class LinearSolver:
             On all ranks.
         """
         before = self.assembly
-        systems = [system if hessian is None else replace(system, hessian=hessian)
-                   for system, hessian in zip(before.systems, hessians, strict=True)]
-        self.assembly = replace(before, systems=systems)
-        changed = [hessian is not None or not self.is_set_up for hessian in hessians]
+        self.assembly = replace(before, systems=[old if new is None else new
+                                                 for old, new in zip(before.systems, systems, strict=True)])
+        changed = [system is not None or not self.is_set_up for system in systems]
         # The interface operators refer to the factors: they go first.
         self._free_step()
         try:

@@ -36,6 +36,22 @@ from ddic.problem.inputs import Inputs
 
 
 @dataclass(frozen=True)
+class ProbeWaves:
+    """Forces of plane waves on the whole mesh.
+
+    Attributes
+    ----------
+    wavelength : float
+        The cut-off wavelength, or, where eta is given, a quarter of the mesh's shorter side; pixels.
+    gap_energies : (n_waves,) array
+        |K v|^2 of each wave, square pixels.
+    """
+
+    wavelength: float
+    gap_energies: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
 class Region:
     """What every rank knows of the whole mesh.
 
@@ -47,8 +63,8 @@ class Region:
         Unknowns of the whole field.
     n_subdomains : int
         Number of subdomains.
-    gap_energies : (n_waves,) array or None
-        |K v|^2 of the plane waves of the cut-off wavelength; None where eta is given or nothing is regularized.
+    probe : ProbeWaves or None
+        Plane waves that say which eta belongs to which wavelength; None where nothing is regularized.
     mapping : Similarity
         From mesh units to pixels.
     """
@@ -57,7 +73,7 @@ class Region:
     n_cells: int
     n_field: int
     n_subdomains: int
-    gap_energies: NDArray[np.float64] | None
+    probe: ProbeWaves | None
     mapping: Similarity
 
 
@@ -116,8 +132,8 @@ class RegionMesh:
         Region
             Sizes, and |K v|^2 of plane waves.
         """
-        gaps = _gap_energies(self.inputs.case.regularization, self.mesh, self.interior)
-        return Region(self.mesh.n_nodes, self.mesh.n_cells, self.kinematics.n_unknowns, n_subdomains, gaps,
+        probe = _probe_mesh(self.inputs.case.regularization, self.mesh, self.interior)
+        return Region(self.mesh.n_nodes, self.mesh.n_cells, self.kinematics.n_unknowns, n_subdomains, probe,
                       self.mesh.mapping)
 
     def cut(self, parts: NDArray[np.int64]) -> tuple[list[Subdomain], NDArray[np.float64]]:
@@ -135,7 +151,10 @@ class RegionMesh:
         costs : (n_subdomains,) array
             Work of each, pixels.
         """
-        subdomains = build_subdomains(self.kinematics, parts, self.controlled, self.interior)
+        is_regularized = self.inputs.case.regularization is not None
+        # Also where equilibrium is not imposed: a frame may leave these unknowns to it.
+        has_row = np.full(self.kinematics.n_unknowns, is_regularized)
+        subdomains = build_subdomains(self.kinematics, parts, self.controlled, self.interior, has_row)
         cameras = [int(self.cameras[s.cell_ids[0]]) for s in subdomains]
         n_motion_unknowns = [camera.setup.n_motion_unknowns for camera in self.inputs.cameras]
         subdomains = add_motions(subdomains, cameras, n_motion_unknowns, self.kinematics.n_unknowns)
@@ -334,11 +353,11 @@ def _controlled_nodes(section: RegularizationSection | None, mesh: Mesh,
     return controlled
 
 
-def _gap_energies(section: RegularizationSection | None, mesh: Mesh,
-                  interior: NDArray[np.bool_]) -> NDArray[np.float64] | None:
-    if section is None or section.cut_off_wavelength is None:
+def _probe_mesh(section: RegularizationSection | None, mesh: Mesh, interior: NDArray[np.bool_]) -> ProbeWaves | None:
+    if section is None:
         return None
-    return measure_gap_energies(mesh, build_material(section), interior, section.cut_off_wavelength)
+    wavelength = section.cut_off_wavelength or float(np.ptp(mesh.nodes, axis=0).min()) / 4
+    return ProbeWaves(wavelength, measure_gap_energies(mesh, build_material(section), interior, wavelength))
 
 
 def _given_parts(solver: SolverSection, mesh: Mesh) -> NDArray[np.int64] | None:

@@ -1,4 +1,4 @@
-"""Which subdomains' M no longer fits what a frame shows, its pixels and their gradient, and their new M."""
+"""Which subdomains' systems no longer fit what a frame shows, its pixels and their gradient, and their new ones."""
 
 from __future__ import annotations
 
@@ -15,12 +15,14 @@ from ddic.functionals.moved_gradient import LARGE, measure_deformation
 from ddic.functionals.view import FrameView, View
 from ddic.images.blurred import Blur
 from ddic.parallel.team import Team
+from ddic.partition.subdomain import Subdomain
 from ddic.problem.assembly import Assembly, Hessians
 from ddic.problem.filled_cells import FilledCells, fill_cells
-from ddic.problem.held_unknowns import CellCounts, find_held, is_determined, sum_pixels
+from ddic.problem.held_unknowns import CellCounts, find_free_unknowns, find_held, sum_pixels
 from ddic.problem.moved_gradients import ByView, find_inverse_deformations
 from ddic.problem.region_rotation import STEP_ANGLE, fit_rigid_motion, measure_turn
 from ddic.problem.views import FrameViews
+from ddic.solvers.local_system import LocalSystem
 
 T = TypeVar("T")
 
@@ -103,6 +105,8 @@ class AssembledFrom:
         F^-1 with which their gradients were turned, of each subdomain and view; None where they were not.
     filled : list of (n_cells,) bool array
         Cells that were given an elastic energy, of each subdomain.
+    free : list of (n_field,) bool array
+        Unknowns that no pixel holds, which are in equilibrium, of each subdomain.
     angle : float
         By which the region had turned then, radians.
     blurs : tuple of (int, Blur)
@@ -112,6 +116,7 @@ class AssembledFrom:
     by_view: list[CellCounts]
     inverse_deformations: list[ByView]
     filled: list[NDArray[np.bool_]]
+    free: list[NDArray[np.bool_]]
     angle: float = 0.0
     blurs: tuple[tuple[int, Blur], ...] = ()
 
@@ -131,26 +136,27 @@ class AssembledFrom:
         """
         return cls([tuple(view.count_pixels() for view in views) for views in hessian_views],
                    [(None,) * len(views) for views in hessian_views],
-                   [np.zeros(views[0].correlation.mesh.n_cells, dtype=bool) for views in hessian_views])
+                   [np.zeros(views[0].correlation.mesh.n_cells, dtype=bool) for views in hessian_views],
+                   [np.zeros(views[0].kinematics.n_unknowns, dtype=bool) for views in hessian_views])
 
 
 @dataclass(frozen=True)
 class Renewal:
-    """New M of some subdomains, and what M of all of them is assembled from.
+    """New systems of some subdomains, and what those of all of them are assembled from.
 
     Attributes
     ----------
-    hessians : list of (n_unknowns, n_unknowns) csr_matrix or None
-        New M_s in the unknowns; None where it stays.
+    systems : list of LocalSystem or None
+        With a new M_s, and P where the frame leaves unknowns without pixels; None where the old one stays.
     assembled_from : AssembledFrom
-        What M is made of from now on.
+        What they are made of from now on.
     notes : tuple of str
         What the log says; nothing where nothing changes on any rank.
     filled : FilledCells or None
         The cells that nothing else holds; None where there are none.
     """
 
-    hessians: list[sparse.csr_matrix | None]
+    systems: list[LocalSystem | None]
     assembled_from: AssembledFrom
     notes: tuple[str, ...]
     filled: FilledCells | None = None
@@ -182,7 +188,7 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
         New M where more than ``rule.bound_changes`` of a subdomain's pixels have come or gone, or a cell has gained
         more than ``GAINED_SHARE``, or an unknown whose equilibrium is not controlled has lost more than ``LOST_SHARE``;
         or where a cell has turned or stretched by more than ``LARGE`` since, in a frame that asks for it; or where
-        other cells are left to neither pixels nor mechanics, which are filled.
+        other unknowns have no pixels: they are in equilibrium, or, without regularization, their cells are elastic.
     """
     counted, whole = assembled
     shown = team.together(lambda: [tuple(view.without_hidden(q_s) for view in of_subdomain.views)
@@ -192,25 +198,29 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
     subdomains = [of_subdomain.subdomain for of_subdomain in views]
     filled, angle = None, 0.0
     cells = [np.zeros(len(now[0]), dtype=bool) for now in counts]
-    if not is_determined(team, unseen, assembly):
+    free = find_free_unknowns(team, subdomains, unseen)
+    if free and not rule.is_regularized:
         cells = [np.sum(now, axis=0) == 0 for now in counts]
         angle = fit_rigid_motion(team, subdomains, q).angle
         filled = fill_cells(team, subdomains, cells, assembly.mean_diagonal, angle)
-
+    in_equilibrium = sorted(free) if rule.is_regularized else []
+    is_free = [np.isin(subdomain.kinematics.numbers, in_equilibrium) for subdomain in subdomains]
     now = AssembledFrom(counts, [_find_gradients(of_subdomain, q_s, rule)
-                                 for of_subdomain, q_s in zip(views, q, strict=True)], cells, angle, rule.blurs)
+                                 for of_subdomain, q_s in zip(views, q, strict=True)],
+                        cells, is_free, angle, rule.blurs)
     lost = [not _are_pixels_kept(of_subdomain, a, b, rule)
             for of_subdomain, a, b in zip(views, counted.by_view, now.by_view, strict=True)]
     turned = [not _are_gradients_kept(a, b)
               for a, b in zip(counted.inverse_deformations, now.inverse_deformations, strict=True)]
     is_turned = abs(measure_turn(counted.angle, angle)) > STEP_ANGLE
     refilled = [bool((a != b).any() or (b.any() and is_turned)) for a, b in zip(counted.filled, cells, strict=True)]
+    freed = [bool(((a != b) & ~subdomain.controlled).any())
+             for a, b, subdomain in zip(counted.free, is_free, subdomains, strict=True)]
+    left = [any(reasons) for reasons in zip(refilled, freed, strict=True)]
     is_other_image = rule.blurs != counted.blurs
-    renewed = [is_other_image or any(reasons) for reasons in zip(lost, turned, refilled, strict=True)]
+    renewed = [is_other_image or any(reasons) for reasons in zip(lost, turned, left, strict=True)]
 
-    def assemble(number: int) -> sparse.csr_matrix | None:
-        if not renewed[number]:
-            return None
+    def assemble(number: int) -> sparse.csr_matrix:
         followed = _follow(shown[number], now.inverse_deformations[number])
         hessian = _assemble_shown(views[number].views, followed, whole[number], rule)
         if filled is not None:
@@ -220,18 +230,30 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
         is_filled = None if filled is None else filled.stiffness[number].diagonal() > 0
         return _hold_shared(views[number], hessian, whole[number], is_filled)
 
-    hessians = team.together(lambda: [assemble(number) for number in range(len(views))])
+    def set_up(number: int) -> LocalSystem | None:
+        if not renewed[number]:
+            return None
+        system = replace(assembly.systems[number], hessian=assemble(number))
+        return replace(system, projection=_control(assembly, subdomains[number], is_free[number]))
+
+    systems = team.together(lambda: [set_up(number) for number in range(len(views))])
     assembled_from = AssembledFrom(_choose(renewed, now.by_view, counted.by_view),
                                    _choose(renewed, now.inverse_deformations, counted.inverse_deformations),
-                                   cells, counted.angle if not is_turned else angle, rule.blurs)
+                                   cells, _choose(renewed, is_free, counted.free),
+                                   counted.angle if not is_turned else angle, rule.blurs)
     notes = (*_describe(team, views, lost, "lost or gained more pixels than their operators bear: these are renewed"),
              *_describe(team, views, turned, "turned or stretched by more than 10 %: their operators take the gradient "
                                              "of the deformed image"),
-             *_describe(team, views, refilled, "hold cells that the frame does not show, or shows again, and nothing "
+             *_describe(team, views, left, "hold cells that the frame does not show, or shows again, and nothing "
                                                "else holds: these follow their neighbours"))
     if is_other_image:
         notes = (*notes, "all operators take the reference image as sharp as the frame")
-    return Renewal(hessians, assembled_from, notes, filled)
+    return Renewal(systems, assembled_from, notes, filled)
+
+
+def _control(assembly: Assembly, subdomain: Subdomain, is_free: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Diagonal of P: what no pixel holds is in equilibrium, as if nothing loaded it."""
+    return np.where(subdomain.controlled | is_free, 1.0, assembly.edge_weight)
 
 
 def _choose(is_new: Sequence[bool], new: Sequence[T], old: Sequence[T]) -> list[T]:

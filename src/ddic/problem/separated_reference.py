@@ -6,6 +6,7 @@ import numpy as np
 
 from ddic.case.schema import RegularizationSection
 from ddic.errors import InputError
+from ddic.functionals.equilibrium_gap import find_edge_weight
 from ddic.images.sub_image import read_reference
 from ddic.images.window import Window
 from ddic.parallel.team import Team
@@ -121,17 +122,18 @@ def build_regularization(section: RegularizationSection | None, reference: Refer
     # Where the weight is given, any wavelength tells which one it stands for.
     wavelength = section.cut_off_wavelength or min(along_x.length, along_y.length) / 4
     waves = build_plane_waves(along_x, along_y, wavelength)
-    if section.operator == "tikhonov":
-        operator = build_tikhonov(along_x, along_y)
-        energies = measure_wave_gradients(operator, waves)
-    else:
-        material = build_material(section)
-        operator = build_equilibrium_gap(along_x, along_y, material, choose_controlled_lines(section, rectangle))
-        energies = measure_wave_gaps(along_x, along_y, material, waves)
+    is_gap = section.operator == "equilibrium_gap"
+    tikhonov, material = build_tikhonov(along_x, along_y), build_material(section)
+    energies = (measure_wave_gaps(along_x, along_y, material, waves) if is_gap
+                else measure_wave_gradients(tikhonov, waves))
     weight = find_weight(measure_wave_textures(along_x, along_y, waves, reference.sum_texture), energies)
+    probe = (wavelength, weight)
     if section.eta is not None:
         wavelength *= (section.eta / weight) ** (1 / POWER[section.operator])
         weight = section.eta
+    of_edges = find_edge_weight(weight, probe, section.edge_wavelength)
+    lines = choose_controlled_lines(section, rectangle)
+    operator = build_equilibrium_gap(along_x, along_y, material, lines, of_edges) if is_gap else tikhonov
     weighted = SeparatedOperator(operator.rows, operator.columns, weight * operator.x, operator.y)
     per_wave = OF_TIKHONOV if section.operator == "tikhonov" else OF_GAP
     return Regularization(weighted, weight, per_wave / wavelength)

@@ -296,10 +296,13 @@ class WeightedProblem:
             renewal = find_renewal(self.team, model.views, q, (self._assembled_from, self.reference.hessians), rule,
                                    self.solver.assembly)
         if renewal.notes or not self.solver.is_set_up:
-            self.n_assembled += sum(hessian is not None for hessian in renewal.hessians)
-            self.solver.renew(renewal.hessians)
+            self.n_assembled += sum(system is not None for system in renewal.systems)
+            self.solver.renew(renewal.systems)
             # Not before: where the factorisation fails, the next frame asks for it again.
             self._assembled_from = renewal.assembled_from
+            if model.rotation is not None:
+                # Of the rows that count now.
+                model = replace(model, rotation=HeldRotation(self.team, tuple(self.solver.assembly.systems)))
         if self._size is None:
             self._size = measure_problem_size(self.team, self.reference, self.solver)
         return replace(model, filled=renewal.filled), renewal.notes

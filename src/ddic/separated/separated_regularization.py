@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -208,9 +209,28 @@ class ControlledLines:
     x: NDArray[np.bool_]
     y: NDArray[np.bool_]
 
+    def factorize_weights(self, of_others: float) -> list[tuple[Array, Array]]:
+        """Factorize the squares of the weights of rows.
+
+        Parameters
+        ----------
+        of_others : float
+            Weight of rows that are not controlled, relative to the others.
+
+        Returns
+        -------
+        list of two (n_x,) and (n_y,) arrays
+            Products whose sum is the square of each node's weight.
+        """
+        controlled = (self.x.astype(float), self.y.astype(float))
+        if of_others == 0 or (self.x.all() and self.y.all()):
+            return [controlled]
+        everywhere = (np.full(len(self.x), of_others**2), np.ones(len(self.y)))
+        return [((1.0 - of_others**2) * controlled[0], controlled[1]), everywhere]
+
 
 def build_equilibrium_gap(along_x: LineElements, along_y: LineElements, material: Material,
-                          controlled: ControlledLines) -> SeparatedOperator:
+                          controlled: ControlledLines, edge_weight: float = 0.0) -> SeparatedOperator:
     """Build Kbar^T Kbar, Kbar = P K, of the Q4 elements between the lines of a rectangle.
 
     Parameters
@@ -220,23 +240,22 @@ def build_equilibrium_gap(along_x: LineElements, along_y: LineElements, material
     material : Material
         The same everywhere.
     controlled : ControlledLines
-        P.
+        Lines on which P is 1.
+    edge_weight : float, optional
+        P elsewhere, 0 by default.
 
     Returns
     -------
     SeparatedOperator
-        Eight terms for each pair of components, square pixels.
+        Eight terms for each pair of components, sixteen with a weight of edges; square pixels.
     """
     stiffness = factorize_stiffness(along_x, along_y, material)
-    p_x, p_y = (np.asarray(lines, dtype=float) for lines in (controlled.x, controlled.y))
     terms: list[tuple[int, int, Product]] = []
-    for c in range(2):
-        for d in range(2):
-            for row in range(2):
-                for left_x, left_y in stiffness[row, c]:
-                    for right_x, right_y in stiffness[row, d]:
-                        terms.append((c, d, (multiply_matrices(transpose(left_x), p_x * right_x),
-                                             multiply_matrices(transpose(left_y), p_y * right_y))))
+    for p_x, p_y in controlled.factorize_weights(edge_weight):
+        for c, d, row in product(range(2), repeat=3):
+            for (left_x, left_y), (right_x, right_y) in product(stiffness[row, c], stiffness[row, d]):
+                terms.append((c, d, (multiply_matrices(transpose(left_x), p_x * right_x),
+                                     multiply_matrices(transpose(left_y), p_y * right_y))))
     return _stack(terms)
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,19 +22,29 @@ class LocalSystem:
         Its unknowns and interfaces.
     hessian : (n_unknowns, n_unknowns) csr_matrix
         M_s, of the unknowns of the field and then of its camera's motion, grey levels squared per pixel squared.
-    controlled_stiffness : (n_field, n_unknowns) csr_matrix or None
-        Kbar_s with weighted interface rows; its columns of a motion are zero. None without regularization.
+    stiffness : (n_field, n_unknowns) csr_matrix or None
+        diag(w) T^T K T: interface rows are weighted, columns of a motion are zero. None without regularization.
     row_weights : (n_field,) array
-        Weights w of the rows of Kbar_s, no unit.
+        Weights w of interface rows (``interface_weights``), no unit.
     eta : float
         Weight of the equilibrium gap.
+    projection : (n_field,) array, optional
+        Diagonal of P: how much the equilibrium of each unknown counts, 0 to 1; by default all of it.
     """
 
     subdomain: Subdomain
     hessian: sparse.csr_matrix
-    controlled_stiffness: sparse.csr_matrix | None
+    stiffness: sparse.csr_matrix | None
     row_weights: NDArray[np.float64]
     eta: float
+    projection: NDArray[np.float64] | None = None
+
+    @cached_property
+    def controlled_stiffness(self) -> sparse.csr_matrix | None:
+        """Kbar_s = P diag(w) T^T K T, (n_field, n_unknowns); None without regularization."""
+        if self.stiffness is None or self.projection is None:
+            return self.stiffness
+        return (sparse.diags(self.projection) @ self.stiffness).tocsr()
 
     @property
     def operator(self) -> sparse.csr_matrix:
@@ -59,8 +70,8 @@ class LocalSystem:
             return self
         n = self.subdomain.n_field
         hessian = self.hessian[:n, :n].tocsr()
-        kbar = None if self.controlled_stiffness is None else self.controlled_stiffness[:, :n].tocsr()
-        return LocalSystem(self.subdomain, hessian, kbar, self.row_weights, self.eta)
+        stiffness = None if self.stiffness is None else self.stiffness[:, :n].tocsr()
+        return replace(self, hessian=hessian, stiffness=stiffness)
 
     @property
     def motion_columns(self) -> NDArray[np.float64]:

@@ -151,7 +151,7 @@ def _regularize(problem: _Problem, cut_off: float) -> LocalSystem:
         texture = measure_texture_energies(mesh.nodes, of_nodes, interior, cut_off)
         gap = measure_gap_energies(mesh, Material(), interior, cut_off)
         eta = find_cut_off_weight(texture, gap)
-    return LocalSystem(subdomain, problem.view.project(of_nodes), kbar, problem.row_weights, eta)
+    return LocalSystem(subdomain, problem.view.project(of_nodes), kbar, np.ones(len(problem.row_weights)), eta)
 
 
 def _residual_rms(model: ResidualModel, q: NDArray[np.float64]) -> float:

@@ -76,7 +76,7 @@ def _soften(system: LocalSystem) -> sparse.csr_matrix:
     weights = np.ones(system.controlled_stiffness.shape[0])
     weights[system.subdomain.reactions.unknowns] = np.sqrt(SOFTENING)
     softened = (sparse.diags(weights) @ system.controlled_stiffness).tocsr()
-    return replace(system, controlled_stiffness=softened).operator
+    return replace(system, stiffness=softened, projection=None).operator
 
 
 def _make_start(kinematics: Kinematics, n_columns: int) -> NDArray[np.float64]:
