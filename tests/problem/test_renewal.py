@@ -47,7 +47,7 @@ class Region:
                            for s in self.own]
         self.hessians = [[r.own.assemble_hessian()] for r in self.references]
         self.q = [np.zeros(s.n_unknowns) for s in self.own]
-        self.whole = AssembledFrom.all_of([r.views for r in self.references])
+        self.whole = AssembledFrom.all_of(self.references)
         systems = [LocalSystem(s, m, None, np.zeros(0), 0.0) for s, (m,) in zip(self.own, self.hessians, strict=True)]
         self.assembly = Assembly(systems, 0.0, 1.0)
 

@@ -92,6 +92,21 @@ class GradientImage:
         return GradientImage(window, self.values[inside], self.by_x[inside], self.by_y[inside],
                              None if self.usable is None else self.usable[inside].copy())
 
+    def subtract(self, light: NDArray[np.float32]) -> GradientImage:
+        """Subtract grey levels that vary so slowly that slopes do not know them.
+
+        Parameters
+        ----------
+        light : (window.height, window.width) array
+            Grey levels.
+
+        Returns
+        -------
+        GradientImage
+            With arrays of its own: kernels step through all three alike.
+        """
+        return GradientImage(self.window, self.values - light, self.by_x.copy(), self.by_y.copy(), self.usable)
+
 
 def compute_coefficients(values: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
     """Prefilter an image for B-spline interpolation with reflection at its edges.

@@ -21,7 +21,7 @@ from ddic.problem.filled_cells import FilledCells, fill_cells
 from ddic.problem.held_unknowns import CellCounts, find_free_unknowns, find_held, sum_pixels
 from ddic.problem.moved_gradients import ByView, find_inverse_deformations
 from ddic.problem.region_rotation import STEP_ANGLE, fit_rigid_motion, measure_turn
-from ddic.problem.views import FrameViews
+from ddic.problem.views import FrameViews, ReferenceViews
 from ddic.solvers.local_system import LocalSystem
 
 T = TypeVar("T")
@@ -121,23 +121,23 @@ class AssembledFrom:
     blurs: tuple[tuple[int, Blur], ...] = ()
 
     @classmethod
-    def all_of(cls, hessian_views: Sequence[Sequence[View]]) -> AssembledFrom:
+    def all_of(cls, references: Sequence[ReferenceViews]) -> AssembledFrom:
         """Count all pixels of the reference images, with their own gradients.
 
         Parameters
         ----------
-        hessian_views : sequence of sequence of View
-            Views of each subdomain.
+        references : sequence of ReferenceViews
+            Owned subdomains.
 
         Returns
         -------
         AssembledFrom
             Of these views.
         """
-        return cls([tuple(view.count_pixels() for view in views) for views in hessian_views],
-                   [(None,) * len(views) for views in hessian_views],
-                   [np.zeros(views[0].correlation.mesh.n_cells, dtype=bool) for views in hessian_views],
-                   [np.zeros(views[0].kinematics.n_unknowns, dtype=bool) for views in hessian_views])
+        return cls([tuple(view.count_pixels() for view in reference.views) for reference in references],
+                   [(None,) * len(reference.views) for reference in references],
+                   [np.zeros(reference.subdomain.mesh.n_cells, dtype=bool) for reference in references],
+                   [np.zeros(reference.subdomain.n_field, dtype=bool) for reference in references])
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from ddic.problem.cameras import Camera
 from ddic.problem.exclusions import Exclusions
 from ddic.problem.find_exclusions import AT_END, AT_START, Limits, find_exclusions
 from ddic.problem.grey_choice import choose_correction
+from ddic.problem.match_brightness import match_brightness
 from ddic.problem.match_sharpness import match_sharpness
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.seen_cells import SeenCells, TypicalCell, collect_cells, find_typical_cell, measure_seen_cells
@@ -76,9 +77,12 @@ def see_frame(case: Case, whole: ResidualModel, q: Sequence[Array], slopes: Sequ
     seen = measure_seen_cells(whole, evaluation, slopes)
     sample = collect_cells(whole, seen)
     chosen = _choose(case, whole, sample)
+    typical = _find_typical_cells(sample)
     if chosen.correction != whole.correction:
-        whole, evaluation = chosen, chosen.evaluate(q)
-    typical = {camera: find_typical_cell(cells) for camera, cells in sample.items()}
+        whole = match_brightness(chosen, seen, typical) if chosen.correction == "element" else chosen
+        evaluation = whole.evaluate(q)
+        seen = measure_seen_cells(whole, evaluation, slopes)
+        typical = _find_typical_cells(collect_cells(whole, seen))
     if case.correlation.spoilt_pixels == "keep":
         return SeenFrame(whole, evaluation, typical, Exclusions.nothing(whole.views))
     corrected = typical
@@ -119,7 +123,14 @@ def see_start(case: Case, cameras: Sequence[Camera], whole: ResidualModel, q: Se
     """
     seen = see_frame(case, whole, q, slopes, AT_START)
     matched, notes = match_sharpness(seen.whole, cameras, q, seen.typical)
-    return (see_frame(case, matched, q, slopes, AT_START) if notes else seen), notes
+    if not notes:
+        return seen, notes
+    # Blurred from the file, they are as bright as there.
+    return see_frame(case, replace(matched, correction=whole.correction), q, slopes, AT_START), notes
+
+
+def _find_typical_cells(sample: Mapping[int, SeenCells]) -> dict[int, TypicalCell]:
+    return {camera: find_typical_cell(cells) for camera, cells in sample.items()}
 
 
 def _choose(case: Case, whole: ResidualModel, sample: Mapping[int, SeenCells]) -> ResidualModel:

@@ -76,7 +76,7 @@ class WeightedProblem:
         self._weights: list[float] = []
         self._solver: LinearSolver | None = None
         self._size: ProblemSize | None = None
-        self._assembled_from = AssembledFrom.all_of([r.views for r in reference.references])
+        self._assembled_from = AssembledFrom.all_of(reference.references)
         # By which the stiffness is turned, radians.
         self._stiffness_angle = 0.0
         cameras = reference.inputs.cameras
@@ -321,5 +321,5 @@ class WeightedProblem:
             rotation = None if self._stiffness_angle == 0 else build_rotation(self._stiffness_angle)
             assembly = assemble(self.team, reference.inputs.case, reference.region, weighted, reference.hessians,
                                 rotation)
-        self._assembled_from = AssembledFrom.all_of([r.views for r in reference.references])
+        self._assembled_from = AssembledFrom.all_of(reference.references)
         self._solver = LinearSolver(self.team, reference.inputs.case, assembly, self._clock)
