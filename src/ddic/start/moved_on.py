@@ -93,10 +93,7 @@ def _find_shift(brought: _Brought, deformed: Array, blocks: NDArray[np.bool_], f
     if blocks.sum() < fewest:
         return None
     found = find_rigid_shift(brought.grey, deformed, blocks)
-    if found.coefficient < LEAST_COEFFICIENT:
-        return None
-    x, y = found.shift
-    return RigidShift((factor * x, factor * y), found.coefficient)
+    return found.scale(factor) if found.coefficient >= LEAST_COEFFICIENT else None
 
 
 def _bring(given: CutField, pair: BinnedPair) -> _Brought:

@@ -124,5 +124,4 @@ def _find_shift(pair: BinnedPair, part: Mesh, fewest: float) -> RigidShift:
     if blocks.sum() < fewest:
         return RigidShift((0.0, 0.0), 0.0)
     found = find_rigid_shift(pair.reference.read_whole(), pair.deformed.read_whole(), blocks)
-    x, y = found.shift
-    return RigidShift((pair.factor * x, pair.factor * y), found.coefficient, found.n_alike)
+    return found.scale(pair.factor)
