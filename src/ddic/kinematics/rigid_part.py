@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.plane import multiply_across
+from ddic.mesh.plane import build_rotation, multiply_across
 
 Array = NDArray[np.float64]
 
@@ -32,8 +32,7 @@ def project_rigid_motion_out(points: Array, displacement: Array) -> Array:
     after = after - after.mean(axis=0)
     cosine = (before * after).sum()
     sine = multiply_across(before, after).sum()
-    angle = np.arctan2(sine, cosine)
-    rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    rotation = build_rotation(np.arctan2(sine, cosine))
     return np.asarray(after @ rotation - before)
 
 
