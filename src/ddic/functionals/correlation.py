@@ -166,9 +166,7 @@ class Correlation:
         shown = np.isfinite(self.compute_residual_image(deformed, q)).astype(np.uint8)
         if self._count_pixels(shown) == self.n_usable_pixels:
             return self
-        if self.reference.usable is not None:
-            shown &= self.reference.usable
-        return replace(self, reference=replace(self.reference, usable=shown))
+        return replace(self, reference=self.reference.exclude(shown == 0))
 
     def compute_cell_hessians(self) -> NDArray[np.float64]:
         """Sum N^T grad f grad f^T N over the pixels of every cell.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,6 +123,6 @@ def _without_band(mesh: Mesh, raster: Raster, image: GradientImage, degree: int)
     pixels, _ = find_band_pixels(mesh, raster, degree)
     if not len(pixels):
         return image
-    usable = np.ones(image.values.shape, dtype=np.uint8) if image.usable is None else image.usable.copy()
-    usable[pixels[:, 1] - image.window.y0, pixels[:, 0] - image.window.x0] = 0
-    return replace(image, usable=usable)
+    near = np.zeros(image.values.shape, dtype=bool)
+    near[pixels[:, 1] - image.window.y0, pixels[:, 0] - image.window.x0] = True
+    return image.exclude(near)

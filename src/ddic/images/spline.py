@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -91,6 +91,22 @@ class GradientImage:
         inside = self.window.locate(window)
         return GradientImage(window, self.values[inside], self.by_x[inside], self.by_y[inside],
                              None if self.usable is None else self.usable[inside].copy())
+
+    def exclude(self, excluded: NDArray[np.bool_]) -> GradientImage:
+        """Exclude further pixels.
+
+        Parameters
+        ----------
+        excluded : (window.height, window.width) array of bool
+            Which.
+
+        Returns
+        -------
+        GradientImage
+            With an array of its own that says what is usable.
+        """
+        usable = np.asarray(~excluded, dtype=np.uint8)
+        return replace(self, usable=usable if self.usable is None else usable & self.usable)
 
 
 def compute_coefficients(values: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
