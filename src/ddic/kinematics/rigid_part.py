@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.mesh.corners import list_corners
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import build_rotation, multiply_across
 
@@ -81,9 +82,6 @@ def count_folded_cells(mesh: Mesh, moved: Array) -> int:
 
 def _list_edges(mesh: Mesh, values: Array) -> tuple[Array, Array]:
     """Differences of nodal values from each corner of each cell to the next one and to the one before, (n, 2) each."""
-    counts = np.repeat(np.diff(mesh.offsets), np.diff(mesh.offsets))
-    first = np.repeat(mesh.offsets[:-1], np.diff(mesh.offsets))
-    place = np.arange(len(first)) - first
-    at_corners = values[mesh.connectivity]
-    ahead, behind = first + (place + 1) % counts, first + (place - 1) % counts
-    return at_corners[ahead] - at_corners, at_corners[behind] - at_corners
+    corners = list_corners(mesh)
+    at_corners = values[corners.nodes]
+    return values[corners.ahead] - at_corners, values[corners.behind] - at_corners
