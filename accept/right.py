@@ -27,7 +27,6 @@ from accept.other_tables import measure_smoke, measure_table
 from accept.table import Check, Scale, run_table
 from bench.support.rows import Row
 from bench.support.runs import ddic_run, images
-from ddic.functionals.correlation import read_correlation
 from ddic.functionals.elasticity import Material, assemble_stiffness
 from ddic.functionals.equilibrium_gap import (
     evaluate_plane_waves,
@@ -36,6 +35,7 @@ from ddic.functionals.equilibrium_gap import (
     measure_texture_energies,
 )
 from ddic.functionals.half_amplitude import find_half_amplitudes
+from ddic.functionals.read_correlation import read_correlation
 from ddic.images.binned import ArraySource
 from ddic.images.sub_image import MaskedSource
 from ddic.io.result_reader import read_result

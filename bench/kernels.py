@@ -6,7 +6,7 @@ All are measured alternately in one process; rates are medians of CPU time and c
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial, reduce
@@ -20,7 +20,8 @@ from bench.support.c_kernel import PRECISIONS, TOLERANCES, compiled, right_hand_
 from bench.support.rows import Row, append_result, main
 from bench.support.runs import DATA
 from bench.support.unstructured_mesh import write_unstructured_mesh
-from ddic.functionals.correlation import Correlation, read_correlations
+from ddic.functionals.correlation import Correlation
+from ddic.functionals.read_correlation import read_correlations
 from ddic.images.binned import ArraySource
 from ddic.images.spline import read_gradient, read_spline
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
@@ -152,8 +153,13 @@ def c_calls(p: Problem) -> dict[str, Callable[[], object]]:
                 if not np.abs(a - b).max() <= TOLERANCES[precision] * np.abs(b).max():
                     raise RuntimeError(f"the C kernel's sums in {precision} differ from ours by more than rounding")
             runs.append(run)
-        calls[f"C {precision}"] = lambda runs=runs: [run() for run in runs]  # type: ignore[misc]
+        calls[f"C {precision}"] = partial(_run_all, runs)
     return calls
+
+
+def _run_all(runs: Sequence[Callable[[], object]]) -> None:
+    for run in runs:
+        run()
 
 
 def our_calls(p: Problem) -> dict[str, Callable[[], object]]:

@@ -13,10 +13,11 @@ from scipy.sparse.linalg import splu
 
 import ddic
 from accept.support.opened_pair import picture
-from ddic.functionals.correlation import read_correlation
+from ddic.functionals.read_correlation import read_correlation
 from ddic.images.binned import ArraySource
 from ddic.images.sub_image import MaskedSource
 from ddic.kinematics.strain import compute_strain
+from ddic.mesh.plane import build_rotation
 from ddic.synth.inverse import find_reference_points
 from ddic.synth.speckle_texture import SpeckleTexture
 
@@ -111,8 +112,7 @@ def make_rotation(degrees: float, scale: float = 1.0) -> Array:
     (2, 2) array
         scale R - I.
     """
-    c, s = scale * np.cos(np.deg2rad(degrees)), scale * np.sin(np.deg2rad(degrees))
-    return np.array([[c - 1, -s], [s, c - 1]])
+    return np.asarray(scale * build_rotation(np.deg2rad(degrees)) - np.eye(2))
 
 
 def render_deformed(deformation: Deformation, camera: Camera) -> Pair:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -118,8 +119,8 @@ def _reflect(levels: Array) -> Array:
     return np.asarray(levels + 120.0 * np.exp(-squared / (2 * 40.0**2)))
 
 
-def _add_clipped(levels: Array) -> Array:
-    return levels + 60.0
+def _change_brightness(gain: float, offset: float) -> SpoiltPair:
+    return _change_deformed(lambda levels: gain * levels + offset)
 
 
 def _hide(size: int, kind: str) -> SpoiltPair:
@@ -179,24 +180,22 @@ def _blank_half() -> SpoiltPair:
 
 
 BRIGHTNESS: Mapping[str, Callable[[], SpoiltPair]] = {
-    "brightness x 0.9 + 5": lambda: _change_deformed(lambda levels: 0.9 * levels + 5.0),
-    "brightness x 0.6 + 20": lambda: _change_deformed(lambda levels: 0.6 * levels + 20.0),
-    "brightness + 60, clipped": lambda: _change_deformed(_add_clipped),
-    "a ramp of brightness": lambda: _change_deformed(_brighten_in_a_ramp),
+    "brightness x 0.9 + 5": partial(_change_brightness, 0.9, 5.0),
+    "brightness x 0.6 + 20": partial(_change_brightness, 0.6, 20.0),
+    "brightness + 60, clipped": partial(_change_brightness, 1.0, 60.0),
+    "a ramp of brightness": partial(_change_deformed, _brighten_in_a_ramp),
     "a reflection, clipped": _reflect_and_hide,
 }
 
 HIDDEN: Mapping[str, Callable[[], SpoiltPair]] = {
-    f"{size} px of {kind}": (lambda size=size, kind=kind: _hide(size, kind))  # type: ignore[misc]
+    f"{size} px of {kind}": partial(_hide, size, kind)
     for size in (40, 80) for kind in ("black", "grey", "other speckle")}
 
 OTHERS: Mapping[str, Callable[[], SpoiltPair]] = {
     "dirt on the lens": _soil,
-    **{f"{pixels} px out of the image": (lambda pixels=pixels: draw_clean((60.0 + pixels, -7.2)))  # type: ignore[misc]
-       for pixels in (60, 120, 240)},
+    **{f"{pixels} px out of the image": partial(draw_clean, (60.0 + pixels, -7.2)) for pixels in (60, 120, 240)},
     "half of it blank": _blank_half,
 }
 
 BLURRED: Mapping[str, Callable[[], SpoiltPair]] = {
-    f"motion blur of {length} px": (lambda length=length: _blur(length))  # type: ignore[misc]
-    for length in (5, 9, 15)}
+    f"motion blur of {length} px": partial(_blur, length) for length in (5, 9, 15)}

@@ -16,11 +16,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.functionals import correlation as functional
 from ddic.images.binned import ArraySource
 from ddic.images.spline import read_gradient, read_spline
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.mesh.mesh import Mesh
+
+try:
+    from ddic.functionals import read_correlation as functional
+except ImportError:
+    # Of an older checkout.
+    from ddic.functionals import correlation as functional  # type: ignore[no-redef]
 
 LEAST_SECONDS = 0.03
 """CPU time of a measurement: a call is repeated until it takes as long. Longer is quieter."""

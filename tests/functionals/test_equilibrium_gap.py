@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from ddic.functionals import equilibrium_gap
-from ddic.functionals.correlation import read_correlation
 from ddic.functionals.elasticity import Material, assemble_stiffness
 from ddic.functionals.equilibrium_gap import (
     controlled_stiffness,
@@ -20,6 +19,7 @@ from ddic.functionals.equilibrium_gap import (
     measure_gap_energies,
     measure_texture_energies,
 )
+from ddic.functionals.read_correlation import read_correlation
 from ddic.images.sub_image import MaskedSource
 from ddic.kinematics.nodal import NodalKinematics, NodalRegion
 from ddic.mesh.mesh import Mesh

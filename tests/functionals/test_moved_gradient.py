@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ddic.functionals.correlation import Correlation, read_correlation
+from ddic.functionals.correlation import Correlation
 from ddic.functionals.moved_gradient import (
     compute_inverse_deformations,
     find_large_gradients,
@@ -13,6 +13,7 @@ from ddic.functionals.moved_gradient import (
     map_moments,
     measure_deformation,
 )
+from ddic.functionals.read_correlation import read_correlation
 from ddic.images.sub_image import DeformedSubImage
 from ddic.mesh.structured import build_structured_mesh
 from ddic.synth.speckle_texture import SpeckleTexture

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from ddic.images.rigid import find_rigid_shift
+from ddic.images.rigid import RigidShift, find_rigid_shift
 from ddic.synth.fields import Translation
 from support.pictures import pair_of
 
@@ -78,3 +78,7 @@ def test_flat_images_give_no_shift() -> None:
     flat = np.full((40, 50), 7.0)
     found = find_rigid_shift(flat, flat, np.ones(flat.shape, dtype=bool))
     assert (found.shift, found.coefficient) == ((0.0, 0.0), -1.0)
+
+
+def test_a_shift_of_binned_images_is_scaled_to_pixels() -> None:
+    assert RigidShift((1.5, -0.25), 0.8, 3).scale(4) == RigidShift((6.0, -1.0), 0.8, 3)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ddic.functionals.correlation import read_correlation
+from ddic.functionals.read_correlation import read_correlation
 from ddic.images.spline import PADDING, compute_coefficients, read_gradient, read_spline
 from ddic.images.sub_image import DeformedSubImage
 from ddic.images.window import Window
@@ -179,3 +179,16 @@ def test_bias_at_a_quarter_shift(degree: int, bound: float, axis: int) -> None:
     # Grey levels are not rounded here, so that a bias much below the table's would be a shift read wrongly.
     assert bound / 2 < bias[axis] < bound
     assert abs(bias[1 - axis]) < 5e-5
+
+
+def test_what_is_excluded_from_an_image_adds_up() -> None:
+    image = read_gradient(source(np.random.default_rng(4).uniform(size=(40, 50))).image, Window(3, 5, 33, 25), 3)
+    first, second = np.zeros((20, 30), dtype=bool), np.zeros((20, 30), dtype=bool)
+    first[2, 3] = second[2, 3] = second[7, 8] = True
+    once = image.exclude(first)
+    twice = once.exclude(second)
+    assert image.usable is None
+    assert once.usable is not None
+    assert twice.usable is not None
+    np.testing.assert_array_equal(once.usable == 0, first)
+    np.testing.assert_array_equal(twice.usable == 0, first | second)

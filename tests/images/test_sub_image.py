@@ -125,6 +125,14 @@ def test_usable_pixels_are_those_of_mask_and_saturation_together() -> None:
     assert source(values).find_usable(window) is None
 
 
+def test_whole_images_are_read_with_what_is_left_out() -> None:
+    pixels = np.array([[3.0, 250.0, 7.0], [1.0, 2.0, 255.0]])
+    image = source(pixels, pixels != 7.0, exclude_saturated=True)
+    whole = image.read_whole()
+    assert whole.dtype == np.float64
+    np.testing.assert_array_equal(whole, pixels)
+
+
 @pytest.mark.parametrize("window", [Window(0, 0, 1, 1), Window(299, 199, 300, 200), Window(100, 0, 101, 200)])
 def test_reference_window_has_room_for_the_prefilter(window: Window) -> None:
     image = recorder()

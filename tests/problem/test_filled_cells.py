@@ -13,13 +13,14 @@ from scipy.sparse.linalg import spsolve
 from ddic.functionals.elasticity import Material, integrate_cell_stiffness
 from ddic.kinematics.nodal import NodalRegion
 from ddic.mesh.mesh import Mesh
+from ddic.mesh.plane import build_rotation
 from ddic.parallel.distribution import split_evenly
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.split import split_by_blocks
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.filled_cells import HELD, STIFFNESS, FilledCells, fill_cells
-from ddic.problem.region_rotation import build_rotation, fit_rigid_motion
+from ddic.problem.region_rotation import fit_rigid_motion
 from support.pictures import square_mesh
 
 Array = NDArray[np.float64]

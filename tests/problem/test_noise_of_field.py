@@ -5,14 +5,11 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from ddic.errors import ConvergenceError
-from ddic.problem.exclusions import KEPT
 from ddic.results.measurement import Measurement
-from support.measuring import whole_field
-from support.spoilt import MESH, Spoilt, clean, hide, measure_files
+from support.spoilt import Spoilt, clean, hide, measure_files
 
 MANY = (60, 60, 170, 130)
 
@@ -54,29 +51,3 @@ def test_a_correction_that_is_more_than_noise_is_refused(tmp_path: Path, monkeyp
     # After one iteration from 2.8 px off.
     with pytest.raises(ConvergenceError, match="did not converge in 1 iterations"):
         stop_early(tmp_path, clean(), 1, AT_REST)
-
-
-def test_unmeasured_nodes_are_those_without_a_cell_that_counts(tmp_path: Path) -> None:
-    measured, _ = measure_files(tmp_path, hide(MANY), '[solver]\npartition = "blocks"\nblocks = [4, 4]\n')
-    whole = np.zeros(MESH.n_nodes, dtype=int)
-    states = np.zeros(MESH.n_cells, dtype=int)
-    for subdomain, is_unmeasured, (of_cells,) in zip(measured.subdomains, measured.unmeasured, measured.excluded.cells,
-                                                     strict=True):
-        whole[subdomain.node_ids] += is_unmeasured
-        states[subdomain.cell_ids] = of_cells
-    kept = np.unique(MESH.connectivity.reshape(-1, 4)[states == KEPT])
-    expected = ~np.isin(np.arange(MESH.n_nodes), kept)
-    # All copies of a node say the same.
-    multiplicity = np.zeros(MESH.n_nodes, dtype=int)
-    for subdomain in measured.subdomains:
-        multiplicity[subdomain.node_ids] += 1
-    np.testing.assert_array_equal(whole, multiplicity * expected)
-    assert expected.sum() >= 16
-    field = whole_field(measured)
-    np.testing.assert_array_equal(np.isnan(field).all(axis=1), expected)
-
-
-def test_mechanics_leave_no_node_unmeasured(tmp_path: Path) -> None:
-    measured, _ = measure_files(tmp_path, hide(MANY), "[regularization]\ncut_off_wavelength = 100.0\n")
-    assert not any(is_unmeasured.any() for is_unmeasured in measured.unmeasured)
-    assert measured.excluded.is_any(measured.team)

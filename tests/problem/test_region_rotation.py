@@ -9,7 +9,7 @@ import pytest
 from mpi4py import MPI
 
 from ddic.parallel.team import Team
-from ddic.problem.region_rotation import HeldRotation, RigidMotion, build_rotation, fit_rigid_motion
+from ddic.problem.region_rotation import HeldRotation, RigidMotion, fit_rigid_motion
 from support.cases import write_case, write_images
 from support.prepared import assemble_alike, prepare
 
@@ -63,7 +63,3 @@ def test_forces_take_the_gap_of_the_rotation_away(shared_path: Path) -> None:
     expected = system.eta * (kbar.T @ (kbar @ rest))
     np.testing.assert_allclose(total[system.subdomain.numbers], expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
     assert np.abs(expected).max() > 0
-
-
-def test_a_quarter_turn_takes_x_to_y() -> None:
-    np.testing.assert_allclose(build_rotation(np.pi / 2) @ [1.0, 0.0], [0.0, 1.0], atol=1e-15)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.images.camera import CameraMapping, similarity
+from ddic.mesh.plane import build_rotation
 
 RATIO_RANGE = 0.15
 """Relative error of the given ratio that the search covers; a larger one takes longer, for steps are shares of it."""
@@ -168,9 +169,7 @@ class TileSearch:
         """Find a tile in the far image; stretch, turn: shares of the ranges of ratio and rotation."""
         ratio = self.ratio * (1 + RATIO_RANGE * stretch)
         degrees = ROTATION_RANGE * turn
-        c = ratio * np.cos(np.deg2rad(degrees))
-        s = ratio * np.sin(np.deg2rad(degrees))
-        matrix = np.array([[c, -s], [s, c]])
+        matrix = ratio * build_rotation(np.deg2rad(degrees))
         half = (self.side - 1) / 2
         template = self._turned_tile(centre, matrix)
         coefficients = correlate_template(self.far, self.power, template)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import sys
-import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from ddic.errors import DdicError
+from ddic.cli.errors_as_lines import errors_as_lines
+from ddic.cli.warned import warnings_as_lines
 
 if TYPE_CHECKING:
     from ddic.calibration.camera_models import Kind
@@ -38,20 +37,14 @@ def calibrate(far: Path, near: Path, ratio: float, model: Kind, distortion: bool
     from ddic.images.grey_levels import check_finite
     from ddic.io.image_file import open_image
 
-    try:
-        with warnings.catch_warnings(record=True) as warned:
-            warnings.simplefilter("always", UserWarning)
+    with errors_as_lines():
+        with warnings_as_lines():
             images = [open_image(path) for path in (far, near)]
             for image in images:
                 check_finite(image)
             found = near_calibration.calibrate(images[0], images[1], ratio, model, distortion)
         if output is not None:
             _write(output, found)
-    except DdicError as error:
-        click.echo(str(error), err=True)
-        sys.exit(error.exit_code)
-    for warning in warned:
-        click.echo(f"warning: {warning.message}", err=True)
     for name, value in _lines(found):
         click.echo(f"{name:<20}{value}")
     if output is not None:

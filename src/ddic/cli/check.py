@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import sys
-import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from ddic.cli.errors_as_lines import errors_as_lines
+from ddic.cli.warned import warnings_as_lines
 from ddic.errors import InputError
 
 if TYPE_CHECKING:
@@ -33,20 +33,12 @@ def check(case_file: Path, drawing: Path | None) -> None:
     from ddic.case.loader import load_case
     from ddic.problem.check_ranks import check_case_file
 
-    try:
-        with warnings.catch_warnings(record=True) as warned:
-            warnings.simplefilter("always", UserWarning)
-            if drawing is not None:
-                _check_drawing(drawing)
-            report = check_case_file(case_file)
-            if drawing is not None:
-                _draw(load_case(case_file).case, drawing)
-    except InputError as error:
-        for line in error.problems:
-            click.echo(line, err=True)
-        sys.exit(error.exit_code)
-    for warning in warned:
-        click.echo(f"warning: {warning.message}", err=True)
+    with errors_as_lines(), warnings_as_lines():
+        if drawing is not None:
+            _check_drawing(drawing)
+        report = check_case_file(case_file)
+        if drawing is not None:
+            _draw(load_case(case_file).case, drawing)
     for name, value in _lines(report):
         click.echo(f"{name:<20}{value}")
     if drawing is not None:

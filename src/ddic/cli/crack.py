@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import click
 
+from ddic.cli.errors_as_lines import errors_as_lines
 from ddic.cli.warned import warnings_as_lines
-from ddic.errors import DdicError
 
 if TYPE_CHECKING:
     from ddic.fracture.crack_tip import CrackTip
@@ -33,15 +32,11 @@ def crack(file: Path, line: int, tip: tuple[float, float] | None, inner: float |
     from ddic.fracture.crack_tip import Ring, find_crack_tip
     from ddic.io.result_reader import read_result
 
-    try:
+    with errors_as_lines():
         with warnings_as_lines():
             result = read_result(file)
         found = find_crack_tip(result, line, tip=tip, poisson_ratio=poisson_ratio, plane=plane,
                                ring=Ring(inner, outer))
-    except DdicError as error:
-        for problem in str(error).splitlines():
-            click.echo(problem, err=True)
-        sys.exit(error.exit_code)
     units = result.attributes.get("units", {})
     for name, value in _lines(found, shear_modulus, float(units.get("pixel_size", 1.0)),
                               str(units.get("length_unit", "px"))):

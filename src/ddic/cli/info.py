@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import sys
-import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from ddic.cli.errors_as_lines import errors_as_lines
+from ddic.cli.warned import warnings_as_lines
 from ddic.errors import InputError
 
 if TYPE_CHECKING:
@@ -24,16 +24,8 @@ MOST_MODES = 10
 @click.argument("file", metavar="FILE", type=click.Path(path_type=Path))
 def info(file: Path) -> None:
     """Describe a result file, or an image: size, type, range, saturation, gradient energy."""
-    try:
-        with warnings.catch_warnings(record=True) as warned:
-            warnings.simplefilter("always", UserWarning)
-            lines = _describe(file)
-    except InputError as error:
-        for problem in error.problems:
-            click.echo(problem, err=True)
-        sys.exit(error.exit_code)
-    for warning in warned:
-        click.echo(f"warning: {warning.message}", err=True)
+    with errors_as_lines(), warnings_as_lines():
+        lines = _describe(file)
     for name, value in lines:
         click.echo(f"{name:<28}{value}")
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import csv
-import sys
 from pathlib import Path
 
 import click
 
+from ddic.cli.errors_as_lines import errors_as_lines
 from ddic.cli.warned import warnings_as_lines
-from ddic.errors import InputError
 
 
 @click.command()
@@ -32,7 +31,7 @@ def opening(file: Path, output: Path | None) -> None:
     from ddic.io.result_reader import read_result
 
     target = file.with_name(f"{file.stem}.opening.csv") if output is None else output
-    try:
+    with errors_as_lines(target):
         with warnings_as_lines():
             result = read_result(file)
         found = measure_openings(result)
@@ -42,13 +41,6 @@ def opening(file: Path, output: Path | None) -> None:
             for number, of_line in enumerate(found, start=1):
                 columns = (of_line.distance, *of_line.points.T, of_line.tangential, of_line.normal)
                 table.writerows([number, *(f"{value:.6g}" for value in row)] for row in np.column_stack(columns))
-    except InputError as error:
-        for problem in error.problems:
-            click.echo(problem, err=True)
-        sys.exit(error.exit_code)
-    except OSError as error:
-        click.echo(f"{target}: cannot be written ({error.strerror}); choose another --output", err=True)
-        sys.exit(InputError.exit_code)
     for number, of_line in enumerate(found, start=1):
         click.echo(f"line {number}: {len(of_line.points)} places, normal opening {_range(of_line.normal)}, tangential "
                    f"{_range(of_line.tangential)} px")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
+from ddic.cli.errors_as_lines import errors_as_lines
 from ddic.cli.warned import warnings_as_lines
 from ddic.errors import InputError
 
@@ -88,7 +87,7 @@ def plot(file: Path, kind: str, component: Literal["x", "y", "magnitude"], numbe
     from ddic.io.result_reader import read_result
 
     folder = file.parent if output is None else output
-    try:
+    with errors_as_lines(folder):
         _check_limits(kind, limits)
         with warnings_as_lines():
             result = read_result(file)
@@ -103,13 +102,6 @@ def plot(file: Path, kind: str, component: Literal["x", "y", "magnitude"], numbe
             target = folder / f"{file.stem}.{name}.{ending}"
             save_figure(figure, target, dpi)
             click.echo(target)
-    except InputError as error:
-        for line in error.problems:
-            click.echo(line, err=True)
-        sys.exit(error.exit_code)
-    except OSError as error:
-        click.echo(f"{folder}: cannot be written to ({error.strerror}); choose another --output", err=True)
-        sys.exit(InputError.exit_code)
 
 
 def _check_limits(kind: str, limits: tuple[float, float] | None) -> None:
@@ -168,12 +160,8 @@ def _reference(result: Result, image: Path | None) -> Preview | None:
             if named:
                 click.echo(f"warning: {named} is no longer there and not drawn; give the image by --image", err=True)
             return None
-    with warnings.catch_warnings(record=True) as warned:
-        warnings.simplefilter("always", UserWarning)
-        preview = read_preview(open_image(image))
-    for warning in warned:
-        click.echo(f"warning: {warning.message}", err=True)
-    return preview
+    with warnings_as_lines():
+        return read_preview(open_image(image))
 
 
 def _figure(kind: str, drawing: _Drawing, amplification: float | None) -> Figure:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import csv
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from ddic.errors import DdicError, InputError
+from ddic.cli.errors_as_lines import errors_as_lines
+from ddic.errors import InputError
 
 if TYPE_CHECKING:
     from ddic.api.known_displacements import Uncertainty
@@ -41,7 +41,7 @@ def uncertainty(case_file: Path, sizes: str, displacements: int, noise: float, o
     from ddic.io.plots.uncertainty_curves import draw_uncertainty
 
     folder = case_file.parent if output is None else output
-    try:
+    with errors_as_lines(folder):
         case = load_case(case_file).case
         image = open_image(case.images.reference)
         of_elements = _parse_sizes(sizes)
@@ -57,13 +57,6 @@ def uncertainty(case_file: Path, sizes: str, displacements: int, noise: float, o
         _write(found, table)
         figure = folder / f"{case_file.stem}.uncertainty.png"
         save_figure(draw_uncertainty(found.sizes, found.deviation, BASES), figure)
-    except DdicError as error:
-        for problem in str(error).splitlines():
-            click.echo(problem, err=True)
-        sys.exit(error.exit_code)
-    except OSError as error:
-        click.echo(f"{folder}: cannot be written to ({error.strerror}); choose another --output", err=True)
-        sys.exit(InputError.exit_code)
     for line_of_table in _list(found):
         click.echo(line_of_table)
     click.echo(table)

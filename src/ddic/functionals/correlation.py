@@ -2,40 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 from scipy import sparse
 
-from ddic.errors import InputError
 from ddic.functionals import pixel_kernels as kernels
 from ddic.functionals.grey_statistics import GreySums
-from ddic.functionals.line_band import find_band_pixels
+from ddic.functionals.kernel_images import convert_deformed, convert_reference
 from ddic.functionals.moved_gradient import compute_inverse_deformations, map_hessians, map_moments
 from ddic.functionals.torn_cells import find_torn_cells
-from ddic.images.spline import HALO, PADDING, GradientImage, SplineImage
-from ddic.images.sub_image import DeformedSubImage, MaskedSource, read_reference
+from ddic.images.spline import GradientImage
+from ddic.images.sub_image import DeformedSubImage
 from ddic.images.threads import ONE_THREAD, Threads
-from ddic.images.window import Window, merge_windows
-from ddic.kinematics.cell_interpolation import CellInterpolation, interpolate_cells
+from ddic.images.window import Window
+from ddic.kinematics.cell_interpolation import CellInterpolation
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.raster import Raster, rasterize
+from ddic.mesh.raster import Raster
 from ddic.mesh.shapes import pad_cells
-
-BAND = 32
-"""Height, pixels, of the bands in which cells are visited: of 16-px cells two rows. With a larger one, neighbours in a
-row are further apart in time and share fewer lines of the cache; with a smaller one, those of a column do."""
 
 FEWEST = 128
 """Cells of a thread's slice, some 0.2 ms: handing it over and the kernel's scratch arrays cost a tenth of that.
 Larger slices leave threads idle on small subdomains."""
-
-_NOTHING_EXCLUDED = np.zeros((0, 0), dtype=np.uint8)
 
 
 @dataclass(frozen=True)
@@ -65,6 +55,19 @@ class Residual:
 
 
 @dataclass(frozen=True)
+class _DisplacedPixels:
+    """What kernels take of a displacement.
+
+    order : (n,) cells to visit, in this order; u : (n_cells, 2, 4) coefficients of the displacement on the monomials,
+    pixels; g : the deformed image on a window that holds all displaced pixels.
+    """
+
+    order: NDArray[np.int64]
+    u: NDArray[np.float64]
+    g: kernels.DeformedPixels
+
+
+@dataclass(frozen=True)
 class Correlation:
     """One subdomain's pixels, reference image and interpolation.
 
@@ -81,7 +84,7 @@ class Correlation:
     extent : Window
         The whole image.
     order : (n_cells,) int64 array
-        Cells from left to right in bands of BAND rows, whatever the mesh's order: neighbours share the cache's lines.
+        Cells in the order of visiting, whatever the mesh's: neighbours share the cache's lines.
     threads : Threads
         They take slices of the cells; what comes of a cell depends on its pixels alone.
     inverse_deformations : (n_cells, 2, 2) array, optional
@@ -163,9 +166,7 @@ class Correlation:
         shown = np.isfinite(self.compute_residual_image(deformed, q)).astype(np.uint8)
         if self._count_pixels(shown) == self.n_usable_pixels:
             return self
-        if self.reference.usable is not None:
-            shown &= self.reference.usable
-        return replace(self, reference=replace(self.reference, usable=shown))
+        return replace(self, reference=self.reference.exclude(shown == 0))
 
     def compute_cell_hessians(self) -> NDArray[np.float64]:
         """Sum N^T grad f grad f^T N over the pixels of every cell.
@@ -181,7 +182,7 @@ class Correlation:
         hessians = np.zeros((n_cells, 4, 2, 4, 2))
 
         def accumulate(place: slice) -> None:
-            kernels.hessian_cells(self._cells(self.order[place]), shapes, reference, hessians)
+            kernels.hessian_cells(self._take_cells(self.order[place]), shapes, reference, hessians)
 
         self.threads.run_over(n_cells, FEWEST, accumulate)
         return hessians.reshape(n_cells, 8, 8)
@@ -218,16 +219,14 @@ class Correlation:
             Sums by cell.
         """
         n_cells = len(self.order)
-        u = self.interpolation.monomial_coefficients(q)
-        reference = self._reference_pixels
-        pixels = self._deformed_pixels(deformed.get_spline(self.find_displaced_window(q)))
-        order = self._order_whole_cells(q)
+        displaced, reference = self._displace_pixels(deformed, q), self._reference_pixels
         sums = kernels.CellSums(np.zeros((n_cells, 3, 2, 4)), np.zeros((n_cells, kernels.N_SUMS)))
 
         def accumulate(place: slice) -> None:
-            kernels.residual_sums(self._cells(order[place]), u, reference, pixels, all_kinds, sums)
+            cells = self._take_cells(displaced.order[place])
+            kernels.residual_sums(cells, displaced.u, reference, displaced.g, all_kinds, sums)
 
-        self.threads.run_over(len(order), FEWEST, accumulate)
+        self.threads.run_over(len(displaced.order), FEWEST, accumulate)
         return Residual(sums.moments, GreySums(sums.grey))
 
     def assemble_right_hand_side(self, residual: Residual, gain: NDArray[np.float64] | float = 1.0,
@@ -280,18 +279,16 @@ class Correlation:
             On the reference window, grey levels; NaN on pixels that do not count.
         """
         n_cells = len(self.order)
-        u = self.interpolation.monomial_coefficients(q)
-        reference = self._reference_pixels
-        pixels = self._deformed_pixels(deformed.get_spline(self.find_displaced_window(q)))
-        order = self._order_whole_cells(q)
+        displaced, reference = self._displace_pixels(deformed, q), self._reference_pixels
         gains = np.array(np.broadcast_to(np.asarray(gain, dtype=float), n_cells))
         offsets = np.array(np.broadcast_to(np.asarray(offset, dtype=float), n_cells))
         image = np.full(self.reference.values.shape, np.nan, dtype=np.float32)
 
         def write(place: slice) -> None:
-            kernels.fill_residual_pixels(self._cells(order[place]), u, reference, pixels, gains, offsets, image)
+            cells = self._take_cells(displaced.order[place])
+            kernels.fill_residual_pixels(cells, displaced.u, reference, displaced.g, gains, offsets, image)
 
-        self.threads.run_over(len(order), FEWEST, write)
+        self.threads.run_over(len(displaced.order), FEWEST, write)
         return image
 
     def find_displaced_window(self, q: NDArray[np.float64]) -> Window:
@@ -325,10 +322,12 @@ class Correlation:
     def _find_torn_cells(self, q: NDArray[np.float64]) -> NDArray[np.int64]:
         return find_torn_cells(self.mesh, q.reshape(self.mesh.nodes.shape))
 
-    def _order_whole_cells(self, q: NDArray[np.float64]) -> NDArray[np.int64]:
-        """The cells that are not torn, in the order of visiting."""
+    def _displace_pixels(self, deformed: DeformedSubImage, q: NDArray[np.float64]) -> _DisplacedPixels:
+        """Pixels of all cells that are not torn."""
         torn = self._find_torn_cells(q)
-        return self.order[~np.isin(self.order, torn)] if len(torn) else self.order
+        order = self.order[~np.isin(self.order, torn)] if len(torn) else self.order
+        g = deformed.get_spline(self.find_displaced_window(q))
+        return _DisplacedPixels(order, self.interpolation.monomial_coefficients(q), convert_deformed(g, self.extent))
 
     def _displaced_nodes(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """Nodes x + u, (n_nodes, 2), pixels."""
@@ -348,8 +347,8 @@ class Correlation:
         window = self.reference.window
         return int(self.raster.sum_by_cell(usable, window.x0, window.y0).sum())
 
-    def _cells(self, order: NDArray[np.int64]) -> kernels.Cells:
-        """Cells in the order of visiting."""
+    def _take_cells(self, order: NDArray[np.int64]) -> kernels.Cells:
+        """Cells as kernels take them, in the order of visiting."""
         raster = self.raster
         return kernels.Cells(order, self.interpolation.geometry, raster.first_row, raster.row_ptr,
                              raster.starts, raster.stops)
@@ -357,135 +356,4 @@ class Correlation:
     @cached_property
     def _reference_pixels(self) -> kernels.ReferencePixels:
         """The reference image as kernels take it; kept, because on a small subdomain it would cost some per cent."""
-        f = self.reference
-        return kernels.ReferencePixels(_flatten(f.values), _flatten(f.by_x), _flatten(f.by_y), _row_length(f.values),
-                                       f.window.x0, f.window.y0, _or_nothing(f.usable))
-
-    def _deformed_pixels(self, g: SplineImage) -> kernels.DeformedPixels:
-        """The deformed image as kernels take it."""
-        return kernels.DeformedPixels(_flatten(g.coefficients), _row_length(g.coefficients), g.degree,
-                                      g.window.x0, g.window.y0, _or_nothing(g.usable),
-                                      self.extent.width, self.extent.height)
-
-
-def read_correlation(mesh: Mesh, reference: MaskedSource, degree: int) -> Correlation:
-    """Rasterise a subdomain's mesh and read its window of the reference image.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        In the image's pixels.
-    reference : MaskedSource
-        The reference image.
-    degree : int
-        Of the spline, 3 or 5.
-
-    Returns
-    -------
-    Correlation
-        Of the subdomain.
-
-    Raises
-    ------
-    InputError
-        Where a pixel of the mesh lies outside the image.
-    """
-    return read_correlations([mesh], reference, degree)[0][0]
-
-
-def read_correlations(meshes: Sequence[Mesh], reference: MaskedSource, degree: int,
-                      threads: Threads = ONE_THREAD) -> list[list[Correlation]]:
-    """Rasterise several subdomains' meshes and read their windows of the reference image.
-
-    Neighbours share a window where it holds fewer pixels than their own ones, whose edges and halos overlap.
-
-    Parameters
-    ----------
-    meshes : sequence of Mesh
-        In the image's pixels.
-    reference : MaskedSource
-        The reference image.
-    degree : int
-        Of the spline, 3 or 5.
-    threads : Threads
-        Of all that is done with the subdomains' pixels.
-
-    Returns
-    -------
-    list of lists of Correlation
-        Groups, in the meshes' order, that share a window of the image.
-
-    Raises
-    ------
-    InputError
-        Where a pixel of a mesh lies outside the image.
-    """
-    rasters = [rasterize(mesh) for mesh in meshes]
-    windows = [raster.window for raster in rasters]
-    extent = reference.extent
-    if not all(extent.contains(window) for window in windows):
-        raise InputError(f"{reference.image.path}: pixels of the mesh lie outside the image "
-                         f"({extent.width} x {extent.height} px); move or cut the mesh")
-    groups: list[list[Correlation]] = []
-    for common, members in merge_windows(windows, HALO[degree] + PADDING[degree]):
-        image = read_reference(reference, common, degree, threads)
-        groups.append([])
-        for k in members:
-            own = _without_band(meshes[k], rasters[k], image.restrict(windows[k]), degree)
-            groups[-1].append(_correlation(meshes[k], rasters[k], own, extent, threads))
-    return groups
-
-
-def restrict_to_cells(whole: Correlation, cells: NDArray[np.int64]) -> Correlation:
-    """Take some of a subdomain's cells alone, with the same window of the image.
-
-    Parameters
-    ----------
-    whole : Correlation
-        The subdomain.
-    cells : (n,) int64 array
-        Their numbers.
-
-    Returns
-    -------
-    Correlation
-        Of these cells.
-    """
-    mesh, _ = whole.mesh.create_submesh(cells)
-    return _correlation(mesh, rasterize(mesh), whole.reference, whole.extent, whole.threads)
-
-
-def _correlation(mesh: Mesh, raster: Raster, image: GradientImage, extent: Window, threads: Threads) -> Correlation:
-    """Put the cells in order."""
-    x, y = mesh.centroids.T
-    order = np.lexsort((x, y // BAND)).astype(np.int64)
-    return Correlation(mesh, interpolate_cells(mesh), raster, image, extent, order, threads)
-
-
-def _without_band(mesh: Mesh, raster: Raster, image: GradientImage, degree: int) -> GradientImage:
-    """The window of the reference image with the pixels near a discontinuity left out."""
-    pixels, _ = find_band_pixels(mesh, raster, degree)
-    if not len(pixels):
-        return image
-    usable = np.ones(image.values.shape, dtype=np.uint8) if image.usable is None else image.usable.copy()
-    usable[pixels[:, 1] - image.window.y0, pixels[:, 0] - image.window.x0] = 0
-    return replace(image, usable=usable)
-
-
-def _flatten(image: NDArray[Any]) -> NDArray[Any]:
-    """An image (height, width), or a part of one, as one sequence of rows of ``_row_length``."""
-    if image.flags.c_contiguous:
-        return image.reshape(-1)
-    height, width = image.shape
-    n = (height - 1) * _row_length(image) + width
-    return as_strided(image, (n,), (image.itemsize,))
-
-
-def _row_length(image: NDArray[Any]) -> int:
-    """Numbers from one row of an image, or of a part of one, to the next."""
-    return int(image.strides[0] // image.itemsize)
-
-
-def _or_nothing(usable: NDArray[np.uint8] | None) -> NDArray[np.uint8]:
-    """An array whether or not anything is excluded, so that kernels are compiled once."""
-    return _NOTHING_EXCLUDED if usable is None else usable
+        return convert_reference(self.reference)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,22 @@ class RigidShift:
     shift: tuple[float, float]
     coefficient: float
     n_alike: int = 0
+
+    def scale(self, factor: float) -> RigidShift:
+        """Scale the translation: of binned images, to pixels of the images themselves.
+
+        Parameters
+        ----------
+        factor : float
+            Pixels of the other images in one of these.
+
+        Returns
+        -------
+        RigidShift
+            With the same coefficient.
+        """
+        x, y = self.shift
+        return replace(self, shift=(factor * x, factor * y))
 
 
 def find_rigid_shift(f: NDArray[np.float64], g: NDArray[np.float64], region: NDArray[np.bool_]) -> RigidShift:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -92,7 +92,7 @@ class GradientImage:
         return GradientImage(window, self.values[inside], self.by_x[inside], self.by_y[inside],
                              None if self.usable is None else self.usable[inside].copy())
 
-    def subtract(self, light: NDArray[np.float32]) -> GradientImage:
+    def correct_light(self, light: NDArray[np.float32]) -> GradientImage:
         """Subtract grey levels that vary so slowly that slopes do not know them.
 
         Parameters
@@ -106,6 +106,22 @@ class GradientImage:
             With arrays of its own: kernels step through all three alike.
         """
         return GradientImage(self.window, self.values - light, self.by_x.copy(), self.by_y.copy(), self.usable)
+
+    def exclude(self, excluded: NDArray[np.bool_]) -> GradientImage:
+        """Exclude further pixels.
+
+        Parameters
+        ----------
+        excluded : (window.height, window.width) array of bool
+            Which.
+
+        Returns
+        -------
+        GradientImage
+            With an array of its own that says what is usable.
+        """
+        usable = np.asarray(~excluded, dtype=np.uint8)
+        return replace(self, usable=usable if self.usable is None else usable & self.usable)
 
 
 def compute_coefficients(values: NDArray[np.float64], degree: int) -> NDArray[np.float64]:

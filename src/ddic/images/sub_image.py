@@ -55,6 +55,16 @@ class MaskedSource:
         """Whether pixels can be left out at all."""
         return self.mask is not None or self.saturated_from is not None
 
+    def read_whole(self) -> NDArray[np.float64]:
+        """Read all grey levels, left out or not: of coarse images, which are small.
+
+        Returns
+        -------
+        (height, width) array
+            Grey levels.
+        """
+        return self.image.read(self.extent).astype(np.float64)
+
     def find_usable(self, window: Window) -> NDArray[np.uint8] | None:
         """Find the pixels of a window that count.
 

@@ -13,6 +13,7 @@ from ddic.images.camera import CameraMapping
 from ddic.kinematics.kinematics import Kinematics
 from ddic.kinematics.seen_lines import see_parts
 from ddic.mesh.mesh import Mesh
+from ddic.mesh.plane import build_rotation
 
 MotionKind = Literal["none", "translation", "rigid"]
 
@@ -131,9 +132,7 @@ class CameraSetup:
         return columns.reshape(2 * n_points, self.n_motion_unknowns)
 
     def _rotation(self, motion: NDArray[np.float64]) -> NDArray[np.float64]:
-        angle = float(motion[2]) / self.length
-        c, s = np.cos(angle), np.sin(angle)
-        return np.array([[c, -s], [s, c]])
+        return build_rotation(float(motion[2]) / self.length)
 
 
 @dataclass(frozen=True, eq=False)

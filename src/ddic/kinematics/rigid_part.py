@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.mesh.corners import list_corners
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.plane import multiply_across
+from ddic.mesh.plane import build_rotation, multiply_across
 
 Array = NDArray[np.float64]
 
@@ -32,8 +33,7 @@ def project_rigid_motion_out(points: Array, displacement: Array) -> Array:
     after = after - after.mean(axis=0)
     cosine = (before * after).sum()
     sine = multiply_across(before, after).sum()
-    angle = np.arctan2(sine, cosine)
-    rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    rotation = build_rotation(np.arctan2(sine, cosine))
     return np.asarray(after @ rotation - before)
 
 
@@ -82,9 +82,6 @@ def count_folded_cells(mesh: Mesh, moved: Array) -> int:
 
 def _list_edges(mesh: Mesh, values: Array) -> tuple[Array, Array]:
     """Differences of nodal values from each corner of each cell to the next one and to the one before, (n, 2) each."""
-    counts = np.repeat(np.diff(mesh.offsets), np.diff(mesh.offsets))
-    first = np.repeat(mesh.offsets[:-1], np.diff(mesh.offsets))
-    place = np.arange(len(first)) - first
-    at_corners = values[mesh.connectivity]
-    ahead, behind = first + (place + 1) % counts, first + (place - 1) % counts
-    return at_corners[ahead] - at_corners, at_corners[behind] - at_corners
+    corners = list_corners(mesh)
+    at_corners = values[corners.nodes]
+    return values[corners.ahead] - at_corners, values[corners.behind] - at_corners

@@ -90,27 +90,32 @@ def find_mask_holes(mask: NDArray[np.bool_], region: Sequence[float], element_si
     list of OutlinedHole
         From top to bottom; specks of less than half an element's side across are left out.
     """
-    low = np.floor(region[:2]).astype(int) - 1
-    high = np.ceil(region[2:]).astype(int) + 2
-    left_out = np.ones((high[1] - low[1], high[0] - low[0]), dtype=np.uint8)
-    begin, end = np.maximum(low, 0), np.minimum(high, (mask.shape[1], mask.shape[0]))
-    if (begin < end).all():
-        rows, columns = slice(begin[1], end[1]), slice(begin[0], end[0])
-        inside = left_out[rows.start - low[1]:rows.stop - low[1], columns.start - low[0]:columns.stop - low[0]]
-        inside[...] = ~mask[rows, columns]
-    # Where the region is as large as the image, the margin around it is no hole.
-    left_out = np.pad(left_out[1:-2, 1:-2], ((1, 2), (1, 2)), mode="edge")
+    low, high = np.floor(region[:2]).astype(int), np.ceil(region[2:]).astype(int)
+    left_out = _find_left_out(mask, low, high)
     n, labels, sizes, _ = cv2.connectedComponentsWithStats(left_out, connectivity=4)
     large = [k for k in range(1, n) if sizes[k, cv2.CC_STAT_AREA] >= (0.5 * element_size) ** 2]
-    return [_outline(labels == k, low, element_size) for k in large]
+    return [_outline(labels == k, low - 1, element_size) for k in large]
+
+
+def _find_left_out(mask: NDArray[np.bool_], low: NDArray[np.int_], high: NDArray[np.int_]) -> NDArray[np.uint8]:
+    """1 on pixels from low to high, with a margin of one before and two after, that lie in no cell; low, high: (x, y).
+
+    The margin is as the pixels beside it: where the region is as large as the image, it is no hole.
+    """
+    x, y = (np.arange(first - 1, last + 2).clip(first, last - 1) for first, last in zip(low, high, strict=True))
+    height, width = mask.shape
+    is_inside = ((y >= 0) & (y < height))[:, None] & (x >= 0) & (x < width)
+    shown = mask[np.ix_(y.clip(0, height - 1), x.clip(0, width - 1))]
+    return np.asarray(~(is_inside & shown), dtype=np.uint8)
 
 
 def _outline(inside: NDArray[np.bool_], low: NDArray[np.int_], element_size: float) -> OutlinedHole:
-    """Outline of some pixels along their edges; low: of the first pixel."""
+    """Outline of some pixels along their edges; low: (x, y) of the array's first pixel."""
     padded = np.pad(inside, 1)
-    # Corners of these pixels: what lies between two of them is an edge.
+    # A contour through the corners of pixels runs along their edges.
     corners = padded[1:, 1:] | padded[:-1, 1:] | padded[1:, :-1] | padded[:-1, :-1]
     contours, _ = cv2.findContours(corners.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    # Corners lie half a pixel before the pixels' centres.
     polygons = [cv2.approxPolyDP(contour, STRAIGHT_PX, True)[:, 0] + low - 0.5 for contour in contours]
     rings = [polygon for polygon in polygons if len(polygon) >= 3]
     sharp = [_find_corners(ring, element_size) for ring in rings]
@@ -120,6 +125,7 @@ def _outline(inside: NDArray[np.bool_], low: NDArray[np.int_], element_size: flo
 def _find_corners(ring: Array, element_size: float) -> Array:
     """Vertices at which a closed polygon turns sharply between two long sides, (n, 2)."""
     behind, ahead = ring - np.roll(ring, 1, axis=0), np.roll(ring, -1, axis=0) - ring
-    turn = np.degrees(np.abs(np.arctan2(multiply_across(behind, ahead), (behind * ahead).sum(axis=1))))
-    long = np.minimum(np.linalg.norm(behind, axis=1), np.linalg.norm(ahead, axis=1)) >= 0.5 * element_size
-    return np.asarray(ring[(turn >= SHARP_DEGREES) & long])
+    sine, cosine = multiply_across(behind, ahead), (behind * ahead).sum(axis=1)
+    turn = np.degrees(np.abs(np.arctan2(sine, cosine)))
+    shorter = np.minimum(np.linalg.norm(behind, axis=1), np.linalg.norm(ahead, axis=1))
+    return np.asarray(ring[(turn >= SHARP_DEGREES) & (shorter >= 0.5 * element_size)])

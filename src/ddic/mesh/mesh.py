@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ddic.mesh.cell_parts import CellParts, Outlines, join_parts
 from ddic.mesh.cell_type import CELL_TYPES, CellType
+from ddic.mesh.plane import build_rotation
 
 
 @dataclass(frozen=True)
@@ -37,8 +38,7 @@ class Similarity:
     @property
     def axes(self) -> NDArray[np.float64]:
         """The mesh's axes in the image as columns, R S, (2, 2)."""
-        c, s = np.cos(self.angle), np.sin(self.angle)
-        rotation = np.array([[c, -s], [s, c]])
+        rotation = build_rotation(self.angle)
         return rotation @ np.diag([1.0, -1.0]) if self.y_up else rotation
 
     def to_pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:

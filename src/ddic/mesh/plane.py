@@ -1,9 +1,26 @@
-"""Vectors of the plane."""
+"""Vectors of the plane and their rotation."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+
+
+def build_rotation(angle: float) -> NDArray[np.float64]:
+    """Build the matrix of a rotation of the plane.
+
+    Parameters
+    ----------
+    angle : float
+        From x towards y, radians.
+
+    Returns
+    -------
+    (2, 2) array
+        R, which turns a vector v to R v.
+    """
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s], [s, c]])
 
 
 def multiply_across(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -66,7 +66,7 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[Array], 
     notes = (*of_blur, *notes)
     _tell(listener, notes)
     listener.problem_size(problem.size)
-    solved = begin_frame(problem, seen, model, q, notes)
+    solved = begin_frame(seen, model, q, notes)
     for n_rounds in range(1, MOST_ROUNDS + 1):
         n_before = len(solved.solution.records)
         solved = solve_further(problem, solved, Progress(clock, listener.iteration, n_before))

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
-import time
-import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -15,34 +12,14 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ddic.errors import DdicError, as_collective
+from ddic.parallel.portable_error import make_portable
+from ddic.parallel.waiting import Waiting
 
 T = TypeVar("T")
 Summable = TypeVar("Summable", int, float, NDArray[np.float64])
 
-_STREAM, _SENT, _EXCHANGED = 1, 2, 3
-"""Tags that keep apart a stream's items, items sent one by one and those of an exchange."""
-
-
-@dataclass
-class Waiting:
-    """CPU seconds that this rank has spent in a team's communication: MPI turns in a loop while it waits.
-
-    Attributes
-    ----------
-    seconds : float
-        So far.
-    """
-
-    seconds: float = 0.0
-
-    @contextmanager
-    def counted(self) -> Iterator[None]:
-        """Count the time spent inside."""
-        began = time.process_time()
-        try:
-            yield
-        finally:
-            self.seconds += time.process_time() - began
+_SENT, _EXCHANGED = 1, 2
+"""Tags that keep apart items sent one by one and those of an exchange."""
 
 
 @dataclass(frozen=True)
@@ -50,13 +27,13 @@ class Team:
     """A communicator and all operations of several ranks that ddic allows itself outside PETSc.
 
     Every operation is collective unless it says otherwise: all ranks call it, in the same order. Work that a rank does
-    inside one (``on_root``, ``build_on_root``, ``scatter_from_root``, ``together``, ``stream_to_root``) is free of
-    communication; an error there is raised on all ranks, so that none is left waiting.
+    inside one (``on_root``, ``build_on_root``, ``scatter_from_root``, ``together``) is free of communication; an error
+    there is raised on all ranks, so that none is left waiting.
 
     Attributes
     ----------
     comm : MPI.Comm
-        For PETSc's constructors; its own methods are called here alone.
+        For PETSc's constructors; its own methods are called in ``ddic.parallel`` alone.
     waiting : Waiting
         What this rank has spent in the operations, by which a busy rank is told from one that waits for it.
     """
@@ -135,7 +112,7 @@ class Team:
             try:
                 outcome = work()
             except Exception as caught:
-                error = _portable(caught, self.rank)
+                error = make_portable(caught, self.rank)
         error = self.broadcast(error)
         if error is not None:
             raise as_collective(error)
@@ -188,7 +165,7 @@ class Team:
             result = work()
         except Exception as caught:
             error = caught
-        self._raise_lowest(error)
+        self.share_error(error)
         final: T = result
         return final
 
@@ -215,12 +192,23 @@ class Team:
         except DdicError as error:
             raise as_collective(error) from error.__cause__
 
-    def _raise_lowest(self, error: Exception | None) -> None:
-        """Raise on all ranks what the lowest rank with an error brings."""
+    def share_error(self, error: Exception | None) -> None:
+        """Raise on all ranks what the lowest rank with an error brings.
+
+        Parameters
+        ----------
+        error : Exception or None
+            This rank's.
+
+        Raises
+        ------
+        Exception
+            Where a rank has one, on all ranks.
+        """
         with self.waiting.counted():
             failed = self.comm.allreduce(self.size if error is None else self.rank, op=MPI.MIN)
         if failed < self.size:
-            portable = None if error is None else _portable(error, self.rank)
+            portable = None if error is None else make_portable(error, self.rank)
             raise as_collective(self.broadcast(portable, failed))
 
     def abort(self, code: int) -> None:
@@ -411,52 +399,6 @@ class Team:
             result: T | None = self.comm.recv(source=0, tag=_SENT) if self.rank == to else None
         return result
 
-    def stream_to_root(self, items: Iterator[T], take: Callable[[T], object]) -> None:
-        """Bring all ranks' items to rank 0 one at a time, so that it never holds all of them.
-
-        Parameters
-        ----------
-        items : iterator
-            This rank's, each made when it is asked for.
-        take : callable
-            Called on rank 0 alone, with its own items, then with those of the others in the order of ranks.
-
-        Raises
-        ------
-        Exception
-            What the lowest rank that fails raises while it makes or takes an item, on all ranks.
-        """
-        error: Exception | None = None
-        try:
-            for item in items:
-                if self.is_root:
-                    take(item)
-                else:
-                    self._send_in_stream([item])
-        except Exception as caught:
-            error = caught
-        if self.is_root:
-            error = self._take_streams(take, error)
-        else:
-            # An empty message ends a rank's stream.
-            self._send_in_stream([])
-        self._raise_lowest(error)
-
-    def _take_streams(self, take: Callable[[T], object], error: Exception | None) -> Exception | None:
-        """Take what the other ranks send; after an error it is received all the same, for they wait for that."""
-        for rank in range(1, self.size):
-            while message := self._receive(rank, _STREAM):
-                if error is None:
-                    try:
-                        take(message[0])
-                    except Exception as caught:
-                        error = caught
-        return error
-
-    def _send_in_stream(self, message: list[T]) -> None:
-        with self.waiting.counted():
-            self.comm.send(message, dest=0, tag=_STREAM)
-
     def begin_send(self, item: object, to: int) -> MPI.Request:
         """Send an item to a rank without waiting until it arrives; not collective.
 
@@ -499,11 +441,8 @@ class Team:
         object
             The item.
         """
-        return self._receive(source, _SENT)
-
-    def _receive(self, source: int, tag: int) -> Any:
         with self.waiting.counted():
-            return self.comm.recv(source=source, tag=tag)
+            return self.comm.recv(source=source, tag=_SENT)
 
     def wait_for_all(self) -> None:
         """Wait until every rank has come here."""
@@ -544,18 +483,3 @@ def require_held(item: T | None) -> T:
     if item is None:
         raise RuntimeError("this rank holds nothing: another rank was given it")
     return item
-
-
-def _portable(error: Exception, rank: int) -> Exception:
-    """Return the error as other ranks can receive it; an unexpected one brings its traceback along as a note."""
-    if isinstance(error, DdicError):
-        return error
-    error.add_note(f"on rank {rank}:\n{''.join(traceback.format_exception(error))}")
-    try:
-        pickle.loads(pickle.dumps(error))
-    except Exception:
-        # Some exceptions cannot be rebuilt from their arguments, which would end the other ranks without a reason.
-        stand_in = RuntimeError(f"{type(error).__name__}: {error}")
-        stand_in.__notes__ = error.__notes__
-        return stand_in
-    return error

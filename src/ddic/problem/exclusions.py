@@ -50,9 +50,10 @@ class Exclusions:
         Exclusions
             Of these.
         """
-        return cls([tuple(np.zeros(view.view.correlation.mesh.n_cells, dtype=np.uint8) for view in of_subdomain.views)
-                    for of_subdomain in views],
-                   [tuple(np.zeros((0, 2), dtype=np.int64) for _ in of_subdomain.views) for of_subdomain in views])
+        cells = [tuple(np.full(view.view.correlation.mesh.n_cells, KEPT, dtype=np.uint8) for view in of_subdomain.views)
+                 for of_subdomain in views]
+        pixels = [tuple(np.zeros((0, 2), dtype=np.int64) for _ in of_subdomain.views) for of_subdomain in views]
+        return cls(cells, pixels)
 
     def is_any(self, team: Team) -> bool:
         """Tell whether anything is excluded; collective.
@@ -67,8 +68,7 @@ class Exclusions:
         bool
             The same on all ranks.
         """
-        n = sum(int(state.any()) for of_subdomain in self.cells for state in of_subdomain)
-        n += sum(len(spots) for of_subdomain in self.pixels for spots in of_subdomain)
+        n = sum(int(states.any()) for states in self._states) + sum(len(spots) for spots in self._spots)
         return bool(team.sum(n) > 0)
 
     def join(self, other: Exclusions) -> Exclusions:
@@ -103,7 +103,7 @@ class Exclusions:
         int
             By view.
         """
-        return int(team.sum(sum(int((state != KEPT).sum()) for of_subdomain in self.cells for state in of_subdomain)))
+        return int(team.sum(sum(int((states != KEPT).sum()) for states in self._states)))
 
     def is_other_than(self, team: Team, other: Exclusions) -> bool:
         """Tell whether another excludes other cells, or much more or less of the pixels; collective.
@@ -121,14 +121,23 @@ class Exclusions:
             The same on all ranks.
         """
         n_cells = sum(int(((a == KEPT) != (b == KEPT)).sum())
-                      for one, two in zip(self.cells, other.cells, strict=True) for a, b in zip(one, two, strict=True))
+                      for a, b in zip(self._states, other._states, strict=True))
         # One by one: a spot that has moved covers as many others.
-        n_pixels = sum(len(a) + len(b) - 2 * int(find_common_pixels(a, b).sum())
-                       for one, two in zip(self.pixels, other.pixels, strict=True)
-                       for a, b in zip(one, two, strict=True))
-        n_all = sum(len(a) for one in self.pixels for a in one)
-        changed = team.sum(np.array([n_cells, n_pixels, n_all], dtype=float))
-        return bool(changed[0] > 0 or changed[1] > PIXELS_CHANGED * max(changed[2], 1.0))
+        n_changed = sum(len(a) + len(b) - 2 * int(find_common_pixels(a, b).sum())
+                        for a, b in zip(self._spots, other._spots, strict=True))
+        n_pixels = sum(len(a) for a in self._spots)
+        n_cells, n_changed, n_pixels = team.sum(np.array([n_cells, n_changed, n_pixels], dtype=float))
+        return bool(n_cells > 0 or n_changed > PIXELS_CHANGED * max(n_pixels, 1.0))
+
+    @property
+    def _states(self) -> list[NDArray[np.uint8]]:
+        """States of the cells of all views, subdomain by subdomain."""
+        return [states for of_subdomain in self.cells for states in of_subdomain]
+
+    @property
+    def _spots(self) -> list[NDArray[np.int64]]:
+        """Spoilt pixels of all views, in the same order."""
+        return [spots for of_subdomain in self.pixels for spots in of_subdomain]
 
 
 def exclude(model: ResidualModel, excluded: Exclusions) -> ResidualModel:
@@ -146,20 +155,19 @@ def exclude(model: ResidualModel, excluded: Exclusions) -> ResidualModel:
     ResidualModel
         With the others.
     """
-    views = [replace(of_subdomain, views=tuple(
-                 _without(view, cells, pixels) for view, cells, pixels in zip(of_subdomain.views, cells_of, pixels_of,
-                                                                             strict=True)))
-             for of_subdomain, cells_of, pixels_of in zip(model.views, excluded.cells, excluded.pixels, strict=True)]
-    return replace(model, views=views)
+    left = []
+    for of_subdomain, cells, pixels in zip(model.views, excluded.cells, excluded.pixels, strict=True):
+        views = tuple(_exclude_from_view(*of_view) for of_view in zip(of_subdomain.views, cells, pixels, strict=True))
+        left.append(replace(of_subdomain, views=views))
+    return replace(model, views=left)
 
 
-def _without(view: FrameView, cells: NDArray[np.uint8], pixels: NDArray[np.int64]) -> FrameView:
+def _exclude_from_view(view: FrameView, cells: NDArray[np.uint8], pixels: NDArray[np.int64]) -> FrameView:
     if not cells.any() and not len(pixels):
         return view
     correlation = view.view.correlation
     image = correlation.reference
-    usable = np.ones(image.values.shape, dtype=np.uint8) if image.usable is None else image.usable.copy()
-    usable[correlation.raster.draw_cells(np.flatnonzero(cells), image.window) > 0] = 0
-    usable[pixels[:, 1] - image.window.y0, pixels[:, 0] - image.window.x0] = 0
-    kept = replace(correlation, reference=replace(image, usable=usable))
+    excluded = correlation.raster.draw_cells(np.flatnonzero(cells), image.window) > 0
+    excluded[pixels[:, 1] - image.window.y0, pixels[:, 0] - image.window.x0] = True
+    kept = replace(correlation, reference=image.exclude(excluded))
     return replace(view, view=replace(view.view, correlation=kept))

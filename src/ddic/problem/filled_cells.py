@@ -11,9 +11,10 @@ from scipy import sparse
 
 from ddic.functionals.elasticity import Material, integrate_cell_stiffness
 from ddic.kinematics.cell_interpolation import interpolate_cells
+from ddic.mesh.plane import build_rotation
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.region_rotation import build_rotation, fit_rigid_motion
+from ddic.problem.region_rotation import fit_rigid_motion
 
 Array = NDArray[np.float64]
 

@@ -101,5 +101,5 @@ def _even_out(view: FrameView, sums: Array, typical: TypicalCell) -> FrameView:
     located = place_in_cells(mesh, cells, pixels.astype(np.float64))
     at_pixels = interpolate_located(mesh, light[:, None], located)[:, 0]
     removed[pixels[:, 1] - image.window.y0, pixels[:, 0] - image.window.x0] = at_pixels
-    evened = replace(correlation, reference=image.subtract(removed))
+    evened = replace(correlation, reference=image.correct_light(removed))
     return replace(view, view=replace(view.view, correlation=evened))

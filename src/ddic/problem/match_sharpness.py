@@ -15,6 +15,7 @@ from scipy.optimize import least_squares
 from ddic.functionals.view import FrameView
 from ddic.images.blurred import Blur, BlurredSource
 from ddic.images.sub_image import MaskedSource, read_reference
+from ddic.mesh.plane import build_rotation
 from ddic.parallel.team import Team
 from ddic.problem.cameras import Camera
 from ddic.problem.residual_model import ResidualModel
@@ -149,7 +150,7 @@ def _sum_slopes(team: Team, images: Sequence[Array], shown: Sequence[NDArray[np.
 def _fit_blur(direction: float, images: Sequence[Array],
               compare: Callable[[Sequence[Array]], tuple[Array, Array]]) -> Blur:
     """Standard deviations of the blur that gives images the slopes of g; collective."""
-    turn = np.array([[np.cos(direction), -np.sin(direction)], [np.sin(direction), np.cos(direction)]])
+    turn = build_rotation(direction)
 
     def miss(deviations: Array) -> Array:
         blur = Blur(float(deviations[0]), float(deviations[1]), direction)

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ddic.partition.subdomain import Subdomain
-from ddic.problem.held_unknowns import find_free_unknowns, find_held
-from ddic.problem.residual_model import Evaluation, ResidualModel
+from ddic.problem.residual_model import ResidualModel
+from ddic.problem.unmeasured_nodes import find_unmeasured_nodes
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.solvers.gauss_newton import PATIENCE, Solution
 from ddic.solvers.noise_floor import estimate_noise_by_steps
@@ -59,34 +57,3 @@ def accept_noise(problem: WeightedProblem, used: ResidualModel, solution: Soluti
     stop = (f"stopped at RMS dq = {last.rms:.1e} px, largest dq = {last.largest:.1e} px, which do not become smaller: "
             f"a residual of {deviation:.1f} grey levels leaves an error of {noise:.1e} px RMS in the field")
     return replace(solution, stop=stop, converged=True)
-
-
-def find_unmeasured_nodes(problem: WeightedProblem, evaluation: Evaluation) -> list[NDArray[np.bool_]]:
-    """Find the nodes that neither pixels nor mechanics hold; collective.
-
-    Parameters
-    ----------
-    problem : WeightedProblem
-        Of the reference.
-    evaluation : Evaluation
-        Of a frame, with the pixels that count.
-
-    Returns
-    -------
-    list of (n_nodes,) bool array
-        Of each owned subdomain.
-    """
-    subdomains = problem.reference.subdomains
-    if problem.reference.inputs.case.regularization is not None:
-        return [np.zeros(subdomain.mesh.n_nodes, dtype=bool) for subdomain in subdomains]
-    unseen = [~find_held(subdomain, tuple(residual.cell_sums.n_pixels.astype(np.int64) for residual in of_views))
-              for subdomain, of_views in zip(subdomains, evaluation.residuals, strict=True)]
-    free = np.array(sorted(find_free_unknowns(problem.team, subdomains, unseen)), dtype=np.int64)
-    return [_find_moved_nodes(subdomain, free) for subdomain in subdomains]
-
-
-def _find_moved_nodes(subdomain: Subdomain, numbers: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Nodes that unknowns displace, given by their numbers, (n_nodes,)."""
-    columns = np.isin(subdomain.kinematics.numbers, numbers)
-    moved = np.asarray(abs(subdomain.kinematics.tangent)[:, columns].sum(axis=1)).ravel() > 0
-    return np.asarray(moved.reshape(subdomain.mesh.nodes.shape).any(axis=1))

@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.mesh.plane import build_rotation
 from ddic.mesh.quality import measure_areas
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
@@ -72,23 +73,6 @@ class RigidMotion:
         """
         arms = points - self.centre
         return np.asarray(arms @ (self.rotation - np.eye(2)).T + self.translation)
-
-
-def build_rotation(angle: float) -> Array:
-    """Build a rotation.
-
-    Parameters
-    ----------
-    angle : float
-        From x towards y, radians.
-
-    Returns
-    -------
-    (2, 2) array
-        R.
-    """
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s], [s, c]])
 
 
 def measure_turn(other: float, one: float) -> float:

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from ddic.case.schema import Case
 from ddic.problem.cameras import Camera
 from ddic.problem.exclusions import Exclusions
-from ddic.problem.find_exclusions import AT_END, AT_START, Limits, find_exclusions
+from ddic.problem.find_exclusions import find_exclusions
 from ddic.problem.grey_choice import choose_correction
 from ddic.problem.match_brightness import match_brightness
 from ddic.problem.match_sharpness import match_sharpness
+from ddic.problem.residual_limits import AT_END, AT_START, Limits
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.seen_cells import SeenCells, TypicalCell, collect_cells, find_typical_cell, measure_seen_cells
 

@@ -46,14 +46,11 @@ class SolvedFrame:
     is_evaluated: bool = True
 
 
-def begin_frame(problem: WeightedProblem, seen: SeenFrame, used: ResidualModel, q: Sequence[Array],
-                notes: tuple[str, ...]) -> SolvedFrame:
-    """Take a start for a field; collective.
+def begin_frame(seen: SeenFrame, used: ResidualModel, q: Sequence[Array], notes: tuple[str, ...]) -> SolvedFrame:
+    """Take a start for a field.
 
     Parameters
     ----------
-    problem : WeightedProblem
-        Of the frame.
     seen : SeenFrame
         At the start.
     used : ResidualModel
@@ -68,7 +65,8 @@ def begin_frame(problem: WeightedProblem, seen: SeenFrame, used: ResidualModel, 
     SolvedFrame
         Without iterations.
     """
-    field = average_copies(problem.team, problem.reference.subdomains, q)
+    # Copies of an unknown may still differ: they are averaged after the first iterations, before anybody looks at them.
+    field = ContinuousField(list(q), 0.0)
     return SolvedFrame(field, Solution(list(q), []), seen, used, notes, is_evaluated=False)
 
 

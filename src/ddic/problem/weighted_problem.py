@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.functionals.view import FrameView
+from ddic.mesh.plane import build_rotation
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.assembly import assemble
@@ -22,7 +23,6 @@ from ddic.problem.region_rotation import (
     LEAST_ANGLE,
     STEP_ANGLE,
     HeldRotation,
-    build_rotation,
     fit_rigid_motion,
     measure_turn,
 )

@@ -27,11 +27,11 @@ from ddic.problem.cell_errors import (
 )
 from ddic.problem.exclusions import Exclusions
 from ddic.problem.inputs import Inputs
-from ddic.problem.noise_of_field import find_unmeasured_nodes
 from ddic.problem.problem_size import ProblemSize
 from ddic.problem.region_mesh import Region
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.solved_frame import SolvedFrame
+from ddic.problem.unmeasured_nodes import find_unmeasured_nodes
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.results.camera_images import write_residual_images
 from ddic.results.describe_exclusions import describe_exclusions

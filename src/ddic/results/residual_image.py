@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ddic.images.window import Window
 from ddic.io.image_chunks import ChunkGrid, pack_chunk
+from ddic.parallel.stream_to_root import stream_to_root
 from ddic.parallel.team import Team
 
 CHUNKS_A_MESSAGE = 16
@@ -174,7 +175,7 @@ def stream_chunks(team: Team, chunks: list[PackedChunk], write: Callable[[Packed
             write(chunk)
 
     batches = (chunks[begin:begin + CHUNKS_A_MESSAGE] for begin in range(0, len(chunks), CHUNKS_A_MESSAGE))
-    team.stream_to_root(batches, write_all)
+    stream_to_root(team, batches, write_all)
 
 
 def _complete_chunks(grid: ChunkGrid, windows: list[Window],

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError
-from ddic.functionals.correlation import read_correlation
 from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import (
     controlled_stiffness,
@@ -18,6 +17,7 @@ from ddic.functionals.equilibrium_gap import (
     measure_texture_energies,
 )
 from ddic.functionals.grey_statistics import GreyCorrection
+from ddic.functionals.read_correlation import read_correlation
 from ddic.functionals.view import FrameView, View
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.parallel.phases import PhaseClock

@@ -113,7 +113,7 @@ class _Features:
 
 def _find_features(source: MaskedSource, mask: NDArray[np.uint8] | None, n_features: int) -> _Features:
     """The strongest features of an image where a mask is not zero."""
-    values = source.image.read(source.extent).astype(np.float32)
+    values = source.read_whole().astype(np.float32)
     counted = values if mask is None else values[mask > 0]
     if not counted.size:
         return _Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32))

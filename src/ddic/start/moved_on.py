@@ -67,7 +67,7 @@ def move_on(given: CutField, pair: BinnedPair) -> list[MovedOn]:
         where nothing stands out.
     """
     brought = _bring(given, pair)
-    deformed = pair.deformed.image.read(pair.deformed.extent).astype(np.float64)
+    deformed = pair.deformed.read_whole()
     found = []
     whole = _find_shift(brought, deformed, brought.pieces >= 0, FEWEST_BLOCKS, pair.factor)
     n_pieces = int(brought.pieces.max(initial=-1)) + 1
@@ -93,10 +93,7 @@ def _find_shift(brought: _Brought, deformed: Array, blocks: NDArray[np.bool_], f
     if blocks.sum() < fewest:
         return None
     found = find_rigid_shift(brought.grey, deformed, blocks)
-    if found.coefficient < LEAST_COEFFICIENT:
-        return None
-    x, y = found.shift
-    return RigidShift((factor * x, factor * y), found.coefficient)
+    return found.scale(factor) if found.coefficient >= LEAST_COEFFICIENT else None
 
 
 def _bring(given: CutField, pair: BinnedPair) -> _Brought:
@@ -115,7 +112,7 @@ def _bring(given: CutField, pair: BinnedPair) -> _Brought:
     located = locate(drawn, np.column_stack([x.ravel(), y.ravel()]))
     inside = located.cells >= 0
     origins = interpolate_located(drawn, before.nodes[nodes], located)[inside]
-    reference = pair.reference.image.read(pair.reference.extent).astype(np.float64)
+    reference = pair.reference.read_whole()
     places = origins[:, ::-1].T
     grey.reshape(-1)[inside] = ndimage.map_coordinates(reference, places, order=1, mode="nearest")
     counted = np.ones(len(origins), dtype=bool)

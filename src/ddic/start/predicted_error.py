@@ -101,7 +101,7 @@ def predict_error(pair: BinnedPair, mesh: Mesh, displace: Callable[[Array], Arra
     rows, columns, squares = rows[drawn], columns[drawn], squares[drawn]
     points = np.stack([columns, rows], axis=1) * float(pair.factor) + pair.centre
     places = ((points + displace(points) - pair.centre) / pair.factor)[:, ::-1].T
-    f = _values(pair.reference)[rows, columns]
+    f = pair.reference.read_whole()[rows, columns]
     seen = _find_seen(pair.deformed, places)
     sums = _sum_squares(f, _sample(pair.deformed, places), squares, seen)
     return _judge(sums, pair.factor)
@@ -123,10 +123,6 @@ def _draw_squares(squares: NDArray[np.int64]) -> NDArray[np.bool_]:
     return np.asarray(is_drawn[squares])
 
 
-def _values(source: MaskedSource) -> Array:
-    return source.image.read(source.extent).astype(np.float64)
-
-
 def _find_seen(deformed: MaskedSource, places: Array) -> NDArray[np.bool_]:
     """Places (row, column) in the deformed image that are in it, and count."""
     height, width = deformed.extent.height, deformed.extent.width
@@ -140,7 +136,7 @@ def _find_seen(deformed: MaskedSource, places: Array) -> NDArray[np.bool_]:
 
 def _sample(deformed: MaskedSource, places: Array) -> Array:
     """Grey levels of the deformed image at places, and their slopes there along x and y, a block: (3, n)."""
-    values = _values(deformed)
+    values = deformed.read_whole()
     along_y, along_x = np.gradient(values)
     grey = ndimage.map_coordinates(values, places, order=3, mode="nearest")
     slopes = [ndimage.map_coordinates(slope, places, order=1, mode="nearest") for slope in (along_x, along_y)]

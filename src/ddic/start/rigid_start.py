@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError
 from ddic.images.grid_field import build_uniform_field
 from ddic.images.rigid import RigidShift, find_rigid_shift
-from ddic.images.sub_image import MaskedSource
 from ddic.kinematics.discontinuities import Discontinuities
 from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.mesh import Mesh
@@ -125,11 +123,5 @@ def _find_shift(pair: BinnedPair, part: Mesh, fewest: float) -> RigidShift:
     blocks = find_active_blocks(pair.reference, rasterize(part)).astype(bool)
     if blocks.sum() < fewest:
         return RigidShift((0.0, 0.0), 0.0)
-    found = find_rigid_shift(_values(pair.reference), _values(pair.deformed), blocks)
-    x, y = found.shift
-    return RigidShift((pair.factor * x, pair.factor * y), found.coefficient, found.n_alike)
-
-
-def _values(source: MaskedSource) -> NDArray[np.float64]:
-    """All grey levels of an image."""
-    return source.image.read(source.extent).astype(np.float64)
+    found = find_rigid_shift(pair.reference.read_whole(), pair.deformed.read_whole(), blocks)
+    return found.scale(pair.factor)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.images.camera import CameraMapping
+from ddic.mesh.plane import build_rotation
 from ddic.synth.fields import DisplacementField, Pair, require_finite
 from ddic.synth.hole import Hole
 from ddic.synth.picture import Picture
@@ -85,11 +86,7 @@ class SetUpMotion:
 
     def _rotation(self) -> NDArray[np.float64]:
         """R, (2, 2)."""
-        if self.rotation_degrees == 0:
-            return np.eye(2)
-        angle = math.radians(self.rotation_degrees)
-        c, s = math.cos(angle), math.sin(angle)
-        return np.array([[c, -s], [s, c]])
+        return build_rotation(math.radians(self.rotation_degrees))
 
 
 @dataclass(frozen=True, eq=False)

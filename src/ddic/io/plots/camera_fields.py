@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ddic.io.plots.canvas import (
     COLOURS,
     WIDTH_INCHES,
+    Bounds,
     Component,
     add_colour_bar,
     find_mesh_bounds,
@@ -23,6 +24,7 @@ from ddic.io.plots.canvas import (
     make_panels,
     make_triangulation,
     pick_component,
+    set_bounds,
 )
 from ddic.io.plots.length_unit import PIXELS, LengthUnit
 from ddic.io.result_reader import Result
@@ -108,8 +110,7 @@ def draw_near_far(result: Result, component: Component = "magnitude", unit: Leng
         colours = axes.tripcolor(make_triangulation(whole, whole.nodes), values, shading="gouraud", cmap=COLOURS,
                                  vmin=inside.min(), vmax=inside.max(), rasterized=True)
         _outline(axes, near)
-        axes.set_xlim(box[0], box[2])
-        axes.set_ylim(box[3], box[1])
+        set_bounds(axes, box)
         add_colour_bar(figure, axes, colours, f"{format_component('u', component)} [{unit.name}]")
     return figure
 
@@ -119,8 +120,7 @@ def _scale(mesh: Mesh, unit: LengthUnit) -> Mesh:
     return replace(mesh, nodes=unit.size * mesh.nodes)
 
 
-def draw_cell_panels(panels: Sequence[CellPanel], outlined: Sequence[Mesh], box: tuple[float, float, float, float],
-                     label: str) -> Figure:
+def draw_cell_panels(panels: Sequence[CellPanel], outlined: Sequence[Mesh], box: Bounds, label: str) -> Figure:
     """Draw panels of one part of the image with common colours, two in a row.
 
     Colours span what the last panel shows, without the outermost 0.5 % on either side.
@@ -155,7 +155,7 @@ def draw_cell_panels(panels: Sequence[CellPanel], outlined: Sequence[Mesh], box:
     return figure
 
 
-def _page(n: int, box: tuple[float, float, float, float]) -> tuple[Figure, list[Axes]]:
+def _page(n: int, box: Bounds) -> tuple[Figure, list[Axes]]:
     """A page with so many panels for a box of pixels."""
     n_columns = min(n, 2)
     n_rows = math.ceil(n / n_columns)
@@ -177,18 +177,17 @@ def _outline(axes: Axes, outlined: Sequence[Mesh]) -> None:
     axes.set_facecolor("0.6")
 
 
-def _finish(axes: Axes, title: str, box: tuple[float, float, float, float], outlined: Sequence[Mesh]) -> None:
+def _finish(axes: Axes, title: str, box: Bounds, outlined: Sequence[Mesh]) -> None:
     """Outlines, limits and title of a panel."""
     _outline(axes, outlined)
-    axes.set_xlim(box[0], box[2])
-    axes.set_ylim(box[3], box[1])
+    set_bounds(axes, box)
     axes.set_aspect("equal")
     axes.set_xlabel("x [px]")
     axes.set_ylabel("y [px]")
     axes.set_title(title, fontsize="medium")
 
 
-def _in_box(points: NDArray[np.float64], box: tuple[float, float, float, float]) -> NDArray[np.bool_]:
+def _in_box(points: NDArray[np.float64], box: Bounds) -> NDArray[np.bool_]:
     """Which points (n, 2) lie in a box, (n,)."""
     low, high = box[:2], box[2:]
     is_inside = (points >= low) & (points <= high)

@@ -155,8 +155,7 @@ def make_panels(boxes: Sequence[Bounds], titles: Sequence[str], unit: LengthUnit
 
 def _set_up_axes(axes: Axes, bounds: Bounds, unit: LengthUnit, size: tuple[float, float]) -> None:
     """Limits, labels and as many numbers as there is room for; size: width and height of the axes, inches."""
-    axes.set_xlim(bounds[0], bounds[2])
-    axes.set_ylim(bounds[3], bounds[1])
+    set_bounds(axes, bounds)
     axes.set_aspect("equal")
     axes.set_xlabel(f"x [{unit.name}]")
     axes.set_ylabel(f"y [{unit.name}]")
@@ -165,7 +164,22 @@ def _set_up_axes(axes: Axes, bounds: Bounds, unit: LengthUnit, size: tuple[float
         axis.set_major_locator(MaxNLocator(nbins=n_numbers, steps=[1, 2, 5, 10]))
 
 
-def find_mesh_bounds(nodes: NDArray[np.float64], margin: float = 0.03) -> tuple[float, float, float, float]:
+def set_bounds(axes: Axes, bounds: Bounds) -> None:
+    """Set what axes show, y down: once more after an image was drawn, which moves their limits to its own.
+
+    Parameters
+    ----------
+    axes : Axes
+        In image coordinates.
+    bounds : (float, float, float, float)
+        x0, y0, x1, y1, in the axes' unit.
+    """
+    x0, y0, x1, y1 = bounds
+    axes.set_xlim(x0, x1)
+    axes.set_ylim(y1, y0)
+
+
+def find_mesh_bounds(nodes: NDArray[np.float64], margin: float = 0.03) -> Bounds:
     """Find the box around nodes.
 
     Parameters

@@ -8,7 +8,13 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from ddic.io.plots.canvas import MOST_SHARP_CELLS, find_mesh_bounds, make_cell_polygons, make_image_figure
+from ddic.io.plots.canvas import (
+    MOST_SHARP_CELLS,
+    find_mesh_bounds,
+    make_cell_polygons,
+    make_image_figure,
+    set_bounds,
+)
 from ddic.io.plots.partition import PALETTE
 from ddic.io.plots.preview import Preview
 from ddic.mesh.mesh import Mesh
@@ -47,8 +53,7 @@ def draw_mesh_preview(mesh: Mesh, image: Preview, lines: Sequence[NDArray[np.flo
     sets = {name: nodes for name, nodes in mesh.node_sets.items() if len(nodes)}
     figure, axes = make_image_figure(bounds, f"Mesh: {mesh.n_nodes} nodes, {mesh.n_cells} cells")
     image.draw(axes)
-    axes.set_xlim(bounds[0], bounds[2])
-    axes.set_ylim(bounds[3], bounds[1])
+    set_bounds(axes, bounds)
     axes.add_collection(make_cell_polygons(mesh, mesh.nodes, facecolors=(0.337, 0.706, 0.914, 0.25),
                                            edgecolors=tuple(PALETTE[4]), linewidths=0.4,
                                            rasterized=mesh.n_cells > MOST_SHARP_CELLS))

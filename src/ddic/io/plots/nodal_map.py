@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from ddic.io.plots.canvas import (
     COLOURS,
     MOST_SHARP_CELLS,
-    Bounds,
     Component,
     Limits,
     add_colour_bar,
@@ -25,6 +24,7 @@ from ddic.io.plots.canvas import (
     make_panels,
     make_triangulation,
     pick_component,
+    set_bounds,
 )
 from ddic.io.plots.length_unit import PIXELS, LengthUnit
 from ddic.io.plots.preview import Preview
@@ -123,7 +123,7 @@ def draw_values(mesh: Mesh, shown: Sequence[Values], image: Preview | None, unit
             # The image once more, thinly, and not colours thinly over it: those of triangles would show their edges.
             image.draw(axes, unit.size)
             image.draw(axes, unit.size, opacity=1.0 - OPACITY)
-            _set_bounds(axes, bounds)
+            set_bounds(axes, bounds)
         add_colour_bar(figure, axes, colours, panel.label)
     return figure
 
@@ -138,9 +138,3 @@ def _add_colours(axes: Axes, mesh: Mesh, nodes: NDArray[np.float64], panel: Valu
                                rasterized=mesh.n_cells > MOST_SHARP_CELLS)
     axes.add_collection(cells)
     return cells
-
-
-def _set_bounds(axes: Axes, bounds: Bounds) -> None:
-    """Limits again: drawing an image moves them to its own."""
-    axes.set_xlim(bounds[0], bounds[2])
-    axes.set_ylim(bounds[3], bounds[1])

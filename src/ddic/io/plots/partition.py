@@ -9,7 +9,13 @@ from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
-from ddic.io.plots.canvas import MOST_SHARP_CELLS, find_mesh_bounds, make_cell_polygons, make_image_figure
+from ddic.io.plots.canvas import (
+    MOST_SHARP_CELLS,
+    find_mesh_bounds,
+    make_cell_polygons,
+    make_image_figure,
+    set_bounds,
+)
 from ddic.io.plots.length_unit import PIXELS, LengthUnit
 from ddic.io.plots.page_text import POINTS_AN_INCH
 from ddic.io.plots.preview import Preview
@@ -61,9 +67,7 @@ def draw_partition(result: Result, image: Preview | None = None, unit: LengthUni
     width, height = axes.get_position().size * figure.get_size_inches()
     if image is not None:
         image.draw(axes, unit.size)
-        # Drawing an image moves the limits to its own.
-        axes.set_xlim(bounds[0], bounds[2])
-        axes.set_ylim(bounds[3], bounds[1])
+        set_bounds(axes, bounds)
     chosen = choose_colours(mesh, result.subdomain_ids)
     colours = PALETTE[chosen[result.subdomain_ids]]
     axes.add_collection(make_cell_polygons(mesh, nodes, facecolors=colours, edgecolors="black", linewidths=0.15,

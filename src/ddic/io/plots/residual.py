@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -16,6 +15,7 @@ from ddic.io.plots.canvas import (
     find_mesh_bounds,
     make_cell_polygons,
     make_image_figure,
+    set_bounds,
 )
 from ddic.io.plots.length_unit import PIXELS, LengthUnit
 from ddic.io.plots.preview import LARGEST_SIDE, find_thinned_extent
@@ -71,7 +71,7 @@ def draw_residual(result: Result, *, signed: bool = False, unit: LengthUnit = PI
     left, right, bottom, top = (unit.size * edge for edge in extent)
     colours = axes.imshow(shown, cmap=SIGNED_PALETTE if signed else PALETTE, vmin=low, vmax=high,
                           interpolation="nearest", extent=(left, right, bottom, top), rasterized=True)
-    _set_limits(axes, bounds)
+    set_bounds(axes, bounds)
     symbol = "$f(x) - g(x + u)$" if signed else "$|f(x) - g(x + u)|$"
     add_colour_bar(figure, axes, colours, f"{symbol} [{LABEL}]")
     return figure
@@ -83,12 +83,6 @@ def _find_residual_limits(shown: NDArray[np.float32], signed: bool) -> Limits:
     top = float(np.percentile(np.abs(finite), SHOWN_PERCENT)) if finite.size else 1.0
     top = top or 1.0
     return (-top if signed else 0.0), top
-
-
-def _set_limits(axes: Axes, bounds: tuple[float, float, float, float]) -> None:
-    """The mesh's limits again: drawing an image moves them to its own."""
-    axes.set_xlim(bounds[0], bounds[2])
-    axes.set_ylim(bounds[3], bounds[1])
 
 
 def _by_cell(result: Result, unit: LengthUnit, limits: Limits | None) -> Figure:

@@ -1,0 +1,37 @@
+"""The box of pixels about a cell."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ddic.functionals.cut_patch import cut_patch
+from ddic.functionals.read_correlation import read_correlation
+from ddic.mesh.cell_type import T3
+from ddic.mesh.mesh import build_mesh
+from support.pictures import source
+
+NODES = np.array([[5.3, 4.2], [14.6, 6.1], [8.0, 13.7], [20.0, 18.0]])
+MESH = build_mesh(NODES, [(T3, np.array([[0, 1, 2], [1, 3, 2]]))])
+
+
+def test_a_patch_holds_the_cells_pixels_of_both_images() -> None:
+    f = np.random.default_rng(2).uniform(20, 200, (30, 40))
+    correlation = read_correlation(MESH, source(f), 3)
+    window = correlation.reference.window
+    residual = np.random.default_rng(3).normal(size=(window.height, window.width)).astype(np.float32)
+    hidden = (9, 9)
+    residual[hidden[1] - window.y0, hidden[0] - window.x0] = np.nan
+    box, patch = cut_patch(correlation, residual, 0, (1.1, -3.0))
+    # Pixel centres left of all three sides of the first triangle.
+    x, y = np.meshgrid(np.arange(box.x0, box.x1), np.arange(box.y0, box.y1))
+    own = np.ones(x.shape, dtype=bool)
+    for (ax, ay), (bx, by) in zip(NODES[:3], NODES[[1, 2, 0]], strict=True):
+        own &= (bx - ax) * (y - ay) - (by - ay) * (x - ax) > 0
+    assert own.any(axis=0).all()
+    assert own.any(axis=1).all()
+    assert own.sum() == correlation.raster.pixel_counts[0]
+    np.testing.assert_array_equal(patch.counts, own & ((x != hidden[0]) | (y != hidden[1])))
+    # Images are held in float32: 200 grey levels to 1e-5.
+    np.testing.assert_allclose(patch.f, f[y, x], atol=2e-5)
+    r = residual[y - window.y0, x - window.x0]
+    np.testing.assert_allclose(patch.g[patch.counts], (1.1 * (f[y, x] - r) - 3.0)[patch.counts], atol=5e-5)
