@@ -11,7 +11,7 @@ cell across a discontinuity is asked: its nodes are others.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -50,15 +50,17 @@ def recover_gradients(meshes: Sequence[Mesh], displacements: Sequence[Array], su
     meshes : sequence of Mesh
         Of plane cells, whose corners are their nodes.
     displacements : sequence of (n_dofs,) array
-        Of their nodes, pixels.
+        Of their nodes, pixels; nan where it was not measured.
     sum_shared : callable
         Sums at nodes that several meshes have.
 
     Returns
     -------
     list of (n_nodes, 2, 2) array
-        du_c / dx_j at the nodes of each mesh, no unit; one value a node, whatever meshes have it.
+        du_c / dx_j at the nodes of each mesh, no unit; one value a node, whatever meshes have it. Cells with a node
+        that was not measured are as good as not there; nan at nodes of such cells alone.
     """
+    meshes = [_without_unmeasured_cells(mesh, u) for mesh, u in zip(meshes, displacements, strict=True)]
     sums = sum_shared([_sum_cells(mesh, u) for mesh, u in zip(meshes, displacements, strict=True)])
     slopes = [_fit_slopes(of_mesh) for of_mesh in sums]
     inside = [at_nodes.known for at_nodes in slopes]
@@ -69,6 +71,16 @@ def recover_gradients(meshes: Sequence[Mesh], displacements: Sequence[Array], su
              for of_mesh, of_nodes, is_inside in zip(sums, slopes, inside, strict=True)]
     carried = sum_shared([_sum_along_edges(mesh, at_nodes) for mesh, at_nodes in zip(meshes, found, strict=True)])
     return [_average_along_edges(at_nodes, along) for at_nodes, along in zip(found, carried, strict=True)]
+
+
+def _without_unmeasured_cells(mesh: Mesh, u: Array) -> Mesh:
+    """All nodes, and the cells whose nodes all have a displacement."""
+    is_measured = np.isfinite(u.reshape(mesh.nodes.shape)).all(axis=1)
+    if is_measured.all():
+        return mesh
+    whole = np.logical_and.reduceat(is_measured[mesh.connectivity], mesh.offsets[:-1])
+    part, node_ids = mesh.create_submesh(np.flatnonzero(whole))
+    return replace(part, nodes=mesh.nodes, connectivity=node_ids[part.connectivity], node_sets=mesh.node_sets)
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +187,8 @@ def _bend(edge: Array) -> Array:
 
 def _fit_slopes(sums: Array) -> _Slopes:
     """Slopes from the gradients in the middle of the nodes' own cells, by least squares."""
-    weight = sums[:, 0]
+    # Nodes without a measured cell have no sums.
+    weight = np.where(sums[:, 0] > 0, sums[:, 0], 1.0)
     middle, squares = sums[:, 1:3] / weight[:, None], sums[:, 3:6] / weight[:, None]
     mean = sums[:, 6:10].reshape(-1, 2, 2) / weight[:, None, None]
     moments = np.moveaxis(sums[:, 10:18].reshape(-1, 2, 2, 2), 1, 3) / weight[:, None, None, None]
@@ -192,7 +205,8 @@ def _fit_slopes(sums: Array) -> _Slopes:
 
 def _average_triangles(sums: Array, slope: Array) -> Array:
     """Mean gradient of the triangles at each node without what the displacement's curvature adds to it, (n, 2, 2)."""
-    of_triangles = sums[:, 18:] / sums[:, 18:19]
+    area = sums[:, 18:19]
+    of_triangles = sums[:, 18:] / np.where(area > 0, area, np.nan)
     # u_c curves by the symmetric part: measured slopes need not be derivatives of one field.
     curvature = np.stack([slope[..., 0, 0], 0.5 * (slope[..., 0, 1] + slope[..., 1, 0]), slope[..., 1, 1]], axis=2)
     added = np.einsum("njm,ncm->ncj", of_triangles[:, 5:].reshape(-1, 2, 3), curvature)
@@ -242,7 +256,8 @@ class _Pairs:
 
 def _pair_nodes(mesh: Mesh, takes: NDArray[np.bool_], gives: NDArray[np.bool_]) -> _Pairs:
     """All pairs of a node that takes and one that gives; takes, gives: (n_nodes,)."""
-    found = []
+    none = np.zeros(0, dtype=np.int64)
+    found = [(none, none, none)]
     for there, here in product(mesh.cells.T, repeat=2):
         cells = np.flatnonzero((there >= 0) & (here >= 0))
         cells = cells[takes[there[cells]] & gives[here[cells]]]
