@@ -78,8 +78,7 @@ def _without_unmeasured_cells(mesh: Mesh, u: Array) -> Mesh:
     is_measured = np.isfinite(u.reshape(mesh.nodes.shape)).all(axis=1)
     if is_measured.all():
         return mesh
-    whole = np.logical_and.reduceat(is_measured[mesh.connectivity], mesh.offsets[:-1])
-    part, node_ids = mesh.create_submesh(np.flatnonzero(whole))
+    part, node_ids = mesh.create_submesh(mesh.find_cells_among(is_measured))
     return replace(part, nodes=mesh.nodes, connectivity=node_ids[part.connectivity], node_sets=mesh.node_sets)
 
 
