@@ -306,6 +306,18 @@ def test_a_blur_is_noted_with_its_size(tmp_path: Path) -> None:
     assert not any("less sharp" in note for note in ears.notes)
 
 
+@pytest.mark.parametrize("correction", ["auto", "none"])
+def test_both_images_are_taken_as_they_are_where_that_is_asked_for(tmp_path: Path, correction: str) -> None:
+    # With a blur of 2 px Gauss-Newton still converges without help.
+    measured, ears = measure_files(tmp_path, blur(2.0), f'[correlation]\nspoilt_pixels = "keep"\n'
+                                                        f'grey_correction = "{correction}"\n')
+    assert not any("less sharp" in note for note in ears.notes)
+    assert measured.model.blurs == ()
+    assert all((of_view == KEPT).all() for of_subdomain in measured.excluded.cells for of_view in of_subdomain)
+    # Guards the test: by default that is blurred.
+    assert measure_files(tmp_path, blur(2.0))[0].model.blurs
+
+
 @pytest.mark.parallel([1, 2])
 @pytest.mark.parametrize("regularized", [False, True], ids=["plain", "regularized"])
 def test_the_start_of_a_hidden_frame_moves_nodes_by_less_than_noise(regularized: bool) -> None:
