@@ -9,9 +9,13 @@ from typing import Any
 import meshio
 import numpy as np
 import pytest
+from mpi4py import MPI
 from numpy.typing import NDArray
 
 import ddic
+from ddic.case.loader import load_case
+from ddic.errors import is_collective
+from ddic.problem.check_ranks import check_case_file
 
 Pair = tuple[NDArray[np.uint8], NDArray[np.uint8]]
 NAN = np.where(np.arange(160 * 140).reshape(140, 160) == 60 + 50 * 160, np.nan, 100.0)
@@ -238,6 +242,39 @@ def test_cases(case_file: Path, pair: Pair, mesh: ddic.Mesh) -> None:
     assert "there is no folder" in told(lambda: ddic.measure(case_file, output="no_such_folder/r.vtkhdf"))
     case_file.write_text(case_file.read_text().replace("deformed.tif", "missing.tif"))
     assert "missing.tif: no such image file" in told(lambda: ddic.measure(case_file))
+
+
+@pytest.mark.parametrize("call", [ddic.measure, ddic.prepare])
+def test_all_mistakes_of_a_case_file_are_told_at_once(case_file: Path, call: Callable[[Path], object]) -> None:
+    text = case_file.read_text().replace("subdomains = 4", 'subdomain = 4\nmethod = "fast"')
+    text = text.replace("deformed.tif", "no_such.tif") + "[regularization]\ncut_off_wavelength = 30\n"
+    case_file.write_text(text, encoding="utf-8")
+    with pytest.raises(ddic.InputError) as caught:
+        call(case_file)
+    problems = "\n".join(caught.value.problems)
+    for words in ("solver.subdomain", "solver.method", "no_such.tif: no such", "no wave shorter than 3 elements"):
+        assert words in problems
+    # What ddic check says, but for the output: that of the case is not written here.
+    with pytest.raises(ddic.InputError) as checked:
+        check_case_file(case_file)
+    others = [line for line in checked.value.problems if "output.file" not in line]
+    assert list(caught.value.problems) == others
+    assert len(others) == len(checked.value.problems) - 1
+
+
+@pytest.mark.parallel([2])
+@pytest.mark.parametrize("in_memory", [False, True])
+def test_too_many_ranks_hide_no_other_mistake(case_file: Path, *, in_memory: bool) -> None:
+    if MPI.COMM_WORLD.rank == 0:
+        case_file.write_text(case_file.read_text().replace("subdomains = 4", "subdomains = 1"))
+        case_file.with_name("deformed.tif").unlink()
+    MPI.COMM_WORLD.barrier()
+    with pytest.raises(ddic.InputError) as caught:
+        ddic.measure(load_case(case_file) if in_memory else case_file)
+    assert is_collective(caught.value)
+    missing, ranks = caught.value.problems
+    assert "deformed.tif: no such image file" in missing
+    assert "1 subdomains for 2 MPI ranks" in ranks
 
 
 def test_sessions(pair: Pair, mesh: ddic.Mesh) -> None:

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -38,12 +38,13 @@ def subdomain_of(mesh: Mesh) -> NDArray[np.int64]:
     return (mesh.centroids[:, 0] > 25).astype(np.int64)
 
 
-def pieces_of(mesh: Mesh, extra: str | None = None) -> list[Piece]:
+def pieces_of(mesh: Mesh, extra: str | None = None, unmeasured: Sequence[int] = ()) -> list[Piece]:
     pieces = []
     for s in (0, 1):
         cells = np.flatnonzero(subdomain_of(mesh) == s)[::-1].copy()
         sub, node_ids = mesh.create_submesh(cells)
         u = quadratic(sub.nodes)
+        u[np.isin(node_ids, unmeasured)] = np.nan
         tensor = np.arange(6.0) + cells[:, None]
         points = {schema.DISPLACEMENT: u, schema.DISPLACEMENT_MESH_UNITS: u / 4, schema.GLOBAL_NODE_ID: node_ids}
         if extra is not None:
@@ -82,8 +83,8 @@ def write_result() -> Callable[..., Path]:
     """Write a two-piece result, the second piece first."""
 
     def write(path: Path, *, flip_y: bool = False, length_unit: str | None = None, residual: bool = True,
-              reference: str = "", curves: bool = True) -> Path:
-        pieces = pieces_of(small_mesh(), length_unit)
+              reference: str = "", curves: bool = True, unmeasured: Sequence[int] = ()) -> Path:
+        pieces = pieces_of(small_mesh(), length_unit, unmeasured)
         with ResultWriter(path, flip_y=flip_y) as writer:
             writer.create_pieces(sizes_of(pieces), schema.point_fields(length_unit), schema.cell_fields())
             for index in (1, 0):

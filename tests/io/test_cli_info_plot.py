@@ -46,6 +46,17 @@ def test_info_of_a_result(tmp_path: Path, write_result: Write) -> None:
     assert outcome.output.splitlines()[3].split() == ["y", "axis", "in", "the", "file", "up"]
 
 
+def test_info_counts_nodes_that_were_not_measured(tmp_path: Path, write_result: Write) -> None:
+    whole, part = (CliRunner().invoke(info, [str(write_result(tmp_path / "r.vtkhdf", unmeasured=nodes))]).output
+                   for nodes in ((), (6, 7)))
+    # Inner nodes: the ranges are those of the others.
+    ranges = [line for line in whole.splitlines() if line.startswith("displacement ")]
+    assert len(ranges) == 2
+    assert all(line in part.splitlines() for line in ranges)
+    assert "not measured" not in whole
+    assert "not measured                2 nodes, whose cells all are excluded" in part.splitlines()
+
+
 @pytest.mark.parametrize("command", [info, plot])
 def test_unreadable_files_end_with_one_line_and_exit_code_2(tmp_path: Path, command: object) -> None:
     (tmp_path / "bad.vtkhdf").write_text("nothing")

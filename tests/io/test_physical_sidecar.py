@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 import ddic
 from ddic.errors import InputError
+from ddic.io.result_files import move_result, remove_result
 from ddic.io.result_reader import read_result
+from ddic.io.result_schema import physical_path
 
 vtk = pytest.importorskip("vtk")
 numpy_support = pytest.importorskip("vtk.util.numpy_support")
@@ -43,6 +45,30 @@ def warp(path: Path, vector: str) -> tuple[NDArray[np.float64], NDArray[np.float
         before.append(numpy_support.vtk_to_numpy(part.GetPoints().GetData()))
         after.append(numpy_support.vtk_to_numpy(filtered.GetOutput().GetPoints().GetData()))
     return np.concatenate(before), np.concatenate(after)
+
+
+def test_a_moved_or_removed_result_takes_it_along(tmp_path: Path) -> None:
+    result, target = tmp_path / "r.vtkhdf", tmp_path / "moved.vtkhdf"
+    measure(result)
+    measure(target)
+    before = warp(tmp_path / "r.physical.vtkhdf", "displacement")
+    move_result(result, target)
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"moved.vtkhdf", "moved.physical.vtkhdf", "moved.residual.vtkhdf"}
+    after = warp(tmp_path / "moved.physical.vtkhdf", "displacement")
+    np.testing.assert_array_equal(after, before)
+    remove_result(target)
+    assert not list(tmp_path.iterdir())
+
+
+def test_one_of_what_has_no_length_unit_is_removed(tmp_path: Path) -> None:
+    measure(tmp_path / "px.vtkhdf", images={})
+    for name, rename in (("px.vtkhdf", "moved.vtkhdf"), ("text.vtkhdf", "words.vtkhdf")):
+        (tmp_path / "text.vtkhdf").write_text("no result")
+        physical_path(tmp_path / name).write_text("of an earlier one")
+        move_result(tmp_path / name, tmp_path / rename)
+        assert (tmp_path / rename).is_file()
+        assert not list(tmp_path.glob("*.physical.vtkhdf"))
 
 
 @pytest.mark.parametrize("flip_y", [False, True])

@@ -108,3 +108,21 @@ def test_sides_of_a_discontinuity_do_not_mix() -> None:
     u = np.einsum("ncj,nj->nc", h[side], mesh.nodes) + 10.0 * side[:, None]
     # A jump of 10 px over a cell of 8 would be a gradient of 1.
     np.testing.assert_allclose(recover(mesh, u), h[side], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("cells", ["Q4", "T3", "mixed"])
+def test_cells_that_were_not_measured_spoil_none_beside_them(cells: Cells) -> None:
+    mesh = grid_mesh(8, 7, (8.0, 8.0), cells=cells)
+    h = np.array([[0.1, -0.2], [0.05, 0.3]])
+    u = mesh.nodes @ h.T
+    u[(np.abs(mesh.nodes - (24.0, 32.0)) <= 8.0).all(axis=1)] = np.nan
+    whole = [cell[cell >= 0] for cell in mesh.cells if np.isfinite(u[cell[cell >= 0]]).all()]
+    measured = np.unique(np.concatenate(whole))
+    found = recover(mesh, u)
+    np.testing.assert_allclose(found[measured], np.broadcast_to(h, (len(measured), 2, 2)), rtol=0, atol=1e-12)
+    assert np.isnan(np.delete(found, measured, axis=0)).all()
+
+
+def test_nothing_is_recovered_where_nothing_was_measured() -> None:
+    mesh = grid_mesh(3, 3, (8.0, 8.0))
+    assert np.isnan(recover(mesh, np.full(mesh.nodes.shape, np.nan))).all()

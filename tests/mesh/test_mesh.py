@@ -31,6 +31,14 @@ def test_centroids_are_means_of_the_nodes() -> None:
     np.testing.assert_allclose(small_mesh().centroids, [[1, 1], [10 / 3, 2 / 3], [8 / 3, 4 / 3]], rtol=1e-15)
 
 
+def test_cells_among_nodes_have_all_of_theirs_there() -> None:
+    is_among = np.ones(6, dtype=bool)
+    assert small_mesh().find_cells_among(is_among).tolist() == [0, 1, 2]
+    is_among[4] = False
+    assert small_mesh().find_cells_among(is_among).tolist() == [1]
+    assert small_mesh().find_cells_among(~is_among).tolist() == []
+
+
 def test_restriction_renumbers_nodes_and_sets() -> None:
     part, node_ids = small_mesh().create_submesh(np.array([2, 1]))
     assert node_ids.tolist() == [1, 2, 4, 5]

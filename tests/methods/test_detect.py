@@ -116,3 +116,23 @@ def test_command_line_says_what_it_found(tmp_path: Path) -> None:
     assert ran.exit_code == 0, ran.output
     assert ran.output.count("detection: line from (") == 1
     assert_is_the_line(lines_of(ddic.open(tmp_path / "result.vtkhdf"))[0])
+
+
+@pytest.mark.parametrize("slip", [6.0, 9.0])
+def test_a_line_is_found_where_continuous_elements_are_excluded_along_it(slip: float) -> None:
+    reference, deformed = pair(slip)
+    continuous = ddic.measure((reference, deformed), MESH)
+    # Guards the test: pixels that slipped by half an element are explained by no continuous field.
+    assert np.isnan(continuous.displacement).any()
+    (line,) = lines_of(ddic.measure((reference, deformed), MESH, options={"discontinuity": "detect"}))
+    assert_is_the_line(line)
+
+
+def test_a_line_is_found_beside_what_was_not_measured() -> None:
+    reference, deformed = pair(0.8)
+    hidden = deformed.copy()
+    hidden[190:256, 0:56] = 0
+    result = ddic.measure((reference, hidden), MESH, options={"discontinuity": "detect"})
+    assert np.isnan(result.displacement).any()
+    (line,) = lines_of(result)
+    assert_is_the_line(line)

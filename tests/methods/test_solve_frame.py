@@ -223,6 +223,33 @@ def test_a_frame_starts_from_one_of_which_a_part_was_not_measured() -> None:
     assert largest_difference(found, ddic.measure(clean().pair, MESH, options=options)) <= 1e-6
 
 
+@pytest.mark.parallel([1, 3])
+@pytest.mark.parametrize("name", ["whole", "blank"])
+def test_a_measurement_goes_on_from_a_result_of_which_a_part_was_not_measured(name: str) -> None:
+    scene, options = SCENES[name](), settings()
+    with ddic.prepare(scene.reference, MESH, options=options) as session:
+        first = session.measure(scene.deformed)
+        again = session.measure(scene.deformed, start=first)
+        assert np.isnan(first.displacement).any()
+        # What is excluded may differ at the limit from where it was before: beside it by hundredths of a pixel.
+        both = np.isfinite(first.displacement).all(axis=1) & np.isfinite(again.displacement).all(axis=1)
+        assert both.sum() >= 0.95 * np.isfinite(first.displacement).all(axis=1).sum()
+        assert np.abs(again.displacement - first.displacement)[both].max() <= WITHIN
+        if name == "blank":
+            return
+        clear = session.measure(clean().deformed, start=first)
+    assert largest_difference(clear, ddic.measure(clean().pair, MESH, options=options)) <= 1e-6
+
+
+def test_products_go_on_from_a_result_of_which_a_part_was_not_measured() -> None:
+    scene = hide(WHOLE, "grey")
+    first = ddic.measure(scene.pair, MESH)
+    assert np.isnan(first.displacement).any()
+    structured = {"mesh": {"structured": {"region": [32, 32, 224, 224], "element_size": 16}}, "pgd": {}}
+    found = ddic.measure(clean().pair, options=structured, start=first)
+    assert off(found).max() <= 3 * WITHIN
+
+
 def test_a_frame_that_shows_something_else_altogether_is_refused_with_its_last_field() -> None:
     other = hide((0, 0, SIDE, SIDE), "speckle")
     with pytest.raises(ddic.ConvergenceError) as caught:
@@ -277,6 +304,18 @@ def test_a_blur_is_noted_with_its_size(tmp_path: Path) -> None:
     assert abs((angle + 90) % 180 - 90) <= 5
     _, ears = measure_files(tmp_path, clean())
     assert not any("less sharp" in note for note in ears.notes)
+
+
+@pytest.mark.parametrize("correction", ["auto", "none"])
+def test_both_images_are_taken_as_they_are_where_that_is_asked_for(tmp_path: Path, correction: str) -> None:
+    # With a blur of 2 px Gauss-Newton still converges without help.
+    measured, ears = measure_files(tmp_path, blur(2.0), f'[correlation]\nspoilt_pixels = "keep"\n'
+                                                        f'grey_correction = "{correction}"\n')
+    assert not any("less sharp" in note for note in ears.notes)
+    assert measured.model.blurs == ()
+    assert all((of_view == KEPT).all() for of_subdomain in measured.excluded.cells for of_view in of_subdomain)
+    # Guards the test: by default that is blurred.
+    assert measure_files(tmp_path, blur(2.0))[0].model.blurs
 
 
 @pytest.mark.parallel([1, 2])

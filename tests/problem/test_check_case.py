@@ -224,20 +224,23 @@ def test_colour_images_are_announced(folder: Path) -> None:
     assert "colour" in done.stderr
 
 
-@pytest.mark.parametrize("kept", ["r.not_converged.tif", "r.earlier.tif"])
-def test_what_a_failed_run_writes_may_not_overwrite_an_input(folder: Path, kept: str) -> None:
+@pytest.mark.parametrize("kept", ["r.not_converged.tif", "r.earlier.tif", "r.physical.vtkhdf",
+                                  "r.not_converged.physical.vtkhdf", "r.earlier.physical.vtkhdf"])
+def test_what_stands_beside_a_result_or_a_failed_run_may_not_overwrite_an_input(folder: Path, kept: str) -> None:
     (folder / "g.tif").rename(folder / kept)
     (line,) = _problems(folder, IMAGES.replace("g.tif", kept) + GRID + '[output]\nfile = "r.tif"\n')
     assert f"would overwrite the input {folder / kept}" in line
 
 
 @pytest.mark.parametrize(("name", "input_"), [
-    ("g.tif", "g.tif"), ("case.toml", "case.toml"), ("part.txt", "part.txt"), ("g.residual.tif", None),
+    ("g.tif", "g.tif"), ("case.toml", "case.toml"), ("part.txt", "part.txt"), ("points.csv", "points.csv"),
+    ("g.residual.tif", None),
 ])
 def test_the_result_may_not_overwrite_an_input(folder: Path, name: str, input_: str | None) -> None:
     (folder / "part.txt").write_text("0\n" * 48)
+    (folder / "points.csv").write_text("x,y,u,v\n40,40,0,0\n")
     text = (IMAGES + GRID + '[solver]\npartition = "file"\npartition_file = "part.txt"\n'
-            + f'[output]\nfile = "{name}"\n')
+            + '[start]\nfrom_points = "points.csv"\n' + f'[output]\nfile = "{name}"\n')
     if input_ is None:
         assert _check(folder, text).output == folder / name
         return

@@ -16,7 +16,7 @@ from ddic.api.given_displacement import StartLike, convert_start
 from ddic.api.given_mesh import convert_given_mesh
 from ddic.api.image import ImageLike, check_same_size, open_given_image
 from ddic.api.options import Options, check_kinematics, choose_options, choose_team, make_case
-from ddic.case.loader import LoadedCase, load_case
+from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case
 from ddic.errors import ConvergenceError, DdicError, InputError
 from ddic.images.camera import identity
@@ -30,10 +30,9 @@ from ddic.methods.detect import find_discontinuity, is_line_wanted
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team, require_held
 from ddic.problem.cameras import Camera, Frame, make_setup
-from ddic.problem.check_inputs import check_inputs
 from ddic.problem.check_mesh_uses import check_mesh
 from ddic.problem.check_output import check_output_file
-from ddic.problem.check_ranks import check_ranks
+from ddic.problem.check_ranks import check_loaded_case, check_ranks, load_checked_case
 from ddic.problem.inputs import Inputs, open_inputs
 from ddic.problem.mesh_source import accept_mesh, convert_mapping
 from ddic.problem.rectangle import Rectangle, check_rectangle, find_rectangle, find_rectangle_of_case
@@ -357,11 +356,11 @@ def _open_case(team: Team, options: Options, source: object, output: str | Path 
     file = Path(tempfile.gettempdir()) / "ddic-writes-nothing.vtkhdf" if output is None else Path(output).resolve()
 
     def load() -> LoadedCase:
-        loaded = _load(source)
-        renamed = loaded.case.output.model_copy(update={"file": file})
-        loaded = replace(loaded, case=loaded.case.model_copy(update={"output": renamed}))
-        check_inputs(loaded)
-        check_ranks(loaded, team.size)
+        if not isinstance(source, Case | LoadedCase):
+            return load_checked_case(Path(str(source)), team.size, file)
+        given = LoadedCase(source, Path(), "") if isinstance(source, Case) else source
+        loaded = given.with_output(file)
+        check_loaded_case(loaded, team.size)
         return loaded
 
     inputs, frame = open_inputs(team, team.on_root(load))
@@ -372,14 +371,6 @@ def _open_case(team: Team, options: Options, source: object, output: str | Path 
 
 def _refuse_kinematics() -> None:
     raise InputError("kinematics: [pgd] has products of functions for unknowns; leave one of them out")
-
-
-def _load(source: object) -> LoadedCase:
-    if isinstance(source, LoadedCase):
-        return source
-    if isinstance(source, Case):
-        return LoadedCase(source, Path(), "")
-    return load_case(Path(str(source)))
 
 
 def _pair(source: object) -> tuple[Any, Any]:

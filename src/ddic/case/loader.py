@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -42,6 +42,22 @@ class LoadedCase:
     case: Case
     path: Path
     text: str
+
+    def with_output(self, file: Path) -> LoadedCase:
+        """Have the result written elsewhere.
+
+        Parameters
+        ----------
+        file : Path
+            The result file.
+
+        Returns
+        -------
+        LoadedCase
+            The same but for ``output.file``.
+        """
+        output = self.case.output.model_copy(update={"file": file})
+        return replace(self, case=self.case.model_copy(update={"output": output}))
 
 
 def load_case(path: Path | str) -> LoadedCase:

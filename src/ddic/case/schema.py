@@ -421,7 +421,8 @@ class CorrelationSection(Section):
         description=(
             "Whether pixels that do not show the specimen's surface (dirt, a reflection, what lies in front of it, a "
             "crack) are found from their residual and left out, with elements that hold no other, or no texture; the "
-            "result marks them (`excluded`)."
+            'result marks them (`excluded`). With `"keep"` all pixels count, as both images show them: nor is the '
+            "reference blurred where a frame is less sharp."
         ),
     )
 

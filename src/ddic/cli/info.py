@@ -72,7 +72,9 @@ def _result_lines(result: Result) -> Lines:
 
     from ddic.fracture.lines_of_result import get_lines
 
-    low, high = result.displacement.min(axis=0), result.displacement.max(axis=0)
+    low, high = np.fmin.reduce(result.displacement), np.fmax.reduce(result.displacement)
+    n_unmeasured = int((~result.measured_nodes).sum())
+    unmeasured = [("not measured", f"{n_unmeasured} nodes, whose cells all are excluded")] if n_unmeasured else []
     image = result.residual_image
     cut = [(f"discontinuity {number}", " to ".join(f"({x:.2f}, {y:.2f})" for x, y in line) + " px")
            for number, line in enumerate(get_lines(result), start=1)]
@@ -84,6 +86,7 @@ def _result_lines(result: Result) -> Lines:
         ("y axis in the file", "up" if result.flipped else "down"),
         ("displacement x", f"{low[0]:.4f} to {high[0]:.4f} px"),
         ("displacement y", f"{low[1]:.4f} to {high[1]:.4f} px"),
+        *unmeasured,
         *cut,
     ]
     if image is not None and np.isfinite(image).any():

@@ -27,6 +27,7 @@ KINDS = ("partition", "deformed", "displacement", "strain", "residual", "signed-
 ONLY_ASKED_FOR = ("displacement", "signed-residual")
 """Kinds that show again, in another form, what others of ``all`` show."""
 
+OF_BOTH = ("difference", "krylov")
 OVER_IMAGE = ("partition", "displacement")
 WITH_LIMITS = ("deformed", "displacement", "strain", "residual", "signed-residual", "difference")
 NUMBERS = ("xx", "yy", "xy", "principal-1", "principal-2", "von-mises")
@@ -82,6 +83,7 @@ def plot(file: Path, kind: str, component: Literal["x", "y", "magnitude"], numbe
     """Draw a result file as pictures named FILE.KIND.png, for papers as PDF or SVG."""
     # Imported here because matplotlib is not needed by --help.
     from ddic.io.plots.canvas import save_figure
+    from ddic.io.plots.failure_mark import draw_failures
     from ddic.io.plots.length_unit import find_length_unit
     from ddic.io.plots.strain_map import StrainChoice
     from ddic.io.result_reader import read_result
@@ -99,6 +101,7 @@ def plot(file: Path, kind: str, component: Literal["x", "y", "magnitude"], numbe
         folder.mkdir(parents=True, exist_ok=True)
         for name in kinds:
             figure = _figure(name, drawing, amplification)
+            draw_failures(figure, _list_shown(name, drawing))
             target = folder / f"{file.stem}.{name}.{ending}"
             save_figure(figure, target, dpi)
             click.echo(target)
@@ -193,6 +196,13 @@ def _figure(kind: str, drawing: _Drawing, amplification: float | None) -> Figure
         "corrections": lambda: draw_corrections(result.corrections),
     }
     return by_kind[kind]()
+
+
+def _list_shown(kind: str, drawing: _Drawing) -> list[Result]:
+    """The results that a figure shows."""
+    if kind not in OF_BOTH or drawing.other is None:
+        return [drawing.result]
+    return [drawing.result, drawing.other]
 
 
 def _get_separated(result: Result) -> SeparatedField:

@@ -9,6 +9,7 @@ from ddic.detection.find_line import Detection, find_line
 from ddic.problem.cameras import Frame
 from ddic.problem.inputs import Inputs
 from ddic.start.correlate_alone import Images
+from ddic.start.extrapolate import extrapolate
 
 
 def find_line_of_case(inputs: Inputs, frame: Frame, displacement: NDArray[np.float64]) -> Detection:
@@ -21,7 +22,7 @@ def find_line_of_case(inputs: Inputs, frame: Frame, displacement: NDArray[np.flo
     frame : Frame
         The deformed images.
     displacement : (n_nodes, 2) array
-        Of a continuous field, pixels.
+        Of a continuous field, pixels; nan where it was not measured, there it follows by equilibrium.
 
     Returns
     -------
@@ -36,4 +37,7 @@ def find_line_of_case(inputs: Inputs, frame: Frame, displacement: NDArray[np.flo
     images = Images(camera.reference, deformed, active, case.correlation.spline_degree,
                     case.correlation.correction_of_start)
     mesh, _ = inputs.build_mesh()
+    is_measured = np.isfinite(displacement).all(axis=1)
+    if not is_measured.all():
+        displacement = extrapolate(mesh, displacement, is_measured).displacement
     return find_line(images, mesh, displacement, case.discontinuity[0].opening)

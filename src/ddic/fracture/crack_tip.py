@@ -157,10 +157,11 @@ def _describe_tip(fit: _Fit, position: Array, along: Array, radii: tuple[float, 
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """Centres of the cells, their displacement and the roots of their areas, which weigh them."""
+    """Centres of the cells, their displacement, whether that was measured, and weights: the roots of their areas."""
 
     points: Array
     displacement: Array
+    is_measured: NDArray[np.bool_]
     weights: Array
     kappa: float
     size: float
@@ -173,7 +174,8 @@ class _Fit:
         displacement = interpolate_located(mesh, result.displacement, placed)
         # By area: cells about a tip may be small and many.
         size = float(np.sqrt(find_weighted_median(areas, areas)))
-        return cls(mesh.centroids, displacement, np.sqrt(areas), kappa, size)
+        is_measured = np.isfinite(displacement).all(axis=1)
+        return cls(mesh.centroids, displacement, is_measured, np.sqrt(areas), kappa, size)
 
     def count_cells(self, position: Array, radii: tuple[float, float]) -> int:
         """Number of cells in the ring about a tip."""
@@ -198,7 +200,7 @@ class _Fit:
 
     def _find_cells(self, position: Array, radii: tuple[float, float]) -> NDArray[np.intp]:
         distance = np.linalg.norm(self.points - position, axis=1)
-        return np.flatnonzero((distance >= radii[0]) & (distance <= radii[1]))
+        return np.flatnonzero((distance >= radii[0]) & (distance <= radii[1]) & self.is_measured)
 
 
 def _accept_ring(ring: Ring) -> Ring:

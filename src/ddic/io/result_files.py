@@ -1,4 +1,4 @@
-"""A result file and what stands beside it, moved or removed together: the summary and what shows residual images."""
+"""A result file and what stands beside it, moved or removed together: the summary, what shows its images or units."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 import h5py
 
 from ddic.io import result_schema as schema
+from ddic.io.physical_sidecar import write_physical_sidecar
 from ddic.io.residual_sidecar import write_sidecar
 
 
@@ -41,6 +42,11 @@ def move_result(result: Path, target: Path) -> None:
     for camera, sidecar in enumerate(list(_list_sidecars(result))):
         _write_moved_sidecar(sidecar, target, camera)
         sidecar.unlink()
+    physical = schema.physical_path(result)
+    if physical.is_file():
+        physical.unlink()
+        if _has_length_unit(target):
+            write_physical_sidecar(target)
     summary = schema.summary_path(result)
     if summary.is_file():
         summary.rename(schema.summary_path(target))
@@ -48,7 +54,7 @@ def move_result(result: Path, target: Path) -> None:
 
 
 def _remove_company(result: Path) -> None:
-    for path in (schema.summary_path(result), *_list_sidecars(result)):
+    for path in (schema.summary_path(result), schema.physical_path(result), *_list_sidecars(result)):
         path.unlink(missing_ok=True)
 
 
@@ -66,6 +72,14 @@ def _write_moved_sidecar(sidecar: Path, target: Path, camera: int) -> None:
         _, last_column, _, last_row, _, _ = file[schema.VTKHDF].attrs["WholeExtent"]
         is_flipped = str(file.attrs["y_axis"]) == "up"
     write_sidecar(target, camera, width=int(last_column) + 1, height=int(last_row) + 1, flip_y=is_flipped)
+
+
+def _has_length_unit(result: Path) -> bool:
+    """Whether a file holds displacements in a length unit; what is no result does not."""
+    if not h5py.is_hdf5(result):
+        return False
+    with h5py.File(result, "r") as file:
+        return schema.DISPLACEMENT_PHYSICAL in file.get(schema.POINT_DATA, ())
 
 
 def _write_new_name(summary: Path, result: Path) -> None:

@@ -97,6 +97,11 @@ class Result:
                 fields[name] = values[:, :self.mesh.dim]
         return fields
 
+    @property
+    def measured_nodes(self) -> NDArray[np.bool_]:
+        """Whether each node has a displacement, (n_nodes,): those whose cells all were excluded have nan."""
+        return np.asarray(np.isfinite(self.displacement).all(axis=1))
+
     def at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Interpolate the displacement by the shape functions of the cell that holds a point, or sum its products.
 
@@ -108,7 +113,7 @@ class Result:
         Returns
         -------
         (n, 2) array
-            Pixels; nan outside the mesh and in its holes.
+            Pixels; nan outside the mesh, in its holes and about nodes that were not measured.
 
         Raises
         ------
@@ -193,7 +198,8 @@ def read_result(path: Path | str) -> Result:
 def displacement_at(result: Result, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Guess the displacement of a result anywhere, to start another run from it.
 
-    ``Result.at`` is the displacement that was measured; this is a number everywhere, in holes and outside too.
+    ``Result.at`` is the displacement that was measured; this is a number everywhere, in holes, outside and about nodes
+    that were not measured too.
 
     Parameters
     ----------
@@ -205,21 +211,22 @@ def displacement_at(result: Result, points: NDArray[np.float64]) -> NDArray[np.f
     Returns
     -------
     (n, 2) array
-        Pixels: the nodal value where a node lies within 1e-9 px, else what was measured there, outside the mesh
-        linear interpolation between the nodes (Delaunay), and the nearest node outside their hull.
+        Pixels: the nodal value where a measured node lies within 1e-9 px, else what was measured there, where nothing
+        was linear interpolation between the measured nodes (Delaunay), and the nearest of them outside their hull.
     """
     from scipy.interpolate import LinearNDInterpolator
     from scipy.spatial import cKDTree
 
-    nodes = result.mesh.nodes
+    is_measured = result.measured_nodes
+    nodes, displacement = result.mesh.nodes[is_measured], result.displacement[is_measured]
     distance, nearest = cKDTree(nodes).query(points)
-    values: NDArray[np.float64] = result.displacement[nearest]
+    values: NDArray[np.float64] = displacement[nearest]
     apart = distance > SAME_NODE_PX
     if apart.any():
         between = result.at(points[apart])
         outside = np.isnan(between).any(axis=1)
         if outside.any():
-            between[outside] = LinearNDInterpolator(nodes, result.displacement)(points[apart][outside])
+            between[outside] = LinearNDInterpolator(nodes, displacement)(points[apart][outside])
         values[apart] = np.where(np.isnan(between), values[apart], between)
     return values
 
@@ -240,7 +247,8 @@ def evaluate_on_sides(result: Result, points: NDArray[np.float64],
     Returns
     -------
     (n, 2) array
-        Pixels: ``displacement_at`` the points, and on from there by the slope of the cell that holds them.
+        Pixels: ``displacement_at`` the points, and on from there by the slope of the cell that holds them; nan where a
+        node of that cell was not measured.
     """
     values = displacement_at(result, points)
     located = locate(result.mesh, points)

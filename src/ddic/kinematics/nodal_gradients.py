@@ -11,7 +11,7 @@ cell across a discontinuity is asked: its nodes are others.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -46,15 +46,17 @@ def recover_gradients(meshes: Sequence[Mesh], displacements: Sequence[Array], su
     meshes : sequence of Mesh
         Of plane cells, whose corners are their nodes.
     displacements : sequence of (n_dofs,) array
-        Of their nodes, pixels.
+        Of their nodes, pixels; nan where it was not measured.
     sum_shared : callable
         Sums at nodes that several meshes have.
 
     Returns
     -------
     list of (n_nodes, 2, 2) array
-        du_c / dx_j at the nodes of each mesh, no unit; one value a node, whatever meshes have it.
+        du_c / dx_j at the nodes of each mesh, no unit; one value a node, whatever meshes have it. Cells with a node
+        that was not measured are as good as not there; nan at nodes of such cells alone.
     """
+    meshes = [_without_unmeasured_cells(mesh, u) for mesh, u in zip(meshes, displacements, strict=True)]
     sums = sum_shared([sum_around_nodes(mesh, u) for mesh, u in zip(meshes, displacements, strict=True)])
     around = [SumsAroundNodes.from_columns(of_mesh) for of_mesh in sums]
     slopes = own_slopes = [_fit_slopes(of_mesh) for of_mesh in around]
@@ -66,6 +68,15 @@ def recover_gradients(meshes: Sequence[Mesh], displacements: Sequence[Array], su
              for of_mesh, of_nodes, own in zip(around, slopes, own_slopes, strict=True)]
     carried = sum_shared([_sum_along_edges(mesh, at_nodes) for mesh, at_nodes in zip(meshes, found, strict=True)])
     return [_average_along_edges(at_nodes, along) for at_nodes, along in zip(found, carried, strict=True)]
+
+
+def _without_unmeasured_cells(mesh: Mesh, u: Array) -> Mesh:
+    """All nodes, and the cells whose nodes all have a displacement."""
+    is_measured = np.isfinite(u.reshape(mesh.nodes.shape)).all(axis=1)
+    if is_measured.all():
+        return mesh
+    part, node_ids = mesh.create_submesh(mesh.find_cells_among(is_measured))
+    return replace(part, nodes=mesh.nodes, connectivity=node_ids[part.connectivity], node_sets=mesh.node_sets)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +98,9 @@ class _AtNodes:
 
 def _fit_slopes(sums: SumsAroundNodes) -> _Slopes:
     """Slopes from the gradients in the middle of the nodes' own cells, by least squares."""
-    area = sums.area[:, None, None]
-    mean_x, mean_gradient = sums.middle / sums.area[:, None], sums.gradient / area
+    # Nodes without a measured cell have no sums.
+    area = np.where(sums.area > 0, sums.area, 1.0)[:, None, None]
+    mean_x, mean_gradient = sums.middle / area[:, :, 0], sums.gradient / area
     spread = sums.squares / area - mean_x[:, :, None] * mean_x[:, None, :]
     covariance = sums.moments / area[..., None] - mean_gradient[..., None] * mean_x[:, None, None, :]
     widths = np.linalg.eigvalsh(spread)
@@ -104,7 +116,7 @@ def _fit_slopes(sums: SumsAroundNodes) -> _Slopes:
 
 def _average_triangles(sums: SumsAroundNodes, slope: Array) -> Array:
     """Mean gradient of the triangles at each node without what the displacement's curvature adds to it, (n, 2, 2)."""
-    area = sums.triangle_area[:, None, None]
+    area = np.where(sums.triangle_area > 0, sums.triangle_area, np.nan)[:, None, None]
     # u_c curves by the symmetric part: measured slopes need not be derivatives of one field.
     curvature = np.stack([slope[..., 0, 0], 0.5 * (slope[..., 0, 1] + slope[..., 1, 0]), slope[..., 1, 1]], axis=2)
     added = np.einsum("njm,ncm->ncj", sums.triangle_curving / area, curvature)
@@ -154,7 +166,8 @@ class _Pairs:
 
 def _pair_nodes(mesh: Mesh, takes: NDArray[np.bool_], gives: NDArray[np.bool_]) -> _Pairs:
     """All pairs of a node that takes and one that gives; takes, gives: (n_nodes,)."""
-    found = []
+    none = np.zeros(0, dtype=np.int64)
+    found = [(none, none, none)]
     for there, here in product(mesh.cells.T, repeat=2):
         cells = np.flatnonzero((there >= 0) & (here >= 0))
         cells = cells[takes[there[cells]] & gives[here[cells]]]

@@ -173,6 +173,22 @@ class Mesh:
         sums = np.add.reduceat(outlines.corners[outlines.connectivity], outlines.offsets[:-1], axis=0)
         return np.asarray(sums / np.diff(outlines.offsets)[:, None])
 
+    def find_cells_among(self, is_among: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Find the cells whose nodes all are among some.
+
+        Parameters
+        ----------
+        is_among : (n_nodes,) array of bool
+            Which nodes those are.
+
+        Returns
+        -------
+        (n,) int64 array
+            Their sorted numbers.
+        """
+        all_are = np.logical_and.reduceat(is_among[self.connectivity], self.offsets[:-1])
+        return np.flatnonzero(all_are).astype(np.int64)
+
     def create_submesh(self, cells: NDArray[np.int64]) -> tuple[Mesh, NDArray[np.int64]]:
         """Restrict the mesh to some of its cells and to their nodes.
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case, ImagesSection, MeshSection, NearSection
 from ddic.errors import InputError
-from ddic.io.result_schema import earlier_path, not_converged_path, sidecar_path, summary_path
+from ddic.io.result_schema import earlier_path, not_converged_path, physical_path, sidecar_path, summary_path
 
 
 def check_output(loaded: LoadedCase) -> None:
@@ -59,7 +59,8 @@ def _check_nothing_is_overwritten(loaded: LoadedCase) -> None:
     result = loaded.case.output.file
     n_cameras = 1 + len(loaded.case.near)
     written = {path.resolve() for name in (result, not_converged_path(result), earlier_path(result))
-               for path in (name, summary_path(name), *(sidecar_path(name, camera) for camera in range(n_cameras)))}
+               for path in (name, summary_path(name), physical_path(name),
+                            *(sidecar_path(name, camera) for camera in range(n_cameras)))}
     for path in (loaded.path, *_list_inputs(loaded.case)):
         if path is not None and path.resolve() in written:
             raise InputError(f"output.file: {result} would overwrite the input {path}; choose another name")
@@ -69,6 +70,7 @@ def _list_inputs(case: Case) -> Iterator[Path | None]:
     """Files that a case reads; None for each that it does not name."""
     yield from _list_images(case.images)
     yield case.solver.partition_file
+    yield case.start.from_points
     yield from _list_mesh_files(case.mesh)
     for near in case.near:
         if near.mesh is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from ddic.case.loader import LoadedCase, load_case_leniently
@@ -43,7 +44,7 @@ def check_ranks(loaded: LoadedCase, n_ranks: int) -> None:
                          f"least one; start at most {largest} ranks or ask for more subdomains")
 
 
-def load_checked_case(path: Path, n_ranks: int) -> LoadedCase:
+def load_checked_case(path: Path, n_ranks: int, output: Path | None = None) -> LoadedCase:
     """Load a case file and check everything that it names, free of communication.
 
     Parameters
@@ -52,6 +53,8 @@ def load_checked_case(path: Path, n_ranks: int) -> LoadedCase:
         The case file.
     n_ranks : int
         MPI ranks that were started.
+    output : Path, optional
+        The result file, in place of the one that the case names.
 
     Returns
     -------
@@ -63,8 +66,29 @@ def load_checked_case(path: Path, n_ranks: int) -> LoadedCase:
     InputError
         With all problems, one line each.
     """
-    loaded, _ = _load_and_check(path, n_ranks)
+    loaded, of_keys = _load_readable_keys(path)
+    if output is not None:
+        loaded = loaded.with_output(output)
+    _check(loaded, of_keys, n_ranks)
     return loaded
+
+
+def check_loaded_case(loaded: LoadedCase, n_ranks: int) -> None:
+    """Check everything that a case names, and whether it can run, free of communication.
+
+    Parameters
+    ----------
+    loaded : LoadedCase
+        The case.
+    n_ranks : int
+        MPI ranks that were started.
+
+    Raises
+    ------
+    InputError
+        With all problems, one line each.
+    """
+    _check(loaded, (), n_ranks)
 
 
 def check_case_file(path: Path) -> CheckReport:
@@ -85,13 +109,18 @@ def check_case_file(path: Path) -> CheckReport:
     InputError
         With all problems, one line each.
     """
-    return _load_and_check(path, None)[1]
+    return _check(*_load_readable_keys(path), None)
 
 
-def _load_and_check(path: Path, n_ranks: int | None) -> tuple[LoadedCase, CheckReport]:
+def _load_readable_keys(path: Path) -> tuple[LoadedCase, list[str]]:
+    """The case as far as it can be read, and what is wrong with its keys; raises InputError where that leaves none."""
     loaded, of_keys = load_case_leniently(path)
     if loaded is None:
         raise InputError(of_keys)
+    return loaded, of_keys
+
+
+def _check(loaded: LoadedCase, of_keys: Sequence[str], n_ranks: int | None) -> CheckReport:
     problems, report = Problems(), None
     problems.lines += of_keys
     with problems.gathered():
@@ -102,4 +131,4 @@ def _load_and_check(path: Path, n_ranks: int | None) -> tuple[LoadedCase, CheckR
     problems.require_none()
     if report is None:
         raise TypeError("inputs without problems have a report")
-    return loaded, report
+    return report

@@ -100,7 +100,7 @@ def see_start(case: Case, cameras: Sequence[Camera], whole: ResidualModel, q: Se
     Parameters
     ----------
     case : Case
-        Says whether that is wanted.
+        Says whether either is wanted.
     cameras : sequence of Camera
         With their reference images.
     whole : ResidualModel
@@ -123,6 +123,8 @@ def see_start(case: Case, cameras: Sequence[Camera], whole: ResidualModel, q: Se
         On all ranks, where the frame shows no pixel.
     """
     seen = see_frame(case, whole, q, slopes, AT_START)
+    if case.correlation.spoilt_pixels == "keep":
+        return seen, ()
     matched, notes = match_sharpness(seen.whole, cameras, q, seen.typical)
     if not notes:
         return seen, notes

@@ -23,23 +23,25 @@ def find_field_ranges(team: Team, fields: Sequence[tuple[Mesh, Array]]) -> Field
     team : Team
         All ranks.
     fields : sequence of (Mesh, (n_dofs,) array)
-        Meshes that this rank owns and the displacement of their nodes, node by node, pixels.
+        Meshes that this rank owns and the displacement of their nodes, node by node, pixels; nan where it was not
+        measured.
 
     Returns
     -------
     FieldRanges
-        The same on all ranks.
+        Of what was measured, the same on all ranks; nan where nothing was.
     """
     limits = team.gather_lists([_find_limits(mesh, u) for mesh, u in fields])
-    least = np.min([low for low, _ in limits], axis=0).tolist()
-    largest = np.max([high for _, high in limits], axis=0).tolist()
+    # fmin and fmax take the number of a number and nan.
+    least = np.fmin.reduce([low for low, _ in limits], axis=0).tolist()
+    largest = np.fmax.reduce([high for _, high in limits], axis=0).tolist()
     by_component = list(zip(least, largest, strict=True))
     return FieldRanges(dict(zip(("x", "y"), by_component[:2], strict=True)),
                        dict(zip(("xx", "yy", "xy"), by_component[2:], strict=True)))
 
 
 def _find_limits(mesh: Mesh, u: Array) -> tuple[Array, Array]:
-    """Least and largest of (u_x, u_y, e_xx, e_yy, e_xy), (5,) each."""
+    """Least and largest of (u_x, u_y, e_xx, e_yy, e_xy), (5,) each; nan where a mesh was measured nowhere."""
     displacement, strain = u.reshape(-1, mesh.dim), compute_strain(mesh, u).infinitesimal
-    return (np.concatenate([displacement.min(axis=0), strain.min(axis=0)]),
-            np.concatenate([displacement.max(axis=0), strain.max(axis=0)]))
+    return (np.concatenate([np.fmin.reduce(displacement, axis=0), np.fmin.reduce(strain, axis=0)]),
+            np.concatenate([np.fmax.reduce(displacement, axis=0), np.fmax.reduce(strain, axis=0)]))

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.io.result_reader import evaluate_on_sides
 from ddic.mesh.own_side import find_points_on_own_side
 from ddic.parallel.team import require_held
 from ddic.problem.cameras import Camera
@@ -53,7 +52,7 @@ def fit_found_fields(search: CoarseSearch, references: Sequence[ReferenceViews],
         # All at once: the search trees of the earlier mesh are built once.
         of_ranks = require_held(wanted)
         on_own_side, nodes = _join([places for rank in of_ranks for places in rank])
-        values, known = _evaluate_known(_require_result(search), on_own_side, nodes)
+        values, known = _require_result(search).evaluate(on_own_side, nodes)
         ends = np.cumsum([len(places) for rank in of_ranks for _, places in rank])[:-1]
         pieces = iter(zip(np.split(values, ends), np.split(known, ends), strict=True))
         return [[next(pieces) for _ in rank] for rank in of_ranks]
@@ -84,15 +83,6 @@ def _require_result(search: CoarseSearch) -> EarlierResult:
     if not isinstance(search.given, EarlierResult):
         raise TypeError("only an earlier result is kept")
     return search.given
-
-
-def _evaluate_known(earlier: EarlierResult, on_own_side: Array, nodes: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Displacement of nodes, and which of them the earlier mesh holds."""
-    known = earlier.find_known(on_own_side)
-    values = np.zeros_like(nodes)
-    if known.any():
-        values[known] = evaluate_on_sides(earlier.result, on_own_side[known], nodes[known])
-    return values, known
 
 
 def _fit_kept(reference: ReferenceViews, camera: Camera, motion: Array, looked_up: tuple[Array, NDArray[np.bool_]],

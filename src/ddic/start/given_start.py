@@ -55,25 +55,55 @@ class EarlierResult:
         """
         return f"displacement of {self.name}"
 
-    def find_known(self, points: Array) -> NDArray[np.bool_]:
-        """Tell which points the result says something of.
+    def evaluate(self, on_own_side: Array, nodes: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Evaluate the displacement at nodes, as far as the result says something of them.
 
         Parameters
         ----------
-        points : (n, 2) array
+        on_own_side : (n, 2) array
+            A point for each node on its side of all discontinuities, pixels of the specimen's frame.
+        nodes : (n, 2) array
             Pixels of the specimen's frame.
 
         Returns
         -------
+        values : (n, 2) array
+            Pixels; 0 where nothing is known.
+        known : (n,) array of bool
+            Whether each node's point lies in the earlier mesh, where that was measured.
+        """
+        known = self._find_measured(on_own_side)
+        values = np.zeros_like(nodes)
+        if known.any():
+            values[known] = evaluate_on_sides(self.result, on_own_side[known], nodes[known])
+            # From a point beside its node the slope leads on, which cells with a node that was not measured lack.
+            known &= np.isfinite(values).all(axis=1)
+            values[~known] = 0.0
+        return values, known
+
+    def _find_measured(self, points: Array) -> NDArray[np.bool_]:
+        measured = np.asarray(np.isfinite(self.result.at(points)).all(axis=1))
+        nodes = self.result.mesh.nodes[self.result.measured_nodes]
+        if self.result.separated is None and not measured.all() and len(nodes):
+            measured[~measured] = cKDTree(nodes).query(points[~measured])[0] <= SAME_NODE_PX
+        return measured
+
+    def find_outside(self, points: Array) -> NDArray[np.bool_]:
+        """Find the points outside the earlier mesh among those of which nothing is known.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Of which ``evaluate`` knows nothing, pixels of the specimen's frame.
+
+        Returns
+        -------
         (n,) array of bool
-            Whether each lies in the earlier mesh.
+            The others lie where nothing was measured.
         """
         if self.result.separated is not None:
-            return np.asarray(~np.isnan(self.result.at(points)).any(axis=1))
-        known = locate(self.result.mesh, points).cells >= 0
-        if not known.all():
-            known[~known] = cKDTree(self.result.mesh.nodes).query(points[~known])[0] <= SAME_NODE_PX
-        return np.asarray(known)
+            return np.ones(len(points), dtype=bool)
+        return np.asarray(locate(self.result.mesh, points).cells < 0)
 
     def get_motion(self, camera: Camera) -> Array:
         """Get how a set-up moved.
@@ -215,31 +245,37 @@ def _place_points(given: StartPoints, mesh: Mesh, camera: Camera) -> PlacedStart
 def _place_result(given: EarlierResult, mesh: Mesh, camera: Camera) -> PlacedStart:
     setup = camera.setup
     nodes, on_own_side = setup.mapping.to_specimen(mesh.nodes), setup.mapping.to_specimen(find_points_on_own_side(mesh))
-    known = given.find_known(on_own_side)
+    values, known = given.evaluate(on_own_side, nodes)
     if not known.any():
-        raise InputError(f"start.from_result: the mesh of {given.name} holds no node of this measurement's; give a "
-                         "result of the same specimen, in pixels of the same reference image")
+        raise InputError(f"start.from_result: the mesh of {given.name} holds no node of this measurement's, or none "
+                         "that was measured; give a result of the same specimen, in pixels of the same reference image")
+    moved = setup.move(nodes[known] + values[known], given.get_motion(camera))
     displacement = np.zeros_like(mesh.nodes)
-    moved = np.full(mesh.nodes.shape, np.nan)
-    moved[known] = nodes[known] + evaluate_on_sides(given.result, on_own_side[known], nodes[known])
-    # The earlier images did not show all of its mesh.
-    known = np.isfinite(moved).all(axis=1)
-    if not known.any():
-        raise InputError(f"start.from_result: {given.name} measured no node of this measurement's; give another result")
-    moved = moved[known]
-    displacement[known] = setup.mapping.to_image(setup.move(moved, given.get_motion(camera))) - mesh.nodes[known]
+    displacement[known] = setup.mapping.to_image(moved) - mesh.nodes[known]
     if known.all():
         return PlacedStart(CutField(mesh, displacement), None, ())
     extended = extrapolate(mesh, displacement, known)
     touched = ((mesh.cells >= 0) & ~known[mesh.cells]).any(axis=1)
     part, of_part = mesh.create_submesh(np.flatnonzero(touched))
-    farthest = _measure_distances(given.result.mesh, on_own_side[~known]).max()
-    n_unknown = int((~known).sum())
-    count = "1 node lies" if n_unknown == 1 else f"{n_unknown} nodes lie"
-    note = (f"start: {count} outside the mesh of {given.name}, by {farthest:.1f} px at most; displacement extrapolated "
-            "by equilibrium")
-    return PlacedStart(CutField(mesh, extended.displacement), CutField(part, extended.displacement[of_part]),
-                       (note, *_note_pieces(extended.n_pieces_without, "node of the earlier mesh")))
+    notes = (*_note_extrapolated(given, on_own_side[~known]),
+             *_note_pieces(extended.n_pieces_without, "node of the earlier mesh"))
+    return PlacedStart(CutField(mesh, extended.displacement), CutField(part, extended.displacement[of_part]), notes)
+
+
+def _note_extrapolated(given: EarlierResult, unknown: Array) -> tuple[str, ...]:
+    """Say of nodes, by points on their own sides, why nothing is known of them."""
+    is_outside = given.find_outside(unknown)
+    n_outside, n_unmeasured = int(is_outside.sum()), int((~is_outside).sum())
+    notes = []
+    if n_outside:
+        count = "1 node lies" if n_outside == 1 else f"{n_outside} nodes lie"
+        farthest = _measure_distances(given.result.mesh, unknown[is_outside]).max()
+        notes.append(f"start: {count} outside the mesh of {given.name}, by {farthest:.1f} px at most; displacement "
+                     "extrapolated by equilibrium")
+    if n_unmeasured:
+        count = "1 node lies" if n_unmeasured == 1 else f"{n_unmeasured} nodes lie"
+        notes.append(f"start: {count} where {given.name} measured nothing; displacement extrapolated by equilibrium")
+    return tuple(notes)
 
 
 def _note_pieces(n_pieces: int, what: str) -> tuple[str, ...]:

@@ -172,12 +172,11 @@ def _convert(earlier: GivenStart | None, kept: KeptResult, rectangle: Rectangle)
                            products.along_y.evaluate(products.y, along_y.nodes))
 
     def evaluate(points: Array) -> Array:
-        if beyond is None:
-            return displacement_at(result, points)
-        known = earlier.find_known(points)
-        values = np.empty_like(points)
-        values[known] = displacement_at(result, points[known])
-        values[~known] = beyond.at(points[~known])
+        values, known = earlier.evaluate(points, points)
+        if not known.all():
+            # Between nodes that are all known there may be others that are not: a guess stands in.
+            beside = points[~known]
+            values[~known] = displacement_at(result, beside) if beyond is None else beyond.at(beside)
         return values
 
     return _factorize_values(evaluate, rectangle)

@@ -18,11 +18,12 @@ from ddic.io.plots.canvas import (
     Bounds,
     Component,
     add_colour_bar,
+    choose_limits,
+    draw_nodal_colours,
     find_mesh_bounds,
     format_component,
     make_cell_polygons,
     make_panels,
-    make_triangulation,
     pick_component,
     set_bounds,
 )
@@ -107,8 +108,7 @@ def draw_near_far(result: Result, component: Component = "magnitude", unit: Leng
     values = unit.size * pick_component(result.displacement, component)
     for axes, box in zip(panels, boxes, strict=True):
         inside = values[_in_box(whole.nodes, box)]
-        colours = axes.tripcolor(make_triangulation(whole, whole.nodes), values, shading="gouraud", cmap=COLOURS,
-                                 vmin=inside.min(), vmax=inside.max(), rasterized=True)
+        colours = draw_nodal_colours(axes, whole, whole.nodes, values, choose_limits(inside))
         _outline(axes, near)
         set_bounds(axes, box)
         add_colour_bar(figure, axes, colours, f"{format_component('u', component)} [{unit.name}]")
@@ -144,7 +144,7 @@ def draw_cell_panels(panels: Sequence[CellPanel], outlined: Sequence[Mesh], box:
     last = panels[-1]
     centres = np.array([last.mesh.nodes[cell[cell >= 0]].mean(axis=0) for cell in last.mesh.cells])
     shown = last.values[_in_box(centres, box)]
-    low, high = np.percentile(shown, [HIDDEN_PERCENT, 100 - HIDDEN_PERCENT])
+    low, high = np.nanpercentile(shown, [HIDDEN_PERCENT, 100 - HIDDEN_PERCENT])
     figure, all_axes = _page(len(panels), box)
     for axes, panel in zip(all_axes, panels, strict=True):
         cells = make_cell_polygons(panel.mesh, panel.mesh.nodes, array=panel.values, cmap=COLOURS, edgecolors="face",

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
+from matplotlib.collections import PolyCollection, TriMesh
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 from matplotlib.tri import Triangulation
@@ -281,6 +281,38 @@ def make_cell_polygons(mesh: Mesh, nodes: NDArray[np.float64], **style: Any) -> 
     nodes_of_cells = np.split(mesh.connectivity, mesh.offsets[1:-1])
     corners = [nodes[of_cell] for of_cell in nodes_of_cells]
     return PolyCollection(corners, **style)
+
+
+def draw_nodal_colours(axes: Axes, mesh: Mesh, nodes: NDArray[np.float64], values: NDArray[np.float64],
+                       limits: Limits) -> TriMesh:
+    """Draw values at nodes in colour, interpolated; nothing where a cell has a node without one.
+
+    Parameters
+    ----------
+    axes : Axes
+        Where they are drawn.
+    mesh : Mesh
+        The cells.
+    nodes : (n_nodes, 2) array
+        Where they are drawn, in the unit of the axes.
+    values : (n_nodes,) array
+        Of any unit; nan where there is none.
+    limits : (float, float)
+        Of the colours.
+
+    Returns
+    -------
+    TriMesh
+        For the colour bar.
+    """
+    shown = np.zeros(mesh.n_cells, dtype=bool)
+    shown[mesh.find_cells_among(np.isfinite(values))] = True
+    of_cells = [block.cells for block in mesh.cell_blocks for _ in block.type.triangles]
+    triangulation = make_triangulation(mesh, nodes)
+    triangulation.set_mask(~shown[np.concatenate(of_cells)])
+    colours: TriMesh = axes.tripcolor(triangulation, values, shading="gouraud", cmap=COLOURS, vmin=limits[0],
+                                      vmax=limits[1], rasterized=True)
+    return colours
 
 
 def make_triangulation(mesh: Mesh, nodes: NDArray[np.float64]) -> Triangulation:

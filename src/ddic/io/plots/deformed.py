@@ -6,24 +6,26 @@ import math
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
+from ddic.errors import InputError
 from ddic.io.plots.canvas import (
-    COLOURS,
     MOST_SHARP_CELLS,
     Component,
     Limits,
     add_colour_bar,
     choose_limits,
+    draw_nodal_colours,
     find_mesh_bounds,
     format_component,
     make_cell_polygons,
     make_image_figure,
-    make_triangulation,
     pick_component,
 )
 from ddic.io.plots.length_unit import PIXELS, LengthUnit
 from ddic.io.result_reader import Result
 from ddic.kinematics.rigid_part import count_folded_cells, find_largest_gradient, project_rigid_motion_out
+from ddic.mesh.mesh import Mesh
 
 VISIBLE_SHARE = 0.05
 """Largest displacement that is drawn, relative to the mesh, where cells bear it; a larger value exaggerates more."""
@@ -49,15 +51,32 @@ def choose_amplification(result: Result) -> float:
     -------
     float
         At least 1.
+
+    Raises
+    ------
+    InputError
+        Where no cell was measured.
     """
-    departure = project_rigid_motion_out(result.mesh.nodes, result.displacement)
+    mesh, displacement = _keep_measured(result)
+    departure = project_rigid_motion_out(mesh.nodes, displacement)
     largest = float(np.abs(departure).max())
     if largest == 0.0:
         return 1.0
     wanted = VISIBLE_SHARE * float(np.ptp(result.mesh.nodes, axis=0).max()) / largest
-    limit = LARGEST_STRETCH / max(find_largest_gradient(result.mesh, departure), 1e-300)
+    limit = LARGEST_STRETCH / max(find_largest_gradient(mesh, departure), 1e-300)
     factor = float(f"{wanted:.0e}")
     return max(1.0, factor if factor <= limit else _round_down(limit))
+
+
+def _keep_measured(result: Result) -> tuple[Mesh, NDArray[np.float64]]:
+    """The cells whose nodes all were measured, and the displacement of their nodes, pixels."""
+    cells = result.mesh.find_cells_among(result.measured_nodes)
+    if not len(cells):
+        raise InputError(f"{result.path}: no cell was measured, of which a deformed mesh could be drawn")
+    if len(cells) == result.mesh.n_cells:
+        return result.mesh, result.displacement
+    mesh, node_ids = result.mesh.create_submesh(cells)
+    return mesh, result.displacement[node_ids]
 
 
 def _round_down(value: float) -> float:
@@ -68,7 +87,9 @@ def _round_down(value: float) -> float:
 
 def draw_deformed(result: Result, component: Component = "magnitude", amplification: float | None = None,
                   unit: LengthUnit = PIXELS, limits: Limits | None = None) -> Figure:
-    """Draw the mesh moved by its amplified displacement, over its outline at rest in grey.
+    """Draw the mesh moved by its amplified displacement, over the whole mesh at rest in grey.
+
+    Cells with a node that was not measured are drawn at rest alone.
 
     Parameters
     ----------
@@ -88,23 +109,27 @@ def draw_deformed(result: Result, component: Component = "magnitude", amplificat
     -------
     Figure
         The page.
+
+    Raises
+    ------
+    InputError
+        Where no cell was measured.
     """
-    mesh, rest = result.mesh, unit.size * result.mesh.nodes
+    mesh, displacement = _keep_measured(result)
+    rest = unit.size * result.mesh.nodes
     if amplification is None:
         factor = choose_amplification(result)
-        moved = rest + unit.size * factor * project_rigid_motion_out(mesh.nodes, result.displacement)
+        moved = unit.size * (mesh.nodes + factor * project_rigid_motion_out(mesh.nodes, displacement))
         title = f"Deformed mesh without rigid motion, amplified {factor:g} times"
     else:
-        moved = rest + unit.size * amplification * result.displacement
+        moved = unit.size * (mesh.nodes + amplification * displacement)
         n_folded = count_folded_cells(mesh, moved)
         folded = f"; {n_folded} cells are folded" if n_folded else ""
         title = f"Deformed mesh, displacement amplified {amplification:g} times{folded}"
     figure, axes = make_image_figure(find_mesh_bounds(np.concatenate([rest, moved])), title, unit)
-    axes.add_collection(make_cell_polygons(mesh, rest, facecolors="0.9", edgecolors="0.9", linewidths=0.3))
-    values = unit.size * pick_component(result.displacement, component)
-    low, high = choose_limits(values, limits)
-    colours = axes.tripcolor(make_triangulation(mesh, moved), values, shading="gouraud", cmap=COLOURS, vmin=low,
-                             vmax=high, rasterized=True)
+    axes.add_collection(make_cell_polygons(result.mesh, rest, facecolors="0.9", edgecolors="0.9", linewidths=0.3))
+    values = unit.size * pick_component(displacement, component)
+    colours = draw_nodal_colours(axes, mesh, moved, values, choose_limits(values, limits))
     if mesh.n_cells <= MOST_CELLS_WITH_EDGES:
         axes.add_collection(make_cell_polygons(mesh, moved, facecolors="none", edgecolors="black", linewidths=0.15,
                                                rasterized=mesh.n_cells > MOST_SHARP_CELLS))

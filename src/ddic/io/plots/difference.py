@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from ddic.io.plots.canvas import (
-    COLOURS,
     Component,
     Limits,
     add_colour_bar,
     choose_limits,
+    draw_nodal_colours,
     find_mesh_bounds,
     format_component,
     make_image_figure,
-    make_triangulation,
     pick_component,
 )
 from ddic.io.plots.length_unit import PIXELS, LengthUnit
 from ddic.io.result_reader import Result, displacement_at
+from ddic.mesh.interpolation import locate
 
 
 def draw_difference(result: Result, other: Result, component: Component = "magnitude", unit: LengthUnit = PIXELS,
@@ -30,7 +31,7 @@ def draw_difference(result: Result, other: Result, component: Component = "magni
     result : Result
         On whose nodes it is drawn.
     other : Result
-        Interpolated there.
+        Interpolated there; where either was not measured nothing is drawn.
     component : {"x", "y", "magnitude"}, optional
         What is in colour.
     unit : LengthUnit, optional
@@ -44,13 +45,22 @@ def draw_difference(result: Result, other: Result, component: Component = "magni
         The page.
     """
     mesh, nodes = result.mesh, unit.size * result.mesh.nodes
-    difference = unit.size * (result.displacement - displacement_at(other, mesh.nodes))
-    rms = float(np.sqrt(np.mean(np.sum(difference**2, axis=1))))
+    difference = unit.size * (result.displacement - _interpolate(other, mesh.nodes))
+    squares = np.sum(difference**2, axis=1)
+    is_known = np.isfinite(squares)
+    rms = float(np.sqrt(squares[is_known].mean())) if is_known.any() else np.nan
     title = f"{result.path.name} minus {other.path.name}, RMS {rms:.2e} {unit.name}"
     figure, axes = make_image_figure(find_mesh_bounds(nodes), title, unit)
     values = pick_component(difference, component)
-    low, high = choose_limits(values, limits)
-    colours = axes.tripcolor(make_triangulation(mesh, nodes), values, shading="gouraud", cmap=COLOURS, vmin=low,
-                             vmax=high, rasterized=True)
+    colours = draw_nodal_colours(axes, mesh, nodes, values, choose_limits(values, limits))
     add_colour_bar(figure, axes, colours, f"{format_component(chr(92) + 'Delta u', component)} [{unit.name}]")
     return figure
+
+
+def _interpolate(result: Result, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Displacement at points, pixels: a guess outside the mesh, nan in it where nothing was measured."""
+    values = displacement_at(result, points)
+    if not result.measured_nodes.all():
+        is_unmeasured = np.isnan(result.at(points)).any(axis=1) & (locate(result.mesh, points).cells >= 0)
+        values[is_unmeasured] = np.nan
+    return values

@@ -18,11 +18,11 @@ from ddic.io.plots.canvas import (
     Limits,
     add_colour_bar,
     choose_limits,
+    draw_nodal_colours,
     find_mesh_bounds,
     format_component,
     make_cell_polygons,
     make_panels,
-    make_triangulation,
     pick_component,
     set_bounds,
 )
@@ -116,9 +116,7 @@ def draw_values(mesh: Mesh, shown: Sequence[Values], image: Preview | None, unit
         bounds = image.clip(bounds, unit.size)
     figure, panels = make_panels([bounds] * len(shown), [panel.title for panel in shown], unit)
     for axes, panel in zip(panels, shown, strict=True):
-        low, high = choose_limits(panel.values, limits)
-        colours = _add_colours(axes, mesh, nodes, panel)
-        colours.set_clim(low, high)
+        colours = _add_colours(axes, mesh, nodes, panel, choose_limits(panel.values, limits))
         if image is not None:
             # The image once more, thinly, and not colours thinly over it: those of triangles would show their edges.
             image.draw(axes, unit.size)
@@ -128,13 +126,11 @@ def draw_values(mesh: Mesh, shown: Sequence[Values], image: Preview | None, unit
     return figure
 
 
-def _add_colours(axes: Axes, mesh: Mesh, nodes: NDArray[np.float64], panel: Values) -> Collection:
+def _add_colours(axes: Axes, mesh: Mesh, nodes: NDArray[np.float64], panel: Values, limits: Limits) -> Collection:
     """Colours by node, interpolated, or by cell; nodes: in the axes' unit."""
     if not panel.by_cell:
-        of_triangles: Collection = axes.tripcolor(make_triangulation(mesh, nodes), panel.values, shading="gouraud",
-                                                  cmap=COLOURS, rasterized=True)
-        return of_triangles
+        return draw_nodal_colours(axes, mesh, nodes, panel.values, limits)
     cells = make_cell_polygons(mesh, nodes, array=panel.values, cmap=COLOURS, edgecolors="face", linewidths=0.1,
-                               rasterized=mesh.n_cells > MOST_SHARP_CELLS)
+                               clim=limits, rasterized=mesh.n_cells > MOST_SHARP_CELLS)
     axes.add_collection(cells)
     return cells
