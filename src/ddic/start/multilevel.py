@@ -26,6 +26,7 @@ from ddic.start.coarse_grid import CELL
 from ddic.start.feature_matches import match_features
 from ddic.start.matched_field import MatchedField
 from ddic.start.pieces import find_pieces
+from ddic.start.predicted_error import predict_error
 from ddic.start.pyramid_level import correlate_level
 from ddic.start.rigid_start import RigidStart, find_rigid_start
 
@@ -47,6 +48,17 @@ samples, 200 000 translations), far from LEAST_COEFFICIENT. A larger value keeps
 SURE = 0.8
 """Correlation coefficient of a translation from which on nothing else is sought: the region then moves by little else.
 A larger value matches features more often, which takes some tenths of a second."""
+
+LARGEST_FOLLOWED = 4
+"""Side of the largest blocks, in blocks of the finest level, on which a translation that is not sure may explain every
+part of the region, so that the pyramid follows from there without features. A larger value matches features less often,
+and overlooks larger deformations of small parts."""
+
+FEWEST_SQUARES = 30
+"""Squares of such blocks that have to tell. With fewer the region is small, and each of them holds much of it."""
+
+MOST_UNEXPLAINED = 0.02
+"""Share of the region that need not be explained there. A larger value overlooks larger parts that move by themselves."""
 
 SMALLEST_SIDE = 1.5 * CELL
 """Least side of the region on the coarsest level, blocks: there the grid is hardly more than an affine map. A larger
@@ -214,6 +226,27 @@ class Pyramid:
         """
         return find_rigid_start(self.pairs[self.rigid_size], self.mesh, self.lines.discontinuities)
 
+    def choose_levels_after(self, translation: CoarseField) -> list[int]:
+        """Choose the levels that refine a translation, where it explains the whole region on the coarsest of them.
+
+        Parameters
+        ----------
+        translation : GridField or CutField
+            Of the region, or of its pieces; pixels.
+
+        Returns
+        -------
+        list of int
+            Block sizes, pixels, coarsest first; none where parts of the region are out of reach.
+        """
+        for size in self.sizes:
+            if self.finest_size < size <= LARGEST_FOLLOWED * self.finest_size:
+                predicted = predict_error(self.pairs[size], self.mesh, translation.at)
+                is_told = len(predicted.n_blocks) >= FEWEST_SQUARES
+                if is_told and predicted.measure_share_beyond(np.inf) <= MOST_UNEXPLAINED:
+                    return [level for level in self.sizes if level <= size]
+        return []
+
     def match(self) -> MatchedField | None:
         """Match features.
 
@@ -289,7 +322,9 @@ def find_multilevel_start(pair: BinnedPair, mesh: Mesh, stages: Stages, correcti
     starts = rigid_start.fields
     matched = None
     if stages.features and rigid_start.coefficient < SURE:
-        matched = pyramid.match()
+        followed = pyramid.choose_levels_after(starts[0]) if sizes and rigid_start.translations else []
+        sizes = followed or sizes
+        matched = None if followed else pyramid.match()
     if matched is not None:
         # From there the finest level finds everything, and coarser ones would smooth it.
         starts, sizes, warnings = (matched, *starts), sizes[-1:], ()
