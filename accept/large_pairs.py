@@ -1,4 +1,4 @@
-"""How long the start of a 29-megapixel pair takes: a rotation by 300 px, and pairs for which a translation was enough."""
+"""How long starts of 29-megapixel pairs take: a rotation by 300 px, and what a translation was enough for before."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ def measure_turned(scale: Scale) -> list[Row]:
     largest = LARGEST * width / SIZE[0]
     radius = float(np.hypot(width / 2 - margin, height / 2 - margin))
     degrees = float(np.rad2deg(2 * np.arcsin(largest / 2 / radius)))
-    pair = _make_pair(scale, "turned", make_rotation(degrees).ravel(), (0.0, 0.0))
+    pair = _make_pair(scale, "turned", make_rotation(degrees).ravel().tolist(), (0.0, 0.0))
     # Kernels are compiled once, and kept.
     pair.run(1, ROOT)
     runs = {n_ranks: [pair.run(n_ranks, ROOT) for _ in range(1 if scale.smoke else N_REPEATS)] for n_ranks in (1, 2)}
@@ -173,7 +173,7 @@ def measure_sufficed(scale: Scale) -> list[Row]:
         By pair.
     """
     before = ROOT if scale.smoke else checkout_before(BEFORE)
-    return [_compare(f"{what}", _make_pair(scale, f"shifted_{number}", gradient, SHIFT), before, scale)
+    return [_compare(what, _make_pair(scale, f"shifted_{number}", gradient, SHIFT), before, scale)
             for number, (what, gradient) in enumerate(SUFFICED.items())]
 
 
@@ -191,8 +191,8 @@ def _compare(what: str, pair: LargePair, before: Path, scale: Scale) -> Row:
                     f"{now.cpu / then.cpu:.2f} times the {then.cpu / n_ranks:.2f} s before ({now.wall:.2f} and "
                     f"{then.wall:.2f} s of wall time); largest error {off:.3f} px")
     return Row(f"{pair.n_pixels / 1e6:.0f} Mpx, {what}, noise of {NOISE:g} grey levels, {ELEMENT}-px elements",
-               f"start takes at most {MOST_TIMES_BEFORE:g} times the CPU time of that of commit {BEFORE}; no node off by "
-               f"more than {RIGHT_PX} px", "; ".join(told), holds)
+               f"start takes at most {MOST_TIMES_BEFORE:g} times the CPU time of that of commit {BEFORE}; no node off "
+               f"by more than {RIGHT_PX} px", "; ".join(told), holds)
 
 
 CHECKS: dict[str, Check] = {"large_turned": measure_turned, "large_sufficed": measure_sufficed}
