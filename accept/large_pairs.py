@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-import ddic
 from accept.support.deformed_pair import make_rotation
 from accept.table import Check, Scale
 from bench.support.before import checkout_before
 from bench.support.rows import Row, append_result
-from bench.support.runs import ROOT, ddic_run, images
-from ddic.parallel.phases import Phase
-from ddic.synth.truth import load_truth
+from bench.support.runs import ROOT, images, mpirun
 
 SIZE, MARGIN, ELEMENT = (6576, 4384), 330, 40
 SMOKE_SIZE, SMOKE_MARGIN = (640, 480), 60
@@ -34,7 +32,7 @@ MOST_TIMES_BEFORE = 1.2
 BEFORE = "73864c3"
 """Commit whose start was a translation and a pyramid alone."""
 
-N_REPEATS = 3
+N_REPEATS = 5
 """Runs of each, the two sources in turn; the quickest counts, which others on the machine have disturbed least."""
 
 SUFFICED = {
@@ -45,9 +43,7 @@ SUFFICED = {
 
 SHIFT = (47.3, -31.6)
 
-STAGES = (Phase.START, Phase.INDEPENDENT_START)
-"""All that is done before Gauss-Newton on the whole mesh, but for reading and assembling what it needs itself; the
-reading of both images to bin them is part of it."""
+JOB = ROOT / "accept" / "support" / "start_job.py"
 
 
 @dataclass(frozen=True)
@@ -58,14 +54,14 @@ class Started:
     ----------
     wall : float
         Seconds of the start, the slowest rank's.
-    cpu : float
-        CPU seconds of the start, all ranks'.
+    busy : float
+        CPU seconds of the start without waiting for other ranks, the busiest rank's.
     largest : float
         Error of the node that is farthest off, pixels.
     """
 
     wall: float
-    cpu: float
+    busy: float
     largest: float
 
 
@@ -75,16 +71,13 @@ class LargePair:
 
     Attributes
     ----------
-    folder : Path
-        Of the images and of their truth.
-    case : str
-        Case file without ``[output]``.
+    case : Path
+        The case file, beside the images and their truth.
     n_pixels : int
         Of an image.
     """
 
-    folder: Path
-    case: str
+    case: Path
     n_pixels: int
 
     def run(self, n_ranks: int, source: Path) -> Started:
@@ -102,18 +95,12 @@ class LargePair:
         Started
             Times and error.
         """
-        summary = ddic_run(self.case, self.folder, n_ranks, changes={"PYTHONPATH": str(source / "src")})
-        result = ddic.open(self.folder / "result.vtkhdf")
-        truth = load_truth(self.folder / "truth.json").displacement(result.mesh.nodes)
-        largest = float(np.linalg.norm(result.displacement - truth, axis=1).max())
-        started = Started(_sum_stages(summary["seconds"]), _sum_stages(summary["cpu_seconds"]), largest)
-        append_result("start_runs", {"case": str(self.folder.name), "ranks": n_ranks, "source": source.name,
-                                     "wall": started.wall, "cpu": started.cpu, "largest_error": largest})
+        printed = mpirun(n_ranks, sys.executable, "-m", "mpi4py", str(JOB), str(self.case),
+                         changes={"PYTHONPATH": str(source / "src")})
+        started = Started(**json.loads(printed))
+        append_result("start_runs", {"case": self.case.parent.name, "ranks": n_ranks, "source": source.name,
+                                     **asdict(started)})
         return started
-
-
-def _sum_stages(seconds: Mapping[str, Any]) -> float:
-    return float(sum(seconds[stage] for stage in STAGES))
 
 
 def _make_pair(scale: Scale, name: str, gradient: Sequence[float], shift: tuple[float, float]) -> LargePair:
@@ -122,9 +109,12 @@ def _make_pair(scale: Scale, name: str, gradient: Sequence[float], shift: tuple[
     folder = images("affine", "--size", f"{width}x{height}", "--noise", str(NOISE), "--seed", "3",
                     "--gradient", *(repr(float(value)) for value in gradient), "--vector", *map(repr, shift),
                     folder=scale.folder(f"large_{name}"))
-    case = (f'[images]\nreference = "reference.tif"\ndeformed = "deformed.tif"\n[mesh.structured]\n'
-            f"region = [{margin}, {margin}, {width - margin}, {height - margin}]\nelement_size = {ELEMENT}\n")
-    return LargePair(folder, case, width * height)
+    case = folder / "case.toml"
+    region = [margin, margin, width - margin, height - margin]
+    case.write_text('[images]\nreference = "reference.tif"\ndeformed = "deformed.tif"\n'
+                    f'[mesh.structured]\nregion = {region}\nelement_size = {ELEMENT}\n'
+                    '[output]\nfile = "result.vtkhdf"\n', encoding="utf-8")
+    return LargePair(case, width * height)
 
 
 def measure_turned(scale: Scale) -> list[Row]:
@@ -148,8 +138,8 @@ def measure_turned(scale: Scale) -> list[Row]:
     # Kernels are compiled once, and kept.
     pair.run(1, ROOT)
     runs = {n_ranks: [pair.run(n_ranks, ROOT) for _ in range(1 if scale.smoke else N_REPEATS)] for n_ranks in (1, 2)}
-    told = [f"{min(run.wall for run in of_ranks):.2f} s, CPU {min(run.cpu for run in of_ranks) / n_ranks:.2f} s a rank"
-            for n_ranks, of_ranks in runs.items()]
+    told = [f"{min(run.wall for run in of_ranks):.2f} s ({min(run.busy for run in of_ranks):.2f} CPU s of the busiest)"
+            for of_ranks in runs.values()]
     off = max(run.largest for of_ranks in runs.values() for run in of_ranks)
     seconds = min(run.wall for run in runs[2])
     return [Row(f"{pair.n_pixels / 1e6:.0f} Mpx, rotation by {degrees:.1f} degrees, displacements to {largest:.0f} px, "
@@ -178,21 +168,21 @@ def measure_sufficed(scale: Scale) -> list[Row]:
 
 
 def _compare(what: str, pair: LargePair, before: Path, scale: Scale) -> Row:
-    """CPU seconds of both sources on 1 and 2 ranks."""
+    """CPU seconds of the busiest rank with both sources, on 1 and 2 ranks."""
     told, holds = [], True
     for n_ranks in (1, 2):
         for source in (before, ROOT):
             pair.run(n_ranks, source)
         both = [(pair.run(n_ranks, before), pair.run(n_ranks, ROOT)) for _ in range(1 if scale.smoke else N_REPEATS)]
-        then, now = (min((pair_of_runs[k] for pair_of_runs in both), key=lambda run: run.cpu) for k in (0, 1))
+        then, now = (min(runs[k].busy for runs in both) for k in (0, 1))
+        walls = [min(runs[k].wall for runs in both) for k in (0, 1)]
         off = max(run.largest for runs in both for run in runs)
-        holds &= now.cpu <= MOST_TIMES_BEFORE * then.cpu and off <= RIGHT_PX
-        told.append(f"on {n_ranks} rank{'s' * (n_ranks > 1)} {now.cpu / n_ranks:.2f} CPU s a rank, "
-                    f"{now.cpu / then.cpu:.2f} times the {then.cpu / n_ranks:.2f} s before ({now.wall:.2f} and "
-                    f"{then.wall:.2f} s of wall time); largest error {off:.3f} px")
+        holds &= now <= MOST_TIMES_BEFORE * then and off <= RIGHT_PX
+        told.append(f"on {n_ranks} rank{'s' * (n_ranks > 1)} {now:.2f} CPU s, {now / then:.2f} times the {then:.2f} s "
+                    f"before ({walls[1]:.2f} and {walls[0]:.2f} s of wall time); largest error {off:.3f} px")
     return Row(f"{pair.n_pixels / 1e6:.0f} Mpx, {what}, noise of {NOISE:g} grey levels, {ELEMENT}-px elements",
-               f"start takes at most {MOST_TIMES_BEFORE:g} times the CPU time of that of commit {BEFORE}; no node off "
-               f"by more than {RIGHT_PX} px", "; ".join(told), holds)
+               f"start takes the busiest rank at most {MOST_TIMES_BEFORE:g} times the CPU time of that of commit "
+               f"{BEFORE}; no node off by more than {RIGHT_PX} px", "; ".join(told), holds)
 
 
 CHECKS: dict[str, Check] = {"large_turned": measure_turned, "large_sufficed": measure_sufficed}

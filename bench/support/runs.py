@@ -116,8 +116,7 @@ def run_job(n_ranks: int, module: str, *arguments: str) -> list[dict[str, Any]]:
     return [json.loads(line) for line in printed.splitlines()]
 
 
-def ddic_run(case: str, folder: Path, n_ranks: int, name: str = "result",
-             changes: Mapping[str, str] | None = None) -> dict[str, Any]:
+def ddic_run(case: str, folder: Path, n_ranks: int, name: str = "result") -> dict[str, Any]:
     """Run a case text through the command line; the result is ``folder/NAME.vtkhdf``.
 
     Parameters
@@ -130,8 +129,6 @@ def ddic_run(case: str, folder: Path, n_ranks: int, name: str = "result",
         Number of MPI ranks.
     name : str
         Name of the case file and of the result.
-    changes : mapping, optional
-        Variables that differ from this process's.
 
     Returns
     -------
@@ -141,7 +138,7 @@ def ddic_run(case: str, folder: Path, n_ranks: int, name: str = "result",
     folder.mkdir(parents=True, exist_ok=True)
     case_file = folder / f"{name}.toml"
     case_file.write_text(f'{case}\n[output]\nfile = "{name}.vtkhdf"\n', encoding="utf-8")
-    mpirun(n_ranks, ddic_command(), "run", str(case_file), changes=changes)
+    mpirun(n_ranks, ddic_command(), "run", str(case_file))
     summary: dict[str, Any] = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
     return summary
 
