@@ -14,7 +14,7 @@ from accept.support.opened_pair import find_field_error, mesh_inside, render, st
 from accept.table import Scale
 from bench.support.rows import Row, append_result
 from ddic.errors import ConvergenceError, SingularSubdomainError
-from ddic.start.multilevel import choose_block_sizes
+from ddic.start.block_sizes import choose_block_sizes
 
 SLIP = 7.5
 """Of one plate along the other, which does not move, pixels."""

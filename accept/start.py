@@ -10,11 +10,13 @@ import sys
 from accept.hard_starts import CHECKS as HARD
 from accept.initial_fields import CHECKS as INITIAL
 from accept.large_motions import CHECKS as LARGE
+from accept.large_pairs import CHECKS as SECONDS
 from accept.neck_series import CHECKS as SERIES
+from accept.small_region import CHECKS as SMALL
 from accept.spoilt_images import CHECKS as SPOILT
 from accept.table import Check, run_table
 
-CHECKS: dict[str, Check] = {**LARGE, **HARD, **INITIAL, **SPOILT, **SERIES}
+CHECKS: dict[str, Check] = {**LARGE, **HARD, **INITIAL, **SPOILT, **SERIES, **SECONDS, **SMALL}
 
 
 if __name__ == "__main__":

@@ -74,6 +74,25 @@ def test_region_may_leave_the_image_by_less_than_half() -> None:
     np.testing.assert_allclose(found.shift, (-35.0, 0.0), atol=0.15)
 
 
+@pytest.mark.parametrize("shift", [(-35, 0), (22, -18), (0, 41), (-9, 30)])
+def test_the_coefficient_is_that_of_the_pixels_that_stay_in_the_image(shift: tuple[int, int]) -> None:
+    height, width, (dx, dy) = 110, 131, shift
+    big = picture(3, height + 100, width + 100)
+    f = big[50:50 + height, 50:50 + width]
+    noise = np.random.default_rng(1).normal(0.0, 20.0, f.shape)
+    g = big[50 - dy:50 - dy + height, 50 - dx:50 - dx + width] + noise
+    x, y = np.meshgrid(np.arange(width), np.arange(height))
+    # It reaches two edges, and has a hole.
+    region = (x > 7) & (y < 90) & ((x - 60) ** 2 + (y - 50) ** 2 > 15**2)
+    stays = region & (x + dx >= 0) & (x + dx < width) & (y + dy >= 0) & (y + dy < height)
+    assert stays.sum() < region.sum()
+    expected = np.corrcoef(f[stays], g[y[stays] + dy, x[stays] + dx])[0, 1]
+    found = find_rigid_shift(f, g, region)
+    # Fourier transforms round at 1e-13 of the sums.
+    assert found.coefficient == pytest.approx(expected, abs=1e-9)
+    np.testing.assert_allclose(found.shift, shift, atol=0.15)
+
+
 def test_flat_images_give_no_shift() -> None:
     flat = np.full((40, 50), 7.0)
     found = find_rigid_shift(flat, flat, np.ones(flat.shape, dtype=bool))

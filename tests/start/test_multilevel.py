@@ -11,7 +11,8 @@ from ddic.images.grid_field import build_uniform_field
 from ddic.kinematics.discontinuities import Discontinuities
 from ddic.mesh.structured import build_structured_mesh
 from ddic.start.binned_pair import BinnedPair
-from ddic.start.multilevel import MultilevelStart, Stages, choose_block_sizes, find_multilevel_start
+from ddic.start.block_sizes import choose_block_sizes
+from ddic.start.multilevel import SURE, MultilevelStart, Stages, find_multilevel_start
 from ddic.start.pyramid_level import correlate_level
 from ddic.synth.fields import Affine, DisplacementField, Translation
 from support.pictures import pair_of, rms_error, source, square_mesh
@@ -73,6 +74,24 @@ def test_the_pyramid_follows_a_rotation_of_3_degrees() -> None:
     start = find_multilevel_start(_pair(pair.reference, pair.deformed), mesh, Stages(features=False), "none")
     assert start.levels == (16, 8, 4, 2)
     assert rms_error(start.field.at(mesh.nodes).ravel(), mesh.nodes, field) <= 0.2
+
+
+def test_a_translation_that_explains_the_whole_region_on_coarser_blocks_is_refined_without_features() -> None:
+    # 3 px of strain at the edges: too much for speckles of 5 px, so that the translation is not sure, and half of a
+    # block of 8 px.
+    side, mesh = 800, square_mesh(40.0, 760.0)
+    field = Affine(((0.008, 0.0), (0.0, -0.003)), (9.3, -6.2), (399.5, 399.5))
+    pair = pair_of(field, side, 8)
+    start = find_multilevel_start(_pair(pair.reference, pair.deformed), mesh, Stages(), "none")
+    assert start.rigid[0].coefficient < SURE
+    assert start.levels == (8, 4, 2)
+    assert start.n_matches == 0
+    # Blocks of 2 px see half of the speckle: 0.01 px.
+    assert rms_error(start.field.at(mesh.nodes).ravel(), mesh.nodes, field) <= 0.05
+    # A twentieth of the region that moves by itself, by three blocks of 8 px, is no matter of refinement.
+    deformed = pair.deformed.copy()
+    deformed[60:220, 60:220] = np.roll(pair.deformed, 25, axis=0)[60:220, 60:220]
+    assert find_multilevel_start(_pair(pair.reference, deformed), mesh, Stages(), "none").n_matches > 0
 
 
 def test_each_stage_can_be_switched_off() -> None:

@@ -123,17 +123,37 @@ def bin_rows(source: MaskedSource, factor: int, rows: range) -> Blocks:
     Blocks
         These rows.
     """
-    width = source.image.width // factor
-    values = np.zeros((len(rows), width), dtype=np.float32)
-    usable = np.ones((len(rows), width), dtype=np.float32)
+    width = source.image.width // factor * factor
+    return bin_window(source, factor, Window(0, rows.start * factor, width, rows.stop * factor))
+
+
+def bin_window(source: MaskedSource, factor: int, window: Window) -> Blocks:
+    """Average a part of an image over square blocks, the first of which begins where the part does.
+
+    Parameters
+    ----------
+    source : MaskedSource
+        The image.
+    factor : int
+        Side of a block, pixels.
+    window : Window
+        Of whole blocks, inside the image.
+
+    Returns
+    -------
+    Blocks
+        Of the window.
+    """
+    n_rows, width = window.height // factor, window.width // factor
+    values = np.zeros((n_rows, width), dtype=np.float32)
+    usable = np.ones((n_rows, width), dtype=np.float32)
     anything_excluded = False
     at_once = max(_BAND_PIXELS // (factor**2 * max(width, 1)), 1)
-    for y0 in range(rows.start, rows.stop if width else rows.start, at_once):
-        y1 = min(y0 + at_once, rows.stop)
-        window = Window(0, y0 * factor, width * factor, y1 * factor)
-        band = slice(y0 - rows.start, y1 - rows.start)
-        values[band] = _means(_finite(source.image.read(window)), factor)
-        mask = source.find_usable(window)
+    for first in range(0, n_rows if width else 0, at_once):
+        band = slice(first, min(first + at_once, n_rows))
+        part = Window(window.x0, window.y0 + band.start * factor, window.x1, window.y0 + band.stop * factor)
+        values[band] = _means(_finite(source.image.read(part)), factor)
+        mask = source.find_usable(part)
         if mask is not None:
             anything_excluded = True
             # A mean of ones and zeros: 1 only where all are.

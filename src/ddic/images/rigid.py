@@ -79,25 +79,46 @@ def find_rigid_shift(f: NDArray[np.float64], g: NDArray[np.float64], region: NDA
     # Sums of squares of small numbers lose fewer digits.
     centre = f[region].mean()
     f, g = (f - centre) * weight, g - centre
-    # Twice the size, or what leaves the image on one side would enter it on the other.
-    shape = [fft.next_fast_len(2 * n, real=True) for n in f.shape]
+    return _find_peak(_correlate_coefficients(f, g, weight))
 
-    def correlate(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Sums over pixels x of a(x) b(x + shift), for all shifts at once."""
-        return np.asarray(fft.irfft2(np.conj(fft.rfft2(a, shape)) * fft.rfft2(b, shape), shape))
+
+def _correlate_coefficients(f: NDArray[np.float64], g: NDArray[np.float64],
+                            weight: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Correlation coefficients of the region, where ``weight`` is 1 and f not 0, for all shifts; -1 where none is."""
+    # Twice the size, or what leaves the image on one side would enter it on the other.
+    shape = tuple(fft.next_fast_len(2 * n, real=True) for n in f.shape)
+    spectrum_of_weight, spectrum_of_f = (np.conj(fft.rfft2(a, shape)) for a in (weight, f))
+    spectrum_of_g = fft.rfft2(g, shape)
+
+    def sum_products(first: NDArray[np.complex128], second: NDArray[np.complex128]) -> NDArray[np.float64]:
+        return np.asarray(fft.irfft2(first * second, shape, overwrite_x=True))
 
     # Of the region's pixels that a shift keeps in the deformed image: number, sums, sums of squares, of products.
-    inside = np.ones_like(g)
-    n = correlate(weight, inside)
+    n, f_sum, f_power = (_sum_kept(a, shape) for a in (weight, f, f**2))
     n_safe = np.maximum(n, 1.0)
-    f_sum, g_sum = correlate(f, inside), correlate(weight, g)
-    f_power = correlate(f**2, inside) - f_sum**2 / n_safe
-    g_power = correlate(weight, g**2) - g_sum**2 / n_safe
-    covariance = correlate(f, g) - f_sum * g_sum / n_safe
+    g_sum = sum_products(spectrum_of_weight, spectrum_of_g)
+    covariance = sum_products(spectrum_of_f, spectrum_of_g) - f_sum * g_sum / n_safe
+    f_power -= f_sum**2 / n_safe
+    g_power = sum_products(spectrum_of_weight, fft.rfft2(g**2, shape)) - g_sum**2 / n_safe
     floor = FLAT * max(float(f_power.max()), float(g_power.max()), _TINY)
     good = (n >= LEAST_OVERLAP * weight.sum()) & (f_power > floor) & (g_power > floor)
-    coefficient = np.where(good, covariance / np.sqrt(np.where(good, f_power * g_power, 1.0)), -1.0)
-    return _find_peak(coefficient)
+    return np.where(good, covariance / np.sqrt(np.where(good, f_power * g_power, 1.0)), -1.0)
+
+
+def _sum_kept(values: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Sums of the values at the pixels that a shift keeps in an image of the same size, for all shifts."""
+    # What a shift keeps is a rectangle, so that cumulative sums do, which take a fifth of three Fourier transforms.
+    by_row = _sum_kept_rows(values, shape[0])
+    return np.ascontiguousarray(_sum_kept_rows(by_row.T, shape[1]).T)
+
+
+def _sum_kept_rows(values: NDArray[np.float64], n_shifts: int) -> NDArray[np.float64]:
+    """The same along the first axis, shifts counted as by ``_wrap``."""
+    height = len(values)
+    shifts = np.arange(n_shifts)
+    shifts[shifts > n_shifts // 2] -= n_shifts
+    up_to = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    return np.asarray(up_to[np.clip(height - shifts, 0, height)] - up_to[np.clip(-shifts, 0, height)])
 
 
 def _find_peak(coefficient: NDArray[np.float64]) -> RigidShift:

@@ -34,13 +34,13 @@ class Discontinuities:
         """Number of lines."""
         return len(self.lines)
 
-    def scale(self, origin: float, factor: float) -> Discontinuities:
+    def scale(self, origin: float | Array, factor: float) -> Discontinuities:
         """Give the lines in coarser pixels.
 
         Parameters
         ----------
-        origin : float
-            Position of the first coarse pixel's centre along either axis, pixels.
+        origin : float or (2,) array
+            Position of the first coarse pixel's centre along either axis, or along each, pixels.
         factor : float
             Side of a coarse pixel, pixels.
 

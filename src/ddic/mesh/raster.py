@@ -77,13 +77,11 @@ class Raster:
         (height, width) uint8 array
             1 on these pixels, 0 elsewhere.
         """
-        # One step up where a run starts, one down where it stops: their sum along a row counts the runs.
-        steps = np.zeros((height, width + 1), dtype=np.int32)
         rows = self.rows
         inside = (rows >= 0) & (rows < height)
-        np.add.at(steps, (rows[inside], np.clip(self.starts, 0, width)[inside]), 1)
-        np.add.at(steps, (rows[inside], np.clip(self.stops, 0, width)[inside]), -1)
-        return np.asarray(np.cumsum(steps, axis=1)[:, :width] > 0, dtype=np.uint8)
+        covered = np.zeros((height, width), dtype=np.uint8)
+        _fill_ones(rows[inside], np.clip(self.starts, 0, width)[inside], np.clip(self.stops, 0, width)[inside], covered)
+        return covered
 
     def draw_cells(self, cells: NDArray[np.int64], window: Window) -> NDArray[np.uint8]:
         """Draw the pixels of some cells.
@@ -104,10 +102,9 @@ class Raster:
         chosen[cells] = True
         of_runs = np.repeat(chosen, np.diff(self.row_ptr)) & (self.stops > self.starts)
         rows = self.rows[of_runs] - window.y0
-        steps = np.zeros((window.height, window.width + 1), dtype=np.int32)
-        np.add.at(steps, (rows, self.starts[of_runs] - window.x0), 1)
-        np.add.at(steps, (rows, self.stops[of_runs] - window.x0), -1)
-        return np.asarray(np.cumsum(steps, axis=1)[:, :-1] > 0, dtype=np.uint8)
+        drawn = np.zeros((window.height, window.width), dtype=np.uint8)
+        _fill_ones(rows, self.starts[of_runs] - window.x0, self.stops[of_runs] - window.x0, drawn)
+        return drawn
 
     def sum_by_cell(self, image: NDArray[Any], x0: int = 0, y0: int = 0) -> NDArray[Any]:
         """Add up an image over each cell's pixels.
@@ -197,6 +194,13 @@ def _fill_runs(nodes, connectivity, offsets, first_row, row_ptr, starts, stops):
             else:
                 starts[r] = 0
                 stops[r] = 0
+
+
+@numba.njit(cache=True)
+def _fill_ones(rows, starts, stops, image):  # type: ignore[no-untyped-def]
+    """Put 1 on the pixels of some runs."""
+    for k in range(len(rows)):
+        image[rows[k], starts[k]:stops[k]] = 1
 
 
 def list_pixels(raster: Raster, cells: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

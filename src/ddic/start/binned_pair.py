@@ -14,6 +14,20 @@ from ddic.start.coarse_grid import locate_block_centre
 
 
 @dataclass(frozen=True)
+class PixelPair:
+    """An image pair as it was taken.
+
+    Attributes
+    ----------
+    reference, deformed : MaskedSource
+        The images.
+    """
+
+    reference: MaskedSource
+    deformed: MaskedSource
+
+
+@dataclass(frozen=True)
 class BinnedPair:
     """An image pair binned over blocks of factor x factor pixels.
 
@@ -25,11 +39,14 @@ class BinnedPair:
         The deformed image, a pixel a block.
     factor : int
         Side of a block, pixels.
+    pixels : PixelPair, optional
+        The images themselves, where parts of them may be looked at in smaller blocks.
     """
 
     reference: MaskedSource
     deformed: MaskedSource
     factor: int
+    pixels: PixelPair | None = None
 
     @property
     def n_blocks(self) -> int:

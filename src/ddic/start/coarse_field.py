@@ -21,17 +21,11 @@ from ddic.problem.cameras import Camera, Frame, MeasuredCells
 from ddic.problem.cut_region import list_discontinuities
 from ddic.problem.inputs import Inputs
 from ddic.problem.views import ReferenceViews
-from ddic.start.binned_pair import BinnedPair
+from ddic.start.binned_pair import BinnedPair, PixelPair
+from ddic.start.block_sizes import choose_finest_block
 from ddic.start.coarse_displacement import CoarseField, KeptResult, evaluate_at_nodes
 from ddic.start.given_start import EarlierResult, GivenStart, PlacedStart, load_given_start, place_start
-from ddic.start.multilevel import (
-    LinesOnLevels,
-    MultilevelStart,
-    Pyramid,
-    Stages,
-    choose_finest_block,
-    find_multilevel_start,
-)
+from ddic.start.multilevel import LinesOnLevels, MultilevelStart, Pyramid, Stages, find_multilevel_start
 from ddic.start.start_from_given import find_start_from_given
 
 Array = NDArray[np.float64]
@@ -309,4 +303,4 @@ def _bin_together(team: Team, reference: MaskedSource, deformed: MaskedSource) -
     if bands is None:
         return None
     binned = [join_blocks(source, [of_rank[k] for of_rank in bands]) for k, source in enumerate(sources)]
-    return BinnedPair(binned[0], binned[1], factor)
+    return BinnedPair(binned[0], binned[1], factor, PixelPair(reference, deformed))

@@ -92,7 +92,29 @@ def scale_to_pixels(mesh: Mesh, factor: int) -> Mesh:
     Mesh
         The same cells, pixels.
     """
-    origin = locate_block_centre(factor)
+    return _map_mesh(mesh, factor, locate_block_centre(factor))
+
+
+def move_mesh(mesh: Mesh, vector: NDArray[np.float64]) -> Mesh:
+    """Give a mesh, perhaps cut, at another place.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Pixels.
+    vector : (2,) array
+        By which it is moved, pixels.
+
+    Returns
+    -------
+    Mesh
+        The same cells, pixels.
+    """
+    return _map_mesh(mesh, 1, vector)
+
+
+def _map_mesh(mesh: Mesh, factor: int, origin: float | NDArray[np.float64]) -> Mesh:
+    """The same cells, all points times a factor and then moved."""
     parts = mesh.parts
     if parts is not None:
         lines = Lines(tuple(line * factor + origin for line in parts.lines.polylines),

@@ -1,13 +1,13 @@
 """Start of the displacement: rigid FFT correlation, matched features, a coarse-graining pyramid [BP17, Fig. 5].
 
 Runs on one rank, on images binned so far that they are small whatever the camera; every other rank
-receives the coarse field.
+receives the coarse field. What surrounds a small region is looked at in smaller blocks.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -21,40 +21,31 @@ from ddic.kinematics.discontinuities import Discontinuities
 from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.mesh import Mesh
 from ddic.start.binned_pair import BinnedPair
-from ddic.start.coarse_displacement import CoarseField, KeptResult
-from ddic.start.coarse_grid import CELL
+from ddic.start.block_sizes import choose_block_sizes, choose_rigid_block
+from ddic.start.coarse_displacement import CoarseField, KeptResult, move_field
 from ddic.start.feature_matches import match_features
+from ddic.start.level_mesh import move_mesh
 from ddic.start.matched_field import MatchedField
 from ddic.start.pieces import find_pieces
+from ddic.start.predicted_error import predict_error
 from ddic.start.pyramid_level import correlate_level
 from ddic.start.rigid_start import RigidStart, find_rigid_start
-
-LARGEST_COARSE_IMAGE = 1_000_000
-"""Pixels of the finest image of the pyramid: what one rank is asked to hold and correlate. A larger value gives a
-better start later."""
-
-LARGEST_FFT_IMAGE = 500_000
-"""Most blocks of the image in which a rigid translation is sought. A larger value takes longer."""
-
-ENOUGH_FFT_IMAGE = 200_000
-"""Blocks of the image enough for a rigid translation, if ENOUGH_BLOCKS of them show the region. A larger value takes
-longer."""
-
-ENOUGH_BLOCKS = 2000
-"""Blocks of the region enough for a rigid translation: coefficients of unrelated images then stay below 0.11 (2000
-samples, 200 000 translations), far from LEAST_COEFFICIENT. A larger value keeps more blocks of small regions."""
+from ddic.start.surroundings import bin_surroundings, can_bin_finer
 
 SURE = 0.8
 """Correlation coefficient of a translation from which on nothing else is sought: the region then moves by little else.
 A larger value matches features more often, which takes some tenths of a second."""
 
-SMALLEST_SIDE = 1.5 * CELL
-"""Least side of the region on the coarsest level, blocks: there the grid is hardly more than an affine map. A larger
-value leaves out coarse levels."""
+LARGEST_FOLLOWED = 4
+"""Side of the largest blocks, in blocks of the finest level, on which a translation that is not sure may explain every
+part of the region, so that the pyramid follows from there without features. A larger value matches features less often,
+and overlooks larger deformations of small parts."""
 
-COARSEST = 64
-"""Largest block, pixels. A level finds displacements of about a block beyond its start; a larger value reaches
-further."""
+FEWEST_SQUARES = 30
+"""Squares of such blocks that have to tell. With fewer the region is small, and each of them holds much of it."""
+
+MOST_UNEXPLAINED = 0.02
+"""Share of the region that need not be explained there. A larger value overlooks larger parts that move otherwise."""
 
 
 @dataclass(frozen=True)
@@ -193,7 +184,7 @@ class Pyramid:
     @cached_property
     def rigid_size(self) -> int:
         """Side of the blocks in which a rigid translation is sought, pixels."""
-        return _rigid_block_size(self._n_pixels, self.mesh)
+        return choose_rigid_block(self._n_pixels, self.mesh)
 
     @cached_property
     def pairs(self) -> dict[int, BinnedPair]:
@@ -214,14 +205,30 @@ class Pyramid:
         """
         return find_rigid_start(self.pairs[self.rigid_size], self.mesh, self.lines.discontinuities)
 
-    def match(self) -> MatchedField | None:
-        """Match features.
+    def choose_levels_after(self, translation: CoarseField) -> list[int]:
+        """Choose the levels that refine a translation, where it explains the whole region on the coarsest of them.
+
+        Parameters
+        ----------
+        translation : GridField or CutField
+            Of the region, or of its pieces; pixels.
 
         Returns
         -------
-        MatchedField or None
-            A field through features that were found again; None where they do not agree with each other.
+        list of int
+            Block sizes, pixels, coarsest first; none where parts of the region are out of reach.
         """
+        for size in self.sizes:
+            if self.finest_size < size <= LARGEST_FOLLOWED * self.finest_size:
+                predicted = predict_error(self.pairs[size], self.mesh, translation.at)
+                is_told = len(predicted.n_blocks) >= FEWEST_SQUARES
+                if is_told and predicted.measure_share_beyond(np.inf) <= MOST_UNEXPLAINED:
+                    return [level for level in self.sizes if level <= size]
+        return []
+
+    @cached_property
+    def matched(self) -> MatchedField | None:
+        """A field through features that were found again; None where they do not agree with each other."""
         region = cut_mesh(self.mesh, self.lines.discontinuities.lines).mesh
         pieces = find_pieces(region)
         matches = match_features(self.pairs[min(self.pairs)], region, pieces)
@@ -285,11 +292,13 @@ def find_multilevel_start(pair: BinnedPair, mesh: Mesh, stages: Stages, correcti
     sizes = pyramid.sizes if stages.pyramid else []
     at_rest = RigidStart((build_uniform_field((0.0, 0.0)),), (), 1.0, ())
     rigid_start = pyramid.find_rigid() if stages.rigid else at_rest
-    warnings = rigid_start.warnings
-    starts = rigid_start.fields
-    matched = None
+    matched, warnings, starts = None, rigid_start.warnings, rigid_start.fields
     if stages.features and rigid_start.coefficient < SURE:
-        matched = pyramid.match()
+        followed = pyramid.choose_levels_after(starts[0]) if sizes and rigid_start.translations else []
+        finer = None if followed else _search_surroundings(pyramid, rigid_start, stages)
+        if finer is not None:
+            return finer
+        sizes, matched = followed or sizes, None if followed else pyramid.matched
     if matched is not None:
         # From there the finest level finds everything, and coarser ones would smooth it.
         starts, sizes, warnings = (matched, *starts), sizes[-1:], ()
@@ -299,64 +308,30 @@ def find_multilevel_start(pair: BinnedPair, mesh: Mesh, stages: Stages, correcti
                            n_found)
 
 
-def choose_finest_block(n_pixels: int) -> int:
-    """Find the side of the smallest blocks that the start looks at.
-
-    Parameters
-    ----------
-    n_pixels : int
-        Of an image.
-
-    Returns
-    -------
-    int
-        Pixels.
-    """
-    return 1 if n_pixels <= LARGEST_FFT_IMAGE else _finest_level(n_pixels)
-
-
-def _finest_level(n_pixels: int) -> int:
-    """Side of the smallest blocks of the pyramid, pixels."""
-    finest = 2
-    while n_pixels / finest**2 > LARGEST_COARSE_IMAGE:
-        finest *= 2
-    return finest
-
-
-def choose_block_sizes(n_pixels: int, mesh: Mesh) -> list[int]:
-    """Choose the block sizes of the pyramid's levels.
-
-    Parameters
-    ----------
-    n_pixels : int
-        Of an image.
-    mesh : Mesh
-        The whole mesh, pixels.
-
-    Returns
-    -------
-    list of int
-        Pixels, coarsest first; none where the region is smaller than a cell of each.
-    """
-    side = float(np.ptp(mesh.nodes, axis=0).min())
-    sizes = [_finest_level(n_pixels)]
-    while sizes[-1] < COARSEST and side / (2 * sizes[-1]) >= SMALLEST_SIDE:
-        sizes.append(2 * sizes[-1])
-    return [size for size in reversed(sizes) if side / size >= CELL]
-
-
-def _rigid_block_size(n_pixels: int, mesh: Mesh) -> int:
-    """Side of the blocks in which a rigid translation is sought, pixels."""
-    region = float(np.prod(np.ptp(mesh.nodes, axis=0)))
-    size = 1
-    while True:
-        n_blocks = n_pixels / size**2
-        n_larger_blocks_of_region = region / (2 * size) ** 2
-        is_too_large = n_blocks > LARGEST_FFT_IMAGE
-        is_more_than_enough = n_blocks > ENOUGH_FFT_IMAGE and n_larger_blocks_of_region >= ENOUGH_BLOCKS
-        if not (is_too_large or is_more_than_enough):
-            return size
-        size *= 2
+def _search_surroundings(pyramid: Pyramid, rigid_start: RigidStart, stages: Stages) -> MultilevelStart | None:
+    """The same in smaller blocks of what surrounds a small region; None where they are no smaller or show nothing."""
+    pixels = pyramid.pair.pixels
+    if pixels is None or not can_bin_finer(pixels, pyramid.mesh):
+        return None
+    translation = np.zeros(2)
+    if rigid_start.translations:
+        translation = np.array(rigid_start.translations[0].shift)
+    elif pyramid.matched is not None:
+        translation = pyramid.matched.matches.displacement.mean(axis=0)
+    seen = bin_surroundings(pixels, pyramid.mesh, translation)
+    lines = replace(pyramid.lines, discontinuities=pyramid.lines.discontinuities.scale(seen.origin, 1.0))
+    mesh = move_mesh(pyramid.mesh, -seen.origin)
+    try:
+        found = find_multilevel_start(seen.pair, mesh, stages, pyramid.correction, lines)
+    except ConvergenceError:
+        # What repeats itself in smaller blocks may not on the whole image.
+        return None
+    if stages.pyramid and not found.levels:
+        return None
+    rigid = tuple(replace(one, shift=(one.shift[0] + seen.translation[0], one.shift[1] + seen.translation[1]))
+                  for one in found.rigid)
+    return replace(found, field=move_field(found.field, seen.origin, seen.translation), rigid=rigid,
+                   notes=(seen.describe(), *found.notes))
 
 
 def _binned_pairs(pair: BinnedPair, sizes: Iterable[int]) -> dict[int, BinnedPair]:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.images.grid_field import GridField
 from ddic.io.result_reader import displacement_at
 from ddic.parallel.team import require_held
 from ddic.problem.cameras import Frame, MeasuredCells
@@ -16,9 +17,7 @@ from ddic.separated.line_elements import LineElements
 from ddic.separated.separated_field import SeparatedField, factorize_grid, scale_modes
 from ddic.start.coarse_displacement import KeptResult
 from ddic.start.coarse_field import CoarseSearch, describe_start, prepare_search
-from ddic.start.cut_field import CutField
 from ddic.start.given_start import EarlierResult, GivenStart
-from ddic.start.matched_field import MatchedField
 from ddic.start.multilevel import MultilevelStart
 
 Array = NDArray[np.float64]
@@ -62,7 +61,7 @@ def factorize_coarse_field(found: MultilevelStart, rectangle: Rectangle) -> tupl
     grid = found.field
     if isinstance(grid, KeptResult):
         raise TypeError("an earlier result that is kept has products of its own, or is looked up")
-    if isinstance(grid, CutField | MatchedField):
+    if not isinstance(grid, GridField):
         return _factorize_values(grid.at, rectangle), tuple(describe_start(found))
     x = _evaluate_hats(rectangle.along_x.nodes, grid.origin[0], grid.spacing[0], grid.values.shape[1])
     y = _evaluate_hats(rectangle.along_y.nodes, grid.origin[1], grid.spacing[1], grid.values.shape[0])

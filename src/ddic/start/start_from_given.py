@@ -108,7 +108,7 @@ def _search_on(given: CutField, pyramid: Pyramid, stages: Stages) -> tuple[Multi
     matched = None
     looks = stages.rigid and stages.features
     if looks and _predict(pyramid, pyramid.rigid_size, choice.best.field).coefficient < SURE:
-        matched = pyramid.match()
+        matched = pyramid.matched
     if matched is not None:
         found = pyramid.correlate(sizes[-1:], [matched, *beside], beside)
         return MultilevelStart(found.field, (), found.levels, found.warnings, len(matched.matches.points),

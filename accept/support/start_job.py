@@ -1,0 +1,53 @@
+"""The MPI part of ``accept.large_pairs``: measures a case, prints from rank 0 how long its start took.
+
+Usage: start_job CASE, a case file beside the truth of its images. It runs with older sources too.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+from mpi4py import MPI
+
+from ddic.case.loader import load_case
+from ddic.methods.dd_dic import Session
+from ddic.parallel.phases import Phase, PhaseClock
+from ddic.parallel.team import Team
+from ddic.problem.inputs import open_inputs
+from ddic.results.listener import Silence
+from ddic.results.publishing import gather
+from ddic.synth.truth import load_truth
+
+STAGES = (Phase.START, Phase.INDEPENDENT_START)
+"""All that is done before Gauss-Newton on the whole mesh, but for reading and assembling what it needs itself; the
+reading of both images to bin them is part of it."""
+
+
+def measure_start(team: Team, path: Path) -> None:
+    """Measure a case; collective.
+
+    Parameters
+    ----------
+    team : Team
+        Ranks.
+    path : Path
+        The case file.
+    """
+    clock = PhaseClock(waiting=team.waiting)
+    inputs, frame = open_inputs(team, load_case(path))
+    team.wait_for_all()
+    with Session(team, inputs, Silence(), clock, frame) as session:
+        result = gather(session.measure(frame))
+    truth = load_truth(path.with_name("truth.json")).displacement(result.mesh.nodes)
+    largest = float(np.linalg.norm(result.displacement - truth, axis=1).max())
+    of_ranks = team.gather_lists([[sum(seconds.get(stage, 0.0) for stage in STAGES)
+                                   for seconds in (clock.wall, clock.busy)]])
+    wall, busy = np.max(of_ranks, axis=0)
+    if team.is_root:
+        print(json.dumps({"wall": wall, "busy": busy, "largest": largest}), flush=True)
+
+
+measure_start(Team(MPI.COMM_WORLD), Path(sys.argv[1]))
