@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 
+from accept.absent_packages import measure_absent_packages
 from accept.nodal_strains import measure_nodal_strain
 from accept.paper_pictures import measure_pictures
 from accept.table import Check, run_table
@@ -15,6 +16,7 @@ from accept.table import Check, run_table
 CHECKS: dict[str, Check] = {
     "nodal_strain": measure_nodal_strain,
     "pictures": measure_pictures,
+    "absent_packages": measure_absent_packages,
 }
 
 if __name__ == "__main__":
