@@ -22,6 +22,9 @@ from accept.support.page_blocks import Block, read_blocks, read_script
 LIMIT_S = 1800
 """Seconds after which a page counts as hanging: the first of all installs everything."""
 
+SETTINGS = (". scripts/mpi_env.sh",)
+"""Of mpiexec, before a script that says of itself how it is started."""
+
 _MOST_LINES = 5
 """Last lines of a failed command that a fault shows."""
 
@@ -65,7 +68,8 @@ def follow_page(folder: Path, page: str) -> Followed:
     Followed
         What came of it.
     """
-    blocks = read_blocks(folder / page) if page.endswith(".md") else read_script(folder / page)
+    is_script = page.endswith(".py")
+    blocks = read_script(folder / page) if is_script else read_blocks(folder / page)
     here = [block for block in blocks if not block.needs or (block.needs == "root" and os.geteuid() == 0)]
     left_out = [f"{page}:{block.line} needs {block.needs}" for block in blocks if block not in here]
     printed_by_example = (folder / page).with_name("printed.txt")
@@ -75,7 +79,7 @@ def follow_page(folder: Path, page: str) -> Followed:
     work = folder / ".followed" / page.replace("/", "_")
     work.mkdir(parents=True, exist_ok=True)
     script = work / "script.sh"
-    script.write_text(_write_script(here, work), encoding="utf-8")
+    script.write_text(_write_script(here, work, SETTINGS if is_script else ()), encoding="utf-8")
     with (work / "output.txt").open("w", encoding="utf-8") as output:
         done = subprocess.run(["timeout", str(LIMIT_S), "bash", str(script)], cwd=folder, stdin=subprocess.DEVNULL,
                               stdout=output, stderr=subprocess.STDOUT, check=False)
@@ -95,9 +99,10 @@ def follow_page(folder: Path, page: str) -> Followed:
     return followed
 
 
-def _write_script(blocks: Sequence[Block], work: Path) -> str:
+def _write_script(blocks: Sequence[Block], work: Path, preamble: Sequence[str]) -> str:
     """A shell script of all blocks, which stops at the first that fails."""
-    lines = ["set -e -o pipefail", "[[ ! -f .venv/bin/activate ]] || . .venv/bin/activate", ". scripts/mpi_env.sh"]
+    # What the README says once of all that follows; settings of mpiexec are sourced where a page or an example says so.
+    lines = ["set -e -o pipefail", "[[ ! -f .venv/bin/activate ]] || . .venv/bin/activate", *preamble]
     numbered = list(enumerate(blocks))
     for kind, run in groupby(numbered, key=lambda pair: pair[1].kind):
         group = list(run)
