@@ -55,8 +55,9 @@ def list_pages() -> list[str]:
     list of str
         Names below the repository.
     """
-    listed = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted((ROOT / "examples").glob("*/README.md")),
-              *sorted((ROOT / "examples").glob("*.py")), ROOT / "CONTRIBUTING.md"]
+    examples = ROOT / "examples"
+    listed = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted(examples.glob("*/README.md")),
+              *sorted(examples.glob("*.py")), ROOT / "CONTRIBUTING.md"]
     return [path.relative_to(ROOT).as_posix() for path in listed]
 
 
@@ -79,8 +80,8 @@ def _measure(who: str, pages: list[str] | tuple[str, ...], launcher: tuple[str, 
     shown = "; ".join(found.faults[:_MOST_FAULTS]) or "none"
     return Row(f"{len(pages)} pages followed word by word in another folder as {who}",
                "no command fails, no printed line differs",
-               f"{found.commands} commands, {found.numbers} printed numbers; faults: {len(found.faults)} ({shown}); left out: "
-               f"{len(found.left_out)} ({'; '.join(found.left_out) or 'none'})", held)
+               f"{found.commands} commands, {found.numbers} printed numbers; faults: {len(found.faults)} ({shown}); "
+               f"left out: {len(found.left_out)} ({'; '.join(found.left_out) or 'none'})", held)
 
 
 def _copy_repository(folder: Path) -> Path:
@@ -104,8 +105,9 @@ def _follow(folder: Path, pages: list[str] | tuple[str, ...], launcher: tuple[st
     of_python = ("PYTHON", "VIRTUAL_ENV", "OMPI_", "PMIX_", "DDIC_")
     clean = {name: value for name, value in environment().items() if not name.startswith(of_python)}
     clean |= {"PATH": path, "HOME": str(folder / ".home"), "TMPDIR": str(folder / ".home")}
-    done = subprocess.run([*launcher, "/usr/bin/env", "python3", "-m", "accept.support.follow_page", str(folder), *pages],
-                          cwd=folder, env=clean, text=True, capture_output=True, timeout=LIMIT_S * len(pages), check=False)
+    command = [*launcher, "/usr/bin/env", "python3", "-m", "accept.support.follow_page", str(folder), *pages]
+    done = subprocess.run(command, cwd=folder, env=clean, text=True, capture_output=True, timeout=LIMIT_S * len(pages),
+                          check=False)
     if done.returncode != 0:
         raise RuntimeError(f"the pages could not be followed: {done.stderr[-1000:]}")
     return Followed(**json.loads(done.stdout))

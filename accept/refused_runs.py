@@ -89,5 +89,5 @@ def _mistype_an_option(folder: Path) -> Row:
     right, silent = _run(folder, _GOOD, OPTION.replace("kps", "ksp"), "1e-3")
     n_false = sum("never asked for" in line for line in silent.splitlines())
     return Row(f"ddic run case.toml {OPTION} 1e-3", "one warning that names it; none where it is spelt right",
-               f"exit code {code}, {len(said)} line: {''.join(said)[:SHOWN]}; spelt right: exit code {right}, {n_false} "
-               "warnings", len(said) == 1 and n_false == 0 and (code, right) == (0, 0))
+               f"exit code {code}, {len(said)} line: {' '.join(said)[:SHOWN]}; spelt right: exit code {right}, "
+               f"{n_false} warnings", len(said) == 1 and n_false == 0 and (code, right) == (0, 0))

@@ -1,4 +1,4 @@
-"""What follows the pages finds commands that fail and numbers that differ, and every command on a page is found by it."""
+"""Pages are followed to the last command; one that fails and a number that differs are found."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from accept.support.page_blocks import read_blocks, read_script
 
 ROOT = Path(__file__).parents[1]
 PAGES = [page for page in list_pages() if page.endswith(".md")]
-COMMANDS = ("make", "ddic", "pip", "python", "python3", "mpiexec", "mpirun", "bash", "conda", "apt-get", "cd", ".", "module")
+COMMANDS = ("make", "ddic", "pip", "python", "python3", "mpiexec", "mpirun", "bash", "conda", "apt-get", "cd", ".",
+            "module")
 
 
 def _follow(folder: Path, text: str) -> Followed:
@@ -54,7 +55,8 @@ def test_what_is_wrong_on_a_page_is_found(tmp_path: Path, text: str, fault: str)
     ("u = 0.503 px", "u = 0.501 px", True), ("u = 0.505 px", "u = 0.501 px", False),
     ("4 nodes", "5 nodes", False), ("3.1e-06", "3.0e-06", True), ("3.5e-06", "3.0e-06", False),
     ("/tmp/x/a.txt", "/.../a.txt", True), ("/tmp/x/b.txt", "/.../a.txt", False),
-    ("read: 9.1 s", "read: 0.2 s", True), ("read: 9.1 px", "read: 0.2 px", False), ("read: s 9.1", "read: s 0.2", False),
+    ("read: 9.1 s", "read: 0.2 s", True), ("read: 9.1 px", "read: 0.2 px", False),
+    ("read: s 9.1", "read: s 0.2", False),
     ("memory [MiB]: 3, 4", "memory [MiB]: 1, 2", True), ("memory [kB]: 3, 4", "memory [kB]: 1, 2", False),
 ])
 def test_numbers_agree_to_three_units_of_their_last_digit(printed: str, shown: str, agree: bool) -> None:

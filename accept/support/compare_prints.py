@@ -10,13 +10,13 @@ from itertools import zip_longest
 NUMBER = re.compile(r"-?(?<![A-Za-z])\d+(?:\.\d+)?(?:e[-+]\d+)?")
 
 _ROUNDING = 1e-9
-"""Difference of two numbers of rounding errors, which have no digits to compare: that to which methods agree, pixels."""
+"""Difference of two numbers of rounding errors, which have no digits to compare: that to which methods agree, px."""
 
 
 def allow_difference(number: str) -> float:
     """Give the difference that a printed number may have from the one that a page shows.
 
-    Three units of its last digit; none where it is whole, for it is counted or chosen. Images come from fixed seeds, and
+    Three units of its last digit; none where it is whole, for it is counted or chosen. Images come from fixed seeds;
     libraries and partitions move a field by less than Gauss-Newton's tolerance, an RMS of 1e-4 px.
 
     Parameters
@@ -47,8 +47,8 @@ def find_differences(printed: str, shown: str, differs: Sequence[str] = ()) -> l
     shown : str
         What the page shows.
     differs : sequence of str
-        Units: a number in front of one, numbers of a line whose label holds one, and those of a column that is headed by
-        one may be others.
+        Units: a number in front of one, numbers of a line whose label holds one, and those of a column that is headed
+        by one may be others.
 
     Returns
     -------

@@ -1,7 +1,7 @@
 """Do what a page says, word by word, in a copy of the repository.
 
-Usage: python -m accept.support.follow_page FOLDER PAGE ...: FOLDER is the copy, each PAGE relative to it: Markdown, or a
-script whose docstring says how it is run. Needs nothing but Python: a page may be the one that installs the rest.
+Usage: python -m accept.support.follow_page FOLDER PAGE ...: FOLDER is the copy, each PAGE relative to it: Markdown, or
+a script whose docstring says how it is run. Needs nothing but Python: a page may be the one that installs the rest.
 """
 
 from __future__ import annotations
@@ -71,32 +71,38 @@ def follow_page(folder: Path, page: str) -> Followed:
     is_script = page.endswith(".py")
     blocks = read_script(folder / page) if is_script else read_blocks(folder / page)
     here = [block for block in blocks if not block.needs or (block.needs == "root" and os.geteuid() == 0)]
-    left_out = [f"{page}:{block.line} needs {block.needs}" for block in blocks if block not in here]
-    printed_by_example = (folder / page).with_name("printed.txt")
-    followed = Followed(0, 0, left_out, [])
+    followed = Followed(0, 0, [f"{page}:{block.line} needs {block.needs}" for block in blocks if block not in here], [])
     if not here:
         return followed
+    code, printed = _run_blocks(folder, page, here, SETTINGS if is_script else ())
+    parts = _split_output(printed, len(here))
+    reached = [(block, part) for block, part in zip(here, parts, strict=True) if part is not None]
+    followed.commands = sum(_count_commands(block) for block, _ in reached)
+    if code != 0:
+        last = [line for line in printed.splitlines() if line.strip()][-_MOST_LINES:]
+        line = reached[-1][0].line if reached else here[0].line
+        followed.faults.append(f"{page}:{line}: exit code {code}: {' | '.join(last)}")
+    for block, part in reached:
+        if block.shown is not None:
+            _compare(followed, f"{page}:{block.line}", part, block)
+    end = (folder / page).with_name("printed.txt")
+    if end.is_file() and parts[-1] is not None:
+        shown = end.read_text(encoding="utf-8")
+        last_lines = "\n".join(parts[-1].splitlines()[-len(shown.splitlines()):])
+        _compare(followed, f"{page}: printed.txt", last_lines, Block("console", "", 0, shown=shown))
+    return followed
+
+
+def _run_blocks(folder: Path, page: str, blocks: Sequence[Block], preamble: Sequence[str]) -> tuple[int, str]:
+    """Exit code of a shell in which all blocks are run, and what they print."""
     work = folder / ".followed" / page.replace("/", "_")
     work.mkdir(parents=True, exist_ok=True)
     script = work / "script.sh"
-    script.write_text(_write_script(here, work, SETTINGS if is_script else ()), encoding="utf-8")
+    script.write_text(_write_script(blocks, work, preamble), encoding="utf-8")
     with (work / "output.txt").open("w", encoding="utf-8") as output:
         done = subprocess.run(["timeout", str(LIMIT_S), "bash", str(script)], cwd=folder, stdin=subprocess.DEVNULL,
                               stdout=output, stderr=subprocess.STDOUT, check=False)
-    printed = (work / "output.txt").read_text(encoding="utf-8", errors="replace")
-    parts = _split_output(printed, len(here))
-    followed.commands = sum(_count_commands(block) for block, part in zip(here, parts, strict=True) if part is not None)
-    if done.returncode != 0:
-        last = [line for line in printed.splitlines() if line.strip()][-_MOST_LINES:]
-        followed.faults.append(f"{page}:{_find_stop(here, parts).line}: exit code {done.returncode}: {' | '.join(last)}")
-    for block, part in zip(here, parts, strict=True):
-        if block.shown is not None and part is not None:
-            _compare(followed, f"{page}:{block.line}", part, block)
-    if printed_by_example.is_file() and parts[-1] is not None:
-        shown = printed_by_example.read_text(encoding="utf-8")
-        last = "\n".join(parts[-1].splitlines()[-len(shown.splitlines()):])
-        _compare(followed, f"{page}: printed.txt", last, Block("console", "", 0, shown=shown))
-    return followed
+    return done.returncode, (work / "output.txt").read_text(encoding="utf-8", errors="replace")
 
 
 def _write_script(blocks: Sequence[Block], work: Path, preamble: Sequence[str]) -> str:
@@ -129,11 +135,6 @@ def _split_output(printed: str, n_blocks: int) -> list[str | None]:
         if mark in printed:
             parts[number] = printed.partition(mark)[2].partition(_BEGIN.format(number + 1))[0]
     return parts
-
-
-def _find_stop(blocks: Sequence[Block], parts: Sequence[str | None]) -> Block:
-    reached = [block for block, part in zip(blocks, parts, strict=True) if part is not None]
-    return reached[-1] if reached else blocks[0]
 
 
 def _count_commands(block: Block) -> int:

@@ -1,7 +1,7 @@
 """Blocks of a page that a reader types, runs or saves, and what the page says that they print.
 
-- ```` ```sh ```` is typed into a shell, block after block. Where its first line is a comment that says what it ``needs``, it is
-  left out unless that is there.
+- ```` ```sh ```` is typed into a shell, block after block. Where its first line is a comment that says what it
+  ``needs``, it is left out unless that is there.
 - ```` ```text ```` of lines that begin with ``$``: commands, each followed by all that it prints.
 - ```` ```python ```` is run; blocks without commands between them are one program.
 - ``<!-- file: NAME -->`` above a block: it is saved as NAME.
@@ -21,7 +21,8 @@ from typing import Literal
 
 Kind = Literal["sh", "console", "python", "file"]
 
-_FENCE = re.compile(r"^(?P<indent> *)```(?P<language>\w*)[^\n]*\n(?P<text>.*?)^(?P=indent)```$", re.MULTILINE | re.DOTALL)
+_FENCE = re.compile(r"^(?P<indent> *)```(?P<language>\w*)[^\n]*\n(?P<text>.*?)^(?P=indent)```$",
+                    re.MULTILINE | re.DOTALL)
 _MARK = re.compile(r"<!-- (file|differs): (.+?) -->\s*$")
 
 

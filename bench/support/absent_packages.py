@@ -24,9 +24,11 @@ PACKAGES = {"suitesparse": "cholmod", "mumps": "mumps"}
 _Maker = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_int, ctypes.c_void_p)
 
 
-@_Maker
 def _refuse(matrix: int, kind: int, factor: int) -> int:
     return MISSING_PACKAGE
+
+
+_MAKER = _Maker(_refuse)
 
 
 def _library() -> ctypes.CDLL:
@@ -48,7 +50,7 @@ def take_away(*absent: str) -> None:
     for name in absent:
         for matrix in MATRICES:
             for kind in FACTORS:
-                if register(PACKAGES[name].encode(), matrix.encode(), kind, _refuse):
+                if register(PACKAGES[name].encode(), matrix.encode(), kind, _MAKER):
                     raise RuntimeError(f"{name} cannot be taken away")
     has_package = factor_packages.has_package
     factor_packages.has_package = lambda name: name not in absent and has_package(name)

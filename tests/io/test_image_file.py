@@ -135,7 +135,7 @@ def test_jpeg_is_read_with_a_warning_whatever_its_name(tmp_path: Path, name: str
 
 
 def test_a_turned_jpeg_is_read_as_it_is_stored(tmp_path: Path) -> None:
-    # Both images of a pair come from one camera: what a viewer turns by the tag must not be turned in one of them alone.
+    # Both images of a pair come from one camera: what a viewer turns by the tag may not be turned in one of them.
     grey = np.repeat(np.arange(HEIGHT, dtype=np.uint8)[:, None], WIDTH, axis=1)
     coded = cv2.imencode(".jpg", grey)[1].tobytes()
     turned_right = b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0"

@@ -70,7 +70,7 @@ def test_the_field_is_measured_with_what_is_there(tmp_path: Path, solver: str, r
     ("assembled", 2, ('solver.method = "assembled"', "2 MPI ranks", '"conjugate_gradient"')),
     ("sparse", 0, ('solver.local_inverse = "sparse"', '"auto"')),
 ])
-def test_what_needs_mumps_is_refused_by_one_line(tmp_path: Path, solver: str, ranks: int, words: tuple[str, ...]) -> None:
+def test_what_needs_mumps_is_refused_by_one_line(tmp_path: Path, solver: str, ranks: int, words: Sequence[str]) -> None:
     folder = tmp_path / "run"
     job = _run(folder, solver, ("mumps",), ranks)
     assert job.code == 2

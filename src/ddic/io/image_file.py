@@ -184,8 +184,8 @@ def _explained(path: Path, tiff: bool, decode: Callable[[Path], T]) -> T:
 def _warn_of_what_is_dropped(path: Path, layout: PixelFormat) -> None:
     """Warn of pages, colours and channels that are not used, and of grey levels that are not the camera's."""
     if is_jpeg(path):
-        warnings.warn(f"{path}: JPEG compression changes grey levels, which adds to the noise; save TIFF or PNG where you "
-                      "can", stacklevel=3)
+        warnings.warn(f"{path}: JPEG compression changes grey levels, which adds to the noise; save TIFF or PNG where "
+                      "you can", stacklevel=3)
     if layout.n_pages > 1:
         warnings.warn(f"{path}: {layout.n_pages} pages, only the first is used", stacklevel=3)
     if layout.inverted:

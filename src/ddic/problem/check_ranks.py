@@ -26,7 +26,7 @@ def check_ranks(loaded: LoadedCase, n_ranks: int) -> None:
     Raises
     ------
     InputError
-        Where a rank would have no subdomain, or no rows of the images, or PETSc was built without what the solver needs.
+        Where a rank would have no subdomain, or no rows of the images, or PETSc lacks what the solver needs.
     """
     if loaded.case.pgd is not None:
         check_number_of_ranks(n_ranks)

@@ -53,7 +53,7 @@ def choose_local_package() -> str:
     return "mumps" if has_package("mumps") else "petsc"
 
 
-def lacks_mumps(prefix: str) -> bool:
+def is_mumps_missing(prefix: str) -> bool:
     """Tell whether MUMPS is meant to factorise something, and PETSc was built without it.
 
     Parameters
@@ -88,11 +88,11 @@ def require_packages(where: str, method: str, local_inverse: str, n_ranks: int) 
     InputError
         Where nothing takes its place.
     """
-    if method == "assembled" and n_ranks > 1 and lacks_mumps("assembled_"):
-        raise InputError(f'{where}: solver.method = "assembled" on {n_ranks} MPI ranks needs MUMPS, and PETSc was built '
-                         'without it; use "conjugate_gradient" or "dual", start one rank, or build PETSc with MUMPS '
-                         "(docs/installation.md)")
-    if method == "dual" and local_inverse == "sparse" and lacks_mumps("inverse_"):
+    if method == "assembled" and n_ranks > 1 and is_mumps_missing("assembled_"):
+        raise InputError(f'{where}: solver.method = "assembled" on {n_ranks} MPI ranks needs MUMPS, and PETSc was '
+                         'built without it; use "conjugate_gradient" or "dual", start one rank, or build PETSc with '
+                         "MUMPS (docs/installation.md)")
+    if method == "dual" and local_inverse == "sparse" and is_mumps_missing("inverse_"):
         raise InputError(f'{where}: solver.local_inverse = "sparse" needs MUMPS, and PETSc was built without it; use '
                          '"auto" or "dense", or build PETSc with MUMPS (docs/installation.md)')
 
@@ -115,9 +115,9 @@ def describe_missing_packages(method: str) -> tuple[str, ...]:
     if (method in LOCAL_FACTORS and chosen != "cholmod"
             and PETSc.Options().getString("local_" + PACKAGE, chosen) == chosen):
         lines.append(f"PETSc was built without SuiteSparse: {chosen} factorises the operators in CHOLMOD's place")
-    if method == "dual" and lacks_mumps("coarse_"):
-        lines.append("PETSc was built without MUMPS: inverses of subdomains are arrays whatever their size, and a coarse "
-                     "problem is factorised on every rank by PETSc itself")
-    if method == "assembled" and lacks_mumps("assembled_"):
+    if method == "dual" and is_mumps_missing("coarse_"):
+        lines.append("PETSc was built without MUMPS: inverses of subdomains are arrays whatever their size, and a "
+                     "coarse problem is factorised on every rank by PETSc itself")
+    if method == "assembled" and is_mumps_missing("assembled_"):
         lines.append(f"PETSc was built without MUMPS: {chosen} factorises the operator in its place")
     return tuple(lines)

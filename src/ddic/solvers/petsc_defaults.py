@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from petsc4py import PETSc
 
-from ddic.solvers.factor_packages import PACKAGE, REPLICATED, choose_local_package, lacks_mumps
+from ddic.solvers.factor_packages import PACKAGE, REPLICATED, choose_local_package, is_mumps_missing
 from ddic.solvers.freed_memory import release_freed_memory
 
 # At import, for PETSc's libraries change malloc when they are loaded, and assembly comes before the first solver.
@@ -91,6 +91,6 @@ def _choose_defaults(prefix: str) -> dict[str, str]:
     defaults = DEFAULTS[prefix]
     if prefix == LOCAL:
         return defaults | {PACKAGE: choose_local_package()}
-    if defaults.get(PACKAGE) == "mumps" and lacks_mumps(prefix):
+    if defaults.get(PACKAGE) == "mumps" and is_mumps_missing(prefix):
         return REPLICATED if prefix == COARSE else defaults | {PACKAGE: choose_local_package()}
     return defaults
