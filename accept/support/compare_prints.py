@@ -48,7 +48,7 @@ def find_differences(printed: str, shown: str, differs: Sequence[str] = ()) -> l
         What the page shows.
     differs : sequence of str
         Units: a number in front of one, numbers of a line whose label holds one, and those of a column that is headed
-        by one may be others.
+        by one may be others. A line of nothing but a label and such a number may be missing.
 
     Returns
     -------
@@ -57,7 +57,7 @@ def find_differences(printed: str, shown: str, differs: Sequence[str] = ()) -> l
     """
     differences = []
     columns: list[int] = []
-    for found, expected in zip_longest(_lines(printed), _lines(shown), fillvalue=""):
+    for found, expected in zip_longest(_lines(printed, differs), _lines(shown, differs), fillvalue=""):
         headings = re.split(r"  +", expected.strip())
         if len(headings) > 2 and set(headings) & set(differs):
             columns = [place - len(headings) for place, heading in enumerate(headings) if heading in differs]
@@ -66,8 +66,11 @@ def find_differences(printed: str, shown: str, differs: Sequence[str] = ()) -> l
     return differences
 
 
-def _lines(text: str) -> list[str]:
-    return text.rstrip().splitlines()
+def _lines(text: str, differs: Sequence[str]) -> list[str]:
+    """Lines but those that say no more than that something took some seconds."""
+    units = "|".join(re.escape(word) for word in differs)
+    only = re.compile(rf"[^:]+: {NUMBER.pattern} (?:{units})" if units else r"(?!)")
+    return [line for line in text.rstrip().splitlines() if not only.fullmatch(line)]
 
 
 def _mask(line: str, differs: Sequence[str], columns: Sequence[int]) -> str:
