@@ -2,7 +2,7 @@
 
 Between the pictures the lamp got weaker, and a shadow fell across the specimen. "global" finds one brightness and one
 contrast for the whole image, "element" finds them for each element, "auto", the default, takes the first of these that
-is enough. The residual, what is left of f(x) - g(x + u), says how well that explains the images; noise alone would
+is enough, and with the last one takes off how the light changes inside the elements. The residual, what is left of f(x) - g(x + u), says how well that explains the images; noise alone would
 leave about 1.5 grey levels here.
 
     python examples/grey_correction.py
@@ -12,7 +12,7 @@ prints
     none: RMS error 0.348 px, residual 42.2 grey levels
     global: RMS error 0.086 px, residual 13.1 grey levels
     element: RMS error 0.012 px, residual 1.9 grey levels
-    auto: RMS error 0.012 px, residual 1.9 grey levels
+    auto: RMS error 0.008 px, residual 1.6 grey levels
 """
 
 import numpy as np

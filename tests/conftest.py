@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import faulthandler
 import gc
 import os
 import sys
@@ -81,7 +82,11 @@ def pytest_exception_interact(report: pytest.CollectReport | pytest.TestReport) 
         sys.stderr.flush()
 
 
-def pytest_unconfigure() -> None:
+def pytest_unconfigure(config: pytest.Config) -> None:
     """Let every rank print its summary: the first non-zero exit makes mpiexec end the others."""
     if MPI.COMM_WORLD.size > 1:
+        # Until the process ends: a rank that never comes here, or hangs in MPI_Finalize, belongs to no test.
+        limit = float(config.getini("faulthandler_timeout") or 0)
+        if limit > 0:
+            faulthandler.dump_traceback_later(limit, file=sys.__stderr__, exit=True)
         MPI.COMM_WORLD.barrier()

@@ -291,12 +291,13 @@ def test_grey_correction(tmp_path: Path) -> None:
     errors, residuals = printed[0:6:2], printed[1:6:2]
     assert errors == sorted(errors, reverse=True)
     assert residuals == sorted(residuals, reverse=True)
-    # "auto" chooses the last of them.
-    assert printed[6:] == pytest.approx([errors[-1], residuals[-1]])
-    # As in even light: 0.006 px, more for less contrast in g and three unknowns more for each element.
-    assert errors[-1] < 0.02
     # 1.4 grey levels of noise, and a shadow that is not constant in an element: 20 px of 0.001 a px, 100 grey levels.
     assert residuals[-1] < 2.5
+    # "auto" takes the shadow's slope off as well.
+    auto_error, auto_residual = printed[6:]
+    assert auto_residual < 1.7
+    # As in even light: 0.006 px, more for less contrast in g and three unknowns more for each element.
+    assert auto_error <= 0.01
 
 
 def test_methods_compared(tmp_path: Path) -> None:

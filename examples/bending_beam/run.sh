@@ -3,6 +3,7 @@
 # ones. Usage: run.sh [folder for all files, default ./bending_beam]
 set -euo pipefail
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
+. "$here/../../scripts/mpi_env.sh" # mpirun as root, and on fewer cores than ranks
 out=${1:-bending_beam}
 mkdir -p "$out/images"
 

@@ -3,6 +3,7 @@
 # compares it with the truth. Usage: run.sh [folder for all files, default ./demo]
 set -euo pipefail
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
+. "$here/../../scripts/mpi_env.sh" # mpirun as root, and on fewer cores than ranks
 out=${1:-demo}
 mkdir -p "$out/images" "$out/pictures"
 cp "$here/case.toml" "$out/case.toml"

@@ -3,6 +3,7 @@
 # Usage: run.sh [folder for all files, default ./near_far]
 set -euo pipefail
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
+. "$here/../../scripts/mpi_env.sh" # mpirun as root, and on fewer cores than ranks
 out=${1:-near_far}
 mkdir -p "$out/images"
 cp "$here/case.toml" "$out/case.toml"

@@ -3,6 +3,7 @@
 # Usage: run.sh [folder for all files, default ./restart]
 set -euo pipefail
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
+. "$here/../../scripts/mpi_env.sh" # mpirun as root, and on fewer cores than ranks
 out=${1:-restart}
 mkdir -p "$out"
 cp "$here"/frame_?.toml "$out"

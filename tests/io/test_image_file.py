@@ -122,6 +122,31 @@ def test_colour_tiff_turns_grey_with_a_warning_and_keeps_precision(tmp_path: Pat
     assert read.dtype == np.float32
 
 
+@pytest.mark.parametrize("name", ["a.jpg", "a.png"])
+def test_jpeg_is_read_with_a_warning_whatever_its_name(tmp_path: Path, name: str) -> None:
+    grey = np.add.outer(np.arange(HEIGHT), np.arange(WIDTH)).astype(np.uint8)
+    coded = cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes()
+    (tmp_path / name).write_bytes(coded)
+    with pytest.warns(UserWarning, match=f"{name}: JPEG compression changes grey levels.*TIFF or PNG") as told:
+        image = open_image(tmp_path / name)
+    assert len(told) == 1
+    # A ramp of one grey level a pixel loses no more than the rounding of a few coefficients.
+    assert np.abs(image.read(WHOLE).astype(int) - grey).max() <= 2
+
+
+def test_a_turned_jpeg_is_read_as_it_is_stored(tmp_path: Path) -> None:
+    # Both images of a pair come from one camera: what a viewer turns by the tag may not be turned in one of them.
+    grey = np.repeat(np.arange(HEIGHT, dtype=np.uint8)[:, None], WIDTH, axis=1)
+    coded = cv2.imencode(".jpg", grey)[1].tobytes()
+    turned_right = b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0"
+    header = b"\xff\xe1" + (len(turned_right) + 2).to_bytes(2, "big") + turned_right
+    (tmp_path / "a.jpg").write_bytes(coded[:2] + header + coded[2:])
+    assert cv2.imread(str(tmp_path / "a.jpg")).shape[:2] == (WIDTH, HEIGHT)
+    with pytest.warns(UserWarning, match="JPEG"):
+        image = open_image(tmp_path / "a.jpg")
+    assert (image.width, image.height) == (WIDTH, HEIGHT)
+
+
 def test_colour_png_weighs_red_green_and_blue_in_this_order(tmp_path: Path) -> None:
     path = tmp_path / "red.png"
     cv2.imwrite(str(path), np.full((4, 5, 3), (10, 20, 200), np.uint8))  # blue, green, red

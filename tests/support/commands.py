@@ -24,7 +24,7 @@ _ENVIRONMENT = {
     "OMPI_MCA_mpi_yield_when_idle": "1",
     "PYTHONUNBUFFERED": "1",
 }
-_DDIC = (sys.executable, "-m", "ddic")
+DDIC = (sys.executable, "-m", "ddic")
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def finished(command: Sequence[str], ranks: int = 0) -> Finished:
 
 def ddic(*arguments: str | Path, ranks: int = 0) -> Finished:
     """Run ddic."""
-    return finished([*_DDIC, *map(str, arguments)], ranks)
+    return finished([*DDIC, *map(str, arguments)], ranks)
 
 
 def driven(driver: str, folder: Path) -> list[str]:

@@ -36,10 +36,11 @@ class ImagesSection(Section):
 
     reference: Path = Field(
         description=(
-            "The image f before loading: TIFF (8 or 16 bit, floating point), PNG or BMP. TIFF is read window by "
+            "The image f before loading: TIFF (8 or 16 bit, floating point), PNG, BMP or JPEG. TIFF is read window by "
             "window; the others are decoded once a node, which then holds one whole copy (1 byte a pixel of 8 bit, 2 "
             "of 16 bit), and for a moment a second one. Colour is turned to grey, with a warning; a palette of "
-            "greys is grey."
+            "greys is grey. JPEG's compression changes grey levels: a warning says so "
+            "([what it costs](spoilt-images.md#jpeg))."
         ),
     )
     deformed: Path = Field(
@@ -413,7 +414,8 @@ class CorrelationSection(Section):
         default="auto",
         description=(
             'Correction of brightness and contrast: none, one for the whole image, or one per element. `"auto"` takes '
-            "the first of these that leaves no more than noise, and says which."
+            "the first of these that leaves no more than noise, and says which; with the last one it takes off how the "
+            "light changes inside elements."
         ),
     )
     spoilt_pixels: Literal["exclude", "keep"] = Field(

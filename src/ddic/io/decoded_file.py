@@ -14,6 +14,8 @@ from ddic.images.window import Window
 from ddic.io.grey import to_grey
 from ddic.io.pixel_format import PixelFormat
 
+_JPEG = b"\xff\xd8\xff"
+
 
 def read_decoded_format(path: Path) -> PixelFormat:
     """Read size and type of an image file that OpenCV reads.
@@ -89,6 +91,23 @@ def read_decoded(path: Path, layout: PixelFormat, window: Window) -> NDArray[Any
     part = _red_first(pixels[window.y0:window.y1, window.x0:window.x1], layout)
     # A copy, so that the whole image is released.
     return to_grey(part, layout.n_colours).copy()
+
+
+def is_jpeg(path: Path) -> bool:
+    """Tell whether a file starts as JPEG does.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    bool
+        Whether it does.
+    """
+    with path.open("rb") as stream:
+        return stream.read(len(_JPEG)) == _JPEG
 
 
 def _format(pixels: NDArray[Any]) -> PixelFormat:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.images.window import Window
-from ddic.io.decoded_file import decode_whole, read_decoded, read_decoded_format
+from ddic.io.decoded_file import decode_whole, is_jpeg, read_decoded, read_decoded_format
 from ddic.io.pixel_format import PixelFormat
 from ddic.io.tiff_file import can_decode, is_tiff, read_tiff, read_tiff_format
 
@@ -88,7 +88,7 @@ class ImageFile:
 def open_image(path: Path | str) -> ImageFile:
     """Open a TIFF, PNG, BMP or JPEG file as a grey image in its own type (colour: float32).
 
-    Warns of colour, of a transparency channel and of further pages; none of these is used.
+    Warns of colour, of a transparency channel and of further pages; none of these is used. Warns of JPEG too.
 
     Parameters
     ----------
@@ -182,7 +182,10 @@ def _explained(path: Path, tiff: bool, decode: Callable[[Path], T]) -> T:
 
 
 def _warn_of_what_is_dropped(path: Path, layout: PixelFormat) -> None:
-    """Warn of pages, colours and channels that are not used."""
+    """Warn of pages, colours and channels that are not used, and of grey levels that are not the camera's."""
+    if is_jpeg(path):
+        warnings.warn(f"{path}: JPEG compression changes grey levels, which adds to the noise; save TIFF or PNG where "
+                      "you can", stacklevel=3)
     if layout.n_pages > 1:
         warnings.warn(f"{path}: {layout.n_pages} pages, only the first is used", stacklevel=3)
     if layout.inverted:

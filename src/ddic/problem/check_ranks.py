@@ -11,10 +11,11 @@ from ddic.problem.check_inputs import check_inputs
 from ddic.problem.check_report import CheckReport
 from ddic.problem.gather_problems import Problems
 from ddic.problem.rectangle import check_number_of_ranks
+from ddic.solvers.factor_packages import require_packages
 
 
 def check_ranks(loaded: LoadedCase, n_ranks: int) -> None:
-    """Refuse more ranks than a case has subdomains.
+    """Refuse more ranks than a case has subdomains, and solvers that PETSc has not on so many.
 
     Parameters
     ----------
@@ -26,12 +27,13 @@ def check_ranks(loaded: LoadedCase, n_ranks: int) -> None:
     Raises
     ------
     InputError
-        Where a rank would have no subdomain, or no rows of the images.
+        Where a rank would have no subdomain, or no rows of the images, or PETSc lacks what the solver needs.
     """
     if loaded.case.pgd is not None:
         check_number_of_ranks(n_ranks)
         return
     solver = loaded.case.solver
+    require_packages(str(loaded.path), solver.method, solver.local_inverse, n_ranks)
     if solver.method == "monolithic":
         if n_ranks > 1:
             raise InputError(f'{loaded.path}: solver.method = "monolithic" runs on one rank, {n_ranks} were started; '
@@ -125,9 +127,9 @@ def _check(loaded: LoadedCase, of_keys: Sequence[str], n_ranks: int | None) -> C
     problems.lines += of_keys
     with problems.gathered():
         report = check_inputs(loaded)
-    if n_ranks is not None:
-        with problems.gathered():
-            check_ranks(loaded, n_ranks)
+    with problems.gathered():
+        # Who only checks is told of what would fail on any number of ranks.
+        check_ranks(loaded, 1 if n_ranks is None else n_ranks)
     problems.require_none()
     if report is None:
         raise TypeError("inputs without problems have a report")

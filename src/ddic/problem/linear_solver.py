@@ -18,13 +18,11 @@ from ddic.solvers.assembled import AssembledStep
 from ddic.solvers.conjugate_gradient import ConjugateGradientStep
 from ddic.solvers.dual.build_preconditioner import Preconditioner
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
+from ddic.solvers.factor_packages import LOCAL_FACTORS
 from ddic.solvers.linear_step import LinearStep
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.monolithic import MonolithicStep
-
-LOCAL_FACTORS = ("dual", "monolithic")
-"""Methods that factorise each subdomain's own operator."""
 
 MANY_SUBDOMAINS = 8
 """Subdomains below which one level of preconditioning is always enough."""

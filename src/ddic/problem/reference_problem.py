@@ -18,7 +18,7 @@ from ddic.problem.inputs import Inputs
 from ddic.problem.region_mesh import Region, RegionMesh, build_region_mesh, scatter_region, split_region
 from ddic.problem.thread_note import note_crowded_cores
 from ddic.problem.views import ReferenceViews, read_reference_views
-from ddic.solvers.petsc_defaults import describe_missing_package
+from ddic.solvers.factor_packages import describe_missing_packages
 
 T = TypeVar("T")
 
@@ -145,5 +145,6 @@ def _read_and_assemble(team: Team, inputs: Inputs, region_mesh: RegionMesh | Non
     with clock.phase(Phase.ASSEMBLE):
         hessians = assemble_hessians(team, clock.note_each(references))
     lines = _describe_discontinuities(team, region_mesh)
-    notes = (*inputs.notes, *notes, *lines, *note_crowded_cores(team, case.solver.threads), *describe_missing_package())
+    notes = (*inputs.notes, *notes, *lines, *note_crowded_cores(team, case.solver.threads),
+             *describe_missing_packages(case.solver.method))
     return ReferenceProblem(inputs, region, references, hessians, n_pixels, notes)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from petsc4py import PETSc
 
+from ddic.solvers.factor_packages import PACKAGE, REPLICATED, choose_local_package, is_mumps_missing
 from ddic.solvers.freed_memory import release_freed_memory
 
 # At import, for PETSc's libraries change malloc when they are loaded, and assembly comes before the first solver.
@@ -15,8 +16,6 @@ COARSE = "coarse_"
 INVERSE = "inverse_"
 ASSEMBLED = "assembled_"
 CONJUGATE_GRADIENT = "cg_"
-
-_PACKAGE = "pc_factor_mat_solver_type"
 
 DEFAULTS: dict[str, dict[str, str]] = {
     LOCAL: {
@@ -61,50 +60,6 @@ DEFAULTS: dict[str, dict[str, str]] = {
 }
 
 
-def has_package(name: str) -> bool:
-    """Tell whether PETSc was built with a package.
-
-    Parameters
-    ----------
-    name : str
-        Such as ``"suitesparse"``.
-
-    Returns
-    -------
-    bool
-        Whether it was.
-    """
-    return bool(PETSc.Sys.hasExternalPackage(name))
-
-
-def choose_local_package() -> str:
-    """Choose what factorises the operators of subdomains: CHOLMOD, else MUMPS, else PETSc itself.
-
-    Returns
-    -------
-    str
-        For ``pc_factor_mat_solver_type``.
-    """
-    if has_package("suitesparse"):
-        return "cholmod"
-    return "mumps" if has_package("mumps") else "petsc"
-
-
-def describe_missing_package() -> tuple[str, ...]:
-    """Say that the subdomains' operators are factorised by another package than the one that was meant.
-
-    Returns
-    -------
-    tuple of str
-        A line, or none.
-    """
-    chosen = choose_local_package()
-    used = PETSc.Options().getString(LOCAL + _PACKAGE, chosen)
-    if chosen == "cholmod" or used != chosen:
-        return ()
-    return (f"PETSc was built without SuiteSparse: {chosen} factorises the operators in CHOLMOD's place",)
-
-
 def create_ksp(comm: PETSc.Comm, prefix: str) -> PETSc.KSP:
     """Create a Krylov solver or factor with an option prefix and its defaults, where the user says nothing else.
 
@@ -123,10 +78,19 @@ def create_ksp(comm: PETSc.Comm, prefix: str) -> PETSc.KSP:
         The caller's to destroy.
     """
     options = PETSc.Options()
-    defaults = DEFAULTS[prefix] | ({_PACKAGE: choose_local_package()} if prefix == LOCAL else {})
-    for name, value in defaults.items():
+    for name, value in _choose_defaults(prefix).items():
         if not options.hasName(prefix + name):
             options.setValue(prefix + name, value)
     ksp = PETSc.KSP().create(comm)
     ksp.setOptionsPrefix(prefix)
     return ksp
+
+
+def _choose_defaults(prefix: str) -> dict[str, str]:
+    """The defaults of a prefix, as far as PETSc has the packages that they name."""
+    defaults = DEFAULTS[prefix]
+    if prefix == LOCAL:
+        return defaults | {PACKAGE: choose_local_package()}
+    if defaults.get(PACKAGE) == "mumps" and is_mumps_missing(prefix):
+        return REPLICATED if prefix == COARSE else defaults | {PACKAGE: choose_local_package()}
+    return defaults

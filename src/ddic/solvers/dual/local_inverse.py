@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from ddic.solvers.dual.local_dual import LocalDual
 from ddic.solvers.dual.preconditioner import DenseInverse, LocalInverse, assemble_schur, invert_by_blocks
 from ddic.solvers.dual.sparse_inverse import SparseInverse
+from ddic.solvers.factor_packages import is_mumps_missing
 from ddic.solvers.local_system import LocalSystem
+from ddic.solvers.petsc_defaults import INVERSE
 
 LocalInverseKind = Literal["auto", "dense", "sparse"]
 
@@ -54,9 +56,11 @@ def is_dense(n_interface: int, kind: LocalInverseKind) -> bool:
     Returns
     -------
     bool
-        Whether they are.
+        Whether they are: always without MUMPS, which makes the sparse factor.
     """
     if kind == "auto":
+        if is_mumps_missing(INVERSE):
+            return True
         return 8 * DENSE_ARRAYS * n_interface**2 <= DENSE_LIMIT
     return kind == "dense"
 

@@ -1,0 +1,113 @@
+"""README, tour, every example and every page of the documents, done word by word in another folder, as root and not."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from accept.support.follow_page import LIMIT_S, Followed
+from accept.table import Scale
+from bench.support.rows import Row
+from bench.support.runs import ROOT, NotHereError, environment
+
+NOBODY = 65534
+"""Number of the user and of the group that own nothing."""
+
+SMALL = ("examples/translation/README.md", "docs/guides/python.md")
+"""What a smoke run follows: without a set-up of its own."""
+
+_MOST_FAULTS = 10
+"""Faults that a row shows."""
+
+
+def measure_followed_pages(scale: Scale) -> list[Row]:
+    """Copy the repository, follow its pages there as root, and again as a user without rights.
+
+    Parameters
+    ----------
+    scale : Scale
+        A smoke run follows two pages as whoever it is, with the environment that is there.
+
+    Returns
+    -------
+    list of Row
+        One for each user.
+    """
+    if scale.smoke:
+        return [_measure("this user", SMALL, (), link=True)]
+    pages = list_pages()
+    if os.geteuid() != 0:
+        return [_measure("this user, not root", pages, ()),
+                Row("the pages as root", "followed", "not possible here: this user is not root", False)]
+    return [_measure("root", pages, ()), _measure("a user without rights", pages, _as_nobody())]
+
+
+def list_pages() -> list[str]:
+    """List the pages in the order in which they are followed: the README makes what others go on from.
+
+    Returns
+    -------
+    list of str
+        Names below the repository.
+    """
+    examples = ROOT / "examples"
+    listed = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted(examples.glob("*/README.md")),
+              *sorted(examples.glob("*.py")), ROOT / "CONTRIBUTING.md"]
+    return [path.relative_to(ROOT).as_posix() for path in listed]
+
+
+def _as_nobody() -> tuple[str, ...]:
+    if shutil.which("setpriv") is None:
+        raise NotHereError("setpriv (util-linux), which starts a command as another user")
+    return ("setpriv", f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups")
+
+
+def _measure(who: str, pages: list[str] | tuple[str, ...], launcher: tuple[str, ...], *, link: bool = False) -> Row:
+    with tempfile.TemporaryDirectory() as outer:
+        Path(outer).chmod(0o755)
+        folder = _copy_repository(Path(outer) / "another_folder")
+        if link:
+            (folder / ".venv").symlink_to(sys.prefix)
+        if launcher:
+            subprocess.run(["chown", "-R", f"{NOBODY}:{NOBODY}", str(folder)], check=True)
+        found = _follow(folder, pages, launcher)
+    held = not found.faults and found.commands > 0
+    shown = "; ".join(found.faults[:_MOST_FAULTS]) or "none"
+    return Row(f"{len(pages)} pages followed word by word in another folder as {who}",
+               "no command fails, no printed line differs",
+               f"{found.commands} commands, {found.numbers} printed numbers; faults: {len(found.faults)} ({shown}); "
+               f"left out: {len(found.left_out)} ({'; '.join(found.left_out) or 'none'})", held)
+
+
+def _copy_repository(folder: Path) -> Path:
+    """Copy what git holds or would hold."""
+    listed = subprocess.run(["git", "ls-files", "-co", "--exclude-standard", "-z"], cwd=ROOT, check=True, text=True,
+                            capture_output=True).stdout
+    for name in listed.split("\0"):
+        if name and (ROOT / name).is_file():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, folder / name)
+    return folder
+
+
+def _follow(folder: Path, pages: list[str] | tuple[str, ...], launcher: tuple[str, ...]) -> Followed:
+    """Follow the pages in processes that know nothing of this one's environment of Python and MPI."""
+    (folder / ".home").mkdir()
+    if launcher:
+        os.chown(folder / ".home", NOBODY, NOBODY)
+    own = Path(sys.prefix) / "bin"
+    path = os.pathsep.join(part for part in os.environ["PATH"].split(os.pathsep) if Path(part) != own)
+    of_python = ("PYTHON", "VIRTUAL_ENV", "OMPI_", "PMIX_", "DDIC_")
+    clean = {name: value for name, value in environment().items() if not name.startswith(of_python)}
+    clean |= {"PATH": path, "HOME": str(folder / ".home"), "TMPDIR": str(folder / ".home")}
+    command = [*launcher, "/usr/bin/env", "python3", "-m", "accept.support.follow_page", str(folder), *pages]
+    done = subprocess.run(command, cwd=folder, env=clean, text=True, capture_output=True, timeout=LIMIT_S * len(pages),
+                          check=False)
+    if done.returncode != 0:
+        raise RuntimeError(f"the pages could not be followed: {done.stderr[-1000:]}")
+    return Followed(**json.loads(done.stdout))
