@@ -2,8 +2,8 @@
 
 Between the pictures the lamp got weaker, and a shadow fell across the specimen. "global" finds one brightness and one
 contrast for the whole image, "element" finds them for each element, "auto", the default, takes the first of these that
-is enough, and with the last one takes off how the light changes inside the elements. The residual, what is left of f(x) - g(x + u), says how well that explains the images; noise alone would
-leave about 1.5 grey levels here.
+is enough, and with the last one takes off how the light changes inside the elements. The residual, what is left of
+f(x) - g(x + u), says how well that explains the images; noise alone would leave about 1.5 grey levels here.
 
     python examples/grey_correction.py
 
