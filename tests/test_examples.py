@@ -7,15 +7,15 @@ import os
 import re
 import subprocess
 import sys
-from decimal import Decimal
 from pathlib import Path
 
 import pytest
 
+from accept.support.compare_prints import NUMBER, find_differences
+
 ROOT = Path(__file__).parents[1]
 SECONDS = 240
 """Far above the few seconds of an example: a limit for hangs, not for slow machines."""
-NUMBER = re.compile(r"-?(?<![A-Za-z])\d+(?:\.\d+)?(?:e[-+]\d+)?")
 
 
 def run(command: list[str], folder: Path) -> str:
@@ -65,9 +65,7 @@ def run_script(name: str, folder: Path, *arguments: str, ranks: int = 0) -> list
     script = ROOT / "examples" / f"{name}.py"
     printed = run([*launcher, str(script), *arguments], folder)
     shown = shown_in_docstring(script)
-    assert NUMBER.sub("#", printed) == NUMBER.sub("#", shown)
-    for found, expected in zip(NUMBER.findall(printed), NUMBER.findall(shown), strict=True):
-        assert abs(float(found) - float(expected)) <= allowed_difference(expected), printed
+    assert find_differences(printed, shown) == []
     return numbers(printed)
 
 
@@ -78,20 +76,6 @@ def shown_in_docstring(script: Path) -> str:
     lines = docstring.split("\n\n")[-1].splitlines()
     assert all(line.startswith("    ") for line in lines), docstring
     return "".join(f"{line[4:]}\n" for line in lines)
-
-
-def allowed_difference(number: str) -> float:
-    """Three units of the last digit shown; none where a whole number is shown, which is counted or chosen.
-
-    The images come from fixed seeds. Libraries and partitions move a field by less than Gauss-Newton's tolerance, an
-    RMS of 1e-4 px, which is at most a unit of the last digit shown. Numbers of rounding errors have no digits to
-    compare: there the bound is 1e-9 px, that to which all methods are to agree.
-    """
-    if "." not in number:
-        return 1e-9 if "e" in number else 0.0
-    exponent = Decimal(number).as_tuple().exponent
-    assert isinstance(exponent, int)
-    return 3.0 * 10.0**exponent
 
 
 @pytest.fixture(scope="module")
@@ -128,7 +112,7 @@ def test_check_prints_what_the_tour_shows(tour: tuple[Path, str]) -> None:
 
 
 def test_python_of_the_tour_prints_what_the_tour_shows(tour: tuple[Path, str]) -> None:
-    code, = code_blocks("README.md", "python")
+    code, *_ = code_blocks("README.md", "python")
     shown = next(block for block in code_blocks("README.md", "text") if block.startswith("u_y = "))
     printed = run([sys.executable, "-c", code], tour[0])
     words = re.compile(r"[-\d.]+")
