@@ -190,8 +190,12 @@ def test_auto_takes_the_correction_that_the_pair_needs(change_of_grey: Any, expe
     scene = clean() if change_of_grey is None else change(change_of_grey)
     automatic, asked = (ddic.measure(scene.pair, MESH, options={"gauss_newton": TIGHT, "correlation": {
         "grey_correction": correction}}) for correction in ("auto", expected))
-    # As if it had been asked for.
-    assert largest_difference(automatic, asked) <= 1e-6
+    if expected == "element":
+        # That, and the slope of the light inside elements.
+        assert np.sqrt((off(automatic)**2).mean()) <= 0.9 * np.sqrt((off(asked)**2).mean())
+    else:
+        # As if it had been asked for.
+        assert largest_difference(automatic, asked) <= 1e-6
     others = {"none", "global", "element"} - {expected}
     if expected != "none":
         others.remove("none")  # which does not converge, or to another field
