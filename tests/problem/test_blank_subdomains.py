@@ -258,8 +258,8 @@ def test_the_whole_run_knows_the_new_subdomains(shared_path: Path) -> None:
 
 @pytest.mark.parallel(RANKS)
 @pytest.mark.parametrize(("solver", "regularization"), [
-    (BLOCKS, "[regularization]\ncut_off_wavelength = 96.0\n"),
-    (METIS, "[regularization]\ncut_off_wavelength = 96.0\n"),
+    (BLOCKS, "[regularization]\ncut_off_wavelength = 96.0\nedge_wavelength = 0\n"),
+    (METIS, "[regularization]\ncut_off_wavelength = 96.0\nedge_wavelength = 0\n"),
     (BLOCKS, ""),
 ], ids=["uncontrolled edges, blocks", "uncontrolled edges, METIS", "FE-DIC"])
 def test_a_blank_part_that_nothing_holds_is_singular(shared_path: Path, solver: str, regularization: str) -> None:

@@ -119,7 +119,7 @@ def test_ranks_get_subdomains_and_the_same_region(shared_path: Path) -> None:
     assert team.gather_lists([s.index for s in subdomains]) == list(range(5))
     everyone = team.gather_lists([region])
     assert all(other.n_subdomains == 5 for other in everyone)
-    assert len({other.gap_energies.tobytes() for other in everyone if other.gap_energies is not None}) == 1
+    assert len({other.probe.gap_energies.tobytes() for other in everyone}) == 1
 
 
 def test_a_near_camera_brings_its_motion_and_takes_its_cells(tmp_path: Path) -> None:

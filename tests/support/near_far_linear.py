@@ -79,7 +79,7 @@ class NearFarStep:
         near = tuple(NearSection(reference=Path("f"), deformed=Path("g"), ratio=RATIO, offset=(0.0, 0.0),
                                  motion="translation", use_far=self.use_far) for _ in self.cameras[1:])
         mesh = MeshSection(structured=StructuredSection(region=(0, 0, 16, 16), element_size=8))
-        regularization = RegularizationSection(eta=self.base.eta) if self.base.eta else None
+        regularization = RegularizationSection(eta=self.base.eta, edge_wavelength=0) if self.base.eta else None
         return Case(images=ImagesSection(reference=Path("f"), deformed=Path("g")), near=near, mesh=mesh,
                     regularization=regularization, solver=SolverSection(**solver))
 

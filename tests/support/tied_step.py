@@ -77,7 +77,7 @@ class TiedStep:
                            mesh=MeshSection(structured=StructuredSection(region=NEAR[self.layout], element_size=3)))
         return Case(images=ImagesSection(reference=Path("f"), deformed=Path("g")), near=(near,),
                     mesh=MeshSection(structured=StructuredSection(region=FAR, element_size=FAR_ELEMENT)),
-                    regularization=RegularizationSection(eta=self.eta) if self.eta else None,
+                    regularization=RegularizationSection(eta=self.eta, edge_wavelength=0) if self.eta else None,
                     solver=SolverSection(**solver))
 
 @cache

@@ -137,6 +137,8 @@ class _GapWeight:
 def _weigh_gap(team: Team, section: RegularizationSection, region: Region, references: Sequence[ReferenceViews],
                hessians: Sequence[Hessians]) -> _GapWeight:
     """The weight that is given, or that of the cut-off wavelength [LPHR11], and with it that of the edges."""
+    if section.eta is not None and section.edge_wavelength == 0:
+        return _GapWeight(section.eta, 0.0)
     probe = require_held(region.probe)
     is_weighable = probe.gap_energies.reshape(-1, 2).any(axis=1).all()
     if not is_weighable and section.eta is None:
