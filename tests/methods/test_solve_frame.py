@@ -76,8 +76,8 @@ def test_any_linear_step_finds_the_same(name: str, regularized: bool) -> None:
     methods = ("dual",) if name == "blank" and regularized else ("dual", "conjugate_gradient")
     assembled, *others = (ddic.measure(scene.pair, MESH, options=settings(method, regularized=regularized))
                           for method in ("assembled", *methods))
-    # Gauss-Newton to 1e-9 px. Where half is blank elements have a brightness of their own, whose slopes are those of the
-    # start, which the dual method finds otherwise: 3e-4 px.
+    # Gauss-Newton to 1e-9 px. Where half is blank, elements have a brightness of their own, whose slopes are those of
+    # the start, which the dual method finds otherwise: 3e-4 px.
     assert max(largest_difference(assembled, other) for other in others) <= (1e-3 if name == "blank" else 1e-8)
 
 
