@@ -127,7 +127,7 @@ def assemble_at(problem: TexturedMesh, section: RegularizationSection) -> Assemb
     whole = problem.whole
     eta = find_cut_off_weight(texture, measure_gap_energies(whole.mesh, build_material(section), whole.interior,
                                                             wavelength))
-    systems = [LocalSystem(s, m, k, _weights(s), eta) for s, m, k
+    systems = [LocalSystem(s, m, k, interface_weights(s.multiplicity, "consistent"), eta) for s, m, k
                in zip(problem.subdomains, problem.hessians, problem.stiffnesses, strict=True)]
     trace = sum(float(m.diagonal().sum()) for m in problem.hessians)
     return Assembly(systems, eta, trace / problem.n_unknowns)

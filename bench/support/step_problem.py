@@ -7,7 +7,7 @@ a problem; everything else runs its commands.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +35,6 @@ from ddic.problem.views import FrameViews, ReferenceViews, open_frame_views, rea
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
 from ddic.solvers.linear_step import StepResult
 from ddic.solvers.local_operator import LocalOperator
-from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.monolithic import MonolithicStep
 
 ALONE = Team(MPI.COMM_SELF)
@@ -248,8 +247,8 @@ def correct_monolithically(whole: StepProblem, q: Vector, b: Vector,
     section = whole.case.regularization
     if multiplicity is not None and section is not None:
         weights = system.row_weights / np.sqrt(multiplicity)
-        system = LocalSystem(system.subdomain, system.hessian, weighted_stiffness(system.subdomain, section, weights),
-                             weights, system.eta)
+        stiffness = weighted_stiffness(system.subdomain, section, weights)
+        system = replace(system, stiffness=stiffness, row_weights=weights)
     operator = LocalOperator(system.operator, smallest_eigenvalue=0.0, where="the whole mesh")
     try:
         return MonolithicStep(system, operator).solve([q], [b]).dq[0]
