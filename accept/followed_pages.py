@@ -109,5 +109,5 @@ def _follow(folder: Path, pages: list[str] | tuple[str, ...], launcher: tuple[st
     done = subprocess.run(command, cwd=folder, env=clean, text=True, capture_output=True, timeout=LIMIT_S * len(pages),
                           check=False)
     if done.returncode != 0:
-        raise RuntimeError(f"the pages could not be followed: {done.stderr[-1000:]}")
+        raise RuntimeError(f"the pages could not be followed, exit code {done.returncode}: {done.stderr[-1000:]}")
     return Followed(**json.loads(done.stdout))

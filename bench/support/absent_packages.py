@@ -53,7 +53,8 @@ def take_away(*absent: str) -> None:
                 if register(PACKAGES[name].encode(), matrix.encode(), kind, _MAKER):
                     raise RuntimeError(f"{name} cannot be taken away")
     has_package = factor_packages.has_package
-    factor_packages.has_package = lambda name: name not in absent and has_package(name)
+    hidden = {*absent, *(factor_packages.WITH_CHOLMOD if "suitesparse" in absent else ())}
+    factor_packages.has_package = lambda name: name not in hidden and has_package(name)
 
 
 if __name__ == "__main__":

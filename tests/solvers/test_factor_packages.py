@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 import ddic
-from ddic.solvers.factor_packages import describe_missing_packages, has_package, require_packages
+from ddic.solvers.factor_packages import choose_local_package, describe_missing_packages, has_package, require_packages
 from support.cases import write_case, write_images
 from support.commands import DDIC, Finished, finished
 
@@ -28,7 +28,7 @@ SAME_PX = 1e-8
 """Linear systems are solved to 1e-12 of displacements of half a pixel; condition numbers stay below 1e3."""
 ABSENT = [("suitesparse",), ("mumps",), ("suitesparse", "mumps")]
 
-pytestmark = pytest.mark.skipif(not (has_package("suitesparse") and has_package("mumps")),
+pytestmark = pytest.mark.skipif(not (choose_local_package() == "cholmod" and has_package("mumps")),
                                 reason="needs a PETSc with both packages, to take them away")
 
 

@@ -134,7 +134,7 @@ def test_every_failure_has_a_message_of_its_own(number: int, kind: type[Exceptio
 
 
 @pytest.mark.parametrize(("there", "chosen"), [
-    ({"suitesparse", "mumps"}, "cholmod"), ({"mumps"}, "mumps"), (set(), "petsc")])
+    ({"suitesparse", "mumps"}, "cholmod"), ({"cholmod"}, "cholmod"), ({"mumps"}, "mumps"), (set(), "petsc")])
 def test_without_cholmod_another_package_is_taken_and_told(there: set[str], chosen: str, package_option: str,
                                                            monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(factor_packages, "has_package", there.__contains__)

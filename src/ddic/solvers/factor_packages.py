@@ -20,6 +20,9 @@ REPLICATED = {
 }
 """Options in place of a parallel factor: PETSc's own LDL^T of the whole matrix on every rank."""
 
+WITH_CHOLMOD = ("suitesparse", "cholmod")
+"""Names that say that PETSc has CHOLMOD: 3.18 goes by the collection, 3.26 by its members."""
+
 LOCAL_FACTORS = ("dual", "monolithic")
 """Methods that factorise each subdomain's own operator."""
 
@@ -48,7 +51,7 @@ def choose_local_package() -> str:
     str
         For ``pc_factor_mat_solver_type``.
     """
-    if has_package("suitesparse"):
+    if any(has_package(name) for name in WITH_CHOLMOD):
         return "cholmod"
     return "mumps" if has_package("mumps") else "petsc"
 
