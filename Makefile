@@ -100,7 +100,7 @@ accept-start: setup ## measure the table of the start, as far as it is built (CH
 accept-pgd: setup ## measure the table of PGD-DIC (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.pgd $(CHECK)
 
-accept-impressions: setup ## measure the table of first impressions: pages, packages, strain at nodes, pictures (CHECK=NAME: one check)
+accept-impressions: setup ## measure the table of first impressions: the chosen solver, pages, packages, strain at nodes, pictures (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.impressions $(CHECK)
 
 smoke: setup ## run every check of every acceptance table on tiny cases: minutes, no bound is judged

@@ -16,6 +16,12 @@ OF_RUN = ("n", "cut_off_wavelength", "n_ranks", "per_subdomain")
 """What runs that differ by their solver alone have in common."""
 Measure = Callable[[Record], float]
 
+NEEDED = [(solver, ranks, is_regularized) for is_regularized in (False, True)
+          for solver, ranks in (("cholmod", (1,)), ("assembled", (1,)), ("assembled", (2,)),
+                                ("conjugate_gradient", (1, 2)), ("scaled", (1, 2)))]
+NEEDED.append(("two_level", (1, 2), True))
+"""Solver, numbers of ranks of which one will do, and whether with regularization."""
+
 
 def fit_constants(records: Sequence[Record]) -> CostConstants:
     """Fit all constants.
@@ -58,6 +64,29 @@ def fit_constants(records: Sequence[Record]) -> CostConstants:
         cg_iterations_by_square=_median((r["inexact_iterations"] - without) / _cells(r)**2 for r in cg if _cells(r)),
         cg_memory=max(_memory(r) * r["n_ranks"] / r["n_dofs"] for r in cg),
     )
+
+
+def list_missing(records: Sequence[Record]) -> list[str]:
+    """List what the constants cannot be fitted without.
+
+    Parameters
+    ----------
+    records : sequence of dict
+        Of ``bench.interface_solvers``.
+
+    Returns
+    -------
+    list of str
+        Solvers, numbers of ranks and wavelengths without a run; nothing where all are there.
+    """
+    solved = [r for r in records if r["outcome"] == "solved"]
+    missing = []
+    for solver, ranks, is_regularized in NEEDED:
+        if not any(r["solver"] == solver and r["n_ranks"] in ranks and (r["cut_off_wavelength"] > 0) == is_regularized
+                   for r in solved):
+            kind = "with" if is_regularized else "without"
+            missing.append(f"{solver} on {' or '.join(map(str, ranks))} ranks {kind} regularization")
+    return missing
 
 
 def _of(records: Iterable[Record], solver: str) -> list[Record]:
