@@ -18,7 +18,7 @@ BOUND = 1.25
 SIZES, WAVELENGTHS = (1000, 2000, 3000, 4000), (0, 80, 256)
 """Sides of the images and cut-off wavelengths, pixels; 0: no regularization."""
 
-SMOKE_SIZES, SMOKE_WAVELENGTHS = (300,), (0, 80)
+SMOKE_SIZES, SMOKE_WAVELENGTHS = (300,), (80,)
 ELEMENT, EDGE = 10, 20
 """Side of an element, and what is left out at the images' edges, pixels."""
 

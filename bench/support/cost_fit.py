@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from bench.support.tiled_texture import CELL
-from ddic.solvers.cost_constants import CostConstants, Factor, Growth
+from ddic.solvers.cost_constants import LARGEST_ARRAYS, CostConstants, Factor, Growth
 
 Record = dict[str, Any]
 OF_RUN = ("n", "cut_off_wavelength", "n_ranks", "per_subdomain")
@@ -44,25 +44,27 @@ def fit_constants(records: Sequence[Record]) -> CostConstants:
     whole = _of(solved, "cholmod")
     local_costs = _fit_local(whole, [*scaled, *two_level])
     local_solve = _median(r["solve_cpu"] / _logarithmic(r["n_dofs"]) for r in whole)
-    without = _median(r["inexact_iterations"] for r in cg if not r["cut_off_wavelength"])
+    products = [_fit_product(cg, is_regularized=kind) for kind in (False, True)]
     return CostConstants(
+        system_memory=_fit_pair([(r["n_dofs"] / r["n_ranks"], 1.0) for r in cg],
+                                [max(r["before_setup_bytes"]) for r in cg])[0],
         whole=_by_kind(alone, lambda r: r["setup_cpu"], _memory),
         whole_solve=_median(r["solve_cpu"] / _logarithmic(r["n_dofs"]) for r in alone),
-        parallel_factor=_parallel_power(assembled, lambda r: r["setup_cpu"]),
-        parallel_memory=_parallel_power(assembled, _memory),
+        parallel_factor=_by_parallel(assembled),
+        parallel_memory=_parallel_power(_regularized(assembled), _memory),
         local=local_costs,
         local_solve=local_solve,
-        interface=_by_kind(scaled, lambda r: r["interface_cpu"], lambda r: _memory(r) - _factor_memory(r, local_costs)),
+        interface=_fit_interface(scaled, local_costs, has_arrays=True),
+        sparse_interface=_fit_interface(scaled, local_costs, has_arrays=False),
         coarse_set_up=_fit_coarse(scaled, two_level),
         dual_product=_fit_dual_product([*scaled, *two_level], local_solve),
-        one_level_iterations=_median(r["inexact_iterations"] / (1 + _waves(r)) for r in scaled),
+        one_level_iterations=_fit_pair([(1.0, _waves(r)) for r in scaled], [r["inexact_iterations"] for r in scaled]),
         two_level_iterations=_median(r["inexact_iterations"] for r in two_level),
         cg_set_up=_median(r["setup_cpu"] * r["n_ranks"] / r["n_dofs"] for r in cg),
-        cg_product=(_fit_product(cg, is_regularized=False).constant, _fit_product(cg, is_regularized=True).constant),
-        cg_product_call=_fit_product(cg, is_regularized=True).growing,
-        cg_iterations=without,
-        cg_iterations_by_square=_median((r["inexact_iterations"] - without) / _cells(r)**2 for r in cg if _cells(r)),
-        cg_memory=max(_memory(r) * r["n_ranks"] / r["n_dofs"] for r in cg),
+        cg_product=(products[0][0], products[1][0]),
+        cg_product_calls=(products[1][1], products[1][2]),
+        cg_iterations=_median(r["inexact_iterations"] for r in cg if not r["cut_off_wavelength"]),
+        cg_iterations_by_square=_median(r["inexact_iterations"] / _cells(r)**2 for r in _regularized(cg)),
     )
 
 
@@ -94,7 +96,7 @@ def _of(records: Iterable[Record], solver: str) -> list[Record]:
 
 
 def _median(values: Iterable[float]) -> float:
-    return float(np.median(list(values)))
+    return _round(float(np.median(list(values))))
 
 
 def _cells(record: Record) -> float:
@@ -130,11 +132,22 @@ def _local_seconds(record: Record) -> float:
     return float(record["setup_cpu" if record["solver"] == "cholmod" else "factorize_cpu"])
 
 
-def _fit(rows: Sequence[tuple[float, float]], values: Sequence[float]) -> Growth:
-    """Coefficients, none negative, with the least squares of what they are off relative to the values."""
-    scales = np.maximum(values, 1e-12)
-    found, _ = nnls(np.array(rows) / scales[:, None], np.array(values) / scales)
-    return Growth(*(float(f"{value:.2g}") for value in found))
+def _fit(rows: Sequence[tuple[float, ...]], values: Sequence[float],
+         scales: Sequence[float] | None = None) -> tuple[float, ...]:
+    """Coefficients, none negative, with the least squares of what they are off, relative to the values or to others."""
+    relative = np.maximum(values if scales is None else scales, 1e-12)
+    found, _ = nnls(np.array(rows) / relative[:, None], np.array(values) / relative)
+    return tuple(_round(value) for value in found)
+
+
+def _fit_pair(rows: Sequence[tuple[float, float]], values: Sequence[float],
+              scales: Sequence[float] | None = None) -> tuple[float, float]:
+    constant, growing = _fit(rows, values, scales)
+    return constant, growing
+
+
+def _round(value: float) -> float:
+    return float(f"{value:.2g}")
 
 
 def _fit_local(whole: Sequence[Record], dual: Sequence[Record]) -> tuple[Factor, Factor]:
@@ -143,6 +156,12 @@ def _fit_local(whole: Sequence[Record], dual: Sequence[Record]) -> tuple[Factor,
     memory = _by_kind(whole, _local_seconds, _memory)
     without, with_gap = (Factor(s.seconds, m.memory) for s, m in zip(seconds, memory, strict=True))
     return without, with_gap
+
+
+def _fit_interface(scaled: Sequence[Record], local: tuple[Factor, Factor], *,
+                   has_arrays: bool) -> tuple[Factor, Factor]:
+    chosen = [r for r in scaled if (_own(r)[0] <= LARGEST_ARRAYS) == has_arrays]
+    return _by_kind(chosen, lambda r: r["interface_cpu"], lambda r: _memory(r) - _factor_memory(r, local))
 
 
 def _factor_memory(record: Record, local: tuple[Factor, Factor]) -> float:
@@ -154,8 +173,8 @@ def _fit_factor(records: Sequence[Record], seconds: Measure, memory: Measure) ->
     sizes = [_own(r) for r in records]
     roots = [(total, total * np.sqrt(n)) for n, total in sizes]
     logarithms = [(total, total * np.log2(n)) for n, total in sizes]
-    return Factor(_fit(roots, [seconds(r) for r in records]),
-                  _fit(logarithms, [max(memory(r), 1.0) for r in records]))
+    return Factor(Growth(*_fit_pair(roots, [seconds(r) for r in records])),
+                  Growth(*_fit_pair(logarithms, [memory(r) for r in records], [_memory(r) for r in records])))
 
 
 def _by_kind(records: Sequence[Record], seconds: Measure, memory: Measure) -> tuple[Factor, Factor]:
@@ -165,14 +184,23 @@ def _by_kind(records: Sequence[Record], seconds: Measure, memory: Measure) -> tu
             _fit_factor([r for r in records if r["cut_off_wavelength"] > 0], seconds, memory))
 
 
+def _regularized(records: Sequence[Record]) -> list[Record]:
+    return [r for r in records if r["cut_off_wavelength"] > 0]
+
+
+def _by_parallel(records: Sequence[Record]) -> tuple[float, float]:
+    """Power by which the seconds of a factor fall, without and with regularization."""
+    without = [r for r in records if r["cut_off_wavelength"] == 0]
+    return (_parallel_power(without, lambda r: r["setup_cpu"]),
+            _parallel_power(_regularized(records), lambda r: r["setup_cpu"]))
+
+
 def _parallel_power(records: Sequence[Record], measure: Measure) -> float:
-    """Power of the number of ranks by which a quantity of a rank falls, of the largest problems of each kind."""
+    """Power of the number of ranks by which a quantity of a rank falls."""
     found = []
-    largest = max(r["n_dofs"] for r in records)
     for r in records:
-        ones = [measure(one) for one in records if one["n_ranks"] == 1 and one["n_dofs"] == largest
-                and one["cut_off_wavelength"] == r["cut_off_wavelength"]]
-        if r["n_ranks"] > 1 and r["n_dofs"] == largest and ones:
+        ones = [measure(one) for one in records if one["n_ranks"] == 1 and one["n_dofs"] == r["n_dofs"]]
+        if r["n_ranks"] > 1 and ones:
             found.append(np.log(_median(ones) / measure(r)) / np.log(r["n_ranks"]))
     return float(np.clip(_median(found), 0.0, 1.0))
 
@@ -186,7 +214,7 @@ def _fit_coarse(scaled: Sequence[Record], two_level: Sequence[Record]) -> Growth
             n, total = _own(r)
             rows.append((total, total * np.sqrt(n)))
             values.append(max(r["interface_cpu"] - _median(same), 1e-3))
-    return _fit(rows, values)
+    return Growth(*_fit_pair(rows, values))
 
 
 def _fit_dual_product(records: Sequence[Record], local_solve: float) -> float:
@@ -199,8 +227,8 @@ def _fit_dual_product(records: Sequence[Record], local_solve: float) -> float:
     return _median(found)
 
 
-def _fit_product(records: Sequence[Record], *, is_regularized: bool) -> Growth:
-    """Seconds of an iteration of conjugate gradients: of an unknown of a rank, and of each subdomain."""
+def _fit_product(records: Sequence[Record], *, is_regularized: bool) -> tuple[float, ...]:
+    """Seconds of an iteration of conjugate gradients: of an unknown of a rank, of the rank, and of each subdomain."""
     chosen = [r for r in records if (r["cut_off_wavelength"] > 0) == is_regularized]
-    rows = [(r["n_dofs"] / r["n_ranks"], r["n_subdomains"] / r["n_ranks"]) for r in chosen]
+    rows = [(r["n_dofs"] / r["n_ranks"], 1.0, -(-r["n_subdomains"] // r["n_ranks"])) for r in chosen]
     return _fit(rows, [r["inexact_cpu"] / max(r["inexact_iterations"], 1) for r in chosen])

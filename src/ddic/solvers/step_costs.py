@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from ddic.solvers.cost_constants import MEASURED, CostConstants
+from ddic.solvers.cost_constants import LARGEST_ARRAYS, MEASURED, CostConstants
 
 StepMethod = Literal["dual", "assembled", "conjugate_gradient", "monolithic"]
 
@@ -96,7 +96,7 @@ class StepCosts:
     n_iterations : float
         Krylov iterations of a step; 0 of a direct one.
     memory : float
-        Bytes of a rank, beside M and Kbar.
+        Bytes of a rank, M and Kbar included.
     """
 
     candidate: Candidate
@@ -153,10 +153,11 @@ def _predict_assembled(task: StepTask, candidate: Candidate, constants: CostCons
     n = task.n_unknowns
     kind = constants.whole[task.is_regularized]
     # The top of the elimination tree is no work for many.
-    seconds = n * kind.seconds.evaluate_by_root(n) / task.n_ranks**constants.parallel_factor
+    spread = task.n_ranks ** constants.parallel_factor[task.is_regularized]
+    seconds = n * kind.seconds.evaluate_by_root(n) / spread
+    solve = n * constants.whole_solve * np.log2(n) / spread
     memory = n * kind.memory.evaluate_by_log(n) / task.n_ranks**constants.parallel_memory
-    solve = n * constants.whole_solve * np.log2(n) / task.n_ranks**constants.parallel_factor
-    return StepCosts(candidate, seconds, solve, task.n_steps, 0.0, memory)
+    return StepCosts(candidate, seconds, solve, task.n_steps, 0.0, task.n_share * constants.system_memory + memory)
 
 
 def _predict_monolithic(task: StepTask, candidate: Candidate, constants: CostConstants) -> StepCosts:
@@ -164,18 +165,19 @@ def _predict_monolithic(task: StepTask, candidate: Candidate, constants: CostCon
     n = task.n_unknowns
     kind = constants.local[task.is_regularized]
     solve = n * constants.local_solve * np.log2(n)
-    seconds, memory = n * kind.seconds.evaluate_by_root(n), n * kind.memory.evaluate_by_log(n)
+    seconds = n * kind.seconds.evaluate_by_root(n)
+    memory = n * (constants.system_memory + kind.memory.evaluate_by_log(n))
     return StepCosts(candidate, seconds, solve, task.n_steps, 0.0, memory)
 
 
 def _predict_conjugate_gradient(task: StepTask, candidate: Candidate, constants: CostConstants) -> StepCosts:
     """Iterations as the root of D^-1 A's condition number: the square of the cut-off wavelength in cells."""
-    iterations = constants.cg_iterations + constants.cg_iterations_by_square * task.wavelength**2
+    iterations = max(constants.cg_iterations, constants.cg_iterations_by_square * task.wavelength**2)
     n_own = -(-candidate.n_subdomains // task.n_ranks)
-    # Python's part of a product, which counts where subdomains are small.
-    product = task.n_share * constants.cg_product[task.is_regularized] + n_own * constants.cg_product_call
+    of_rank, of_subdomain = constants.cg_product_calls
+    product = task.n_share * constants.cg_product[task.is_regularized] + of_rank + n_own * of_subdomain
     return StepCosts(candidate, task.n_share * constants.cg_set_up, iterations * product, task.n_steps, iterations,
-                     task.n_share * constants.cg_memory)
+                     task.n_share * constants.system_memory)
 
 
 def _predict_dual(task: StepTask, candidate: Candidate, constants: CostConstants) -> StepCosts:
@@ -184,9 +186,9 @@ def _predict_dual(task: StepTask, candidate: Candidate, constants: CostConstants
     n_own = -(-n_subdomains // task.n_ranks)
     n = task.n_unknowns / n_subdomains
     kind, alone = constants.local[task.is_regularized], constants.local[False]
-    interface = constants.interface[task.is_regularized]
+    interface = (constants.interface if n <= LARGEST_ARRAYS else constants.sparse_interface)[task.is_regularized]
     set_up = kind.seconds.evaluate_by_root(n)
-    memory = kind.memory.evaluate_by_log(n)
+    memory = constants.system_memory + kind.memory.evaluate_by_log(n)
     if n_subdomains > 1:
         # Each is also measured by itself, to start from.
         set_up += alone.seconds.evaluate_by_root(n) + interface.seconds.evaluate_by_root(n)
@@ -205,6 +207,7 @@ def _count_dual_iterations(task: StepTask, candidate: Candidate, constants: Cost
     if candidate.preconditioner == "two_level":
         return constants.two_level_iterations
     side = np.sqrt(task.n_cells / candidate.n_subdomains)
-    # Waves longer than the region are no different; nor does a chain of few subdomains let them.
+    # A wave longer than the region is as good as one of its length.
     longest = np.sqrt(candidate.n_subdomains)
-    return float(constants.one_level_iterations * (1 + min(task.wavelength / side, longest)))
+    few, by_wave = constants.one_level_iterations
+    return float(few + by_wave * min(task.wavelength / side, longest))
