@@ -170,5 +170,5 @@ MEASURED = CostConstants(
     cg_iterations=12.0,
     cg_iterations_by_square=1.0,
 )
-"""Fitted on 22 November 2026 to runs of ``bench.interface_solvers`` with 10,000 to 250,000 unknowns on one and two ranks
-of a shared two-core machine, CHOLMOD and MUMPS of Debian 12: predictions are within a third of most of them."""
+"""Fitted on 22 November 2026 to runs of ``bench.interface_solvers`` with 10,000 to 250,000 unknowns on one and two
+ranks of a shared two-core machine, CHOLMOD and MUMPS of Debian 12: predictions are within a third of most of them."""
