@@ -55,7 +55,7 @@ bench: setup ## run every benchmark; results go to bench/results
 bench-iterations: setup ## iterations of the interface problem over the grid l_c/H x subdomains
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m bench.iterations --jobs $(JOBS)
 
-bench-interface: setup ## time and memory of the interface solvers, direct solvers and multigrid; takes hours
+bench-interface: setup ## time and memory of the interface solvers, direct solvers and multigrid, and the costs by which auto chooses; takes hours
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m bench.interface_solvers
 
 bench-paper: $(BENCH_STAMP) ## the 29-megapixel case on 2 ranks: time by phase, memory, error, rates (ARGS="beam_8 --repeats 1")

@@ -32,7 +32,8 @@ def _write(folder: Path, more: str = "", **sections: str) -> Path:
 def test_result_and_summary_are_written(shared_path: Path) -> None:
     team = Team(MPI.COMM_WORLD)
     ears = Ears()
-    path = _write(shared_path, "[solver]\nsubdomains = 4\n[regularization]\ncut_off_wavelength = 48.0\n")
+    path = _write(shared_path, '[solver]\nmethod = "dual"\nsubdomains = 4\n'
+                               "[regularization]\ncut_off_wavelength = 48.0\n")
     summary = run_case(team, path, ears)
     assert set(ears.phases) == set(Phase)
     assert summary.converged

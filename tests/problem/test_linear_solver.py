@@ -156,7 +156,7 @@ def test_a_coarse_space_where_waves_are_longer_than_many_subdomains(
         shared_path: Path, n_subdomains: int, wavelength: float | None, is_two_level: bool) -> None:
     team = Team.world()
     section = "" if wavelength is None else f"[regularization]\ncut_off_wavelength = {wavelength}\n"
-    problem, assembly = _prepare(team, shared_path, f"subdomains = {n_subdomains}", more=section)
+    problem, assembly = _prepare(team, shared_path, f'method = "dual"\nsubdomains = {n_subdomains}', more=section)
     sides = team.gather_lists([float(np.prod(np.ptp(s.mesh.nodes, axis=0)) ** 0.5) for s in problem.subdomains])
     assert (wavelength is not None and n_subdomains >= MANY_SUBDOMAINS
             and wavelength >= LONG_WAVELENGTH * np.mean(sides)) == is_two_level

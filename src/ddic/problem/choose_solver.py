@@ -210,11 +210,13 @@ def _describe(task: StepTask, chosen: StepCosts, others: list[StepCosts], room: 
         mechanics = f"l_c of {task.wavelength:.3g} cells" if task.is_regularized else "no regularization"
     best: dict[str, str] = {}
     for found in others:
-        fits = "" if found.memory <= room else " (does not fit)"
-        best.setdefault(found.candidate.method, found.describe() + fits)
+        best.setdefault(found.candidate.method, found.describe() + _describe_lack(found, room))
     best.pop(chosen.candidate.method, None)
     against = f"; {'; '.join(best.values())}" if best else ""
-    fits = "" if chosen.memory <= room else " (the least of what does not fit)"
-    return (f'solver.method = "auto" takes {chosen.describe()}{fits}, as predicted for {task.n_unknowns} unknowns, '
-            f"{mechanics}, {task.n_steps} steps, ranks: {task.n_ranks}, memory of each: "
-            f"{max(room, 0.0) / 2**30:.2g} GiB{against}")
+    return (f'solver.method = "auto" takes {chosen.describe()}{_describe_lack(chosen, room)}, as predicted for '
+            f"{task.n_unknowns} unknowns, {mechanics}, {task.n_steps} steps, ranks: {task.n_ranks}{against}")
+
+
+def _describe_lack(found: StepCosts, room: float) -> str:
+    """Memory is said where it is short: it is another one at each run."""
+    return "" if found.memory <= room else f" (does not fit into {max(room, 0.0) / 2**30:.2g} GiB)"
