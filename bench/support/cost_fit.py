@@ -10,6 +10,7 @@ from scipy.optimize import nnls
 
 from bench.support.tiled_texture import CELL
 from ddic.solvers.cost_constants import LARGEST_ARRAYS, CostConstants, Factor, Growth
+from ddic.solvers.step_costs import find_shared_boundary
 
 Record = dict[str, Any]
 OF_RUN = ("n", "cut_off_wavelength", "n_ranks", "per_subdomain")
@@ -160,8 +161,14 @@ def _fit_local(whole: Sequence[Record], dual: Sequence[Record]) -> tuple[Factor,
 
 def _fit_interface(scaled: Sequence[Record], local: tuple[Factor, Factor], *,
                    has_arrays: bool) -> tuple[Factor, Factor]:
+    """Cost of S_s and its inverse; as arrays those of a subdomain whose whole boundary is shared."""
     chosen = [r for r in scaled if (_own(r)[0] <= LARGEST_ARRAYS) == has_arrays]
-    return _by_kind(chosen, lambda r: r["interface_cpu"], lambda r: _memory(r) - _factor_memory(r, local))
+
+    def shared(record: Record) -> float:
+        return find_shared_boundary(record["n_subdomains"]) if has_arrays else 1.0
+
+    return _by_kind(chosen, lambda r: r["interface_cpu"] / shared(r),
+                    lambda r: (_memory(r) - _factor_memory(r, local)) / shared(r))
 
 
 def _factor_memory(record: Record, local: tuple[Factor, Factor]) -> float:

@@ -112,8 +112,11 @@ def weigh_candidates(region_mesh: RegionMesh, n_ranks: int, memory: int) -> Solv
 def _describe_task(region_mesh: RegionMesh, n_ranks: int) -> StepTask:
     inputs, mesh = region_mesh.inputs, region_mesh.mesh
     wavelength = compute_cut_off_wavelength(inputs.case) / measure_cell_size(mesh)
-    n_steps = STEPS_OF_FRAME * (inputs.case.solver.frames or inputs.n_frames)
-    return StepTask(region_mesh.kinematics.n_unknowns, mesh.n_cells, wavelength, n_ranks, n_steps)
+    n_frames = inputs.case.solver.frames or inputs.n_frames
+    n_steps = STEPS_OF_FRAME * n_frames
+    is_started = inputs.case.start.independent and len(inputs.cameras) == 1
+    n_started = int(region_mesh.costs.sum()) * n_frames if is_started else 0
+    return StepTask(region_mesh.kinematics.n_unknowns, mesh.n_cells, wavelength, n_ranks, n_steps, n_started)
 
 
 def _list_candidates(region_mesh: RegionMesh, task: StepTask) -> Iterator[Candidate]:

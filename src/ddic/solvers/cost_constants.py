@@ -94,7 +94,7 @@ class CostConstants:
     local_solve : float
         Seconds of a solve with it, by the logarithm to base 2 of its unknowns.
     interface : pair of Factor
-        Of S_s and its inverse as arrays.
+        Of S_s and its inverse as arrays, where other subdomains lie all round.
     sparse_interface : pair of Factor
         The same by a sparse factor, as large subdomains have it.
     coarse_set_up : Growth
@@ -153,8 +153,8 @@ MEASURED = CostConstants(
     ),
     local_solve=1.5e-08,
     interface=(
-        Factor(seconds=Growth(constant=4.3e-06, growing=5.5e-08), memory=Growth(constant=320.0, growing=36.0)),
-        Factor(seconds=Growth(constant=1.6e-05, growing=6.1e-08), memory=Growth(constant=1200.0, growing=0.0)),
+        Factor(seconds=Growth(constant=0.0, growing=2.6e-07), memory=Growth(constant=0.0, growing=120.0)),
+        Factor(seconds=Growth(constant=0.0, growing=7.4e-07), memory=Growth(constant=0.0, growing=220.0)),
     ),
     sparse_interface=(
         Factor(seconds=Growth(constant=0.0, growing=1e-07), memory=Growth(constant=0.0, growing=0.0)),
@@ -164,9 +164,9 @@ MEASURED = CostConstants(
     dual_product=5.6,
     one_level_iterations=(1.8, 2.9),
     two_level_iterations=3.0,
-    cg_set_up=5.7e-07,
-    cg_product=(2.9e-08, 5.6e-08),
-    cg_product_calls=(0.00016, 3.8e-05),
+    cg_set_up=6.2e-07,
+    cg_product=(2.9e-08, 5.7e-08),
+    cg_product_calls=(0.00016, 4.2e-05),
     cg_iterations=12.0,
     cg_iterations_by_square=1.0,
 )

@@ -10,6 +10,9 @@ import numpy as np
 
 from ddic.solvers.cost_constants import LARGEST_ARRAYS, MEASURED, CostConstants
 
+STARTED_PIXEL = 8e-8
+"""Seconds of a pixel in the independent start: some three passes of 2.5e-8 s (bench/kernel_rates.py)."""
+
 StepMethod = Literal["dual", "assembled", "conjugate_gradient", "monolithic"]
 
 
@@ -29,6 +32,9 @@ class StepTask:
         Ranks that make them together.
     n_steps : int
         How many there are with the same operator.
+    n_started : int
+        Pixels of the region, over all frames, that the dual method's subdomains are first measured on by themselves; 0
+        where they are not, or whatever the method.
     """
 
     n_unknowns: int
@@ -36,6 +42,7 @@ class StepTask:
     wavelength: float
     n_ranks: int
     n_steps: int
+    n_started: int = 0
 
     @property
     def is_regularized(self) -> bool:
@@ -148,6 +155,22 @@ def predict_costs(task: StepTask, candidate: Candidate, constants: CostConstants
     return of_method[candidate.method](task, candidate, constants)
 
 
+def find_shared_boundary(n_subdomains: int) -> float:
+    """Find which share of the subdomains' boundaries lies between two of them.
+
+    Parameters
+    ----------
+    n_subdomains : int
+        Into which a square is split.
+
+    Returns
+    -------
+    float
+        0 for one, near 1 for many.
+    """
+    return 1.0 - 1.0 / float(np.sqrt(n_subdomains))
+
+
 def _predict_assembled(task: StepTask, candidate: Candidate, constants: CostConstants) -> StepCosts:
     """MUMPS's nested dissection: n^1.5 operations of the factor, n log n entries."""
     n = task.n_unknowns
@@ -186,18 +209,21 @@ def _predict_dual(task: StepTask, candidate: Candidate, constants: CostConstants
     n_own = -(-n_subdomains // task.n_ranks)
     n = task.n_unknowns / n_subdomains
     kind, alone = constants.local[task.is_regularized], constants.local[False]
-    interface = (constants.interface if n <= LARGEST_ARRAYS else constants.sparse_interface)[task.is_regularized]
     set_up = kind.seconds.evaluate_by_root(n)
     memory = constants.system_memory + kind.memory.evaluate_by_log(n)
+    started = 0.0
     if n_subdomains > 1:
-        # Each is also measured by itself, to start from.
-        set_up += alone.seconds.evaluate_by_root(n) + interface.seconds.evaluate_by_root(n)
-        memory += interface.memory.evaluate_by_log(n)
+        interface = (constants.interface if n <= LARGEST_ARRAYS else constants.sparse_interface)[task.is_regularized]
+        shared = find_shared_boundary(n_subdomains) if n <= LARGEST_ARRAYS else 1.0
+        set_up += shared * interface.seconds.evaluate_by_root(n)
+        memory += shared * interface.memory.evaluate_by_log(n)
+        started = task.n_started / task.n_ranks * STARTED_PIXEL
+        set_up += alone.seconds.evaluate_by_root(n) if task.n_started else 0.0
     if candidate.preconditioner == "two_level":
         set_up += constants.coarse_set_up.evaluate_by_root(n)
     iterations = _count_dual_iterations(task, candidate, constants)
     step = n_own * n * constants.local_solve * np.log2(n) * (1 + constants.dual_product * iterations)
-    return StepCosts(candidate, n_own * n * set_up, step, task.n_steps, iterations, n_own * n * memory)
+    return StepCosts(candidate, n_own * n * set_up + started, step, task.n_steps, iterations, n_own * n * memory)
 
 
 def _count_dual_iterations(task: StepTask, candidate: Candidate, constants: CostConstants) -> float:
