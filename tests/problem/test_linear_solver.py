@@ -136,7 +136,7 @@ def test_a_renewal_that_fails_frees_all_and_can_be_made_good(shared_path: Path, 
 @pytest.mark.parallel(RANKS)
 def test_a_solver_that_cannot_be_made_leaves_nothing(shared_path: Path) -> None:
     team = Team.world()
-    problem, assembly = _prepare(team, shared_path, "subdomains = 6", more="")
+    problem, assembly = _prepare(team, shared_path, 'method = "dual"\nsubdomains = 6', more="")
     count_live_objects(team, shared_path)
     before = count_live_objects(team, shared_path)
     for system in assembly.systems:
