@@ -15,7 +15,8 @@ from ddic.problem.inputs import Inputs
 from ddic.problem.linear_solver import compute_cut_off_wavelength
 from ddic.problem.region_mesh import RegionMesh
 from ddic.problem.solver_choice import SolverChoice
-from ddic.solvers.petsc_defaults import has_package
+from ddic.solvers.factor_packages import is_mumps_missing
+from ddic.solvers.petsc_defaults import ASSEMBLED, COARSE
 from ddic.solvers.step_costs import Candidate, StepCosts, StepTask, predict_costs
 
 STEPS_OF_FRAME = 5
@@ -126,7 +127,7 @@ def _list_candidates(region_mesh: RegionMesh, task: StepTask) -> Iterator[Candid
     yield from _list_dual(region_mesh, task, fewest, is_given=given is not None)
     if _is_dual_wanted(region_mesh):
         return
-    if has_package("mumps"):
+    if not is_mumps_missing(ASSEMBLED):
         yield Candidate("assembled", fewest)
     if fewest == 1:
         # The dual method with one subdomain by its simpler name.
@@ -147,7 +148,7 @@ def _list_dual(region_mesh: RegionMesh, task: StepTask, fewest: int, *, is_given
             yield Candidate("dual", count, solver.preconditioner)
             continue
         yield Candidate("dual", count)
-        if task.is_regularized and count >= FEWEST_FOR_TWO_LEVELS and has_package("mumps"):
+        if task.is_regularized and count >= FEWEST_FOR_TWO_LEVELS and not is_mumps_missing(COARSE):
             yield Candidate("dual", count, "two_level")
 
 
