@@ -55,7 +55,7 @@ bench: setup ## run every benchmark; results go to bench/results
 bench-iterations: setup ## iterations of the interface problem over the grid l_c/H x subdomains
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m bench.iterations --jobs $(JOBS)
 
-bench-interface: setup ## time and memory of the interface solvers, direct solvers and multigrid; takes hours
+bench-interface: setup ## time and memory of the interface solvers, direct solvers and multigrid, and the costs by which auto chooses; takes hours
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m bench.interface_solvers
 
 bench-paper: $(BENCH_STAMP) ## the 29-megapixel case on 2 ranks: time by phase, memory, error, rates (ARGS="beam_8 --repeats 1")
@@ -100,7 +100,7 @@ accept-start: setup ## measure the table of the start, as far as it is built (CH
 accept-pgd: setup ## measure the table of PGD-DIC (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.pgd $(CHECK)
 
-accept-impressions: setup ## measure the table of first impressions: pages, packages, strain at nodes, pictures (CHECK=NAME: one check)
+accept-impressions: setup ## measure the table of first impressions: the chosen solver, pages, packages, strain at nodes, pictures (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.impressions $(CHECK)
 
 smoke: setup ## run every check of every acceptance table on tiny cases: minutes, no bound is judged

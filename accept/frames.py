@@ -111,7 +111,7 @@ class Series:
         return (f'[images]\nreference = "{folder}/1/reference.tif"\ndeformed = "{folder}/{frame}/deformed.tif"\n'
                 f"[mesh.structured]\nregion = [{MARGIN}, {MARGIN}, {end}, {end}]\nelement_size = {self.element}\n"
                 f"[regularization]\ncut_off_wavelength = {self.wavelength}\nnot_controlled = {self.not_controlled}\n"
-                f"[solver]\nsubdomains = {SUBDOMAINS}\ntolerance = 1e-10\n"
+                f'[solver]\nmethod = "dual"\nsubdomains = {SUBDOMAINS}\ntolerance = 1e-10\n'
                 "[gauss_newton]\ntolerance = 1e-12\nrms_tolerance = 1e-9\nmax_iterations = 2000\n")
 
 

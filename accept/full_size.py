@@ -37,6 +37,7 @@ element_size = 16
 [regularization]
 cut_off_wavelength = 64
 [solver]
+method = "dual"
 subdomains = {subdomains}
 """, folder, 2)
     append_result("full_size_runs", summary)

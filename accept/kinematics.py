@@ -23,7 +23,7 @@ MOST_LINES = 60
 
 RANKS = (1, 2, 3, 4)
 CONVERGED = {"gauss_newton": {"tolerance": 1e-13, "rms_tolerance": 1e-12, "max_iterations": 100},
-             "solver": {"tolerance": 1e-12, "inexact": False}}
+             "solver": {"method": "dual", "tolerance": 1e-12, "inexact": False}}
 """Sections of a case by which only rounding is left between methods."""
 
 

@@ -80,7 +80,8 @@ def measure_exact(scale: Scale) -> list[Row]:
     far, near, truth = render_scene(scene, 0)
     rows = []
     for name, gap in VARIANTS.items():
-        solver = f"[solver]\nsubdomains = {N_SUBDOMAINS}\ninexact = false\ntolerance = {EXACT_TOLERANCE}\n"
+        solver = (f'[solver]\nmethod = "dual"\nsubdomains = {N_SUBDOMAINS}\ninexact = false\n'
+                  f"tolerance = {EXACT_TOLERANCE}\n")
         case = joint_case(far, near, scene.plate(_truth_file(far)), QUINTIC + solver + gap)
         result = _run(case, scene.folder, f"exact_{name}")
         fields = continuous(result)

@@ -65,7 +65,7 @@ def _write_case(side: int, radius: int, element: int) -> str:
             f"[mesh.structured]\nregion = [{edge}, {edge}, {side - edge}, {side - edge}]\nelement_size = {element}\n"
             f"circles = [{{ center = [{middle}, {middle}], radius = {radius} }}]\n"
             f'[regularization]\ncut_off_wavelength = {4 * element}\nnot_controlled = [{sides}]\n'
-            "[solver]\nsubdomains = 8\ntolerance = 1e-12\ninexact = false\n"
+            '[solver]\nmethod = "dual"\nsubdomains = 8\ntolerance = 1e-12\ninexact = false\n'
             "[gauss_newton]\ntolerance = 1e-10\nrms_tolerance = 0\n")
 
 

@@ -54,6 +54,7 @@ file = "{folder}/mesh_q4_pixels.msh"
 [correlation]
 spline_degree = {degree}
 [solver]
+method = "dual"
 {solver}
 {extra}"""
 

@@ -166,7 +166,8 @@ def measure_by_dual(pair: Pair, side: int) -> ddic.Result:
     blocks = max(1, round(side / SUBDOMAIN_SIDE))
     mesh = ddic.structured_mesh(find_region(len(pair[0]), side), 1)
     return ddic.measure(pair, mesh, options={"regularization": ALL_CONTROLLED,
-                                             "solver": {"partition": "blocks", "blocks": [blocks, blocks]}})
+                                             "solver": {"method": "dual", "partition": "blocks",
+                                                        "blocks": [blocks, blocks]}})
 
 
 def measure_against_dual(scale: Scale) -> list[Row]:

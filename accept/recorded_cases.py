@@ -158,14 +158,15 @@ def solver_section(keys: str) -> str:
     Parameters
     ----------
     keys : str
-        Lines of the section, without tolerances.
+        Lines of the section, without tolerances; the dual method where they say no other.
 
     Returns
     -------
     str
         TOML text.
     """
-    return f"[solver]\ntolerance = 1e-12\ninexact = false\n{keys}\n{CONVERGED}"
+    method = "" if "method" in keys else 'method = "dual"\n'
+    return f"[solver]\n{method}tolerance = 1e-12\ninexact = false\n{keys}\n{CONVERGED}"
 
 
 QUINTIC = "[correlation]\nspline_degree = 5\n"

@@ -37,6 +37,7 @@ element_size = {element}
 [regularization]
 cut_off_wavelength = {wavelength * element}
 [solver]
+method = "dual"
 subdomains = {max(1, round(n_cells / CELLS_A_SUBDOMAIN))}
 """, folder, 1)
     shared = sum(value for name, value in summary["cpu_seconds"].items() if name not in ON_ONE_RANK)

@@ -1,13 +1,14 @@
 """Set-up, solve and memory of one linear step: the interface solvers, direct solvers and multigrid.
 
 Usage: python -m bench.interface_solvers [--sizes N ...] [--wavelengths PX ...] [--ranks R ...] [--solvers NAME ...]
-[--per-subdomain E ...] [--repeats K] [--timeout S] [--append]; everything by default, which takes hours.
+[--per-subdomain E ...] [--repeats K] [--timeout S] [--append] [--fit]; everything by default, which takes hours.
 
 Squares of n x n Q4 of 16 px with a tiled random texture. Every run is a fresh process or group of
 processes; repeats alternate between the solvers. Seconds are CPU seconds of the slowest rank, medians of
 the repeats: wall time means little where others compute. A JSON line per run goes to
 bench/results/interface_solvers.jsonl, started afresh without --append, and the table of all its lines to
-interface_solvers.md.
+interface_solvers.md. At the end the constants of the cost model of solver.method = "auto" are fitted to all lines of
+the file and printed as src/ddic/solvers/cost_constants.py has them; --fit does that alone.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from collections.abc import Iterator, Sequence
 from statistics import median
 from typing import Any
 
+from bench.support.cost_fit import fit_constants, list_missing
 from bench.support.rows import RESULTS, append_result
 from bench.support.runs import DATA, ROOT, environment
 
@@ -28,12 +30,15 @@ JOB = "bench.support.interface_job"
 NAME = "interface_solvers"
 SIZES = (172, 353, 707, 1414)
 """Elements along a side: about 60 000, 250 000, 1 and 4 million unknowns."""
-WAVELENGTHS = (64.0, 512.0)
+WAVELENGTHS = (0.0, 64.0, 128.0, 512.0)
+"""Pixels; 0: without regularization."""
 RANKS = (1, 2)
 SOLVERS = ("cholmod", "assembled", "conjugate_gradient", "two_level", "scaled", "paper", "gamg", "hpddm")
 DUAL = ("two_level", "scaled", "paper")
-PER_SUBDOMAIN = (20, 40)
-"""Elements along a subdomain's side, of the dual solvers."""
+SUBDOMAINS = (*DUAL, "conjugate_gradient")
+"""Solvers whose time depends on the subdomains."""
+PER_SUBDOMAIN = (0, 20, 40)
+"""Elements along a subdomain's side, of the dual solvers; 0: one subdomain a rank."""
 REPEATED_UP_TO = 400
 """Elements along a side up to which runs are repeated: larger ones take minutes each."""
 MEMORY = 20 * 2**30
@@ -86,8 +91,10 @@ def measure(chosen: argparse.Namespace) -> None:
     for n in chosen.sizes:
         for wavelength in chosen.wavelengths:
             combinations = [(s, size, ranks) for ranks in chosen.ranks for s in chosen.solvers
-                            for size in (chosen.per_subdomain if s in DUAL else [None])
+                            for size in (chosen.per_subdomain if s in SUBDOMAINS else [None])
                             if not (s == "cholmod" and ranks > 1)
+                            and not (s in DUAL and size == 0 and ranks == 1)
+                            and not (s == "conjugate_gradient" and size == 40)
                             and not (s == "hpddm" and (n > min(chosen.sizes) or ranks > 1))]
             for _ in range(chosen.repeats if n <= REPEATED_UP_TO else 1):
                 for combination in list(combinations):
@@ -117,10 +124,24 @@ def row(records: Sequence[dict[str, Any]]) -> str:
             f"{'reference' if error is None else f'{error:.0e}'} |")
 
 
+def fit() -> str:
+    """The constants of ddic's cost model, fitted to all lines of the result file, as text of their module."""
+    records = read_records()
+    missing = list_missing(records)
+    if missing:
+        return f"no constants are fitted: there are no runs of {', '.join(missing)}"
+    return f"MEASURED = {fit_constants(records)}"
+
+
+def read_records() -> list[dict[str, Any]]:
+    """All lines of the result file."""
+    lines = (RESULTS / f"{NAME}.jsonl").read_text(encoding="utf-8").splitlines()
+    return [json.loads(line) for line in lines]
+
+
 def table() -> Iterator[str]:
     """The table of all lines of the result file."""
-    lines = (RESULTS / f"{NAME}.jsonl").read_text(encoding="utf-8").splitlines()
-    records = [json.loads(line) for line in lines]
+    records = read_records()
 
     def place(r: dict[str, Any]) -> tuple[int, float, int, int, int, str]:
         return (r["n"], r["cut_off_wavelength"], r["n_ranks"], SOLVERS.index(r["solver"]), r["per_subdomain"] or 0,
@@ -140,11 +161,15 @@ def main() -> None:
     parser.add_argument("--ranks", nargs="+", type=int, default=list(RANKS))
     parser.add_argument("--solvers", nargs="+", choices=SOLVERS, default=list(SOLVERS))
     parser.add_argument("--per-subdomain", nargs="+", type=int, default=list(PER_SUBDOMAIN),
-                        help="elements along a subdomain's side")
+                        help="elements along a subdomain's side; 0: one a rank")
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--timeout", type=float, default=600.0, help="seconds a run")
     parser.add_argument("--append", action="store_true", help="keep the lines of earlier runs")
+    parser.add_argument("--fit", action="store_true", help="fit constants to the runs that are there, run nothing")
     chosen = parser.parse_args()
+    if chosen.fit:
+        print(fit())
+        return
     RESULTS.mkdir(parents=True, exist_ok=True)
     if not chosen.append:
         (RESULTS / f"{NAME}.jsonl").unlink(missing_ok=True)
@@ -154,6 +179,7 @@ def main() -> None:
     text = "\n".join(table()) + "\n"
     (RESULTS / f"{NAME}.md").write_text(text, encoding="utf-8")
     print(text)
+    print(fit())
 
 
 if __name__ == "__main__":

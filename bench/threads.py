@@ -91,6 +91,7 @@ element_size = {ELEMENT}
 [regularization]
 cut_off_wavelength = {4 * ELEMENT}
 [solver]
+method = "dual"
 subdomains = {n_subdomains}
 threads = {n_threads}
 """, folder, 1, f"threads_{n_threads}")

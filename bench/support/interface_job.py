@@ -1,8 +1,10 @@
 """One solver of bench/interface_solvers.py in processes of its own: prints a JSON line from rank 0.
 
-Argument: JSON with "solver", "n", "wavelength" (px), "per_subdomain" (elements a side), "reference" (file).
-Times are of set-up (everything after M and K, forming the operators included) and of one solve, CPU and
-wall seconds of the slowest rank; memory is the largest resident size of each rank, of the whole process.
+Argument: JSON with "solver", "n", "wavelength" (px), "per_subdomain" (elements a side; 0: one a rank),
+"reference" (file).
+Times are of set-up (everything after M and K, forming the operators included), of one solve, and, of ddic's own
+methods, of another one that leaves as much error as a step of Gauss-Newton may ("inexact"): CPU and wall seconds of the
+slowest rank; memory is the largest resident size of each rank, of the whole process.
 """
 
 from __future__ import annotations
@@ -27,13 +29,14 @@ from ddic.parallel.distribution import scatter_subdomains
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.split import split_by_metis
-from ddic.partition.subdomain import interface_weights
+from ddic.partition.subdomain import Subdomain, interface_weights
 from ddic.problem.assembly import Assembly
 from ddic.solvers.assembled import AssembledStep
 from ddic.solvers.conjugate_gradient import ConjugateGradientStep
 from ddic.solvers.dual.build_preconditioner import Preconditioner
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
-from ddic.solvers.linear_step import LinearStep
+from ddic.solvers.gauss_newton import SHARE
+from ddic.solvers.linear_step import AllowedError, LinearStep
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
 
@@ -79,35 +82,48 @@ class Laps:
 def method(team: Team, problem: TiledProblem, solver: str, per_subdomain: int | None, laps: Laps,
            ) -> tuple[dict[str, Any], Field]:
     """One linear step as ddic's own method solves it, dual on METIS subdomains or assembled."""
-    count = team.size if per_subdomain is None else max(round((problem.n / per_subdomain) ** 2), 2)
+    count = max(round((problem.n / per_subdomain) ** 2), 2) if per_subdomain else team.size
 
     def split() -> tuple[list[Any], NDArray[np.float64]]:
         mesh = problem.rows_of_cells(0, problem.n)
         labels = split_by_metis(mesh, count)
         # Equal cells, split evenly: equal costs.
-        return build_subdomains(NodalRegion(mesh), labels, problem.controlled(mesh)), np.ones(count)
+        is_controlled = problem.controlled(mesh) & (problem.wavelength > 0)
+        return build_subdomains(NodalRegion(mesh), labels, is_controlled), np.ones(count)
 
     subdomains = scatter_subdomains(team, split)
     eta, diagonal = problem.eta_and_diagonal
-    systems, right = [], []
+    systems, right, next_right = [], [], []
     for s in subdomains:
-        weights = interface_weights(s.multiplicity, "consistent") * s.controlled
-        systems.append(LocalSystem(s, problem.hessian(s.mesh), problem.stiffness(s.mesh, weights), weights, eta))
+        systems.append(_system(problem, s, eta))
         right.append(systems[-1].hessian @ problem.displacement(s.mesh))
+        next_right.append(systems[-1].hessian @ problem.displacement(s.mesh, seed=2))
     assembly = Assembly(systems, eta, diagonal)
     before = largest_resident()
     operators = laps.time("factorize", lambda: factorize(assembly) if solver in DUAL else [])
     step = laps.time("interface", lambda: make_step(team, solver, assembly, operators))
     n_interface = step.n_interface if isinstance(step, DualStep) else 0
     result = laps.time("solve", lambda: step.solve([np.zeros(len(b)) for b in right], right))
+    # As Gauss-Newton asks for a step: no further than its own progress.
+    later = laps.time("inexact", lambda: step.solve([np.zeros(len(b)) for b in right], next_right,
+                                                    AllowedError(rms=0.0, share=SHARE)))
     laps.seconds |= {f"setup_{k}": laps.seconds[f"factorize_{k}"] + laps.seconds[f"interface_{k}"]
                      for k in ("cpu", "wall")}
     step.destroy()
     for operator in operators:
         operator.destroy()
     found = {"n_subdomains": count, "n_interface": n_interface, "iterations": result.krylov_iterations,
-             "resident_before": before}
+             "inexact_iterations": later.krylov_iterations, "resident_before": before}
     return found, ([s.numbers for s in subdomains], result.dq)
+
+
+def _system(problem: TiledProblem, subdomain: Subdomain, eta: float) -> LocalSystem:
+    """M_s and Kbar_s of a subdomain; without regularization M_s alone."""
+    hessian = problem.hessian(subdomain.mesh)
+    if eta == 0:
+        return LocalSystem(subdomain, hessian, None, np.zeros(0), 0.0)
+    weights = interface_weights(subdomain.multiplicity, "consistent") * subdomain.controlled
+    return LocalSystem(subdomain, hessian, problem.stiffness(subdomain.mesh, weights), weights, eta)
 
 
 def make_step(team: Team, solver: str, assembly: Assembly, operators: list[LocalOperator]) -> LinearStep:

@@ -46,7 +46,7 @@ class BenchCase:
     field: DisplacementField
     element_size: float
     covered: str
-    solver: str = f"subdomains = {SUBDOMAINS}"
+    solver: str = f'method = "dual"\nsubdomains = {SUBDOMAINS}'
 
     def keyed(self, solver: str) -> str:
         """The case's text with other keys of [solver]."""
@@ -101,7 +101,7 @@ def tiny() -> BenchCase:
     mesh = (f"[mesh.structured]\nregion = [{MARGIN}, {MARGIN}, {size - MARGIN}, {size - MARGIN}]\n"
             f"element_size = {FULL_ELEMENT}")
     return BenchCase("tiny", 8, folder, _text(folder, mesh, FULL_WAVELENGTH), load_truth(folder / "truth.json"),
-                     FULL_ELEMENT, f"all but a margin of {MARGIN} px", "subdomains = 4")
+                     FULL_ELEMENT, f"all but a margin of {MARGIN} px", 'method = "dual"\nsubdomains = 4')
 
 
 CASES: dict[str, Callable[[], BenchCase]] = {

@@ -35,7 +35,7 @@ SLOPE = 10.0
 
 @dataclass(frozen=True)
 class TiledProblem:
-    """n x n square cells of CELL px with the tiled texture, regularized at a cut-off wavelength (px)."""
+    """n x n square cells of CELL px with the tiled texture, regularized at a cut-off wavelength (px; 0: not at all)."""
 
     n: int
     wavelength: float
@@ -75,10 +75,10 @@ class TiledProblem:
         inside = ((mesh.nodes > 0.5) & (mesh.nodes < end - 0.5)).all(axis=1)
         return np.repeat(inside, 2)
 
-    def displacement(self, mesh: Mesh) -> NDArray[np.float64]:
+    def displacement(self, mesh: Mesh, seed: int = 1) -> NDArray[np.float64]:
         """A field for the right-hand side b = M u, pixels: a smooth one and 0.05 px from node to node."""
         x, y = mesh.nodes.T
-        rough = np.random.default_rng(1).normal(scale=0.05, size=(TILE**2, 2))
+        rough = np.random.default_rng(seed).normal(scale=0.05, size=(TILE**2, 2))
         number = np.rint(mesh.nodes / CELL).astype(np.int64) % TILE
         size = self.n * CELL
         smooth = np.column_stack([np.sin(2 * np.pi * x / size) * y / size, np.cos(3 * np.pi * y / size)])
@@ -89,6 +89,8 @@ class TiledProblem:
         """Weight eta of the cut-off wavelength and the mean of diag M, both of one tile."""
         mesh = build_structured_mesh((0.0, 0.0, TILE * CELL, TILE * CELL), CELL)
         hessian = self.hessian(mesh)
+        if self.wavelength == 0:
+            return 0.0, float(hessian.diagonal().mean())
         interior = np.ones(mesh.n_nodes, dtype=bool)
         interior[find_boundary_nodes(mesh)] = False
         eta = find_cut_off_weight(measure_texture_energies(mesh.nodes, hessian, interior, self.wavelength),
@@ -104,10 +106,16 @@ class TiledProblem:
         hessian = self.hessian(mesh)
         wide = 2 * (self.n + 1)
         own = slice((first - low) * wide, (last - low) * wide)
+        if eta == 0:
+            return _widen(hessian[own], low * wide, self.n_dofs), (hessian @ self.displacement(mesh))[own]
         kbar = self.stiffness(mesh, self.controlled(mesh).astype(float))
         # Of the outermost node rows of a strip inside the mesh Kbar lacks cells; they do not reach the own rows.
-        rows = (hessian[own] + eta * (kbar[:, own].T @ kbar)).tocoo()
-        shape = (rows.shape[0], self.n_dofs)
-        columns = rows.col.astype(np.int64) + low * wide
-        matrix = sparse.coo_matrix((rows.data, (rows.row, columns)), shape=shape).tocsr()
-        return matrix, (hessian @ self.displacement(mesh))[own]
+        rows = hessian[own] + eta * (kbar[:, own].T @ kbar)
+        return _widen(rows, low * wide, self.n_dofs), (hessian @ self.displacement(mesh))[own]
+
+
+def _widen(rows: sparse.csr_matrix, first: int, n_columns: int) -> sparse.csr_matrix:
+    """Rows of a strip's unknowns, of which the first has a number, over all columns."""
+    entries = rows.tocoo()
+    places = (entries.row, entries.col.astype(np.int64) + first)
+    return sparse.coo_matrix((entries.data, places), shape=(rows.shape[0], n_columns)).tocsr()

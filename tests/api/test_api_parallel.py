@@ -57,7 +57,7 @@ def test_every_rank_gets_the_whole_result(pair: Pair, mesh: ddic.Mesh, shared_pa
 @pytest.mark.filterwarnings("ignore:.*did not converge:UserWarning")
 @pytest.mark.parallel([2, 3])
 @pytest.mark.parametrize("options", [
-    REGULARIZED | {"solver": {"subdomains": 4}, "gauss_newton": {"max_iterations": 1}},
+    REGULARIZED | {"solver": {"method": "dual", "subdomains": 4}, "gauss_newton": {"max_iterations": 1}},
     {"pgd": {"max_corrections": 1, "stop_at_noise": False}}], ids=["dual", "pgd"])
 def test_every_rank_gets_the_last_field_of_a_failure(pair: Pair, mesh: ddic.Mesh, shared_path: Path,
                                                      options: dict[str, Any]) -> None:

@@ -17,7 +17,7 @@ from support.commands import LIMIT, Finished, ddic, driven, finished, started, w
 
 INPUTS = ["case.toml", "f.tif", "g.tif"]
 OUTPUTS = ["result.json", "result.residual.vtkhdf", "result.vtkhdf"]
-FOUR = "[solver]\nsubdomains = 4\n"
+FOUR = '[solver]\nmethod = "dual"\nsubdomains = 4\n'
 SECONDS_TO_END = 20.0
 """A job that fails takes two or three seconds, most of them to start; one that hangs takes LIMIT."""
 
@@ -133,7 +133,8 @@ def test_a_blank_area_is_a_singular_subdomain_where_all_pixels_count(folder: Pat
     f = tifffile.imread(folder / "f.tif")
     f[90:, 90:] = 128
     tifffile.imwrite(folder / "f.tif", f)
-    write_case(folder, '[solver]\npartition = "blocks"\nblocks = [2, 2]\n[correlation]\nspoilt_pixels = "keep"\n')
+    write_case(folder, '[solver]\nmethod = "dual"\npartition = "blocks"\nblocks = [2, 2]\n'
+                       '[correlation]\nspoilt_pixels = "keep"\n')
     _refused(folder, ddic("run", folder / "case.toml", ranks=2), 1, "subdomain 3", "too little texture")
 
 

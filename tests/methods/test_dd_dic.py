@@ -26,7 +26,7 @@ rms_tolerance = 0.0
 """
 NO_START = "[start]\nrigid = false\npyramid = false\nindependent = false\n"
 REGULARIZED = "[regularization]\ncut_off_wavelength = 48.0\n"
-TIGHT_SOLVER = "[solver]\nsubdomains = 8\ntolerance = 1e-12\n"
+TIGHT_SOLVER = '[solver]\nmethod = "dual"\nsubdomains = 8\ntolerance = 1e-12\n'
 
 
 def _images(folder: Path, **options: object) -> None:
@@ -93,7 +93,7 @@ def test_the_default_start_leads_to_the_same_field(shared_path: Path) -> None:
 
 @pytest.mark.parallel(RANKS)
 @pytest.mark.parametrize("solver", [
-    '[solver]\npartition = "blocks"\nblocks = [2, 2]\n',
+    '[solver]\nmethod = "dual"\npartition = "blocks"\nblocks = [2, 2]\n',
     '[solver]\nsubdomains = 5\nweighting = "paper"\npreconditioner = "paper"\n',
     '[solver]\nsubdomains = 4\npreconditioner = "none"\n',
 ], ids=["blocks", "paper", "no preconditioner"])
@@ -167,7 +167,7 @@ def test_a_subdomain_without_texture_is_named_on_all_ranks(shared_path: Path) ->
         f[90:, 90:] = 128
         tifffile.imwrite(shared_path / "f.tif", f)
     MPI.COMM_WORLD.barrier()
-    path = _case(shared_path, '[solver]\npartition = "blocks"\nblocks = [2, 2]\n'
+    path = _case(shared_path, '[solver]\nmethod = "dual"\npartition = "blocks"\nblocks = [2, 2]\n'
                               '[correlation]\nspoilt_pixels = "keep"\n')
     with pytest.raises(SingularSubdomainError, match=r"^subdomain 3 \(columns 88 to 168, rows 88 to 168\).*"
                                                      "too little texture") as caught:

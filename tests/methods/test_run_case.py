@@ -32,7 +32,8 @@ def _write(folder: Path, more: str = "", **sections: str) -> Path:
 def test_result_and_summary_are_written(shared_path: Path) -> None:
     team = Team(MPI.COMM_WORLD)
     ears = Ears()
-    path = _write(shared_path, "[solver]\nsubdomains = 4\n[regularization]\ncut_off_wavelength = 48.0\n")
+    path = _write(shared_path, '[solver]\nmethod = "dual"\nsubdomains = 4\n'
+                               "[regularization]\ncut_off_wavelength = 48.0\n")
     summary = run_case(team, path, ears)
     assert set(ears.phases) == set(Phase)
     assert summary.converged
@@ -65,7 +66,7 @@ def test_result_and_summary_are_written(shared_path: Path) -> None:
 @pytest.mark.parallel(RANKS)
 def test_long_phases_say_how_far_they_are(shared_path: Path) -> None:
     team, ears = Team(MPI.COMM_WORLD), Ears()
-    run_case(team, _write(shared_path, "[solver]\nsubdomains = 12\n"), ears)
+    run_case(team, _write(shared_path, '[solver]\nmethod = "dual"\nsubdomains = 12\n'), ears)
     n_own = 12 // team.size
     for phase in (Phase.ASSEMBLE, Phase.INDEPENDENT_START, Phase.FACTORIZE, Phase.INTERFACE_SET_UP):
         # A subdomain's worth at a time, of those that this rank owns.

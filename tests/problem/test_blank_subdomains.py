@@ -38,8 +38,8 @@ KEEP = '[correlation]\nspoilt_pixels = "keep"\n'
 """Cells at the rim of what is blank are excluded or not as the first fields show them, which starts make different."""
 
 TIGHT = "[gauss_newton]\ntolerance = 1e-10\nrms_tolerance = 1e-11\n"
-BLOCKS = '[solver]\npartition = "blocks"\nblocks = [4, 4]\ntolerance = 1e-12\n'
-METIS = "[solver]\nsubdomains = 13\ntolerance = 1e-12\n"
+BLOCKS = '[solver]\nmethod = "dual"\npartition = "blocks"\nblocks = [4, 4]\ntolerance = 1e-12\n'
+METIS = '[solver]\nmethod = "dual"\nsubdomains = 13\ntolerance = 1e-12\n'
 SAME_PX = 1e-8
 """Gauss-Newton to 1e-10 of |q| and Krylov to 1e-12 leave 1e-10 px; A_s of a subdomain that texture holds at one end
 only may lose two digits of that, for l_c is but two such subdomains long. Measured: 6e-13 px."""
@@ -289,7 +289,8 @@ def test_fewer_subdomains_than_ranks_are_refused(shared_path: Path) -> None:
     # As many blocks as ranks, the last without texture.
     plate = Plate((112.0 if team.size == 4 else -200.0, 112.0, 400.0, 400.0), CORNER.field, "[]", ())
     blocks = {2: [1, 2], 4: [2, 2]}[team.size]
-    path = _write(shared_path, plate, f'[solver]\npartition = "blocks"\nblocks = {blocks}\n' + plate.regularization)
+    solver = f'[solver]\nmethod = "dual"\npartition = "blocks"\nblocks = {blocks}\n'
+    path = _write(shared_path, plate, solver + plate.regularization)
     with pytest.raises(InputError, match=rf"^1 of {team.size} subdomains hold no texture.*start at most "
                                          rf"{team.size - 1} ranks or ask for more subdomains") as caught:
         measure(team, path)

@@ -136,7 +136,7 @@ def test_a_renewal_that_fails_frees_all_and_can_be_made_good(shared_path: Path, 
 @pytest.mark.parallel(RANKS)
 def test_a_solver_that_cannot_be_made_leaves_nothing(shared_path: Path) -> None:
     team = Team.world()
-    problem, assembly = _prepare(team, shared_path, "subdomains = 6", more="")
+    problem, assembly = _prepare(team, shared_path, 'method = "dual"\nsubdomains = 6', more="")
     count_live_objects(team, shared_path)
     before = count_live_objects(team, shared_path)
     for system in assembly.systems:
@@ -156,7 +156,7 @@ def test_a_coarse_space_where_waves_are_longer_than_many_subdomains(
         shared_path: Path, n_subdomains: int, wavelength: float | None, is_two_level: bool) -> None:
     team = Team.world()
     section = "" if wavelength is None else f"[regularization]\ncut_off_wavelength = {wavelength}\n"
-    problem, assembly = _prepare(team, shared_path, f"subdomains = {n_subdomains}", more=section)
+    problem, assembly = _prepare(team, shared_path, f'method = "dual"\nsubdomains = {n_subdomains}', more=section)
     sides = team.gather_lists([float(np.prod(np.ptp(s.mesh.nodes, axis=0)) ** 0.5) for s in problem.subdomains])
     assert (wavelength is not None and n_subdomains >= MANY_SUBDOMAINS
             and wavelength >= LONG_WAVELENGTH * np.mean(sides)) == is_two_level

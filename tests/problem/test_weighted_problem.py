@@ -26,7 +26,7 @@ def _one_camera(team: Team, folder: Path, more: str = "") -> Path:
     if team.is_root:
         write_images(folder)
         write_case(folder, f"[regularization]\ncut_off_wavelength = 48.0\nnot_controlled = []\n"
-                           f"[solver]\nsubdomains = 4\n{more}")
+                           f'[solver]\nmethod = "dual"\nsubdomains = 4\n{more}')
     team.wait_for_all()
     return folder / "case.toml"
 

@@ -28,6 +28,7 @@ MORE = """
 [regularization]
 cut_off_wavelength = 48.0
 [solver]
+method = "dual"
 subdomains = 6
 tolerance = 1e-12
 [gauss_newton]

@@ -75,13 +75,13 @@ class NearFarStep:
     use_far: bool
 
     def case(self, **solver: Any) -> Case:
-        """What asks for it; solver: keys of [solver]."""
+        """What asks for it; solver: keys of [solver], the dual method by default."""
         near = tuple(NearSection(reference=Path("f"), deformed=Path("g"), ratio=RATIO, offset=(0.0, 0.0),
                                  motion="translation", use_far=self.use_far) for _ in self.cameras[1:])
         mesh = MeshSection(structured=StructuredSection(region=(0, 0, 16, 16), element_size=8))
         regularization = RegularizationSection(eta=self.base.eta, edge_wavelength=0) if self.base.eta else None
         return Case(images=ImagesSection(reference=Path("f"), deformed=Path("g")), near=near, mesh=mesh,
-                    regularization=regularization, solver=SolverSection(**solver))
+                    regularization=regularization, solver=SolverSection(**{"method": "dual"} | solver))
 
 
 @cache

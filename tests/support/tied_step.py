@@ -72,13 +72,13 @@ class TiedStep:
     forces: tuple[Array, Array]
 
     def case(self, **solver: Any) -> Case:
-        """What asks for it; solver: keys of [solver]."""
+        """What asks for it; solver: keys of [solver], the dual method by default."""
         near = NearSection(reference=Path("f"), deformed=Path("g"), ratio=RATIO, offset=(0.0, 0.0),
                            mesh=MeshSection(structured=StructuredSection(region=NEAR[self.layout], element_size=3)))
         return Case(images=ImagesSection(reference=Path("f"), deformed=Path("g")), near=(near,),
                     mesh=MeshSection(structured=StructuredSection(region=FAR, element_size=FAR_ELEMENT)),
                     regularization=RegularizationSection(eta=self.eta, edge_wavelength=0) if self.eta else None,
-                    solver=SolverSection(**solver))
+                    solver=SolverSection(**{"method": "dual"} | solver))
 
 @cache
 def tied_step(layout: Layout, motion: MotionKind, near_element: float | None = 3.1, *, regularized: bool,

@@ -48,6 +48,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+FRAMES = 10
+"""Frames that a prepared session is expected to measure, where ``solver.frames`` does not say it."""
+
 
 class Session:
     """A reference image prepared once, for any number of deformed images; use it in a ``with`` statement.
@@ -266,7 +269,7 @@ def measure(source: str | Path | Case | LoadedCase | Sequence[ImageLike],
             given = session._convert_start(start)
             return session._measure_frame(frame, given, None if output is None else Path(output))
     reference, deformed = team.together(lambda: _pair(source))
-    with prepare(reference, mesh, options=options) as session:
+    with _prepare(reference, mesh, options, 1) as session:
         return session.measure(deformed, start=start, output=output)
 
 
@@ -294,10 +297,16 @@ def prepare(source: ImageLike | Case | LoadedCase, mesh: Mesh | meshio.Mesh | tu
     InputError, SingularSubdomainError
         On all ranks.
     """
+    return _prepare(source, mesh, options, FRAMES)
+
+
+def _prepare(source: ImageLike | Case | LoadedCase, mesh: Mesh | meshio.Mesh | tuple[Any, Any] | None,
+             options: Options | Mapping[str, Any] | None, n_frames: int) -> Session:
+    """A session for as many frames as are expected; collective."""
     team = choose_team(options)
     if isinstance(source, Case | LoadedCase) or (isinstance(source, str | Path) and Path(source).suffix == ".toml"):
         chosen = team.together(lambda: _options_beside_a_case(mesh, options))
-        return Session(team, _open_case(team, chosen, source, None)[0])
+        return Session(team, replace(_open_case(team, chosen, source, None)[0], n_frames=n_frames))
 
     # What the ranks were given is looked at by all together: it may be wrong on one of them alone.
     chosen, loaded, given = team.together(lambda: _look(team, mesh, options))
@@ -312,7 +321,7 @@ def prepare(source: ImageLike | Case | LoadedCase, mesh: Mesh | meshio.Mesh | tu
         check_mesh(loaded, whole)
         return whole, None
 
-    return Session(team, Inputs(loaded.case, (camera,), build, check_kinematics(chosen.kinematics)))
+    return Session(team, Inputs(loaded.case, (camera,), build, check_kinematics(chosen.kinematics), n_frames=n_frames))
 
 
 def _look(team: Team, mesh: Mesh | meshio.Mesh | tuple[Any, Any] | None,

@@ -508,18 +508,29 @@ class RegularizationSection(Section):
 class SolverSection(Section):
     """The linear step of Gauss-Newton."""
 
-    method: Literal["dual", "assembled", "conjugate_gradient", "monolithic"] = Field(
-        default="dual",
+    method: Literal["auto", "dual", "assembled", "conjugate_gradient", "monolithic"] = Field(
+        default="auto",
         description=(
-            "Dual domain decomposition; the operator of the whole mesh, spread over ranks and factorised together "
-            "(MUMPS); conjugate gradients on it, without a factor; or the whole problem on one rank (CHOLMOD). All "
-            "give the same field ([solver.md](solver.md#which-method))."
+            '`"dual"`: dual domain decomposition; `"assembled"`: the operator of the whole mesh, spread over ranks and '
+            'factorised together (MUMPS); `"conjugate_gradient"`: conjugate gradients on it, without a factor; '
+            '`"monolithic"`: the whole problem on one rank (CHOLMOD). All give the same field. `"auto"` takes the one '
+            "that is predicted to be fastest among those that fit into memory "
+            "([solver.md](solver.md#which-method)), and the log says why; `weighting`, `preconditioner`, `recycle` or "
+            '`local_inverse` beside it mean `"dual"`.'
         ),
+    )
+    frames: Annotated[int, Field(ge=1)] | None = Field(
+        default=None,
+        description=(
+            'For `method = "auto"`: how many deformed images are measured from one reference image, which share its '
+            "factors. More of them are worth a longer set-up."
+        ),
+        json_schema_extra={"default": "1; 10 in `ddic.prepare`"},
     )
     subdomains: Annotated[int, Field(ge=1)] | None = Field(
         default=None,
         description='Number of subdomains for `partition = "metis"`.',
-        json_schema_extra={"default": "the number of ranks"},
+        json_schema_extra={"default": 'the number of ranks, or with `method = "auto"` what is fastest'},
     )
     partition: Literal["metis", "blocks", "file"] = Field(
         default="metis",
@@ -553,7 +564,7 @@ class SolverSection(Section):
         description=(
             'Preconditioner of the interface problem ([solver.md](solver.md)). `"auto"` takes `"two_level"` where the '
             "cut-off wavelength is at least four times the side of a subdomain and there are at least eight "
-            'subdomains, else `"scaled"`.'
+            'subdomains, else `"scaled"`; where the method is `"auto"` too, what is predicted to be faster.'
         ),
     )
     tolerance: Annotated[float, Field(gt=0, lt=1)] = Field(
@@ -562,7 +573,10 @@ class SolverSection(Section):
     )
     max_iterations: Annotated[int, Field(ge=1)] = Field(
         default=1000,
-        description="Krylov iterations after which the run fails.",
+        description=(
+            'Krylov iterations of a linear step after which the run fails; where `method = "auto"` took conjugate '
+            "gradients, after which it factorises."
+        ),
     )
     inexact: bool = Field(
         default=True,

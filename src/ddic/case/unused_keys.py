@@ -36,6 +36,9 @@ def list_unused_keys(case: Case) -> list[str]:
 
 def _list_unused_solver_keys(case: Case) -> Iterator[str]:
     method = case.solver.method
+    if method == "auto":
+        return
+    yield from _describe(case.solver, "solver", ("frames",), 'solver.method = "auto"')
     if method != "dual":
         yield from _describe(case.solver, "solver", OF_DUAL, 'solver.method = "dual"')
     if method in ("assembled", "monolithic"):
@@ -57,7 +60,7 @@ def _list_unused_start_keys(case: Case) -> Iterator[str]:
 
 
 def _list_other_unused_keys(case: Case) -> Iterator[str]:
-    if case.solver.method != "dual" and case.start.independent:
+    if case.solver.method not in ("auto", "dual") and case.start.independent:
         yield from _describe(case.start, "start", ("independent",), 'solver.method = "dual"')
     if not case.near:
         yield from _describe(case.images, "images", ("noise",), "[[near]], whose cameras it is weighed against")

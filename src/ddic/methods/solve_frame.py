@@ -69,7 +69,9 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[Array], 
     solved = begin_frame(seen, model, q, notes)
     for n_rounds in range(1, MOST_ROUNDS + 1):
         n_before = len(solved.solution.records)
+        n_notes = len(solved.notes)
         solved = solve_further(problem, solved, Progress(clock, listener.iteration, n_before))
+        _tell(listener, solved.notes[n_notes:])
         found = solved.solution
         with clock.phase(Phase.RESIDUAL):
             now = see_solved_frame(problem, solved)

@@ -15,6 +15,7 @@ from ddic.partition.ties import Tying
 from ddic.problem.cameras import Camera, Frame, open_cameras, open_frame, open_on_all_ranks
 from ddic.problem.mesh_source import build_meshes
 from ddic.problem.rectangle import Rectangle, find_rectangle_of_case
+from ddic.problem.solver_choice import SolverChoice
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,10 @@ class Inputs:
         What the user should know of how the case was completed.
     rectangle : Rectangle, optional
         What is measured where the case has [pgd]; ``build_mesh`` is not called then.
+    n_frames : int
+        Frames that are expected, where the case does not say it.
+    choice : SolverChoice, optional
+        What was chosen of what the case left open; None where it left nothing open, or nothing has been chosen yet.
     """
 
     case: Case
@@ -50,6 +55,13 @@ class Inputs:
     case_text: str = ""
     notes: tuple[str, ...] = ()
     rectangle: Rectangle | None = None
+    n_frames: int = 1
+    choice: SolverChoice | None = None
+
+    @property
+    def asked_case(self) -> Case:
+        """The case as it was given."""
+        return self.case if self.choice is None else self.choice.asked
 
 
 def open_inputs(team: Team, loaded: LoadedCase) -> tuple[Inputs, Frame]:

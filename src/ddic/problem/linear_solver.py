@@ -10,6 +10,7 @@ from typing import Self
 import numpy as np
 
 from ddic.case.schema import Case
+from ddic.errors import ConvergenceError
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
@@ -19,6 +20,7 @@ from ddic.solvers.conjugate_gradient import ConjugateGradientStep
 from ddic.solvers.dual.build_preconditioner import Preconditioner
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
 from ddic.solvers.factor_packages import LOCAL_FACTORS
+from ddic.solvers.guarded_step import GuardedStep
 from ddic.solvers.linear_step import LinearStep
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
@@ -45,18 +47,32 @@ class LinearSolver:
         Of the reference images.
     clock : PhaseClock
         Of the phases "factorize" and "interface set-up".
+    most_iterations : int, optional
+        Conjugate gradients' iterations of a step after which A is factorised in their place, and stays so; None:
+        never.
 
     Attributes
     ----------
+    method : str
+        How the linear steps are solved now, as a case calls it.
+    preconditioner : str
+        Of the interface problem; "none" where there is none.
     assembly : Assembly
         The systems that it solves.
     n_factorized : int
         Operators of this rank's subdomains factorised so far.
     """
 
-    def __init__(self, team: Team, case: Case, assembly: Assembly, clock: PhaseClock) -> None:
+    def __init__(self, team: Team, case: Case, assembly: Assembly, clock: PhaseClock,
+                 most_iterations: int | None = None) -> None:
+        if case.solver.method == "auto":
+            raise ValueError("solver.method: choose_solver says which first")
+        self.method = case.solver.method
+        self.preconditioner: Preconditioner = "none"
         self.assembly = assembly
         self.n_factorized = 0
+        self._most_iterations = most_iterations
+        self._notes: list[str] = []
         self._team, self._case, self._clock = team, case, clock
         self._operators: list[LocalOperator] = []
         self._step: LinearStep | None = None
@@ -84,6 +100,17 @@ class LinearSolver:
     def n_interface(self) -> int:
         """Number of interface unknowns."""
         return self._step.n_interface if isinstance(self._step, DualStep) else 0
+
+    def release_notes(self) -> tuple[str, ...]:
+        """Release what the user should know of steps since the last call.
+
+        Returns
+        -------
+        tuple of str
+            A line each; nothing where all went as predicted.
+        """
+        notes, self._notes = tuple(self._notes), []
+        return notes
 
     def set_up(self) -> None:
         """Factorise; collective.
@@ -135,14 +162,41 @@ class LinearSolver:
         self._step = None
 
     def _set_up(self, changed: Sequence[bool]) -> None:
-        method = self._case.solver.method
-        if method in LOCAL_FACTORS:
+        if self.method in LOCAL_FACTORS:
             with self._clock.phase(Phase.FACTORIZE):
                 self._factorize(changed)
         else:
             self.n_factorized += sum(changed)
-        with self._clock.phase(Phase.INTERFACE_SET_UP if method == "dual" else Phase.FACTORIZE):
-            self._step = _make_step(self._team, self._case, self.assembly, self._operators, self._clock)
+        with self._clock.phase(Phase.INTERFACE_SET_UP if self.method == "dual" else Phase.FACTORIZE):
+            self._step = self._make_step()
+
+    def _make_step(self) -> LinearStep:
+        """The step of Gauss-Newton; the local factors are there where it wants them."""
+        solver, systems = self._case.solver, self.assembly.systems
+        if self.method == "monolithic":
+            return MonolithicStep(systems[0], self._operators[0])
+        if self.method == "assembled":
+            return AssembledStep(self._team, systems, self.assembly.smallest_eigenvalue)
+        if self.method == "dual":
+            return self._make_dual_step()
+        most_iterations = self._most_iterations or solver.max_iterations
+        step = ConjugateGradientStep(self._team, systems, solver.tolerance, most_iterations)
+        return step if self._most_iterations is None else GuardedStep(step, self._factorize_instead)
+
+    def _make_dual_step(self) -> DualStep:
+        solver, systems = self._case.solver, self.assembly.systems
+        self.preconditioner = choose_preconditioner(self._team, self._case, [system.subdomain for system in systems])
+        settings = DualSettings(self.preconditioner, solver.tolerance, solver.max_iterations, solver.recycle,
+                                solver.local_inverse)
+        return DualStep(self._team, systems, self._operators, self.assembly.reaction_scale, settings, self._clock)
+
+    def _factorize_instead(self, _: ConvergenceError) -> LinearStep:
+        """The step that takes conjugate gradients' place where they take longer than predicted; collective."""
+        self.method = "assembled"
+        self._notes.append(f"conjugate gradients did not converge in {self._most_iterations} iterations, after which a "
+                           'factor costs less (weak texture somewhere, or nothing holds a part of the region): '
+                           '"assembled" takes their place')
+        return self._make_step()
 
     def _factorize(self, changed: Sequence[bool]) -> None:
         """Factorise A_s where it changed; old factors are freed before new ones need their memory."""
@@ -172,22 +226,6 @@ class LinearSolver:
         self.n_factorized += 1
         return LocalOperator(system.without_motion.operator, smallest_eigenvalue=self.assembly.smallest_eigenvalue,
                              where=_describe(system.subdomain))
-
-
-def _make_step(team: Team, case: Case, assembly: Assembly, operators: Sequence[LocalOperator],
-               clock: PhaseClock) -> LinearStep:
-    """The step of Gauss-Newton that a case asks for; operators: local factors, none outside LOCAL_FACTORS."""
-    solver = case.solver
-    if solver.method == "monolithic":
-        return MonolithicStep(assembly.systems[0], operators[0])
-    if solver.method == "assembled":
-        return AssembledStep(team, assembly.systems, assembly.smallest_eigenvalue)
-    if solver.method == "conjugate_gradient":
-        return ConjugateGradientStep(team, assembly.systems, solver.tolerance, solver.max_iterations)
-    preconditioner = choose_preconditioner(team, case, [system.subdomain for system in assembly.systems])
-    settings = DualSettings(preconditioner, solver.tolerance, solver.max_iterations, solver.recycle,
-                            solver.local_inverse)
-    return DualStep(team, assembly.systems, operators, assembly.reaction_scale, settings, clock)
 
 
 def choose_preconditioner(team: Team, case: Case, subdomains: Sequence[Subdomain]) -> Preconditioner:

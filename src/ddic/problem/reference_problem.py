@@ -14,6 +14,7 @@ from ddic.parallel.team import Team, require_held
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.assembly import Hessians, assemble_hessians
 from ddic.problem.blank_subdomains import join_blank_subdomains
+from ddic.problem.choose_solver import choose_solver
 from ddic.problem.inputs import Inputs
 from ddic.problem.region_mesh import Region, RegionMesh, build_region_mesh, scatter_region, split_region
 from ddic.problem.thread_note import note_crowded_cores
@@ -30,7 +31,7 @@ class ReferenceProblem:
     Attributes
     ----------
     inputs : Inputs
-        What it was made from.
+        What it was made from, with a case that says the linear step.
     region : Region
         What is known of the whole mesh.
     references : list of ReferenceViews
@@ -81,7 +82,7 @@ def build_whole_mesh(team: Team, inputs: Inputs) -> RegionMesh | None:
 
 def prepare_reference(team: Team, inputs: Inputs, region_mesh: RegionMesh | None, clock: PhaseClock,
                       meanwhile: Callable[[], T]) -> tuple[ReferenceProblem, T]:
-    """Cut the mesh, read the reference images and assemble M; collective.
+    """Choose how to solve, cut the mesh, read the reference images and assemble M; collective.
 
     Parameters
     ----------
@@ -109,6 +110,7 @@ def prepare_reference(team: Team, inputs: Inputs, region_mesh: RegionMesh | None
         On all ranks, where the mesh cannot be cut as asked, or leaves an image.
     """
     with clock.phase(Phase.START):
+        inputs, region_mesh = choose_solver(team, inputs, region_mesh)
         parts, found = team.together(lambda: (
             None if region_mesh is None else split_region(region_mesh, team.size), meanwhile()))
     problem = _read_and_assemble(team, inputs, region_mesh, parts, clock)

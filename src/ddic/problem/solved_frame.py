@@ -33,7 +33,7 @@ class SolvedFrame:
     used : ResidualModel
         Of the others.
     notes : tuple of str
-        What was renewed.
+        What was renewed, and which linear step was replaced.
     is_evaluated : bool
         Whether what is seen was evaluated at the field.
     """
@@ -97,7 +97,8 @@ def solve_further(problem: WeightedProblem, solved: SolvedFrame, progress: Progr
     def join(found: Solution) -> SolvedFrame:
         joined = replace(found, records=[*before.records, *found.records])
         field = average_copies(problem.team, problem.reference.subdomains, joined.q)
-        return replace(solved, field=field, solution=joined, is_evaluated=False)
+        notes = (*solved.notes, *problem.solver.release_notes())
+        return replace(solved, field=field, solution=joined, notes=notes, is_evaluated=False)
 
     try:
         return join(run_gauss_newton(solved.used, before.q, problem.solver.step, problem.tolerances, progress))

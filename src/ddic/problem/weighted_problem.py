@@ -238,6 +238,8 @@ class WeightedProblem:
             self._stiffness_angle, self._solver = before, old
             raise
         self.solver.n_factorized = old.n_factorized
+        # Conjugate gradients that did not converge would not now.
+        self.solver.method = old.method
         # Before the new ones are factorised.
         old.destroy()
 
@@ -322,4 +324,6 @@ class WeightedProblem:
             assembly = assemble(self.team, reference.inputs.case, reference.region, weighted, reference.hessians,
                                 rotation)
         self._assembled_from = AssembledFrom.all_of(reference.references)
-        self._solver = LinearSolver(self.team, reference.inputs.case, assembly, self._clock)
+        choice = reference.inputs.choice
+        self._solver = LinearSolver(self.team, reference.inputs.case, assembly, self._clock,
+                                    None if choice is None else choice.most_iterations)

@@ -71,7 +71,7 @@ def write_attributes(measurement: Measurement, writer: ResultWriter) -> None:
     inputs = measurement.inputs
     images = inputs.case.images
     writer.write_attributes(schema.CASE, {
-        "path": str(inputs.case_path), "toml": inputs.case_text, "json": inputs.case.model_dump_json(),
+        "path": str(inputs.case_path), "toml": inputs.case_text, "json": inputs.asked_case.model_dump_json(),
         "eta": measurement.size.eta, "largest_jump_px": measurement.largest_jump,
     })
     writer.write_attributes(schema.TIME, {"reference": images.reference_time, "deformed": images.deformed_time})

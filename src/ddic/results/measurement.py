@@ -89,6 +89,8 @@ class Measurement:
         Which tolerances ended Gauss-Newton.
     failure : str
         Why it is no result; empty where it converged.
+    method, preconditioner : str
+        How the linear steps were solved, as a case calls it.
     """
 
     inputs: Inputs
@@ -109,6 +111,8 @@ class Measurement:
     whole: ResidualModel
     stop: str
     failure: str = ""
+    method: str = ""
+    preconditioner: str = "none"
 
     @property
     def team(self) -> Team:
@@ -196,6 +200,7 @@ class Measurement:
         """
         reference, deformed = self.cameras[0].reference.image, self.frame[0].image
         return {"n_ranks": self.size.n_ranks, "n_subdomains": self.size.n_subdomains,
+                "method": self.method, "preconditioner": self.preconditioner,
                 **describe_image("reference", reference), **describe_image("deformed", deformed)}
 
 
@@ -243,7 +248,8 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str,
              *describe_exclusions(team, model.views, excluded), *describe_doubtful_cells(team, cell_errors))
     measurement = Measurement(inputs, frame, problem.reference.region, model, field.q, field.largest_jump, evaluation,
                               problem.size, solved.solution.records, notes, motions, problem.noise, cell_errors,
-                              excluded, unmeasured, solved.seen.whole, solved.solution.stop, failure)
+                              excluded, unmeasured, solved.seen.whole, solved.solution.stop, failure,
+                              problem.solver.method, problem.solver.preconditioner)
     inverted = describe_inverted_cells(team, subdomains, measurement.displacements)
     if inverted and not failure:
         raise as_collective(ConvergenceError(inverted, replace(measurement, failure=inverted)))

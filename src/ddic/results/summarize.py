@@ -6,6 +6,7 @@ import json
 import resource
 from typing import Any
 
+from ddic.io import result_schema as schema
 from ddic.parallel.phases import PhaseClock
 from ddic.results.field_ranges import find_field_ranges
 from ddic.results.histories import list_iterations
@@ -50,6 +51,8 @@ def summarize(measurement: Measurement | SeparatedMeasurement, clock: PhaseClock
         linear_error_px=records[-1].linear_error if records else float("nan"),
         near=[summarize_near_field(measurement, motion) for motion in measurement.motions],
         stop=measurement.stop,
+        method=measurement.method,
+        preconditioner=measurement.preconditioner,
         ranges=find_field_ranges(measurement.team, list(fields)),
         iteration_table=list_iterations(measurement),
     )
@@ -70,6 +73,7 @@ def _summarize_separated(measurement: SeparatedMeasurement, shared: dict[str, An
         linear_error_px=float("nan"),
         stop=solution.stop,
         n_modes=solution.field.n_modes,
+        method=schema.PGD,
         ranges=find_field_ranges(team, [(mesh, u.ravel())]),
         iteration_table=list_corrections(measurement),
     )
@@ -98,7 +102,7 @@ def _summarize_run(measurement: Measurement | SeparatedMeasurement, clock: Phase
         "result_file": str(case.output.file),
         "half_amplitudes": size.half_amplitudes,
         "images": _list_images(measurement),
-        "case": {"path": str(inputs.case_path), **json.loads(case.model_dump_json())},
+        "case": {"path": str(inputs.case_path), **json.loads(inputs.asked_case.model_dump_json())},
     }
 
 

@@ -127,6 +127,10 @@ class Summary:
         Columns of the table of iterations, or of PGD-DIC's corrections, as the result file has them.
     images : dict of str
         Paths of the images: reference, deformed, near_1_reference, near_1_deformed, ...
+    method : str
+        How the linear steps were solved, as a case calls it, or PGD-DIC; what the case asked for is in ``case``.
+    preconditioner : str
+        Of the interface problem; "none" where there is none.
     case : dict
         The validated case with all defaults, as the result file has it, and the path of its file as ``path``.
     """
@@ -161,6 +165,8 @@ class Summary:
     ranges: FieldRanges | None = None
     iteration_table: Mapping[str, Sequence[Any]] = field(default_factory=dict)
     images: Mapping[str, str] = field(default_factory=dict)
+    method: str = ""
+    preconditioner: str = "none"
     case: Mapping[str, Any] = field(default_factory=dict)
 
 

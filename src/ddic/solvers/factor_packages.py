@@ -95,7 +95,8 @@ def require_packages(where: str, method: str, local_inverse: str, n_ranks: int) 
         raise InputError(f'{where}: solver.method = "assembled" on {n_ranks} MPI ranks needs MUMPS, and PETSc was '
                          'built without it; use "conjugate_gradient" or "dual", start one rank, or build PETSc with '
                          "MUMPS (docs/installation.md)")
-    if method == "dual" and local_inverse == "sparse" and is_mumps_missing("inverse_"):
+    # Left open, the method is the dual one where this key is given.
+    if method in ("auto", "dual") and local_inverse == "sparse" and is_mumps_missing("inverse_"):
         raise InputError(f'{where}: solver.local_inverse = "sparse" needs MUMPS, and PETSc was built without it; use '
                          '"auto" or "dense", or build PETSc with MUMPS (docs/installation.md)')
 

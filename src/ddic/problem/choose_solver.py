@@ -1,0 +1,226 @@
+"""Which linear step is fastest for a case that leaves it open (``solver.method = "auto"``)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from math import ceil
+
+from ddic.case.schema import SolverSection
+from ddic.io.partition_file import read_partition
+from ddic.mesh.quality import measure_cell_size
+from ddic.parallel.node_memory import measure_available_memory
+from ddic.parallel.team import Team, require_held
+from ddic.problem.inputs import Inputs
+from ddic.problem.linear_solver import compute_cut_off_wavelength
+from ddic.problem.region_mesh import RegionMesh
+from ddic.problem.solver_choice import SolverChoice
+from ddic.solvers.factor_packages import is_mumps_missing
+from ddic.solvers.petsc_defaults import ASSEMBLED, COARSE
+from ddic.solvers.step_costs import Candidate, StepCosts, StepTask, predict_costs
+
+STEPS_OF_FRAME = 5
+"""Linear steps of a frame: four of Gauss-Newton and one of the noise floor, as most measurements have. More of them
+favour factors."""
+
+OF_MEMORY = 0.8
+"""Share of the memory at hand that may be planned with: predictions are that far off."""
+
+PIXEL_BYTES = 24
+"""Memory of a pixel: f, its gradient and g's coefficients, and windows that reach beyond the mesh."""
+
+SIDES = (20, 40, 80)
+"""Cells along a side of a subdomain among which the dual method chooses, beside one subdomain a rank."""
+
+FEWEST_FOR_TWO_LEVELS = 8
+"""Subdomains from which on a coarse space is a candidate."""
+
+LEAST_LIMIT = 100
+"""Iterations that conjugate gradients are given at least."""
+
+OF_PREDICTED = 4
+"""Times the predicted iterations that conjugate gradients are given where nothing can take their place."""
+
+OF_DUAL = {"weighting": "consistent", "preconditioner": "auto", "recycle": True, "local_inverse": "auto"}
+"""Keys that only the interface problem asks, with their defaults: who gives another value wants it."""
+
+
+def choose_solver(team: Team, inputs: Inputs, region_mesh: RegionMesh | None) -> tuple[Inputs, RegionMesh | None]:
+    """Choose method, number of subdomains and preconditioner where the case leaves them open; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    inputs : Inputs
+        What the measurement is made from.
+    region_mesh : RegionMesh or None
+        The whole mesh, on rank 0.
+
+    Returns
+    -------
+    inputs : Inputs
+        With a case that says the method; as they were where it does so already.
+    region_mesh : RegionMesh or None
+        With the same inputs, on rank 0.
+
+    Raises
+    ------
+    InputError
+        On all ranks, where a partition file cannot be read.
+    """
+    if inputs.case.solver.method != "auto":
+        return inputs, region_mesh
+    memory = measure_available_memory(team)
+    choice = team.on_root(lambda: weigh_candidates(require_held(region_mesh), team.size, memory))
+    chosen = replace(inputs, case=choice.case, choice=choice, notes=(*inputs.notes, choice.note))
+    return chosen, None if region_mesh is None else replace(region_mesh, inputs=chosen)
+
+
+def weigh_candidates(region_mesh: RegionMesh, n_ranks: int, memory: int) -> SolverChoice:
+    """Weigh what can solve the linear steps of a region; free of communication.
+
+    Parameters
+    ----------
+    region_mesh : RegionMesh
+        The whole mesh, whose case leaves the method open.
+    n_ranks : int
+        Number of MPI ranks.
+    memory : int
+        Bytes that each of them may still take.
+
+    Returns
+    -------
+    SolverChoice
+        The candidate with the least predicted seconds of those that fit into memory; where none does, the one that
+        takes the least.
+    """
+    case, task = region_mesh.inputs.case, _describe_task(region_mesh, n_ranks)
+    costs = sorted((predict_costs(task, candidate) for candidate in _list_candidates(region_mesh, task)),
+                   key=lambda found: found.seconds)
+    room = OF_MEMORY * (memory - PIXEL_BYTES * region_mesh.costs.sum() / n_ranks)
+    fitting = [found for found in costs if found.memory <= room]
+    chosen = fitting[0] if fitting else min(costs, key=lambda found: found.memory)
+    solver = _state(case.solver, chosen)
+    limit = _limit_iterations(chosen, fitting, case.solver)
+    if chosen.candidate.method == "conjugate_gradient" and limit is None:
+        most = max(case.solver.max_iterations, ceil(OF_PREDICTED * chosen.n_iterations))
+        solver = solver.model_copy(update={"max_iterations": most})
+    note = _describe(task, chosen, [found for found in costs if found is not chosen], room)
+    return SolverChoice(case, case.model_copy(update={"solver": solver}), note, limit)
+
+
+def _describe_task(region_mesh: RegionMesh, n_ranks: int) -> StepTask:
+    inputs, mesh = region_mesh.inputs, region_mesh.mesh
+    wavelength = compute_cut_off_wavelength(inputs.case) / measure_cell_size(mesh)
+    n_frames = inputs.case.solver.frames or inputs.n_frames
+    n_steps = STEPS_OF_FRAME * n_frames
+    is_started = inputs.case.start.independent and len(inputs.cameras) == 1
+    n_started = int(region_mesh.costs.sum()) * n_frames if is_started else 0
+    return StepTask(region_mesh.kinematics.n_unknowns, mesh.n_cells, wavelength, n_ranks, n_steps, n_started)
+
+
+def _list_candidates(region_mesh: RegionMesh, task: StepTask) -> Iterator[Candidate]:
+    """What can solve the case."""
+    given = _count_given_subdomains(region_mesh)
+    fewest = given or max(task.n_ranks, len(region_mesh.inputs.cameras))
+    yield from _list_dual(region_mesh, task, fewest, is_given=given is not None)
+    if _is_dual_wanted(region_mesh):
+        return
+    if not is_mumps_missing(ASSEMBLED):
+        yield Candidate("assembled", fewest)
+    if fewest == 1:
+        # The dual method with one subdomain by its simpler name.
+        yield Candidate("monolithic", 1)
+    if _are_iterations_predictable(region_mesh):
+        yield Candidate("conjugate_gradient", fewest)
+
+
+def _list_dual(region_mesh: RegionMesh, task: StepTask, fewest: int, *, is_given: bool) -> Iterator[Candidate]:
+    solver = region_mesh.inputs.case.solver
+    counts = {fewest} if fewest > 1 or _is_dual_wanted(region_mesh) else set()
+    # Where parts of the mesh must stay together, more subdomains than there must be may not be possible.
+    if not is_given and _is_plain(region_mesh):
+        wanted = (ceil(task.n_cells / side**2 / task.n_ranks) * task.n_ranks for side in SIDES)
+        counts |= {count for count in wanted if count > fewest}
+    for count in sorted(counts):
+        if solver.preconditioner != "auto":
+            yield Candidate("dual", count, solver.preconditioner)
+            continue
+        yield Candidate("dual", count)
+        if task.is_regularized and count >= FEWEST_FOR_TWO_LEVELS and not is_mumps_missing(COARSE):
+            yield Candidate("dual", count, "two_level")
+
+
+def _count_given_subdomains(region_mesh: RegionMesh) -> int | None:
+    """Number of subdomains that the case gives; None where it gives none."""
+    solver, cut = region_mesh.inputs.case.solver, region_mesh.discontinuous
+    if solver.blocks is not None:
+        return solver.blocks[0] * solver.blocks[1]
+    if solver.partition_file is not None:
+        whole = region_mesh.mesh if cut is None else cut.whole
+        return int(read_partition(solver.partition_file, whole.n_cells).max()) + 1
+    return solver.subdomains
+
+
+def _is_dual_wanted(region_mesh: RegionMesh) -> bool:
+    """Whether the case gives what the dual method alone asks for."""
+    solver = region_mesh.inputs.case.solver
+    return any(getattr(solver, key) != value for key, value in OF_DUAL.items())
+
+
+def _is_plain(region_mesh: RegionMesh) -> bool:
+    """Whether one camera measures displacements of nodes, on a mesh that nothing cuts or ties."""
+    inputs = region_mesh.inputs
+    return (len(inputs.cameras) == 1 and region_mesh.tying is None and region_mesh.discontinuous is None
+            and inputs.choose_kinematics is None)
+
+
+def _are_iterations_predictable(region_mesh: RegionMesh) -> bool:
+    """Whether sizes tell the condition number of D^-1 A.
+
+    They do not where unknowns are of several kinds, slivers are cut off cells, or eta is given, whose cut-off
+    wavelength the texture tells.
+    """
+    section = region_mesh.inputs.case.regularization
+    return _is_plain(region_mesh) and (section is None or section.eta is None)
+
+
+def _state(solver: SolverSection, chosen: StepCosts) -> SolverSection:
+    """The section that says what was chosen; a number of subdomains stays as it was given."""
+    candidate = chosen.candidate
+    changes: dict[str, object] = {"method": candidate.method}
+    if candidate.method == "dual":
+        changes["preconditioner"] = candidate.preconditioner
+        if solver.partition == "metis":
+            changes["subdomains"] = candidate.n_subdomains
+    return solver.model_copy(update=changes)
+
+
+def _limit_iterations(chosen: StepCosts, fitting: list[StepCosts], solver: SolverSection) -> int | None:
+    """Iterations of a step that cost as much as factorising instead; None without conjugate gradients or a factor."""
+    factors = [found for found in fitting if found.candidate.method == "assembled"]
+    if chosen.candidate.method != "conjugate_gradient" or not factors:
+        return None
+    as_long = factors[0].seconds / chosen.step * chosen.n_iterations
+    return min(solver.max_iterations, ceil(max(as_long, LEAST_LIMIT)))
+
+
+def _describe(task: StepTask, chosen: StepCosts, others: list[StepCosts], room: float) -> str:
+    """One line: what was chosen for what, and what each other method would take."""
+    if task.wavelength == float("inf"):
+        mechanics = "eta given"
+    else:
+        mechanics = f"l_c of {task.wavelength:.3g} cells" if task.is_regularized else "no regularization"
+    best: dict[str, str] = {}
+    for found in others:
+        best.setdefault(found.candidate.method, found.describe() + _describe_lack(found, room))
+    best.pop(chosen.candidate.method, None)
+    against = f"; {'; '.join(best.values())}" if best else ""
+    return (f'solver.method = "auto" takes {chosen.describe()}{_describe_lack(chosen, room)}, as predicted for '
+            f"{task.n_unknowns} unknowns, {mechanics}, {task.n_steps} steps, ranks: {task.n_ranks}{against}")
+
+
+def _describe_lack(found: StepCosts, room: float) -> str:
+    """Memory is said where it is short: it is another one at each run."""
+    return "" if found.memory <= room else f" (does not fit into {max(room, 0.0) / 2**30:.2g} GiB)"

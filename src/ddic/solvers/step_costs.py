@@ -1,0 +1,239 @@
+"""What the ways to solve a linear step take: seconds and memory, predicted from sizes alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ddic.solvers.cost_constants import LARGEST_ARRAYS, MEASURED, CostConstants
+
+STARTED_PIXEL = 8e-8
+"""Seconds of a pixel in the independent start: some three passes of 2.5e-8 s (bench/kernel_rates.py)."""
+
+StepMethod = Literal["dual", "assembled", "conjugate_gradient", "monolithic"]
+
+
+@dataclass(frozen=True)
+class StepTask:
+    """The linear steps that are to be made.
+
+    Attributes
+    ----------
+    n_unknowns : int
+        Of the whole problem.
+    n_cells : int
+        Of the mesh.
+    wavelength : float
+        Cut-off wavelength over the side of a cell; 0 without regularization, infinite where it is not known.
+    n_ranks : int
+        Ranks that make them together.
+    n_steps : int
+        How many there are with the same operator.
+    n_started : int
+        Pixels of the region, over all frames, that the dual method's subdomains are first measured on by themselves; 0
+        where they are not, or whatever the method.
+    """
+
+    n_unknowns: int
+    n_cells: int
+    wavelength: float
+    n_ranks: int
+    n_steps: int
+    n_started: int = 0
+
+    @property
+    def is_regularized(self) -> bool:
+        """Whether A has the equilibrium gap, whose rows reach two cells far."""
+        return self.wavelength > 0
+
+    @property
+    def n_share(self) -> float:
+        """Unknowns of a rank."""
+        return self.n_unknowns / self.n_ranks
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A way to make them.
+
+    Attributes
+    ----------
+    method : StepMethod
+        As a case calls it.
+    n_subdomains : int
+        Into which the mesh is split.
+    preconditioner : {"none", "paper", "scaled", "two_level"}
+        Of the dual method's interface problem.
+    """
+
+    method: StepMethod
+    n_subdomains: int
+    preconditioner: Literal["none", "paper", "scaled", "two_level"] = "scaled"
+
+    def describe(self) -> str:
+        """Describe it for the log.
+
+        Returns
+        -------
+        str
+            The method; with "dual" subdomains and preconditioner.
+        """
+        if self.method != "dual":
+            return self.method
+        return f"dual ({self.preconditioner}, subdomains: {self.n_subdomains})"
+
+
+@dataclass(frozen=True)
+class StepCosts:
+    """What a candidate takes.
+
+    Attributes
+    ----------
+    candidate : Candidate
+        The way.
+    set_up : float
+        Seconds of a rank before the first step.
+    step : float
+        Seconds of a rank for a step.
+    n_steps : int
+        Steps.
+    n_iterations : float
+        Krylov iterations of a step; 0 of a direct one.
+    memory : float
+        Bytes of a rank, M and Kbar included.
+    """
+
+    candidate: Candidate
+    set_up: float
+    step: float
+    n_steps: int
+    n_iterations: float
+    memory: float
+
+    @property
+    def seconds(self) -> float:
+        """All seconds of a rank."""
+        return self.set_up + self.n_steps * self.step
+
+    def describe(self) -> str:
+        """Describe them for the log.
+
+        Returns
+        -------
+        str
+            The candidate, seconds and memory.
+        """
+        return f"{self.candidate.describe()} {self.seconds:.2g} s, {self.memory / 2**30:.2g} GiB"
+
+
+def predict_costs(task: StepTask, candidate: Candidate, constants: CostConstants = MEASURED) -> StepCosts:
+    """Predict what a candidate takes.
+
+    Parameters
+    ----------
+    task : StepTask
+        The steps.
+    candidate : Candidate
+        The way.
+    constants : CostConstants
+        Of the machine.
+
+    Returns
+    -------
+    StepCosts
+        Seconds and bytes.
+    """
+    of_method: dict[StepMethod, Callable[[StepTask, Candidate, CostConstants], StepCosts]] = {
+        "dual": _predict_dual,
+        "assembled": _predict_assembled,
+        "conjugate_gradient": _predict_conjugate_gradient,
+        "monolithic": _predict_monolithic,
+    }
+    return of_method[candidate.method](task, candidate, constants)
+
+
+def find_shared_boundary(n_subdomains: int) -> float:
+    """Find which share of the subdomains' boundaries lies between two of them.
+
+    Parameters
+    ----------
+    n_subdomains : int
+        Into which a square is split.
+
+    Returns
+    -------
+    float
+        0 for one, near 1 for many.
+    """
+    return 1.0 - 1.0 / float(np.sqrt(n_subdomains))
+
+
+def _predict_assembled(task: StepTask, candidate: Candidate, constants: CostConstants) -> StepCosts:
+    """MUMPS's nested dissection: n^1.5 operations of the factor, n log n entries."""
+    n = task.n_unknowns
+    kind = constants.whole[task.is_regularized]
+    # The top of the elimination tree is no work for many.
+    spread = task.n_ranks ** constants.parallel_factor[task.is_regularized]
+    seconds = n * kind.seconds.evaluate_by_root(n) / spread
+    solve = n * constants.whole_solve * np.log2(n) / spread
+    memory = n * kind.memory.evaluate_by_log(n) / task.n_ranks**constants.parallel_memory
+    return StepCosts(candidate, seconds, solve, task.n_steps, 0.0, task.n_share * constants.system_memory + memory)
+
+
+def _predict_monolithic(task: StepTask, candidate: Candidate, constants: CostConstants) -> StepCosts:
+    """CHOLMOD of the whole."""
+    n = task.n_unknowns
+    kind = constants.local[task.is_regularized]
+    solve = n * constants.local_solve * np.log2(n)
+    seconds = n * kind.seconds.evaluate_by_root(n)
+    memory = n * (constants.system_memory + kind.memory.evaluate_by_log(n))
+    return StepCosts(candidate, seconds, solve, task.n_steps, 0.0, memory)
+
+
+def _predict_conjugate_gradient(task: StepTask, candidate: Candidate, constants: CostConstants) -> StepCosts:
+    """Iterations as the root of D^-1 A's condition number: the square of the cut-off wavelength in cells."""
+    iterations = max(constants.cg_iterations, constants.cg_iterations_by_square * task.wavelength**2)
+    n_own = -(-candidate.n_subdomains // task.n_ranks)
+    of_rank, of_subdomain = constants.cg_product_calls
+    product = task.n_share * constants.cg_product[task.is_regularized] + of_rank + n_own * of_subdomain
+    return StepCosts(candidate, task.n_share * constants.cg_set_up, iterations * product, task.n_steps, iterations,
+                     task.n_share * constants.system_memory)
+
+
+def _predict_dual(task: StepTask, candidate: Candidate, constants: CostConstants) -> StepCosts:
+    """CHOLMOD of each subdomain, S_s and its inverse, as many operations each as a factor, and few iterations."""
+    n_subdomains = candidate.n_subdomains
+    n_own = -(-n_subdomains // task.n_ranks)
+    n = task.n_unknowns / n_subdomains
+    kind, alone = constants.local[task.is_regularized], constants.local[False]
+    set_up = kind.seconds.evaluate_by_root(n)
+    memory = constants.system_memory + kind.memory.evaluate_by_log(n)
+    started = 0.0
+    if n_subdomains > 1:
+        interface = (constants.interface if n <= LARGEST_ARRAYS else constants.sparse_interface)[task.is_regularized]
+        shared = find_shared_boundary(n_subdomains) if n <= LARGEST_ARRAYS else 1.0
+        set_up += shared * interface.seconds.evaluate_by_root(n)
+        memory += shared * interface.memory.evaluate_by_log(n)
+        started = task.n_started / task.n_ranks * STARTED_PIXEL
+        set_up += alone.seconds.evaluate_by_root(n) if task.n_started else 0.0
+    if candidate.preconditioner == "two_level":
+        set_up += constants.coarse_set_up.evaluate_by_root(n)
+    iterations = _count_dual_iterations(task, candidate, constants)
+    step = n_own * n * constants.local_solve * np.log2(n) * (1 + constants.dual_product * iterations)
+    return StepCosts(candidate, n_own * n * set_up + started, step, task.n_steps, iterations, n_own * n * memory)
+
+
+def _count_dual_iterations(task: StepTask, candidate: Candidate, constants: CostConstants) -> float:
+    """GMRES iterations: with one level they grow with the cut-off wavelength over the side of a subdomain."""
+    if candidate.n_subdomains == 1:
+        return 0.0
+    if candidate.preconditioner == "two_level":
+        return constants.two_level_iterations
+    side = np.sqrt(task.n_cells / candidate.n_subdomains)
+    # A wave longer than the region is as good as one of its length.
+    longest = np.sqrt(candidate.n_subdomains)
+    few, by_wave = constants.one_level_iterations
+    return float(few + by_wave * min(task.wavelength / side, longest))
