@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 
 from ddic.parallel.team import Team
-from ddic.problem.exclusions import BLANK, KEPT, PIXELS_CHANGED, SPOILT, UNSEEN, Exclusions, exclude
+from ddic.problem.exclusions import (
+    BLANK,
+    HELD_BACK,
+    KEPT,
+    PIXELS_CHANGED,
+    SPOILT,
+    UNSEEN,
+    Exclusions,
+    exclude,
+)
 from ddic.synth.fields import Translation
 from support.one_subdomain import model_of
 from support.pictures import pair_of, source, square_mesh
@@ -118,3 +127,20 @@ def test_m_and_b_are_those_of_the_pixels_that_are_left() -> None:
 def test_nothing_excluded_is_the_same_view() -> None:
     model = model_of(source(PAIR.reference), source(PAIR.deformed), MESH)
     assert exclude(model, exclusions()).views[0].views[0] is model.views[0].views[0]
+
+
+def test_only_cells_that_are_seen_are_held_back() -> None:
+    flags = [(np.arange(16) < 4,)]
+    held = exclusions({0: SPOILT, 1: BLANK, 2: UNSEEN, 5: SPOILT}).hold_back(flags)
+    assert held.cells[0][0].tolist() == [HELD_BACK, BLANK, UNSEEN, HELD_BACK, KEPT, SPOILT] + [KEPT] * 10
+    assert held.cells[0][0].dtype == np.uint8
+    np.testing.assert_array_equal(np.flatnonzero(held.held_back[0][0]), [0, 3])
+
+
+def test_cells_that_are_held_back_count_but_are_other_than_kept_ones() -> None:
+    model = model_of(source(PAIR.reference), source(PAIR.deformed), MESH)
+    held = exclusions({5: HELD_BACK})
+    assert exclude(model, held).views[0].views[0] is model.views[0].views[0]
+    assert held.is_other_than(ALONE, exclusions())
+    assert held.is_other_than(ALONE, exclusions({5: SPOILT}))
+    assert not held.is_other_than(ALONE, exclusions({5: HELD_BACK}))

@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError, as_collective
+from ddic.methods.hold_back import solve_and_hold_back
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.problem.exclusions import exclude
+from ddic.problem.held_back import SeenStart, linearize_held_cells
 from ddic.problem.noise_of_field import accept_noise
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.see_frame import see_start
@@ -65,16 +67,26 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[Array], 
     model, notes = problem.fit(exclude(seen.whole.with_large_gradients(q), seen.excluded), q)
     notes = (*of_blur, *notes)
     _tell(listener, notes)
+    start = None
+    if case.regularization is not None and case.correlation.spoilt_pixels == "exclude":
+        start = SeenStart(seen.whole, seen.evaluation, q, seen.typical, seen.is_shown)
     listener.problem_size(problem.size)
     solved = begin_frame(seen, model, q, notes)
     for n_rounds in range(1, MOST_ROUNDS + 1):
         n_before = len(solved.solution.records)
         n_notes = len(solved.notes)
-        solved = solve_further(problem, solved, Progress(clock, listener.iteration, n_before))
+        progress = Progress(clock, listener.iteration, n_before)
+        if start is None:
+            solved = solve_further(problem, solved, progress)
+        else:
+            solved = solve_and_hold_back(problem, solved, start, progress)
+            seen = solved.seen
         _tell(listener, solved.notes[n_notes:])
         found = solved.solution
         with clock.phase(Phase.RESIDUAL):
-            now = see_solved_frame(problem, solved)
+            now = see_solved_frame(problem, solved, start)
+        # For good: what pulls as at the start comes nearer, and its grey levels would push it away again.
+        now = replace(now, excluded=now.excluded.hold_back(seen.excluded.held_back))
         # Cells are found again one row after the other, each from its neighbours.
         shrinks = now.excluded.count_cells(whole.team) < seen.excluded.count_cells(whole.team)
         excluded = now.excluded if n_rounds < GROWING or shrinks else seen.excluded.join(now.excluded)
@@ -88,6 +100,8 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[Array], 
         # Where the start was far off, other pixels are hidden here: that held the step back, or left a node to nothing.
         followed = model if model.follows else model.with_large_gradients(found.q)
         kept = exclude(replace(followed, views=seen.whole.views, correction=seen.whole.correction), seen.excluded)
+        if start is not None:
+            kept = linearize_held_cells(kept, seen.excluded, start)
         model, renewed = problem.fit(kept, found.q)
         _tell(listener, renewed)
         solved = SolvedFrame(solved.field, found, seen, model, (*solved.notes, *renewed))

@@ -14,8 +14,9 @@ from ddic.parallel.team import Team
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.views import FrameViews
 
-KEPT, BLANK, SPOILT, UNSEEN = 0, 1, 2, 3
-"""Cells: used, of no texture, of something else than the specimen, or of too few pixels that the frame shows."""
+KEPT, BLANK, SPOILT, UNSEEN, HELD_BACK = 0, 1, 2, 3, 4
+"""Cells: used, of no texture, of something else than the specimen, or of too few pixels that the frame shows; and
+those that mechanics hold back from where the frame shows them, whose pixels count as they did at the start."""
 
 PIXELS_CHANGED = 0.1
 """Share of the spoilt pixels that must come or go for a field to be sought again."""
@@ -90,6 +91,29 @@ class Exclusions:
                   for one, two in zip(self.pixels, other.pixels, strict=True)]
         return Exclusions(cells, pixels)
 
+    def hold_back(self, cells: Sequence[tuple[NDArray[np.bool_], ...]]) -> Exclusions:
+        """Take cells that are seen for held back.
+
+        Parameters
+        ----------
+        cells : sequence of tuple of (n_cells,) bool array
+            Which, by owned subdomain and view.
+
+        Returns
+        -------
+        Exclusions
+            The others as before.
+        """
+        states = [tuple(np.where(is_held & np.isin(state, (KEPT, SPOILT)), HELD_BACK, state).astype(np.uint8)
+                        for is_held, state in zip(*of_views, strict=True))
+                  for of_views in zip(cells, self.cells, strict=True)]
+        return replace(self, cells=states)
+
+    @property
+    def held_back(self) -> list[tuple[NDArray[np.bool_], ...]]:
+        """Which cells are held back, (n_cells,), by owned subdomain and view."""
+        return [tuple(states == HELD_BACK for states in of_subdomain) for of_subdomain in self.cells]
+
     def count_cells(self, team: Team) -> int:
         """Count the cells of all ranks that are excluded; collective.
 
@@ -120,7 +144,7 @@ class Exclusions:
         bool
             The same on all ranks.
         """
-        n_cells = sum(int(((a == KEPT) != (b == KEPT)).sum())
+        n_cells = sum(int(((find_excluded(a) != find_excluded(b)) | ((a == HELD_BACK) != (b == HELD_BACK))).sum())
                       for a, b in zip(self._states, other._states, strict=True))
         # One by one: a spot that has moved covers as many others.
         n_changed = sum(len(a) + len(b) - 2 * int(find_common_pixels(a, b).sum())
@@ -138,6 +162,22 @@ class Exclusions:
     def _spots(self) -> list[NDArray[np.int64]]:
         """Spoilt pixels of all views, in the same order."""
         return [spots for of_subdomain in self.pixels for spots in of_subdomain]
+
+
+def find_excluded(states: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Find the cells none of whose pixels counts.
+
+    Parameters
+    ----------
+    states : (n_cells,) uint8 array
+        Of a view.
+
+    Returns
+    -------
+    (n_cells,) bool array
+        Which.
+    """
+    return np.asarray((states != KEPT) & (states != HELD_BACK))
 
 
 def exclude(model: ResidualModel, excluded: Exclusions) -> ResidualModel:
@@ -163,11 +203,12 @@ def exclude(model: ResidualModel, excluded: Exclusions) -> ResidualModel:
 
 
 def _exclude_from_view(view: FrameView, cells: NDArray[np.uint8], pixels: NDArray[np.int64]) -> FrameView:
-    if not cells.any() and not len(pixels):
+    is_excluded = find_excluded(cells)
+    if not is_excluded.any() and not len(pixels):
         return view
     correlation = view.view.correlation
     image = correlation.reference
-    excluded = correlation.raster.draw_cells(np.flatnonzero(cells), image.window) > 0
+    excluded = correlation.raster.draw_cells(np.flatnonzero(is_excluded), image.window) > 0
     excluded[pixels[:, 1] - image.window.y0, pixels[:, 0] - image.window.x0] = True
     kept = replace(correlation, reference=image.exclude(excluded))
     return replace(view, view=replace(view.view, correlation=kept))

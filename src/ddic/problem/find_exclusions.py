@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ddic.errors import ConvergenceError, as_collective
 from ddic.parallel.team import Team
 from ddic.problem.exclusions import BLANK, SPOILT, UNSEEN, Exclusions
+from ddic.problem.held_back import SeenStart, find_displaced_cells, find_held_cells
 from ddic.problem.residual_limits import AT_START, NO_LIMITS, Limits
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.seen_cells import SeenCells, TypicalCell
@@ -32,7 +33,8 @@ START_SHARE = 0.3
 
 
 def find_exclusions(whole: ResidualModel, q: Sequence[Array], seen: Sequence[Sequence[SeenCells]],
-                    typical: Mapping[int, TypicalCell], limits: Limits, *, is_regularized: bool) -> Exclusions:
+                    typical: Mapping[int, TypicalCell], limits: Limits, start: SeenStart | None, *,
+                    is_regularized: bool) -> Exclusions:
     """Find what of a frame does not show the specimen; collective.
 
     Parameters
@@ -47,6 +49,8 @@ def find_exclusions(whole: ResidualModel, q: Sequence[Array], seen: Sequence[Seq
         By camera.
     limits : Limits
         From which error on a residual is not believed.
+    start : SeenStart or None
+        From which mechanics may hold cells back; None where they do not, or at the start itself.
     is_regularized : bool
         Whether mechanics hold what pixels do not.
 
@@ -60,9 +64,14 @@ def find_exclusions(whole: ResidualModel, q: Sequence[Array], seen: Sequence[Seq
     ConvergenceError
         On all ranks, where most of the frame shows something else.
     """
-    views = [[SeenView(view, q_s, cells, typical[view.camera])
-              for view, cells in zip(of_subdomain.views, cells_of_views, strict=True)]
-             for of_subdomain, q_s, cells_of_views in zip(whole.views, q, seen, strict=True)]
+    if start is None:
+        displaced = [tuple(np.zeros(len(cells.n_pixels), dtype=bool) for cells in of_views) for of_views in seen]
+        held = displaced
+    else:
+        displaced, held = find_displaced_cells(start, q), find_held_cells(start, q, seen)
+    views = [[SeenView(view, q_s, cells, typical[view.camera], is_displaced, is_held_back)
+              for view, cells, is_displaced, is_held_back in zip(of_subdomain.views, *of_views, strict=True)]
+             for of_subdomain, q_s, *of_views in zip(whole.views, q, seen, displaced, held, strict=True)]
     rules = Rules(_choose_limits(whole.team, views, limits), whole.correction == "element", is_regularized)
     excluded = whole.team.together(lambda: _find_in_views(views, rules))
     # Mechanics hold what a frame does not show; what it shows beside something else is another matter.
@@ -76,7 +85,7 @@ def _choose_limits(team: Team, views: Sequence[Sequence[SeenView]], limits: Limi
     counts = np.zeros(2)
     for of_subdomain in views:
         for seen in of_subdomain:
-            stands_out = find_standing_out(seen.cells, seen.typical, limits.cell)
+            stands_out = find_standing_out(seen.cells, seen.typical, limits.cell) & ~seen.is_held_back
             counts += seen.cells.n_pixels.sum(), seen.cells.n_pixels[stands_out].sum()
     n_pixels, n_standing_out = team.sum(counts)
     if limits is AT_START and n_standing_out > START_SHARE * n_pixels:

@@ -14,6 +14,7 @@ from ddic.functionals.grey_statistics import GreyCorrection, GreyState, GreySums
 from ddic.images.blurred import Blur
 from ddic.parallel.team import Team
 from ddic.problem.filled_cells import FilledCells
+from ddic.problem.linearized_cells import LinearizedCells
 from ddic.problem.moved_gradients import is_deformation_large
 from ddic.problem.region_rotation import HeldRotation
 from ddic.problem.views import FrameViews, read_frame_windows
@@ -58,6 +59,8 @@ class ResidualModel:
         Lets the region's rotation cost nothing; None, by default, where it has not turned.
     filled : FilledCells, optional
         Cells that neither pixels nor mechanics hold; None, by default, where there are none.
+    linearized : LinearizedCells, optional
+        Cells whose forces are linearized about a start; None, by default, where there are none.
     blurs : tuple of (int, Blur)
         Cameras whose reference image was blurred as much as the frame is, and how; none by default.
     """
@@ -69,6 +72,7 @@ class ResidualModel:
     follows: bool = False
     rotation: HeldRotation | None = None
     filled: FilledCells | None = None
+    linearized: LinearizedCells | None = None
     blurs: tuple[tuple[int, Blur], ...] = ()
 
     def with_large_gradients(self, q: Sequence[Array]) -> ResidualModel:
@@ -119,8 +123,9 @@ class ResidualModel:
         # Before any is used: those who share a window would read it once each, larger and larger.
         read_frame_windows(self.views, q)
         all_kinds = self.correction != "none"
-        return [tuple(view.compute_residual(q_s, all_kinds=all_kinds) for view in of_subdomain.views)
-                for of_subdomain, q_s in zip(self.views, q, strict=True)]
+        residuals = [tuple(view.compute_residual(q_s, all_kinds=all_kinds) for view in of_subdomain.views)
+                     for of_subdomain, q_s in zip(self.views, q, strict=True)]
+        return residuals if self.linearized is None else self.linearized.keep_others(residuals)
 
     def assemble_right_hand_sides(self, evaluation: Evaluation, q: Sequence[Array]) -> list[Array]:
         """Assemble b_s of all owned subdomains, Eq. 5 of [BP17]; free of communication.
@@ -186,10 +191,9 @@ class ResidualModel:
         """
         evaluation = self.evaluate(q)
         b = self.assemble_right_hand_sides(evaluation, q)
-        if self.rotation is not None:
-            b = [b_s + forces for b_s, forces in zip(b, self.rotation.compute_forces(q), strict=True)]
-        if self.filled is not None:
-            b = [b_s + forces for b_s, forces in zip(b, self.filled.compute_forces(q), strict=True)]
+        for part in (self.rotation, self.filled, self.linearized):
+            if part is not None:
+                b = [b_s + forces for b_s, forces in zip(b, part.compute_forces(q), strict=True)]
         return b, evaluation.grey
 
     def measure_correction(self, dq: Sequence[Array], q: Sequence[Array]) -> CorrectionSize:

@@ -13,6 +13,7 @@ from ddic.problem.cameras import Camera
 from ddic.problem.exclusions import Exclusions
 from ddic.problem.find_exclusions import find_exclusions
 from ddic.problem.grey_choice import choose_correction
+from ddic.problem.held_back import ByView, SeenStart, find_shown_cells
 from ddic.problem.match_brightness import match_brightness
 from ddic.problem.match_sharpness import match_sharpness
 from ddic.problem.residual_limits import AT_END, AT_START, Limits
@@ -36,16 +37,19 @@ class SeenFrame:
         What most cells are like, by camera.
     excluded : Exclusions
         What does not show the specimen.
+    is_shown : list of tuple of (n_cells,) bool array
+        Cells that do not stand out, of each owned subdomain and view.
     """
 
     whole: ResidualModel
     evaluation: Evaluation
     typical: Mapping[int, TypicalCell]
     excluded: Exclusions
+    is_shown: ByView
 
 
 def see_frame(case: Case, whole: ResidualModel, q: Sequence[Array], slopes: Sequence[Sequence[Array]],
-              limits: Limits = AT_END) -> SeenFrame:
+              limits: Limits = AT_END, start: SeenStart | None = None) -> SeenFrame:
     """See how a frame has to be corrected, and what of it does not show the specimen; collective.
 
     Parameters
@@ -60,6 +64,8 @@ def see_frame(case: Case, whole: ResidualModel, q: Sequence[Array], slopes: Sequ
         Mean of grad f grad f^T on the cells of each view, (grey levels / px)^2.
     limits : Limits
         From which displacement error on a residual is not believed; those of a field by default.
+    start : SeenStart, optional
+        From which mechanics may hold cells back; None, by default, where they do not.
 
     Returns
     -------
@@ -72,9 +78,7 @@ def see_frame(case: Case, whole: ResidualModel, q: Sequence[Array], slopes: Sequ
         On all ranks, where most of the frame does not show the specimen.
     """
     evaluation = whole.evaluate(q)
-    if whole.blurs:
-        # Those of a blurred reference image are weaker.
-        slopes = [[view.view.measure_slopes() for view in of_subdomain.views] for of_subdomain in whole.views]
+    slopes = measure_slopes(whole, slopes)
     seen = measure_seen_cells(whole, evaluation, slopes)
     sample = collect_cells(whole, seen)
     chosen = _choose(case, whole, sample)
@@ -84,13 +88,36 @@ def see_frame(case: Case, whole: ResidualModel, q: Sequence[Array], slopes: Sequ
         evaluation = whole.evaluate(q)
         seen = measure_seen_cells(whole, evaluation, slopes)
         typical = _find_typical_cells(collect_cells(whole, seen))
-    if case.correlation.spoilt_pixels == "keep":
-        return SeenFrame(whole, evaluation, typical, Exclusions.nothing(whole.views))
     corrected = typical
     if whole.correction == "none":
         corrected = {camera: replace(of_camera, gain=1.0, offset=0.0) for camera, of_camera in typical.items()}
-    excluded = find_exclusions(whole, q, seen, corrected, limits, is_regularized=case.regularization is not None)
-    return SeenFrame(whole, evaluation, typical, excluded)
+    is_shown = find_shown_cells(whole.views, seen, corrected)
+    if case.correlation.spoilt_pixels == "keep":
+        excluded = Exclusions.nothing(whole.views)
+    else:
+        excluded = find_exclusions(whole, q, seen, corrected, limits, start,
+                                   is_regularized=case.regularization is not None)
+    return SeenFrame(whole, evaluation, typical, excluded, is_shown)
+
+
+def measure_slopes(whole: ResidualModel, of_sharp: Sequence[Sequence[Array]]) -> Sequence[Sequence[Array]]:
+    """Measure the slopes of the reference images that a frame is compared with; free of communication.
+
+    Parameters
+    ----------
+    whole : ResidualModel
+        Of the frame.
+    of_sharp : sequence of sequence of (n_cells, 2, 2) array
+        Those of the images as they are, (grey levels / px)^2.
+
+    Returns
+    -------
+    sequence of sequence of (n_cells, 2, 2) array
+        The same where no image was blurred: those of a blurred one are weaker.
+    """
+    if not whole.blurs:
+        return of_sharp
+    return [[view.view.measure_slopes() for view in of_subdomain.views] for of_subdomain in whole.views]
 
 
 def see_start(case: Case, cameras: Sequence[Camera], whole: ResidualModel, q: Sequence[Array],

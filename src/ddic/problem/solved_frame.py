@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError
+from ddic.problem.held_back import SeenStart
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.see_frame import SeenFrame, see_frame
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.solvers.dual.continuity import ContinuousField, average_copies
-from ddic.solvers.gauss_newton import Progress, Solution, run_gauss_newton
+from ddic.solvers.gauss_newton import Pause, Progress, Solution, run_gauss_newton
 
 Array = NDArray[np.float64]
 
@@ -70,7 +71,8 @@ def begin_frame(seen: SeenFrame, used: ResidualModel, q: Sequence[Array], notes:
     return SolvedFrame(field, Solution(list(q), []), seen, used, notes, is_evaluated=False)
 
 
-def solve_further(problem: WeightedProblem, solved: SolvedFrame, progress: Progress) -> SolvedFrame:
+def solve_further(problem: WeightedProblem, solved: SolvedFrame, progress: Progress,
+                  pause: Pause | None = None) -> SolvedFrame:
     """Go on with Gauss-Newton, with the same operators; collective.
 
     Parameters
@@ -81,6 +83,8 @@ def solve_further(problem: WeightedProblem, solved: SolvedFrame, progress: Progr
         Where to go on from.
     progress : Progress
         Where to write.
+    pause : callable, optional
+        Asked after every correction whether to return before the next; collective. Never, by default.
 
     Returns
     -------
@@ -101,13 +105,13 @@ def solve_further(problem: WeightedProblem, solved: SolvedFrame, progress: Progr
         return replace(solved, field=field, solution=joined, notes=notes, is_evaluated=False)
 
     try:
-        return join(run_gauss_newton(solved.used, before.q, problem.solver.step, problem.tolerances, progress))
+        return join(run_gauss_newton(solved.used, before.q, problem.solver.step, problem.tolerances, progress, pause))
     except ConvergenceError as error:
         error.last = join(error.last)
         raise
 
 
-def see_solved_frame(problem: WeightedProblem, solved: SolvedFrame) -> SeenFrame:
+def see_solved_frame(problem: WeightedProblem, solved: SolvedFrame, start: SeenStart | None) -> SeenFrame:
     """See the frame at a field; collective.
 
     Parameters
@@ -116,6 +120,8 @@ def see_solved_frame(problem: WeightedProblem, solved: SolvedFrame) -> SeenFrame
         Of the frame.
     solved : SolvedFrame
         The field.
+    start : SeenStart or None
+        From which mechanics may hold cells back; None where they do not.
 
     Returns
     -------
@@ -128,7 +134,8 @@ def see_solved_frame(problem: WeightedProblem, solved: SolvedFrame) -> SeenFrame
         On all ranks, where the frame does not show the specimen there; with the SolvedFrame.
     """
     try:
-        return see_frame(problem.reference.inputs.case, solved.seen.whole, solved.field.q, problem.slopes)
+        return see_frame(problem.reference.inputs.case, solved.seen.whole, solved.field.q, problem.slopes,
+                         start=start)
     except ConvergenceError as error:
         error.last = solved
         raise

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ddic.functionals.cut_patch import cut_patch
 from ddic.functionals.spoilt_pixels import find_spoilt_pixels
 from ddic.functionals.view import FrameView
-from ddic.problem.exclusions import BLANK, KEPT, SPOILT, UNSEEN
+from ddic.problem.exclusions import BLANK, HELD_BACK, KEPT, SPOILT, UNSEEN
 from ddic.problem.residual_limits import Limits
 from ddic.problem.seen_cells import FEWEST_PIXELS, SeenCells, TypicalCell
 from ddic.problem.standing_out import BLANK_TEXTURE, CORRELATED, find_standing_out
@@ -38,12 +38,18 @@ class SeenView:
         Its cells.
     typical : TypicalCell
         Of the camera.
+    is_displaced : (n_cells,) bool array
+        Cells that are not where they were seen at the start.
+    is_held_back : (n_cells,) bool array
+        Those of them that stand out: mechanics hold them back.
     """
 
     view: FrameView
     q: NDArray[np.float64]
     cells: SeenCells
     typical: TypicalCell
+    is_displaced: NDArray[np.bool_]
+    is_held_back: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -83,9 +89,12 @@ def find_view_exclusions(seen: SeenView, rules: Rules) -> tuple[NDArray[np.uint8
         Column and row of spoilt pixels in cells that are kept.
     """
     states = _judge_by_pixels(seen, rules)
+    states[seen.is_held_back & (states == KEPT)] = HELD_BACK
     stands_out = find_standing_out(seen.cells, seen.typical, rules.limits.cell)
     states[stands_out & (states == KEPT)] = SPOILT
     may_be_spoilt = find_standing_out(seen.cells, seen.typical, rules.limits.searched)
+    # What mechanics hold off leaves residuals, spoilt or not.
+    may_be_spoilt &= ~seen.is_displaced
     searched = np.flatnonzero(may_be_spoilt & ((states == KEPT) | (states == SPOILT)))
     spots = [np.zeros((0, 2), dtype=np.int64)]
     for found in _search_cells(seen, rules, searched):

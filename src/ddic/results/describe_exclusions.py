@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ddic.mesh.shapes import pad_cells
 from ddic.parallel.team import Team
-from ddic.problem.exclusions import BLANK, SPOILT, UNSEEN, Exclusions
+from ddic.problem.exclusions import BLANK, HELD_BACK, SPOILT, UNSEEN, Exclusions
 from ddic.problem.views import FrameViews
 
 Array = NDArray[np.float64]
@@ -19,8 +19,11 @@ Array = NDArray[np.float64]
 MOST_PLACES = 3
 """Places that are named; the result file has all of them."""
 
-REASONS = {SPOILT: "show something else than the reference", BLANK: "have no texture",
-           UNSEEN: "hold no or too few pixels that both images show"}
+OTHER_THAN_REFERENCE = "show something else than the reference"
+REASONS = {SPOILT: f"{OTHER_THAN_REFERENCE} and are excluded", BLANK: "have no texture and are excluded",
+           UNSEEN: "hold no or too few pixels that both images show and are excluded",
+           HELD_BACK: "are held back by the regularization, off what the images show; a shorter "
+                      "regularization.cut_off_wavelength follows it"}
 
 
 def describe_exclusions(team: Team, views: Sequence[FrameViews], excluded: Exclusions) -> tuple[str, ...]:
@@ -47,11 +50,11 @@ def describe_exclusions(team: Team, views: Sequence[FrameViews], excluded: Exclu
                                    for of_subdomain, states in zip(views, excluded.cells, strict=True)])
         boxes, corners = (np.concatenate(parts) for parts in zip(*found, strict=True))
         if len(boxes):
-            lines.append(f"{len(boxes)} of {n_cells} cells {why} and are excluded (cell field \"excluded\"): "
+            lines.append(f"{len(boxes)} of {n_cells} cells {why} (cell field \"excluded\"): "
                          + "; ".join(_name_places(boxes, corners)))
     n_pixels = team.sum(sum(len(spots) for of_subdomain in excluded.pixels for spots in of_subdomain))
     if n_pixels:
-        lines.append(f"{n_pixels} pixels of other cells {REASONS[SPOILT]} and are excluded")
+        lines.append(f"{n_pixels} pixels of other cells {OTHER_THAN_REFERENCE} and are excluded")
     return tuple(lines)
 
 

@@ -234,7 +234,9 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str,
     """
     team, inputs = problem.team, problem.reference.inputs
     subdomains = problem.reference.subdomains
-    field, model, excluded = solved.field, solved.used, solved.seen.excluded
+    field, excluded = solved.field, solved.seen.excluded
+    # Cells that mechanics hold back show their residual.
+    model = replace(solved.used, linearized=None)
     motions: tuple[SetupMotion, ...] = ()
     if any(camera.setup.n_motion_unknowns for camera in inputs.cameras):
         solver = problem.solver

@@ -120,6 +120,10 @@ Report = Callable[[IterationRecord], None]
 """Told of every iteration on every rank; only rank 0's may speak."""
 
 
+Pause = Callable[[Sequence[Array]], bool]
+"""Asked, on all ranks, whether unknowns call for another look at the frame."""
+
+
 @dataclass(frozen=True)
 class Progress:
     """Where Gauss-Newton writes what it does.
@@ -204,8 +208,8 @@ def gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, tolerances:
     return solution
 
 
-def run_gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, tolerances: Tolerances,
-                     progress: Progress) -> Solution:
+def run_gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, tolerances: Tolerances, progress: Progress,
+                     pause: Pause | None = None) -> Solution:
     """Iterate q <- q + dq until the correction is small, or does not become smaller.
 
     Parameters
@@ -220,6 +224,8 @@ def run_gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, toleran
         When to stop.
     progress : Progress
         Where to write.
+    pause : callable, optional
+        Asked after every correction whether to return before the next; collective. Never, by default.
 
     Returns
     -------
@@ -233,13 +239,14 @@ def run_gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, toleran
     """
     found = Solution([np.array(q_s) for q_s in q], [])
     try:
-        return _iterate(model, found, step, tolerances, progress)
+        return _iterate(model, found, step, tolerances, progress, pause)
     except ConvergenceError as error:
         error.last = found
         raise
 
 
-def _iterate(model: Model, found: Solution, step: LinearStep, tolerances: Tolerances, progress: Progress) -> Solution:
+def _iterate(model: Model, found: Solution, step: LinearStep, tolerances: Tolerances, progress: Progress,
+             pause: Pause | None) -> Solution:
     """Iterate from what was found, which holds the last finite unknowns and all iterations at any time."""
     current, records = found.q, found.records
     clock = progress.clock
@@ -256,6 +263,8 @@ def _iterate(model: Model, found: Solution, step: LinearStep, tolerances: Tolera
         progress.report(records[-1])
         if model.team.on_root(partial(_decide, size, tolerances)):
             return Solution(current, records, size.describe_stop(tolerances))
+        if pause is not None and pause(current):
+            return Solution(current, records, converged=False)
         if model.team.on_root(partial(_stagnates, records)):
             break
     return Solution(current, records, _not_converged(records, tolerances), converged=False)

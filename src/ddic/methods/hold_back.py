@@ -1,0 +1,79 @@
+"""Gauss-Newton that looks, as soon as cells leave the start by much, whether mechanics hold them back."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.parallel.phases import Phase
+from ddic.problem.held_back import ByView, SeenStart, find_displaced_cells, find_held_cells, linearize_held_cells
+from ddic.problem.see_frame import measure_slopes
+from ddic.problem.seen_cells import measure_seen_cells
+from ddic.problem.solved_frame import SolvedFrame, solve_further
+from ddic.problem.weighted_problem import WeightedProblem
+from ddic.solvers.gauss_newton import Progress
+
+Array = NDArray[np.float64]
+
+
+def solve_and_hold_back(problem: WeightedProblem, solved: SolvedFrame, start: SeenStart,
+                        progress: Progress) -> SolvedFrame:
+    """Go on with Gauss-Newton, and linearize what mechanics hold back about the start; collective.
+
+    Parameters
+    ----------
+    problem : WeightedProblem
+        The linear step.
+    solved : SolvedFrame
+        Where to go on from.
+    start : SeenStart
+        Of the frame.
+    progress : Progress
+        Where to write.
+
+    Returns
+    -------
+    SolvedFrame
+        Converged or not, with all iterations; cells that are held back are marked in what is excluded.
+
+    Raises
+    ------
+    ConvergenceError
+        On all ranks, where an iteration fails; with the last SolvedFrame.
+    """
+    judged = find_displaced_cells(start, solved.solution.q)
+
+    def pause(q: Sequence[Array]) -> bool:
+        return problem.team.sum(_count_new(find_displaced_cells(start, q), judged)) > 0
+
+    while True:
+        n_before = len(solved.solution.records)
+        solved = solve_further(problem, solved, replace(progress, n_before=n_before), pause)
+        q = solved.solution.q
+        if solved.solution.converged or not pause(q):
+            return solved
+        judged = _join(judged, find_displaced_cells(start, q))
+        with progress.clock.phase(Phase.RESIDUAL):
+            solved = _hold_back(problem, solved, start)
+
+
+def _hold_back(problem: WeightedProblem, solved: SolvedFrame, start: SeenStart) -> SolvedFrame:
+    """The same field, with the cells linearized that are held back at it; M stays."""
+    q, seen = solved.solution.q, solved.seen
+    evaluation = seen.whole.evaluate(q)
+    cells = measure_seen_cells(seen.whole, evaluation, measure_slopes(seen.whole, problem.slopes))
+    excluded = seen.excluded.hold_back(find_held_cells(start, q, cells))
+    return replace(solved, seen=replace(seen, excluded=excluded),
+                   used=linearize_held_cells(solved.used, excluded, start))
+
+
+def _count_new(displaced: ByView, judged: ByView) -> int:
+    return sum(int((now & ~before).sum()) for of_views in zip(displaced, judged, strict=True)
+               for now, before in zip(*of_views, strict=True))
+
+
+def _join(one: ByView, other: ByView) -> ByView:
+    return [tuple(a | b for a, b in zip(*of_views, strict=True)) for of_views in zip(one, other, strict=True)]
