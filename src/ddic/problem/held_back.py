@@ -31,6 +31,10 @@ DISPLACED = 0.5 * AT_END.cell
 """Distance from where a cell was seen, pixels, from which on mechanics may hold it back. Starts are as precise; a
 larger one leaves cells to grey levels that say nothing of the way back."""
 
+SAME_SPECKLE = 0.8
+"""Correlation coefficient of f and g from which on a cell was seen at the start: where nothing is, nothing stands out.
+A larger one leaves cells of little contrast to be excluded in place of held back."""
+
 ByView = list[tuple[NDArray[np.bool_], ...]]
 """A flag a cell, (n_cells,), of each owned subdomain and view."""
 
@@ -76,9 +80,9 @@ def find_shown_cells(views: Sequence[FrameViews], seen: Sequence[Sequence[SeenCe
     Returns
     -------
     list of tuple of (n_cells,) bool array
-        Which show pixels and do not stand out.
+        Which correlate and do not stand out.
     """
-    return [tuple((cells.n_pixels > 0) & ~find_standing_out(cells, typical[view.camera], AT_START.cell)
+    return [tuple((cells.coefficient > SAME_SPECKLE) & ~find_standing_out(cells, typical[view.camera], AT_START.cell)
                   for view, cells in zip(of_subdomain.views, of_views, strict=True))
             for of_subdomain, of_views in zip(views, seen, strict=True)]
 

@@ -25,7 +25,7 @@ from ddic.problem.cell_errors import (
     find_noisy_cells,
     measure_cell_residuals,
 )
-from ddic.problem.exclusions import Exclusions
+from ddic.problem.exclusions import Exclusions, find_excluded
 from ddic.problem.inputs import Inputs
 from ddic.problem.problem_size import ProblemSize
 from ddic.problem.region_mesh import Region
@@ -252,7 +252,8 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str,
                               problem.size, solved.solution.records, notes, motions, problem.noise, cell_errors,
                               excluded, unmeasured, solved.seen.whole, solved.solution.stop, failure,
                               problem.solver.method, problem.solver.preconditioner)
-    inverted = describe_inverted_cells(team, subdomains, measurement.displacements)
+    are_used = [~find_excluded(of_views[0]) for of_views in excluded.cells]
+    inverted = describe_inverted_cells(team, subdomains, measurement.displacements, are_used)
     if inverted and not failure:
         raise as_collective(ConvergenceError(inverted, replace(measurement, failure=inverted)))
     return measurement
@@ -295,7 +296,8 @@ def _take_hessians(problem: WeightedProblem, model: ResidualModel) -> list[spars
     return [hessians[0] for hessians in problem.reference.hessians]
 
 
-def describe_inverted_cells(team: Team, subdomains: Sequence[Subdomain], displacements: Sequence[Array]) -> str:
+def describe_inverted_cells(team: Team, subdomains: Sequence[Subdomain], displacements: Sequence[Array],
+                            are_used: Sequence[NDArray[np.bool_]]) -> str:
     """Say which cells a field turns inside out, however small the last correction: no matter moves so; collective.
 
     Parameters
@@ -306,14 +308,17 @@ def describe_inverted_cells(team: Team, subdomains: Sequence[Subdomain], displac
         Owned ones.
     displacements : sequence of (n_dofs,) array
         Of their nodes, pixels; nan where nothing was measured.
+    are_used : sequence of (n_cells,) bool array
+        Which of their cells are not excluded: what images do not show says nothing against a field.
 
     Returns
     -------
     str
         Why the field is no result; empty where no cell is inverted.
     """
-    found = team.gather_lists([s.cell_ids[find_inverted_cells(s.mesh, u)]
-                               for s, u in zip(subdomains, displacements, strict=True)])
+    inverted = [np.intersect1d(find_inverted_cells(s.mesh, u), np.flatnonzero(is_used))
+                for s, u, is_used in zip(subdomains, displacements, are_used, strict=True)]
+    found = team.gather_lists([s.cell_ids[cells] for s, cells in zip(subdomains, inverted, strict=True)])
     cells = np.sort(np.concatenate(found))
     if not len(cells):
         return ""
