@@ -60,6 +60,9 @@ LEDGER = Ledger()
 class CountingListener:
     """Books into the phase that a run is in."""
 
+    def frame(self, number: int, n_frames: int, image: str) -> None:
+        """A frame of a series; nothing to book."""
+
     def phase(self, phase: Phase) -> None:
         """The phase that begins."""
         LEDGER.phase = phase

@@ -11,6 +11,7 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
+from ddic.case.frame_files import expand_frames
 from ddic.case.messages import describe
 from ddic.case.schema import Case, OutputSection
 from ddic.case.sections import Location, find_section_in
@@ -86,8 +87,8 @@ def load_case(path: Path | str) -> LoadedCase:
         raise InputError(f"{path}: cannot read this case file ({error.strerror or error})") from error
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is not UTF-8 text (byte {error.start}); save it as UTF-8") from error
-    case = parse_case(text, path)
-    return LoadedCase(_absolute(case, path.resolve().parent), path.resolve(), text)
+    case = _absolute(parse_case(text, path), path.resolve().parent)
+    return LoadedCase(expand_frames(case, path), path.resolve(), text)
 
 
 def load_case_leniently(path: Path | str) -> tuple[LoadedCase | None, list[str]]:
@@ -122,7 +123,12 @@ def load_case_leniently(path: Path | str) -> tuple[LoadedCase | None, list[str]]
     if case is None:
         # Little else can be said of it.
         return None, [*problems, *missing]
-    return LoadedCase(_absolute(case, folder), path.resolve(), text), problems
+    case = _absolute(case, folder)
+    try:
+        case = expand_frames(case, path)
+    except InputError as error:
+        return None, [*problems, *(line for line in error.problems if line not in problems)]
+    return LoadedCase(case, path.resolve(), text), problems
 
 
 def _validate_without_bad_keys(data: dict[str, Any]) -> Case | None:

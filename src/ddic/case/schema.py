@@ -31,6 +31,9 @@ def _require_exclusion(saturation: float | None, exclude_saturated: bool, sectio
         raise ValueError(f"{section}.saturation goes with {section}.exclude_saturated = true")
 
 
+Paths = Annotated[tuple[Path, ...], Field(min_length=1)]
+
+
 class ImagesSection(Section):
     """The image pair; paths are relative to the case file."""
 
@@ -43,8 +46,12 @@ class ImagesSection(Section):
             "([what it costs](spoilt-images.md#jpeg))."
         ),
     )
-    deformed: Path = Field(
-        description="The image g after loading, of the same size.",
+    deformed: Path | Paths = Field(
+        description=(
+            "The image g after loading, of the same size; or those of a [series](series.md): a list, or a pattern such "
+            'as `"frame_*.tif"`, whose files are taken in the order of the numbers in their names.'
+        ),
+        json_schema_extra={"shape": "path, list of paths or pattern"},
     )
     reference_mask: Path | None = Field(
         default=None,
@@ -52,7 +59,7 @@ class ImagesSection(Section):
     )
     deformed_mask: Path | None = Field(
         default=None,
-        description="The same for the deformed image, in its own coordinates.",
+        description="The same for the deformed image, in its own coordinates; one for all images of a series.",
     )
     exclude_saturated: bool = Field(
         default=False,
@@ -81,9 +88,17 @@ class ImagesSection(Section):
         description="Time stamp of the reference image.",
         json_schema_extra={"unit": "chosen by you"},
     )
-    deformed_time: Finite = Field(
+    deformed_time: Finite | Annotated[tuple[Finite, ...], Field(min_length=1)] = Field(
         default=1.0,
-        description="Time stamp of the deformed image.",
+        description=(
+            "Time stamp of the deformed image; of a series a list with one for each, which grow. The numbers of the "
+            "images where a series is given none."
+        ),
+        json_schema_extra={"unit": "chosen by you", "shape": "number or list of numbers"},
+    )
+    frame_interval: Positive | None = Field(
+        default=None,
+        description="Time from each image of a series to the next, in place of a list in `deformed_time`.",
         json_schema_extra={"unit": "chosen by you"},
     )
     noise: Positive | None = Field(
@@ -250,8 +265,9 @@ class NearSection(Section):
     reference: Path = Field(
         description="The near image before loading.",
     )
-    deformed: Path = Field(
-        description="The near image after loading, of the same size.",
+    deformed: Path | Paths = Field(
+        description="The near image after loading, of the same size; of a series as many as in `[images]`.",
+        json_schema_extra={"shape": "path, list of paths or pattern"},
     )
     reference_mask: Path | None = Field(
         default=None,
@@ -758,6 +774,18 @@ class PgdSection(Section):
     )
 
 
+class SeriesSection(Section):
+    """How several deformed images are measured one after the other; goes with several of them."""
+
+    start: Literal["extrapolate", "last", "search"] = Field(
+        default="extrapolate",
+        description=(
+            "Where each frame starts: what the last two fields extrapolate to at its time, the last field, or a search "
+            "as for a pair. Where the first two do not converge, the search follows."
+        ),
+    )
+
+
 class OutputSection(Section):
     """What is written, relative to the case file."""
 
@@ -767,7 +795,10 @@ class OutputSection(Section):
     )
     residual_image: bool = Field(
         default=True,
-        description="Also write the residual f(x) - g(x + u) of each pixel.",
+        description=(
+            "Also write the residual f(x) - g(x + u) of each pixel. Left out, a series writes none: they would be most "
+            "of the file."
+        ),
     )
     flip_y: bool = Field(
         default=False,
@@ -792,6 +823,7 @@ class Case(Section):
     gauss_newton: GaussNewtonSection = GaussNewtonSection()
     start: StartSection = StartSection()
     pgd: PgdSection | None = None
+    series: SeriesSection = SeriesSection()
     output: OutputSection = OutputSection()
 
     @model_validator(mode="after")

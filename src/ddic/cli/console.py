@@ -26,6 +26,7 @@ from rich.text import Text
 from ddic.cli.run_share import OF_CORRECTION, OF_ITERATION, RunShare
 from ddic.parallel.phases import REPEATED, Phase
 from ddic.problem.problem_size import ProblemSize
+from ddic.results.series_record import SeriesSummary
 from ddic.results.summary import Summary
 from ddic.separated.corrections import CorrectionRecord
 from ddic.solvers.gauss_newton import IterationRecord
@@ -111,6 +112,29 @@ class RunConsole:
         """
         self._print(line)
 
+    def frame(self, number: int, n_frames: int, image: str) -> None:
+        """Print which frame of a series begins.
+
+        Parameters
+        ----------
+        number : int
+            From 1.
+        n_frames : int
+            Of the series.
+        image : str
+            Name of its file.
+        """
+        self._bar.settle()
+        self._print(f"frame {number} of {n_frames}: {image}")
+
+    def _finish_series(self, summary: SeriesSummary) -> None:
+        n_measured = len(summary.frames) - len(summary.failures)
+        self._print(f"{n_measured} of {summary.n_frames} frames measured in {summary.seconds:.1f} s"
+                    + (f", {summary.n_resumed} of them by an earlier run" if summary.n_resumed else ""))
+        for frame in summary.failures:
+            self._print(frame.describe())
+        self._print(f"result: {summary.result_file}")
+
     def problem_size(self, size: ProblemSize) -> None:
         """Print the sizes.
 
@@ -166,15 +190,21 @@ class RunConsole:
                  f"{record.grey.residual_std:.3f}", f"{record.n_sweeps}", f"{record.n_modes}")
         self._print(_align(cells, _CORRECTION_COLUMNS))
 
-    def finish(self, summary: Summary) -> None:
+    def finish(self, summary: Summary | SeriesSummary) -> None:
         """Print what was found.
 
         Parameters
         ----------
-        summary : Summary
+        summary : Summary or SeriesSummary
             Of the run.
         """
         self._bar.stop()
+        if isinstance(summary, SeriesSummary):
+            self._finish_series(summary)
+        else:
+            self._finish_pair(summary)
+
+    def _finish_pair(self, summary: Summary) -> None:
         seconds = ", ".join(f"{name} {value:.2f}" for name, value in summary.seconds.items())
         memory = ", ".join(f"{value / 2**20:.0f}" for value in summary.peak_memory_bytes)
         steps = "iterations" if summary.n_modes is None else f"corrections to {_count(summary.n_modes, 'mode')}"

@@ -20,9 +20,10 @@ if TYPE_CHECKING:
 
 @click.command(context_settings={"ignore_unknown_options": True})
 @click.argument("case_file", metavar="CASE.toml", type=click.Path(path_type=Path))
+@click.option("--resume", is_flag=True, help="Go on with a series where an earlier run of it stopped.")
 @click.argument("petsc_options", nargs=-1, type=click.UNPROCESSED)
-def run(case_file: Path, petsc_options: tuple[str, ...]) -> None:
-    """Measure the displacement between the two images of a case; alone or under mpirun.
+def run(case_file: Path, petsc_options: tuple[str, ...], *, resume: bool) -> None:
+    """Measure the displacement between the images of a case, a pair or a series; alone or under mpirun.
 
     Options that PETSC_OPTIONS give pass to PETSc, for instance -dual_ksp_monitor.
     """
@@ -32,7 +33,7 @@ def run(case_file: Path, petsc_options: tuple[str, ...]) -> None:
     import petsc4py
 
     petsc4py.init(["ddic", *petsc_options])
-    sys.exit(_run_everywhere(case_file, petsc_options))
+    sys.exit(_run_everywhere(case_file, petsc_options, resume=resume))
 
 
 def _check_words(case_file: Path, words: tuple[str, ...]) -> None:
@@ -58,12 +59,12 @@ def _is_number(word: str) -> bool:
     return True
 
 
-def _run_everywhere(case_file: Path, petsc_options: tuple[str, ...]) -> int:
+def _run_everywhere(case_file: Path, petsc_options: tuple[str, ...], *, resume: bool) -> int:
     """Run on all ranks; an error that only this rank has ends the job."""
     import cv2
 
     from ddic.cli.console import RunConsole
-    from ddic.methods.run_case import run_case
+    from ddic.methods.run_file import run_file
     from ddic.parallel.team import Team
     from ddic.results.listener import Silence
 
@@ -72,10 +73,10 @@ def _run_everywhere(case_file: Path, petsc_options: tuple[str, ...]) -> int:
     try:
         with _warnings_told_once(team.is_root):
             if not team.is_root:
-                run_case(team, case_file, Silence())
+                run_file(team, case_file, Silence(), resume=resume)
             else:
                 with RunConsole() as console:
-                    console.finish(run_case(team, case_file, console))
+                    console.finish(run_file(team, case_file, console, resume=resume))
         _warn_of_unused_options(team, petsc_options)
     except BaseException as error:
         return _failed(team, error, petsc_options)

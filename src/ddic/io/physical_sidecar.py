@@ -48,6 +48,8 @@ def write_physical_sidecar(result: Path) -> Path:
             group[name] = _link(result, f"{schema.VTKHDF}/{name}")
         _scale_points(grid["Points"], group, float(units["pixel_size"]))
         group["Points"].attrs["unit"] = units["length_unit"]
+        if schema.STEPS in source:
+            group["Steps"] = _link(result, schema.STEPS)
         _link_fields(result, source[schema.POINT_DATA], group.create_group("PointData"))
         _link_fields(result, source[schema.CELL_DATA], group.create_group("CellData"))
     return path

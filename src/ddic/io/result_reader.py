@@ -185,7 +185,10 @@ def read_result(path: Path | str) -> Result:
         raise InputError(f"{path}: no such result file; check the path")
     try:
         with h5py.File(path, "r") as file:
-            _check_schema(path, file)
+            check_schema(path, file)
+            if schema.STEPS in file:
+                raise InputError(f"{path}: holds the frames of a series; read it with ddic.read_series, or give the "
+                                 "result of a pair")
             result = read_open_file(path, file)
     except (OSError, KeyError, ValueError, IndexError) as error:
         raise InputError(f"{path}: not a readable ddic result file ({error}); run ddic again") from error
@@ -261,8 +264,21 @@ def evaluate_on_sides(result: Result, points: NDArray[np.float64],
     return values
 
 
-def _check_schema(path: Path, file: Any) -> None:
-    """Refuse what is no result, or one that this program would misread."""
+def check_schema(path: Path, file: Any) -> None:
+    """Refuse what is no result, or one that this program would misread.
+
+    Parameters
+    ----------
+    path : Path
+        Names the file in messages.
+    file : h5py.File
+        Open for reading.
+
+    Raises
+    ------
+    InputError
+        With what it is instead.
+    """
     version = str(file.attrs.get("ddic_schema", ""))
     if not version or schema.VTKHDF not in file:
         raise InputError(f"{path}: an HDF5 file, but not a ddic result; give a file written by ddic run")

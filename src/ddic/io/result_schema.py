@@ -11,7 +11,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from ddic.separated.separated_field import SeparatedField
 
-SCHEMA_VERSION = "1.6"
+SCHEMA_VERSION = "1.7"
 VTKHDF_VERSION = (2, 0)
 
 VTKHDF = "VTKHDF"
@@ -33,6 +33,7 @@ STATUS, FAILURE = "status", "failure"
 CONVERGED, NOT_CONVERGED = "converged", "not converged"
 SHOWS = "shows"
 NEAR_PREFIX = "near_"
+SERIES, STEPS, FRAMES = "series", "VTKHDF/Steps", "frames"
 ATTRIBUTE_GROUPS = (CASE, PROVENANCE, TIME, UNITS)
 
 DISPLACEMENT = "displacement"
@@ -153,7 +154,8 @@ def cell_fields(n_cameras: int = 1) -> tuple[FieldSpec, ...]:
         FieldSpec(EQUIVALENT_ERROR, 1, np.float64, "px", "error that would leave the residual beyond noise"),
         FieldSpec(DOUBTFUL, 1, np.uint8, "1", "1 where the residual is that of an error, or no pixel counts"),
         FieldSpec(EXCLUDED, 1, np.uint8, "1", "0 where the cell is measured, else why not: 1 it has no texture, 2 it "
-                  "shows something else than the reference, 3 too few of its pixels are in both images"),
+                  "shows something else than the reference, 3 too few of its pixels are in both images; 4 its pixels "
+                  "count as at the start, since mechanics hold it back"),
         FieldSpec(SUBDOMAIN_ID, 1, np.int32, "1", "subdomain that owns the cell"),
         FieldSpec(GLOBAL_CELL_ID, 1, np.int64, "1", "number of the cell in the whole mesh"),
     )
@@ -262,6 +264,38 @@ def not_converged_path(result: Path) -> Path:
         In the same folder, NAME.not_converged.vtkhdf.
     """
     return _insert(result, "not_converged")
+
+
+def frames_path(result: Path) -> Path:
+    """Name the folder that holds the finished frames of a series until it is whole.
+
+    Parameters
+    ----------
+    result : Path
+        The result file of the series.
+
+    Returns
+    -------
+    Path
+        In the same folder, NAME.frames.
+    """
+    return result.with_suffix(".frames")
+
+
+def frame_group(number: int) -> str:
+    """Name the group with what a series knows of a frame beside its fields.
+
+    Parameters
+    ----------
+    number : int
+        From 1.
+
+    Returns
+    -------
+    str
+        ``frames/000001``, ``frames/000002``, ...
+    """
+    return f"{FRAMES}/{number:06d}"
 
 
 def earlier_path(result: Path) -> Path:

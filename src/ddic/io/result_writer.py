@@ -141,6 +141,18 @@ class ResultWriter:
         self._refuse_missing_pieces()
         return read_open_file(Path() if self._path is None else self._path, self._file)
 
+    def read_image(self) -> bytes:
+        """Read the content of a file in memory.
+
+        Returns
+        -------
+        bytes
+            As it would be on the disk.
+        """
+        self._refuse_missing_pieces()
+        self._file.flush()
+        return bytes(self._file.id.get_file_image())
+
     def create_pieces(self, sizes: Sequence[PieceSize], point_fields: Sequence[FieldSpec],
                       cell_fields: Sequence[FieldSpec]) -> None:
         """Make room for a mesh in pieces, and its fields.
@@ -270,6 +282,20 @@ class ResultWriter:
         target = self._file.require_group(group)
         for number, curve in enumerate(curves):
             target[f"{number:04d}"] = np.asarray(curve, np.float64)
+
+    def write_arrays(self, group: str, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Write arrays as they are.
+
+        Parameters
+        ----------
+        group : str
+            Name of the group.
+        arrays : dict of array
+            By name, of any shapes.
+        """
+        target = self._file.require_group(group)
+        for name, values in arrays.items():
+            target[name] = values
 
     def write_separated(self, field: SeparatedField) -> None:
         """Write the products that a displacement is a sum of, in the image's axes whatever the mesh's are.

@@ -52,6 +52,41 @@ def prepare_recipe(team: Team, inputs: Inputs, listener: Listener, clock: PhaseC
     return Session(team, inputs, listener, clock, first_frame)
 
 
+class NoiseFloor:
+    """Noise floors of the frames of a series: of the first by linear steps, of the others by their residuals.
+
+    Parameters
+    ----------
+    recipe : Session
+        That measures them.
+    clock : PhaseClock
+        Of the phases.
+    """
+
+    def __init__(self, recipe: Session, clock: PhaseClock) -> None:
+        self._recipe, self._clock = recipe, clock
+        self._by_grey_level: float | None = None
+
+    def estimate(self, measurement: Measurement) -> float:
+        """Estimate that of a frame; collective.
+
+        Parameters
+        ----------
+        measurement : Measurement
+            Of the frame.
+
+        Returns
+        -------
+        float
+            RMS of a component at a node, pixels; nan where a linear step fails.
+        """
+        deviation = measurement.evaluation.grey[0].residual_std
+        if self._by_grey_level is None:
+            floor = estimate_noise_floor(self._recipe, measurement, self._clock)
+            self._by_grey_level = floor / max(deviation, 1e-300)
+        return self._by_grey_level * deviation
+
+
 def estimate_noise_floor(recipe: Recipe, measurement: Measurement | SeparatedMeasurement, clock: PhaseClock) -> float:
     """Estimate what noise of the residual's size leaves in a measured displacement; collective.
 

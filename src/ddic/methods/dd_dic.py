@@ -72,6 +72,11 @@ class Session:
                  trace: TracebackType | None) -> None:
         self.close()
 
+    def begin_anew(self) -> None:
+        """Forget what earlier frames have changed of the operators; collective."""
+        if self.problem.is_set_up:
+            self.problem.begin_anew()
+
     def measure(self, frame: Frame, start: KnownStart | None = None) -> Measurement:
         """Measure the displacement between the reference images and a frame; collective.
 

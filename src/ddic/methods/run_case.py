@@ -1,10 +1,12 @@
-"""A whole run: inputs checked, field measured, result and summary written."""
+"""A whole run of a pair: inputs checked, field measured, result and summary written."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from ddic.errors import DdicError
+from ddic.case.frame_files import is_series
+from ddic.case.loader import LoadedCase
+from ddic.errors import DdicError, InputError, as_collective
 from ddic.methods.choose_recipe import estimate_noise_floor, prepare_recipe
 from ddic.methods.detect import find_discontinuity
 from ddic.parallel.phases import Phase, PhaseClock
@@ -18,7 +20,7 @@ from ddic.results.summary import Summary
 
 
 def run_case(team: Team, path: Path, listener: Listener) -> Summary:
-    """Run a case file; collective.
+    """Run the case file of a pair; collective.
 
     Parameters
     ----------
@@ -40,7 +42,33 @@ def run_case(team: Team, path: Path, listener: Listener) -> Summary:
         On all ranks. Where the measurement does not converge, its last field is written under a name that says so, and
         an earlier result is moved out of the way; the message says where both are.
     """
-    loaded = team.on_root(lambda: load_checked_case(path, team.size))
+    return run_pair(team, team.on_root(lambda: load_checked_case(path, team.size)), listener)
+
+
+def run_pair(team: Team, loaded: LoadedCase, listener: Listener) -> Summary:
+    """Run a case that was loaded; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    loaded : LoadedCase
+        Checked, with one deformed image of each camera.
+    listener : Listener
+        Told what happens.
+
+    Returns
+    -------
+    Summary
+        Also written beside the result.
+
+    Raises
+    ------
+    DdicError
+        As ``run_case`` does.
+    """
+    if is_series(loaded.case):
+        raise as_collective(InputError(f"{loaded.path}: images.deformed: names a series, one image is expected here"))
     output, start = loaded.case.output, loaded.case.start.from_result
     clock = PhaseClock(entered=listener.phase, advanced=listener.progress, waiting=team.waiting)
     try:

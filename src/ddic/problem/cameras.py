@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.case.frame_files import list_cameras, list_deformed
 from ddic.case.schema import Case, ImagesSection, NearSection
 from ddic.errors import InputError
 from ddic.images.camera import CameraMapping, identity, similarity
@@ -153,7 +154,7 @@ def open_cameras(case: Case, opener: Opener) -> tuple[Camera, ...]:
     return tuple(cameras)
 
 
-def open_frame(case: Case, opener: Opener) -> Frame:
+def open_frame(case: Case, opener: Opener, number: int = 0) -> Frame:
     """Open the deformed images of a case.
 
     Parameters
@@ -162,6 +163,8 @@ def open_frame(case: Case, opener: Opener) -> Frame:
         With absolute paths.
     opener : Opener
         Opens image files.
+    number : int, optional
+        Of the frame of a series, from 0; the first by default.
 
     Returns
     -------
@@ -173,8 +176,8 @@ def open_frame(case: Case, opener: Opener) -> Frame:
     InputError
         Where a file cannot be read.
     """
-    sections: list[ImagesSection | NearSection] = [case.images, *case.near]
-    return tuple(_masked(opener, section, section.deformed, section.deformed_mask) for section in sections)
+    return tuple(_masked(opener, section, list_deformed(section)[number], section.deformed_mask)
+                 for section in list_cameras(case))
 
 
 def _open_reference(section: ImagesSection | NearSection, opener: Opener) -> MaskedSource:

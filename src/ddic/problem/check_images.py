@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ddic.case.frame_files import list_deformed
 from ddic.case.schema import ImagesSection, NearSection
 from ddic.errors import InputError
 from ddic.images.grey_levels import check_finite
@@ -29,10 +30,11 @@ def check_images(images: ImagesSection | NearSection, problems: Problems) -> Ima
         The reference image; None where it cannot be read.
     """
     reference = _check_image(images.reference, images.reference_mask, problems)
-    deformed = _check_image(images.deformed, images.deformed_mask, problems)
-    if reference is not None and deformed is not None:
-        with problems.gathered():
-            _check_same_size(reference, deformed)
+    for path in list_deformed(images):
+        deformed = _check_image(path, images.deformed_mask, problems)
+        if reference is not None and deformed is not None:
+            with problems.gathered():
+                _check_same_size(reference, deformed)
     return reference
 
 

@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+from ddic.case.frame_files import list_deformed
 from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case, ImagesSection, MeshSection, NearSection
 from ddic.errors import InputError
@@ -82,7 +83,7 @@ def _list_inputs(case: Case) -> Iterator[Path | None]:
 
 def _list_images(images: ImagesSection | NearSection) -> Iterator[Path | None]:
     yield images.reference
-    yield images.deformed
+    yield from list_deformed(images)
     yield images.reference_mask
     yield images.deformed_mask
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from ddic.case.frame_files import choose_frame, list_deformed
 from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case
 from ddic.kinematics.kinematics import RegionKinematics
@@ -58,13 +59,31 @@ class Inputs:
     n_frames: int = 1
     choice: SolverChoice | None = None
 
+    def at_frame(self, number: int) -> Inputs:
+        """Give the inputs of one frame of a series.
+
+        Parameters
+        ----------
+        number : int
+            Of the frame, from 0.
+
+        Returns
+        -------
+        Inputs
+            With its images in the case.
+        """
+        choice = self.choice
+        if choice is not None:
+            choice = replace(choice, asked=choose_frame(choice.asked, number), case=choose_frame(choice.case, number))
+        return replace(self, case=choose_frame(self.case, number), choice=choice)
+
     @property
     def asked_case(self) -> Case:
         """The case as it was given."""
         return self.case if self.choice is None else self.choice.asked
 
 
-def open_inputs(team: Team, loaded: LoadedCase) -> tuple[Inputs, Frame]:
+def open_inputs(team: Team, loaded: LoadedCase, number: int = 0) -> tuple[Inputs, Frame]:
     """Open the images of a case on all ranks; collective.
 
     Parameters
@@ -73,6 +92,8 @@ def open_inputs(team: Team, loaded: LoadedCase) -> tuple[Inputs, Frame]:
         All ranks.
     loaded : LoadedCase
         The case file.
+    number : int, optional
+        Of the frame of a series, from 0; the first by default.
 
     Returns
     -------
@@ -92,5 +113,6 @@ def open_inputs(team: Team, loaded: LoadedCase) -> tuple[Inputs, Frame]:
     image = cameras[0].reference.image
     inputs = Inputs(case, cameras, lambda: build_meshes(case, image.width, image.height),
                     case_path=loaded.path, case_text=loaded.text,
-                    rectangle=None if case.pgd is None else find_rectangle_of_case(case))
-    return inputs, open_frame(case, opener)
+                    rectangle=None if case.pgd is None else find_rectangle_of_case(case),
+                    n_frames=len(list_deformed(case.images)))
+    return inputs, open_frame(case, opener, number)

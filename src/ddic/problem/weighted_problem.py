@@ -79,6 +79,8 @@ class WeightedProblem:
         self._assembled_from = AssembledFrom.all_of(reference.references)
         # By which the stiffness is turned, radians.
         self._stiffness_angle = 0.0
+        # Whether a frame has changed M or K.
+        self._is_changed = False
         cameras = reference.inputs.cameras
         given = [camera.noise for camera in cameras]
         if len(cameras) == 1:
@@ -231,7 +233,7 @@ class WeightedProblem:
     def _turn_stiffness(self, angle: float) -> None:
         """Set the systems up anew, with R K R^T; where that fails, the old ones stay."""
         before, old = self._stiffness_angle, self.solver
-        self._stiffness_angle = angle
+        self._stiffness_angle, self._is_changed = angle, True
         try:
             self._weigh(self._weights)
         except BaseException:
@@ -302,12 +304,22 @@ class WeightedProblem:
             self.solver.renew(renewal.systems)
             # Not before: where the factorisation fails, the next frame asks for it again.
             self._assembled_from = renewal.assembled_from
+            self._is_changed |= bool(renewal.notes)
             if model.rotation is not None:
                 # Of the rows that count now.
                 model = replace(model, rotation=HeldRotation(self.team, tuple(self.solver.assembly.systems)))
         if self._size is None:
             self._size = measure_problem_size(self.team, self.reference, self.solver)
         return replace(model, filled=renewal.filled), renewal.notes
+
+    def begin_anew(self) -> None:
+        """Take M and K back to what the reference images give, where frames have changed them; collective.
+
+        What the next frame comes to then depends on its images and its start alone.
+        """
+        if self._is_changed:
+            self._turn_stiffness(0.0)
+            self._is_changed = False
 
     def destroy(self) -> None:
         """Free PETSc's objects."""

@@ -43,6 +43,20 @@ class Listener(Protocol):
         """
         ...
 
+    def frame(self, number: int, n_frames: int, image: str) -> None:
+        """Take note of a frame of a series that begins.
+
+        Parameters
+        ----------
+        number : int
+            From 1.
+        n_frames : int
+            Of the series.
+        image : str
+            Name of its file.
+        """
+        ...
+
     def problem_size(self, size: ProblemSize) -> None:
         """Take note of what is about to be solved.
 
@@ -86,6 +100,9 @@ class Silence(Listener):
     def note(self, line: str) -> None:
         """Ignore."""
 
+    def frame(self, number: int, n_frames: int, image: str) -> None:
+        """Ignore."""
+
     def problem_size(self, size: ProblemSize) -> None:
         """Ignore."""
 
@@ -118,6 +135,10 @@ class WithoutNotes(Listener):
 
     def note(self, line: str) -> None:
         """Ignore."""
+
+    def frame(self, number: int, n_frames: int, image: str) -> None:
+        """Pass it on."""
+        self._listener.frame(number, n_frames, image)
 
     def problem_size(self, size: ProblemSize) -> None:
         """Pass it on."""

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,8 @@ from ddic.io.result_writer import ResultWriter
 from ddic.parallel.team import Team, require_held
 from ddic.results.phase_times import PhaseTimes
 from ddic.results.provenance import collect_provenance
+
+T = TypeVar("T")
 
 
 class Publishable(Protocol):
@@ -99,7 +102,7 @@ def publish(measurement: Publishable, destination: Destination) -> None:
     OSError
         Where it cannot be written, on all ranks.
     """
-    _write(measurement, destination)
+    _write(measurement, destination, lambda _: None)
 
 
 def gather(measurement: Publishable) -> Result:
@@ -115,10 +118,34 @@ def gather(measurement: Publishable) -> Result:
     Result
         As a result file would hold it, in memory, on every rank.
     """
-    return measurement.team.broadcast(_write(measurement, Destination(None), read_back=True))
+    return measurement.team.broadcast(_write(measurement, Destination(None), ResultWriter.read_back))
 
 
-def _write(measurement: Publishable, destination: Destination, *, read_back: bool = False) -> Result | None:
+def pack(measurement: Publishable, destination: Destination, add: Callable[[ResultWriter], None]) -> bytes | None:
+    """Make a result file in memory, for somebody else to write; collective.
+
+    Parameters
+    ----------
+    measurement : Publishable
+        What was measured.
+    destination : Destination
+        How it is written; its path is not looked at.
+    add : callable
+        Writes what else belongs in the file, on rank 0.
+
+    Returns
+    -------
+    bytes or None
+        Content of the file, on rank 0.
+    """
+    def finish(writer: ResultWriter) -> bytes:
+        add(writer)
+        return writer.read_image()
+
+    return _write(measurement, replace(destination, path=None), finish)
+
+
+def _write(measurement: Publishable, destination: Destination, take: Callable[[ResultWriter], T]) -> T | None:
     """Write a measurement; what fails on rank 0, a full disk, say, is raised on all ranks, and leaves no file."""
     team = measurement.team
     with ExitStack() as stack:
@@ -126,12 +153,12 @@ def _write(measurement: Publishable, destination: Destination, *, read_back: boo
             lambda: stack.enter_context(ResultWriter(destination.path, flip_y=destination.flip_y)))
         measurement.write(writer)
 
-        def finish() -> Result | None:
+        def finish() -> T:
             opened = require_held(writer)
             if destination.times is not None:
                 _write_times(opened, destination.times)
             opened.write_attributes(schema.PROVENANCE, collect_provenance(measurement.describe_origin()))
-            return opened.read_back() if read_back else None
+            return take(opened)
 
         result = team.build_on_root(finish)
         # Closing writes as well: what is left in HDF5's cache, then the file's name.

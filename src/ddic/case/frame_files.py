@@ -1,0 +1,221 @@
+"""The deformed images of a case: one, or those of a series, in order and with their times."""
+
+from __future__ import annotations
+
+import re
+from glob import glob
+from itertools import pairwise
+from pathlib import Path
+from typing import TypeVar
+
+from ddic.case.schema import Case, ImagesSection, NearSection
+from ddic.errors import InputError
+
+Section = TypeVar("Section", ImagesSection, NearSection)
+
+PATTERN = re.compile(r"[*?\[]")
+"""What makes a path a pattern."""
+
+
+def is_series(case: Case) -> bool:
+    """Tell whether a case names several deformed images, be it a list of one.
+
+    Parameters
+    ----------
+    case : Case
+        As ``expand_frames`` gives it.
+
+    Returns
+    -------
+    bool
+        Whether they are measured one after the other.
+    """
+    return isinstance(case.images.deformed, tuple)
+
+
+def list_cameras(case: Case) -> list[ImagesSection | NearSection]:
+    """List what a case says of each camera's images.
+
+    Parameters
+    ----------
+    case : Case
+        Any.
+
+    Returns
+    -------
+    list of ImagesSection and NearSection
+        The far camera first.
+    """
+    return [case.images, *case.near]
+
+
+def list_deformed(section: ImagesSection | NearSection) -> tuple[Path, ...]:
+    """List the deformed images of a camera.
+
+    Parameters
+    ----------
+    section : ImagesSection or NearSection
+        As ``expand_frames`` gives it.
+
+    Returns
+    -------
+    tuple of Path
+        In the order of measuring; one where the case is no series.
+    """
+    return section.deformed if isinstance(section.deformed, tuple) else (section.deformed,)
+
+
+def list_times(case: Case) -> tuple[float, ...]:
+    """List the times of the deformed images.
+
+    Parameters
+    ----------
+    case : Case
+        As ``expand_frames`` gives it.
+
+    Returns
+    -------
+    tuple of float
+        Units chosen by the user; without any, the number of each image after the reference's time.
+    """
+    images = case.images
+    if isinstance(images.deformed_time, tuple):
+        return images.deformed_time
+    if not is_series(case):
+        return (images.deformed_time,)
+    step = 1.0 if images.frame_interval is None else images.frame_interval
+    return tuple(images.reference_time + step * (k + 1) for k in range(len(list_deformed(images))))
+
+
+def expand_frames(case: Case, file: Path) -> Case:
+    """Put the files that exist in the place of patterns, and check that a series makes sense.
+
+    Parameters
+    ----------
+    case : Case
+        With absolute paths.
+    file : Path
+        The case file, for messages.
+
+    Returns
+    -------
+    Case
+        With a tuple of images where there is a series.
+
+    Raises
+    ------
+    InputError
+        With one line a problem.
+    """
+    images, problems = _expand(case.images, "images", file)
+    near = []
+    for number, section in enumerate(case.near, start=1):
+        expanded, of_section = _expand(section, f"near, entry {number}", file)
+        near.append(expanded)
+        problems += of_section
+    expanded_case = case.model_copy(update={"images": images, "near": tuple(near)})
+    if not problems:
+        problems = [f"{file}: {line}" for line in _list_contradictions(expanded_case)]
+    if problems:
+        raise InputError(problems)
+    # A copy is said to give every key that it changes.
+    return expanded_case if near else case.model_copy(update={"images": images})
+
+
+def _expand(section: Section, name: str, file: Path) -> tuple[Section, list[str]]:
+    """A section with files in place of patterns, and what is wrong."""
+    given = section.deformed
+    if isinstance(given, Path) and not _is_pattern(given):
+        return section, []
+    found: list[Path] = []
+    problems = []
+    for path in given if isinstance(given, tuple) else (given,):
+        matches = _match(path) if _is_pattern(path) else [path]
+        found += matches
+        if not matches:
+            problems.append(f"{file}: {name}: deformed = \"{path}\": no file matches this pattern; check the folder")
+    return section.model_copy(update={"deformed": tuple(found)}), problems
+
+
+def _is_pattern(path: Path) -> bool:
+    # A file may be called so.
+    return PATTERN.search(str(path)) is not None and not path.is_file()
+
+
+def _match(pattern: Path) -> list[Path]:
+    """Files that match, in the order in which people number them: 2 before 10."""
+    return sorted((Path(name) for name in glob(str(pattern))), key=_split_numbers)
+
+
+def _split_numbers(path: Path) -> list[tuple[int, int, str]]:
+    parts = re.split(r"(\d+)", str(path))
+    return [(1, int(part), part) if part.isdecimal() else (0, 0, part) for part in parts]
+
+
+def _list_contradictions(case: Case) -> list[str]:
+    """What does not go together in a case with or without a series, a line each."""
+    if not is_series(case):
+        return _list_idle_keys(case)
+    lines = []
+    n_frames = len(list_deformed(case.images))
+    for number, section in enumerate(case.near, start=1):
+        n_near = len(list_deformed(section))
+        if n_near != n_frames:
+            lines.append(f"near, entry {number}: deformed: {n_near} images, but images.deformed has {n_frames}; give "
+                         "one of each camera for every frame")
+    times = case.images.deformed_time
+    if isinstance(times, tuple):
+        if len(times) != n_frames:
+            lines.append(f"images.deformed_time: {len(times)} times for {n_frames} images; give one of each")
+        elif any(b <= a for a, b in pairwise(times)):
+            lines.append("images.deformed_time: times have to grow; put the images in order")
+        if case.images.frame_interval is not None:
+            lines.append("images.frame_interval and a list in images.deformed_time: give one of them")
+    elif "deformed_time" in case.images.model_fields_set:
+        lines.append(f"images.deformed_time: one time for {n_frames} images; give a list, or images.frame_interval")
+    if case.pgd is not None:
+        lines.append("images.deformed: [pgd] measures one pair at a time; give one image")
+    if any(line.vertices is None for line in case.discontinuity):
+        lines.append("images.deformed: a line that is looked for needs one pair; find it on one image first, and give "
+                     "discontinuity.vertices")
+    return lines
+
+
+def _list_idle_keys(case: Case) -> list[str]:
+    lines = []
+    if isinstance(case.images.deformed_time, tuple):
+        lines.append("images.deformed_time: a list goes with several images.deformed; give one number")
+    if case.images.frame_interval is not None:
+        lines.append("images.frame_interval goes with several images.deformed; give images.deformed_time")
+    if "series" in case.model_fields_set:
+        lines.append("[series] goes with several images.deformed: a list, or a pattern such as \"frame_*.tif\"")
+    lines += [f"near, entry {number}: deformed: several images beside one images.deformed; give as many"
+              for number, section in enumerate(case.near, start=1) if isinstance(section.deformed, tuple)]
+    return lines
+
+
+def choose_frame(case: Case, number: int) -> Case:
+    """Give the case of one frame of a series.
+
+    Parameters
+    ----------
+    case : Case
+        As ``expand_frames`` gives it.
+    number : int
+        Of the frame, from 0.
+
+    Returns
+    -------
+    Case
+        With one deformed image of each camera and its time; without residual images, unless they are asked for.
+    """
+    if not is_series(case):
+        return case
+    images = case.images.model_copy(update={
+        "deformed": list_deformed(case.images)[number], "deformed_time": list_times(case)[number],
+        "frame_interval": None})
+    near = tuple(section.model_copy(update={"deformed": list_deformed(section)[number]}) for section in case.near)
+    changes: dict[str, object] = {"images": images, "near": near}
+    if "residual_image" not in case.output.model_fields_set:
+        changes["output"] = case.output.model_copy(update={"residual_image": False})
+    return case.model_copy(update=changes)

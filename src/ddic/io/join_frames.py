@@ -1,0 +1,152 @@
+"""One result file of many: the frames of a series as steps of a VTKHDF file, which ParaView plays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import h5py
+import numpy as np
+
+from ddic.io import result_schema as schema
+from ddic.io.physical_sidecar import write_physical_sidecar
+from ddic.io.replace_on_exit import replaced_on_exit
+from ddic.io.series_folder import SeriesFolder
+
+GEOMETRY = ("NumberOfPoints", "NumberOfCells", "NumberOfConnectivityIds", "Points", "Connectivity", "Offsets", "Types")
+CHUNK_BYTES = 1 << 20
+"""Of the datasets that grow by a frame at a time. Larger chunks read whole frames faster, single nodes slower."""
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where the geometry of a step begins in the file: its parts, points, cells and connectivity."""
+
+    part: int = 0
+    point: int = 0
+    cell: int = 0
+    connectivity: int = 0
+
+
+def join_frames(folder: SeriesFolder, numbers: Sequence[int], records: Sequence[str], origin: str) -> None:
+    """Join result files of frames to one with steps.
+
+    Geometry that stays is written once. What is no field is kept by frame, so that each can be read as a result.
+
+    Parameters
+    ----------
+    folder : SeriesFolder
+        Of the frames; its result is written.
+    numbers : sequence of int
+        Of the frames that were measured, from 1, in order; at least one.
+    records : sequence of str
+        Of all frames, measured or not, as JSON.
+    origin : str
+        What they were measured from, as JSON.
+
+    Raises
+    ------
+    OSError
+        Where it cannot be written.
+    """
+    target = folder.result
+    with replaced_on_exit(target) as temporary, h5py.File(temporary, "w") as file:
+        with h5py.File(folder.name_frame(numbers[0]), "r") as first:
+            for name in ("ddic_schema", "y_axis"):
+                file.attrs[name] = first.attrs[name]
+        file.attrs[schema.STATUS], file.attrs[schema.FAILURE] = schema.CONVERGED, ""
+        group = file.create_group(schema.VTKHDF)
+        group.attrs["Version"] = np.array(schema.VTKHDF_VERSION, np.int64)
+        group.attrs.create("Type", np.bytes_("UnstructuredGrid"))
+        places: list[tuple[_Place, int]] = []
+        times = []
+        for number in numbers:
+            with h5py.File(folder.name_frame(number), "r") as source:
+                places.append(_add_geometry(group, source[schema.VTKHDF], places))
+                for kind in (schema.POINT_DATA, schema.CELL_DATA):
+                    _add_fields(file.require_group(kind), source[kind])
+                times.append(float(source[schema.TIME].attrs["deformed"]))
+                _copy_rest(source, file.create_group(schema.frame_group(number)))
+        _write_steps(group, places, times)
+        series = file.create_group(schema.SERIES)
+        series.attrs["numbers"] = np.array(numbers, np.int64)
+        series.attrs["origin"] = origin
+        series["records"] = np.array(list(records), dtype=h5py.string_dtype())
+        has_units = "displacement_physical" in file[schema.POINT_DATA]
+        if has_units:
+            file.copy(file[f"{schema.frame_group(numbers[0])}/{schema.UNITS}"], file, schema.UNITS)
+    if has_units:
+        write_physical_sidecar(target)
+    else:
+        schema.physical_path(target).unlink(missing_ok=True)
+
+
+def _add_geometry(group: Any, source: Any, places: Sequence[tuple[_Place, int]]) -> tuple[_Place, int]:
+    """Where a step's geometry stands: that of the last step, or its own behind all others; with its number of parts."""
+    n_parts = len(source["NumberOfPoints"])
+    if not places:
+        for name in GEOMETRY:
+            _create_growing(group, name, source[name])
+        return _Place(), n_parts
+    last, n_last = places[-1]
+    begin = {"Points": last.point, "Connectivity": last.connectivity, "Offsets": last.cell + last.part,
+             "Types": last.cell}
+    is_same = n_parts == n_last and all(
+        np.array_equal(source[name], group[name][begin.get(name, last.part):][:len(source[name])]) for name in GEOMETRY)
+    if is_same:
+        return last, n_parts
+    place = _Place(len(group["NumberOfPoints"]), len(group["Points"]), len(group["Types"]), len(group["Connectivity"]))
+    for name in GEOMETRY:
+        _append(group[name], source[name][...])
+    return place, n_parts
+
+
+def _add_fields(group: Any, source: Any) -> None:
+    for name, values in source.items():
+        if name in group:
+            _append(group[name], values[...])
+        else:
+            _create_growing(group, name, values)
+
+
+def _create_growing(group: Any, name: str, values: Any) -> None:
+    row_bytes = max(1, values.dtype.itemsize * int(np.prod(values.shape[1:])))
+    rows = max(1, min(len(values), CHUNK_BYTES // row_bytes))
+    made = group.create_dataset(name, data=values[...], maxshape=(None, *values.shape[1:]),
+                                chunks=(rows, *values.shape[1:]))
+    for key, value in values.attrs.items():
+        made.attrs[key] = value
+
+
+def _append(dataset: Any, values: Any) -> None:
+    n_before = len(dataset)
+    dataset.resize(n_before + len(values), axis=0)
+    dataset[n_before:] = values
+
+
+def _copy_rest(source: Any, target: Any) -> None:
+    """Copy what is neither geometry nor field, nor needed by later frames only."""
+    for name in source:
+        if name not in (schema.VTKHDF, schema.SERIES):
+            source.copy(name, target)
+    for key in (schema.STATUS, schema.FAILURE):
+        target.attrs[key] = source.attrs[key]
+
+
+def _write_steps(group: Any, places: Sequence[tuple[_Place, int]], times: Sequence[float]) -> None:
+    """Where each step's geometry and fields begin, as VTKHDF wants it."""
+    steps = group.create_group("Steps")
+    steps.attrs["NSteps"] = len(times)
+    steps["Values"] = np.array(times)
+    steps["PartOffsets"] = np.array([place.part for place, _ in places], np.int64)
+    steps["NumberOfParts"] = np.array([n_parts for _, n_parts in places], np.int64)
+    steps["PointOffsets"] = np.array([place.point for place, _ in places], np.int64)
+    # One column for each kind of cells that VTK keeps apart: one of an unstructured grid.
+    steps["CellOffsets"] = np.array([[place.cell] for place, _ in places], np.int64)
+    steps["ConnectivityIdOffsets"] = np.array([[place.connectivity] for place, _ in places], np.int64)
+    for kind, counted in (("PointData", "NumberOfPoints"), ("CellData", "NumberOfCells")):
+        sizes = [int(group[counted][place.part:place.part + n_parts].sum()) for place, n_parts in places]
+        offsets = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64)
+        for name in group[kind]:
+            steps[f"{kind}Offsets/{name}"] = offsets

@@ -1,0 +1,194 @@
+"""The folder of a series that is not finished: a file for each frame that is, and what the next one needs."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.errors import InputError
+from ddic.io import result_schema as schema
+from ddic.io.replace_on_exit import replaced_on_exit
+
+Array = NDArray[np.float64]
+
+ORIGIN = "series.json"
+"""What the frames in a folder were measured from."""
+
+
+@dataclass(frozen=True)
+class FrameState:
+    """What frames after a finished one need of it.
+
+    Attributes
+    ----------
+    time : float
+        Unit chosen by the user.
+    unknowns : dict of int to (n_unknowns,) array
+        By subdomain.
+    noise : tuple of float
+        By which cameras are weighted, grey levels; empty with one camera.
+    """
+
+    time: float
+    unknowns: Mapping[int, Array]
+    noise: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class SeriesFolder:
+    """Where the frames of a series stand until all are finished.
+
+    Attributes
+    ----------
+    result : Path
+        The result file of the whole series.
+    n_frames : int
+        That are to be measured.
+    """
+
+    result: Path
+    n_frames: int
+
+    @property
+    def path(self) -> Path:
+        """The folder, beside the result."""
+        return schema.frames_path(self.result)
+
+    def name_frame(self, number: int) -> Path:
+        """Name the file of a finished frame.
+
+        Parameters
+        ----------
+        number : int
+            From 1.
+
+        Returns
+        -------
+        Path
+            A result file.
+        """
+        return self.path / f"{number:06d}.vtkhdf"
+
+    def name_failure(self, number: int) -> Path:
+        """Name the file that says why a frame could not be measured.
+
+        Parameters
+        ----------
+        number : int
+            From 1.
+
+        Returns
+        -------
+        Path
+            The record of the frame.
+        """
+        return self.path / f"{number:06d}.failed.json"
+
+    def begin(self, origin: Mapping[str, object], *, resume: bool) -> dict[int, str]:
+        """Make the folder, or look what an earlier run left in it.
+
+        Parameters
+        ----------
+        origin : mapping
+            What the series is measured from, as JSON has it.
+        resume : bool
+            Whether to go on from what is there.
+
+        Returns
+        -------
+        dict of int to str
+            Records of the finished frames, by number.
+
+        Raises
+        ------
+        InputError
+            Where another series stands there, or one that shall not be gone on with.
+        """
+        if not self.path.exists():
+            finished = self._read_whole(origin) if resume else {}
+            if finished:
+                return finished
+            self.path.mkdir()
+            with replaced_on_exit(self.path / ORIGIN) as temporary:
+                temporary.write_text(json.dumps(origin), encoding="utf-8")
+            return {}
+        self._require_same(origin)
+        finished = self._list_finished()
+        if not resume and finished:
+            raise InputError(f"{self.path} holds {len(finished)} of {self.n_frames} frames of a series that was not "
+                             "finished: go on with --resume, or remove the folder to begin anew")
+        return finished
+
+    def _read_whole(self, origin: Mapping[str, object]) -> dict[int, str]:
+        """Records of a series that an earlier run has finished; none where there is another file, or no file."""
+        if not self.result.is_file() or not h5py.is_hdf5(self.result):
+            return {}
+        with h5py.File(self.result, "r") as file:
+            if schema.STEPS not in file or file[schema.SERIES].attrs["origin"] != json.dumps(origin):
+                return {}
+            records = file[schema.SERIES]["records"].asstr()[...]
+        return dict(enumerate(records, start=1)) if len(records) == self.n_frames else {}
+
+    def _require_same(self, origin: Mapping[str, object]) -> None:
+        try:
+            before = json.loads((self.path / ORIGIN).read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise InputError(f"{self.path}: stands where the frames of this series are kept, but is no such folder "
+                             f"({error}); remove it, or choose another output.file") from error
+        changed = sorted(key for key in {*before, *origin} if before.get(key) != origin.get(key))
+        if changed:
+            raise InputError(f"{self.path} holds frames of another series ({', '.join(changed)} differ); remove the "
+                             "folder to begin anew, or choose another output.file")
+
+    def _list_finished(self) -> dict[int, str]:
+        found = {}
+        for number in range(1, self.n_frames + 1):
+            failed, finished = self.name_failure(number), self.name_frame(number)
+            if finished.is_file():
+                with h5py.File(finished, "r") as file:
+                    found[number] = str(file[schema.SERIES].attrs["record"])
+            elif failed.is_file():
+                found[number] = failed.read_text(encoding="utf-8")
+        return found
+
+    def read_state(self, number: int) -> FrameState:
+        """Read what the next frame needs of a finished one.
+
+        Parameters
+        ----------
+        number : int
+            From 1.
+
+        Returns
+        -------
+        FrameState
+            All subdomains.
+        """
+        with h5py.File(self.name_frame(number), "r") as file:
+            group = file[schema.SERIES]
+            unknowns = {int(name): values[...] for name, values in group["unknowns"].items()}
+            return FrameState(float(group.attrs["time"]), unknowns, tuple(map(float, group.attrs["noise"])))
+
+    def write_failure(self, number: int, record: str) -> None:
+        """Note that a frame could not be measured.
+
+        Parameters
+        ----------
+        number : int
+            From 1.
+        record : str
+            Why, as JSON.
+        """
+        with replaced_on_exit(self.name_failure(number)) as temporary:
+            temporary.write_text(record, encoding="utf-8")
+
+    def remove(self) -> None:
+        """Remove the folder with everything in it."""
+        shutil.rmtree(self.path)

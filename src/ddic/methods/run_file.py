@@ -1,0 +1,48 @@
+"""A whole run of a case file, of a pair or of a series."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ddic.case.frame_files import is_series
+from ddic.errors import InputError, as_collective
+from ddic.methods.run_case import run_pair
+from ddic.methods.run_series import run_series
+from ddic.parallel.team import Team
+from ddic.problem.check_ranks import load_checked_case
+from ddic.results.listener import Listener
+from ddic.results.series_record import SeriesSummary
+from ddic.results.summary import Summary
+
+
+def run_file(team: Team, path: Path, listener: Listener, *, resume: bool = False) -> Summary | SeriesSummary:
+    """Run a case file; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    path : Path
+        The case file.
+    listener : Listener
+        Told what happens.
+    resume : bool
+        Whether to go on with a series where an earlier run stopped.
+
+    Returns
+    -------
+    Summary or SeriesSummary
+        Also written beside the result.
+
+    Raises
+    ------
+    DdicError
+        On all ranks, as ``run_pair`` and ``run_series`` do.
+    """
+    loaded = team.on_root(lambda: load_checked_case(path, team.size))
+    if is_series(loaded.case):
+        return run_series(team, loaded, listener, resume=resume)
+    if resume:
+        raise as_collective(InputError(f"--resume: {path} has one deformed image, no series to go on with; leave "
+                                       "--resume out"))
+    return run_pair(team, loaded, listener)

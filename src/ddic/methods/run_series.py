@@ -1,0 +1,81 @@
+"""A series of deformed images measured from one reference image; what is finished is never lost."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+
+from ddic.case.frame_files import list_deformed
+from ddic.case.loader import LoadedCase
+from ddic.errors import ConvergenceError, as_collective
+from ddic.io.series_folder import SeriesFolder
+from ddic.methods.measure_frames import N_STATES, FramesToMeasure, measure_frames
+from ddic.parallel.phases import Phase, PhaseClock
+from ddic.parallel.team import Team
+from ddic.problem.frame_opener import FrameOpener
+from ddic.problem.inputs import open_inputs
+from ddic.results.finish_series import describe_origin, finish_series
+from ddic.results.listener import Listener
+from ddic.results.series_record import FrameRecord, SeriesSummary
+
+
+def run_series(team: Team, loaded: LoadedCase, listener: Listener, *, resume: bool = False) -> SeriesSummary:
+    """Measure the deformed images of a case in order; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    loaded : LoadedCase
+        Checked, with several deformed images.
+    listener : Listener
+        Told what happens.
+    resume : bool
+        Whether to go on where an earlier run stopped.
+
+    Returns
+    -------
+    SeriesSummary
+        Also written beside the result.
+
+    Raises
+    ------
+    DdicError
+        On all ranks. Where frames could not be measured the others are in the result, and the message says which.
+    """
+    began = time.perf_counter()
+    file, n_frames = loaded.case.output.file, len(list_deformed(loaded.case.images))
+    folder = SeriesFolder(file, n_frames)
+    origin = describe_origin(loaded)
+    texts = team.on_root(lambda: folder.begin(origin, resume=resume))
+    before = {number: FrameRecord.from_json(text) for number, text in texts.items()}
+    records = [*before.values(), *_measure_rest(team, loaded, folder, before, listener)]
+    records.sort(key=lambda record: record.number)
+    summary = SeriesSummary(records, n_frames, str(file), time.perf_counter() - began, len(before),
+                            {"path": str(loaded.path), "toml": loaded.text})
+    team.on_root(lambda: finish_series(folder, summary, origin))
+    if summary.failures:
+        raise as_collective(ConvergenceError(_describe_failures(summary)))
+    return summary
+
+
+def _measure_rest(team: Team, loaded: LoadedCase, folder: SeriesFolder, before: Mapping[int, FrameRecord],
+                  listener: Listener) -> Sequence[FrameRecord]:
+    """Measure the frames that are not finished; collective."""
+    numbers = [number for number in range(1, folder.n_frames + 1) if number not in before]
+    if not numbers:
+        return []
+    clock = PhaseClock(entered=listener.phase, advanced=listener.progress, waiting=team.waiting)
+    with clock.phase(Phase.MESH):
+        inputs, first = open_inputs(team, loaded, numbers[0] - 1)
+    measured = [number for number in sorted(before) if before[number].converged and number < numbers[0]]
+    states = team.on_root(lambda: [folder.read_state(number) for number in measured[-N_STATES:]])
+    wanted = FramesToMeasure(numbers, states, folder, first)
+    return measure_frames(FrameOpener(team, inputs), wanted, listener, clock)
+
+
+def _describe_failures(summary: SeriesSummary) -> str:
+    failures = summary.failures
+    reasons = "; ".join(frame.describe() for frame in failures)
+    kept = "" if len(failures) == len(summary.frames) else f"; the others are in {summary.result_file}"
+    return f"{len(failures)} of {summary.n_frames} frames could not be measured: {reasons}{kept}"

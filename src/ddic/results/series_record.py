@@ -1,0 +1,160 @@
+"""What is told of the frames of a series: each in a line, all in the summary."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ddic.io.replace_on_exit import replaced_on_exit
+
+
+@dataclass(frozen=True)
+class FrameRecord:
+    """One frame of a series.
+
+    Attributes
+    ----------
+    number : int
+        From 1.
+    image : str
+        The far camera's deformed image.
+    time : float
+        Unit chosen by the user.
+    converged : bool
+        Whether it was measured.
+    iterations : int
+        Of Gauss-Newton.
+    residual_std_grey : float
+        Standard deviation of the residual, grey levels.
+    noise_floor_px : float
+        RMS displacement that noise of the residual's size leaves, pixels; nan where it is not estimated.
+    seconds : float
+        Wall time, the slowest rank's.
+    started_from : str
+        Where Gauss-Newton started.
+    failure : str
+        Why it was not measured; empty where it was.
+    notes : sequence of str
+        What the user should know.
+    """
+
+    number: int
+    image: str
+    time: float
+    converged: bool
+    iterations: int = 0
+    residual_std_grey: float = float("nan")
+    noise_floor_px: float = float("nan")
+    seconds: float = float("nan")
+    started_from: str = ""
+    failure: str = ""
+    notes: Sequence[str] = field(default_factory=tuple)
+
+    def as_json(self) -> str:
+        """Write it as JSON, with null for what is not finite.
+
+        Returns
+        -------
+        str
+            One line.
+        """
+        return json.dumps({name: _plain(value) for name, value in asdict(self).items()}, allow_nan=False)
+
+    @classmethod
+    def from_json(cls, text: str) -> FrameRecord:
+        """Read it back.
+
+        Parameters
+        ----------
+        text : str
+            Of ``as_json``.
+
+        Returns
+        -------
+        FrameRecord
+            The same.
+        """
+        values: dict[str, Any] = json.loads(text)
+        finite: dict[str, Any] = {name: float("nan") if value is None else value for name, value in values.items()}
+        return cls(**finite)
+
+    def describe(self) -> str:
+        """Say in a line what became of the frame.
+
+        Returns
+        -------
+        str
+            For the log.
+        """
+        if not self.converged:
+            return f"frame {self.number}: not measured ({self.failure})"
+        return (f"frame {self.number}: {self.iterations} iterations from {self.started_from}, residual "
+                f"{self.residual_std_grey:.3f} grey levels, {self.seconds:.2f} s")
+
+
+@dataclass(frozen=True)
+class SeriesSummary:
+    """What a series came to.
+
+    Attributes
+    ----------
+    frames : sequence of FrameRecord
+        Those that are finished, in order.
+    n_frames : int
+        Those that were asked for.
+    result_file : str
+        Name of the result file; of its folder of frames where it is not whole.
+    seconds : float
+        Wall time of this run.
+    n_resumed : int
+        Frames that an earlier run had finished.
+    case : dict
+        Path and text of the case file.
+    """
+
+    frames: Sequence[FrameRecord]
+    n_frames: int
+    result_file: str
+    seconds: float
+    n_resumed: int = 0
+    case: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether every frame was tried."""
+        return len(self.frames) == self.n_frames
+
+    @property
+    def failures(self) -> list[FrameRecord]:
+        """The frames that could not be measured."""
+        return [frame for frame in self.frames if not frame.converged]
+
+
+def write_series_summary(path: Path, summary: SeriesSummary) -> None:
+    """Write a summary as JSON, under a temporary name that is then changed; numbers that are not finite become null.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    summary : SeriesSummary
+        Its content.
+
+    Raises
+    ------
+    InputError
+        Where the folder cannot be written to.
+    """
+    content = {"converged": summary.is_whole and not summary.failures, "whole": summary.is_whole,
+               **{name: value for name, value in asdict(summary).items() if name != "frames"},
+               "frames": [json.loads(frame.as_json()) for frame in summary.frames]}
+    with replaced_on_exit(path) as temporary:
+        temporary.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _plain(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
