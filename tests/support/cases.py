@@ -51,6 +51,7 @@ class Ears:
     sizes: list[ProblemSize] = field(default_factory=list)
     records: list[IterationRecord] = field(default_factory=list)
     corrections: list[CorrectionRecord] = field(default_factory=list)
+    frames: list[int] = field(default_factory=list)
 
     def phase(self, phase: Phase) -> None:
         self.phases.append(phase)
@@ -60,6 +61,9 @@ class Ears:
 
     def note(self, line: str) -> None:
         self.notes.append(line)
+
+    def frame(self, number: int, n_frames: int, image: str) -> None:
+        self.frames.append(number)
 
     def problem_size(self, size: ProblemSize) -> None:
         self.sizes.append(size)

@@ -125,20 +125,31 @@ def expand_frames(case: Case, file: Path) -> Case:
 def _expand(section: Section, name: str, file: Path) -> tuple[Section, list[str]]:
     """A section with files in place of patterns, and what is wrong."""
     given = section.deformed
-    if isinstance(given, Path) and not _is_pattern(given):
+    if isinstance(given, Path) and not is_pattern(given):
         return section, []
     found: list[Path] = []
     problems = []
     for path in given if isinstance(given, tuple) else (given,):
-        matches = _match(path) if _is_pattern(path) else [path]
+        matches = _match(path) if is_pattern(path) else [path]
         found += matches
         if not matches:
             problems.append(f"{file}: {name}: deformed = \"{path}\": no file matches this pattern; check the folder")
     return section.model_copy(update={"deformed": tuple(found)}), problems
 
 
-def _is_pattern(path: Path) -> bool:
-    # A file may be called so.
+def is_pattern(path: Path) -> bool:
+    """Tell whether a path stands for all files that match it.
+
+    Parameters
+    ----------
+    path : Path
+        Absolute.
+
+    Returns
+    -------
+    bool
+        Not where a file is called so.
+    """
     return PATTERN.search(str(path)) is not None and not path.is_file()
 
 

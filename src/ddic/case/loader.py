@@ -11,7 +11,7 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from ddic.case.frame_files import expand_frames
+from ddic.case.frame_files import expand_frames, is_pattern
 from ddic.case.messages import describe
 from ddic.case.schema import Case, OutputSection
 from ddic.case.sections import Location, find_section_in
@@ -118,7 +118,7 @@ def load_case_leniently(path: Path | str) -> tuple[LoadedCase | None, list[str]]
         return None, problems
     folder = path.resolve().parent
     missing = [f"{file}: no such file; check the path" for file in _list_named_files(data, Case, folder)
-               if not file.is_file()]
+               if not file.is_file() and not is_pattern(file)]
     case = _validate_without_bad_keys(data)
     if case is None:
         # Little else can be said of it.
@@ -159,10 +159,12 @@ def _list_named_files(data: Any, section: type[BaseModel], folder: Path) -> Iter
             yield from _list_named_files(value, inner, folder)
         elif field is not None and _takes_path(field.annotation) and isinstance(value, str):
             yield (folder / value).resolve()
+        elif field is not None and _takes_path(field.annotation) and isinstance(value, list):
+            yield from ((folder / item).resolve() for item in value if isinstance(item, str))
 
 
 def _takes_path(annotation: Any) -> bool:
-    return annotation is Path or Path in get_args(annotation)
+    return annotation is Path or any(_takes_path(inner) for inner in get_args(annotation))
 
 
 def _remove(data: Any, location: Location) -> None:

@@ -52,7 +52,7 @@ def describe(error: ValidationError, data: Mapping[str, Any]) -> list[str]:
 
 def _line(problem: ErrorDetails, data: Mapping[str, Any]) -> str:
     """One problem in one line."""
-    location = problem["loc"]
+    location = _without_kinds(problem["loc"], data)
     kind = problem["type"]
     key = _dotted(location)
     context = problem.get("ctx", {})
@@ -99,6 +99,20 @@ def _home_of(key: str) -> str:
         if section is not None and key in section.model_fields:
             names.append(f"[{name}]")
     return " or ".join(names)
+
+
+def _without_kinds(location: Location, data: Any) -> Location:
+    """A location without what pydantic says of the kind that a value was taken for."""
+    kept: list[str | int] = []
+    for step in location:
+        if isinstance(step, str) and not isinstance(data, Mapping):
+            continue
+        kept.append(step)
+        try:
+            data = data[step]
+        except (KeyError, IndexError):
+            data = {}
+    return tuple(kept)
 
 
 def _value_at(data: Any, location: Location) -> Any:

@@ -11,7 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -32,6 +32,15 @@ def _require_exclusion(saturation: float | None, exclude_saturated: bool, sectio
 
 
 Paths = Annotated[tuple[Path, ...], Field(min_length=1)]
+Times = Annotated[tuple[Finite, ...], Field(min_length=1)]
+
+
+def _is_list(value: object) -> str:
+    """Which of two kinds is meant, so that a mistake is told of that one alone."""
+    return "several" if isinstance(value, list | tuple) else "one"
+
+
+OneOrSeveral = Discriminator(_is_list)
 
 
 class ImagesSection(Section):
@@ -46,7 +55,7 @@ class ImagesSection(Section):
             "([what it costs](spoilt-images.md#jpeg))."
         ),
     )
-    deformed: Path | Paths = Field(
+    deformed: Annotated[Annotated[Path, Tag("one")] | Annotated[Paths, Tag("several")], OneOrSeveral] = Field(
         description=(
             "The image g after loading, of the same size; or those of a [series](series.md): a list, or a pattern such "
             'as `"frame_*.tif"`, whose files are taken in the order of the numbers in their names.'
@@ -88,7 +97,7 @@ class ImagesSection(Section):
         description="Time stamp of the reference image.",
         json_schema_extra={"unit": "chosen by you"},
     )
-    deformed_time: Finite | Annotated[tuple[Finite, ...], Field(min_length=1)] = Field(
+    deformed_time: Annotated[Annotated[Finite, Tag("one")] | Annotated[Times, Tag("several")], OneOrSeveral] = Field(
         default=1.0,
         description=(
             "Time stamp of the deformed image; of a series a list with one for each, which grow. The numbers of the "
@@ -265,7 +274,7 @@ class NearSection(Section):
     reference: Path = Field(
         description="The near image before loading.",
     )
-    deformed: Path | Paths = Field(
+    deformed: Annotated[Annotated[Path, Tag("one")] | Annotated[Paths, Tag("several")], OneOrSeveral] = Field(
         description="The near image after loading, of the same size; of a series as many as in `[images]`.",
         json_schema_extra={"shape": "path, list of paths or pattern"},
     )

@@ -100,6 +100,9 @@ def _find_blur(team: Team, samples: Sequence[tuple[Array, Array]]) -> Blur | Non
     """The blur of f that gives it the slopes of g; None where f is no sharper; collective."""
     shown = [np.isfinite(g) for _, g in samples]
     of_g = _sum_slopes(team, [g for _, g in samples], shown)
+    if not np.linalg.det(of_g) > 0:
+        # A frame that shows nothing is not blurred.
+        return None
 
     def compare(images: Sequence[Array]) -> tuple[Array, Array]:
         """Slopes of images in place of f, and those of g if it were as bright."""
@@ -130,7 +133,8 @@ def _compare_contrasts(team: Team, one: Sequence[Array], other: Sequence[Array])
                 tile = np.s_[top:top + TILE, left:left + TILE]
                 of_f, of_g = (image[tile].reshape(TILE // BLOCK, BLOCK, -1, BLOCK).mean(axis=(1, 3)).std()
                               for image in (f, g))
-                ratios.append(of_f / max(of_g, 1e-300))
+                # A tile where the other shows nothing says nothing.
+                ratios += [of_f / of_g] if of_g > 0 else []
     everywhere = np.array(team.gather_lists(ratios))
     everywhere = everywhere[np.isfinite(everywhere)]
     return float(np.median(everywhere)) if len(everywhere) else 1.0

@@ -313,13 +313,15 @@ class WeightedProblem:
         return replace(model, filled=renewal.filled), renewal.notes
 
     def begin_anew(self) -> None:
-        """Take M and K back to what the reference images give, where frames have changed them; collective.
+        """Forget earlier frames: what the next one comes to depends on its images and its start alone; collective.
 
-        What the next frame comes to then depends on its images and its start alone.
+        M and K are again what the reference images give, where frames have changed them.
         """
         if self._is_changed:
             self._turn_stiffness(0.0)
             self._is_changed = False
+        elif self.solver.is_set_up:
+            self.solver.step.forget()
 
     def destroy(self) -> None:
         """Free PETSc's objects."""

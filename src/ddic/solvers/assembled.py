@@ -76,6 +76,9 @@ class AssembledStep:
         self._ksp.solve(self._right, self._left)
         return StepResult(self._whole.find_corrections(self._left, q, mean), 0, np.zeros(0), 0.0)
 
+    def forget(self) -> None:
+        """Do nothing: no step teaches another."""
+
     def destroy(self) -> None:
         """Free PETSc's objects; must be called before the interpreter ends."""
         self._objects.close()

@@ -51,7 +51,7 @@ class ConjugateGradientStep:
     def __init__(self, team: Team, systems: Sequence[LocalSystem], tolerance: float, max_iterations: int) -> None:
         self._tolerance = tolerance
         # Bounds of the eigenvalues of D^-1 A, from all iterations so far.
-        self._largest, self._lowest = 1.0, 1.0
+        self.forget()
         self._unit_size = measure_unit_size(team, [system.subdomain for system in systems])
         with PetscStack() as stack:
             self._whole = stack.keep(WholeSystem(team, systems))
@@ -114,6 +114,10 @@ class ConjugateGradientStep:
         history = np.array(self._ksp.getConvergenceHistory()) / (size or 1.0)
         return StepResult(self._whole.find_corrections(self._left, q, mean), iterations, history,
                           self._estimate_error(norm))
+
+    def forget(self) -> None:
+        """Forget the bounds of the eigenvalues that earlier steps found."""
+        self._largest, self._lowest = 1.0, 1.0
 
     def destroy(self) -> None:
         """Free PETSc's objects; must be called before the interpreter ends."""

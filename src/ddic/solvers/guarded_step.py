@@ -64,6 +64,11 @@ class GuardedStep:
             self._step = build(error)
         return self._step.solve(q, b, allowed)
 
+    def forget(self) -> None:
+        """Have the step at hand forget what it learnt."""
+        if self._step is not None:
+            self._step.forget()
+
     def destroy(self) -> None:
         """Free what the step at hand holds."""
         if self._step is not None:

@@ -76,6 +76,10 @@ class LinearStep(Protocol):
         """
         ...
 
+    def forget(self) -> None:
+        """Forget what earlier steps taught, so that the next one depends on its q and b alone."""
+        ...
+
     def destroy(self) -> None:
         """Free what PETSc holds."""
         ...

@@ -53,5 +53,8 @@ class MonolithicStep:
         dq = self.operator.solve(self._system.right_hand_side(b[0], q[0]))
         return StepResult([dq], 0, np.zeros(0), 0.0)
 
+    def forget(self) -> None:
+        """Do nothing: no step teaches another."""
+
     def destroy(self) -> None:
         """Nothing to free: the factor belongs to whoever made it."""

@@ -132,6 +132,10 @@ class DualStep:
         dq = problem.append_motion(problem.correct(free, multipliers), multipliers)
         return StepResult(dq, iterations, norms / (size or 1.0), self._estimate_error())
 
+    def forget(self) -> None:
+        """Forget the last multipliers and the directions that were kept."""
+        self._interface.forget()
+
     def destroy(self) -> None:
         """Free PETSc's objects; must be called before the interpreter ends."""
         self._objects.close()

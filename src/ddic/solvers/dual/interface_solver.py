@@ -86,6 +86,12 @@ class InterfaceSolver:
             self._objects = stack.pop_all()
         self.tolerance = float(self.ksp.getTolerances()[0])
 
+    def forget(self) -> None:
+        """Forget the last solution and the directions that were kept."""
+        self.multipliers.set(0.0)
+        if self._deflated is not None:
+            self._deflated.space.forget()
+
     def start(self, right: PETSc.Vec) -> float:
         """Bring coarse space and kept directions to bear on the last solution; collective.
 

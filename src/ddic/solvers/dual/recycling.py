@@ -32,9 +32,13 @@ class RecycledSpace:
     """
 
     def __init__(self, team: Team, n_owned: int) -> None:
-        self._team = team
-        self._directions: NDArray[np.float64] = np.zeros((n_owned, 0))
-        self._images: NDArray[np.float64] = np.zeros((n_owned, 0))
+        self._team, self._n_owned = team, n_owned
+        self.forget()
+
+    def forget(self) -> None:
+        """Keep nothing."""
+        self._directions: NDArray[np.float64] = np.zeros((self._n_owned, 0))
+        self._images: NDArray[np.float64] = np.zeros((self._n_owned, 0))
 
     @property
     def size(self) -> int:

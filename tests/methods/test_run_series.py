@@ -1,0 +1,225 @@
+"""A series: its frames are those of pairs, wherever it was interrupted, and one that fails loses no other."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+import tifffile
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from ddic.errors import ConvergenceError, InputError, as_collective
+from ddic.io.series_reader import SeriesResult, read_series
+from ddic.methods.run_case import run_case
+from ddic.methods.run_file import run_file
+from ddic.parallel.team import Team
+from ddic.results.listener import Silence
+from ddic.results.series_record import SeriesSummary
+from ddic.synth.fields import Sinusoidal
+from support.cases import Ears, contents, write_case, write_images
+from support.pictures import pair_of
+
+RANKS = [1, 2, 3]
+N_FRAMES = 4
+SOLVER = '[solver]\nmethod = "dual"\nsubdomains = 4\ntolerance = 1e-12\ninexact = false\n'
+TIGHT = SOLVER + "[gauss_newton]\ntolerance = 1e-13\nrms_tolerance = 1e-9\n"
+SERIES = [f'"g_{number}.tif"' for number in range(1, N_FRAMES + 1)]
+
+
+class Interrupted(Exception):
+    """What ends a run in the middle of a frame."""
+
+
+class EndsAt(Ears):
+    """A listener that ends the run, on all ranks, when a frame begins to iterate."""
+
+    last: int = 0
+
+    def iteration(self, record: Any) -> None:
+        super().iteration(record)
+        if self.frames[-1] == self.last:
+            raise as_collective(Interrupted("ended in the middle"))
+
+
+def field(share: float) -> Sinusoidal:
+    """Two pixels of translation a frame, and waves that grow."""
+    return Sinusoidal((2.0 * share, -1.4 * share), (0.5 * share, 0.4 * share), (256.0, 320.0), (320.0, 256.0))
+
+
+def write_frames(folder: Path, more: str = TIGHT, *, blank: int = 0, images: str = "") -> Path:
+    """A case with its images; collective."""
+    if MPI.COMM_WORLD.rank == 0:
+        folder.mkdir(exist_ok=True)
+        write_images(folder, field(0.0))
+        for number in range(1, N_FRAMES + 1):
+            deformed = pair_of(field(number), 192, 8).deformed
+            tifffile.imwrite(folder / f"g_{number}.tif", np.full_like(deformed, 90) if number == blank else deformed)
+        text = write_case(folder, more, images=images).read_text(encoding="utf-8")
+        listed = text.replace('deformed = "g.tif"', f"deformed = [{', '.join(SERIES)}]")
+        (folder / "case.toml").write_text(listed, encoding="utf-8")
+    MPI.COMM_WORLD.barrier()
+    return folder / "case.toml"
+
+
+def run(path: Path, *, resume: bool = False) -> SeriesSummary:
+    summary = run_file(Team.world(), path, Silence(), resume=resume)
+    assert isinstance(summary, SeriesSummary)
+    MPI.COMM_WORLD.barrier()
+    return summary
+
+
+def interrupt(path: Path, at: int) -> None:
+    ears = EndsAt()
+    ears.last = at
+    with pytest.raises(Interrupted):
+        run_file(Team.world(), path, ears)
+    MPI.COMM_WORLD.barrier()
+
+
+def displacement(series: SeriesResult, step: int) -> NDArray[np.float64]:
+    return series[step].displacement
+
+
+@pytest.mark.parallel(RANKS)
+def test_frames_are_those_of_pairs(shared_path: Path) -> None:
+    team = Team.world()
+    path = write_frames(shared_path / "series", images="frame_interval = 0.5")
+    summary = run(path)
+    assert [frame.number for frame in summary.frames] == [1, 2, 3, 4]
+    assert [frame.started_from for frame in summary.frames] == ["a search", "the last frame", "the last two frames",
+                                                                "the last two frames"]
+    series = read_series(path.parent / "result.vtkhdf")
+    np.testing.assert_array_equal(series.times, [0.5, 1.0, 1.5, 2.0])
+    for number in range(1, N_FRAMES + 1):
+        alone = shared_path / f"pair_{number}"
+        if team.is_root:
+            alone.mkdir(exist_ok=True)
+            for name in ("f.tif", f"g_{number}.tif"):
+                (alone / name).write_bytes((path.parent / name).read_bytes())
+            write_case(alone, TIGHT, deformed=f"g_{number}.tif")
+        team.comm.barrier()
+        run_case(team, alone / "case.toml", Silence())
+        team.comm.barrier()
+        expected = read_series(alone / "result.vtkhdf")[0]
+        # Gauss-Newton to 1e-9 px from another start.
+        np.testing.assert_allclose(displacement(series, number - 1), expected.displacement, atol=1e-8)
+        for name in ("strain_green_lagrange", "nodal_von_mises_strain"):
+            np.testing.assert_allclose(series[number - 1].fields[name], expected.fields[name], atol=1e-8)
+        assert series[number - 1].attributes["provenance"]["deformed_path"].endswith(f"g_{number}.tif")
+        assert series[number - 1].attributes["time"]["deformed"] == 0.5 * number
+    assert sorted(entry.name for entry in path.parent.iterdir() if entry.suffix not in (".tif", ".toml")) == [
+        "result.json", "result.vtkhdf"]
+
+
+@pytest.mark.parallel(RANKS)
+@pytest.mark.parametrize("more", [TIGHT, TIGHT + "[regularization]\ncut_off_wavelength = 48\n"], ids=["plain", "smooth"])
+def test_what_is_resumed_equals_what_was_not_interrupted(shared_path: Path, more: str) -> None:
+    whole, parts = (write_frames(shared_path / name, more) for name in ("whole", "parts"))
+    run(whole)
+    interrupt(parts, 3)
+    assert sorted(path.name for path in (parts.parent / "result.frames").iterdir()) == [
+        "000001.vtkhdf", "000002.vtkhdf", "series.json"]
+    assert not (parts.parent / "result.vtkhdf").exists()
+    summary = run(parts, resume=True)
+    assert summary.n_resumed == 2
+    assert [frame.started_from for frame in summary.frames][2:] == ["the last two frames"] * 2
+    one, two = (contents(path.parent / "result.vtkhdf") for path in (whole, parts))
+    assert one.keys() == two.keys()
+    for name, values in one.items():
+        # What time it took, and where it stands.
+        if any(word in name for word in ("phases", "date", "path", "records", "origin", "json", "seconds")):
+            continue
+        np.testing.assert_array_equal(values, two[name], err_msg=name)
+
+
+@pytest.mark.parallel([1, 2])
+def test_other_subdomains_search_for_the_next_frame(shared_path: Path) -> None:
+    path = write_frames(shared_path / "series")
+    interrupt(path, 3)
+    if MPI.COMM_WORLD.rank == 0:
+        # As if it had been run on other ranks: the case asks for as many subdomains, but a frame holds others.
+        for frame in (path.parent / "result.frames").glob("*.vtkhdf"):
+            with h5py.File(frame, "r+") as file:
+                del file["series/unknowns/000003"]
+    MPI.COMM_WORLD.barrier()
+    summary = run(path, resume=True)
+    assert [frame.started_from for frame in summary.frames][2:] == ["a search", "the last frame"]
+    off = displacement(read_series(path.parent / "result.vtkhdf"), 3) - field(4).displacement(
+        read_series(path.parent / "result.vtkhdf")[3].mesh.nodes)
+    # Rounding to 8 bits leaves 0.01 px on elements of 16 px.
+    assert np.abs(off).max() < 0.1
+
+
+@pytest.mark.parallel([1, 2])
+def test_a_frame_that_cannot_be_measured_loses_no_other(shared_path: Path) -> None:
+    path = write_frames(shared_path / "series", blank=2)
+    with pytest.raises(ConvergenceError, match=r"1 of 4 frames could not be measured: frame 2: .*the others are in"):
+        run(path)
+    MPI.COMM_WORLD.barrier()
+    series = read_series(path.parent / "result.vtkhdf")
+    np.testing.assert_array_equal(series.numbers, [1, 3, 4])
+    np.testing.assert_array_equal(series.times, [1.0, 3.0, 4.0])
+    assert [record["converged"] for record in series.records] == [True, False, True, True]
+    # From the frames before and after the one that is missing.
+    assert series.records[3]["started_from"] == "the last two frames"
+    summary = json.loads((path.parent / "result.json").read_text(encoding="utf-8"))
+    assert not summary["converged"]
+    assert summary["frames"][1]["failure"]
+    assert not (path.parent / "result.frames").exists()
+
+
+def test_a_finished_series_is_not_measured_again(tmp_path: Path) -> None:
+    path = write_frames(tmp_path / "series")
+    run(path)
+    before = (tmp_path / "series" / "result.vtkhdf").stat().st_mtime_ns
+    summary = run(path, resume=True)
+    assert summary.n_resumed == N_FRAMES
+    assert (tmp_path / "series" / "result.vtkhdf").stat().st_mtime_ns == before
+    # Without --resume it is.
+    assert run(path).n_resumed == 0
+    assert (tmp_path / "series" / "result.vtkhdf").stat().st_mtime_ns > before
+
+
+def test_an_unfinished_series_is_neither_lost_nor_mixed_with_another(tmp_path: Path) -> None:
+    path = write_frames(tmp_path / "series")
+    interrupt(path, 3)
+    with pytest.raises(InputError, match=r"result\.frames holds 2 of 4 frames .* --resume"):
+        run(path)
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace("element_size = 16", "element_size = 18"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"frames of another series \(case file differ\)"):
+        run(path, resume=True)
+    path.write_text(text, encoding="utf-8")
+    assert run(path, resume=True).n_resumed == 2
+
+
+def test_a_pair_is_not_resumed_and_a_series_is_no_pair(tmp_path: Path) -> None:
+    write_images(tmp_path)
+    path = write_case(tmp_path)
+    with pytest.raises(InputError, match=r"--resume: .* one deformed image"):
+        run_file(Team.alone(), path, Silence(), resume=True)
+    series = write_frames(tmp_path / "series")
+    with pytest.raises(InputError, match="images.deformed: names a series"):
+        run_case(Team.alone(), series, Silence())
+
+
+def test_a_start_that_leads_nowhere_is_searched_for(tmp_path: Path) -> None:
+    path = write_frames(tmp_path / "series")
+    # The third frame jumps by half of the region.
+    shifted = Sinusoidal((60.0, 0.0), (0.5, 0.4), (256.0, 320.0), (320.0, 256.0))
+    wide = path.read_text(encoding="utf-8").replace("region = [24, 24, 168, 168]", "region = [24, 24, 104, 168]")
+    path.write_text(wide, encoding="utf-8")
+    tifffile.imwrite(path.parent / "g_3.tif", pair_of(shifted, 192, 8).deformed)
+    ears = Ears()
+    summary = run_file(Team.alone(), path, ears)
+    assert isinstance(summary, SeriesSummary)
+    assert summary.frames[2].started_from == "a search"
+    assert any("it is searched for" in note for note in ears.notes)
+    assert ears.frames == [1, 2, 3, 4]
+    result = read_series(path.parent / "result.vtkhdf")[2]
+    assert np.abs(result.displacement - shifted.displacement(result.mesh.nodes)).max() < 0.1
