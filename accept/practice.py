@@ -1,0 +1,17 @@
+"""For daily work: series of images, clusters, uncertainty, settings, reports.
+
+Usage: python -m accept.practice [--smoke] [CHECK ...]: all checks, or the named ones; exit code 1 where a bound is
+missed.
+"""
+
+from __future__ import annotations
+
+import sys
+
+from accept.series_runs import CHECKS as SERIES
+from accept.table import Check, run_table
+
+CHECKS: dict[str, Check] = {**SERIES}
+
+if __name__ == "__main__":
+    sys.exit(run_table("practice", CHECKS))

@@ -1,0 +1,269 @@
+"""Series of images: how fast frames come, what a killed run loses, and what a real test takes as a series."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import psutil
+
+from accept.openhole import case_text
+from accept.support.moving_frames import Frames, describe_case, write_frames
+from accept.table import Check, Scale
+from bench.support.rows import Row, append_result
+from bench.support.runs import ROOT, TIMEOUT_S, ddic_command, ddic_run, environment, mpirun, real_data
+from ddic.io.series_reader import read_series
+
+SERIES, SMOKE_SERIES = (54, 58, 62, 66, 70), (54, 58)
+"""Frames of the open-hole test, all compared with frame 53."""
+
+MOST_SHARE = 0.5
+"""Time of the series over that of its frames measured one by one."""
+
+N_ROUNDS = 3
+"""Times that both are timed, in turn."""
+
+FAST, SMOKE_FAST = Frames((2448, 2048), 200, 20.0), Frames((240, 200), 6, 4.0)
+ELEMENT, SMALL_ELEMENT = 16, 10
+LEAST_RATE, MOST_GROWTH = 4.0, 1.05
+"""Frames a second after the first; memory of a rank at the end over that at a tenth of the frames."""
+
+LARGEST_ERROR = 0.1
+"""Of a node in the last frame, pixels: the images have noise of 1 grey level."""
+
+KILLED_FRAME, POLL_S = 3, 0.005
+
+
+def measure_openhole(scale: Scale) -> list[Row]:
+    """Measure a real test as a series, and its frames one by one.
+
+    Parameters
+    ----------
+    scale : Scale
+        A smoke run takes two frames, once.
+
+    Returns
+    -------
+    list of Row
+        One row.
+    """
+    folder, numbers = scale.folder("openhole_series"), SMOKE_SERIES if scale.smoke else SERIES
+    times: dict[str, list[float]] = {"series": [], "one by one": []}
+    converged = True
+    for _ in range(1 if scale.smoke else N_ROUNDS):
+        shutil.rmtree(folder, ignore_errors=True)
+        summary, seconds = _time_run(_openhole(*numbers), folder, "series")
+        times["series"].append(seconds)
+        converged &= bool(summary["converged"])
+        alone = [_time_run(_openhole(number), folder, f"alone_{number}")[1] for number in numbers]
+        times["one by one"].append(sum(alone))
+    append_result("series_openhole", times)
+    share = float(np.median(times["series"]) / np.median(times["one by one"]))
+    iterations = ", ".join(str(frame["iterations"]) for frame in summary["frames"])
+    return [Row(f"openhole, frame 53 to {', '.join(map(str, numbers))} as a series on 2 ranks",
+                f"every frame converges; at most {MOST_SHARE} of the time of separate runs",
+                f"{'all converge' if converged else 'not all converge'} ({iterations} iterations); "
+                f"{np.median(times['series']):.1f} s, {share:.2f} times {np.median(times['one by one']):.1f} s",
+                converged and share <= MOST_SHARE)]
+
+
+def _openhole(*numbers: int) -> str:
+    """The case of a pair, or of several frames."""
+    names = [f'"{real_data()}/openhole/zoom-{number:04d}_1.tif"' for number in numbers]
+    deformed = names[0] if len(names) == 1 else f"[{', '.join(names)}]"
+    text = case_text("subdomains = 8")
+    return text.replace(f'deformed = "{real_data()}/openhole/zoom-0070_1.tif"', f"deformed = {deformed}")
+
+
+def _time_run(case: str, folder: Path, name: str) -> tuple[dict[str, Any], float]:
+    began = time.perf_counter()
+    summary = ddic_run(case, folder, 2, name)
+    return summary, time.perf_counter() - began
+
+
+@dataclass
+class _Watched:
+    """What was seen of a run: when each frame began, and the memory of the largest process then."""
+
+    began: dict[int, float] = field(default_factory=dict)
+    memory: dict[int, int] = field(default_factory=dict)
+    end: float = 0.0
+
+
+def measure_rate(scale: Scale) -> list[Row]:
+    """Measure how many frames a second are measured and written, and whether memory grows.
+
+    Parameters
+    ----------
+    scale : Scale
+        A smoke run takes few small frames.
+
+    Returns
+    -------
+    list of Row
+        One row.
+    """
+    frames, element = (SMOKE_FAST, SMALL_ELEMENT) if scale.smoke else (FAST, ELEMENT)
+    folder = scale.folder("series_rate")
+    write_frames(frames, folder)
+    for left in ("rate.vtkhdf", "rate.json"):
+        (folder / left).unlink(missing_ok=True)
+    case = folder / "rate.toml"
+    case.write_text(f'{describe_case(frames, element)}\n[output]\nfile = "rate.vtkhdf"\n', encoding="utf-8")
+    seen = _watch(case)
+    rate = (frames.n_frames - 1) / (seen.end - seen.began[2])
+    early = max(2, frames.n_frames // 10)
+    growth = seen.memory[frames.n_frames] / seen.memory[early]
+    series = read_series(folder / "rate.vtkhdf")
+    last = series[-1]
+    deformation = frames.make_deformation(frames.n_frames)
+    error = float(np.abs(last.displacement - deformation.displacement(last.mesh.nodes)).max())
+    append_result("series_rate", {"rate": rate, "growth": growth, "error": error, "n_frames": frames.n_frames})
+    beside = "" if scale.smoke else f"; {_time_pyvale(folder, frames)}"
+    width, height = frames.size
+    megabytes = seen.memory[frames.n_frames] / 2**20
+    return [Row(f"{frames.n_frames} frames of {width} x {height} px, 8 bit, {element}-px Q4, motion growing to "
+                f"{frames.largest:g} px, 2 ranks",
+                f"at least {LEAST_RATE:g} frames a second after the first, fields and strains written; memory constant "
+                f"(within {MOST_GROWTH:g}); no node off by more than {LARGEST_ERROR} px",
+                f"{rate:.1f} frames a second; memory of the larger rank {growth:.3f} times that at frame {early}, "
+                f"{megabytes:.0f} MiB; largest error {error:.3f} px{beside}",
+                rate >= LEAST_RATE and growth <= MOST_GROWTH and error <= LARGEST_ERROR
+                and len(series) == frames.n_frames)]
+
+
+def _watch(case: Path) -> _Watched:
+    """Run a case on 2 ranks and look at it when a frame begins."""
+    seen = _Watched()
+    process = subprocess.Popen(_command(case), cwd=ROOT, text=True, stdout=subprocess.PIPE, env=environment())
+    assert process.stdout is not None
+    for line in process.stdout:
+        if line.startswith("frame ") and " of " in line:
+            number = int(line.split()[1])
+            seen.began[number] = time.perf_counter()
+            seen.memory[number] = max((_read_memory(rank) for rank in _list_ranks(process.pid)), default=0)
+        elif line.startswith("result: "):
+            seen.end = time.perf_counter()
+    if process.wait() != 0:
+        raise RuntimeError(f"{case} ended with {process.returncode}")
+    return seen
+
+
+def _command(case: Path, *words: str) -> list[str]:
+    launcher = os.environ.get("MPIEXEC", "mpiexec")
+    return ["timeout", str(TIMEOUT_S), launcher, "-n", "2", ddic_command(), "run", str(case), *words]
+
+
+def _list_ranks(pid: int) -> list[psutil.Process]:
+    return [child for child in psutil.Process(pid).children(recursive=True) if "ddic" in " ".join(child.cmdline())
+            and "mpiexec" not in child.name() and "mpirun" not in child.name()]
+
+
+def _read_memory(process: psutil.Process) -> int:
+    return int(process.memory_info().rss)
+
+
+def _time_pyvale(folder: Path, frames: Frames) -> str:
+    """CPU seconds a frame of pyvale on the middle frame, in words."""
+    from bench.peers import QUICK_SUBSETS, Pair, pyvale
+
+    middle = folder / "pyvale"
+    middle.mkdir(exist_ok=True)
+    for name, target in (("reference.tif", "reference.tif"), (f"frame_{frames.n_frames // 2}.tif", "deformed.tif")):
+        shutil.copyfile(folder / name, middle / target)
+    (middle / "truth.json").write_text('{"kind": "none"}', encoding="utf-8")
+    run = pyvale(Pair(middle, *frames.size, 1), QUICK_SUBSETS)
+    return f"pyvale on the middle frame: {run.seconds:.1f} CPU s"
+
+
+def measure_killed(scale: Scale) -> list[Row]:
+    """Kill a rank, then mpirun, in the middle of a frame, resume, and compare with what was not disturbed.
+
+    Parameters
+    ----------
+    scale : Scale
+        A smoke run takes few small frames.
+
+    Returns
+    -------
+    list of Row
+        One row for each.
+    """
+    frames = SMOKE_FAST if scale.smoke else Frames((1200, 1000), 6, 6.0)
+    folder = scale.folder("series_killed")
+    write_frames(frames, folder)
+    case = describe_case(frames, SMALL_ELEMENT)
+    for name in ("whole", "rank", "mpirun"):
+        shutil.rmtree(folder / f"{name}.frames", ignore_errors=True)
+        for ending in ("vtkhdf", "json"):
+            (folder / f"{name}.{ending}").unlink(missing_ok=True)
+    ddic_run(case, folder, 2, "whole")
+    rows = []
+    for victim in ("rank", "mpirun"):
+        path = folder / f"{victim}.toml"
+        path.write_text(f'{case}\n[output]\nfile = "{victim}.vtkhdf"\n', encoding="utf-8")
+        gone = _kill_in_the_middle(path, victim)
+        n_left = len(list((folder / f"{victim}.frames").glob("*.vtkhdf")))
+        mpirun(2, ddic_command(), "run", str(path), "--resume")
+        differing = _list_differences(folder / "whole.vtkhdf", folder / f"{victim}.vtkhdf")
+        n_measured = len(read_series(folder / f"{victim}.vtkhdf"))
+        told = "its datasets are equal" if not differing else f"other values in {', '.join(differing)}"
+        rows.append(Row(f"{frames.n_frames} frames, {frames.size[0]} x {frames.size[1]} px, 2 ranks: SIGKILL to "
+                        f"{'one rank' if victim == 'rank' else 'mpirun'} in frame {KILLED_FRAME}, then --resume",
+                        "no process left, the result equal to that of an undisturbed run, no frame lost",
+                        f"all gone after {gone:.1f} s; {n_left} frames were kept, {n_measured} of {frames.n_frames} "
+                        f"are in the result; {told}",
+                        n_left >= KILLED_FRAME - 1 and n_measured == frames.n_frames and not differing))
+    return rows
+
+
+def _kill_in_the_middle(case: Path, victim: str) -> float:
+    """Kill when a frame begins; returns the seconds until every process is gone."""
+    process = subprocess.Popen(_command(case), cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+                               env=environment())
+    assert process.stdout is not None
+    for line in process.stdout:
+        if line.startswith(f"frame {KILLED_FRAME} of"):
+            break
+    family = psutil.Process(process.pid).children(recursive=True)
+    ranks = _list_ranks(process.pid)
+    launchers = [child for child in family if child.pid not in {rank.pid for rank in ranks}]
+    began = time.perf_counter()
+    (ranks[-1] if victim == "rank" else launchers[0]).send_signal(signal.SIGKILL)
+    _, alive = psutil.wait_procs(family, timeout=60)
+    seconds = time.perf_counter() - began
+    for left in alive:
+        left.kill()
+    process.kill()
+    process.wait()
+    if alive:
+        raise RuntimeError(f"{len(alive)} processes were still there after 60 s")
+    return seconds
+
+
+def _list_differences(one: Path, other: Path) -> list[str]:
+    """Names of the datasets that differ, but for what tells of time and place."""
+    found: list[str] = []
+    with h5py.File(one, "r") as a, h5py.File(other, "r") as b:
+
+        def compare(name: str, item: Any) -> None:
+            if not isinstance(item, h5py.Dataset) or "phases" in name or name == "series/records":
+                return
+            if name not in b or not np.array_equal(item[...], b[name][...], equal_nan=item.dtype.kind == "f"):
+                found.append(name)
+
+        a.visititems(compare)
+    return found
+
+
+CHECKS: dict[str, Check] = {
+    "openhole_series": measure_openhole, "frame_rate": measure_rate, "killed": measure_killed,
+}
