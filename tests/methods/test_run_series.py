@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError, InputError, as_collective
 from ddic.io.series_reader import SeriesResult, read_series
-from ddic.methods.run_case import run_case
-from ddic.methods.run_file import run_file
+from ddic.methods.run_case import run_case, run_file
 from ddic.parallel.team import Team
 from ddic.results.listener import Silence
 from ddic.results.series_record import SeriesSummary
@@ -48,8 +47,8 @@ class EndsAt(Ears):
 
 
 def field(share: float) -> Sinusoidal:
-    """Two pixels of translation a frame, and waves that grow."""
-    return Sinusoidal((2.0 * share, -1.4 * share), (0.5 * share, 0.4 * share), (256.0, 320.0), (320.0, 256.0))
+    """Half a pixel of translation a frame, and waves that grow."""
+    return Sinusoidal((0.4 * share, -0.3 * share), (0.2 * share, 0.15 * share), (256.0, 320.0), (320.0, 256.0))
 
 
 def write_frames(folder: Path, more: str = TIGHT, *, blank: int = 0, images: str = "") -> Path:

@@ -23,7 +23,7 @@ def is_series(case: Case) -> bool:
     Parameters
     ----------
     case : Case
-        As ``expand_frames`` gives it.
+        As ``find_frames`` gives it.
 
     Returns
     -------
@@ -55,7 +55,7 @@ def list_deformed(section: ImagesSection | NearSection) -> tuple[Path, ...]:
     Parameters
     ----------
     section : ImagesSection or NearSection
-        As ``expand_frames`` gives it.
+        As ``find_frames`` gives it.
 
     Returns
     -------
@@ -71,7 +71,7 @@ def list_times(case: Case) -> tuple[float, ...]:
     Parameters
     ----------
     case : Case
-        As ``expand_frames`` gives it.
+        As ``find_frames`` gives it.
 
     Returns
     -------
@@ -87,7 +87,7 @@ def list_times(case: Case) -> tuple[float, ...]:
     return tuple(images.reference_time + step * (k + 1) for k in range(len(list_deformed(images))))
 
 
-def expand_frames(case: Case, file: Path) -> Case:
+def find_frames(case: Case, file: Path) -> Case:
     """Put the files that exist in the place of patterns, and check that a series makes sense.
 
     Parameters
@@ -211,7 +211,7 @@ def choose_frame(case: Case, number: int) -> Case:
     Parameters
     ----------
     case : Case
-        As ``expand_frames`` gives it.
+        As ``find_frames`` gives it.
     number : int
         Of the frame, from 0.
 

@@ -11,7 +11,7 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from ddic.case.frame_files import expand_frames, is_pattern
+from ddic.case.frame_files import find_frames, is_pattern, is_series
 from ddic.case.messages import describe
 from ddic.case.schema import Case, OutputSection
 from ddic.case.sections import Location, find_section_in
@@ -43,6 +43,11 @@ class LoadedCase:
     case: Case
     path: Path
     text: str
+
+    @property
+    def is_series(self) -> bool:
+        """Whether it names several deformed images."""
+        return is_series(self.case)
 
     def with_output(self, file: Path) -> LoadedCase:
         """Have the result written elsewhere.
@@ -88,7 +93,7 @@ def load_case(path: Path | str) -> LoadedCase:
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is not UTF-8 text (byte {error.start}); save it as UTF-8") from error
     case = _absolute(parse_case(text, path), path.resolve().parent)
-    return LoadedCase(expand_frames(case, path), path.resolve(), text)
+    return LoadedCase(find_frames(case, path), path.resolve(), text)
 
 
 def load_case_leniently(path: Path | str) -> tuple[LoadedCase | None, list[str]]:
@@ -125,7 +130,7 @@ def load_case_leniently(path: Path | str) -> tuple[LoadedCase | None, list[str]]
         return None, [*problems, *missing]
     case = _absolute(case, folder)
     try:
-        case = expand_frames(case, path)
+        case = find_frames(case, path)
     except InputError as error:
         return None, [*problems, *(line for line in error.problems if line not in problems)]
     return LoadedCase(case, path.resolve(), text), problems

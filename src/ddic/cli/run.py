@@ -64,7 +64,7 @@ def _run_everywhere(case_file: Path, petsc_options: tuple[str, ...], *, resume: 
     import cv2
 
     from ddic.cli.console import RunConsole
-    from ddic.methods.run_file import run_file
+    from ddic.methods.run_case import run_file
     from ddic.parallel.team import Team
     from ddic.results.listener import Silence
 

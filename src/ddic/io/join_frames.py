@@ -52,7 +52,7 @@ def join_frames(folder: SeriesFolder, numbers: Sequence[int], records: Sequence[
     """
     target = folder.result
     with replaced_on_exit(target) as temporary, h5py.File(temporary, "w") as file:
-        with h5py.File(folder.name_frame(numbers[0]), "r") as first:
+        with h5py.File(folder.get_frame_path(numbers[0]), "r") as first:
             for name in ("ddic_schema", "y_axis"):
                 file.attrs[name] = first.attrs[name]
         file.attrs[schema.STATUS], file.attrs[schema.FAILURE] = schema.CONVERGED, ""
@@ -62,7 +62,7 @@ def join_frames(folder: SeriesFolder, numbers: Sequence[int], records: Sequence[
         places: list[tuple[_Place, int]] = []
         times = []
         for number in numbers:
-            with h5py.File(folder.name_frame(number), "r") as source:
+            with h5py.File(folder.get_frame_path(number), "r") as source:
                 places.append(_add_geometry(group, source[schema.VTKHDF], places))
                 for kind in (schema.POINT_DATA, schema.CELL_DATA):
                     _add_fields(file.require_group(kind), source[kind])

@@ -34,11 +34,14 @@ class FrameState:
         By subdomain.
     noise : tuple of float
         By which cameras are weighted, grey levels; empty with one camera.
+    shown_share : float
+        Share of the cells that were seen where the field put them.
     """
 
     time: float
     unknowns: Mapping[int, Array]
     noise: tuple[float, ...]
+    shown_share: float
 
 
 @dataclass(frozen=True)
@@ -61,7 +64,7 @@ class SeriesFolder:
         """The folder, beside the result."""
         return schema.frames_path(self.result)
 
-    def name_frame(self, number: int) -> Path:
+    def get_frame_path(self, number: int) -> Path:
         """Name the file of a finished frame.
 
         Parameters
@@ -76,7 +79,7 @@ class SeriesFolder:
         """
         return self.path / f"{number:06d}.vtkhdf"
 
-    def name_failure(self, number: int) -> Path:
+    def get_failure_path(self, number: int) -> Path:
         """Name the file that says why a frame could not be measured.
 
         Parameters
@@ -150,7 +153,7 @@ class SeriesFolder:
     def _list_finished(self) -> dict[int, str]:
         found = {}
         for number in range(1, self.n_frames + 1):
-            failed, finished = self.name_failure(number), self.name_frame(number)
+            failed, finished = self.get_failure_path(number), self.get_frame_path(number)
             if finished.is_file():
                 with h5py.File(finished, "r") as file:
                     found[number] = str(file[schema.SERIES].attrs["record"])
@@ -171,10 +174,11 @@ class SeriesFolder:
         FrameState
             All subdomains.
         """
-        with h5py.File(self.name_frame(number), "r") as file:
+        with h5py.File(self.get_frame_path(number), "r") as file:
             group = file[schema.SERIES]
             unknowns = {int(name): values[...] for name, values in group["unknowns"].items()}
-            return FrameState(float(group.attrs["time"]), unknowns, tuple(map(float, group.attrs["noise"])))
+            return FrameState(float(group.attrs["time"]), unknowns, tuple(map(float, group.attrs["noise"])),
+                              float(group.attrs["shown_share"]))
 
     def write_failure(self, number: int, record: str) -> None:
         """Note that a frame could not be measured.
@@ -186,7 +190,7 @@ class SeriesFolder:
         record : str
             Why, as JSON.
         """
-        with replaced_on_exit(self.name_failure(number)) as temporary:
+        with replaced_on_exit(self.get_failure_path(number)) as temporary:
             temporary.write_text(record, encoding="utf-8")
 
     def remove(self) -> None:

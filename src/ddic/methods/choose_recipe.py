@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
-from ddic.errors import ConvergenceError, is_collective
 from ddic.methods.dd_dic import Session
 from ddic.methods.pgd_dic import SeparatedSession
-from ddic.parallel.phases import Phase, PhaseClock
+from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.cameras import Frame
 from ddic.problem.inputs import Inputs
 from ddic.results.listener import Listener
-from ddic.results.measurement import Measurement
-from ddic.results.separated_measurement import SeparatedMeasurement
-from ddic.solvers.noise_floor import estimate_noise_by_steps
 
 Recipe = Session | SeparatedSession
 """A prepared measurement."""
@@ -50,74 +44,3 @@ def prepare_recipe(team: Team, inputs: Inputs, listener: Listener, clock: PhaseC
     if inputs.case.pgd is not None:
         return SeparatedSession(team, inputs, listener, clock)
     return Session(team, inputs, listener, clock, first_frame)
-
-
-class NoiseFloor:
-    """Noise floors of the frames of a series: of the first by linear steps, of the others by their residuals.
-
-    Parameters
-    ----------
-    recipe : Session
-        That measures them.
-    clock : PhaseClock
-        Of the phases.
-    """
-
-    def __init__(self, recipe: Session, clock: PhaseClock) -> None:
-        self._recipe, self._clock = recipe, clock
-        self._by_grey_level: float | None = None
-
-    def estimate(self, measurement: Measurement) -> float:
-        """Estimate that of a frame; collective.
-
-        Parameters
-        ----------
-        measurement : Measurement
-            Of the frame.
-
-        Returns
-        -------
-        float
-            RMS of a component at a node, pixels; nan where a linear step fails.
-        """
-        deviation = measurement.evaluation.grey[0].residual_std
-        if self._by_grey_level is None:
-            floor = estimate_noise_floor(self._recipe, measurement, self._clock)
-            self._by_grey_level = floor / max(deviation, 1e-300)
-        return self._by_grey_level * deviation
-
-
-def estimate_noise_floor(recipe: Recipe, measurement: Measurement | SeparatedMeasurement, clock: PhaseClock) -> float:
-    """Estimate what noise of the residual's size leaves in a measured displacement; collective.
-
-    The residual is taken to be noise of both images; it also holds what the field cannot follow, and lacks what
-    interpolation averages out. With several cameras the noise is the one that weighs them.
-
-    Parameters
-    ----------
-    recipe : Session or SeparatedSession
-        That measured.
-    measurement : Measurement or SeparatedMeasurement
-        What it measured last.
-    clock : PhaseClock
-        Of the phases.
-
-    Returns
-    -------
-    float
-        RMS of a component at a node, pixels; nan for PGD-DIC, and where a linear step fails.
-    """
-    if not isinstance(recipe, Session) or not isinstance(measurement, Measurement):
-        return float("nan")
-    problem = recipe.problem
-    sigma = problem.noise[0] if problem.noise else measurement.evaluation.grey[0].residual_std / math.sqrt(2.0)
-    with clock.phase(Phase.FINISH):
-        try:
-            counted = [~is_unmeasured for is_unmeasured in measurement.unmeasured]
-            return estimate_noise_by_steps(problem.team, problem.solver.assembly.systems, problem.solver.step, sigma,
-                                           counted)
-        except ConvergenceError as error:
-            # What was measured stands without it; what this rank alone raises must end the job.
-            if not is_collective(error):
-                raise
-            return float("nan")

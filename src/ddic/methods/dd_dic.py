@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from types import TracebackType
 from typing import Self
 
 from ddic.methods.solve_frame import solve_frame
@@ -68,16 +67,14 @@ class Session:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def begin_anew(self) -> None:
         """Forget what earlier frames have changed of the operators; collective."""
-        if self.problem.is_set_up:
-            self.problem.begin_anew()
+        self.problem.begin_anew()
 
-    def measure(self, frame: Frame, start: KnownStart | None = None) -> Measurement:
+    def measure(self, frame: Frame, start: KnownStart | None = None, least_shown: float = 0.0) -> Measurement:
         """Measure the displacement between the reference images and a frame; collective.
 
         Parameters
@@ -86,6 +83,8 @@ class Session:
             One deformed image of each camera.
         start : sequence of (n_unknowns,) array, EarlierResult or StartPoints, optional
             Unknowns of each owned subdomain to start from, or a displacement to go on from; else as the case says.
+        least_shown : float, optional
+            Share of the cells that the start must show; any by default.
 
         Returns
         -------
@@ -106,7 +105,7 @@ class Session:
         self._tell(started.notes)
         notes = (*problem.reference.notes, *started.notes)
         with last_field_kept(self._clock, lambda *last: finish_measurement(problem, frame, notes, *last)):
-            solved = solve_frame(problem, model, started.q, self._listener, self._clock)
+            solved = solve_frame(problem, model, started.q, self._listener, self._clock, least_shown)
         with self._clock.phase(Phase.FINISH):
             measurement = finish_measurement(problem, frame, notes, solved)
         self._tell(measurement.notes[len(notes) + len(solved.notes):])

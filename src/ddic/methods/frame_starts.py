@@ -46,7 +46,8 @@ def _list_known(wanted: str, states: Sequence[MeasuredState],
         yield "the last frame", states[-1].q
 
 
-def measure_from(session: Session, frame: Frame, starts: Starts, listener: Listener) -> tuple[Measurement, str]:
+def measure_from(session: Session, frame: Frame, starts: Starts, least_shown: float,
+                 listener: Listener) -> tuple[Measurement, str]:
     """Measure a frame from the first start that converges; collective.
 
     Parameters
@@ -57,6 +58,8 @@ def measure_from(session: Session, frame: Frame, starts: Starts, listener: Liste
         One deformed image of each camera.
     starts : sequence of (str, list of array or None)
         Of ``list_starts``.
+    least_shown : float
+        Share of the cells that a known start must show.
     listener : Listener
         Told what happens.
 
@@ -76,7 +79,7 @@ def measure_from(session: Session, frame: Frame, starts: Starts, listener: Liste
     for name, start in others:
         session.begin_anew()
         try:
-            return session.measure(frame, start), name
+            return session.measure(frame, start, least_shown), name
         except (ConvergenceError, SingularSubdomainError) as error:
             if not is_collective(error):
                 raise

@@ -19,7 +19,7 @@ from ddic.solvers.gauss_newton import Progress
 Array = NDArray[np.float64]
 
 
-def solve_and_hold_back(problem: WeightedProblem, solved: SolvedFrame, start: SeenStart,
+def solve_and_hold_back(problem: WeightedProblem, solved: SolvedFrame, start: SeenStart | None,
                         progress: Progress) -> SolvedFrame:
     """Go on with Gauss-Newton, and linearize what mechanics hold back about the start; collective.
 
@@ -29,8 +29,8 @@ def solve_and_hold_back(problem: WeightedProblem, solved: SolvedFrame, start: Se
         The linear step.
     solved : SolvedFrame
         Where to go on from.
-    start : SeenStart
-        Of the frame.
+    start : SeenStart or None
+        Of the frame; None where mechanics hold nothing back.
     progress : Progress
         Where to write.
 
@@ -44,6 +44,8 @@ def solve_and_hold_back(problem: WeightedProblem, solved: SolvedFrame, start: Se
     ConvergenceError
         On all ranks, where an iteration fails; with the last SolvedFrame.
     """
+    if start is None:
+        return solve_further(problem, solved, progress)
     judged = find_displaced_cells(start, solved.solution.q)
 
     def pause(q: Sequence[Array]) -> bool:

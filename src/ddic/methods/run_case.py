@@ -1,21 +1,16 @@
-"""A whole run of a pair: inputs checked, field measured, result and summary written."""
+"""A whole run of a case file, of a pair or of a series."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from ddic.case.frame_files import is_series
-from ddic.case.loader import LoadedCase
-from ddic.errors import DdicError, InputError, as_collective
-from ddic.methods.choose_recipe import estimate_noise_floor, prepare_recipe
-from ddic.methods.detect import find_discontinuity
-from ddic.parallel.phases import Phase, PhaseClock
+from ddic.errors import InputError, as_collective
+from ddic.methods.run_pair import run_pair
+from ddic.methods.run_series import run_series
 from ddic.parallel.team import Team
 from ddic.problem.check_ranks import load_checked_case
-from ddic.problem.inputs import open_inputs
 from ddic.results.listener import Listener
-from ddic.results.publishing import Destination
-from ddic.results.run_files import keep_failed_run, remove_failed_field, write_run
+from ddic.results.series_record import SeriesSummary
 from ddic.results.summary import Summary
 
 
@@ -42,46 +37,40 @@ def run_case(team: Team, path: Path, listener: Listener) -> Summary:
         On all ranks. Where the measurement does not converge, its last field is written under a name that says so, and
         an earlier result is moved out of the way; the message says where both are.
     """
-    return run_pair(team, team.on_root(lambda: load_checked_case(path, team.size)), listener)
+    loaded = team.on_root(lambda: load_checked_case(path, team.size))
+    if loaded.is_series:
+        raise as_collective(InputError(f"{path}: images.deformed: names a series, one image is expected here"))
+    return run_pair(team, loaded, listener)
 
 
-def run_pair(team: Team, loaded: LoadedCase, listener: Listener) -> Summary:
-    """Run a case that was loaded; collective.
+def run_file(team: Team, path: Path, listener: Listener, *, resume: bool = False) -> Summary | SeriesSummary:
+    """Run a case file; collective.
 
     Parameters
     ----------
     team : Team
         All ranks.
-    loaded : LoadedCase
-        Checked, with one deformed image of each camera.
+    path : Path
+        The case file.
     listener : Listener
         Told what happens.
+    resume : bool
+        Whether to go on with a series where an earlier run stopped.
 
     Returns
     -------
-    Summary
+    Summary or SeriesSummary
         Also written beside the result.
 
     Raises
     ------
     DdicError
-        As ``run_case`` does.
+        On all ranks, as ``run_pair`` and ``run_series`` do.
     """
-    if is_series(loaded.case):
-        raise as_collective(InputError(f"{loaded.path}: images.deformed: names a series, one image is expected here"))
-    output, start = loaded.case.output, loaded.case.start.from_result
-    clock = PhaseClock(entered=listener.phase, advanced=listener.progress, waiting=team.waiting)
-    try:
-        with clock.phase(Phase.MESH):
-            inputs, frame = open_inputs(team, loaded)
-        inputs = find_discontinuity(team, inputs, frame, listener, clock)
-        with prepare_recipe(team, inputs, listener, clock, frame) as recipe:
-            measurement = recipe.measure(frame)
-            noise_floor = estimate_noise_floor(recipe, measurement, clock)
-    except DdicError as error:
-        keep_failed_run(team, error, Destination(output.file, output.flip_y), start, clock)
-        raise
-    summary = write_run(measurement, clock, output.file, noise_floor)
-    remove_failed_field(team, output.file, start)
-    return summary
-
+    loaded = team.on_root(lambda: load_checked_case(path, team.size))
+    if loaded.is_series:
+        return run_series(team, loaded, listener, resume=resume)
+    if resume:
+        raise as_collective(InputError(f"--resume: {path} has one deformed image, no series to go on with; leave "
+                                       "--resume out"))
+    return run_pair(team, loaded, listener)

@@ -70,8 +70,8 @@ def _measure_rest(team: Team, loaded: LoadedCase, folder: SeriesFolder, before: 
         inputs, first = open_inputs(team, loaded, numbers[0] - 1)
     measured = [number for number in sorted(before) if before[number].converged and number < numbers[0]]
     states = team.on_root(lambda: [folder.read_state(number) for number in measured[-N_STATES:]])
-    wanted = FramesToMeasure(numbers, states, folder, first)
-    return measure_frames(FrameOpener(team, inputs), wanted, listener, clock)
+    opener = FrameOpener(team, inputs, numbers[0], first)
+    return measure_frames(opener, FramesToMeasure(numbers, states, folder), listener, clock)
 
 
 def _describe_failures(summary: SeriesSummary) -> str:

@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 from ddic.errors import ConvergenceError, as_collective
 from ddic.methods.hold_back import solve_and_hold_back
 from ddic.parallel.phases import Phase, PhaseClock
-from ddic.problem.exclusions import exclude
-from ddic.problem.held_back import SeenStart, linearize_held_cells
+from ddic.problem.held_back import exclude_and_hold
 from ddic.problem.noise_of_field import accept_noise
 from ddic.problem.residual_model import ResidualModel
-from ddic.problem.see_frame import see_start
-from ddic.problem.solved_frame import SolvedFrame, begin_frame, see_solved_frame, solve_further
+from ddic.problem.see_frame import keep_start, see_start
+from ddic.problem.solved_frame import SolvedFrame, begin_frame, see_solved_frame
 from ddic.problem.views import read_frame_windows
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.results.listener import Listener
@@ -33,7 +32,7 @@ come and go for ever."""
 
 
 def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[Array], listener: Listener,
-                clock: PhaseClock) -> SolvedFrame:
+                clock: PhaseClock, least_shown: float = 0.0) -> SolvedFrame:
     """Iterate from a start until neither the field nor what the frame shows of it changes; collective.
 
     Parameters
@@ -48,6 +47,8 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[Array], 
         Told what happens.
     clock : PhaseClock
         Of the phases.
+    least_shown : float, optional
+        Share of the cells that the start must show; any by default.
 
     Returns
     -------
@@ -64,23 +65,21 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[Array], 
     cameras, case = problem.reference.inputs.cameras, problem.reference.inputs.case
     with clock.phase(Phase.RESIDUAL):
         seen, of_blur = see_start(case, cameras, whole, q, problem.slopes)
-    model, notes = problem.fit(exclude(seen.whole.with_large_gradients(q), seen.excluded), q)
+    shown = seen.measure_shown_share()
+    if shown < least_shown:
+        raise as_collective(ConvergenceError(f"{shown:.0%} of the elements are seen where the start puts them"))
+    model, notes = problem.fit(exclude_and_hold(seen.whole.with_large_gradients(q), seen.excluded, None), q)
     notes = (*of_blur, *notes)
     _tell(listener, notes)
-    start = None
-    if case.regularization is not None and case.correlation.spoilt_pixels == "exclude":
-        start = SeenStart(seen.whole, seen.evaluation, q, seen.typical, seen.is_shown)
+    start = keep_start(case, seen, q)
     listener.problem_size(problem.size)
     solved = begin_frame(seen, model, q, notes)
     for n_rounds in range(1, MOST_ROUNDS + 1):
         n_before = len(solved.solution.records)
         n_notes = len(solved.notes)
         progress = Progress(clock, listener.iteration, n_before)
-        if start is None:
-            solved = solve_further(problem, solved, progress)
-        else:
-            solved = solve_and_hold_back(problem, solved, start, progress)
-            seen = solved.seen
+        solved = solve_and_hold_back(problem, solved, start, progress)
+        seen = solved.seen
         _tell(listener, solved.notes[n_notes:])
         found = solved.solution
         with clock.phase(Phase.RESIDUAL):
@@ -92,16 +91,16 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[Array], 
         excluded = now.excluded if n_rounds < GROWING or shrinks else seen.excluded.join(now.excluded)
         is_seen_otherwise = (n_rounds < SETTLED or shrinks) and (
             now.whole.correction != seen.whole.correction or excluded.is_other_than(whole.team, seen.excluded))
-        seen = replace(now, excluded=excluded) if is_seen_otherwise else replace(seen, evaluation=now.evaluation)
+        seen = replace(now, excluded=excluded) if is_seen_otherwise else replace(
+            seen, evaluation=now.evaluation, is_shown=now.is_shown)
         if not (found.converged or is_seen_otherwise):
             found = accept_noise(problem, solved.used, found, len(found.records) - n_before)
             if not found.converged:
                 raise as_collective(ConvergenceError(found.stop, solved))
         # Where the start was far off, other pixels are hidden here: that held the step back, or left a node to nothing.
         followed = model if model.follows else model.with_large_gradients(found.q)
-        kept = exclude(replace(followed, views=seen.whole.views, correction=seen.whole.correction), seen.excluded)
-        if start is not None:
-            kept = linearize_held_cells(kept, seen.excluded, start)
+        shown_now = replace(followed, views=seen.whole.views, correction=seen.whole.correction)
+        kept = exclude_and_hold(shown_now, seen.excluded, start)
         model, renewed = problem.fit(kept, found.q)
         _tell(listener, renewed)
         solved = SolvedFrame(solved.field, found, seen, model, (*solved.notes, *renewed))

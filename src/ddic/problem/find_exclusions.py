@@ -8,6 +8,7 @@ excluded for now: where its neighbours put it, it may be seen again.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +34,7 @@ START_SHARE = 0.3
 
 
 def find_exclusions(whole: ResidualModel, q: Sequence[Array], seen: Sequence[Sequence[SeenCells]],
-                    typical: Mapping[int, TypicalCell], limits: Limits, start: SeenStart | None, *,
-                    is_regularized: bool) -> Exclusions:
+                    typical: Mapping[int, TypicalCell], rules: Rules, start: SeenStart | None) -> Exclusions:
     """Find what of a frame does not show the specimen; collective.
 
     Parameters
@@ -47,12 +47,10 @@ def find_exclusions(whole: ResidualModel, q: Sequence[Array], seen: Sequence[Seq
         Cells of each subdomain and view.
     typical : mapping of int to TypicalCell
         By camera.
-    limits : Limits
-        From which error on a residual is not believed.
+    rules : Rules
+        By which they are judged.
     start : SeenStart or None
         From which mechanics may hold cells back; None where they do not, or at the start itself.
-    is_regularized : bool
-        Whether mechanics hold what pixels do not.
 
     Returns
     -------
@@ -72,10 +70,10 @@ def find_exclusions(whole: ResidualModel, q: Sequence[Array], seen: Sequence[Seq
     views = [[SeenView(view, q_s, cells, typical[view.camera], is_displaced, is_held_back)
               for view, cells, is_displaced, is_held_back in zip(of_subdomain.views, *of_views, strict=True)]
              for of_subdomain, q_s, *of_views in zip(whole.views, q, seen, displaced, held, strict=True)]
-    rules = Rules(_choose_limits(whole.team, views, limits), whole.correction == "element", is_regularized)
-    excluded = whole.team.together(lambda: _find_in_views(views, rules))
+    chosen = replace(rules, limits=_choose_limits(whole.team, views, rules.limits))
+    excluded = whole.team.together(lambda: _find_in_views(views, chosen))
     # Mechanics hold what a frame does not show; what it shows beside something else is another matter.
-    doubted = (BLANK, SPOILT) if is_regularized else (BLANK, SPOILT, UNSEEN)
+    doubted = (BLANK, SPOILT) if rules.is_regularized else (BLANK, SPOILT, UNSEEN)
     n_doubted = sum(int(np.isin(state, doubted).any()) for of_subdomain in excluded.cells for state in of_subdomain)
     return exclude_weak_cells(whole, excluded) if whole.team.sum(n_doubted) else excluded
 

@@ -21,10 +21,16 @@ class FrameOpener:
         All ranks.
     inputs : Inputs
         With the case of the whole series.
+    first_number : int
+        Of a frame that is open already, from 1.
+    first : Frame
+        Its images.
     """
 
     team: Team
     inputs: Inputs
+    first_number: int
+    first: Frame
 
     @property
     def n_frames(self) -> int:
@@ -49,6 +55,8 @@ class FrameOpener:
         InputError
             On all ranks, where one cannot be read.
         """
+        if number == self.first_number:
+            return self.first
         return open_frame(self.inputs.case, open_on_all_ranks(self.team), number - 1)
 
     def list_files(self, number: int) -> list[Path]:
@@ -68,8 +76,8 @@ class FrameOpener:
             return []
         return [list_deformed(section)[number - 1] for section in list_cameras(self.inputs.case)]
 
-    def name(self, number: int) -> str:
-        """Name a frame by the far camera's image.
+    def describe(self, number: int) -> str:
+        """Describe a frame by the far camera's image.
 
         Parameters
         ----------

@@ -136,7 +136,27 @@ def _measure_distance(view: FrameView, q: Array, q_start: Array) -> Array:
     return np.asarray(np.linalg.norm(off, axis=1)[pad_cells(mesh)].mean(axis=1))
 
 
-def linearize_held_cells(model: ResidualModel, excluded: Exclusions, start: SeenStart) -> ResidualModel:
+def exclude_and_hold(model: ResidualModel, excluded: Exclusions, start: SeenStart | None) -> ResidualModel:
+    """Exclude pixels and cells of a frame, and linearize what mechanics hold back; collective.
+
+    Parameters
+    ----------
+    model : ResidualModel
+        With all pixels that the frame shows.
+    excluded : Exclusions
+        Of its subdomains.
+    start : SeenStart or None
+        Of the frame; None where mechanics hold nothing back.
+
+    Returns
+    -------
+    ResidualModel
+        With what is left.
+    """
+    return linearize_held_cells(exclude(model, excluded), excluded, start)
+
+
+def linearize_held_cells(model: ResidualModel, excluded: Exclusions, start: SeenStart | None) -> ResidualModel:
     """Expand the functional of cells that are held back about the start; collective.
 
     Parameters
@@ -145,8 +165,8 @@ def linearize_held_cells(model: ResidualModel, excluded: Exclusions, start: Seen
         Without what is excluded.
     excluded : Exclusions
         Which cells are held back.
-    start : SeenStart
-        Of the frame.
+    start : SeenStart or None
+        Of the frame; None where mechanics hold nothing back.
 
     Returns
     -------
@@ -155,7 +175,7 @@ def linearize_held_cells(model: ResidualModel, excluded: Exclusions, start: Seen
     """
     held = excluded.held_back
     n_held = model.team.sum(sum(int(of_view.sum()) for of_subdomain in held for of_view in of_subdomain))
-    if not n_held:
+    if start is None or not n_held:
         return replace(model, linearized=None)
     started = replace(start.whole, follows=model.follows)
     alone = exclude(started, _exclude_others(excluded))

@@ -59,7 +59,7 @@ class Inputs:
     n_frames: int = 1
     choice: SolverChoice | None = None
 
-    def at_frame(self, number: int) -> Inputs:
+    def with_frame(self, number: int) -> Inputs:
         """Give the inputs of one frame of a series.
 
         Parameters

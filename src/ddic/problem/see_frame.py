@@ -19,6 +19,7 @@ from ddic.problem.match_sharpness import match_sharpness
 from ddic.problem.residual_limits import AT_END, AT_START, Limits
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.seen_cells import SeenCells, TypicalCell, collect_cells, find_typical_cell, measure_seen_cells
+from ddic.problem.view_exclusions import Rules
 
 Array = NDArray[np.float64]
 
@@ -46,6 +47,19 @@ class SeenFrame:
     typical: Mapping[int, TypicalCell]
     excluded: Exclusions
     is_shown: ByView
+
+    def measure_shown_share(self) -> float:
+        """Measure the share of the cells that are seen where they are thought to be; collective.
+
+        Returns
+        -------
+        float
+            Cells of several cameras count for each.
+        """
+        shown = [of_view for of_subdomain in self.is_shown for of_view in of_subdomain]
+        counts = np.array([sum(int(cells.sum()) for cells in shown), sum(len(cells) for cells in shown)], dtype=float)
+        n_shown, n_cells = self.whole.team.sum(counts)
+        return float(n_shown / max(n_cells, 1.0))
 
 
 def see_frame(case: Case, whole: ResidualModel, q: Sequence[Array], slopes: Sequence[Sequence[Array]],
@@ -95,8 +109,8 @@ def see_frame(case: Case, whole: ResidualModel, q: Sequence[Array], slopes: Sequ
     if case.correlation.spoilt_pixels == "keep":
         excluded = Exclusions.nothing(whole.views)
     else:
-        excluded = find_exclusions(whole, q, seen, corrected, limits, start,
-                                   is_regularized=case.regularization is not None)
+        rules = Rules(limits, whole.correction == "element", case.regularization is not None)
+        excluded = find_exclusions(whole, q, seen, corrected, rules, start)
     return SeenFrame(whole, evaluation, typical, excluded, is_shown)
 
 
@@ -157,6 +171,29 @@ def see_start(case: Case, cameras: Sequence[Camera], whole: ResidualModel, q: Se
         return seen, notes
     # Blurred from the file, they are as bright as there.
     return see_frame(case, replace(matched, correction=whole.correction), q, slopes, AT_START), notes
+
+
+def keep_start(case: Case, seen: SeenFrame, q: list[Array]) -> SeenStart | None:
+    """Keep what is needed to tell which cells mechanics hold back.
+
+    Parameters
+    ----------
+    case : Case
+        Says whether there are mechanics, and whether cells are judged.
+    seen : SeenFrame
+        At the start.
+    q : list of (n_unknowns,) array
+        The start, of each owned subdomain.
+
+    Returns
+    -------
+    SeenStart or None
+        None where nothing is held back.
+    """
+    if case.regularization is None or case.correlation.spoilt_pixels == "keep":
+        return None
+    return SeenStart(seen.whole, seen.evaluation, q, seen.typical, seen.is_shown)
+
 
 
 def _find_typical_cells(sample: Mapping[int, SeenCells]) -> dict[int, TypicalCell]:

@@ -320,8 +320,8 @@ class WeightedProblem:
         if self._is_changed:
             self._turn_stiffness(0.0)
             self._is_changed = False
-        elif self.solver.is_set_up:
-            self.solver.step.forget()
+        elif self._solver is not None and self._solver.is_set_up:
+            self._solver.step.forget()
 
     def destroy(self) -> None:
         """Free PETSc's objects."""

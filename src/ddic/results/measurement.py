@@ -91,6 +91,8 @@ class Measurement:
         Why it is no result; empty where it converged.
     method, preconditioner : str
         How the linear steps were solved, as a case calls it.
+    shown_share : float
+        Share of the cells that are seen where the field puts them.
     """
 
     inputs: Inputs
@@ -113,6 +115,7 @@ class Measurement:
     failure: str = ""
     method: str = ""
     preconditioner: str = "none"
+    shown_share: float = 1.0
 
     @property
     def team(self) -> Team:
@@ -251,7 +254,8 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str,
     measurement = Measurement(inputs, frame, problem.reference.region, model, field.q, field.largest_jump, evaluation,
                               problem.size, solved.solution.records, notes, motions, problem.noise, cell_errors,
                               excluded, unmeasured, solved.seen.whole, solved.solution.stop, failure,
-                              problem.solver.method, problem.solver.preconditioner)
+                              problem.solver.method, problem.solver.preconditioner,
+                              solved.seen.measure_shown_share())
     are_used = [~find_excluded(of_views[0]) for of_views in excluded.cells]
     inverted = describe_inverted_cells(team, subdomains, measurement.displacements, are_used)
     if inverted and not failure:

@@ -32,10 +32,13 @@ class MeasuredState:
         Of the earlier frame, unit chosen by the user.
     q : list of (n_unknowns,) array
         Unknowns of owned subdomains.
+    shown_share : float
+        Share of the cells that were seen where the field put them.
     """
 
     time: float
     q: list[Array]
+    shown_share: float
 
 
 def write_frame(measurement: Measurement, record: FrameRecord, folder: SeriesFolder,
@@ -65,11 +68,12 @@ def write_frame(measurement: Measurement, record: FrameRecord, folder: SeriesFol
     def add(opened: ResultWriter) -> None:
         unknowns = {f"{number:06d}": q for of_rank in require_held(gathered) for number, q in of_rank.items()}
         opened.write_attributes(schema.SERIES, {"record": record.as_json(), "time": record.time,
-                                                "noise": np.array(measurement.noise, dtype=float)})
+                                                "noise": np.array(measurement.noise, dtype=float),
+                                                "shown_share": measurement.shown_share})
         opened.write_arrays(f"{schema.SERIES}/unknowns", unknowns)
 
     content = pack(measurement, Destination(None, measurement.inputs.case.output.flip_y), add)
-    path = folder.name_frame(record.number)
+    path = folder.get_frame_path(record.number)
     team.on_root(lambda: writer.write(path, require_held(content)))
 
 
@@ -100,7 +104,7 @@ def write_failed_frame(team: Team, error: DdicError, record: FrameRecord, folder
     team.on_root(lambda: folder.write_failure(record.number, record.as_json()))
 
 
-def take_states(problem: WeightedProblem, states: Sequence[FrameState]) -> list[MeasuredState]:
+def collect_states(problem: WeightedProblem, states: Sequence[FrameState]) -> list[MeasuredState]:
     """Take up what an earlier run has measured; collective.
 
     Parameters
@@ -122,7 +126,7 @@ def take_states(problem: WeightedProblem, states: Sequence[FrameState]) -> list[
                   for state in states for subdomain in subdomains)
     if problem.team.sum(n_other):
         return []
-    return [MeasuredState(state.time, [state.unknowns[subdomain.index] for subdomain in subdomains])
+    return [MeasuredState(state.time, [state.unknowns[subdomain.index] for subdomain in subdomains], state.shown_share)
             for state in states]
 
 
