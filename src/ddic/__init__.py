@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from ddic.version import __version__
 
 if TYPE_CHECKING:
+    from ddic.api.choose_regularization import choose_regularization
     from ddic.api.image import Image
     from ddic.api.known_displacements import Uncertainty, estimate_uncertainty
     from ddic.api.measure import Session, measure, prepare
@@ -29,8 +30,10 @@ if TYPE_CHECKING:
     from ddic.kinematics.nodal import NodalRegion
     from ddic.mesh.mesh import Mesh
     from ddic.mesh.structured import build_structured_mesh as structured_mesh
+    from ddic.results.sweep_trials import Candidate, Sweep, Trial
 
 _HOMES = {
+    "choose_regularization": "api.choose_regularization",
     "Image": "api.image",
     "Options": "api.options",
     "Session": "api.measure",
@@ -58,11 +61,15 @@ _HOMES = {
     "LinearRegion": "kinematics.linear",
     "NodalRegion": "kinematics.nodal",
     "Mesh": "mesh.mesh",
+    "Candidate": "results.sweep_trials",
+    "Sweep": "results.sweep_trials",
+    "Trial": "results.sweep_trials",
     "structured_mesh": "mesh.structured:build_structured_mesh",
 }
 """Where the public names live: modules are imported at first use, for some bring MPI, PETSc and numba."""
 
 __all__ = [
+    "Candidate",
     "Case",
     "ConvergenceError",
     "CrackTip",
@@ -81,8 +88,11 @@ __all__ = [
     "Ring",
     "Session",
     "SingularSubdomainError",
+    "Sweep",
+    "Trial",
     "Uncertainty",
     "__version__",
+    "choose_regularization",
     "estimate_uncertainty",
     "find_crack_tip",
     "load_case",

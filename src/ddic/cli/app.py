@@ -17,6 +17,7 @@ COMMANDS = {
     "opening": "Write the opening of discontinuities along them as a table.",
     "crack": "Find a crack's tip and its stress intensity factors.",
     "uncertainty": "Measure known displacements of a reference image, by size of the elements.",
+    "sweep": "Recommend a cut-off wavelength and an element size by trying them out.",
     "calibrate": "Find where a near-field image lies in a far-field one.",
 }
 

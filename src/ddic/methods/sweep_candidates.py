@@ -1,0 +1,93 @@
+"""Element sizes and cut-off wavelengths compared on the pair and on virtual images made from it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+
+import numpy as np
+
+from ddic.methods.candidate_session import CandidateSession
+from ddic.parallel.team import Team, require_held
+from ddic.problem.cameras import Frame
+from ddic.problem.inputs import Inputs
+from ddic.results.candidate_field import CandidateField
+from ddic.results.judge_trials import draw_points, evaluate_pair, evaluate_virtual
+from ddic.results.predict_errors import correct_predictions, estimate_pair_noise, predict_errors
+from ddic.results.sweep_trials import Candidate, Sweep, choose_trial
+from ddic.results.virtual_frame import VirtualFrames
+from ddic.results.virtual_truth import VirtualTruth
+from ddic.start.given_start import keep_displacement
+
+KEPT_PIXELS = 50_000_000
+"""Pixels of all candidates together up to which their images, M and factors are kept, 20 to 40 bytes a pixel; others
+are prepared twice. A larger value takes more memory."""
+
+Advance = Callable[[str], None]
+"""Told what is measured next."""
+
+
+def measure_candidates(team: Team, varied: Sequence[tuple[Candidate, Inputs]], frame: Frame, advance: Advance) -> Sweep:
+    """Measure the pair and the virtual images with every candidate, and choose one; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    varied : sequence of (Candidate, Inputs)
+        Candidates with their inputs, the case's own first; of one camera.
+    frame : Frame
+        The deformed image.
+    advance : callable
+        Told what is measured next, twice for each candidate.
+
+    Returns
+    -------
+    Sweep
+        The same on all ranks.
+
+    Raises
+    ------
+    ConvergenceError
+        On all ranks, where no candidate measures the pair, or the virtual images.
+    """
+    images = VirtualFrames(team, varied[0][1])
+    stays_open = images.reference.extent.n_pixels * len(varied) <= KEPT_PIXELS
+    candidates = [candidate for candidate, _ in varied]
+    with ExitStack() as stack:
+        sessions = [stack.enter_context(CandidateSession(team, inputs, stays_open=stays_open)) for _, inputs in varied]
+        fields = _measure_pair(candidates, sessions, frame, advance)
+        points = team.alike(lambda: draw_points(fields))
+        trials = [evaluate_pair(candidate, field, points, images.material)
+                  for candidate, field in zip(candidates, fields, strict=True)]
+        noise = estimate_pair_noise(trials, images.find_noise_transfer(trials))
+        trials = predict_errors(trials, noise, images.measure_gradient(points))
+        known = int(np.nanargmin([trial.predicted_error for trial in trials]))
+        field = require_held(fields[known].result)
+        start = keep_displacement(field, "the measured field")
+        truth = VirtualTruth(field.mesh, field.displacement)
+        again = sessions[known].measure_virtual(images.render(truth, 0.0), start)
+        truth = truth if again is None else truth.with_lost_detail(again)
+        virtual = images.render(truth, float(np.sqrt(noise.of_field)))
+        for number, session in enumerate(sessions):
+            advance(f"virtual images, {candidates[number].describe()}")
+            if not trials[number].failure:
+                measured = session.measure_virtual(virtual, start)
+                trials[number] = evaluate_virtual(trials[number], measured, truth, points)
+    trials = correct_predictions(trials, known)
+    chosen = team.alike(lambda: choose_trial(trials))
+    return Sweep(tuple(trials), points, noise.camera, known, chosen)
+
+
+def _measure_pair(candidates: Sequence[Candidate], sessions: Sequence[CandidateSession], frame: Frame,
+                  advance: Advance) -> list[CandidateField]:
+    """What each measures of the pair, from the second on starting from the first field."""
+    fields: list[CandidateField] = []
+    start = None
+    for candidate, session in zip(candidates, sessions, strict=True):
+        advance(f"images of the case, {candidate.describe()}")
+        fields.append(session.measure_pair(frame, start))
+        found = fields[-1].result
+        if start is None and found is not None:
+            start = keep_displacement(found, "the first field")
+    return fields
