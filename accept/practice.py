@@ -9,9 +9,10 @@ from __future__ import annotations
 import sys
 
 from accept.series_runs import CHECKS as SERIES
+from accept.sweep_choice import measure_sweep
 from accept.table import Check, run_table
 
-CHECKS: dict[str, Check] = {**SERIES}
+CHECKS: dict[str, Check] = {**SERIES, "sweep": measure_sweep}
 
 if __name__ == "__main__":
     sys.exit(run_table("practice", CHECKS))

@@ -99,7 +99,7 @@ def _write(found: Sweep, folder: Path, stem: str) -> list[str]:
     """Write table and figure; returns the lines that say what was found and where it is."""
     from ddic.io.plots.canvas import save_figure
     from ddic.io.plots.sweep_curves import draw_sweep
-    from ddic.results.sweep_table import collect_by_size, write_sweep
+    from ddic.results.sweep_table import collect_by_size, list_failures, write_sweep
 
     folder.mkdir(parents=True, exist_ok=True)
     table, figure = folder / f"{stem}.sweep.csv", folder / f"{stem}.sweep.png"
@@ -108,7 +108,7 @@ def _write(found: Sweep, folder: Path, stem: str) -> list[str]:
     title = f"recommended: {best.candidate.describe()} (error of {best.virtual_error:.2g} px on the virtual images)"
     save_figure(draw_sweep(collect_by_size(found), title), figure)
     noise = f"noise of an image, from the residual: {found.camera_noise:.2f} grey levels"
-    return [noise, found.describe_recommendation(), "", found.describe_case(), "", str(table), str(figure)]
+    return [*list_failures(found), noise, found.describe_recommendation(), "", found.describe_case(), "", str(table), str(figure)]
 
 
 def _print_table(found: Sweep) -> None:

@@ -31,17 +31,34 @@ def format_rows(sweep: Sweep) -> list[tuple[str, ...]]:
     Returns
     -------
     list of tuple of str
-        A text for each of COLUMNS; the last says why, where nothing was measured.
+        A text for each of COLUMNS.
     """
     rows = []
     for trial in _sort(sweep):
         cells = _format_cells(trial)
         if trial.failure:
-            cells[-1] = trial.rounded_failure
+            cells[-1] = "not measured"
         elif trial is sweep.best:
             cells[-1] += " <"
         rows.append(tuple(cells))
     return rows
+
+
+def list_failures(sweep: Sweep) -> list[str]:
+    """List why some candidates have no error.
+
+    Parameters
+    ----------
+    sweep : Sweep
+        What was found.
+
+    Returns
+    -------
+    list of str
+        A line for each of them.
+    """
+    return [f"not measured: {trial.candidate.describe()}: {trial.short_failure}"
+            for trial in _sort(sweep) if trial.failure]
 
 
 def write_sweep(sweep: Sweep, path: Path) -> None:

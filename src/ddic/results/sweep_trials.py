@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -87,9 +88,9 @@ class Trial:
     failure: str = ""
 
     @property
-    def rounded_failure(self) -> str:
+    def short_failure(self) -> str:
         """The first clause of why there is no measurement."""
-        return self.failure.partition(";")[0].partition("\n")[0]
+        return re.split(r" \(|[;:\n]", self.failure, maxsplit=1)[0]
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ddic.io.result_reader import Result
+from ddic.kinematics.nodal_gradients import recover_gradients
 from ddic.mesh.interpolation import interpolate
 from ddic.mesh.mesh import Mesh
 from ddic.synth.virtual_image import fill_displacement, render_virtual_image
@@ -18,6 +20,9 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True, eq=False)
 class VirtualTruth:
     """A displacement that virtual images have.
+
+    Between nodes it is no finite element's: sum_i N_i (u_i + G_i (x - x_i) / 2), G_i the gradients at nodes, which is
+    exact where the displacement is quadratic. Else the elements of its own mesh would hold it better than any specimen.
 
     Attributes
     ----------
@@ -43,7 +48,17 @@ class VirtualTruth:
         (n, 2) array
             Pixels; nan where there is none.
         """
-        return interpolate(self.mesh, self.displacement, points)
+        found = interpolate(self.mesh, self._columns, points)
+        gradient = found[:, 2:].reshape(-1, 2, 2)
+        return np.asarray(found[:, :2] + 0.5 * np.einsum("ncj,nj->nc", gradient, points))
+
+    @cached_property
+    def _columns(self) -> Array:
+        """u_i - G_i x_i / 2 and G_i of the nodes, (n_nodes, 6)."""
+        (gradient,) = recover_gradients([self.mesh], [self.displacement.ravel()], list)
+        gradient = np.where(np.isfinite(gradient), gradient, 0.0)
+        linear = 0.5 * np.einsum("ncj,nj->nc", gradient, self.mesh.nodes)
+        return np.column_stack([self.displacement - linear, gradient.reshape(-1, 4)])
 
     def with_lost_detail(self, again: Result) -> VirtualTruth:
         """Add what measuring it once more takes off: 2 u - S u.
