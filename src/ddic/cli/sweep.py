@@ -108,7 +108,8 @@ def _write(found: Sweep, folder: Path, stem: str) -> list[str]:
     title = f"recommended: {best.candidate.describe()} (error of {best.virtual_error:.2g} px on the virtual images)"
     save_figure(draw_sweep(collect_by_size(found), title), figure)
     noise = f"noise of an image, from the residual: {found.camera_noise:.2f} grey levels"
-    return [*list_failures(found), noise, found.describe_recommendation(), "", found.describe_case(), "", str(table), str(figure)]
+    said = [found.describe_recommendation(), "", found.describe_case(), ""]
+    return [*list_failures(found), noise, *said, str(table), str(figure)]
 
 
 def _print_table(found: Sweep) -> None:

@@ -14,8 +14,11 @@ from ddic.io.plots.canvas import COLOURS
 
 Array = NDArray[np.float64]
 
-MOST_LABELS = 7
-"""Wavelengths that are written at an axis, and at the points of the L-curve."""
+MOST_LABELS = 12
+"""Wavelengths that are written at an axis."""
+
+CROWDED = 0.07
+"""Distance of points of the L-curve, relative to the axes, below which only one of them has its wavelength written."""
 
 
 WIDE_RANGE = 10.0
@@ -104,12 +107,20 @@ def _pick(n: int) -> list[int]:
 
 def _annotate(axes: Axes, swept: Sequence[SweptElements]) -> None:
     """Write wavelengths at the points of the first curve."""
-    first = swept[0]
-    for k in _pick(len(first.wavelengths)):
-        if np.isfinite(first.residuals[k]) and np.isfinite(first.gaps[k]):
-            text = f"{first.wavelengths[k]:g}" if first.wavelengths[k] else "none"
-            axes.annotate(text, (first.gaps[k], first.residuals[k]), xytext=(5, 5), textcoords="offset points",
-                          fontsize=7)
+    first = next((of_size for of_size in swept if np.isfinite(of_size.residuals * of_size.gaps).any()), None)
+    if first is None:
+        return
+    points = np.column_stack([np.log(first.gaps), first.residuals])
+    places = (points - np.nanmin(points, axis=0)) / np.maximum(np.ptp(points[np.isfinite(points).all(axis=1)], axis=0),
+                                                              1e-300)
+    written: list[Array] = []
+    # From the longest on: the corner is crowded, the ends are not.
+    for k in reversed(range(len(places))):
+        if not np.isfinite(places[k]).all() or any(np.abs(places[k] - other).max() < CROWDED for other in written):
+            continue
+        written.append(places[k])
+        text = f"{first.wavelengths[k]:g}" if first.wavelengths[k] else "none"
+        axes.annotate(text, (first.gaps[k], first.residuals[k]), xytext=(5, 5), textcoords="offset points", fontsize=7)
 
 
 def _finish(corner: Axes, residual: Axes, error: Axes, lengths: tuple[Array, Array]) -> None:
@@ -134,7 +145,8 @@ def _finish(corner: Axes, residual: Axes, error: Axes, lengths: tuple[Array, Arr
     chosen = _pick(len(places))
     for axes in (residual, error):
         axes.set_xlabel("cut-off wavelength l_c [px]")
-        axes.set_xticks(places[chosen], [f"{wavelengths[k]:g}" if wavelengths[k] else "none" for k in chosen])
+        axes.set_xticks(places[chosen], [f"{wavelengths[k]:g}" if wavelengths[k] else "none" for k in chosen],
+                        fontsize=8)
         axes.set_xticks([], minor=True)
     for axes in (corner, residual, error):
         axes.grid(which="both", alpha=0.25)
