@@ -84,6 +84,16 @@ def test_impossible_settings_are_refused(wave_case: Path, options: list[str], me
     assert not list(wave_case.parent.glob("*.sweep.*"))
 
 
+def test_of_a_series_the_last_image_is_taken(wave_case: Path) -> None:
+    one = ddic.choose_regularization(wave_case, wavelengths=(120,), element_sizes=(20,))
+    text = wave_case.read_text()
+    wave_case.write_text(text.replace('deformed = "g.tif"', 'deformed = ["f.tif", "g.tif"]'))
+    last = ddic.choose_regularization(wave_case, wavelengths=(120,), element_sizes=(20,))
+    # The first image has not moved at all.
+    assert np.array_equal(last.trials[0].displacement, one.trials[0].displacement)
+    assert np.abs(last.trials[0].displacement).max() > 0.1
+
+
 def test_other_methods_and_cameras_are_refused(wave_case: Path) -> None:
     text = wave_case.read_text()
     wave_case.write_text(text + "[pgd]\n")

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from ddic.case.frame_files import list_deformed
 from ddic.case.loader import LoadedCase
 from ddic.case.resolution import list_element_sizes, list_wavelengths, set_resolution
 from ddic.case.schema import Case
@@ -35,7 +36,7 @@ def choose_regularization(case: str | Path | Case | LoadedCase, *, wavelengths: 
     Parameters
     ----------
     case : str, Path, Case or LoadedCase
-        Of one pair of images.
+        Of one camera; of a series the last image is taken.
     wavelengths : sequence of float, optional
         l_c, pixels, 0 for no regularization; by default none and nine about the case's own, sqrt 2 apart.
     element_sizes : sequence of float, optional
@@ -56,7 +57,8 @@ def choose_regularization(case: str | Path | Case | LoadedCase, *, wavelengths: 
     """
     team = Team.world()
     loaded = team.on_root(lambda: _load(case, team.size))
-    inputs, frame = open_inputs(team, loaded)
+    # Of a series the last image, which has moved most.
+    inputs, frame = open_inputs(team, loaded, len(list_deformed(loaded.case.images)) - 1)
     team.together(lambda: _refuse_impossible(inputs.case, wavelengths, element_sizes))
     inputs = find_discontinuity(team, inputs, frame, Silence(), PhaseClock(waiting=team.waiting))
     candidates = team.on_root(lambda: _list_candidates(inputs, wavelengths, element_sizes))
