@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,10 @@ from numpy.typing import NDArray
 import ddic
 from ddic.cli.sweep import sweep
 from ddic.errors import InputError
+from ddic.methods import candidate_session, sweep_candidates
+from ddic.methods.dd_dic import Session
+from ddic.parallel.team import Team
+from ddic.problem.inputs import Inputs
 
 SIDE = 200
 
@@ -82,6 +87,24 @@ def test_impossible_settings_are_refused(wave_case: Path, options: list[str], me
     assert message in told.output
     assert told.output.count("\n") == 1
     assert not list(wave_case.parent.glob("*.sweep.*"))
+
+
+def test_candidates_that_are_prepared_twice_find_the_same(wave_case: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    settings: dict[str, Any] = {"wavelengths": (60, 120), "element_sizes": (20,)}
+    kept = ddic.choose_regularization(wave_case, **settings)
+    monkeypatch.setattr(sweep_candidates, "KEPT_PIXELS", 0)
+    opened: list[Inputs] = []
+    prepared = candidate_session.Session
+
+    def prepare(team: Team, inputs: Inputs, *others: Any) -> Session:
+        opened.append(inputs)
+        return prepared(team, inputs, *others)
+
+    monkeypatch.setattr(candidate_session, "Session", prepare)
+    again = ddic.choose_regularization(wave_case, **settings)
+    # Twice each, and once more for the truth.
+    assert len(opened) == 5
+    assert [t.virtual_error for t in again.trials] == [t.virtual_error for t in kept.trials]
 
 
 def test_of_a_series_the_last_image_is_taken(wave_case: Path) -> None:
