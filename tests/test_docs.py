@@ -33,6 +33,7 @@ SECTIONS: dict[str, type[BaseModel]] = {
     "[gauss_newton]": schema.GaussNewtonSection,
     "[start]": schema.StartSection,
     "[pgd]": schema.PgdSection,
+    "[series]": schema.SeriesSection,
     "[output]": schema.OutputSection,
 }
 HOLES = {schema.Circle, schema.Polygon}

@@ -6,6 +6,7 @@ import hashlib
 import platform
 import sys
 from datetime import UTC, datetime
+from functools import cache
 from importlib import metadata
 
 import mpi4py.MPI
@@ -34,9 +35,14 @@ def collect_provenance(origin: dict[str, str | int]) -> dict[str, str | int]:
     dict
         Date, command, versions, then what was given.
     """
+    return {"date": datetime.now(UTC).isoformat(timespec="seconds"), "command": " ".join(sys.argv),
+            **_collect_versions(), **origin}
+
+
+@cache
+def _collect_versions() -> dict[str, str | int]:
+    """Versions of what runs; looked up once a process, as each frame of a series asks."""
     facts: dict[str, str | int] = {
-        "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "command": " ".join(sys.argv),
         "ddic": __version__,
         "commit": find_source_commit(),
         "python": platform.python_version(),
@@ -45,7 +51,7 @@ def collect_provenance(origin: dict[str, str | int]) -> dict[str, str | int]:
     }
     for library in _LIBRARIES:
         facts[library] = metadata.version(library)
-    return {**facts, **origin}
+    return facts
 
 
 def describe_image(name: str, image: ImageSource) -> dict[str, str | int]:
