@@ -14,6 +14,8 @@ COMMANDS = {
     "synth": "Make image pairs with a known displacement.",
     "info": "Describe a result file or an image.",
     "plot": "Draw the pictures of a result file.",
+    "probe": "Read points, lines, strain gauges and extensometers on results.",
+    "export": "Write the fields of a result as CSV tables.",
     "opening": "Write the opening of discontinuities along them as a table.",
     "crack": "Find a crack's tip and its stress intensity factors.",
     "uncertainty": "Measure known displacements of a reference image, by size of the elements.",
