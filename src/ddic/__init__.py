@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from ddic.probes.probe_kinds import Extensometer, LineProbe, PointProbe, StrainGauge
     from ddic.probes.probe_table import measure_probes, write_probe_table
     from ddic.probes.read_probe import Reading, measure_probe
+    from ddic.report.write_report import write_report
 
 _HOMES = {
     "Image": "api.image",
@@ -77,6 +78,7 @@ _HOMES = {
     "measure_probes": "probes.probe_table",
     "write_probe_table": "probes.probe_table",
     "write_field_tables": "probes.field_tables",
+    "write_report": "report.write_report",
 }
 """Where the public names live: modules are imported at first use, for some bring MPI, PETSc and numba."""
 
@@ -122,6 +124,7 @@ __all__ = [
     "structured_mesh",
     "write_field_tables",
     "write_probe_table",
+    "write_report",
 ]
 
 

@@ -16,6 +16,7 @@ COMMANDS = {
     "plot": "Draw the pictures of a result file.",
     "probe": "Read points, lines, strain gauges and extensometers on results.",
     "export": "Write the fields of a result as CSV tables.",
+    "report": "Write one page on a result, with what guides ask to be stated.",
     "opening": "Write the opening of discontinuities along them as a table.",
     "crack": "Find a crack's tip and its stress intensity factors.",
     "uncertainty": "Measure known displacements of a reference image, by size of the elements.",

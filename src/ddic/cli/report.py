@@ -1,0 +1,29 @@
+"""``ddic report``: one page on a measurement, to hand on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from ddic.cli.errors_as_lines import errors_as_lines
+from ddic.cli.warned import warnings_as_lines
+
+
+@click.command()
+@click.argument("file", metavar="RESULT", type=click.Path(path_type=Path))
+@click.option("--image", type=click.Path(path_type=Path), default=None,
+              help="Reference image; by default the one named in the result, if it is still there.")
+@click.option("--output", type=click.Path(path_type=Path, dir_okay=False), default=None,
+              help="Page to write; by default RESULT.report.html beside it.")
+def report(file: Path, image: Path | None, output: Path | None) -> None:
+    """Write one self-contained HTML page on a result: fields, residual, convergence, what guides ask to be stated."""
+    # Imported here because matplotlib is not needed by --help.
+    from ddic.io.result_reader import read_result
+    from ddic.report.write_report import write_report
+
+    target = file.with_name(f"{file.stem}.report.html") if output is None else output
+    with errors_as_lines(target), warnings_as_lines():
+        result = read_result(file)
+        write_report(result, target, image)
+    click.echo(target)
