@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import sys
 
+from accept.report_page import measure_report
 from accept.series_runs import CHECKS as SERIES
 from accept.table import Check, run_table
 
-CHECKS: dict[str, Check] = {**SERIES}
+CHECKS: dict[str, Check] = {**SERIES, "report": measure_report}
 
 if __name__ == "__main__":
     sys.exit(run_table("practice", CHECKS))

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+from scipy.ndimage import uniform_filter
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "chrome-headless-shell")
 """Of Chromium and its kin."""
@@ -26,6 +27,9 @@ SECONDS = 120
 
 WIDTH = 1440
 """Of the window, pixels."""
+
+THIN = 3
+"""Dots over which pictures are averaged before they are compared; a larger number sees less of letters."""
 
 OPTIONS = ("--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--disable-background-networking",
            "--disable-component-update", "--disable-sync", "--no-first-run", "--disable-extensions",
@@ -174,8 +178,9 @@ def _compare(shown: NDArray[np.float64], seen: dict[str, Any], data: bytes) -> S
     if not seen["natural"][0] or patch.size == 0 or patch.shape != (height, width):
         return ShownPicture(seen["name"], 0.0, float("nan"))
     picture = Image.open(io.BytesIO(data)).convert("L").resize((width, height), Image.Resampling.LANCZOS)
-    grey = np.asarray(picture, np.float64)[1:-1, 1:-1]
-    # Boxes begin between pixels: thin lines may lie one pixel beside.
+    # Boxes begin and end between pixels: thin lines may lie one pixel beside, and are compared as wide as three.
+    grey = uniform_filter(np.asarray(picture, np.float64), THIN)[1:-1, 1:-1]
+    patch = uniform_filter(patch, THIN)
     patches = [patch[j:height - 2 + j, i:width - 2 + i] for j, i in product(range(3), repeat=2)]
     likeness = max(float(np.corrcoef(grey.ravel(), moved.ravel())[0, 1]) for moved in patches)
     return ShownPicture(seen["name"], width / seen["natural"][0], likeness)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -40,13 +41,13 @@ def probe(files: tuple[Path, ...], points: tuple[str, ...], lines: tuple[str, ..
           extensometers: tuple[str, ...], file: Path | None,
           measure: Literal["infinitesimal", "green-lagrange", "hencky"], noise: float | None,
           table: Path | None) -> None:
-    """Read points, lines, strain gauges and extensometers on result files, in the order of their times.
+    """Read points, lines, strain gauges and extensometers on results, or on the frames of a series, by their times.
 
     Places are pixels of the reference image. Every option may be given several times. Beside each probe stand its
     spatial resolution, the wavelength of which 90 % are left, and its noise (docs/probes.md).
     """
     # Imported here because HDF5 is not needed by --help.
-    from ddic.io.result_reader import read_result
+    from ddic.io.series_reader import read_frames
     from ddic.probes.probe_file import load_probes
     from ddic.probes.probe_table import measure_probes, write_probe_table
 
@@ -56,8 +57,8 @@ def probe(files: tuple[Path, ...], points: tuple[str, ...], lines: tuple[str, ..
         if not probes:
             raise InputError("no probe: give --point, --line, --gauge, --extensometer, or a file by --probes")
         with warnings_as_lines():
-            results = [read_result(path) for path in files]
-        records = measure_probes(results, probes, measure, noise)
+            results = chain.from_iterable(map(read_frames, files))
+            records = measure_probes(results, probes, measure, noise)
         if len({record.unit for record in records}) > 1:
             raise InputError("the results have several pixel sizes: read those of each apart")
         if table is not None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
-from ddic.io.result_reader import Result, check_schema, read_open_file
+from ddic.io.result_reader import Result, check_schema, read_open_file, read_result
 
 
 @dataclass(frozen=True)
@@ -90,6 +90,30 @@ def read_series(path: Path | str) -> SeriesResult:
             return _read_contents(path, file)
     except (OSError, KeyError, ValueError, IndexError) as error:
         raise InputError(f"{path}: not a readable ddic result file ({error}); run ddic again") from error
+
+
+def read_frames(path: Path | str) -> Iterator[Result]:
+    """Read the frames of a result file one after the other, whether it holds a series or a pair.
+
+    Parameters
+    ----------
+    path : Path or str
+        The file.
+
+    Returns
+    -------
+    iterator of Result
+        Those that were measured; of a pair the one, with a UserWarning where it did not converge.
+
+    Raises
+    ------
+    InputError
+        Where it is missing, foreign, damaged or of a newer major schema.
+    """
+    series = read_series(path)
+    with _open(series.path) as file:
+        is_series = schema.STEPS in file
+    return iter(series) if is_series else iter([read_result(path)])
 
 
 def _read_contents(path: Path, file: Any) -> SeriesResult:

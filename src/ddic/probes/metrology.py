@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,9 @@ KEPT = 0.9
 SIGMA_DISPLACEMENT = ("sigma_u", "sigma_v")
 SIGMA_STRAIN = ("sigma_exx", "sigma_eyy")
 """Fields of standard deviations at nodes, where a result has them."""
+
+KEPT_PROBES = 1024
+"""Probes whose resolution and noise are kept for the next frame, which has the same; more take a few bytes each."""
 
 LONGEST_WAVE = 1e3
 """Longest wave that is looked at, relative to the longest length of probe and chain."""
@@ -103,6 +107,7 @@ def estimate_metrology(result: Result, probe: Probe, noise: float | None = None)
                      strain_noise, find_strain_resolution(probe, chain), "; ".join(notes))
 
 
+@lru_cache(maxsize=KEPT_PROBES)
 def find_displacement_noise(probe: Probe, chain: DisplacementChain) -> float:
     """Find the noise of a probe's displacement.
 
@@ -123,6 +128,7 @@ def find_displacement_noise(probe: Probe, chain: DisplacementChain) -> float:
     return float(np.sqrt(0.5 * np.einsum("n,nii->", response**2, chain.predict_noise(waves))))
 
 
+@lru_cache(maxsize=KEPT_PROBES)
 def find_strain_noise(probe: Probe, chain: DisplacementChain) -> float:
     """Find the noise of a probe's strain.
 
@@ -144,6 +150,7 @@ def find_strain_noise(probe: Probe, chain: DisplacementChain) -> float:
     return float(np.sqrt((evaluate_strain_power(probe, chain, waves) * along).sum()))
 
 
+@lru_cache(maxsize=KEPT_PROBES)
 def find_displacement_resolution(probe: Probe, chain: DisplacementChain) -> float:
     """Find the wavelength of which 90 % are left in a probe's displacement.
 
@@ -166,6 +173,7 @@ def find_displacement_resolution(probe: Probe, chain: DisplacementChain) -> floa
     return _find_wavelength(keep, probe, chain)
 
 
+@lru_cache(maxsize=KEPT_PROBES)
 def find_strain_resolution(probe: Probe, chain: DisplacementChain) -> float:
     """Find the wavelength of which 90 % are left in a probe's strain.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -59,14 +59,14 @@ class ProbeRecord:
     unit: LengthUnit
 
 
-def measure_probes(results: Sequence[Result], probes: Sequence[Probe], measure: Measure = "infinitesimal",
+def measure_probes(results: Iterable[Result], probes: Sequence[Probe], measure: Measure = "infinitesimal",
                    noise: float | None = None) -> list[ProbeRecord]:
     """Read probes on results in the order of their times.
 
     Parameters
     ----------
-    results : sequence of Result
-        One, or a series.
+    results : iterable of Result
+        One in a list, or the frames of a series, which are read one after the other.
     probes : sequence of Probe
         Where and how.
     measure : {"infinitesimal", "green-lagrange", "hencky"}, optional
@@ -79,10 +79,10 @@ def measure_probes(results: Sequence[Result], probes: Sequence[Probe], measure: 
     list of ProbeRecord
         All probes at the first time, then at the next one.
     """
-    ordered = sorted(results, key=find_time)
-    return [ProbeRecord(find_time(result), result.path.name, measure_probe(result, probe, measure),
-                        estimate_metrology(result, probe, noise), find_length_unit(result))
-            for result in ordered for probe in probes]
+    records = [ProbeRecord(find_time(result), result.path.name, measure_probe(result, probe, measure),
+                           estimate_metrology(result, probe, noise), find_length_unit(result))
+               for result in results for probe in probes]
+    return sorted(records, key=lambda record: record.time)
 
 
 def find_time(result: Result) -> float:

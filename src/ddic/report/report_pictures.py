@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from ddic.io import result_schema as schema
@@ -22,12 +23,23 @@ from ddic.io.plots.marked_places import draw_marks
 from ddic.io.plots.nodal_map import draw_displacement
 from ddic.io.plots.preview import Preview, read_preview
 from ddic.io.plots.residual import draw_residual
-from ddic.io.plots.strain_map import StrainChoice, draw_strain
+from ddic.io.plots.strain_map import StrainChoice, draw_strain, pick_number, pick_tensors
+from ddic.io.result_reader import Result
 from ddic.report.gathered import Gathered
 from ddic.report.worst_places import WorstPlace
 
+SHOWN_PERCENT = 99.5
+"""Of the strains of nodes, those to either end of the colours."""
+
 DPI = 110
 """Dots an inch: sharp on a screen, and some hundred kilobytes a picture."""
+
+
+Drawing = tuple[str, str, Callable[[], Figure]]
+"""Name, caption, and what draws it."""
+
+Drawn = tuple[str, str, Figure]
+"""Name, caption and page."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +80,25 @@ def draw_report_pictures(gathered: Gathered, places: Sequence[WorstPlace]) -> di
     dict of list of ReportPicture
         By section: fields, residual, convergence, histograms.
     """
+    return {section: [_encode(name, caption, figure) for name, caption, figure in drawn]
+            for section, drawn in draw_report_figures(gathered, places).items()}
+
+
+def draw_report_figures(gathered: Gathered, places: Sequence[WorstPlace]) -> dict[str, list[Drawn]]:
+    """Draw the figures of all pictures.
+
+    Parameters
+    ----------
+    gathered : Gathered
+        The result and what belongs to it.
+    places : sequence of WorstPlace
+        That are marked in the residual.
+
+    Returns
+    -------
+    dict of list of (str, str, Figure)
+        By section: name, caption and page of each.
+    """
     previews = {name: read_preview(image) for name, image in gathered.images.items()}
     drawings: dict[str, list[Drawing]] = {
         "fields": _list_fields(gathered, previews.get("reference")),
@@ -75,12 +106,12 @@ def draw_report_pictures(gathered: Gathered, places: Sequence[WorstPlace]) -> di
         "convergence": _list_curves(gathered),
         "histograms": _list_histograms(gathered, previews),
     }
-    return {section: [_encode(gathered, name, caption, draw()) for name, caption, draw in listed]
-            for section, listed in drawings.items()}
-
-
-Drawing = tuple[str, str, Callable[[], Figure]]
-"""Name, caption, and what draws it."""
+    drawn = {section: [(name, caption, draw()) for name, caption, draw in listed]
+             for section, listed in drawings.items()}
+    for of_section in drawn.values():
+        for _, _, figure in of_section:
+            draw_failures(figure, [gathered.result])
+    return drawn
 
 
 def _list_fields(gathered: Gathered, image: Preview | None) -> list[Drawing]:
@@ -93,11 +124,23 @@ def _list_fields(gathered: Gathered, image: Preview | None) -> list[Drawing]:
     by_cell = schema.NODAL_INFINITESIMAL not in result.point_data
     where = "in the middle of elements" if by_cell else "at nodes"
     if not by_cell or schema.STRAIN_INFINITESIMAL in result.cell_data:
-        drawn += [(f"strain {pair}", f"Infinitesimal strain {pair} {where}, {over}.",
-                   partial(draw_strain, result, StrainChoice("infinitesimal", pair, by_cell), unit, None, image))
+        drawn += [(f"strain {pair}", f"Infinitesimal strain {pair} {where}, {over}; colours end at the {SHOWN_PERCENT} "
+                                     "% quantiles.",
+                   partial(_draw_strain, result, StrainChoice("infinitesimal", pair, by_cell), image))
                   for pair in ("xx", "yy", "xy")]
     caption = "The deformed mesh without its rigid motion, amplified as the title says, over the mesh at rest."
     return [*drawn, ("deformed mesh", caption, partial(draw_deformed, result, unit=unit))]
+
+
+def _draw_strain(result: Result, choice: StrainChoice, image: Preview | None) -> Figure:
+    """Strain in colours that a few nodes at an edge do not decide."""
+    values = pick_number(pick_tensors(result, choice), choice.number or "xx")
+    known = values[np.isfinite(values)]
+    limits = None
+    if known.size:
+        low, high = np.percentile(known, [100.0 - SHOWN_PERCENT, SHOWN_PERCENT])
+        limits = (float(low), float(high)) if low < high else None
+    return draw_strain(result, choice, find_length_unit(result), limits, image)
 
 
 def _caption_residual(gathered: Gathered) -> str:
@@ -140,9 +183,8 @@ def _list_histograms(gathered: Gathered, previews: dict[str, Preview]) -> list[D
     return drawn
 
 
-def _encode(gathered: Gathered, name: str, caption: str, figure: Figure) -> ReportPicture:
+def _encode(name: str, caption: str, figure: Figure) -> ReportPicture:
     """A figure as a PNG within the page."""
-    draw_failures(figure, [gathered.result])
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=DPI)
     width, height = (round(DPI * side) for side in figure.get_size_inches())

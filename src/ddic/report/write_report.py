@@ -105,7 +105,8 @@ def _list_phases(gathered: Gathered) -> list[tuple[str, str, str, float]]:
     longest = max(wall.values(), default=1.0) or 1.0
     rows = [(name, f"{seconds:.2f}", f"{cpu[name]:.2f}" if name in cpu else NOT_RECORDED, 100.0 * seconds / longest)
             for name, seconds in wall.items()]
-    return [*rows, ("sum", f"{sum(wall.values()):.2f}", f"{sum(cpu.values()):.2f}", 0.0)] if rows else []
+    total = f"{sum(cpu.values()):.2f}" if set(cpu) >= set(wall) else NOT_RECORDED
+    return [*rows, ("sum", f"{sum(wall.values()):.2f}", total, 0.0)] if rows else []
 
 
 def _describe_memory(gathered: Gathered) -> str:

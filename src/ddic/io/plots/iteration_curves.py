@@ -26,7 +26,7 @@ def draw_iterations(table: Mapping[str, NDArray[Any]], noise_floor: float = floa
     Figure
         The page.
     """
-    figure = Figure(figsize=(6.2, 4.6), layout="tight")
+    figure = Figure(figsize=(5.6, 4.4), layout="tight")
     sizes, residual = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     number = table["iteration"]
     for column, colour, label in (("rms_correction_px", "tab:blue", "RMS"),
