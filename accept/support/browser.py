@@ -124,7 +124,7 @@ def show_page(browser: str, page: Path, screenshot: Path) -> ShownPage:
         What it shows.
     """
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-        seen, requests = _probe(browser, page, Path(folder))
+        seen, requests = probe_page(browser, page, Path(folder))
         _run(browser, Path(folder), f"--screenshot={screenshot}", f"--window-size={WIDTH},{seen['height']}",
              page.resolve().as_uri())
     shown = np.asarray(Image.open(screenshot).convert("L"), np.float64)
@@ -148,11 +148,27 @@ def _list_requests(log: Path) -> list[str]:
     return sorted(found)
 
 
-def _probe(browser: str, page: Path, folder: Path) -> tuple[dict[str, Any], list[str]]:
-    """What the browser makes of a copy of the page that says so, and what the copy asks the net for.
+def probe_page(browser: str, page: Path, folder: Path) -> tuple[dict[str, Any], list[str]]:
+    """Open a copy of a page that says what the browser makes of it.
 
-    The copy has no policy that would keep it from asking. Nothing outside answers: what is asked for is in the log all
-    the same.
+    The copy has no policy that would keep it from asking the net. Nothing outside answers: what is asked for is in the
+    browser's log all the same.
+
+    Parameters
+    ----------
+    browser : str
+        Path of Chromium or its kin.
+    page : Path
+        HTML file.
+    folder : Path
+        For the copy, the browser's profile and its log.
+
+    Returns
+    -------
+    seen : dict
+        Height and width of the page, boxes of its images, elements whose content is wider than they are.
+    requests : list of str
+        Addresses that it asked for.
     """
     text = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", page.read_text(encoding="utf-8"))
     copy = folder / "copy.html"

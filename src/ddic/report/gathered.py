@@ -103,6 +103,11 @@ def gather_all(result: Result, image: Path | None = None) -> Gathered:
     -------
     Gathered
         With a sentence for each thing that is no longer there.
+
+    Raises
+    ------
+    InputError
+        Where the image that was given is missing.
     """
     text = str(result.attributes.get(schema.CASE, {}).get("json", ""))
     absent: list[str] = []
@@ -118,16 +123,19 @@ def gather_all(result: Result, image: Path | None = None) -> Gathered:
         elif name == "reference" and image is not None:
             raise InputError(f"{path}: no such image; check --image")
         else:
-            where = "was in memory" if path == Path() else f"is no longer at {path}"
+            # In place of a file's name, images of arrays are told by what they are.
+            in_memory = not path.is_absolute() and not path.suffix
+            where = "was in memory" if in_memory else f"is no longer at {path}"
             absent.append(f"The {name} image {where}: what it alone tells is not in this report.")
     return Gathered(result, json.loads(text) if text else {}, summary, images, tuple(absent))
 
 
 def _read_summary(result: Result, absent: list[str]) -> Mapping[str, Any]:
     """The summary beside a result file, if it is this result's."""
-    path = schema.summary_path(result.path)
+    in_memory = result.path == Path()
+    path = result.path if in_memory else schema.summary_path(result.path)
     summary: dict[str, Any] = {}
-    if result.path != Path() and path.is_file():
+    if not in_memory and path.is_file():
         try:
             summary = json.loads(path.read_text(encoding="utf-8"))
         except ValueError:

@@ -43,7 +43,7 @@ Drawn = tuple[str, str, Figure]
 
 
 @dataclass(frozen=True)
-class ReportPicture:
+class EmbeddedFigure:
     """A picture in a page.
 
     Attributes
@@ -65,8 +65,8 @@ class ReportPicture:
     height: int
 
 
-def draw_report_pictures(gathered: Gathered, places: Sequence[WorstPlace]) -> dict[str, list[ReportPicture]]:
-    """Draw all pictures that a result allows.
+def encode_report_figures(gathered: Gathered, places: Sequence[WorstPlace]) -> dict[str, list[EmbeddedFigure]]:
+    """Draw all pictures that a result allows, for a page that holds them itself.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def draw_report_pictures(gathered: Gathered, places: Sequence[WorstPlace]) -> di
 
     Returns
     -------
-    dict of list of ReportPicture
+    dict of list of EmbeddedFigure
         By section: fields, residual, convergence, histograms.
     """
     return {section: [_encode(name, caption, figure) for name, caption, figure in drawn]
@@ -183,10 +183,10 @@ def _list_histograms(gathered: Gathered, previews: dict[str, Preview]) -> list[D
     return drawn
 
 
-def _encode(name: str, caption: str, figure: Figure) -> ReportPicture:
+def _encode(name: str, caption: str, figure: Figure) -> EmbeddedFigure:
     """A figure as a PNG within the page."""
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=DPI)
     width, height = (round(DPI * side) for side in figure.get_size_inches())
     data = base64.b64encode(stream.getvalue()).decode("ascii")
-    return ReportPicture(name, caption, f"data:image/png;base64,{data}", width, height)
+    return EmbeddedFigure(name, caption, f"data:image/png;base64,{data}", width, height)

@@ -228,7 +228,7 @@ def _list_metrology(gathered: Gathered) -> Items:
         if not math.isfinite(value):
             return NOT_RECORDED
         if not in_length:
-            return f"{value:.2g}"
+            return f"{value:.1e}"
         physical = "" if unit.name == "px" else f" = {unit.size * value:.3g} {unit.name}"
         return f"{value:.3g} px{physical}"
 
