@@ -33,7 +33,9 @@ SECTIONS: dict[str, type[BaseModel]] = {
     "[gauss_newton]": schema.GaussNewtonSection,
     "[start]": schema.StartSection,
     "[pgd]": schema.PgdSection,
+    "[series]": schema.SeriesSection,
     "[output]": schema.OutputSection,
+    "[acquisition]": schema.AcquisitionSection,
 }
 HOLES = {schema.Circle, schema.Polygon}
 
