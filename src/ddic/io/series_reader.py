@@ -60,7 +60,14 @@ class SeriesResult:
     def _read(self, step: int) -> Result:
         with _open(self.path) as file, h5py.File("frame", "w", driver="core", backing_store=False) as frame:
             _extract(file, step, int(self.numbers[step]), frame)
-            return _name(read_open_file(Path(), frame), self.path)
+            result = _name(read_open_file(Path(), frame), self.path)
+        floor = next((record.get(schema.NOISE_FLOOR) for record in self.records
+                      if record["number"] == self.numbers[step]), None)
+        if floor is not None:
+            # Kept with what is told of the frames: it is estimated at the first one of each run that goes on.
+            case = {**result.attributes.get(schema.CASE, {}), schema.NOISE_FLOOR: floor}
+            result = _name(replace(result, attributes={**result.attributes, schema.CASE: case}), self.path)
+        return result
 
 
 def read_series(path: Path | str) -> SeriesResult:
@@ -169,6 +176,7 @@ def _extract(file: Any, step: int, number: int, frame: Any) -> None:
 
 def _name(result: Result, path: Path) -> Result:
     """The same with its file's name, and the residual image that it holds already."""
+    residual = result.residual_image
     named = replace(result, path=path)
-    named.__dict__["residual_image"] = result.residual_image
+    named.__dict__["residual_image"] = residual
     return named

@@ -72,8 +72,7 @@ def write_frame(measurement: Measurement, record: FrameRecord, folder: SeriesFol
                                                 "shown_share": measurement.shown_share})
         opened.write_arrays(f"{schema.SERIES}/unknowns", unknowns)
 
-    flip_y = measurement.inputs.case.output.flip_y
-    content = pack(measurement, Destination(None, flip_y, noise_floor=record.noise_floor_px), add)
+    content = pack(measurement, Destination(None, measurement.inputs.case.output.flip_y), add)
     path = folder.get_frame_path(record.number)
     team.on_root(lambda: writer.write(path, require_held(content)))
 
