@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import sys
 
+from accept.report_page import measure_report
 from accept.series_runs import CHECKS as SERIES
 from accept.sweep_choice import measure_sweep
 from accept.table import Check, run_table
 
-CHECKS: dict[str, Check] = {**SERIES, "sweep": measure_sweep}
+CHECKS: dict[str, Check] = {**SERIES, "sweep": measure_sweep, "report": measure_report}
 
 if __name__ == "__main__":
     sys.exit(run_table("practice", CHECKS))

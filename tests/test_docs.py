@@ -35,6 +35,7 @@ SECTIONS: dict[str, type[BaseModel]] = {
     "[pgd]": schema.PgdSection,
     "[series]": schema.SeriesSection,
     "[output]": schema.OutputSection,
+    "[acquisition]": schema.AcquisitionSection,
 }
 HOLES = {schema.Circle, schema.Polygon}
 

@@ -30,6 +30,13 @@ if TYPE_CHECKING:
     from ddic.kinematics.nodal import NodalRegion
     from ddic.mesh.mesh import Mesh
     from ddic.mesh.structured import build_structured_mesh as structured_mesh
+    from ddic.probes.field_tables import write_field_tables
+    from ddic.probes.metrology import Metrology, estimate_metrology
+    from ddic.probes.probe_file import load_probes
+    from ddic.probes.probe_kinds import Extensometer, LineProbe, PointProbe, StrainGauge
+    from ddic.probes.probe_table import measure_probes, write_probe_table
+    from ddic.probes.read_probe import Reading, measure_probe
+    from ddic.report.write_report import write_report
     from ddic.results.sweep_trials import Candidate, Sweep, Trial
 
 _HOMES = {
@@ -65,6 +72,19 @@ _HOMES = {
     "Sweep": "results.sweep_trials",
     "Trial": "results.sweep_trials",
     "structured_mesh": "mesh.structured:build_structured_mesh",
+    "Extensometer": "probes.probe_kinds",
+    "LineProbe": "probes.probe_kinds",
+    "PointProbe": "probes.probe_kinds",
+    "StrainGauge": "probes.probe_kinds",
+    "Reading": "probes.read_probe",
+    "measure_probe": "probes.read_probe",
+    "Metrology": "probes.metrology",
+    "estimate_metrology": "probes.metrology",
+    "load_probes": "probes.probe_file",
+    "measure_probes": "probes.probe_table",
+    "write_probe_table": "probes.probe_table",
+    "write_field_tables": "probes.field_tables",
+    "write_report": "report.write_report",
 }
 """Where the public names live: modules are imported at first use, for some bring MPI, PETSc and numba."""
 
@@ -74,34 +94,47 @@ __all__ = [
     "ConvergenceError",
     "CrackTip",
     "DdicError",
+    "Extensometer",
     "FactorizationError",
     "Image",
     "InputError",
     "Kinematics",
+    "LineProbe",
     "LinearRegion",
     "Mesh",
+    "Metrology",
     "NodalRegion",
     "Opening",
     "Options",
+    "PointProbe",
+    "Reading",
     "RegionKinematics",
     "Result",
     "Ring",
     "Session",
     "SingularSubdomainError",
+    "StrainGauge",
     "Sweep",
     "Trial",
     "Uncertainty",
     "__version__",
     "choose_regularization",
+    "estimate_metrology",
     "estimate_uncertainty",
     "find_crack_tip",
     "load_case",
+    "load_probes",
     "make_synthetic_pair",
     "measure",
     "measure_opening",
+    "measure_probe",
+    "measure_probes",
     "open",
     "prepare",
     "structured_mesh",
+    "write_field_tables",
+    "write_probe_table",
+    "write_report",
 ]
 
 

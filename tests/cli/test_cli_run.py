@@ -8,6 +8,7 @@ import re
 import signal
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 import tifffile
@@ -58,6 +59,8 @@ def test_a_good_case(folder: Path, ranks: int) -> None:
     assert summary["converged"] is True
     assert 0 < summary["noise_floor_px"] < 0.02  # rounding to 8 bit alone: 0.3 grey levels, on gradients of tens
     assert f"noise floor: {summary['noise_floor_px']:.2g} px RMS a component" in job.out
+    with h5py.File(folder / "result.vtkhdf") as file:
+        assert file["case"].attrs["noise_floor_px"] == summary["noise_floor_px"]
     # A batch log: plain lines, one table row per iteration, no escape codes.
     assert "\x1b" not in job.out
     assert "\r" not in job.out

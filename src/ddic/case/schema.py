@@ -815,6 +815,50 @@ class OutputSection(Section):
     )
 
 
+class AcquisitionSection(Section):
+    """How the images were taken, in words of your own, for the result file and the report; nothing is computed from it.
+
+    Good-practices guides for DIC ask that these be stated; what is left out is "not recorded" in the report.
+    """
+
+    camera: str = Field(
+        default="",
+        description="Maker and model of the camera.",
+    )
+    lens: str = Field(
+        default="",
+        description="Maker, model and focal length of the lens.",
+    )
+    aperture: str = Field(
+        default="",
+        description="F-number of the lens.",
+    )
+    stand_off_distance: str = Field(
+        default="",
+        description="From the camera to the specimen.",
+    )
+    image_rate: str = Field(
+        default="",
+        description="How often images were taken.",
+    )
+    exposure: str = Field(
+        default="",
+        description="Exposure time.",
+    )
+    lighting: str = Field(
+        default="",
+        description="Lamps, wavelength, polarizers.",
+    )
+    patterning: str = Field(
+        default="",
+        description="How the specimen got its pattern.",
+    )
+    specimen: str = Field(
+        default="",
+        description="Material, dimensions, and what loads it.",
+    )
+
+
 class Case(Section):
     """A whole measurement."""
 
@@ -834,6 +878,7 @@ class Case(Section):
     pgd: PgdSection | None = None
     series: SeriesSection = SeriesSection()
     output: OutputSection = OutputSection()
+    acquisition: AcquisitionSection = AcquisitionSection()
 
     @model_validator(mode="after")
     def _one_line_is_found(self) -> Case:

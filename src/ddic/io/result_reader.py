@@ -54,6 +54,8 @@ class Result:
         Columns of the table of PGD-DIC's corrections; empty for other methods.
     separated : SeparatedField or None
         The displacement as a sum of products, of which ``displacement`` are values; None for other methods.
+    phases : dict of (n_phases,) arrays
+        Columns of the table of phases and their times; empty where they were not recorded.
     failure : str
         Why the field is no result: the last one of a measurement that did not converge. Empty where it converged.
     """
@@ -71,6 +73,7 @@ class Result:
     corrections: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     separated: SeparatedField | None = None
     failure: str = ""
+    phases: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         origin = "in memory" if self.path == Path() else str(self.path)
@@ -333,6 +336,7 @@ def read_open_file(path: Path, file: Any) -> Result:
         corrections=_arrays(file, schema.CORRECTIONS),
         separated=_read_separated(file),
         failure=str(file.attrs.get(schema.FAILURE, "")),
+        phases=_arrays(file, schema.PHASES),
     )
     if path == Path():
         # What is computed at first use may also be put in place, whatever the class is frozen for.

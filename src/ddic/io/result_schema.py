@@ -32,6 +32,7 @@ UNITS = "units"
 STATUS, FAILURE = "status", "failure"
 CONVERGED, NOT_CONVERGED = "converged", "not converged"
 SHOWS = "shows"
+NOISE_FLOOR = "noise_floor_px"
 NEAR_PREFIX = "near_"
 SERIES, STEPS, FRAMES = "series", "VTKHDF/Steps", "frames"
 ATTRIBUTE_GROUPS = (CASE, PROVENANCE, TIME, UNITS)

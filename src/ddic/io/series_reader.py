@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
-from ddic.io.result_reader import Result, check_schema, read_open_file
+from ddic.io.result_reader import Result, check_schema, read_open_file, read_result
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,14 @@ class SeriesResult:
     def _read(self, step: int) -> Result:
         with _open(self.path) as file, h5py.File("frame", "w", driver="core", backing_store=False) as frame:
             _extract(file, step, int(self.numbers[step]), frame)
-            return _name(read_open_file(Path(), frame), self.path)
+            result = _name(read_open_file(Path(), frame), self.path)
+        floor = next((record.get(schema.NOISE_FLOOR) for record in self.records
+                      if record["number"] == self.numbers[step]), None)
+        if floor is not None:
+            # Kept with what is told of the frames: it is estimated at the first one of each run that goes on.
+            case = {**result.attributes.get(schema.CASE, {}), schema.NOISE_FLOOR: floor}
+            result = _name(replace(result, attributes={**result.attributes, schema.CASE: case}), self.path)
+        return result
 
 
 def read_series(path: Path | str) -> SeriesResult:
@@ -90,6 +97,30 @@ def read_series(path: Path | str) -> SeriesResult:
             return _read_contents(path, file)
     except (OSError, KeyError, ValueError, IndexError) as error:
         raise InputError(f"{path}: not a readable ddic result file ({error}); run ddic again") from error
+
+
+def read_frames(path: Path | str) -> Iterator[Result]:
+    """Read the frames of a result file one after the other, whether it holds a series or a pair.
+
+    Parameters
+    ----------
+    path : Path or str
+        The file.
+
+    Returns
+    -------
+    iterator of Result
+        Those that were measured; of a pair the one, with a UserWarning where it did not converge.
+
+    Raises
+    ------
+    InputError
+        Where it is missing, foreign, damaged or of a newer major schema.
+    """
+    series = read_series(path)
+    with _open(series.path) as file:
+        is_series = schema.STEPS in file
+    return iter(series) if is_series else iter([read_result(path)])
 
 
 def _read_contents(path: Path, file: Any) -> SeriesResult:
@@ -145,6 +176,7 @@ def _extract(file: Any, step: int, number: int, frame: Any) -> None:
 
 def _name(result: Result, path: Path) -> Result:
     """The same with its file's name, and the residual image that it holds already."""
+    residual = result.residual_image
     named = replace(result, path=path)
-    named.__dict__["residual_image"] = result.residual_image
+    named.__dict__["residual_image"] = residual
     return named

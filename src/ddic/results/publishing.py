@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -80,11 +81,14 @@ class Destination:
         Whether y points up in it.
     times : PhaseTimes or None
         Of the phases so far, for the file's history.
+    noise_floor : float
+        RMS displacement that the images' noise leaves, pixels; nan where it is not known.
     """
 
     path: Path | None
     flip_y: bool = False
     times: PhaseTimes | None = None
+    noise_floor: float = float("nan")
 
 
 def publish(measurement: Publishable, destination: Destination) -> None:
@@ -157,6 +161,8 @@ def _write(measurement: Publishable, destination: Destination, take: Callable[[R
             opened = require_held(writer)
             if destination.times is not None:
                 _write_times(opened, destination.times)
+            if not math.isnan(destination.noise_floor):
+                opened.write_attributes(schema.CASE, {schema.NOISE_FLOOR: destination.noise_floor})
             opened.write_attributes(schema.PROVENANCE, collect_provenance(measurement.describe_origin()))
             return take(opened)
 

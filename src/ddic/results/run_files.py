@@ -41,7 +41,7 @@ def write_run(measurement: Measurement | SeparatedMeasurement, clock: PhaseClock
     """
     team, output = measurement.team, measurement.inputs.case.output
     with clock.phase(Phase.WRITE):
-        publish(measurement, Destination(file, output.flip_y, gather_phase_times(team, clock)))
+        publish(measurement, Destination(file, output.flip_y, gather_phase_times(team, clock), noise_floor))
     summary = replace(summarize(measurement, clock), result_file=str(file), noise_floor_px=noise_floor)
     team.on_root(lambda: write_summary(summary_path(file), summary))
     return summary

@@ -14,6 +14,7 @@ from ddic.io import result_schema as schema
 from ddic.io.plots.canvas import Limits
 from ddic.io.plots.length_unit import PIXELS, LengthUnit
 from ddic.io.plots.nodal_map import Values, draw_values
+from ddic.io.plots.preview import Preview
 from ddic.io.result_reader import Result
 from ddic.kinematics.strain_measures import compute_hencky, compute_von_mises_strain, find_principal_strains
 
@@ -51,7 +52,7 @@ class StrainChoice:
 
 
 def draw_strain(result: Result, choice: StrainChoice, unit: LengthUnit = PIXELS,
-                limits: Limits | None = None) -> Figure:
+                limits: Limits | None = None, image: Preview | None = None) -> Figure:
     """Draw strain on the mesh at rest.
 
     Parameters
@@ -64,6 +65,8 @@ def draw_strain(result: Result, choice: StrainChoice, unit: LengthUnit = PIXELS,
         Of the axes.
     limits : (float, float), optional
         Of the colours, no unit.
+    image : Preview, optional
+        Drawn below.
 
     Returns
     -------
@@ -84,7 +87,7 @@ def draw_strain(result: Result, choice: StrainChoice, unit: LengthUnit = PIXELS,
         written = f"${symbol}_{{{SYMBOLS[number]}}}$"
         panels.append(Values(f"{NAMES[choice.measure]} {written}{where}", f"{written} [-]",
                              pick_number(tensors, number), choice.by_cell))
-    return draw_values(result.mesh, panels, None, unit, limits)
+    return draw_values(result.mesh, panels, image, unit, limits)
 
 
 def pick_tensors(result: Result, choice: StrainChoice) -> NDArray[np.float64]:

@@ -1,0 +1,29 @@
+"""``ddic export``: whole fields of a result as tables."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from ddic.cli.errors_as_lines import errors_as_lines
+from ddic.cli.warned import warnings_as_lines
+
+
+@click.command()
+@click.argument("file", metavar="RESULT", type=click.Path(path_type=Path))
+@click.option("--csv", "table", type=click.Path(path_type=Path, dir_okay=False), default=None,
+              help="NAME.csv for NAME.nodes.csv and NAME.cells.csv; by default named after RESULT, beside it.")
+def export(file: Path, table: Path | None) -> None:
+    """Write all fields of a result as two CSV tables, a row for each node and for each cell, units in the headers."""
+    # Imported here because HDF5 is not needed by --help.
+    from ddic.io.result_reader import read_result
+    from ddic.probes.field_tables import write_field_tables
+
+    target = file.with_suffix(".csv") if table is None else table
+    with errors_as_lines(target):
+        with warnings_as_lines():
+            result = read_result(file)
+        written = write_field_tables(target, result)
+    for path in written:
+        click.echo(path)

@@ -1,0 +1,232 @@
+"""Spatial resolution and noise floor of probes, and what one costs in the other (docs/probes.md)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from ddic.io import result_schema as schema
+from ddic.io.result_reader import Result
+from ddic.mesh.interpolation import interpolate_located, locate
+from ddic.probes.displacement_chain import DisplacementChain, find_chain
+from ddic.probes.probe_kinds import Extensometer, LineProbe, PointProbe, Probe
+from ddic.probes.probe_response import evaluate_displacement_response, evaluate_strain_power, evaluate_strain_response
+from ddic.probes.read_probe import list_samples
+
+Array = NDArray[np.float64]
+
+KEPT = 0.9
+"""Share of a wave's amplitude that is left at the spatial resolution."""
+
+SIGMA_DISPLACEMENT = ("sigma_u", "sigma_v")
+SIGMA_STRAIN = ("sigma_exx", "sigma_eyy")
+"""Fields of standard deviations at nodes, where a result has them."""
+
+KEPT_PROBES = 1024
+"""Probes whose resolution and noise are kept for the next frame, which has the same; more take a few bytes each."""
+
+LONGEST_WAVE = 1e3
+"""Longest wave that is looked at, relative to the longest length of probe and chain."""
+
+
+@dataclass(frozen=True)
+class Metrology:
+    """How fine and how exact a probe is; nan where that is not known.
+
+    Attributes
+    ----------
+    displacement_noise : float
+        Standard deviation of a component of the displacement, pixels; nan of an extensometer.
+    displacement_resolution : float
+        Wavelength of which 90 % are left in the displacement, pixels; nan of an extensometer.
+    strain_noise : float
+        Standard deviation of the strain along the probe, or of xx and yy, no unit.
+    strain_resolution : float
+        Wavelength of which 90 % are left in the strain, pixels.
+    note : str
+        Why something is not known; empty where all is.
+    """
+
+    displacement_noise: float
+    displacement_resolution: float
+    strain_noise: float
+    strain_resolution: float
+    note: str = ""
+
+    @property
+    def displacement_indicator(self) -> float:
+        """Metrological efficiency indicator of the displacement: noise times resolution, px^2; less is better."""
+        return self.displacement_noise * self.displacement_resolution
+
+    @property
+    def strain_indicator(self) -> float:
+        """The same of the strain, noise times resolution squared, px^2: a longer gauge leaves it about as it is."""
+        return self.strain_noise * self.strain_resolution**2
+
+
+def estimate_metrology(result: Result, probe: Probe, noise: float | None = None) -> Metrology:
+    """Estimate the spatial resolution and the noise floor of a probe on a result.
+
+    Parameters
+    ----------
+    result : Result
+        The field.
+    probe : Probe
+        Where and how it is read.
+    noise : float, optional
+        Standard deviation of a component of the nodes' displacements, pixels, of a static pair for instance; by default
+        that of the result's fields of standard deviations, else its noise floor.
+
+    Returns
+    -------
+    Metrology
+        With nan, and a note, where the result does not say its noise or its cut-off wavelength.
+    """
+    samples = list_samples(probe)
+    cells = locate(result.mesh, samples).cells
+    chain = find_chain(result, cells[cells >= 0])
+    level = _find_level(result, samples, SIGMA_DISPLACEMENT) if noise is None else noise
+    if math.isnan(level) and noise is None:
+        level = float(result.attributes.get(schema.CASE, {}).get(schema.NOISE_FLOOR, math.nan))
+    notes = ["the result records no noise floor"] if math.isnan(level) else []
+    if math.isnan(chain.longest):
+        notes.append("regularized by eta: no cut-off wavelength is recorded")
+        return Metrology(level, math.nan, math.nan, math.nan, "; ".join(notes))
+    of_strain = math.nan if noise is not None else _find_level(result, samples, SIGMA_STRAIN)
+    is_local = isinstance(probe, PointProbe | LineProbe) and not math.isnan(of_strain)
+    strain_noise = of_strain if is_local else level * find_strain_noise(probe, chain)
+    if isinstance(probe, Extensometer):
+        return Metrology(math.nan, math.nan, strain_noise, find_strain_resolution(probe, chain), "; ".join(notes))
+    return Metrology(level * find_displacement_noise(probe, chain), find_displacement_resolution(probe, chain),
+                     strain_noise, find_strain_resolution(probe, chain), "; ".join(notes))
+
+
+@lru_cache(maxsize=KEPT_PROBES)
+def find_displacement_noise(probe: Probe, chain: DisplacementChain) -> float:
+    """Find the noise of a probe's displacement.
+
+    Parameters
+    ----------
+    probe : Probe
+        A point, a line or a strain gauge.
+    chain : DisplacementChain
+        Elements and regularization.
+
+    Returns
+    -------
+    float
+        Standard deviation of a component, relative to that of the nodes.
+    """
+    waves = chain.make_waves(_find_size(probe))
+    response = evaluate_displacement_response(probe, chain, waves)
+    return float(np.sqrt(0.5 * np.einsum("n,nii->", response**2, chain.predict_noise(waves))))
+
+
+@lru_cache(maxsize=KEPT_PROBES)
+def find_strain_noise(probe: Probe, chain: DisplacementChain) -> float:
+    """Find the noise of a probe's strain.
+
+    Parameters
+    ----------
+    probe : Probe
+        Of any kind.
+    chain : DisplacementChain
+        Elements and regularization.
+
+    Returns
+    -------
+    float
+        Standard deviation of the strain along the probe, or of xx, relative to that of the nodes' displacements, 1/px.
+    """
+    waves = chain.make_waves(_find_size(probe))
+    direction = _find_axis(probe)
+    along = np.einsum("nij,i,j->n", chain.predict_noise(waves), direction, direction)
+    return float(np.sqrt((evaluate_strain_power(probe, chain, waves) * along).sum()))
+
+
+@lru_cache(maxsize=KEPT_PROBES)
+def find_displacement_resolution(probe: Probe, chain: DisplacementChain) -> float:
+    """Find the wavelength of which 90 % are left in a probe's displacement.
+
+    Parameters
+    ----------
+    probe : Probe
+        A point, a line or a strain gauge.
+    chain : DisplacementChain
+        Elements and regularization.
+
+    Returns
+    -------
+    float
+        Of a wave along the probe, or along x, pixels.
+    """
+    def keep(k: float) -> float:
+        waves = k * _find_axis(probe)[None]
+        return float(evaluate_displacement_response(probe, chain, waves)[0]) * _keep_by_chain(chain, k)
+
+    return _find_wavelength(keep, probe, chain)
+
+
+@lru_cache(maxsize=KEPT_PROBES)
+def find_strain_resolution(probe: Probe, chain: DisplacementChain) -> float:
+    """Find the wavelength of which 90 % are left in a probe's strain.
+
+    Parameters
+    ----------
+    probe : Probe
+        Of any kind.
+    chain : DisplacementChain
+        Elements and regularization.
+
+    Returns
+    -------
+    float
+        Of a wave along the probe, or along x, pixels.
+    """
+    def keep(k: float) -> float:
+        waves = k * _find_axis(probe)[None]
+        return float(evaluate_strain_response(probe, chain, waves)[0]) / k * _keep_by_chain(chain, k)
+
+    return _find_wavelength(keep, probe, chain)
+
+
+def _keep_by_chain(chain: DisplacementChain, k: float) -> float:
+    """What elements and regularization leave of a wave along its direction, of which they leave least."""
+    wave_number = np.array(k)
+    half = max(chain.longitudinal, chain.shear)
+    return float(chain.keep_by_elements(wave_number) * chain.keep_by_regularization(wave_number, half))
+
+
+def _find_wavelength(keep: Callable[[float], float], probe: Probe, chain: DisplacementChain) -> float:
+    """The longest wave of which no more than KEPT is left, pixels."""
+    lowest = 2.0 * np.pi / (LONGEST_WAVE * max(_find_size(probe), chain.longest))
+    # Waves shorter than two elements are not seen at all; 0.49 of those are left.
+    tried = np.geomspace(lowest, np.pi / chain.spacing, 400)
+    first = int(np.argmax(np.array([keep(k) for k in tried]) < KEPT))
+    return float(2.0 * np.pi / brentq(lambda k: keep(k) - KEPT, tried[first - 1], tried[first]))
+
+
+def _find_axis(probe: Probe) -> Array:
+    return np.array([1.0, 0.0]) if isinstance(probe, PointProbe | LineProbe) else probe.direction
+
+
+def _find_size(probe: Probe) -> float:
+    """Length over which a probe looks, pixels."""
+    if isinstance(probe, PointProbe | LineProbe):
+        return 0.0
+    return probe.length if isinstance(probe, Extensometer) else max(probe.length, probe.across)
+
+
+def _find_level(result: Result, samples: Array, names: tuple[str, str]) -> float:
+    """RMS over some places of two fields of standard deviations; nan where the result has none."""
+    if any(name not in result.point_data for name in names):
+        return math.nan
+    fields = np.column_stack([result.point_data[name] for name in names])
+    values = interpolate_located(result.mesh, fields, locate(result.mesh, samples))
+    return float(np.sqrt(np.nanmean(values**2))) if np.isfinite(values).any() else math.nan

@@ -1,0 +1,139 @@
+"""Probes as they are written: in a TOML file, or as numbers between commas."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, fields
+from pathlib import Path
+from typing import Any
+
+from ddic.errors import InputError
+from ddic.probes.probe_kinds import KINDS, Extensometer, LineProbe, PointProbe, Probe, StrainGauge
+
+CLASSES: dict[str, type[Probe]] = {name: kind for kind, name in KINDS.items()}
+
+FORMS = {
+    "point": ("x,y", 2, 2),
+    "line": ("x0,y0,x1,y1[,spacing]", 4, 5),
+    "extensometer": ("x0,y0,x1,y1", 4, 4),
+    "gauge": ("x,y,length[,angle[,width]]", 3, 5),
+}
+"""How a probe of each kind is written as numbers, and how many there are, at least and at most."""
+
+PLACES = ("point", "start", "end", "centre")
+"""Keys that take [x, y]; all others take a number."""
+
+
+def load_probes(path: Path | str) -> list[Probe]:
+    """Read named probes from a TOML file: sections ``[point.NAME]``, ``[line.NAME]``, ``[gauge.NAME]``, and so on.
+
+    Parameters
+    ----------
+    path : Path or str
+        The file.
+
+    Returns
+    -------
+    list of Probe
+        In the order of the file.
+
+    Raises
+    ------
+    InputError
+        With the file, the key and what is expected.
+    """
+    path = Path(path)
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot read this file of probes ({error.strerror or error})") from error
+    except ValueError as error:
+        raise InputError(f"{path}: not valid TOML: {error}") from error
+    try:
+        probes = [_build_probe(kind, name, keys) for kind, named in data.items()
+                  for name, keys in _check_kind(kind, named).items()]
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    if not probes:
+        raise InputError(f"{path}: holds no probe; give sections such as [point.A] with point = [x, y]")
+    names = [probe.name for probe in probes]
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated:
+        raise InputError(f"{path}: {', '.join(repeated)}: a name of several probes; give each its own")
+    return probes
+
+
+def parse_probe(kind: str, name: str, text: str) -> Probe:
+    """Read a probe from numbers between commas.
+
+    Parameters
+    ----------
+    kind : {"point", "line", "extensometer", "gauge"}
+        Which.
+    name : str
+        Of the probe.
+    text : str
+        As FORMS has it.
+
+    Returns
+    -------
+    Probe
+        Of that kind.
+
+    Raises
+    ------
+    InputError
+        Where these are no such numbers.
+    """
+    form, fewest, most = FORMS[kind]
+    try:
+        numbers = [float(number) for number in text.split(",")]
+    except ValueError:
+        numbers = []
+    if not fewest <= len(numbers) <= most or not all(map(math.isfinite, numbers)):
+        raise InputError(f"--{kind} {text}: {form} expected, numbers in pixels")
+    if kind == "point":
+        return PointProbe(name, (numbers[0], numbers[1]))
+    if kind == "gauge":
+        angle = numbers[3] if len(numbers) > 3 else 0.0
+        return StrainGauge(name, (numbers[0], numbers[1]), numbers[2], numbers[4] if len(numbers) > 4 else None, angle)
+    start, end = (numbers[0], numbers[1]), (numbers[2], numbers[3])
+    return Extensometer(name, start, end) if kind == "extensometer" else LineProbe(name, start, end, *numbers[4:])
+
+
+def _check_kind(kind: str, named: Any) -> Mapping[str, Any]:
+    if kind not in CLASSES:
+        raise InputError(f"{kind}: unknown kind of probe; there are {', '.join(CLASSES)}")
+    if not isinstance(named, Mapping) or not all(isinstance(keys, Mapping) for keys in named.values()):
+        raise InputError(f"[{kind}]: give each probe a name, as in [{kind}.A]")
+    return named
+
+
+def _build_probe(kind: str, name: str, keys: Mapping[str, Any]) -> Probe:
+    """A probe of a section, whose keys are the attributes of its class."""
+    known = {field.name: field.default is MISSING for field in fields(CLASSES[kind]) if field.name != "name"}
+    for key in keys:
+        if key not in known:
+            raise InputError(f"{kind}.{name}.{key}: unknown key; valid here: {', '.join(known)}")
+    missing = [key for key, is_needed in known.items() if is_needed and key not in keys]
+    if missing:
+        raise InputError(f"{kind}.{name}.{missing[0]}: this key is missing; it has no default")
+    return CLASSES[kind](name, **{key: _convert(f"{kind}.{name}.{key}", key, value) for key, value in keys.items()})
+
+
+def _convert(where: str, key: str, value: Any) -> Any:
+    """A place as a pair of numbers, anything else as a number."""
+    if key not in PLACES:
+        if not _is_number(value):
+            raise InputError(f"{where} = {value!r}: expected a number")
+        return float(value)
+    is_list = isinstance(value, Sequence) and not isinstance(value, str)
+    if not is_list or len(value) != 2 or not all(map(_is_number, value)):
+        raise InputError(f"{where} = {value!r}: expected [x, y], pixels")
+    return float(value[0]), float(value[1])
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -1,0 +1,1 @@
+"""The report of a measurement: one page that a reader can judge and repeat it by."""
