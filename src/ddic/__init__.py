@@ -1,7 +1,7 @@
 """Finite element digital image correlation by dual domain decomposition.
 
 ``ddic.measure`` measures the displacement between two images, ``ddic.prepare`` prepares a reference image for many
-deformed ones, ``ddic.open`` reads a result file.
+deformed ones, ``ddic.open`` reads a result file, ``ddic.open_series`` that of a series.
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from ddic.fracture.line_opening import Opening, measure_opening
     from ddic.io.result_reader import Result
     from ddic.io.result_reader import read_result as open
+    from ddic.io.series_reader import SeriesResult
+    from ddic.io.series_reader import read_series as open_series
     from ddic.kinematics.kinematics import Kinematics, RegionKinematics
     from ddic.kinematics.linear import LinearRegion
     from ddic.kinematics.nodal import NodalRegion
@@ -53,6 +55,8 @@ _HOMES = {
     "measure_opening": "fracture.line_opening",
     "Result": "io.result_reader",
     "open": "io.result_reader:read_result",
+    "SeriesResult": "io.series_reader",
+    "open_series": "io.series_reader:read_series",
     "Kinematics": "kinematics.kinematics",
     "RegionKinematics": "kinematics.kinematics",
     "LinearRegion": "kinematics.linear",
@@ -79,6 +83,7 @@ __all__ = [
     "RegionKinematics",
     "Result",
     "Ring",
+    "SeriesResult",
     "Session",
     "SingularSubdomainError",
     "Uncertainty",
@@ -90,6 +95,7 @@ __all__ = [
     "measure",
     "measure_opening",
     "open",
+    "open_series",
     "prepare",
     "structured_mesh",
 ]
