@@ -106,7 +106,7 @@ def plot(file: Path, kind: str, frame: int | None, animate: bool, fps: float,
         _check_limits(kind, limits)
         pages = PageFiles(folder, file.stem, choose_ending(ending, animate=animate), dpi)
         is_series = is_series_file(file)
-        FrameChoice(frame, animate, kind).check(file, is_series)
+        FrameChoice(frame, animate, kind).require_drawable(file, is_series=is_series)
         if is_series and frame is None and not animate:
             plot_curves(read_series(file), units, pages)
             return

@@ -45,8 +45,8 @@ class FrameChoice:
     animate: bool
     kind: str
 
-    def check(self, path: Path, is_series: bool) -> None:
-        """Check that this can be drawn of a file.
+    def require_drawable(self, path: Path, *, is_series: bool) -> None:
+        """Refuse what cannot be drawn of a file.
 
         Parameters
         ----------
