@@ -52,7 +52,7 @@ def write_series_file(path: Path, frames: Sequence[FrameFile], *, flip_y: bool =
         records.append(FrameRecord(number, image, frame.time, converged=True, iterations=2 + number,
                                    residual_std_grey=1.0 + 0.1 * number, noise_floor_px=0.004,
                                    started_from="the last frame" if number > 1 else "a search"))
-        _write_frame(folder.name_frame(number), frame, number, (flip_y, length_unit, residual))
+        _write_frame(folder.get_frame_path(number), frame, number, (flip_y, length_unit, residual))
     join_frames(folder, [record.number for record in records if record.converged],
                 [record.as_json() for record in records], "{}")
     folder.remove()
