@@ -121,7 +121,7 @@ def test_python_of_the_tour_prints_what_the_tour_shows(tour: tuple[Path, str]) -
     assert numbers(printed) == pytest.approx(numbers(shown), abs=2e-3)
 
 
-@pytest.mark.parametrize("number", range(2))
+@pytest.mark.parametrize("number", range(3))
 def test_python_of_the_result_file_document_runs(tour: tuple[Path, str], number: int) -> None:
     code = code_blocks("docs/result-file.md", "python")[number]
     assert run([sys.executable, "-c", code], tour[0] / "tour")
@@ -159,6 +159,21 @@ def test_restart(tmp_path: Path) -> None:
     assert second < 1.2e-2
     # From zero the second frame, 8 px away, is not found in 50; from the first, 3 px away at most, in 6.
     assert iterations <= 7
+
+
+def test_series(tmp_path: Path) -> None:
+    printed = run_example("series", tmp_path / "out")
+    rows = [numbers(line) for line in printed.splitlines() if "RMS error" in line]
+    assert [row[:2] for row in rows] == [[k, 0.5 * k] for k in range(1, 9)]
+    for *_, strain, exact, error in rows:
+        # Noise of 1 grey level leaves 0.0035 px in the mean; ends of the bar, which nothing holds, have more.
+        assert error < 7e-3
+        # A cut-off wavelength of 48 px takes 1 % from a neck of 60 px; the last digit shown is 1e-4.
+        assert strain == pytest.approx(exact, rel=0.012, abs=1.5e-4)
+    assert "    8     4  frame_8.tif" in printed
+    pictures = sorted(path.name for path in (tmp_path / "out" / "pictures").iterdir())
+    assert pictures == ["series.curves.png", "series.frame_8.strain.png", "series.strain.gif"]
+    assert all((tmp_path / "out" / "pictures" / name).stat().st_size > 10_000 for name in pictures)
 
 
 def test_near_far(tmp_path: Path) -> None:

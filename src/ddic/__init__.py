@@ -1,7 +1,7 @@
 """Finite element digital image correlation by dual domain decomposition.
 
 ``ddic.measure`` measures the displacement between two images, ``ddic.prepare`` prepares a reference image for many
-deformed ones, ``ddic.open`` reads a result file.
+deformed ones, ``ddic.open`` reads a result file, ``ddic.open_series`` that of a series.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from ddic.fracture.line_opening import Opening, measure_opening
     from ddic.io.result_reader import Result
     from ddic.io.result_reader import read_result as open
+    from ddic.io.series_reader import SeriesResult
+    from ddic.io.series_reader import read_series as open_series
     from ddic.kinematics.kinematics import Kinematics, RegionKinematics
     from ddic.kinematics.linear import LinearRegion
     from ddic.kinematics.nodal import NodalRegion
@@ -63,6 +65,8 @@ _HOMES = {
     "measure_opening": "fracture.line_opening",
     "Result": "io.result_reader",
     "open": "io.result_reader:read_result",
+    "SeriesResult": "io.series_reader",
+    "open_series": "io.series_reader:read_series",
     "Kinematics": "kinematics.kinematics",
     "RegionKinematics": "kinematics.kinematics",
     "LinearRegion": "kinematics.linear",
@@ -111,6 +115,7 @@ __all__ = [
     "RegionKinematics",
     "Result",
     "Ring",
+    "SeriesResult",
     "Session",
     "SingularSubdomainError",
     "StrainGauge",
@@ -130,6 +135,7 @@ __all__ = [
     "measure_probe",
     "measure_probes",
     "open",
+    "open_series",
     "prepare",
     "structured_mesh",
     "write_field_tables",

@@ -66,7 +66,7 @@ def test_relative_case_file_gives_absolute_paths(tmp_path: Path, monkeypatch: py
     ("[solver]\nspline_degree = 5", "solver.spline_degree: unknown key; it belongs to [correlation]"),
     ("[start]\nqqq = 5",
      "start.qqq: unknown key; valid here: rigid, features, pyramid, independent, largest_enriched_block, from_result, "
-     "from_points, points"),
+     "frame, from_points, points"),
     ("[solvers]\n", 'solvers: unknown key; did you mean "solver"?'),
     ('[solver]\nsubdomains = "4"', 'solver.subdomains = "4": expected a whole number'),
     ("[solver]\nsubdomains = 4.5", "solver.subdomains = 4.5: expected a whole number"),

@@ -702,8 +702,13 @@ class StartSection(Section):
         description=(
             "An earlier result file, on the same or another mesh. Where the images bear it out to a pixel it is taken "
             "as it is; else `rigid`, `features` and `pyramid` go on from it "
-            "([start.md](start.md#from-a-given-displacement))."
+            "([start.md](start.md#from-a-given-displacement)). Of a series `frame` is taken."
         ),
+    )
+    frame: Annotated[int, Field(ge=1)] | None = Field(
+        default=None,
+        description="Which frame of a series that `from_result` names, by its number, from 1.",
+        json_schema_extra={"default": "the last one that was measured"},
     )
     from_points: Path | None = Field(
         default=None,
@@ -727,6 +732,8 @@ class StartSection(Section):
         given = [name for name in ("from_result", "from_points", "points") if getattr(self, name) is not None]
         if len(given) > 1:
             raise ValueError(f"start.{given[0]} and start.{given[1]}: give one of them")
+        if self.frame is not None and self.from_result is None:
+            raise ValueError("start.frame goes with start.from_result, the result of a series")
         if self.points == ():
             raise ValueError("start.points: the list is empty; give [x, y, x', y'] of at least one point")
         return self

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import click
 
 from ddic.cli.errors_as_lines import errors_as_lines
+from ddic.cli.frame_option import add_frame_option
 from ddic.cli.warned import warnings_as_lines
 
 if TYPE_CHECKING:
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("file", metavar="RESULT", type=click.Path(path_type=Path))
+@add_frame_option
 @click.option("--line", type=int, default=1, show_default=True, help="Number of the discontinuity in the case.")
 @click.option("--tip", type=float, nargs=2, default=None, help="Where the tip may be, px; by default the line's end.")
 @click.option("--inner", type=float, default=None, help="Radius about the tip within which nothing counts, px.")
@@ -25,16 +27,17 @@ if TYPE_CHECKING:
               help="Plane stress or plane strain.")
 @click.option("--shear-modulus", type=click.FloatRange(0.0, min_open=True), default=None,
               help="mu in any unit of stress: factors are printed in it too, with the pixel size of the case.")
-def crack(file: Path, line: int, tip: tuple[float, float] | None, inner: float | None, outer: float | None,
-          poisson_ratio: float, plane: Literal["stress", "strain"], shear_modulus: float | None) -> None:
+def crack(file: Path, frame: int | None, line: int, tip: tuple[float, float] | None, inner: float | None,
+          outer: float | None, poisson_ratio: float, plane: Literal["stress", "strain"],
+          shear_modulus: float | None) -> None:
     """Find the tip of a crack on the straight end of its line, K_I, K_II and T, by a fit of Williams' series."""
     # Imported here because HDF5 is not needed by --help.
     from ddic.fracture.crack_tip import Ring, find_crack_tip
-    from ddic.io.result_reader import read_result
+    from ddic.io.frame_of_series import read_frame
 
     with errors_as_lines():
         with warnings_as_lines():
-            result = read_result(file)
+            result = read_frame(file, frame)
         found = find_crack_tip(result, line, tip=tip, poisson_ratio=poisson_ratio, plane=plane,
                                ring=Ring(inner, outer))
     units = result.attributes.get("units", {})

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ddic.cli.errors_as_lines import errors_as_lines
+from ddic.cli.frame_option import add_frame_option
 from ddic.cli.warned import warnings_as_lines
 from ddic.errors import InputError
 
 if TYPE_CHECKING:
     from ddic.io.result_reader import Result
+    from ddic.io.series_reader import SeriesResult
 
 Lines = list[tuple[str, str]]
 
@@ -22,26 +24,40 @@ MOST_MODES = 10
 
 @click.command()
 @click.argument("file", metavar="FILE", type=click.Path(path_type=Path))
-def info(file: Path) -> None:
-    """Describe a result file, or an image: size, type, range, saturation, gradient energy."""
+@add_frame_option
+def info(file: Path, frame: int | None) -> None:
+    """Describe a result file, or an image: size, type, range, saturation, gradient energy.
+
+    Of a series: its frames, in a table, and what all have in common; one of them with --frame.
+    """
     with errors_as_lines(), warnings_as_lines():
-        lines = _describe(file)
-    for name, value in lines:
-        click.echo(f"{name:<28}{value}")
+        lines = _describe(file, frame)
+    for line in lines:
+        click.echo(line)
 
 
-def _describe(file: Path) -> Lines:
+def _format(lines: Lines) -> list[str]:
+    """Names and values in two columns."""
+    return [f"{name:<27} {value}" for name, value in lines]
+
+
+def _describe(file: Path, frame: int | None) -> list[str]:
     # Imported here because HDF5 and OpenCV are not needed by --help.
-    """Names and values of what a file holds."""
+    """What a file holds, in lines."""
     import h5py
 
-    from ddic.io.result_reader import read_result
+    from ddic.io.frame_of_series import is_series_file, read_frame
+    from ddic.io.series_reader import read_series
 
     if not file.is_file():
         raise InputError(f"{file}: no such file; check the path")
-    if h5py.is_hdf5(file):
-        return _result_lines(read_result(file))
-    return _image_lines(file)
+    if not h5py.is_hdf5(file):
+        if frame is not None:
+            raise InputError(f"--frame {frame}: {file} is no result file; leave it out")
+        return _format(_image_lines(file))
+    if frame is None and is_series_file(file):
+        return _list_series_lines(read_series(file))
+    return _format(_result_lines(read_frame(file, frame)))
 
 
 def _image_lines(file: Path) -> Lines:
@@ -64,6 +80,16 @@ def _image_lines(file: Path) -> Lines:
         ("not finite", f"{report.n_not_finite} px"),
         ("gradient energy", f"{report.gradient_energy:.4g} (grey level / px)^2, mean of |grad f|^2"),
     ]
+
+
+def _list_series_lines(series: SeriesResult) -> list[str]:
+    """What all frames of a series come to, a table of them, and what the first of them holds."""
+    from ddic.cli.describe_series import describe_frames, list_frame_rows
+
+    said = ("result", "displacement x", "displacement y")
+    of_first = [line for line in _result_lines(series[0]) if line[0] not in said]
+    return [*_format(describe_frames(series)), *list_frame_rows(series), f"of frame {series.numbers[0]}:",
+            *_format(of_first)]
 
 
 def _result_lines(result: Result) -> Lines:

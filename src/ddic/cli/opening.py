@@ -8,14 +8,16 @@ from pathlib import Path
 import click
 
 from ddic.cli.errors_as_lines import errors_as_lines
+from ddic.cli.frame_option import add_frame_option
 from ddic.cli.warned import warnings_as_lines
 
 
 @click.command()
 @click.argument("file", metavar="RESULT", type=click.Path(path_type=Path))
+@add_frame_option
 @click.option("--output", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="Table to write; by default RESULT.opening.csv beside it.")
-def opening(file: Path, output: Path | None) -> None:
+              help="Table to write; by default RESULT.opening.csv beside it, RESULT.frame_N.opening.csv of a frame.")
+def opening(file: Path, frame: int | None, output: Path | None) -> None:
     """Write the opening of a result's discontinuities, pixel by pixel along them, as a CSV table.
 
     A row is a place on a line: number of the line, distance from its first vertex, x, y, tangential and normal opening,
@@ -27,13 +29,14 @@ def opening(file: Path, output: Path | None) -> None:
     import numpy as np
 
     from ddic.fracture.line_opening import measure_openings
+    from ddic.io.frame_of_series import read_frame
     from ddic.io.replace_on_exit import replaced_on_exit
-    from ddic.io.result_reader import read_result
 
-    target = file.with_name(f"{file.stem}.opening.csv") if output is None else output
+    of_frame = "" if frame is None else f".frame_{frame}"
+    target = file.with_name(f"{file.stem}{of_frame}.opening.csv") if output is None else output
     with errors_as_lines(target):
         with warnings_as_lines():
-            result = read_result(file)
+            result = read_frame(file, frame)
         found = measure_openings(result)
         with replaced_on_exit(target) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
             table = csv.writer(stream)

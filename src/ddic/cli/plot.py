@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import click
 
 from ddic.cli.errors_as_lines import errors_as_lines
+from ddic.cli.frame_option import add_frame_option
+from ddic.cli.page_files import FORMATS, MOVING, PageFiles, choose_ending
+from ddic.cli.plot_series import CURVES, FrameChoice, Look, SharedScale, draw_pages, find_shared_scale, plot_curves
 from ddic.cli.warned import warnings_as_lines
 from ddic.errors import InputError
 
@@ -20,6 +23,7 @@ if TYPE_CHECKING:
     from ddic.io.plots.preview import Preview
     from ddic.io.plots.strain_map import StrainChoice
     from ddic.io.result_reader import Result
+    from ddic.io.series_reader import SeriesResult
     from ddic.separated.separated_field import SeparatedField
 
 KINDS = ("partition", "deformed", "displacement", "strain", "residual", "signed-residual", "difference", "krylov",
@@ -32,7 +36,6 @@ OVER_IMAGE = ("partition", "displacement")
 WITH_LIMITS = ("deformed", "displacement", "strain", "residual", "signed-residual", "difference")
 NUMBERS = ("xx", "yy", "xy", "principal-1", "principal-2", "von-mises")
 MEASURES = ("infinitesimal", "green-lagrange", "hencky")
-FORMATS = ("png", "pdf", "svg")
 
 
 @dataclass(frozen=True)
@@ -46,12 +49,19 @@ class _Drawing:
     strain: StrainChoice
     unit: LengthUnit
     limits: tuple[float, float] | None
+    amplification: float | None
+    scale: SharedScale | None = None
 
 
 @click.command()
 @click.argument("file", metavar="FILE", type=click.Path(path_type=Path))
-@click.option("--kind", type=click.Choice([*KINDS, "all"]), default="all", show_default=True,
-              help="Figure to draw; all draws what the file allows, but not displacement and signed-residual.")
+@click.option("--kind", type=click.Choice([*KINDS, CURVES, "all"]), default="all", show_default=True,
+              help="Figure to draw; all draws what the file allows, but not displacement and signed-residual; of a "
+                   "series without --frame and --animate it draws curves over time.")
+@add_frame_option
+@click.option("--animate", is_flag=True, help="All frames of a series, one after the other, with the same colours.")
+@click.option("--fps", type=click.FloatRange(0.1, 100.0), default=5.0, show_default=True,
+              help="Frames a second of an animation.")
 @click.option("--component", type=click.Choice(["x", "y", "magnitude"]), default="magnitude",
               show_default=True, help="Displacement component in colour.")
 @click.option("--strain", "number", type=click.Choice(NUMBERS), default=None,
@@ -70,41 +80,101 @@ class _Drawing:
               help="Second result: its difference is drawn, and its Krylov curves beside the first one's.")
 @click.option("--image", type=click.Path(path_type=Path), default=None,
               help="Reference image; by default the one named in the result, if it is still there.")
-@click.option("--format", "ending", type=click.Choice(FORMATS), default="png", show_default=True,
-              help="Of the pictures.")
+@click.option("--format", "ending", type=click.Choice([*FORMATS, *MOVING]), default=None,
+              help="Of the pictures, png by default, or of an animation, gif by default; mp4 needs ffmpeg.")
 @click.option("--dpi", type=click.IntRange(20, 2400), default=150, show_default=True,
               help="Dots an inch; in PDF and SVG of images and colours alone.")
 @click.option("--output", type=click.Path(path_type=Path, file_okay=False), default=None,
               help="Folder of the pictures; by default that of FILE.")
-def plot(file: Path, kind: str, component: Literal["x", "y", "magnitude"], number: str | None,
+def plot(file: Path, kind: str, frame: int | None, animate: bool, fps: float,
+         component: Literal["x", "y", "magnitude"], number: str | None,
          measure: Literal["infinitesimal", "green-lagrange", "hencky"], by_cell: bool,
          limits: tuple[float, float] | None, amplification: float | None, units: str | None, other: Path | None,
-         image: Path | None, ending: str, dpi: int, output: Path | None) -> None:
-    """Draw a result file as pictures named FILE.KIND.png, for papers as PDF or SVG."""
+         image: Path | None, ending: str | None, dpi: int, output: Path | None) -> None:
+    """Draw a result file as pictures named FILE.KIND.png, for papers as PDF or SVG.
+
+    Of a series: curves over time, a frame by its number (FILE.frame_N.KIND.png), or an animation (FILE.KIND.gif).
+    """
     # Imported here because matplotlib is not needed by --help.
-    from ddic.io.plots.canvas import save_figure
-    from ddic.io.plots.failure_mark import draw_failures
+    from ddic.io.frame_of_series import is_series_file, read_frame
     from ddic.io.plots.length_unit import find_length_unit
     from ddic.io.plots.strain_map import StrainChoice
-    from ddic.io.result_reader import read_result
+    from ddic.io.series_reader import read_series
 
     folder = file.parent if output is None else output
     with errors_as_lines(folder):
         _check_limits(kind, limits)
+        pages = PageFiles(folder, file.stem, choose_ending(ending, animate=animate), dpi)
+        is_series = is_series_file(file)
+        FrameChoice(frame, animate, kind).require_drawable(file, is_series=is_series)
+        if is_series and frame is None and not animate:
+            plot_curves(read_series(file), units, pages)
+            return
+        series = read_series(file) if animate else None
         with warnings_as_lines():
-            result = read_result(file)
-            second = None if other is None else read_result(other)
+            result = read_frame(file, frame) if series is None else series[0]
+            second = None if other is None else _read_other(other, frame)
         kinds = _kinds(kind, result, second)
         preview = _reference(result, image) if set(kinds) & set(OVER_IMAGE) else None
         drawing = _Drawing(result, second, preview, component, StrainChoice(measure, number, by_cell),
-                           find_length_unit(result, units), limits)
+                           find_length_unit(result, units), limits, amplification)
         folder.mkdir(parents=True, exist_ok=True)
-        for name in kinds:
-            figure = _figure(name, drawing, amplification)
-            draw_failures(figure, _list_shown(name, drawing))
-            target = folder / f"{file.stem}.{name}.{ending}"
-            save_figure(figure, target, dpi)
-            click.echo(target)
+        if series is not None:
+            _animate(series, kind, drawing, pages, fps)
+        else:
+            _plot_one(kinds, drawing, pages, _caption(file, frame))
+
+
+def _read_other(path: Path, frame: int | None) -> Result:
+    """The result that is compared with: of a series the same frame."""
+    from ddic.io.frame_of_series import is_series_file, read_frame
+
+    return read_frame(path, frame if is_series_file(path) else None)
+
+
+def _caption(file: Path, frame: int | None) -> tuple[list[str], str]:
+    """What names and pages of a frame hold beside those of a pair."""
+    from ddic.io.plots.frame_caption import format_caption
+    from ddic.io.series_reader import read_series
+
+    if frame is None:
+        return [], ""
+    times = {record["number"]: float(record["time"]) for record in read_series(file).records}
+    return [f"frame_{frame}"], format_caption(frame, times[frame])
+
+
+def _plot_one(kinds: list[str], drawing: _Drawing, pages: PageFiles, caption: tuple[list[str], str]) -> None:
+    """Pictures of one result."""
+    from ddic.io.plots.canvas import save_figure
+    from ddic.io.plots.failure_mark import draw_failures
+    from ddic.io.plots.frame_caption import draw_caption
+
+    words, line = caption
+    for name in kinds:
+        figure = _figure(name, drawing)
+        draw_failures(figure, _list_shown(name, drawing))
+        if line:
+            draw_caption(figure, line)
+        target = pages.to_path(*words, name)
+        save_figure(figure, target, pages.dpi)
+        click.echo(target)
+
+
+def _animate(series: SeriesResult, kind: str, drawing: _Drawing, pages: PageFiles, fps: float) -> None:
+    """An animation of one kind."""
+    from ddic.io.plots.animation import write_animation
+
+    look = Look(drawing.component, drawing.strain, drawing.amplification, drawing.unit, drawing.limits)
+    shared = replace(drawing, scale=find_shared_scale(series, kind, look))
+
+    def draw(result: Result) -> Figure:
+        return _figure(kind, replace(shared, result=result))
+
+    # Titles may take one line in a frame and two in another: the highest page is known once all were laid out.
+    height = max(float(one.get_size_inches()[1]) for one in draw_pages(series, draw))
+    target = pages.to_path(kind)
+    write_animation(target, draw_pages(series, draw), height, fps, pages.dpi)
+    click.echo(target)
 
 
 def _check_limits(kind: str, limits: tuple[float, float] | None) -> None:
@@ -167,7 +237,7 @@ def _reference(result: Result, image: Path | None) -> Preview | None:
         return read_preview(open_image(image))
 
 
-def _figure(kind: str, drawing: _Drawing, amplification: float | None) -> Figure:
+def _figure(kind: str, drawing: _Drawing) -> Figure:
     """One figure, by its kind; a difference is asked for only where there is another result."""
     from ddic.io.plots.camera_fields import draw_near_far
     from ddic.io.plots.correction_curves import draw_corrections
@@ -180,12 +250,15 @@ def _figure(kind: str, drawing: _Drawing, amplification: float | None) -> Figure
     from ddic.io.plots.strain_map import draw_strain
 
     result, preview, component = drawing.result, drawing.preview, drawing.component
-    unit, limits = drawing.unit, drawing.limits
+    unit, scale = drawing.unit, drawing.scale
+    limits, of_panels, view = drawing.limits, None, None
+    if scale is not None:
+        limits, of_panels, view = scale.limits[0], scale.limits, scale.view
     by_kind: dict[str, Callable[[], Figure]] = {
         "partition": lambda: draw_partition(result, preview, unit),
-        "deformed": lambda: draw_deformed(result, component, amplification, unit, limits),
+        "deformed": lambda: draw_deformed(result, component, drawing.amplification, unit, limits, view),
         "displacement": lambda: draw_displacement(result, preview, component, unit, limits),
-        "strain": lambda: draw_strain(result, drawing.strain, unit, limits),
+        "strain": lambda: draw_strain(result, drawing.strain, unit, limits, of_panels),
         "residual": lambda: draw_residual(result, unit=unit, limits=limits),
         "signed-residual": lambda: draw_residual(result, signed=True, unit=unit, limits=limits),
         "difference": lambda: draw_difference(result, drawing.other or result, component, unit, limits),

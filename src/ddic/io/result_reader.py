@@ -190,7 +190,7 @@ def read_result(path: Path | str) -> Result:
         with h5py.File(path, "r") as file:
             check_schema(path, file)
             if schema.STEPS in file:
-                raise InputError(f"{path}: holds the frames of a series; read it with ddic.read_series, or give the "
+                raise InputError(f"{path}: holds the frames of a series; read it with ddic.open_series, or give the "
                                  "result of a pair")
             result = read_open_file(path, file)
     except (OSError, KeyError, ValueError, IndexError) as error:

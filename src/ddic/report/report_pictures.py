@@ -140,7 +140,7 @@ def _draw_strain(result: Result, choice: StrainChoice, image: Preview | None) ->
     if known.size:
         low, high = np.percentile(known, [100.0 - SHOWN_PERCENT, SHOWN_PERCENT])
         limits = (float(low), float(high)) if low < high else None
-    return draw_strain(result, choice, find_length_unit(result), limits, image)
+    return draw_strain(result, choice, find_length_unit(result), limits, image=image)
 
 
 def _caption_residual(gathered: Gathered) -> str:

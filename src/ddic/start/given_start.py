@@ -10,7 +10,8 @@ from scipy.spatial import cKDTree
 
 from ddic.case.schema import StartSection
 from ddic.errors import InputError
-from ddic.io.result_reader import SAME_NODE_PX, Result, evaluate_on_sides, read_result
+from ddic.io.frame_of_series import read_start
+from ddic.io.result_reader import SAME_NODE_PX, Result, evaluate_on_sides
 from ddic.io.result_schema import near_group
 from ddic.kinematics.discontinuities import Discontinuities
 from ddic.mesh.cut_mesh import cut_mesh
@@ -178,7 +179,7 @@ def load_given_start(section: StartSection) -> GivenStart | None:
         Where a file is missing or holds something else.
     """
     if section.from_result is not None:
-        return keep_displacement(read_result(section.from_result), str(section.from_result))
+        return keep_displacement(*read_start(section.from_result, section.frame))
     return load_start_points(section)
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -11,6 +13,7 @@ from numpy.typing import NDArray
 from ddic.errors import InputError
 from ddic.io.plots.canvas import (
     MOST_SHARP_CELLS,
+    Bounds,
     Component,
     Limits,
     add_colour_bar,
@@ -35,6 +38,22 @@ LARGEST_STRETCH = 0.5
 
 MOST_CELLS_WITH_EDGES = 20_000
 """Cells up to which their edges are drawn; a larger value makes fine meshes black."""
+
+
+@dataclass(frozen=True)
+class SharedView:
+    """How several results are drawn alike.
+
+    Attributes
+    ----------
+    factor : float
+        By which the displacement without its rigid motion is amplified, where the user asks for nothing else.
+    bounds : (float, float, float, float)
+        x0, y0, x1, y1 of the axes, in their unit.
+    """
+
+    factor: float
+    bounds: Bounds
 
 
 def choose_amplification(result: Result) -> float:
@@ -68,6 +87,44 @@ def choose_amplification(result: Result) -> float:
     return max(1.0, factor if factor <= limit else _round_down(limit))
 
 
+def find_shared_view(results: Iterable[Result], amplification: float | None, unit: LengthUnit) -> SharedView:
+    """Find a factor and axes that suit all of several results.
+
+    Parameters
+    ----------
+    results : iterable of Result
+        At least one; each is looked at once.
+    amplification : float or None
+        Of the whole displacement, where the user asks for it.
+    unit : LengthUnit
+        Of the axes.
+
+    Returns
+    -------
+    SharedView
+        Of the least factor among theirs.
+
+    Raises
+    ------
+    InputError
+        Where no cell of one was measured.
+    """
+    factors, boxes, moves = [], [], []
+    for result in results:
+        mesh, displacement = _keep_measured(result)
+        departure = project_rigid_motion_out(mesh.nodes, displacement)
+        # What stands still looks alike by any factor.
+        factors += [choose_amplification(result)] if np.abs(departure).max() > 0.0 else []
+        shown = departure if amplification is None else displacement
+        boxes.append((result.mesh.nodes.min(axis=0), result.mesh.nodes.max(axis=0)))
+        moves.append((np.minimum(shown.min(axis=0), 0.0), np.maximum(shown.max(axis=0), 0.0)))
+    factor = min(factors, default=1.0)
+    scale = factor if amplification is None else amplification
+    # Two opposite corners that no node passes, whichever moves farthest.
+    corners = np.array(boxes) + scale * (np.array(moves) if scale >= 0 else np.array(moves)[:, ::-1])
+    return SharedView(factor, find_mesh_bounds(unit.size * corners.reshape(-1, 2)))
+
+
 def _keep_measured(result: Result) -> tuple[Mesh, NDArray[np.float64]]:
     """The cells whose nodes all were measured, and the displacement of their nodes, pixels."""
     cells = result.mesh.find_cells_among(result.measured_nodes)
@@ -86,7 +143,8 @@ def _round_down(value: float) -> float:
 
 
 def draw_deformed(result: Result, component: Component = "magnitude", amplification: float | None = None,
-                  unit: LengthUnit = PIXELS, limits: Limits | None = None) -> Figure:
+                  unit: LengthUnit = PIXELS, limits: Limits | None = None,
+                  shared: SharedView | None = None) -> Figure:
     """Draw the mesh moved by its amplified displacement, over the whole mesh at rest in grey.
 
     Cells with a node that was not measured are drawn at rest alone.
@@ -104,6 +162,8 @@ def draw_deformed(result: Result, component: Component = "magnitude", amplificat
         Of axes and colours.
     limits : (float, float), optional
         Of the colours, in that unit.
+    shared : SharedView, optional
+        Of several results that are drawn alike; where it is left out, what fits this one.
 
     Returns
     -------
@@ -118,7 +178,7 @@ def draw_deformed(result: Result, component: Component = "magnitude", amplificat
     mesh, displacement = _keep_measured(result)
     rest = unit.size * result.mesh.nodes
     if amplification is None:
-        factor = choose_amplification(result)
+        factor = choose_amplification(result) if shared is None else shared.factor
         moved = unit.size * (mesh.nodes + factor * project_rigid_motion_out(mesh.nodes, displacement))
         title = f"Deformed mesh without rigid motion, amplified {factor:g} times"
     else:
@@ -126,7 +186,8 @@ def draw_deformed(result: Result, component: Component = "magnitude", amplificat
         n_folded = count_folded_cells(mesh, moved)
         folded = f"; {n_folded} cells are folded" if n_folded else ""
         title = f"Deformed mesh, displacement amplified {amplification:g} times{folded}"
-    figure, axes = make_image_figure(find_mesh_bounds(np.concatenate([rest, moved])), title, unit)
+    bounds = find_mesh_bounds(np.concatenate([rest, moved])) if shared is None else shared.bounds
+    figure, axes = make_image_figure(bounds, title, unit)
     axes.add_collection(make_cell_polygons(result.mesh, rest, facecolors="0.9", edgecolors="0.9", linewidths=0.3))
     values = unit.size * pick_component(displacement, component)
     colours = draw_nodal_colours(axes, mesh, moved, values, choose_limits(values, limits))

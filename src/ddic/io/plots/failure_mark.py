@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from matplotlib.figure import Figure
 
+from ddic.io.plots.page_room import make_room_above
 from ddic.io.plots.page_text import POINTS_AN_INCH, format_title
 from ddic.io.result_reader import Result
 
@@ -43,22 +44,6 @@ def draw_failures(figure: Figure, shown: Sequence[Result]) -> None:
     width, height = figure.get_size_inches()
     lines = format_title(text, width - 2 * EDGE_INCHES, POINTS)
     room = EDGE_INCHES + LINE_INCHES * (lines.count("\n") + 1)
-    _make_room_above(figure, room)
+    make_room_above(figure, room)
     figure.text(0.5, 1.0 - EDGE_INCHES / (height + room), lines, ha="center", va="top", fontsize=POINTS,
                 fontweight="bold", color=COLOUR, linespacing=LINE_INCHES * POINTS_AN_INCH / POINTS / 1.2)
-
-
-def _make_room_above(figure: Figure, room: float) -> None:
-    """Let a page grow by some inches above what is on it."""
-    width, height = figure.get_size_inches()
-    share = float(height / (height + room))
-    layout = figure.get_layout_engine()
-    if layout is not None:
-        layout.set(rect=(0.0, 0.0, 1.0, share))  # type: ignore[call-arg]  # that of the engines on which axes are packed
-        if figure.get_suptitle():
-            figure.suptitle(figure.get_suptitle(), y=0.98 * share)
-    else:
-        for axes in figure.axes:
-            x, y, w, h = axes.get_position(original=True).bounds
-            axes.set_position((x, y * share, w, h * share))
-    figure.set_size_inches(width, height + room)

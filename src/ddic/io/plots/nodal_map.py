@@ -52,12 +52,15 @@ class Values:
         At the nodes, or on the cells.
     by_cell : bool
         Whether they are on the cells.
+    limits : (float, float) or None
+        Of its colours; None where they are those of its values, or of all panels.
     """
 
     title: str
     label: str
     values: NDArray[np.float64]
     by_cell: bool = False
+    limits: Limits | None = None
 
 
 def draw_displacement(result: Result, image: Preview | None = None, component: Component = "magnitude",
@@ -103,7 +106,7 @@ def draw_values(mesh: Mesh, shown: Sequence[Values], image: Preview | None, unit
     unit : LengthUnit
         Of the axes.
     limits : (float, float) or None
-        Of all colours; each panel's own values where it is None.
+        Of the colours of all panels that have none of their own; a panel's values tell where it is None too.
 
     Returns
     -------
@@ -116,7 +119,7 @@ def draw_values(mesh: Mesh, shown: Sequence[Values], image: Preview | None, unit
         bounds = image.clip(bounds, unit.size)
     figure, panels = make_panels([bounds] * len(shown), [panel.title for panel in shown], unit)
     for axes, panel in zip(panels, shown, strict=True):
-        colours = _add_colours(axes, mesh, nodes, panel, choose_limits(panel.values, limits))
+        colours = _add_colours(axes, mesh, nodes, panel, choose_limits(panel.values, panel.limits or limits))
         if image is not None:
             # The image once more, thinly, and not colours thinly over it: those of triangles would show their edges.
             image.draw(axes, unit.size)

@@ -57,8 +57,8 @@ def draw_residual(result: Result, *, signed: bool = False, unit: LengthUnit = PI
     image = result.residual_image
     if image is None:
         if signed:
-            raise InputError(f"{result.path}: holds no residual image, hence no signs (output.residual_image = false); "
-                             "choose --kind residual")
+            raise InputError(f"{result.path}: holds no residual image, hence no signs; measure with "
+                             "output.residual_image = true, or choose --kind residual")
         return _by_cell(result, unit, limits)
     bounds = find_mesh_bounds(unit.size * result.mesh.nodes)
     std = float(np.nanstd(image)) if np.isfinite(image).any() else float("nan")
@@ -67,7 +67,7 @@ def draw_residual(result: Result, *, signed: bool = False, unit: LengthUnit = PI
     step = -(-max(image.shape) // LARGEST_SIDE)
     shown = image[::step, ::step] if signed else np.abs(image[::step, ::step])
     extent = find_thinned_extent(shown.shape, step)
-    low, high = limits or _find_residual_limits(shown, signed)
+    low, high = limits or _span_shown(shown, signed)
     left, right, bottom, top = (unit.size * edge for edge in extent)
     colours = axes.imshow(shown, cmap=SIGNED_PALETTE if signed else PALETTE, vmin=low, vmax=high,
                           interpolation="nearest", extent=(left, right, bottom, top), rasterized=True)
@@ -77,7 +77,29 @@ def draw_residual(result: Result, *, signed: bool = False, unit: LengthUnit = PI
     return figure
 
 
-def _find_residual_limits(shown: NDArray[np.float32], signed: bool) -> Limits:
+def find_residual_limits(result: Result, *, signed: bool = False) -> Limits:
+    """Find where the colours of a residual begin and end.
+
+    Parameters
+    ----------
+    result : Result
+        With or without residual image.
+    signed : bool, optional
+        Whether it is drawn with its sign.
+
+    Returns
+    -------
+    (float, float)
+        Grey levels.
+    """
+    image = result.residual_image
+    if image is None:
+        return choose_limits(result.cell_data[RESIDUAL_RMS])
+    step = -(-max(image.shape) // LARGEST_SIDE)
+    return _span_shown(image[::step, ::step], signed)
+
+
+def _span_shown(shown: NDArray[np.float32], signed: bool) -> Limits:
     """Where colours begin and end: 0 in the middle of signed values, at the beginning of others."""
     finite = shown[np.isfinite(shown)]
     top = float(np.percentile(np.abs(finite), SHOWN_PERCENT)) if finite.size else 1.0

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -52,7 +53,8 @@ class StrainChoice:
 
 
 def draw_strain(result: Result, choice: StrainChoice, unit: LengthUnit = PIXELS,
-                limits: Limits | None = None, image: Preview | None = None) -> Figure:
+                limits: Limits | None = None, of_panels: Sequence[Limits] | None = None,
+                image: Preview | None = None) -> Figure:
     """Draw strain on the mesh at rest.
 
     Parameters
@@ -65,6 +67,8 @@ def draw_strain(result: Result, choice: StrainChoice, unit: LengthUnit = PIXELS,
         Of the axes.
     limits : (float, float), optional
         Of the colours, no unit.
+    of_panels : sequence of (float, float), optional
+        Of the colours of each panel, in place of ``limits``.
     image : Preview, optional
         Drawn below.
 
@@ -72,6 +76,32 @@ def draw_strain(result: Result, choice: StrainChoice, unit: LengthUnit = PIXELS,
     -------
     Figure
         The page, or three panels.
+
+    Raises
+    ------
+    InputError
+        Where the result has no strain at nodes.
+    """
+    panels = list_strain_panels(result, choice)
+    if of_panels is not None:
+        panels = [replace(panel, limits=own) for panel, own in zip(panels, of_panels, strict=True)]
+    return draw_values(result.mesh, panels, image, unit, limits)
+
+
+def list_strain_panels(result: Result, choice: StrainChoice) -> list[Values]:
+    """List what the panels of a strain map show.
+
+    Parameters
+    ----------
+    result : Result
+        With strains.
+    choice : StrainChoice
+        Which.
+
+    Returns
+    -------
+    list of Values
+        One, or three.
 
     Raises
     ------
@@ -87,7 +117,7 @@ def draw_strain(result: Result, choice: StrainChoice, unit: LengthUnit = PIXELS,
         written = f"${symbol}_{{{SYMBOLS[number]}}}$"
         panels.append(Values(f"{NAMES[choice.measure]} {written}{where}", f"{written} [-]",
                              pick_number(tensors, number), choice.by_cell))
-    return draw_values(result.mesh, panels, image, unit, limits)
+    return panels
 
 
 def pick_tensors(result: Result, choice: StrainChoice) -> NDArray[np.float64]:
