@@ -103,7 +103,7 @@ accept-pgd: setup ## measure the table of PGD-DIC (CHECK=NAME: one check)
 accept-impressions: setup ## measure the table of first impressions: the chosen solver, pages, packages, strain at nodes, pictures (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.impressions $(CHECK)
 
-accept-practice: setup ## measure the table of daily work: series of images, recommended settings (CHECK=NAME: one check)
+accept-practice: setup ## measure the table of daily work: series of images, recommended settings, a Slurm job (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.practice $(CHECK)
 
 smoke: setup ## run every check of every acceptance table on tiny cases: minutes, no bound is judged

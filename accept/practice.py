@@ -9,10 +9,11 @@ from __future__ import annotations
 import sys
 
 from accept.series_runs import CHECKS as SERIES
+from accept.slurm_job import measure_slurm_job
 from accept.sweep_choice import measure_sweep
 from accept.table import Check, run_table
 
-CHECKS: dict[str, Check] = {**SERIES, "sweep": measure_sweep}
+CHECKS: dict[str, Check] = {**SERIES, "sweep": measure_sweep, "slurm": measure_slurm_job}
 
 if __name__ == "__main__":
     sys.exit(run_table("practice", CHECKS))

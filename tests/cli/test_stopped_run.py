@@ -17,33 +17,7 @@ import pytest
 import ddic
 from support.cases import write_case, write_images
 from support.commands import LIMIT, Finished, driven, finished, started, wait_for
-
-FOUR = '[solver]\nmethod = "dual"\nsubdomains = 4\n'
-ENDLESS = "[gauss_newton]\ntolerance = 1e-300\nrms_tolerance = 1e-300\nlargest_tolerance = 1e-300\n"
-"""No correction is that small: without a signal the run goes on until corrections no longer become smaller."""
-
-PATIENT = """
-import os, time
-from pathlib import Path
-from ddic.parallel.stop_request import StopRequest
-signs = Path({signs!r})
-rank = os.environ.get("OMPI_COMM_WORLD_RANK", 0)
-def note_signals(request):
-    ordinary(request)
-    # From here on: what imports MPI starts its threads.
-    from mpi4py import MPI
-    from ddic.problem.residual_model import ResidualModel
-    linearize = ResidualModel.linearize
-    def linearize_slowly(model, q):
-        if model.team.comm == MPI.COMM_WORLD:  # not that of a start, which each rank finds alone
-            (signs / f"iterating{{rank}}").touch()
-            time.sleep({seconds})
-        return linearize(model, q)
-    ResidualModel.linearize = linearize_slowly
-    (signs / f"pid{{rank}}").write_text(str(os.getpid()))
-ordinary, StopRequest.note_signals = StopRequest.note_signals, note_signals
-"""
-"""Iterations that last, and files that say which process a rank is and that it iterates."""
+from support.patient import ENDLESS, FOUR, patient
 
 
 @pytest.fixture
@@ -53,10 +27,6 @@ def folder(tmp_path: Path) -> Path:
     write_images(inner)
     write_case(inner, FOUR + ENDLESS)
     return inner
-
-
-def _patient(folder: Path, seconds: float = 0.1) -> list[str]:
-    return driven(PATIENT.format(signs=str(folder.parent), seconds=seconds), folder)
 
 
 def _send(process: subprocess.Popen[str], folder: Path, number: signal.Signals, to: int | None) -> None:
@@ -71,7 +41,7 @@ def _send(process: subprocess.Popen[str], folder: Path, number: signal.Signals, 
     (2, 1, signal.SIGTERM), (3, 2, signal.SIGUSR1), (3, None, signal.SIGUSR1)])
 def test_the_last_field_is_kept(folder: Path, ranks: int, to: int | None, number: signal.Signals) -> None:
     (folder / "result.vtkhdf").write_text("an earlier result")
-    with started(_patient(folder), ranks) as process:
+    with started(patient(folder), ranks) as process:
         wait_for(folder.parent / "iterating*", max(ranks, 1))
         _send(process, folder, number, to)
         out, err = process.communicate(timeout=LIMIT)
@@ -100,7 +70,7 @@ def _check_kept_field(kept: Path) -> None:
 
 @pytest.mark.parametrize("ranks", [0, 2])
 def test_it_goes_on_from_where_it_was_stopped(folder: Path, ranks: int) -> None:
-    with started(_patient(folder), ranks) as process:
+    with started(patient(folder), ranks) as process:
         wait_for(folder.parent / "iterating*", max(ranks, 1))
         _send(process, folder, signal.SIGUSR1, None)
         process.communicate(timeout=LIMIT)
@@ -153,7 +123,7 @@ def test_a_signal_at_any_time_ends_the_run(folder: Path, ranks: int, seed: int) 
     draw = random.Random(10 * ranks + seed)
     number, to = draw.choice([(signal.SIGUSR1, None), (signal.SIGUSR1, ranks - 1), (signal.SIGTERM, 0),
                               (signal.SIGTERM, ranks - 1)])
-    with started(_patient(folder, 0.02), ranks) as process:
+    with started(patient(folder, 0.02), ranks) as process:
         wait_for(folder.parent / "pid*", ranks)
         time.sleep(draw.uniform(0.0, 2.0))
         if process.poll() is None:
