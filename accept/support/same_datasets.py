@@ -7,6 +7,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 OF_TIME = "history/phases"
 """Seconds and what follows from them, which no run repeats."""
@@ -33,8 +34,8 @@ def find_unequal_datasets(one: Path, other: Path) -> tuple[int, list[str]]:
     return len(first), sorted([*missing, *unequal])
 
 
-def _read(path: Path) -> dict[str, np.ndarray]:
-    found: dict[str, np.ndarray] = {}
+def _read(path: Path) -> dict[str, NDArray[Any]]:
+    found: dict[str, NDArray[Any]] = {}
 
     def keep(name: str, item: Any) -> None:
         if isinstance(item, h5py.Dataset) and not name.startswith(OF_TIME):
@@ -45,6 +46,6 @@ def _read(path: Path) -> dict[str, np.ndarray]:
     return found
 
 
-def _are_equal(one: np.ndarray, other: np.ndarray) -> bool:
+def _are_equal(one: NDArray[Any], other: NDArray[Any]) -> bool:
     may_be_nan = one.dtype.kind == "f" and other.dtype.kind == "f"
     return one.dtype == other.dtype and np.array_equal(one, other, equal_nan=may_be_nan)

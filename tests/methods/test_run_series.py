@@ -134,7 +134,7 @@ def test_a_signal_ends_it_after_the_frame_at_hand(shared_path: Path) -> None:
     whole, parts = (write_frames(shared_path / name) for name in ("whole", "parts"))
     run(whole)
     team = Team.world()
-    with pytest.raises(StoppedError, match="after 2 of 4 frames, of which 2 are in .*--resume measures the rest"):
+    with pytest.raises(StoppedError, match=r"after 2 of 4 frames, of which 2 are in .*--resume measures the rest"):
         run_file(team, parts, AsksAt(team, 2))
     MPI.COMM_WORLD.barrier()
     measured = read_series(parts.parent / "result.vtkhdf")
