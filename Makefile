@@ -12,7 +12,7 @@ JOBS ?= 2
 # Side of the images of bench-big, pixels.
 SIZE ?= 22000
 
-.PHONY: help setup demo test lint docs bench bench-iterations bench-interface bench-paper bench-peers bench-big bench-scaling \
+.PHONY: help setup demo test test-slurm test-hosts lint docs bench bench-iterations bench-interface bench-paper bench-peers bench-big bench-scaling \
 	bench-threads accept-core accept-solver accept-performance accept-near-far accept-house accept-right accept-xdic accept-start accept-pgd \
 	accept-impressions accept-practice smoke clean
 
@@ -37,6 +37,12 @@ demo: setup ## render a plate with a hole in tension, measure it on two ranks, p
 
 test: setup ## run all tests: serial, then on 1, 2, 3 and 4 ranks
 	@bash scripts/run_tests.sh
+
+test-slurm: setup ## run the Slurm tests on a Slurm of this machine; needs slurm-wlm, munge and libpmix-dev, and root
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; DDIC_TEST_SLURM=1 $(PYTHON) -m pytest tests/cluster/test_slurm.py
+
+test-hosts: setup ## run the tests on two hosts, which are network namespaces of this machine; needs root
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; DDIC_TEST_HOSTS=1 $(PYTHON) -m pytest tests/cluster/test_two_hosts.py
 
 lint: setup ## ruff, mypy, docstrings, the import contracts, and the import under numpy 2
 	$(PYTHON) -m ruff check .

@@ -10,10 +10,13 @@ import sys
 
 from accept.report_page import measure_report
 from accept.series_runs import CHECKS as SERIES
+from accept.slurm_job import measure_slurm_job
 from accept.sweep_choice import measure_sweep
 from accept.table import Check, run_table
 
-CHECKS: dict[str, Check] = {**SERIES, "sweep": measure_sweep, "report": measure_report}
+CHECKS: dict[str, Check] = {
+    **SERIES, "sweep": measure_sweep, "report": measure_report, "slurm": measure_slurm_job,
+}
 
 if __name__ == "__main__":
     sys.exit(run_table("practice", CHECKS))

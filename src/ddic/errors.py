@@ -54,6 +54,12 @@ class ConvergenceError(DdicError):
         self.result: Any = None
 
 
+class StoppedError(ConvergenceError):
+    """A run was asked by a signal to stop before it had converged."""
+
+    exit_code = 3
+
+
 class SingularSubdomainError(DdicError):
     """A local operator cannot be factorised, for instance for want of texture."""
 

@@ -13,7 +13,7 @@ import tifffile
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from ddic.errors import ConvergenceError, InputError, as_collective
+from ddic.errors import ConvergenceError, InputError, StoppedError, as_collective
 from ddic.io.series_reader import SeriesResult, read_series
 from ddic.methods.run_case import run_case, run_file
 from ddic.parallel.team import Team
@@ -44,6 +44,19 @@ class EndsAt(Ears):
         super().iteration(record)
         if self.frames[-1] == self.last:
             raise as_collective(Interrupted("ended in the middle"))
+
+
+class AsksAt(Ears):
+    """A listener that asks the last rank to stop when a frame begins to iterate, as a signal does."""
+
+    def __init__(self, team: Team, last: int) -> None:
+        super().__init__()
+        self.team, self.last = team, last
+
+    def iteration(self, record: Any) -> None:
+        super().iteration(record)
+        if self.frames[-1] == self.last and self.team.rank == self.team.size - 1:
+            self.team.stop.asked = True
 
 
 def field(share: float) -> Sinusoidal:
@@ -114,6 +127,25 @@ def test_frames_are_those_of_pairs(shared_path: Path) -> None:
         assert series[number - 1].attributes["time"]["deformed"] == 0.5 * number
     assert sorted(entry.name for entry in path.parent.iterdir() if entry.suffix not in (".tif", ".toml")) == [
         "result.json", "result.vtkhdf"]
+
+
+@pytest.mark.parallel(RANKS)
+def test_a_signal_ends_it_after_the_frame_at_hand(shared_path: Path) -> None:
+    whole, parts = (write_frames(shared_path / name) for name in ("whole", "parts"))
+    run(whole)
+    team = Team.world()
+    with pytest.raises(StoppedError, match=r"after 2 of 4 frames, of which 2 are in .*--resume measures the rest"):
+        run_file(team, parts, AsksAt(team, 2))
+    MPI.COMM_WORLD.barrier()
+    measured = read_series(parts.parent / "result.vtkhdf")
+    assert len(measured.times) == 2
+    expected = read_series(whole.parent / "result.vtkhdf")
+    for step in (0, 1):
+        np.testing.assert_array_equal(displacement(measured, step), displacement(expected, step))
+    assert run(parts, resume=True).n_resumed == 2
+    resumed = read_series(parts.parent / "result.vtkhdf")
+    for step in range(N_FRAMES):
+        np.testing.assert_array_equal(displacement(resumed, step), displacement(expected, step))
 
 
 @pytest.mark.parallel(RANKS)

@@ -48,7 +48,7 @@ def _without_launcher(text: str) -> list[str]:
     for line in text.splitlines():
         if line.startswith("-" * 40):
             quoted = not quoted
-        elif line.strip() and not quoted and not re.match(r"\[[^\]]+:\d+\] ", line):
+        elif line.strip() and not quoted and not re.match(r"\[[^\]]+:\d+\] |mpi\w+: Forwarding signal ", line):
             kept.append(line)
     return kept
 

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 import traceback
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
-from types import FrameType
-from typing import TYPE_CHECKING, NoReturn, TextIO
+from typing import TYPE_CHECKING, TextIO
 
 import click
+
+from ddic.parallel.stop_request import StopRequest
 
 if TYPE_CHECKING:
     from ddic.parallel.team import Team
@@ -28,12 +29,13 @@ def run(case_file: Path, petsc_options: tuple[str, ...], *, resume: bool) -> Non
     Options that PETSC_OPTIONS give pass to PETSc, for instance -dual_ksp_monitor.
     """
     _check_words(case_file, petsc_options)
-    signal.signal(signal.SIGTERM, _stop)
+    stop = StopRequest()
+    stop.note_signals()
     # Imported here because MPI and PETSc start with them, which --help does not need.
     import petsc4py
 
     petsc4py.init(["ddic", *petsc_options])
-    sys.exit(_run_everywhere(case_file, petsc_options, resume=resume))
+    sys.exit(_run_everywhere(case_file, petsc_options, stop, resume=resume))
 
 
 def _check_words(case_file: Path, words: tuple[str, ...]) -> None:
@@ -59,7 +61,7 @@ def _is_number(word: str) -> bool:
     return True
 
 
-def _run_everywhere(case_file: Path, petsc_options: tuple[str, ...], *, resume: bool) -> int:
+def _run_everywhere(case_file: Path, petsc_options: tuple[str, ...], stop: StopRequest, *, resume: bool) -> int:
     """Run on all ranks; an error that only this rank has ends the job."""
     import cv2
 
@@ -69,7 +71,7 @@ def _run_everywhere(case_file: Path, petsc_options: tuple[str, ...], *, resume: 
     from ddic.results.listener import Silence
 
     cv2.setNumThreads(1)
-    team = Team.world()
+    team = replace(Team.world(), stop=stop)
     try:
         with _warnings_told_once(team.is_root):
             if not team.is_root:
@@ -143,9 +145,3 @@ def _trace(error: BaseException) -> str:
     """Where an unexpected error happened: on its own rank, if that rank left a note, else here."""
     notes: list[str] = getattr(error, "__notes__", [])
     return "\n".join(notes) or "".join(traceback.format_exception(error))
-
-
-def _stop(number: int, frame: FrameType | None) -> NoReturn:
-    # mpirun turns Ctrl-C into SIGTERM; raising lets temporary files be removed.
-    """Raise an error at mpirun's SIGTERM."""
-    raise KeyboardInterrupt

@@ -5,6 +5,7 @@ from __future__ import annotations
 from ddic.methods.dd_dic import Session
 from ddic.methods.pgd_dic import SeparatedSession
 from ddic.parallel.phases import PhaseClock
+from ddic.parallel.stop_request import stop_if_asked
 from ddic.parallel.team import Team
 from ddic.problem.cameras import Frame
 from ddic.problem.inputs import Inputs
@@ -40,7 +41,10 @@ def prepare_recipe(team: Team, inputs: Inputs, listener: Listener, clock: PhaseC
     ------
     InputError, SingularSubdomainError, FactorizationError
         On all ranks.
+    StoppedError
+        On all ranks, where a signal asked one of them to stop.
     """
+    stop_if_asked(team, "before the first iteration")
     if inputs.case.pgd is not None:
         return SeparatedSession(team, inputs, listener, clock)
     return Session(team, inputs, listener, clock, first_frame)

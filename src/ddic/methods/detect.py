@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from ddic.case.schema import Case, DiscontinuitySection
 from ddic.detection.line_of_case import find_line_of_case
-from ddic.errors import ConvergenceError, as_collective
+from ddic.errors import ConvergenceError, StoppedError, as_collective
 from ddic.methods.dd_dic import Session
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team, require_held
@@ -73,6 +73,8 @@ def find_discontinuity(team: Team, inputs: Inputs, frame: Frame, listener: Liste
     with Session(team, continuous, WithoutNotes(listener), clock, frame) as session:
         try:
             measurement = session.measure(frame)
+        except StoppedError:
+            raise
         except ConvergenceError as error:
             raise as_collective(ConvergenceError("detection: the continuous field in which a line is looked for does "
                                                  f"not converge; give discontinuity.vertices ({error})",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ddic.io.background_writer import BackgroundWriter
 from ddic.io.read_ahead import ReadAhead
@@ -13,6 +13,7 @@ from ddic.methods.dd_dic import Session
 from ddic.methods.measure_frame import SeriesTools, measure_frame
 from ddic.methods.noise_floors import NoiseFloor
 from ddic.parallel.phases import PhaseClock
+from ddic.parallel.stop_request import StopRequest, is_stop_asked
 from ddic.problem.frame_opener import FrameOpener
 from ddic.results.listener import Listener
 from ddic.results.series_frames import collect_states
@@ -43,7 +44,7 @@ class FramesToMeasure:
 
 def measure_frames(opener: FrameOpener, wanted: FramesToMeasure, listener: Listener,
                    clock: PhaseClock) -> list[FrameRecord]:
-    """Measure what is left of a series; collective.
+    """Measure what is left of a series, or what of it a signal leaves time for; collective.
 
     Parameters
     ----------
@@ -71,7 +72,9 @@ def measure_frames(opener: FrameOpener, wanted: FramesToMeasure, listener: Liste
     with ExitStack() as stack:
         reader, writer = stack.enter_context(ReadAhead()), stack.enter_context(BackgroundWriter())
         first = None if wanted.states else opener.first
-        session = stack.enter_context(Session(team, opener.inputs, listener, clock, first))
+        # A frame that has begun is finished: no signal ends it.
+        unhurried = replace(team, stop=StopRequest())
+        session = stack.enter_context(Session(unhurried, opener.inputs, listener, clock, first))
         tools = SeriesTools(opener, session, wanted.folder, writer, NoiseFloor(session, clock), listener)
         states = collect_states(session.problem, wanted.states)
         for number in wanted.numbers:
@@ -82,5 +85,7 @@ def measure_frames(opener: FrameOpener, wanted: FramesToMeasure, listener: Liste
             states = [*states, state][-N_STATES:] if state is not None else states
             records.append(record)
             listener.note(record.describe())
+            if is_stop_asked(team):
+                break
         team.on_root(writer.wait)
     return records

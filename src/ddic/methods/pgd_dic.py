@@ -6,6 +6,7 @@ from types import TracebackType
 from typing import Self
 
 from ddic.parallel.phases import Phase, PhaseClock
+from ddic.parallel.stop_request import stop_if_asked
 from ddic.parallel.team import Team
 from ddic.problem.cameras import Frame
 from ddic.problem.inputs import Inputs
@@ -14,7 +15,7 @@ from ddic.results.finish_separated import finish_separated
 from ddic.results.last_field import last_field_kept
 from ddic.results.listener import Listener
 from ddic.results.separated_measurement import SeparatedMeasurement
-from ddic.separated.corrections import correct_displacement
+from ddic.separated.corrections import CorrectionRecord, correct_displacement
 from ddic.start.separated_start import KnownSeparatedStart, find_separated_start, prepare_separated_search
 
 
@@ -81,10 +82,15 @@ class SeparatedSession:
         with (last_field_kept(self._clock, lambda *found: finish_separated(problem, frame, pixels, notes, *found)),
               self._clock.phase(Phase.LINEAR_STEP)):
             solution = problem.team.alike(lambda: correct_displacement(
-                pixels, begin, problem.regularization, problem.scheme, problem.rules, self._listener.correction))
+                pixels, begin, problem.regularization, problem.scheme, problem.rules, self._report))
         self._listener.note(solution.stop)
         with self._clock.phase(Phase.FINISH):
             return finish_separated(problem, frame, pixels, notes, solution)
+
+    def _report(self, record: CorrectionRecord) -> None:
+        """Tell a correction, and end there where a signal asked for it."""
+        self._listener.correction(record)
+        stop_if_asked(self._problem.team, f"after correction {record.number}, before it converged")
 
     def close(self) -> None:
         """Do nothing: there is no object of PETSc to free."""

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from ddic.case.frame_files import list_deformed
 from ddic.case.loader import LoadedCase
-from ddic.errors import ConvergenceError, as_collective
+from ddic.errors import ConvergenceError, StoppedError, as_collective
 from ddic.io.series_folder import SeriesFolder
 from ddic.methods.measure_frames import N_STATES, FramesToMeasure, measure_frames
 from ddic.parallel.phases import Phase, PhaseClock
@@ -42,6 +42,8 @@ def run_series(team: Team, loaded: LoadedCase, listener: Listener, *, resume: bo
     ------
     DdicError
         On all ranks. Where frames could not be measured the others are in the result, and the message says which.
+    StoppedError
+        On all ranks, where a signal asked one of them to stop; what was measured until then is in the result.
     """
     began = time.perf_counter()
     file, n_frames = loaded.case.output.file, len(list_deformed(loaded.case.images))
@@ -54,6 +56,8 @@ def run_series(team: Team, loaded: LoadedCase, listener: Listener, *, resume: bo
     summary = SeriesSummary(records, n_frames, str(file), time.perf_counter() - began, len(before),
                             {"path": str(loaded.path), "toml": loaded.text})
     team.on_root(lambda: finish_series(folder, summary, origin))
+    if not summary.is_whole:
+        raise as_collective(StoppedError(_describe_stop(summary)))
     if summary.failures:
         raise as_collective(ConvergenceError(_describe_failures(summary)))
     return summary
@@ -72,6 +76,12 @@ def _measure_rest(team: Team, loaded: LoadedCase, folder: SeriesFolder, before: 
     states = team.on_root(lambda: [folder.read_state(number) for number in measured[-N_STATES:]])
     opener = FrameOpener(team, inputs, numbers[0], first)
     return measure_frames(opener, FramesToMeasure(numbers, states, folder), listener, clock)
+
+
+def _describe_stop(summary: SeriesSummary) -> str:
+    tried = len(summary.frames)
+    return (f"stopped by a signal after {tried} of {summary.n_frames} frames, of which {tried - len(summary.failures)} "
+            f"are in {summary.result_file or 'no file'}; ddic run --resume measures the rest")
 
 
 def _describe_failures(summary: SeriesSummary) -> str:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import DdicError, as_collective
 from ddic.parallel.portable_error import make_portable
+from ddic.parallel.stop_request import StopRequest
 from ddic.parallel.waiting import Waiting
 
 T = TypeVar("T")
@@ -36,10 +37,13 @@ class Team:
         For PETSc's constructors; its own methods are called in ``ddic.parallel`` alone.
     waiting : Waiting
         What this rank has spent in the operations, by which a busy rank is told from one that waits for it.
+    stop : StopRequest
+        Whether this rank was asked to stop; ``is_stop_asked`` tells all ranks.
     """
 
     comm: MPI.Comm
     waiting: Waiting = field(default_factory=Waiting, compare=False, repr=False)
+    stop: StopRequest = field(default_factory=StopRequest, compare=False, repr=False)
 
     @classmethod
     def world(cls) -> Team:
@@ -457,7 +461,7 @@ class Team:
         with self.waiting.counted():
             comm = self.comm.Split_type(MPI.COMM_TYPE_SHARED)
         try:
-            yield Team(comm, self.waiting)
+            yield Team(comm, self.waiting, self.stop)
         finally:
             comm.Free()
 

@@ -174,7 +174,7 @@ def correct_displacement(pixels: FramePixels, start: SeparatedField, regularizat
     rules : StoppingRules
         When they end.
     note : callable
-        Told every correction.
+        Told every correction; a ConvergenceError that it raises ends the corrections.
 
     Returns
     -------
@@ -184,8 +184,8 @@ def correct_displacement(pixels: FramePixels, start: SeparatedField, regularizat
     Raises
     ------
     ConvergenceError
-        Where neither rule is met after ``max_corrections``, or noise is all that is left of images that do not match;
-        with the last SeparatedSolution.
+        Where neither rule is met after ``max_corrections``, noise is all that is left of images that do not match, or
+        ``note`` raises it; with the last SeparatedSolution.
     SingularSubdomainError
         Where the images do not determine a correction.
     """
@@ -207,10 +207,19 @@ def correct_displacement(pixels: FramePixels, start: SeparatedField, regularizat
         rms = u.measure_difference(before) if scheme.update else mode.field.measure_rms()
         record = _describe(len(records) + 1, mode, rms, u, noise_gain, grey)
         records.append(record)
-        note(record)
         sums, grey = _evaluate(pixels, u, scheme.correction)
+        _tell(note, SeparatedSolution(u, records, grey, sums, ""))
         stop = pixels.reference.sums.broadcast(_find_stop(record, rules))
     return SeparatedSolution(u.reduce_modes(LOSS_PX), records, grey, sums, stop)
+
+
+def _tell(note: Callable[[CorrectionRecord], None], found: SeparatedSolution) -> None:
+    """Tell the last correction; whoever is told may end the measurement, which then keeps what was found."""
+    try:
+        note(found.records[-1])
+    except ConvergenceError as error:
+        error.last = found
+        raise
 
 
 def _evaluate(pixels: FramePixels, u: SeparatedField, correction: GreyCorrection) -> tuple[GreySums, GreyState]:

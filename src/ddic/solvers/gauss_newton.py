@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ddic.errors import ConvergenceError, as_collective
 from ddic.functionals.grey_statistics import GreyState
 from ddic.parallel.phases import Phase, PhaseClock
+from ddic.parallel.stop_request import stop_if_asked
 from ddic.parallel.team import Team
 from ddic.solvers.correction_size import CorrectionSize, Tolerances
 from ddic.solvers.linear_step import AllowedError, LinearStep, StepResult
@@ -201,6 +202,8 @@ def gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, tolerances:
     ------
     ConvergenceError
         On all ranks, where the correction does not become small or is not finite; with the last Solution.
+    StoppedError
+        On all ranks, where a signal asked one of them to stop; with the last Solution.
     """
     solution = run_gauss_newton(model, q, step, tolerances, progress)
     if not solution.converged:
@@ -236,6 +239,8 @@ def run_gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, toleran
     ------
     ConvergenceError
         On all ranks, where the correction is not finite or the linear step fails; with the last Solution.
+    StoppedError
+        On all ranks, where a signal asked one of them to stop; with the last Solution.
     """
     found = Solution([np.array(q_s) for q_s in q], [])
     try:
@@ -263,6 +268,7 @@ def _iterate(model: Model, found: Solution, step: LinearStep, tolerances: Tolera
         progress.report(records[-1])
         if model.team.on_root(partial(_decide, size, tolerances)):
             return Solution(current, records, size.describe_stop(tolerances))
+        stop_if_asked(model.team, f"after iteration {records[-1].number}, before it converged")
         if pause is not None and pause(current):
             return Solution(current, records, converged=False)
         if model.team.on_root(partial(_stagnates, records)):
