@@ -10,8 +10,9 @@ import sys
 
 from accept.series_runs import CHECKS as SERIES
 from accept.table import Check, run_table
+from accept.uncertainty_fields import measure_uncertainty
 
-CHECKS: dict[str, Check] = {**SERIES}
+CHECKS: dict[str, Check] = {**SERIES, "uncertainty": measure_uncertainty}
 
 if __name__ == "__main__":
     sys.exit(run_table("practice", CHECKS))
