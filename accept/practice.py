@@ -13,9 +13,11 @@ from accept.series_runs import CHECKS as SERIES
 from accept.slurm_job import measure_slurm_job
 from accept.sweep_choice import measure_sweep
 from accept.table import Check, run_table
+from accept.uncertainty_fields import measure_uncertainty
 
 CHECKS: dict[str, Check] = {
-    **SERIES, "sweep": measure_sweep, "report": measure_report, "slurm": measure_slurm_job,
+    **SERIES, "uncertainty": measure_uncertainty, "sweep": measure_sweep, "report": measure_report,
+    "slurm": measure_slurm_job,
 }
 
 if __name__ == "__main__":

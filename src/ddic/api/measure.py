@@ -311,7 +311,7 @@ def _prepare(source: ImageLike | Case | LoadedCase, mesh: Mesh | meshio.Mesh | t
     # What the ranks were given is looked at by all together: it may be wrong on one of them alone.
     chosen, loaded, given = team.together(lambda: _look(team, mesh, options))
     reference = open_given_image(team, source, "reference image")
-    camera = Camera(0, reference, make_setup(identity(), reference, "none"), None)
+    camera = Camera(0, reference, make_setup(identity(), reference, "none"), loaded.case.images.noise)
     if loaded.case.pgd is not None:
         rectangle = team.together(lambda: _choose_rectangle(chosen, loaded, given, reference))
         return Session(team, Inputs(loaded.case, (camera,), _build_no_mesh, rectangle=rectangle))

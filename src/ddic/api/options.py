@@ -25,9 +25,9 @@ ChooseKinematics = Callable[[Mesh], RegionKinematics]
 
 _NO_PATH = "in memory"
 _IN_MEMORY = {
-    "images": ("pixel_size", "length_unit", "reference_time", "deformed_time"),
+    "images": ("pixel_size", "length_unit", "reference_time", "deformed_time", "noise", "at_rest"),
     "mesh": ("mapping",),
-    "output": ("residual_image", "flip_y"),
+    "output": ("residual_image", "flip_y", "uncertainty"),
 }
 """Keys that settings may hold of the sections for which arguments stand."""
 

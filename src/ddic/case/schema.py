@@ -113,10 +113,17 @@ class ImagesSection(Section):
     noise: Positive | None = Field(
         default=None,
         description=(
-            "Standard deviation of a picture's noise, which weighs this camera against those of `[[near]]`; estimated "
-            "from the residual where left out."
+            "Standard deviation of a picture's noise, which weighs this camera against those of `[[near]]` and gives "
+            "the [uncertainty](uncertainty.md) of the field; estimated from the residual where left out."
         ),
         json_schema_extra={"unit": "grey levels"},
+    )
+    at_rest: Path | None = Field(
+        default=None,
+        description=(
+            "Another picture of the specimen as the reference image shows it: the two give the noise for "
+            "`output.uncertainty`."
+        ),
     )
 
     @model_validator(mode="after")
@@ -816,6 +823,14 @@ class OutputSection(Section):
             "of the file."
         ),
     )
+    uncertainty: bool = Field(
+        default=False,
+        description=(
+            "Also write the standard deviations that the images' noise leaves in displacements and strains, and the "
+            "regularization's bias ([uncertainty.md](uncertainty.md)). The noise is `images.noise`, else that of "
+            "`images.at_rest`, else that of the residual."
+        ),
+    )
     flip_y: bool = Field(
         default=False,
         description="Write coordinates and vectors with y pointing up.",
@@ -941,6 +956,7 @@ class Case(Section):
             "[solver]": ("solver" in self.model_fields_set, "leave it out: PGD-DIC solves along lines only"),
             "[gauss_newton]": ("gauss_newton" in self.model_fields_set,
                                "give pgd.tolerance, pgd.rms_tolerance and pgd.max_corrections"),
+            "output.uncertainty": (self.output.uncertainty, "leave it out: it follows from linear steps on a mesh"),
             "regularization.boxes": ("boxes" in of_gap, "name whole sides in regularization.not_controlled"),
             "start.independent": ("independent" in self.start.model_fields_set, "leave it out"),
             "start.largest_enriched_block": ("largest_enriched_block" in self.start.model_fields_set, "leave it out"),

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from ddic.separated.separated_field import SeparatedField
 
 KINDS = ("partition", "deformed", "displacement", "strain", "residual", "signed-residual", "difference", "krylov",
-         "opening", "near-far", "modes", "corrections")
-ONLY_ASKED_FOR = ("displacement", "signed-residual")
-"""Kinds that show again, in another form, what others of ``all`` show."""
+         "opening", "near-far", "modes", "corrections", "line")
+ONLY_ASKED_FOR = ("displacement", "signed-residual", "line")
+"""Kinds that show again, in another form or along a line, what others of ``all`` show."""
 
 OF_BOTH = ("difference", "krylov")
 OVER_IMAGE = ("partition", "displacement")
@@ -50,6 +50,7 @@ class _Drawing:
     unit: LengthUnit
     limits: tuple[float, float] | None
     amplification: float | None
+    line: tuple[float, float, float, float] | None
     scale: SharedScale | None = None
 
 
@@ -74,6 +75,8 @@ class _Drawing:
 @click.option("--amplification", type=float, default=None,
               help="Factor on the whole displacement of the deformed mesh; by default rigid motion is taken out, and "
                    "what is left is amplified as far as no cell folds.")
+@click.option("--line", type=(float, float, float, float), default=None, metavar="X1 Y1 X2 Y2",
+              help="Ends of the line of --kind line, pixels of the reference image.")
 @click.option("--units", type=click.Choice(["px", "physical"]), default=None,
               help="Of lengths; by default physical where the case gives images.pixel_size.")
 @click.option("--other", type=click.Path(path_type=Path), default=None,
@@ -89,8 +92,9 @@ class _Drawing:
 def plot(file: Path, kind: str, frame: int | None, animate: bool, fps: float,
          component: Literal["x", "y", "magnitude"], number: str | None,
          measure: Literal["infinitesimal", "green-lagrange", "hencky"], by_cell: bool,
-         limits: tuple[float, float] | None, amplification: float | None, units: str | None, other: Path | None,
-         image: Path | None, ending: str | None, dpi: int, output: Path | None) -> None:
+         limits: tuple[float, float] | None, amplification: float | None,
+         line: tuple[float, float, float, float] | None, units: str | None, other: Path | None, image: Path | None,
+         ending: str | None, dpi: int, output: Path | None) -> None:
     """Draw a result file as pictures named FILE.KIND.png, for papers as PDF or SVG.
 
     Of a series: curves over time, a frame by its number (FILE.frame_N.KIND.png), or an animation (FILE.KIND.gif).
@@ -104,6 +108,8 @@ def plot(file: Path, kind: str, frame: int | None, animate: bool, fps: float,
     folder = file.parent if output is None else output
     with errors_as_lines(folder):
         _check_limits(kind, limits)
+        if (kind == "line") != (line is not None):
+            raise InputError("--line X1 Y1 X2 Y2 goes with --kind line: give both, or neither")
         pages = PageFiles(folder, file.stem, choose_ending(ending, animate=animate), dpi)
         is_series = is_series_file(file)
         FrameChoice(frame, animate, kind).require_drawable(file, is_series=is_series)
@@ -117,7 +123,7 @@ def plot(file: Path, kind: str, frame: int | None, animate: bool, fps: float,
         kinds = _kinds(kind, result, second)
         preview = _reference(result, image) if set(kinds) & set(OVER_IMAGE) else None
         drawing = _Drawing(result, second, preview, component, StrainChoice(measure, number, by_cell),
-                           find_length_unit(result, units), limits, amplification)
+                           find_length_unit(result, units), limits, amplification, line)
         folder.mkdir(parents=True, exist_ok=True)
         if series is not None:
             _animate(series, kind, drawing, pages, fps)
@@ -243,6 +249,7 @@ def _figure(kind: str, drawing: _Drawing) -> Figure:
     from ddic.io.plots.correction_curves import draw_corrections
     from ddic.io.plots.deformed import draw_deformed
     from ddic.io.plots.difference import draw_difference
+    from ddic.io.plots.line_curves import draw_line
     from ddic.io.plots.mode_functions import draw_modes
     from ddic.io.plots.nodal_map import draw_displacement
     from ddic.io.plots.partition import draw_partition
@@ -266,6 +273,7 @@ def _figure(kind: str, drawing: _Drawing) -> Figure:
         "opening": lambda: _draw_opening(result, unit),
         "near-far": lambda: draw_near_far(result, component, unit),
         "modes": lambda: draw_modes(_get_separated(result)),
+        "line": lambda: draw_line(result, drawing.line or (0.0, 0.0, 0.0, 0.0), unit),
         "corrections": lambda: draw_corrections(result.corrections),
     }
     return by_kind[kind]()

@@ -35,7 +35,8 @@ SHOWS = "shows"
 NOISE_FLOOR = "noise_floor_px"
 NEAR_PREFIX = "near_"
 SERIES, STEPS, FRAMES = "series", "VTKHDF/Steps", "frames"
-ATTRIBUTE_GROUPS = (CASE, PROVENANCE, TIME, UNITS)
+UNCERTAINTY = "uncertainty"
+ATTRIBUTE_GROUPS = (CASE, PROVENANCE, TIME, UNITS, UNCERTAINTY)
 
 DISPLACEMENT = "displacement"
 DISPLACEMENT_MESH_UNITS = "displacement_mesh_units"
@@ -57,6 +58,10 @@ RESIDUAL_N_PIXELS = "residual_n_pixels"
 EQUIVALENT_ERROR = "equivalent_error"
 DOUBTFUL = "doubtful"
 EXCLUDED = "excluded"
+SIGMA_DISPLACEMENT = ("sigma_u", "sigma_v")
+SIGMA_NODAL_STRAIN = ("sigma_exx", "sigma_eyy", "sigma_exy")
+SIGMA_CELL_STRAIN = ("cell_sigma_exx", "cell_sigma_eyy", "cell_sigma_exy")
+REGULARIZATION_BIAS = "regularization_bias"
 
 VECTOR, SYMMETRIC_TENSOR = 3, 6
 AXES_OF_IMAGE, AXES_OF_MESH_FILE = "image", "mesh file"
@@ -163,6 +168,45 @@ def cell_fields(n_cameras: int = 1) -> tuple[FieldSpec, ...]:
     if n_cameras == 1:
         return fields
     return (*fields, FieldSpec(CAMERA, 1, np.int32, "1", "camera that measures the cell: 0 the far field, 1 ... near"))
+
+
+def uncertainty_point_fields(*, regularized: bool) -> tuple[FieldSpec, ...]:
+    """List what is known of the errors at the nodes, where the case asks for it.
+
+    Parameters
+    ----------
+    regularized : bool
+        Whether there is a bias of regularization.
+
+    Returns
+    -------
+    tuple of FieldSpec
+        In the order of the file.
+    """
+    of_noise = "standard deviation that the images' noise leaves in"
+    fields = (
+        *(FieldSpec(name, 1, np.float64, "px", f"{of_noise} the displacement along {axis}")
+          for name, axis in zip(SIGMA_DISPLACEMENT, "xy", strict=True)),
+        *(FieldSpec(name, 1, np.float64, "1", f"{of_noise} the infinitesimal strain {component} at the node")
+          for name, component in zip(SIGMA_NODAL_STRAIN, ("xx", "yy", "xy"), strict=True)),
+    )
+    if not regularized:
+        return fields
+    return (*fields, FieldSpec(REGULARIZATION_BIAS, VECTOR, np.float64, "px",
+                               "estimated displacement less the true one, as far as regularization is the reason"))
+
+
+def uncertainty_cell_fields() -> tuple[FieldSpec, ...]:
+    """List what is known of the errors on the cells, where the case asks for it.
+
+    Returns
+    -------
+    tuple of FieldSpec
+        In the order of the file.
+    """
+    return tuple(FieldSpec(name, 1, np.float64, "1", "standard deviation that the images' noise leaves in the "
+                           f"infinitesimal strain {component} at the cell's centre")
+                 for name, component in zip(SIGMA_CELL_STRAIN, ("xx", "yy", "xy"), strict=True))
 
 
 def describe_separated(field: SeparatedField) -> dict[str, tuple[NDArray[np.float64], str, str]]:

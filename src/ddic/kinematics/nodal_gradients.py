@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.kinematics.sums_around_nodes import SumsAroundNodes, sum_around_nodes
+from ddic.kinematics.sums_operator import SumsOperator, build_sums_operator
 from ddic.mesh.covered_areas import measure_covered_areas
 from ddic.mesh.mesh import Mesh
 
@@ -57,7 +58,71 @@ def recover_gradients(meshes: Sequence[Mesh], displacements: Sequence[Array], su
         that was not measured are as good as not there; nan at nodes of such cells alone.
     """
     meshes = [_without_unmeasured_cells(mesh, u) for mesh, u in zip(meshes, displacements, strict=True)]
-    sums = sum_shared([sum_around_nodes(mesh, u) for mesh, u in zip(meshes, displacements, strict=True)])
+    return _recover_from_sums(meshes, [sum_around_nodes(mesh, u)
+                                       for mesh, u in zip(meshes, displacements, strict=True)], sum_shared)
+
+
+@dataclass(frozen=True, eq=False)
+class GradientRecovery:
+    """``recover_gradients`` for many displacements, all of which are known at the same nodes.
+
+    Attributes
+    ----------
+    meshes : list of Mesh
+        Their cells whose nodes all have a displacement.
+    operators : list of SumsOperator
+        Of each.
+    sum_shared : callable
+        Sums at nodes that several meshes have.
+    """
+
+    meshes: list[Mesh]
+    operators: list[SumsOperator]
+    sum_shared: SumShared
+
+    def recover(self, displacements: Sequence[Array]) -> list[Array]:
+        """Recover the displacement gradient at all nodes; collective where ``sum_shared`` is.
+
+        Parameters
+        ----------
+        displacements : sequence of (n_dofs,) array
+            Of the nodes of each mesh, pixels.
+
+        Returns
+        -------
+        list of (n_nodes, 2, 2) array
+            du_c / dx_j, as ``recover_gradients`` gives it but for rounding.
+        """
+        sums = [operator.apply(u) for operator, u in zip(self.operators, displacements, strict=True)]
+        return _recover_from_sums(self.meshes, sums, self.sum_shared)
+
+
+def prepare_recovery(meshes: Sequence[Mesh], measured: Sequence[NDArray[np.bool_]],
+                     sum_shared: SumShared) -> GradientRecovery:
+    """Prepare the recovery of gradients of many displacements; free of communication.
+
+    Parameters
+    ----------
+    meshes : sequence of Mesh
+        Of plane cells, whose corners are their nodes.
+    measured : sequence of (n_nodes,) bool array
+        Which of their nodes have a displacement.
+    sum_shared : callable
+        Sums at nodes that several meshes have.
+
+    Returns
+    -------
+    GradientRecovery
+        Of these meshes.
+    """
+    kept = [_without_unmeasured_cells(mesh, np.repeat(np.where(known, 0.0, np.nan), mesh.dim))
+            for mesh, known in zip(meshes, measured, strict=True)]
+    return GradientRecovery(kept, [build_sums_operator(mesh) for mesh in kept], sum_shared)
+
+
+def _recover_from_sums(meshes: Sequence[Mesh], own_sums: Sequence[Array], sum_shared: SumShared) -> list[Array]:
+    """Gradients at nodes from the sums over each mesh's cells around them, (n_nodes, 2, 2) each."""
+    sums = sum_shared(own_sums)
     around = [SumsAroundNodes.from_columns(of_mesh) for of_mesh in sums]
     slopes = own_slopes = [_fit_slopes(of_mesh) for of_mesh in around]
     for _ in range(N_PASSES):
@@ -168,15 +233,19 @@ def _pair_nodes(mesh: Mesh, takes: NDArray[np.bool_], gives: NDArray[np.bool_]) 
     """All pairs of a node that takes and one that gives; takes, gives: (n_nodes,)."""
     none = np.zeros(0, dtype=np.int64)
     found = [(none, none, none)]
-    for there, here in product(mesh.cells.T, repeat=2):
-        cells = np.flatnonzero((there >= 0) & (here >= 0))
-        cells = cells[takes[there[cells]] & gives[here[cells]]]
-        found.append((cells, there[cells], here[cells]))
+    # Few take, as a rule: those at edges.
+    at_takers = np.flatnonzero(((mesh.cells >= 0) & takes[mesh.cells]).any(axis=1)) if takes.any() else none
+    for there, here in product(mesh.cells[at_takers].T, repeat=2):
+        chosen = np.flatnonzero((there >= 0) & (here >= 0))
+        chosen = chosen[takes[there[chosen]] & gives[here[chosen]]]
+        found.append((at_takers[chosen], there[chosen], here[chosen]))
     return _Pairs(*(np.concatenate(arrays) for arrays in zip(*found, strict=True)))
 
 
 def _sum_pairs(mesh: Mesh, pairs: _Pairs, values: Array) -> Array:
     """Sums of 1 and of values (n_pairs, k) at the nodes that take, by the areas of cells, (n_nodes, 1 + k)."""
+    if not len(pairs.cells):
+        return np.zeros((mesh.n_nodes, 1 + values.shape[1]))
     areas, _ = measure_covered_areas(mesh)
     weights = areas[pairs.cells, None]
     weighted = np.column_stack([weights, values * weights])

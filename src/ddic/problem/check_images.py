@@ -35,6 +35,11 @@ def check_images(images: ImagesSection | NearSection, problems: Problems) -> Ima
         if reference is not None and deformed is not None:
             with problems.gathered():
                 _check_same_size(reference, deformed)
+    if isinstance(images, ImagesSection) and images.at_rest is not None:
+        at_rest = _check_image(images.at_rest, None, problems)
+        if reference is not None and at_rest is not None:
+            with problems.gathered():
+                _check_same_size(reference, at_rest)
     return reference
 
 

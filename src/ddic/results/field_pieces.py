@@ -50,8 +50,12 @@ def write_pieces(measurement: Measurement, writer: ResultWriter | None) -> None:
     sizes = team.gather_lists([_size(piece.mesh) for piece in drawn])
     length_unit = None if images.pixel_size is None else images.length_unit
     at_points = (*schema.point_fields(length_unit), *schema.nodal_strain_fields())
-    team.build_on_root(lambda: require_held(writer).create_pieces(
-        sizes, at_points, schema.cell_fields(len(measurement.cameras))))
+    on_cells = schema.cell_fields(len(measurement.cameras))
+    uncertainty = measurement.uncertainty
+    if uncertainty is not None:
+        at_points = (*at_points, *schema.uncertainty_point_fields(regularized=uncertainty.bias is not None))
+        on_cells = (*on_cells, *schema.uncertainty_cell_fields())
+    team.build_on_root(lambda: require_held(writer).create_pieces(sizes, at_points, on_cells))
     gradients = recover_nodal_gradients(team, measurement.subdomains, measurement.displacements)
     n_written = 0
 
@@ -85,10 +89,11 @@ def _make_pieces(measurement: Measurement, drawn: Sequence[DrawnMesh],
     """Pieces of owned subdomains; gradients: of the displacement at their nodes, (n_nodes, 2, 2) each."""
     for number, (piece, u) in enumerate(zip(drawn, measurement.displacements, strict=True)):
         mesh = piece.mesh
-        on_cells = _cell_data(measurement, number, u)
+        on_cells = {**_cell_data(measurement, number, u), **_cell_deviations(measurement, number)}
         at_points = piece.interpolate(gradients[number].reshape(-1, 4)).reshape(-1, 2, 2)
         yield Piece(mesh.nodes, mesh.connectivity, mesh.offsets, mesh.types,
-                    {**_point_data(measurement, piece, u), **describe_nodal_strains(at_points)},
+                    {**_point_data(measurement, piece, u), **describe_nodal_strains(at_points),
+                     **_point_deviations(measurement, piece, number)},
                     {name: values[piece.cells] for name, values in on_cells.items()})
 
 
@@ -103,6 +108,29 @@ def _point_data(measurement: Measurement, drawn: DrawnMesh, u: NDArray[np.float6
     if pixel_size is not None:
         data[schema.DISPLACEMENT_PHYSICAL] = vectors * pixel_size
     return data
+
+
+def _point_deviations(measurement: Measurement, drawn: DrawnMesh, number: int) -> dict[str, NDArray[Any]]:
+    """Standard deviations and bias at the points of an owned subdomain, given by its place; nothing without them."""
+    uncertainty = measurement.uncertainty
+    if uncertainty is None:
+        return {}
+    found = uncertainty.deviations[number]
+    data: dict[str, NDArray[Any]] = {}
+    for names, values in ((schema.SIGMA_DISPLACEMENT, found.displacement),
+                          (schema.SIGMA_NODAL_STRAIN, found.nodal_strain)):
+        data |= dict(zip(names, drawn.interpolate(values).T, strict=True))
+    if uncertainty.bias is not None:
+        data[schema.REGULARIZATION_BIAS] = drawn.interpolate(uncertainty.bias[number])
+    return data
+
+
+def _cell_deviations(measurement: Measurement, number: int) -> dict[str, NDArray[Any]]:
+    """Standard deviations on the cells of an owned subdomain, given by its place; nothing without them."""
+    uncertainty = measurement.uncertainty
+    if uncertainty is None:
+        return {}
+    return dict(zip(schema.SIGMA_CELL_STRAIN, uncertainty.deviations[number].cell_strain.T, strict=True))
 
 
 def _cell_data(measurement: Measurement, number: int, u: NDArray[np.float64]) -> dict[str, NDArray[Any]]:

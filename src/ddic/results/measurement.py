@@ -36,6 +36,7 @@ from ddic.problem.weighted_problem import WeightedProblem
 from ddic.results.camera_images import write_residual_images
 from ddic.results.describe_exclusions import describe_exclusions
 from ddic.results.field_pieces import write_pieces
+from ddic.results.field_uncertainty import Uncertainty, describe_uncertainty, estimate_uncertainty
 from ddic.results.histories import write_attributes, write_histories
 from ddic.results.provenance import describe_image
 from ddic.results.setup_motion import SetupMotion, collect_motions, describe_motions, estimate_covariances
@@ -93,6 +94,8 @@ class Measurement:
         How the linear steps were solved, as a case calls it.
     shown_share : float
         Share of the cells that are seen where the field puts them.
+    uncertainty : Uncertainty or None
+        What noise and regularization do to the field, where the case asks for it.
     """
 
     inputs: Inputs
@@ -116,6 +119,7 @@ class Measurement:
     method: str = ""
     preconditioner: str = "none"
     shown_share: float = 1.0
+    uncertainty: Uncertainty | None = None
 
     @property
     def team(self) -> Team:
@@ -249,13 +253,18 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str,
     evaluation = solved.seen.evaluation if is_known else model.evaluate(field.q)
     cell_errors = _judge_cells(problem, model, evaluation)
     unmeasured = find_unmeasured_nodes(problem, evaluation)
+    uncertainty = None
+    # A field that is no result has none.
+    if inputs.case.output.uncertainty and not failure:
+        uncertainty = estimate_uncertainty(problem, model, evaluation, field.q, unmeasured)
     notes = (*notes, *solved.notes, *_describe_correction(inputs.case, model),
-             *describe_exclusions(team, model.views, excluded), *describe_doubtful_cells(team, cell_errors))
+             *describe_exclusions(team, model.views, excluded), *describe_doubtful_cells(team, cell_errors),
+             *describe_uncertainty(uncertainty))
     measurement = Measurement(inputs, frame, problem.reference.region, model, field.q, field.largest_jump, evaluation,
                               problem.size, solved.solution.records, notes, motions, problem.noise, cell_errors,
                               excluded, unmeasured, solved.seen.whole, solved.solution.stop, failure,
                               problem.solver.method, problem.solver.preconditioner,
-                              solved.seen.measure_shown_share())
+                              solved.seen.measure_shown_share(), uncertainty)
     are_used = [~find_excluded(of_views[0]) for of_views in excluded.cells]
     inverted = describe_inverted_cells(team, subdomains, measurement.displacements, are_used)
     if inverted and not failure:

@@ -12,6 +12,7 @@ from ddic.partition.subdomain import Subdomain
 from ddic.solvers.linear_step import AllowedError, LinearStep
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
+from ddic.solvers.random_bits import generate_bits
 
 _PROBES = 64
 """Random vectors: about 1 % of error for a thousand displacements; twice as many halve its square, for
@@ -107,16 +108,8 @@ def _project_signs(subdomain: Subdomain, shares: NDArray[np.float64], probe: int
     """A subdomain's part of T^T z, z of random signs that are the same whatever the partition, (n_unknowns,)."""
     dim = subdomain.mesh.dim
     components = (subdomain.node_ids[:, None] * dim + np.arange(dim)).ravel()
-    signs = 1.0 - 2.0 * _draw_bits(components, probe)
+    signs = 1.0 - 2.0 * generate_bits(components, probe)
     shared = signs * np.repeat(shares, dim)
     b = np.zeros(subdomain.n_unknowns)
     b[:subdomain.n_field] = subdomain.kinematics.tangent.T @ shared
     return b
-
-
-def _draw_bits(numbers: NDArray[np.int64], stream: int) -> NDArray[np.float64]:
-    """A random bit for each number, by the mixing of splitmix64: no rank needs those of the others."""
-    x = numbers.astype(np.uint64) + np.uint64((stream + 1) * 0x9E3779B97F4A7C15 % 2**64)
-    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
-        x = (x ^ (x >> np.uint64(shift))) * np.uint64(factor)
-    return ((x ^ (x >> np.uint64(31))) & np.uint64(1)).astype(np.float64)

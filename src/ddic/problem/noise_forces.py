@@ -1,0 +1,196 @@
+"""What the noise of the images does to b, as right-hand sides that have its covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.case.schema import Case
+from ddic.functionals.correlation import Residual
+from ddic.functionals.moved_gradient import map_hessians
+from ddic.functionals.noise_transfer import (
+    TransferTable,
+    build_transfer,
+    build_white_transfer,
+    correlate_slopes,
+    find_cell_transfer,
+)
+from ddic.functionals.view import FrameView, View
+from ddic.images.spline_noise import REACH
+from ddic.mesh.covered_areas import measure_covered_areas
+from ddic.parallel.team import Team, require_held
+from ddic.partition.subdomain import Subdomain
+from ddic.problem.residual_model import Evaluation, ResidualModel
+from ddic.solvers.noise_samples import FEWEST_SAMPLES, MOST_SAMPLES, SampledCells, prepare_samples
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseForces:
+    """Forces that noise of the images leaves at a field, one right-hand side after the other.
+
+    Attributes
+    ----------
+    views : list of list of (View, SampledCells)
+        Of each owned subdomain.
+    n_samples : int
+        How many may be generated: all of them have the covariance of b.
+    transfer : float
+        Mean over all cells and both directions: how much of the deformed images' noise reaches b, no unit.
+    """
+
+    views: list[list[tuple[View, SampledCells]]]
+    n_samples: int
+    transfer: float
+
+    def generate(self, sample: int) -> list[Array]:
+        """Generate b_s of all owned subdomains.
+
+        Parameters
+        ----------
+        sample : int
+            From 0 to n_samples - 1.
+
+        Returns
+        -------
+        list of (n_unknowns,) array
+            Grey levels squared per pixel.
+        """
+        return [np.sum([_assemble(view, cells.generate_forces(sample)) for view, cells in of_subdomain], axis=0)
+                for of_subdomain in self.views]
+
+
+def prepare_noise_forces(model: ResidualModel, evaluation: Evaluation, q: Sequence[Array], noise: Sequence[float],
+                         case: Case) -> NoiseForces:
+    """Find the covariance of b, sigma_f^2 M + sigma_g^2 C M C cell by cell; collective.
+
+    Noise of the reference image enters b through f as it is, that of the deformed one through the spline, whose noise
+    transfer at the cell's shifts is on C's diagonal. Noise of grad f multiplies that of f - g and is left out, and gain
+    and offset of the grey levels count as known.
+
+    Parameters
+    ----------
+    model : ResidualModel
+        The pixels that count, cameras weighted.
+    evaluation : Evaluation
+        At the field.
+    q : sequence of (n_unknowns,) array
+        The field of each owned subdomain.
+    noise : sequence of float
+        Of each camera's images, grey levels.
+    case : Case
+        Says the degree of the spline, and whether there is a regularization.
+
+    Returns
+    -------
+    NoiseForces
+        Of all of them.
+    """
+    team, tables = model.team, _tabulate_by_camera(model, case.correlation.spline_degree)
+    n_samples = FEWEST_SAMPLES if case.regularization is None else MOST_SAMPLES
+    places = place_cells(team, [of_subdomain.subdomain for of_subdomain in model.views])
+
+    transfers = team.together(lambda: [[find_cell_transfer(tables[view.camera], view.view, q_s)
+                                        for view in of_subdomain.views]
+                                       for of_subdomain, q_s in zip(model.views, q, strict=True)])
+    covariances = team.together(lambda: [
+        [_compute_covariances(model, view, q_s, noise[view.camera], _find_gain(model, evaluation, view, residual) * c)
+         for view, residual, c in zip(of_subdomain.views, residuals, of_views, strict=True)]
+        for of_subdomain, residuals, of_views, q_s
+        in zip(model.views, evaluation.residuals, transfers, q, strict=True)])
+    views = [[(view.view, prepare_samples(of_view, of_subdomain.subdomain.cell_ids, of_cells, view.camera, n_samples))
+              for view, of_view in zip(of_subdomain.views, of_views, strict=True)]
+             for of_subdomain, of_views, of_cells in zip(model.views, covariances, places, strict=True)]
+    total, n_values = team.ordered_sum([np.array([sum(c.sum() for c in of_views), sum(c.size for c in of_views)])
+                                        for of_views in transfers])
+    return NoiseForces(views, n_samples, float(total / n_values))
+
+
+def find_white_transfer(model: ResidualModel, q: Sequence[Array], degree: int) -> list[list[Array]]:
+    """Find the variance of the deformed image's interpolated noise over that of its pixels, cell by cell.
+
+    Parameters
+    ----------
+    model : ResidualModel
+        The pixels that count.
+    q : sequence of (n_unknowns,) array
+        The field of each owned subdomain.
+    degree : int
+        Of the spline, 3 or 5.
+
+    Returns
+    -------
+    list of list of (n_cells,) array
+        Of each owned subdomain and view, no unit.
+    """
+    table = build_white_transfer(degree)
+    return [[find_cell_transfer(table, view.view, q_s)[:, 0] for view in of_subdomain.views]
+            for of_subdomain, q_s in zip(model.views, q, strict=True)]
+
+
+def place_cells(team: Team, subdomains: Sequence[Subdomain]) -> list[NDArray[np.int64]]:
+    """Tell in which column and row of cells each cell lies, as in a regular mesh of as many cells; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    subdomains : sequence of Subdomain
+        Owned ones.
+
+    Returns
+    -------
+    list of (n_cells, 2) array of int64
+        Of each owned subdomain.
+    """
+    area, n_cells = team.ordered_sum([np.array([measure_covered_areas(s.mesh)[0].sum(), s.mesh.n_cells])
+                                      for s in subdomains])
+    firsts = team.gather_lists([s.mesh.centroids.min(axis=0) for s in subdomains])
+    first, size = np.min(firsts, axis=0), np.sqrt(area / n_cells)
+    # The cells of a regular mesh lie in the middle of their places: rounding decides nothing.
+    return [np.floor((s.mesh.centroids - first) / size + 0.5).astype(np.int64) for s in subdomains]
+
+
+def _tabulate_by_camera(model: ResidualModel, degree: int) -> list[TransferTable]:
+    """Noise transfer of the texture that each camera sees; collective."""
+    def correlate() -> list[Array]:
+        by_subdomain = []
+        for of_subdomain in model.views:
+            sums = np.zeros((model.n_cameras, 2, 2 * REACH + 1, 2 * REACH + 1))
+            for view in of_subdomain.views:
+                sums[view.camera] += correlate_slopes(view.view.correlation)
+            by_subdomain.append(sums)
+        return by_subdomain
+
+    total = model.team.ordered_sum(model.team.together(correlate))
+    return [build_transfer(of_camera, degree) for of_camera in total]
+
+
+def _find_gain(model: ResidualModel, evaluation: Evaluation, view: FrameView, residual: Residual) -> Array:
+    """Square of the gain by which each cell's g is multiplied, (1, 1) or (n_cells, 1)."""
+    gain, _ = model.find_correction(evaluation, view.camera, residual)
+    return np.asarray(np.atleast_1d(gain)[:, None] ** 2)
+
+
+def _compute_covariances(model: ResidualModel, frame_view: FrameView, q: Array, sigma: float,
+                         transfer: Array) -> Array:
+    """Covariance of the forces of each cell, (n_cells, n, n); transfer: of g's noise to both components."""
+    correlation = frame_view.without_hidden(q).correlation
+    hessians = correlation.compute_cell_hessians()
+    if model.follows:
+        inverse = frame_view.view.with_moved_gradient(q).correlation.inverse_deformations
+        hessians = map_hessians(require_held(inverse), hessians)
+    n = hessians.shape[1]
+    scale = np.tile(np.sqrt(transfer), n // transfer.shape[1])
+    return np.asarray(sigma**2 * hessians * (1.0 + scale[:, :, None] * scale[:, None, :]))
+
+
+def _assemble(view: View, forces: Array) -> Array:
+    """Assemble b of a view in the subdomain's unknowns from the forces on the nodes of each cell, (n_cells, n)."""
+    interpolation = view.correlation.interpolation
+    on_nodes = np.bincount(interpolation.cell_dofs.ravel(), forces.ravel(), interpolation.n_dofs)
+    return np.asarray(view.weight * view.kinematics.project_vector(on_nodes.astype(np.float64, copy=False)))

@@ -1,0 +1,253 @@
+"""Standard deviations that noise of the images leaves in a field, and what regularization takes from it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.kinematics.nodal_gradients import prepare_recovery
+from ddic.kinematics.strain import build_gradient_operator
+from ddic.kinematics.strain_measures import compute_infinitesimal
+from ddic.parallel.node_sums import sum_shared_nodes
+from ddic.parallel.team import Team
+from ddic.partition.subdomain import Subdomain
+from ddic.problem.image_noise import ImageNoise, find_image_noise
+from ddic.problem.noise_forces import NoiseForces, prepare_noise_forces
+from ddic.problem.residual_model import Evaluation, ResidualModel
+from ddic.problem.weighted_problem import WeightedProblem
+from ddic.solvers.linear_step import AllowedError, LinearStep
+
+Array = NDArray[np.float64]
+
+ENOUGH = AllowedError(0.0, 0.1)
+"""Share of each displacement that an iterative linear step may leave. With a cut-off wavelength of 7 elements it leaves
+up to 6 % of a standard deviation at a few nodes, half of it up to 2 %; a larger share iterates less."""
+
+TINY = 1e-6
+"""A noise, grey levels, below any that images have: those without noise are divided by it."""
+
+
+@dataclass(frozen=True, eq=False)
+class FieldDeviations:
+    """Standard deviations on the nodes and cells of a subdomain.
+
+    Attributes
+    ----------
+    displacement : (n_nodes, 2) array
+        Of u and v, pixels.
+    nodal_strain : (n_nodes, 3) array
+        Of the infinitesimal strain at nodes, xx, yy, xy, no unit.
+    cell_strain : (n_cells, 3) array
+        Of that in the middle of cells.
+    """
+
+    displacement: Array
+    nodal_strain: Array
+    cell_strain: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """What noise and regularization do to a field.
+
+    Attributes
+    ----------
+    noise : ImageNoise
+        Of the images.
+    rms : float
+        Of the displacements' standard deviations, over components and nodes, pixels.
+    n_samples : int
+        Right-hand sides from which they were found.
+    transfer : float
+        Mean share of the deformed image's noise that reaches b through the spline, no unit.
+    deviations : list of FieldDeviations
+        Of each owned subdomain.
+    bias : list of (n_nodes, 2) array or None
+        Estimated displacement less the true one, as far as regularization makes the difference, pixels; None without.
+    """
+
+    noise: ImageNoise
+    rms: float
+    n_samples: int
+    transfer: float
+    deviations: list[FieldDeviations]
+    bias: list[Array] | None
+
+
+def estimate_uncertainty(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation,
+                         q: Sequence[Array], unmeasured: Sequence[NDArray[np.bool_]]) -> Uncertainty:
+    """Estimate what noise and regularization do to a measured field; collective.
+
+    Parameters
+    ----------
+    problem : WeightedProblem
+        With the operators that found it.
+    model : ResidualModel
+        The pixels that count.
+    evaluation : Evaluation
+        At the field.
+    q : sequence of (n_unknowns,) array
+        The field of each owned subdomain.
+    unmeasured : sequence of (n_nodes,) bool array
+        Nodes of each that nothing holds: they have nan.
+
+    Returns
+    -------
+    Uncertainty
+        Of each owned subdomain.
+
+    Raises
+    ------
+    ConvergenceError
+        On all ranks, where a linear step does not converge.
+    """
+    team, subdomains, step = problem.team, problem.reference.subdomains, problem.solver.step
+    noise = find_image_noise(problem, model, evaluation, q)
+    forces = prepare_noise_forces(model, evaluation, q, noise.sigma, problem.reference.inputs.case)
+    # Solutions of about a pixel, as steps expect.
+    scale = float(np.sqrt(problem.solver.assembly.mean_diagonal)) / max(noise.sigma[0], TINY)
+    deviations = estimate_deviations(team, subdomains, step, forces, scale, unmeasured)
+    bias = None
+    if problem.solver.assembly.eta > 0:
+        bias = estimate_bias(model, subdomains, step, q, unmeasured)
+    rms = _measure_rms(team, subdomains, deviations)
+    return Uncertainty(noise, rms, forces.n_samples, forces.transfer, deviations, bias)
+
+
+def describe_uncertainty(uncertainty: Uncertainty | None) -> tuple[str, ...]:
+    """Say how large the noise of the images and of the field is.
+
+    Parameters
+    ----------
+    uncertainty : Uncertainty or None
+        None where it was not asked for.
+
+    Returns
+    -------
+    tuple of str
+        A line; nothing for None.
+    """
+    if uncertainty is None:
+        return ()
+    noise = uncertainty.noise
+    return (f"uncertainty: noise of {noise.sigma[0]:.2f} grey levels ({noise.origin}) leaves a standard deviation of "
+            f"{uncertainty.rms:.2g} px in each component (RMS over nodes)",)
+
+
+def list_uncertainty(uncertainty: Uncertainty) -> dict[str, Any]:
+    """List what the standard deviations were found from, and how large they are.
+
+    Parameters
+    ----------
+    uncertainty : Uncertainty
+        Of a field.
+
+    Returns
+    -------
+    dict
+        Attributes of the result file, by name.
+    """
+    noise = uncertainty.noise
+    return {"noise_grey": noise.sigma[0], "noise_origin": noise.origin, "noise_transfer": uncertainty.transfer,
+            "displacement_rms_px": uncertainty.rms, "n_samples": uncertainty.n_samples}
+
+
+def estimate_deviations(team: Team, subdomains: Sequence[Subdomain], step: LinearStep, forces: NoiseForces,
+                        scale: float, unmeasured: Sequence[NDArray[np.bool_]]) -> list[FieldDeviations]:
+    """Estimate the square roots of the diagonal of A^-1 cov(b) A^-1, and of strains; collective.
+
+    Each right-hand side takes a linear step, of whatever kind.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    subdomains : sequence of Subdomain
+        Owned ones.
+    step : LinearStep
+        Solves with A.
+    forces : NoiseForces
+        Has b.
+    scale : float
+        By which b is multiplied before they are solved for, no unit.
+    unmeasured : sequence of (n_nodes,) bool array
+        Nodes of each that nothing holds: they have nan, and cells about them are as good as not there.
+
+    Returns
+    -------
+    list of FieldDeviations
+        Of each owned subdomain.
+    """
+    squares = [(np.zeros((s.mesh.n_nodes, 2)), np.zeros((s.mesh.n_nodes, 3)), np.zeros((s.mesh.n_cells, 3)))
+               for s in subdomains]
+    at_rest = [np.zeros(s.n_unknowns) for s in subdomains]
+    recovery = prepare_recovery([s.mesh for s in subdomains], [~is_unmeasured for is_unmeasured in unmeasured],
+                                partial(sum_shared_nodes, team, subdomains))
+    in_cells = [build_gradient_operator(s.mesh) for s in subdomains]
+    for sample in range(forces.n_samples):
+        b = [scale * b_s for b_s in forces.generate(sample)]
+        displacements = _displace(team, subdomains, step.solve(at_rest, b, ENOUGH).dq, unmeasured)
+        gradients = recovery.recover([u.ravel() for u in displacements])
+        for of_subdomain, u, gradient, by_cell in zip(squares, displacements, gradients, in_cells, strict=True):
+            found = (u, compute_infinitesimal(gradient), compute_infinitesimal((by_cell @ u).reshape(-1, 2, 2)))
+            for total, values in zip(of_subdomain, found, strict=True):
+                np.add(total, values**2, out=total)
+    return [FieldDeviations(*(np.sqrt(total / forces.n_samples) / scale for total in of_subdomain))
+            for of_subdomain in squares]
+
+
+def estimate_bias(model: ResidualModel, subdomains: Sequence[Subdomain], step: LinearStep,
+                  q: Sequence[Array], unmeasured: Sequence[NDArray[np.bool_]]) -> list[Array]:
+    """Estimate what regularization has added to a field: -A^-1 eta Kbar^T Kbar q; collective.
+
+    Were q the true field, its measurement would be A^-1 M q without noise. The measured field stands in for it, so what
+    regularization has smoothed away altogether does not show.
+
+    Parameters
+    ----------
+    model : ResidualModel
+        Says how far the region has turned.
+    subdomains : sequence of Subdomain
+        Owned ones.
+    step : LinearStep
+        Solves with A.
+    q : sequence of (n_unknowns,) array
+        The measured field.
+    unmeasured : sequence of (n_nodes,) bool array
+        Nodes of each that have nan.
+
+    Returns
+    -------
+    list of (n_nodes, 2) array
+        Of each owned subdomain, pixels.
+    """
+    b = [np.zeros(s.n_unknowns) for s in subdomains] if model.rotation is None else model.rotation.compute_forces(q)
+    return _displace(model.team, subdomains, step.solve(q, b).dq, unmeasured)
+
+
+def _measure_rms(team: Team, subdomains: Sequence[Subdomain], deviations: Sequence[FieldDeviations]) -> float:
+    """RMS over components and nodes, each node counted once; collective."""
+    sums = []
+    for subdomain, of_subdomain in zip(subdomains, deviations, strict=True):
+        is_measured = np.isfinite(of_subdomain.displacement).all(axis=1)
+        shares = 1.0 / subdomain.node_multiplicity[is_measured]
+        squares = (of_subdomain.displacement[is_measured] ** 2).mean(axis=1)
+        sums.append(np.array([shares @ squares, shares.sum()]))
+    total, n_nodes = team.ordered_sum(sums)
+    return float(np.sqrt(total / max(n_nodes, 1.0)))
+
+
+def _displace(team: Team, subdomains: Sequence[Subdomain], q: Sequence[Array],
+              unmeasured: Sequence[NDArray[np.bool_]]) -> list[Array]:
+    """Displacement of each subdomain's nodes, the mean of copies, nan where unmeasured, (n_nodes, 2); collective."""
+    shares = [(s.kinematics.tangent @ q_s[:s.n_field]).reshape(-1, 2) / s.node_multiplicity[:, None]
+              for s, q_s in zip(subdomains, q, strict=True)]
+    displacements = sum_shared_nodes(team, subdomains, shares)
+    for u, is_unmeasured in zip(displacements, unmeasured, strict=True):
+        u[is_unmeasured] = np.nan
+    return displacements

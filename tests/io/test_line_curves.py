@@ -1,0 +1,44 @@
+"""Curves along a line, and their bands."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import ddic
+from ddic.errors import InputError
+from ddic.io.plots.line_curves import BAND, draw_line
+from support.small_pair import SIZE, move
+
+
+@pytest.fixture(scope="module")
+def result() -> ddic.Result:
+    pair = ddic.make_synthetic_pair(move, SIZE)
+    return ddic.measure(pair, ddic.structured_mesh((10, 10, 150, 130), 20), options={"output": {"uncertainty": True}})
+
+
+def test_the_band_is_two_standard_deviations_wide(result: ddic.Result) -> None:
+    figure = draw_line(result, (10.0, 70.0, 150.0, 70.0))
+    above, below = figure.axes
+    assert [len(axes.collections) for axes in (above, below)] == [2, 3]
+    # At the line's end lies a node.
+    node = int(np.flatnonzero((result.mesh.nodes == [10.0, 70.0]).all(axis=1))[0])
+    vertices = above.collections[0].get_paths()[0].vertices
+    at_begin = vertices[np.isclose(vertices[:, 0], 0.0), 1]
+    sigma = result.point_data["sigma_u"][node]
+    # The same numbers, added and subtracted.
+    assert np.ptp(at_begin) == pytest.approx(2 * BAND * sigma, rel=1e-9)
+    assert at_begin.mean() == pytest.approx(result.displacement[node, 0], abs=BAND * sigma)
+
+
+def test_there_is_no_band_without_standard_deviations(result: ddic.Result) -> None:
+    without = replace(result, point_data={name: values for name, values in result.point_data.items()
+                                          if not name.startswith("sigma")})
+    assert not [axes for axes in draw_line(without, (10.0, 70.0, 150.0, 70.0)).axes if len(axes.collections)]
+
+
+def test_a_line_beside_the_mesh_is_refused(result: ddic.Result) -> None:
+    with pytest.raises(InputError, match=r"--line 0 0 5 5: no point of it lies in the measured mesh"):
+        draw_line(result, (0.0, 0.0, 5.0, 5.0))
