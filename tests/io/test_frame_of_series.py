@@ -7,7 +7,7 @@ import pytest
 
 import ddic
 from ddic.errors import InputError
-from ddic.io.frame_of_series import is_series_file, read_frame, read_start
+from ddic.io.frame_of_series import is_series_file, read_frame, read_frame_or_last
 from ddic.io.series_displacement import find_displacement_range
 from ddic.io.series_history import gather_history
 from ddic.io.series_reader import read_series
@@ -49,14 +49,14 @@ def test_a_pair_has_no_frames(tmp_path: Path, write_result: object) -> None:
 
 
 def test_a_measurement_starts_from_the_frame_asked_for_or_the_last(series: Path) -> None:
-    result, name = read_start(series, 3)
+    result, name = read_frame_or_last(series, 3)
     assert name == f"{series}, frame 3"
     np.testing.assert_array_equal(result.displacement, displace(MESH.nodes, 2.0))
-    result, name = read_start(series, None)
+    result, name = read_frame_or_last(series, None)
     assert name == f"{series}, frame 4, the last one that was measured"
     np.testing.assert_array_equal(result.displacement, displace(MESH.nodes, 3.0))
     with pytest.raises(InputError, match=r"^start\.frame = 9: .* is none of this series"):
-        read_start(series, 9)
+        read_frame_or_last(series, 9, "start.frame =")
 
 
 def test_public_names_read_series(series: Path) -> None:

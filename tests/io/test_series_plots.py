@@ -13,6 +13,7 @@ from click.testing import CliRunner, Result
 from PIL import Image
 
 from ddic.cli.crack import crack
+from ddic.cli.export import export
 from ddic.cli.info import info
 from ddic.cli.opening import opening
 from ddic.cli.plot import plot
@@ -236,3 +237,12 @@ def test_other_commands_ask_for_a_frame(series: Path, command: object) -> None:
     taken = run(command, series, "--frame", 1)
     # The frame is read; it has no line.
     assert "without discontinuities" in taken.stderr
+
+
+def test_fields_of_a_frame_are_exported(series: Path) -> None:
+    assert "choose one by --frame" in run(export, series).stderr
+    outcome = run(export, series, "--frame", 3)
+    assert outcome.exit_code == 0, outcome.output
+    assert names(series.parent) == ["s.frame_3.cells.csv", "s.frame_3.nodes.csv"]
+    rows = (series.parent / "s.frame_3.cells.csv").read_text(encoding="utf-8").splitlines()
+    assert len(rows) == 1 + 8

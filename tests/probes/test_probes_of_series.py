@@ -74,4 +74,4 @@ def test_a_page_of_a_frame(series: Path, tmp_path: Path) -> None:
         assert "this frame of the series" in text
     ran = CliRunner().invoke(report, [str(series), "--frame", "3"])
     assert ran.exit_code == 2
-    assert "--frame 3: there are 2; give a number from 1 to 2" in ran.output
+    assert "frame 3 is none of this series; choose one of 1 to 2" in ran.output

@@ -7,23 +7,27 @@ from pathlib import Path
 import click
 
 from ddic.cli.errors_as_lines import errors_as_lines
+from ddic.cli.frame_option import add_frame_option
 from ddic.cli.warned import warnings_as_lines
 
 
 @click.command()
 @click.argument("file", metavar="RESULT", type=click.Path(path_type=Path))
+@add_frame_option
 @click.option("--csv", "table", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="NAME.csv for NAME.nodes.csv and NAME.cells.csv; by default named after RESULT, beside it.")
-def export(file: Path, table: Path | None) -> None:
+              help="NAME.csv for NAME.nodes.csv and NAME.cells.csv; by default named after RESULT (and "
+                   "its frame), beside it.")
+def export(file: Path, frame: int | None, table: Path | None) -> None:
     """Write all fields of a result as two CSV tables, a row for each node and for each cell, units in the headers."""
     # Imported here because HDF5 is not needed by --help.
-    from ddic.io.result_reader import read_result
+    from ddic.io.frame_of_series import read_frame
     from ddic.probes.field_tables import write_field_tables
 
-    target = file.with_suffix(".csv") if table is None else table
+    of_frame = "" if frame is None else f".frame_{frame}"
+    target = file.with_name(f"{file.stem}{of_frame}.csv") if table is None else table
     with errors_as_lines(target):
         with warnings_as_lines():
-            result = read_result(file)
+            result = read_frame(file, frame)
         written = write_field_tables(target, result)
     for path in written:
         click.echo(path)

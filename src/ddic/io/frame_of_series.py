@@ -95,15 +95,17 @@ def pick_frame(series: SeriesResult, number: int, asked_by: str = "--frame") -> 
                      f"{_list_numbers(series)}")
 
 
-def read_start(path: Path, number: int | None) -> tuple[Result, str]:
-    """Read the result from which another measurement starts.
+def read_frame_or_last(path: Path, number: int | None, asked_by: str = "--frame") -> tuple[Result, str]:
+    """Read the result of a pair, or a frame of a series: the last one that was measured unless another is asked for.
 
     Parameters
     ----------
     path : Path
         Of a pair or a series.
     number : int or None
-        Frame of a series; the last one that was measured where it is left out.
+        Of the frame, from 1; of a series only.
+    asked_by : str, optional
+        The option or key that gives the number, for messages.
 
     Returns
     -------
@@ -121,7 +123,7 @@ def read_start(path: Path, number: int | None) -> tuple[Result, str]:
         series = read_series(path)
         return series[-1], f"{path}, frame {series.numbers[-1]}, the last one that was measured"
     frame = "" if number is None else f", frame {number}"
-    return read_frame(path, number, "start.frame ="), f"{path}{frame}"
+    return read_frame(path, number, asked_by), f"{path}{frame}"
 
 
 def _list_numbers(series: SeriesResult) -> str:

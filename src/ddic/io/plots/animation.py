@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import subprocess
 from collections.abc import Iterable
 from pathlib import Path
@@ -62,7 +61,7 @@ def write_animation(path: Path, pages: Iterable[Figure], height: float, fps: flo
     InputError
         Where ffmpeg fails.
     """
-    fitted = (_fit_page(page, height, dpi) for page in pages)
+    fitted = (_grow_page(page, height) for page in pages)
     if path.suffix == ".mp4":
         _write_mp4(path, fitted, fps, dpi)
     else:
@@ -119,9 +118,6 @@ def _write_mp4(path: Path, pages: Iterable[Figure], fps: float, dpi: int) -> Non
         raise InputError(f"{path}: ffmpeg failed ({error}); leave --format out (GIF)") from error
 
 
-def _fit_page(page: Figure, height: float, dpi: int) -> Figure:
-    """Let a page grow to a height, and to an even number of dots in both directions, which MP4 wants."""
+def _grow_page(page: Figure, height: float) -> Figure:
     make_room_above(page, height - page.get_size_inches()[1])
-    width, grown = (2 * math.ceil(0.5 * size * dpi - 1e-6) / dpi for size in page.get_size_inches())
-    page.set_size_inches(width, grown)
     return page
