@@ -11,7 +11,10 @@ import tifffile
 from numpy.typing import NDArray
 
 import ddic
-from ddic.errors import InputError
+from ddic.errors import ConvergenceError, InputError, as_collective
+from ddic.methods.run_case import run_case
+from ddic.parallel.team import Team
+from support.cases import Ears, write_case, write_images
 from support.small_pair import SIZE, move
 
 SIGMA = 2.0
@@ -97,3 +100,17 @@ def test_products_of_functions_have_none() -> None:
     options = {"pgd": {}, "mesh": {"structured": {"region": [10, 10, 150, 130], "element_size": 4}}, **ON}
     with pytest.raises(InputError, match=r"output\.uncertainty does not go with \[pgd\]"):
         ddic.measure(_clean(), options=options)
+
+
+def test_a_step_that_fails_for_them_does_not_lose_the_field(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise as_collective(ConvergenceError("the linear step does not converge"))
+
+    monkeypatch.setattr("ddic.results.measurement.estimate_uncertainty", fail)
+    write_images(tmp_path)
+    case = write_case(tmp_path, "[output]\nuncertainty = true\n")
+    ears = Ears()
+    summary = run_case(Team.alone(), case, ears)
+    assert summary.converged
+    assert any("no standard deviations were estimated" in note for note in ears.notes)
+    assert "sigma_u" not in ddic.open(tmp_path / "result.vtkhdf").fields

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.case.schema import Case
-from ddic.errors import ConvergenceError, as_collective, list_first
+from ddic.errors import ConvergenceError, as_collective, is_collective, list_first
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.io.result_writer import ResultWriter
 from ddic.kinematics.strain import find_inverted_cells
@@ -253,13 +253,14 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str,
     evaluation = solved.seen.evaluation if is_known else model.evaluate(field.q)
     cell_errors = _judge_cells(problem, model, evaluation)
     unmeasured = find_unmeasured_nodes(problem, evaluation)
-    uncertainty = None
+    uncertainty: Uncertainty | None = None
+    of_uncertainty: tuple[str, ...] = ()
     # A field that is no result has none.
     if inputs.case.output.uncertainty and not failure:
-        uncertainty = estimate_uncertainty(problem, model, evaluation, field.q, unmeasured)
+        uncertainty, of_uncertainty = _estimate_uncertainty(problem, model, evaluation, field.q, unmeasured)
     notes = (*notes, *solved.notes, *_describe_correction(inputs.case, model),
              *describe_exclusions(team, model.views, excluded), *describe_doubtful_cells(team, cell_errors),
-             *describe_uncertainty(uncertainty))
+             *of_uncertainty)
     measurement = Measurement(inputs, frame, problem.reference.region, model, field.q, field.largest_jump, evaluation,
                               problem.size, solved.solution.records, notes, motions, problem.noise, cell_errors,
                               excluded, unmeasured, solved.seen.whole, solved.solution.stop, failure,
@@ -270,6 +271,19 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str,
     if inverted and not failure:
         raise as_collective(ConvergenceError(inverted, replace(measurement, failure=inverted)))
     return measurement
+
+
+def _estimate_uncertainty(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation, q: list[Array],
+                          unmeasured: list[NDArray[np.bool_]]) -> tuple[Uncertainty | None, tuple[str, ...]]:
+    """Standard deviations, and what is said of them; a linear step that fails for them does not lose the field."""
+    try:
+        found = estimate_uncertainty(problem, model, evaluation, q, unmeasured)
+    except ConvergenceError as error:
+        # What this rank alone raises must end the job.
+        if not is_collective(error):
+            raise
+        return None, (f"no standard deviations were estimated, and the result holds none: {error}",)
+    return found, describe_uncertainty(found)
 
 
 def _describe_correction(case: Case, model: ResidualModel) -> tuple[str, ...]:

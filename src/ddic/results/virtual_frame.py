@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.functionals.elasticity import Material
+from ddic.functionals.noise_transfer import build_white_transfer
 from ddic.images.binned import ArraySource
-from ddic.images.interpolated_noise import average_noise_transfer
 from ddic.images.spline import read_gradient
 from ddic.images.sub_image import MaskedSource
 from ddic.parallel.team import Team
@@ -61,7 +61,10 @@ class VirtualFrames:
             From 0 to 1.
         """
         measured = next(trial for trial in trials if not trial.failure)
-        return average_noise_transfer(measured.displacement, self.inputs.case.correlation.spline_degree)
+        is_known = np.isfinite(measured.displacement).all(axis=1)
+        table = build_white_transfer(self.inputs.case.correlation.spline_degree)
+        # As much along x as along y.
+        return float(table.find(measured.displacement[is_known])[:, 0].mean())
 
     def measure_gradient(self, points: NDArray[np.float64]) -> float:
         """Measure the mean square of the reference image's gradient; collective.
