@@ -60,14 +60,14 @@ class SeriesResult:
     def _read(self, step: int) -> Result:
         with _open(self.path) as file, h5py.File("frame", "w", driver="core", backing_store=False) as frame:
             _extract(file, step, int(self.numbers[step]), frame)
-            result = _name(read_open_file(Path(), frame), self.path)
+            result = read_open_file(Path(), frame)
         floor = next((record.get(schema.NOISE_FLOOR) for record in self.records
                       if record["number"] == self.numbers[step]), None)
+        case = dict(result.attributes.get(schema.CASE, {}))
         if floor is not None:
             # Kept with what is told of the frames: it is estimated at the first one of each run that goes on.
-            case = {**result.attributes.get(schema.CASE, {}), schema.NOISE_FLOOR: floor}
-            result = _name(replace(result, attributes={**result.attributes, schema.CASE: case}), self.path)
-        return result
+            case[schema.NOISE_FLOOR] = floor
+        return _name(result, self.path, {**result.attributes, schema.CASE: case})
 
 
 def read_series(path: Path | str) -> SeriesResult:
@@ -174,9 +174,10 @@ def _extract(file: Any, step: int, number: int, frame: Any) -> None:
             fields[name].attrs.update(dict(values.attrs))
 
 
-def _name(result: Result, path: Path) -> Result:
-    """The same with its file's name, and the residual image that it holds already."""
+def _name(result: Result, path: Path, attributes: Mapping[str, Mapping[str, Any]]) -> Result:
+    """The same with its file's name, other attributes, and the residual image that it holds already."""
     residual = result.residual_image
-    named = replace(result, path=path)
+    named = replace(result, path=path, attributes=attributes)
+    # A copy forgets what was computed at first use, and would look for it in the file of the series.
     named.__dict__["residual_image"] = residual
     return named

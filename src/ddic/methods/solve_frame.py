@@ -83,7 +83,7 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[Array], 
         _tell(listener, solved.notes[n_notes:])
         found = solved.solution
         with clock.phase(Phase.RESIDUAL):
-            now = see_solved_frame(problem, solved, start)
+            now = see_solved_frame(problem, solved, start, whole if n_rounds == 1 else None)
         # For good: what pulls as at the start comes nearer, and its grey levels would push it away again.
         now = replace(now, excluded=now.excluded.hold_back(seen.excluded.held_back))
         # Cells are found again one row after the other, each from its neighbours.

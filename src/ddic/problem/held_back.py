@@ -19,7 +19,7 @@ from ddic.functionals.view import FrameView
 from ddic.mesh.shapes import pad_cells
 from ddic.problem.exclusions import HELD_BACK, KEPT, SPOILT, Exclusions, exclude
 from ddic.problem.linearized_cells import LinearizedCells, keep_residuals
-from ddic.problem.residual_limits import AT_END, AT_START
+from ddic.problem.residual_limits import AT_END
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.seen_cells import SeenCells, TypicalCell
 from ddic.problem.standing_out import find_standing_out
@@ -28,8 +28,9 @@ from ddic.problem.views import FrameViews
 Array = NDArray[np.float64]
 
 DISPLACED = 0.5 * AT_END.cell
-"""Distance from where a cell was seen, pixels, from which on mechanics may hold it back. Starts are as precise; a
-larger one leaves cells to grey levels that say nothing of the way back."""
+"""Distance from where a cell was seen, pixels, from which on mechanics may hold it back, and the error whose residual it
+may have had there: a start is as precise, and what hides an eighth of a cell leaves more. A larger one leaves cells to
+grey levels that say nothing of the way back."""
 
 SAME_SPECKLE = 0.8
 """Correlation coefficient of f and g from which on a cell was seen at the start: where nothing is, nothing stands out.
@@ -82,7 +83,7 @@ def find_shown_cells(views: Sequence[FrameViews], seen: Sequence[Sequence[SeenCe
     list of tuple of (n_cells,) bool array
         Which correlate and do not stand out.
     """
-    return [tuple((cells.coefficient > SAME_SPECKLE) & ~find_standing_out(cells, typical[view.camera], AT_START.cell)
+    return [tuple((cells.coefficient > SAME_SPECKLE) & ~find_standing_out(cells, typical[view.camera], DISPLACED)
                   for view, cells in zip(of_subdomain.views, of_views, strict=True))
             for of_subdomain, of_views in zip(views, seen, strict=True)]
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError
+from ddic.problem.grey_choice import ORDER
 from ddic.problem.held_back import SeenStart
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.see_frame import SeenFrame, see_frame
@@ -111,7 +112,8 @@ def solve_further(problem: WeightedProblem, solved: SolvedFrame, progress: Progr
         raise
 
 
-def see_solved_frame(problem: WeightedProblem, solved: SolvedFrame, start: SeenStart | None) -> SeenFrame:
+def see_solved_frame(problem: WeightedProblem, solved: SolvedFrame, start: SeenStart | None,
+                     as_read: ResidualModel | None = None) -> SeenFrame:
     """See the frame at a field; collective.
 
     Parameters
@@ -122,6 +124,9 @@ def see_solved_frame(problem: WeightedProblem, solved: SolvedFrame, start: SeenS
         The field.
     start : SeenStart or None
         From which mechanics may hold cells back; None where they do not.
+    as_read : ResidualModel, optional
+        The same pixels, of which nothing has been said of brightness: a start that was off may have called for more
+        correction than the field does. By default what was chosen is never taken back.
 
     Returns
     -------
@@ -133,9 +138,13 @@ def see_solved_frame(problem: WeightedProblem, solved: SolvedFrame, start: SeenS
     ConvergenceError
         On all ranks, where the frame does not show the specimen there; with the SolvedFrame.
     """
+    case, before, q = problem.reference.inputs.case, solved.seen.whole, solved.field.q
     try:
-        return see_frame(problem.reference.inputs.case, solved.seen.whole, solved.field.q, problem.slopes,
-                         start=start)
+        if as_read is not None and before.correction != as_read.correction and not before.blurs:
+            seen = see_frame(case, as_read, q, problem.slopes, start=start)
+            if ORDER.index(seen.whole.correction) < ORDER.index(before.correction):
+                return seen
+        return see_frame(case, before, q, problem.slopes, start=start)
     except ConvergenceError as error:
         error.last = solved
         raise
