@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from ddic.io import result_schema as schema
 from ddic.io.physical_sidecar import write_physical_sidecar
@@ -60,15 +61,18 @@ def join_frames(folder: SeriesFolder, numbers: Sequence[int], records: Sequence[
         group.attrs["Version"] = np.array(schema.VTKHDF_VERSION, np.int64)
         group.attrs.create("Type", np.bytes_("UnstructuredGrid"))
         places: list[tuple[_Place, int]] = []
+        fields = {kind: _GrowingFields(file.require_group(kind)) for kind in (schema.POINT_DATA, schema.CELL_DATA)}
         times = []
         for number in numbers:
             with h5py.File(folder.get_frame_path(number), "r") as source:
                 places.append(_add_geometry(group, source[schema.VTKHDF], places))
-                for kind in (schema.POINT_DATA, schema.CELL_DATA):
-                    _add_fields(file.require_group(kind), source[kind])
+                for kind, growing in fields.items():
+                    growing.add({name: values[...] for name, values in source[kind].items()}, source[kind])
                 times.append(float(source[schema.TIME].attrs["deformed"]))
                 _copy_rest(source, file.create_group(schema.frame_group(number)))
         _write_steps(group, places, times)
+        for kind, growing in fields.items():
+            growing.write_offsets(group["Steps"].create_group(f"{kind.rpartition('/')[2]}Offsets"))
         series = file.create_group(schema.SERIES)
         series.attrs["numbers"] = np.array(numbers, np.int64)
         series.attrs["origin"] = origin
@@ -87,7 +91,7 @@ def _add_geometry(group: Any, source: Any, places: Sequence[tuple[_Place, int]])
     n_parts = len(source["NumberOfPoints"])
     if not places:
         for name in GEOMETRY:
-            _create_growing(group, name, source[name])
+            _create_growing(group, name, source[name][...], source[name])
         return _Place(), n_parts
     last, n_last = places[-1]
     begin = {"Points": last.point, "Connectivity": last.connectivity, "Offsets": last.cell + last.part,
@@ -102,20 +106,59 @@ def _add_geometry(group: Any, source: Any, places: Sequence[tuple[_Place, int]])
     return place, n_parts
 
 
-def _add_fields(group: Any, source: Any) -> None:
-    for name, values in source.items():
-        if name in group:
-            _append(group[name], values[...])
-        else:
-            _create_growing(group, name, values)
+class _GrowingFields:
+    """Fields of all steps one behind the other; what stays from one step to the next is written once."""
+
+    def __init__(self, group: Any) -> None:
+        self._group = group
+        self._offsets: dict[str, list[int]] = {}
+        self._last: dict[str, NDArray[Any]] = {}
+        self._n_steps = 0
+
+    def add(self, fields: Mapping[str, NDArray[Any]], described: Any) -> None:
+        """Add those of a step; described: the datasets, whose attributes say what they are."""
+        n_rows = len(next(iter(fields.values())))
+        for name in sorted({*fields, *self._offsets}):
+            values = fields.get(name)
+            if values is None:
+                # Not estimated in this frame.
+                values = _make_unknown(self._last[name], n_rows)
+            if name not in self._offsets:
+                self._begin(name, values, described[name])
+            if np.array_equal(values, self._last[name], equal_nan=values.dtype.kind == "f") and self._offsets[name]:
+                self._offsets[name].append(self._offsets[name][-1])
+                continue
+            self._offsets[name].append(len(self._group[name]))
+            _append(self._group[name], values)
+            self._last[name] = values
+        self._n_steps += 1
+
+    def _begin(self, name: str, values: NDArray[Any], described: Any) -> None:
+        """Make room for a field; earlier steps do not know it."""
+        _create_growing(self._group, name, values[:0], described)
+        self._offsets[name], self._last[name] = [], values[:0]
+        if self._n_steps:
+            self._last[name] = _make_unknown(values, len(values))
+            _append(self._group[name], self._last[name])
+            self._offsets[name] = [0] * self._n_steps
+
+    def write_offsets(self, group: Any) -> None:
+        """Write where each step's values begin."""
+        for name, offsets in self._offsets.items():
+            group[name] = np.array(offsets, np.int64)
 
 
-def _create_growing(group: Any, name: str, values: Any) -> None:
+def _make_unknown(like: NDArray[Any], n_rows: int) -> NDArray[Any]:
+    """As many rows of nan, or of 0 where numbers are whole."""
+    return np.full((n_rows, *like.shape[1:]), np.nan if like.dtype.kind == "f" else 0, dtype=like.dtype)
+
+
+def _create_growing(group: Any, name: str, values: NDArray[Any], described: Any) -> None:
     row_bytes = max(1, values.dtype.itemsize * int(np.prod(values.shape[1:])))
-    rows = max(1, min(len(values), CHUNK_BYTES // row_bytes))
-    made = group.create_dataset(name, data=values[...], maxshape=(None, *values.shape[1:]),
+    rows = max(1, min(len(described), CHUNK_BYTES // row_bytes))
+    made = group.create_dataset(name, data=values, maxshape=(None, *values.shape[1:]),
                                 chunks=(rows, *values.shape[1:]))
-    for key, value in values.attrs.items():
+    for key, value in described.attrs.items():
         made.attrs[key] = value
 
 
@@ -145,8 +188,3 @@ def _write_steps(group: Any, places: Sequence[tuple[_Place, int]], times: Sequen
     # One column for each kind of cells that VTK keeps apart: one of an unstructured grid.
     steps["CellOffsets"] = np.array([[place.cell] for place, _ in places], np.int64)
     steps["ConnectivityIdOffsets"] = np.array([[place.connectivity] for place, _ in places], np.int64)
-    for kind, counted in (("PointData", "NumberOfPoints"), ("CellData", "NumberOfCells")):
-        sizes = [int(group[counted][place.part:place.part + n_parts].sum()) for place, n_parts in places]
-        offsets = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64)
-        for name in group[kind]:
-            steps[f"{kind}Offsets/{name}"] = offsets

@@ -88,6 +88,8 @@ def read_series(path: Path | str) -> SeriesResult:
     InputError
         Where it is missing, foreign, damaged or of a newer major schema.
     """
+    if not isinstance(path, str | Path):
+        raise InputError(f"result: {type(path).__name__} given, the name of a file expected")
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such result file; check the path")

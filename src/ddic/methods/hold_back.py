@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ddic.parallel.phases import Phase
 from ddic.problem.held_back import ByView, SeenStart, find_displaced_cells, find_held_cells, linearize_held_cells
+from ddic.problem.residual_model import ResidualModel
 from ddic.problem.see_frame import measure_slopes
 from ddic.problem.seen_cells import measure_seen_cells
 from ddic.problem.solved_frame import SolvedFrame, solve_further
@@ -46,25 +47,25 @@ def solve_and_hold_back(problem: WeightedProblem, solved: SolvedFrame, start: Se
     """
     if start is None:
         return solve_further(problem, solved, progress)
-    judged = find_displaced_cells(start, solved.solution.q)
+    judged, now = find_displaced_cells(start, solved.solution.q), solved
 
-    def pause(q: Sequence[Array]) -> bool:
-        return problem.team.sum(_count_new(find_displaced_cells(start, q), judged)) > 0
-
-    while True:
-        n_before = len(solved.solution.records)
-        solved = solve_further(problem, solved, replace(progress, n_before=n_before), pause)
-        q = solved.solution.q
-        if solved.solution.converged or not pause(q):
-            return solved
-        judged = _join(judged, find_displaced_cells(start, q))
+    def revise(q: Sequence[Array]) -> ResidualModel | None:
+        nonlocal judged, now
+        displaced = find_displaced_cells(start, q)
+        if problem.team.sum(_count_new(displaced, judged)) == 0:
+            return None
+        judged = _join(judged, displaced)
         with progress.clock.phase(Phase.RESIDUAL):
-            solved = _hold_back(problem, solved, start)
+            now = _hold_back(problem, now, start, q)
+        return now.used
+
+    found = solve_further(problem, solved, progress, revise)
+    return replace(found, seen=now.seen, used=now.used)
 
 
-def _hold_back(problem: WeightedProblem, solved: SolvedFrame, start: SeenStart) -> SolvedFrame:
-    """The same field, with the cells linearized that are held back at it; M stays."""
-    q, seen = solved.solution.q, solved.seen
+def _hold_back(problem: WeightedProblem, solved: SolvedFrame, start: SeenStart, q: Sequence[Array]) -> SolvedFrame:
+    """The frame with the cells linearized that are held back at q; M stays."""
+    seen = solved.seen
     evaluation = seen.whole.evaluate(q)
     cells = measure_seen_cells(seen.whole, evaluation, measure_slopes(seen.whole, problem.slopes))
     excluded = seen.excluded.hold_back(find_held_cells(start, q, cells))

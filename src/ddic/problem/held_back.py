@@ -28,9 +28,9 @@ from ddic.problem.views import FrameViews
 Array = NDArray[np.float64]
 
 DISPLACED = 0.5 * AT_END.cell
-"""Distance from where a cell was seen, pixels, from which on mechanics may hold it back, and the error whose residual it
-may have had there: a start is as precise, and what hides an eighth of a cell leaves more. A larger one leaves cells to
-grey levels that say nothing of the way back."""
+"""Distance from where a cell was seen, pixels, from which on mechanics may hold it back, and the error whose residual
+it may have had there: starts are as precise, and what hides an eighth of a cell leaves more. A larger one leaves cells
+to grey levels that say nothing of the way back."""
 
 SAME_SPECKLE = 0.8
 """Correlation coefficient of f and g from which on a cell was seen at the start: where nothing is, nothing stands out.

@@ -15,7 +15,7 @@ from ddic.problem.residual_model import ResidualModel
 from ddic.problem.see_frame import SeenFrame, see_frame
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.solvers.dual.continuity import ContinuousField, average_copies
-from ddic.solvers.gauss_newton import Pause, Progress, Solution, run_gauss_newton
+from ddic.solvers.gauss_newton import Progress, Revise, Solution, run_gauss_newton
 
 Array = NDArray[np.float64]
 
@@ -73,7 +73,7 @@ def begin_frame(seen: SeenFrame, used: ResidualModel, q: Sequence[Array], notes:
 
 
 def solve_further(problem: WeightedProblem, solved: SolvedFrame, progress: Progress,
-                  pause: Pause | None = None) -> SolvedFrame:
+                  revise: Revise | None = None) -> SolvedFrame:
     """Go on with Gauss-Newton, with the same operators; collective.
 
     Parameters
@@ -84,8 +84,8 @@ def solve_further(problem: WeightedProblem, solved: SolvedFrame, progress: Progr
         Where to go on from.
     progress : Progress
         Where to write.
-    pause : callable, optional
-        Asked after every correction whether to return before the next; collective. Never, by default.
+    revise : callable, optional
+        Asked after every correction for another model of the frame; collective. Never, by default.
 
     Returns
     -------
@@ -106,7 +106,7 @@ def solve_further(problem: WeightedProblem, solved: SolvedFrame, progress: Progr
         return replace(solved, field=field, solution=joined, notes=notes, is_evaluated=False)
 
     try:
-        return join(run_gauss_newton(solved.used, before.q, problem.solver.step, problem.tolerances, progress, pause))
+        return join(run_gauss_newton(solved.used, before.q, problem.solver.step, problem.tolerances, progress, revise))
     except ConvergenceError as error:
         error.last = join(error.last)
         raise

@@ -121,8 +121,8 @@ Report = Callable[[IterationRecord], None]
 """Told of every iteration on every rank; only rank 0's may speak."""
 
 
-Pause = Callable[[Sequence[Array]], bool]
-"""Asked, on all ranks, whether unknowns call for another look at the frame."""
+Revise = Callable[[Sequence[Array]], Model | None]
+"""Asked, on all ranks, whether unknowns call for another model."""
 
 
 @dataclass(frozen=True)
@@ -212,7 +212,7 @@ def gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, tolerances:
 
 
 def run_gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, tolerances: Tolerances, progress: Progress,
-                     pause: Pause | None = None) -> Solution:
+                     revise: Revise | None = None) -> Solution:
     """Iterate q <- q + dq until the correction is small, or does not become smaller.
 
     Parameters
@@ -227,8 +227,8 @@ def run_gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, toleran
         When to stop.
     progress : Progress
         Where to write.
-    pause : callable, optional
-        Asked after every correction whether to return before the next; collective. Never, by default.
+    revise : callable, optional
+        Asked after every correction for another model, None where the last one stays; collective. Never, by default.
 
     Returns
     -------
@@ -244,14 +244,14 @@ def run_gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, toleran
     """
     found = Solution([np.array(q_s) for q_s in q], [])
     try:
-        return _iterate(model, found, step, tolerances, progress, pause)
+        return _iterate(model, found, step, tolerances, progress, revise)
     except ConvergenceError as error:
         error.last = found
         raise
 
 
 def _iterate(model: Model, found: Solution, step: LinearStep, tolerances: Tolerances, progress: Progress,
-             pause: Pause | None) -> Solution:
+             revise: Revise | None) -> Solution:
     """Iterate from what was found, which holds the last finite unknowns and all iterations at any time."""
     current, records = found.q, found.records
     clock = progress.clock
@@ -269,8 +269,8 @@ def _iterate(model: Model, found: Solution, step: LinearStep, tolerances: Tolera
         if model.team.on_root(partial(_decide, size, tolerances)):
             return Solution(current, records, size.describe_stop(tolerances))
         stop_if_asked(model.team, f"after iteration {records[-1].number}, before it converged")
-        if pause is not None and pause(current):
-            return Solution(current, records, converged=False)
+        if revise is not None:
+            model = revise(current) or model
         if model.team.on_root(partial(_stagnates, records)):
             break
     return Solution(current, records, _not_converged(records, tolerances), converged=False)
