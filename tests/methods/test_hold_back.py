@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import tifffile
 from mpi4py import MPI
 from numpy.typing import NDArray
 from scipy.special import erf
 
 import ddic
+from ddic.methods.run_case import run_file
+from ddic.parallel.team import Team
 from ddic.problem.exclusions import HELD_BACK, KEPT
+from ddic.results.listener import Silence
+from ddic.results.series_record import SeriesSummary
 from support.spoilt import digitise
 
 Array = NDArray[np.float64]
@@ -83,3 +89,26 @@ def test_any_number_of_ranks_holds_back_the_same(solver: dict[str, Any]) -> None
     assert (alone.fields["excluded"] == HELD_BACK).any()
     # Gauss-Newton stops at corrections of 1e-9 px, beside cells that are off at a third of a digit an iteration.
     np.testing.assert_allclose(together.displacement, alone.displacement, atol=1e-8)
+
+
+def test_the_frame_after_one_that_is_held_back_is_searched_for(tmp_path: Path) -> None:
+    reference, deformed = render()
+    for name, image in (("f.tif", reference), ("g_1.tif", deformed), ("g_2.tif", deformed)):
+        tifffile.imwrite(tmp_path / name, image)
+    case = tmp_path / "case.toml"
+    case.write_text("""[images]
+reference = "f.tif"
+deformed = "g_*.tif"
+[mesh.structured]
+region = [32, 48, 128, 432]
+element_size = 12
+[regularization]
+cut_off_wavelength = 300
+""", encoding="utf-8")
+    summary = run_file(Team.alone(), case, Silence())
+    assert isinstance(summary, SeriesSummary)
+    assert [frame.started_from for frame in summary.frames] == ["a search", "a search"]
+    one, two = ddic.open_series(tmp_path / "result.vtkhdf")
+    np.testing.assert_array_equal(one.displacement, two.displacement)
+    np.testing.assert_array_equal(one.fields["excluded"], two.fields["excluded"])
+    assert (one.fields["excluded"] == HELD_BACK).any()

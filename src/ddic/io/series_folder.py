@@ -36,12 +36,15 @@ class FrameState:
         By which cameras are weighted, grey levels; empty with one camera.
     shown_share : float
         Share of the cells that were seen where the field put them.
+    holds_back : bool
+        Whether mechanics held cells back from where they were seen.
     """
 
     time: float
     unknowns: Mapping[int, Array]
     noise: tuple[float, ...]
     shown_share: float
+    holds_back: bool
 
 
 @dataclass(frozen=True)
@@ -178,7 +181,7 @@ class SeriesFolder:
             group = file[schema.SERIES]
             unknowns = {int(name): values[...] for name, values in group["unknowns"].items()}
             return FrameState(float(group.attrs["time"]), unknowns, tuple(map(float, group.attrs["noise"])),
-                              float(group.attrs["shown_share"]))
+                              float(group.attrs["shown_share"]), bool(group.attrs["holds_back"]))
 
     def write_failure(self, number: int, record: str) -> None:
         """Note that a frame could not be measured.

@@ -40,6 +40,9 @@ def list_starts(wanted: str, states: Sequence[MeasuredState], time: float) -> St
 
 def _list_known(wanted: str, states: Sequence[MeasuredState],
                 time: float) -> Iterator[tuple[str, list[NDArray[np.float64]]]]:
+    if states and states[-1].holds_back:
+        # Off what the frame showed, it would take what it sees for something else than the specimen.
+        return
     if wanted == "extrapolate" and len(states) > 1:
         yield "the last two frames", extrapolate(states[-2], states[-1], time)
     elif wanted != "search" and states:

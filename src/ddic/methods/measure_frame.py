@@ -95,5 +95,4 @@ def measure_frame(tools: SeriesTools, number: int,
                      residual_std_grey=deviation, noise_floor_px=tools.floor.estimate(measurement),
                      notes=measurement.notes, seconds=float(opener.team.maximum(time.perf_counter() - began)))
     of_frame = replace(measurement, inputs=measurement.inputs.with_frame(number - 1))
-    write_frame(of_frame, record, tools.folder, tools.writer)
-    return record, MeasuredState(record.time, measurement.q, measurement.shown_share)
+    return record, write_frame(of_frame, record, tools.folder, tools.writer)

@@ -114,6 +114,21 @@ class Exclusions:
         """Which cells are held back, (n_cells,), by owned subdomain and view."""
         return [tuple(states == HELD_BACK for states in of_subdomain) for of_subdomain in self.cells]
 
+    def has_held_back(self, team: Team) -> bool:
+        """Tell whether any cell is held back; collective.
+
+        Parameters
+        ----------
+        team : Team
+            All ranks.
+
+        Returns
+        -------
+        bool
+            The same on all ranks.
+        """
+        return bool(team.sum(sum(int((states == HELD_BACK).sum()) for states in self._states)) > 0)
+
     def count_cells(self, team: Team) -> int:
         """Count the cells of all ranks that are excluded; collective.
 

@@ -34,15 +34,18 @@ class MeasuredState:
         Unknowns of owned subdomains.
     shown_share : float
         Share of the cells that were seen where the field put them.
+    holds_back : bool
+        Whether mechanics held cells back from where they were seen, so that the field shows no way to the next frame.
     """
 
     time: float
     q: list[Array]
     shown_share: float
+    holds_back: bool
 
 
 def write_frame(measurement: Measurement, record: FrameRecord, folder: SeriesFolder,
-                writer: BackgroundWriter) -> None:
+                writer: BackgroundWriter) -> MeasuredState:
     """Begin to write a frame that was measured; collective, only rank 0 touches the disk.
 
     Parameters
@@ -56,6 +59,11 @@ def write_frame(measurement: Measurement, record: FrameRecord, folder: SeriesFol
     writer : BackgroundWriter
         Of rank 0.
 
+    Returns
+    -------
+    MeasuredState
+        What the next frame starts from, as it is written.
+
     Raises
     ------
     OSError
@@ -64,17 +72,19 @@ def write_frame(measurement: Measurement, record: FrameRecord, folder: SeriesFol
     team = measurement.team
     own = {subdomain.index: np.asarray(q) for subdomain, q in zip(measurement.subdomains, measurement.q, strict=True)}
     gathered = team.gather_to(own, 0)
+    state = MeasuredState(record.time, measurement.q, measurement.shown_share, measurement.excluded.has_held_back(team))
 
     def add(opened: ResultWriter) -> None:
         unknowns = {f"{number:06d}": q for of_rank in require_held(gathered) for number, q in of_rank.items()}
         opened.write_attributes(schema.SERIES, {"record": record.as_json(), "time": record.time,
                                                 "noise": np.array(measurement.noise, dtype=float),
-                                                "shown_share": measurement.shown_share})
+                                                "shown_share": state.shown_share, "holds_back": state.holds_back})
         opened.write_arrays(f"{schema.SERIES}/unknowns", unknowns)
 
     content = pack(measurement, Destination(None, measurement.inputs.case.output.flip_y), add)
     path = folder.get_frame_path(record.number)
     team.on_root(lambda: writer.write(path, require_held(content)))
+    return state
 
 
 def write_failed_frame(team: Team, error: DdicError, record: FrameRecord, folder: SeriesFolder) -> None:
@@ -126,8 +136,8 @@ def collect_states(problem: WeightedProblem, states: Sequence[FrameState]) -> li
                   for state in states for subdomain in subdomains)
     if problem.team.sum(n_other):
         return []
-    return [MeasuredState(state.time, [state.unknowns[subdomain.index] for subdomain in subdomains], state.shown_share)
-            for state in states]
+    return [MeasuredState(state.time, [state.unknowns[subdomain.index] for subdomain in subdomains], state.shown_share,
+                          state.holds_back) for state in states]
 
 
 def extrapolate(before: MeasuredState, last: MeasuredState, time: float) -> list[Array]:
