@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import json
+import shutil
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -62,7 +66,7 @@ class Frames:
 
 
 def write_frames(frames: Frames, folder: Path) -> None:
-    """Write the images unless they are there already: reference.tif and frame_1.tif, frame_2.tif, ...
+    """Write the images that are not there already: reference.tif and frame_1.tif, frame_2.tif, ...
 
     Parameters
     ----------
@@ -73,14 +77,25 @@ def write_frames(frames: Frames, folder: Path) -> None:
     """
     stamp = folder / "frames.json"
     wanted = json.dumps([asdict(frames), source_version()])
-    if stamp.is_file() and stamp.read_text(encoding="utf-8") == wanted:
-        return
-    folder.mkdir(parents=True, exist_ok=True)
-    for number in range(frames.n_frames + 1):
-        reference, deformed = render_deformed(frames.make_deformation(number), Camera(frames.size, NOISE))
-        name = f"frame_{number}.tif" if number else "reference.tif"
-        tifffile.imwrite(folder / name, deformed if number else reference)
-    stamp.write_text(wanted, encoding="utf-8")
+    if not stamp.is_file() or stamp.read_text(encoding="utf-8") != wanted:
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+        stamp.write_text(wanted, encoding="utf-8")
+    missing = [number for number in range(frames.n_frames + 1) if not _name(folder, number).is_file()]
+    with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
+        list(pool.map(partial(_write_frame, frames, folder), missing))
+
+
+def _name(folder: Path, number: int) -> Path:
+    return folder / (f"frame_{number}.tif" if number else "reference.tif")
+
+
+def _write_frame(frames: Frames, folder: Path, number: int) -> None:
+    reference, deformed = render_deformed(frames.make_deformation(number), Camera(frames.size, NOISE))
+    path = _name(folder, number)
+    unfinished = path.with_suffix(".unfinished")
+    tifffile.imwrite(unfinished, deformed if number else reference)
+    unfinished.rename(path)
 
 
 def describe_case(frames: Frames, element: float) -> str:
