@@ -173,15 +173,14 @@ def _read_memory(process: psutil.Process) -> int:
 
 def _time_pyvale(folder: Path, frames: Frames) -> str:
     """CPU seconds a frame of pyvale on the middle frame, in words."""
-    from bench.peers import QUICK_SUBSETS, Pair, pyvale
+    from bench.peers import QUICK_SUBSETS, Pair, measure_peer
 
     middle = folder / "pyvale"
     middle.mkdir(exist_ok=True)
     for name, target in (("reference.tif", "reference.tif"), (f"frame_{frames.n_frames // 2}.tif", "deformed.tif")):
         shutil.copyfile(folder / name, middle / target)
-    (middle / "truth.json").write_text('{"kind": "none"}', encoding="utf-8")
-    run = pyvale(Pair(middle, *frames.size, 1), QUICK_SUBSETS)
-    return f"pyvale on the middle frame: {run.seconds:.1f} CPU s"
+    record, *_ = measure_peer("pyvale", Pair(middle, *frames.size, 1), {"settings": QUICK_SUBSETS})
+    return f"pyvale on the middle frame: {record['cpu_seconds']:.1f} CPU s"
 
 
 def measure_killed(scale: Scale) -> list[Row]:

@@ -135,18 +135,18 @@ def measure_ddic(pair: Pair, wavelength: int, n_ranks: int, method: str | None) 
 
 def pyxel(pair: Pair, interpolation: str) -> Run:
     """Measure with pyxel on ddic's mesh; interpolation: "own" or "compiled"."""
-    record, whole, points, displacement = _peer("pyxel", pair, {"element": ELEMENT, "interpolation": interpolation})
+    record, whole, points, displacement = measure_peer("pyxel", pair, {"element": ELEMENT, "interpolation": interpolation})
     inner = pair.inner(points)
     return Run(record["cpu_seconds"], whole, pair.error(points[inner], displacement[inner]), record)
 
 
 def pyvale(pair: Pair, settings: Mapping[str, Any]) -> Run:
     """Measure with pyvale in ddic's region; the error is at its points, which begin 15 px inside the region."""
-    record, whole, points, displacement = _peer("pyvale", pair, {"settings": settings})
+    record, whole, points, displacement = measure_peer("pyvale", pair, {"settings": settings})
     return Run(record["cpu_seconds"], whole, pair.error(points, displacement), record)
 
 
-def _peer(name: str, pair: Pair, task: Mapping[str, Any]) -> tuple[dict[str, Any], float, Any, Any]:
+def measure_peer(name: str, pair: Pair, task: Mapping[str, Any]) -> tuple[dict[str, Any], float, Any, Any]:
     """Record, CPU seconds of the whole job, points (n, 2) and displacement (n, 2) of a peer, pixels."""
     field = pair.folder / f"{name}.npz"
     whole_task = {"folder": str(pair.folder), "warm_up": str(warm_up_pair().folder), "margin": MARGIN,
