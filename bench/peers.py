@@ -135,7 +135,8 @@ def measure_ddic(pair: Pair, wavelength: int, n_ranks: int, method: str | None) 
 
 def pyxel(pair: Pair, interpolation: str) -> Run:
     """Measure with pyxel on ddic's mesh; interpolation: "own" or "compiled"."""
-    record, whole, points, displacement = measure_peer("pyxel", pair, {"element": ELEMENT, "interpolation": interpolation})
+    record, whole, points, displacement = measure_peer("pyxel", pair,
+                                                            {"element": ELEMENT, "interpolation": interpolation})
     inner = pair.inner(points)
     return Run(record["cpu_seconds"], whole, pair.error(points[inner], displacement[inner]), record)
 
