@@ -11,12 +11,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import psutil
 
 from accept.openhole import case_text
 from accept.support.moving_frames import Frames, describe_case, write_frames
+from accept.support.same_datasets import find_unequal_datasets
 from accept.table import Check, Scale
 from bench.support.rows import Row, append_result
 from bench.support.runs import ROOT, TIMEOUT_S, ddic_command, ddic_run, environment, mpirun, real_data
@@ -212,7 +212,7 @@ def measure_killed(scale: Scale) -> list[Row]:
         gone = _kill_in_the_middle(path, victim)
         n_left = len(list((folder / f"{victim}.frames").glob("*.vtkhdf")))
         mpirun(2, ddic_command(), "run", str(path), "--resume")
-        differing = _list_differences(folder / "whole.vtkhdf", folder / f"{victim}.vtkhdf")
+        _, differing = find_unequal_datasets(folder / "whole.vtkhdf", folder / f"{victim}.vtkhdf")
         n_measured = len(read_series(folder / f"{victim}.vtkhdf"))
         told = "its datasets are equal" if not differing else f"other values in {', '.join(differing)}"
         rows.append(Row(f"{frames.n_frames} frames, {frames.size[0]} x {frames.size[1]} px, 2 ranks: SIGKILL to "
@@ -246,21 +246,6 @@ def _kill_in_the_middle(case: Path, victim: str) -> float:
     if alive:
         raise RuntimeError(f"{len(alive)} processes were still there after 60 s")
     return seconds
-
-
-def _list_differences(one: Path, other: Path) -> list[str]:
-    """Names of the datasets that differ, but for what tells of time and place."""
-    found: list[str] = []
-    with h5py.File(one, "r") as a, h5py.File(other, "r") as b:
-
-        def compare(name: str, item: Any) -> None:
-            if not isinstance(item, h5py.Dataset) or "phases" in name or name == "series/records":
-                return
-            if name not in b or not np.array_equal(item[...], b[name][...], equal_nan=item.dtype.kind == "f"):
-                found.append(name)
-
-        a.visititems(compare)
-    return found
 
 
 CHECKS: dict[str, Check] = {

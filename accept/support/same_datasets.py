@@ -9,8 +9,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-OF_TIME = "history/phases"
-"""Seconds and what follows from them, which no run repeats."""
+OF_TIME = ("history/phases", "series/records")
+"""Parts of the names of datasets of seconds and what follows from them, which no run repeats."""
 
 
 def find_unequal_datasets(one: Path, other: Path) -> tuple[int, list[str]]:
@@ -38,7 +38,7 @@ def _read(path: Path) -> dict[str, NDArray[Any]]:
     found: dict[str, NDArray[Any]] = {}
 
     def keep(name: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset) and not name.startswith(OF_TIME):
+        if isinstance(item, h5py.Dataset) and not any(part in name for part in OF_TIME):
             found[name] = np.asarray(item[()])
 
     with h5py.File(path) as file:

@@ -46,8 +46,8 @@ def _describe(file: Path, frame: int | None) -> list[str]:
     """What a file holds, in lines."""
     import h5py
 
-    from ddic.io.frame_of_series import is_series_file, read_frame
-    from ddic.io.series_reader import read_series
+    from ddic.io.frame_of_series import read_frame
+    from ddic.io.series_reader import is_series_file, read_series
 
     if not file.is_file():
         raise InputError(f"{file}: no such file; check the path")

@@ -100,10 +100,10 @@ def plot(file: Path, kind: str, frame: int | None, animate: bool, fps: float,
     Of a series: curves over time, a frame by its number (FILE.frame_N.KIND.png), or an animation (FILE.KIND.gif).
     """
     # Imported here because matplotlib is not needed by --help.
-    from ddic.io.frame_of_series import is_series_file, read_frame
+    from ddic.io.frame_of_series import read_frame
     from ddic.io.plots.length_unit import find_length_unit
     from ddic.io.plots.strain_map import StrainChoice
-    from ddic.io.series_reader import read_series
+    from ddic.io.series_reader import is_series_file, read_series
 
     folder = file.parent if output is None else output
     with errors_as_lines(folder):
@@ -133,7 +133,8 @@ def plot(file: Path, kind: str, frame: int | None, animate: bool, fps: float,
 
 def _read_other(path: Path, frame: int | None) -> Result:
     """The result that is compared with: of a series the same frame."""
-    from ddic.io.frame_of_series import is_series_file, read_frame
+    from ddic.io.frame_of_series import read_frame
+    from ddic.io.series_reader import is_series_file
 
     return read_frame(path, frame if is_series_file(path) else None)
 

@@ -4,32 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import h5py
 import numpy as np
 
 from ddic.errors import InputError
-from ddic.io import result_schema as schema
 from ddic.io.result_reader import Result, read_result
-from ddic.io.series_reader import SeriesResult, read_series
-
-
-def is_series_file(path: Path) -> bool:
-    """Tell whether a file holds the frames of a series, be it one.
-
-    Parameters
-    ----------
-    path : Path
-        Any file.
-
-    Returns
-    -------
-    bool
-        False for what is no file, no HDF5 or the result of a pair.
-    """
-    if not path.is_file() or not h5py.is_hdf5(path):
-        return False
-    with h5py.File(path, "r") as file:
-        return schema.STEPS in file
+from ddic.io.series_reader import SeriesResult, is_series_file, read_series
 
 
 def read_frame(path: Path, number: int | None = None, asked_by: str = "--frame") -> Result:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -181,6 +182,38 @@ def read_result(path: Path | str) -> Result:
     InputError
         Where it is missing, foreign, damaged or of a newer major schema.
     """
+    with opened_result(path) as (name, file):
+        if schema.STEPS in file:
+            raise InputError(f"{name}: holds the frames of a series; read it with ddic.open_series, or give the "
+                             "result of a pair")
+        result = read_open_file(name, file)
+    if not result.converged:
+        reason = result.failure.partition(";")[0]
+        warnings.warn(f"{path}: this field did not converge ({reason})", UserWarning, stacklevel=2)
+    return result
+
+
+@contextmanager
+def opened_result(path: Path | str) -> Iterator[tuple[Path, Any]]:
+    """Open a result file, of a pair or of a series.
+
+    Parameters
+    ----------
+    path : Path or str
+        The file.
+
+    Yields
+    ------
+    name : Path
+        The file's.
+    file : h5py.File
+        Open for reading.
+
+    Raises
+    ------
+    InputError
+        Where it is missing, foreign, of a newer major schema, or damaged where it is read inside.
+    """
     if not isinstance(path, str | Path):
         raise InputError(f"result: {type(path).__name__} given, the name of a file expected")
     path = Path(path)
@@ -189,16 +222,9 @@ def read_result(path: Path | str) -> Result:
     try:
         with h5py.File(path, "r") as file:
             check_schema(path, file)
-            if schema.STEPS in file:
-                raise InputError(f"{path}: holds the frames of a series; read it with ddic.open_series, or give the "
-                                 "result of a pair")
-            result = read_open_file(path, file)
+            yield path, file
     except (OSError, KeyError, ValueError, IndexError) as error:
         raise InputError(f"{path}: not a readable ddic result file ({error}); run ddic again") from error
-    if not result.converged:
-        reason = result.failure.partition(";")[0]
-        warnings.warn(f"{path}: this field did not converge ({reason})", UserWarning, stacklevel=2)
-    return result
 
 
 def displacement_at(result: Result, points: NDArray[np.float64]) -> NDArray[np.float64]:

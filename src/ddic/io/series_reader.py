@@ -12,9 +12,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.errors import InputError
 from ddic.io import result_schema as schema
-from ddic.io.result_reader import Result, check_schema, read_open_file, read_result
+from ddic.io.result_reader import Result, opened_result, read_open_file, read_result
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,8 @@ class SeriesResult:
         return (self._read(step) for step in range(len(self)))
 
     def _read(self, step: int) -> Result:
-        with _open(self.path) as file, h5py.File("frame", "w", driver="core", backing_store=False) as frame:
+        with (opened_result(self.path) as (_, file),
+              h5py.File("frame", "w", driver="core", backing_store=False) as frame):
             _extract(file, step, int(self.numbers[step]), frame)
             result = read_open_file(Path(), frame)
         floor = next((record.get(schema.NOISE_FLOOR) for record in self.records
@@ -68,6 +68,25 @@ class SeriesResult:
             # Kept with what is told of the frames: it is estimated at the first one of each run that goes on.
             case[schema.NOISE_FLOOR] = floor
         return _name(result, self.path, {**result.attributes, schema.CASE: case})
+
+
+def is_series_file(path: Path) -> bool:
+    """Tell whether a file holds the frames of a series, be it one.
+
+    Parameters
+    ----------
+    path : Path
+        Any file.
+
+    Returns
+    -------
+    bool
+        False for what is no file, no HDF5 or the result of a pair.
+    """
+    if not path.is_file() or not h5py.is_hdf5(path):
+        return False
+    with h5py.File(path, "r") as file:
+        return schema.STEPS in file
 
 
 def read_series(path: Path | str) -> SeriesResult:
@@ -88,17 +107,8 @@ def read_series(path: Path | str) -> SeriesResult:
     InputError
         Where it is missing, foreign, damaged or of a newer major schema.
     """
-    if not isinstance(path, str | Path):
-        raise InputError(f"result: {type(path).__name__} given, the name of a file expected")
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such result file; check the path")
-    try:
-        with h5py.File(path, "r") as file:
-            check_schema(path, file)
-            return _read_contents(path, file)
-    except (OSError, KeyError, ValueError, IndexError) as error:
-        raise InputError(f"{path}: not a readable ddic result file ({error}); run ddic again") from error
+    with opened_result(path) as (name, file):
+        return _read_contents(name, file)
 
 
 def read_frames(path: Path | str) -> Iterator[Result]:
@@ -120,9 +130,7 @@ def read_frames(path: Path | str) -> Iterator[Result]:
         Where it is missing, foreign, damaged or of a newer major schema.
     """
     series = read_series(path)
-    with _open(series.path) as file:
-        is_series = schema.STEPS in file
-    return iter(series) if is_series else iter([read_result(path)])
+    return iter(series) if is_series_file(series.path) else iter([read_result(path)])
 
 
 def _read_contents(path: Path, file: Any) -> SeriesResult:
@@ -132,13 +140,6 @@ def _read_contents(path: Path, file: Any) -> SeriesResult:
     series = file[schema.SERIES]
     records = tuple(json.loads(text) for text in series["records"].asstr()[...])
     return SeriesResult(path, file[schema.STEPS]["Values"][...], series.attrs["numbers"].astype(np.int64), records)
-
-
-def _open(path: Path) -> h5py.File:
-    try:
-        return h5py.File(path, "r")
-    except OSError as error:
-        raise InputError(f"{path}: not a readable ddic result file ({error}); run ddic again") from error
 
 
 def _extract(file: Any, step: int, number: int, frame: Any) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +15,35 @@ from ddic.results.listener import Listener
 from ddic.results.measurement import Measurement
 from ddic.results.series_frames import MeasuredState, extrapolate
 
-Starts = Sequence[tuple[str, list[NDArray[np.float64]] | None]]
-"""Names of starts, and their unknowns; None for a search."""
+SEARCH = "a search"
+"""Name of a start that nothing is known of."""
+
+LEAST_SHOWN = 0.8
+"""Share of the cells that the last frame showed which a start must show, else it is searched for: Gauss-Newton takes
+long, or does not find its way, from other speckle. A larger share searches more often."""
 
 
-def list_starts(wanted: str, states: Sequence[MeasuredState], time: float) -> Starts:
-    """List where a frame may start, the best first.
+@dataclass(frozen=True)
+class KnownFrameStart:
+    """What earlier frames say of where a frame starts.
+
+    Attributes
+    ----------
+    name : str
+        For the log.
+    q : list of (n_unknowns,) array
+        Unknowns of owned subdomains.
+    least_shown : float
+        Share of the cells that it must show.
+    """
+
+    name: str
+    q: list[NDArray[np.float64]]
+    least_shown: float
+
+
+def choose_known_start(wanted: str, states: Sequence[MeasuredState], time: float) -> KnownFrameStart | None:
+    """Choose what a frame starts from of those before it.
 
     Parameters
     ----------
@@ -32,26 +56,21 @@ def list_starts(wanted: str, states: Sequence[MeasuredState], time: float) -> St
 
     Returns
     -------
-    sequence of (str, list of array or None)
-        The search last.
+    KnownFrameStart or None
+        None where it is to be searched for.
     """
-    return [*_list_known(wanted, states, time), ("a search", None)]
-
-
-def _list_known(wanted: str, states: Sequence[MeasuredState],
-                time: float) -> Iterator[tuple[str, list[NDArray[np.float64]]]]:
-    if states and states[-1].holds_back:
-        # Off what the frame showed, it would take what it sees for something else than the specimen.
-        return
+    # A field that mechanics hold off what its frame showed would take what it sees for something else.
+    if wanted == "search" or not states or states[-1].holds_back:
+        return None
+    last, least_shown = states[-1], LEAST_SHOWN * states[-1].shown_share
     if wanted == "extrapolate" and len(states) > 1:
-        yield "the last two frames", extrapolate(states[-2], states[-1], time)
-    elif wanted != "search" and states:
-        yield "the last frame", states[-1].q
+        return KnownFrameStart("the last two frames", extrapolate(states[-2], last, time), least_shown)
+    return KnownFrameStart("the last frame", last.q, least_shown)
 
 
-def measure_from(session: Session, frame: Frame, starts: Starts, least_shown: float,
+def measure_from(session: Session, frame: Frame, known: KnownFrameStart | None,
                  listener: Listener) -> tuple[Measurement, str]:
-    """Measure a frame from the first start that converges; collective.
+    """Measure a frame from a known start, or from a search where that leads nowhere; collective.
 
     Parameters
     ----------
@@ -59,10 +78,8 @@ def measure_from(session: Session, frame: Frame, starts: Starts, least_shown: fl
         Prepared; what earlier frames changed of its operators is forgotten.
     frame : Frame
         One deformed image of each camera.
-    starts : sequence of (str, list of array or None)
-        Of ``list_starts``.
-    least_shown : float
-        Share of the cells that a known start must show.
+    known : KnownFrameStart or None
+        None: it is searched for.
     listener : Listener
         Told what happens.
 
@@ -76,16 +93,15 @@ def measure_from(session: Session, frame: Frame, starts: Starts, least_shown: fl
     Raises
     ------
     InputError, ConvergenceError, SingularSubdomainError
-        On all ranks, where none does: as the last one.
+        On all ranks, where the search does not converge either.
     """
-    *others, (last_name, last) = starts
-    for name, start in others:
+    if known is not None:
         session.begin_anew()
         try:
-            return session.measure(frame, start, least_shown), name
+            return session.measure(frame, known.q, known.least_shown), known.name
         except (ConvergenceError, SingularSubdomainError) as error:
             if not is_collective(error):
                 raise
-            listener.note(f"from {name}: {error}; it is searched for")
+            listener.note(f"from {known.name}: {error}; it is searched for")
     session.begin_anew()
-    return session.measure(frame, last), last_name
+    return session.measure(frame), SEARCH

@@ -11,16 +11,12 @@ from ddic.errors import DdicError, is_collective
 from ddic.io.background_writer import BackgroundWriter
 from ddic.io.series_folder import SeriesFolder
 from ddic.methods.dd_dic import Session
-from ddic.methods.frame_starts import list_starts, measure_from
+from ddic.methods.frame_starts import choose_known_start, measure_from
 from ddic.methods.noise_floors import NoiseFloor
 from ddic.problem.frame_opener import FrameOpener
 from ddic.results.listener import Listener
 from ddic.results.series_frames import MeasuredState, write_failed_frame, write_frame
 from ddic.results.series_record import FrameRecord
-
-LEAST_SHOWN = 0.8
-"""Share of the cells that the last frame showed which a start must show, else it is searched for: Gauss-Newton takes
-long, or does not find its way, from other speckle. A larger share searches more often."""
 
 
 @dataclass(frozen=True)
@@ -81,9 +77,8 @@ def measure_frame(tools: SeriesTools, number: int,
     began = time.perf_counter()
     try:
         frame = opener.open(number)
-        starts = list_starts(case.series.start, states, record.time)
-        least_shown = LEAST_SHOWN * states[-1].shown_share if states else 0.0
-        measurement, start = measure_from(tools.session, frame, starts, least_shown, tools.listener)
+        known = choose_known_start(case.series.start, states, record.time)
+        measurement, start = measure_from(tools.session, frame, known, tools.listener)
     except DdicError as error:
         if not is_collective(error):
             raise

@@ -174,12 +174,11 @@ def linearize_held_cells(model: ResidualModel, excluded: Exclusions, start: Seen
     ResidualModel
         M counts these cells as before.
     """
-    held = excluded.held_back
-    n_held = model.team.sum(sum(int(of_view.sum()) for of_subdomain in held for of_view in of_subdomain))
-    if start is None or not n_held:
+    if start is None or not excluded.has_held_back(model.team):
         return replace(model, linearized=None)
     started = replace(start.whole, follows=model.follows)
     alone = exclude(started, _exclude_others(excluded))
+    held = excluded.held_back
     kept = replace(start.evaluation, residuals=keep_residuals(start.evaluation.residuals, held))
     b = started.assemble_right_hand_sides(kept, start.q)
     operators = model.team.together(lambda: [_assemble(of_subdomain, q_s, follows=model.follows)

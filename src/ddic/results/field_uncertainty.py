@@ -119,21 +119,19 @@ def estimate_uncertainty(problem: WeightedProblem, model: ResidualModel, evaluat
     return Uncertainty(noise, rms, forces.n_samples, forces.transfer, deviations, bias)
 
 
-def describe_uncertainty(uncertainty: Uncertainty | None) -> tuple[str, ...]:
+def describe_uncertainty(uncertainty: Uncertainty) -> tuple[str, ...]:
     """Say how large the noise of the images and of the field is.
 
     Parameters
     ----------
-    uncertainty : Uncertainty or None
-        None where it was not asked for.
+    uncertainty : Uncertainty
+        Of the field.
 
     Returns
     -------
     tuple of str
-        A line; nothing for None.
+        A line.
     """
-    if uncertainty is None:
-        return ()
     noise = uncertainty.noise
     return (f"uncertainty: noise of {noise.sigma[0]:.2f} grey levels ({noise.origin}) leaves a standard deviation of "
             f"{uncertainty.rms:.2g} px in each component (RMS over nodes)",)

@@ -6,8 +6,9 @@ import hashlib
 import platform
 import sys
 from datetime import UTC, datetime
-from functools import cache
+from functools import cache, lru_cache
 from importlib import metadata
+from pathlib import Path
 
 import mpi4py.MPI
 import numpy as np
@@ -54,6 +55,12 @@ def _collect_versions() -> dict[str, str | int]:
     return facts
 
 
+@lru_cache(maxsize=8)
+def _compute_checksum(path: Path, size: int, changed: int) -> str:
+    """SHA-256 of a file as long as it stays the same: each frame of a series names the reference image again."""
+    return compute_sha256(path)
+
+
 def describe_image(name: str, image: ImageSource) -> dict[str, str | int]:
     """Describe an image by its path, size and checksum.
 
@@ -70,7 +77,8 @@ def describe_image(name: str, image: ImageSource) -> dict[str, str | int]:
         NAME_path, NAME_size and NAME_sha256: of the file's bytes, or of the pixels in memory.
     """
     if image.path.is_file():
-        checksum = compute_sha256(image.path)
+        status = image.path.stat()
+        checksum = _compute_checksum(image.path, status.st_size, status.st_mtime_ns)
     else:
         pixels = image.read(Window(0, 0, image.width, image.height))
         checksum = hashlib.sha256(np.ascontiguousarray(pixels).tobytes()).hexdigest()

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ddic.io.replace_on_exit import replaced_on_exit
+from ddic.io.json_file import convert_to_json, write_json
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ class FrameRecord:
         str
             One line.
         """
-        return json.dumps({name: _plain(value) for name, value in asdict(self).items()}, allow_nan=False)
+        return json.dumps(convert_to_json(asdict(self)), allow_nan=False)
 
     @classmethod
     def from_json(cls, text: str) -> FrameRecord:
@@ -149,12 +148,6 @@ def write_series_summary(path: Path, summary: SeriesSummary) -> None:
     InputError
         Where the folder cannot be written to.
     """
-    content = {"converged": summary.is_whole and not summary.failures, "whole": summary.is_whole,
-               **{name: value for name, value in asdict(summary).items() if name != "frames"},
-               "frames": [json.loads(frame.as_json()) for frame in summary.frames]}
-    with replaced_on_exit(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-
-
-def _plain(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    of_run = {name: value for name, value in asdict(summary).items() if name != "frames"}
+    write_json(path, {"converged": summary.is_whole and not summary.failures, "whole": summary.is_whole, **of_run,
+                      "frames": [asdict(frame) for frame in summary.frames]})

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from ddic.functionals.half_amplitude import HalfAmplitudes
-from ddic.io.replace_on_exit import replaced_on_exit
+from ddic.io.json_file import write_json
 from ddic.parallel.phases import Phase
 
 
@@ -185,19 +183,4 @@ def write_summary(path: Path, summary: Summary) -> None:
     InputError
         Where the folder cannot be written to.
     """
-    text = json.dumps(_plain(asdict(summary)), indent=2, allow_nan=False)
-    with replaced_on_exit(path) as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
-
-
-def _plain(value: Any) -> Any:
-    """A value made of what JSON knows."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, Sequence) and not isinstance(value, str):
-        return [_plain(item) for item in value]
-    if hasattr(value, "tolist"):
-        return _plain(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    write_json(path, asdict(summary))
