@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from numpy.typing import NDArray
 
-from ddic.kinematics.nodal_gradients import prepare_recovery, recover_gradients
+from ddic.kinematics.nodal_gradients import recover_gradients
 from ddic.kinematics.strain import compute_displacement_gradients
 from ddic.mesh.cell_type import T3
 from ddic.mesh.cut_mesh import cut_mesh
@@ -126,25 +126,3 @@ def test_cells_that_were_not_measured_spoil_none_beside_them(cells: Cells) -> No
 def test_nothing_is_recovered_where_nothing_was_measured() -> None:
     mesh = grid_mesh(3, 3, (8.0, 8.0))
     assert np.isnan(recover(mesh, np.full(mesh.nodes.shape, np.nan))).all()
-
-
-@settings(max_examples=20)
-@given(mesh=grid_meshes(), seed=SEEDS)
-def test_a_prepared_recovery_is_the_same(mesh: Mesh, seed: int) -> None:
-    random = np.random.default_rng(seed)
-    u = random.standard_normal(mesh.nodes.shape)
-    # A node that was not measured, besides.
-    measured = np.ones(mesh.n_nodes, dtype=bool)
-    measured[random.integers(mesh.n_nodes)] = False
-    u[~measured] = np.nan
-    (found,) = prepare_recovery([mesh], [measured], list).recover([u.ravel()])
-    # Rounding of sums in another order.
-    np.testing.assert_allclose(found, recover(mesh, u), rtol=0, atol=1e-11)
-
-
-def test_a_prepared_recovery_knows_parts_of_cut_cells() -> None:
-    whole = build_structured_mesh((0, 0, 48, 48), 8)
-    mesh = cut_mesh(whole, [np.array([[-5.0, 21.0], [55.0, 27.0]])]).mesh
-    u = np.random.default_rng(0).standard_normal(mesh.nodes.shape)
-    (found,) = prepare_recovery([mesh], [np.ones(mesh.n_nodes, dtype=bool)], list).recover([u.ravel()])
-    np.testing.assert_allclose(found, recover(mesh, u), rtol=0, atol=1e-11)

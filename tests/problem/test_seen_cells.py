@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from ddic.functionals.cell_slopes import CellSlopes
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.seen_cells import FEWEST_PIXELS, SeenCells, collect_cells, find_typical_cell, measure_seen_cells
@@ -25,7 +26,7 @@ def measure(model: ResidualModel, q: Array) -> SeenCells:
     return seen
 
 
-def _slopes(model: ResidualModel) -> Array:
+def _slopes(model: ResidualModel) -> CellSlopes:
     return model.views[0].views[0].view.measure_slopes()
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.functionals.cell_slopes import CellSlopes
 from ddic.functionals.correlation import Correlation, Residual
 from ddic.images.sub_image import DeformedSubImage
 from ddic.images.window import Window
@@ -59,13 +60,13 @@ class View:
             return raster.pixel_counts
         return raster.sum_by_cell(reference.usable, reference.window.x0, reference.window.y0)
 
-    def measure_slopes(self) -> NDArray[np.float64]:
+    def measure_slopes(self) -> CellSlopes:
         """Measure the mean of grad f grad f^T over the pixels of each cell that count.
 
         Returns
         -------
-        (n_cells, 2, 2) array
-            (Grey levels / px)^2; 0 without pixels.
+        CellSlopes
+            Of the reference image.
         """
         reference, raster = self.correlation.reference, self.correlation.raster
         n = np.maximum(self.count_pixels(), 1)
@@ -75,7 +76,7 @@ class View:
         for i, j in ((0, 0), (0, 1), (1, 1)):
             sums = raster.sum_by_cell(slopes[i] * slopes[j] * usable, reference.window.x0, reference.window.y0)
             means[:, i, j] = means[:, j, i] = sums / n
-        return means
+        return CellSlopes(means)
 
     def measure_grey_range(self) -> tuple[float, float]:
         """Measure the range of the reference image's grey levels on the window that holds the view.

@@ -21,7 +21,7 @@ def find_weighted_median(values: NDArray[np.float64], weights: NDArray[np.float6
     float
         One of the values.
     """
-    order = np.argsort(values, kind="stable")
+    order = np.argsort(values)
     reached = np.cumsum(weights[order])
     place = int(np.searchsorted(reached, 0.5 * reached[-1]))
     return float(values[order[place]])

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.kinematics.sums_around_nodes import SumsAroundNodes, sum_around_nodes
-from ddic.kinematics.sums_operator import SumsOperator, build_sums_operator
 from ddic.mesh.covered_areas import measure_covered_areas
 from ddic.mesh.mesh import Mesh
+from ddic.mesh.shapes import invert_matrices
 
 Array = NDArray[np.float64]
 SumShared = Callable[[Sequence[Array]], list[Array]]
@@ -58,71 +58,7 @@ def recover_gradients(meshes: Sequence[Mesh], displacements: Sequence[Array], su
         that was not measured are as good as not there; nan at nodes of such cells alone.
     """
     meshes = [_without_unmeasured_cells(mesh, u) for mesh, u in zip(meshes, displacements, strict=True)]
-    return _recover_from_sums(meshes, [sum_around_nodes(mesh, u)
-                                       for mesh, u in zip(meshes, displacements, strict=True)], sum_shared)
-
-
-@dataclass(frozen=True, eq=False)
-class GradientRecovery:
-    """``recover_gradients`` for many displacements, all of which are known at the same nodes.
-
-    Attributes
-    ----------
-    meshes : list of Mesh
-        Their cells whose nodes all have a displacement.
-    operators : list of SumsOperator
-        Of each.
-    sum_shared : callable
-        Sums at nodes that several meshes have.
-    """
-
-    meshes: list[Mesh]
-    operators: list[SumsOperator]
-    sum_shared: SumShared
-
-    def recover(self, displacements: Sequence[Array]) -> list[Array]:
-        """Recover the displacement gradient at all nodes; collective where ``sum_shared`` is.
-
-        Parameters
-        ----------
-        displacements : sequence of (n_dofs,) array
-            Of the nodes of each mesh, pixels.
-
-        Returns
-        -------
-        list of (n_nodes, 2, 2) array
-            du_c / dx_j, as ``recover_gradients`` gives it but for rounding.
-        """
-        sums = [operator.apply(u) for operator, u in zip(self.operators, displacements, strict=True)]
-        return _recover_from_sums(self.meshes, sums, self.sum_shared)
-
-
-def prepare_recovery(meshes: Sequence[Mesh], measured: Sequence[NDArray[np.bool_]],
-                     sum_shared: SumShared) -> GradientRecovery:
-    """Prepare the recovery of gradients of many displacements; free of communication.
-
-    Parameters
-    ----------
-    meshes : sequence of Mesh
-        Of plane cells, whose corners are their nodes.
-    measured : sequence of (n_nodes,) bool array
-        Which of their nodes have a displacement.
-    sum_shared : callable
-        Sums at nodes that several meshes have.
-
-    Returns
-    -------
-    GradientRecovery
-        Of these meshes.
-    """
-    kept = [_without_unmeasured_cells(mesh, np.repeat(np.where(known, 0.0, np.nan), mesh.dim))
-            for mesh, known in zip(meshes, measured, strict=True)]
-    return GradientRecovery(kept, [build_sums_operator(mesh) for mesh in kept], sum_shared)
-
-
-def _recover_from_sums(meshes: Sequence[Mesh], own_sums: Sequence[Array], sum_shared: SumShared) -> list[Array]:
-    """Gradients at nodes from the sums over each mesh's cells around them, (n_nodes, 2, 2) each."""
-    sums = sum_shared(own_sums)
+    sums = sum_shared([sum_around_nodes(mesh, u) for mesh, u in zip(meshes, displacements, strict=True)])
     around = [SumsAroundNodes.from_columns(of_mesh) for of_mesh in sums]
     slopes = own_slopes = [_fit_slopes(of_mesh) for of_mesh in around]
     for _ in range(N_PASSES):
@@ -171,7 +107,7 @@ def _fit_slopes(sums: SumsAroundNodes) -> _Slopes:
     widths = np.linalg.eigvalsh(spread)
     known = widths[:, 0] > FLAT * widths[:, 1]
     inverse = np.zeros_like(spread)
-    inverse[known] = np.linalg.inv(spread[known])
+    inverse[known], _ = invert_matrices(spread[known])
     leverage = np.einsum("ni,nij,nj->n", mean_x, inverse, mean_x)
     known &= leverage <= LARGEST_LEVERAGE
     slope = np.einsum("ncjk,nkl->ncjl", covariance, inverse)

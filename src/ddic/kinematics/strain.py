@@ -7,11 +7,10 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from ddic.mesh.interpolation import differentiate_shapes_at
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.shapes import compute_shape_gradients, pad_cells
+from ddic.mesh.shapes import invert_matrices, pad_cells
 
 
 @dataclass(frozen=True)
@@ -89,42 +88,17 @@ def compute_displacement_gradients(mesh: Mesh, q: NDArray[np.float64]) -> NDArra
     gradient = np.empty((mesh.n_cells, mesh.dim, mesh.dim))
     u = q.reshape(mesh.nodes.shape)
     for block in mesh.cell_blocks:
-        slopes, _ = compute_shape_gradients(mesh, block, block.type.centre[None])
-        gradient[block.cells] = np.einsum("eac,eaj->ecj", u[block.nodes], slopes[:, 0])
+        by_local = block.type.differentiate_shapes(block.type.centre[None])[0]
+        # du_c / dxi_k (dx_j / dxi_k)^-1: two products of whole arrays are ten times as fast as one of each cell.
+        of_u, of_x = (np.tensordot(values[block.nodes], by_local, axes=(1, 0)) for values in (u, mesh.nodes))
+        inverse, _ = invert_matrices(of_x)
+        gradient[block.cells] = of_u @ inverse
     if mesh.parts is not None and mesh.parts.n_parts:
         # In the middle of the part, which need not hold the cell's.
         cells = mesh.parts.cells
         slopes_at = differentiate_shapes_at(mesh, cells, mesh.centroids[cells])
         gradient[cells] = np.einsum("eac,eaj->ecj", u[pad_cells(mesh)[cells]], slopes_at)
     return gradient
-
-
-def build_gradient_operator(mesh: Mesh) -> sparse.csr_matrix:
-    """Build what ``compute_displacement_gradients`` does to one component.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Any.
-
-    Returns
-    -------
-    (dim n_cells, n_nodes) csr_matrix
-        To the derivatives by x_j at the centres, cell by cell.
-    """
-    nodes = pad_cells(mesh)
-    slopes = np.zeros((*nodes.shape, mesh.dim))
-    for block in mesh.cell_blocks:
-        of_block, _ = compute_shape_gradients(mesh, block, block.type.centre[None])
-        slopes[block.cells, :of_block.shape[2]] = of_block[:, 0]
-    if mesh.parts is not None and mesh.parts.n_parts:
-        cells = mesh.parts.cells
-        slopes[cells] = differentiate_shapes_at(mesh, cells, mesh.centroids[cells])
-    rows = np.broadcast_to(np.arange(mesh.n_cells * mesh.dim).reshape(-1, 1, mesh.dim), slopes.shape)
-    columns = np.broadcast_to(nodes[:, :, None], slopes.shape)
-    shape = (mesh.n_cells * mesh.dim, mesh.n_nodes)
-    # What is padded repeats a node, with slopes of 0.
-    return sparse.csr_matrix((slopes.ravel(), (rows.ravel(), columns.ravel())), shape)
 
 
 def _independent_components(tensor: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -4,20 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from ddic.kinematics.strain import compute_displacement_gradients
-from ddic.mesh.corners import Corners, list_corners
 from ddic.mesh.covered_areas import measure_covered_areas
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.plane import multiply_across
 
 Array = NDArray[np.float64]
-
-CELLS_AT_A_TIME, MOST_STEPS = 1 << 15, 32
-"""Cells whose sums are made together (some 30 MB), and into how many parts a mesh is divided for that; larger values
-take memory, or time."""
 
 N_OF_CELLS, N_OF_TRIANGLES = 18, 11
 """Columns of what is summed over cells, and over the triangles at their corners."""
@@ -74,7 +69,7 @@ class SumsAroundNodes:
             The same numbers.
         """
         of_cells, of_triangles = columns[:, :N_OF_CELLS], columns[:, N_OF_CELLS:]
-        # _weigh_cells and _weigh_triangles order them so.
+        # _add_cells and _add_triangles order them so.
         xx_xy_xy_yy = [3, 4, 4, 5]
         return cls(area=of_cells[:, 0], middle=of_cells[:, 1:3], squares=of_cells[:, xx_xy_xy_yy].reshape(-1, 2, 2),
                    gradient=of_cells[:, 6:10].reshape(-1, 2, 2),
@@ -91,7 +86,7 @@ def sum_around_nodes(mesh: Mesh, u: Array) -> Array:
     mesh : Mesh
         Of plane cells, whose corners are their nodes.
     u : (n_dofs,) array
-        Displacement, pixels.
+        Displacement, pixels; where it is nan no cell uses it.
 
     Returns
     -------
@@ -101,36 +96,54 @@ def sum_around_nodes(mesh: Mesh, u: Array) -> Array:
     gradients = compute_displacement_gradients(mesh, u).reshape(-1, 4)
     areas, shares = measure_covered_areas(mesh)
     sums = np.zeros((mesh.n_nodes, N_OF_CELLS + N_OF_TRIANGLES))
-    step = max(CELLS_AT_A_TIME, -(-mesh.n_cells // MOST_STEPS))
-    for begin in range(0, mesh.n_cells, step):
-        corners = list_corners(mesh, begin, min(begin + step, mesh.n_cells))
-        of_corners = [_weigh_cells(mesh, corners, gradients) * areas[corners.cells, None],
-                      _weigh_triangles(mesh, corners, u.reshape(-1, 2)) * shares[corners.cells, None]]
-        for k, column in enumerate(np.column_stack(of_corners).T):
-            sums[:, k] += np.bincount(corners.nodes, column, mesh.n_nodes)
+    cells = (mesh.connectivity, mesh.offsets, mesh.nodes)
+    _add_cells(*cells, mesh.centroids, areas, gradients, sums[:, :N_OF_CELLS])
+    _add_triangles(*cells, shares, u.reshape(-1, 2), sums[:, N_OF_CELLS:])
     return sums
 
 
-def _weigh_cells(mesh: Mesh, corners: Corners, gradients: Array) -> Array:
-    """1, x, x x^T, G, G x of the cell of each corner, (n, 18)."""
-    gradient = gradients[corners.cells]
-    x = mesh.centroids[corners.cells] - mesh.nodes[corners.nodes]
-    return np.column_stack([np.ones(len(x)), x, x[:, 0]**2, x[:, 0] * x[:, 1], x[:, 1]**2, gradient,
-                            gradient * x[:, :1], gradient * x[:, 1:]])
+@numba.njit(cache=True)
+def _add_cells(connectivity, offsets, nodes, centroids, areas, gradients, sums):  # type: ignore[no-untyped-def]
+    """Add 1, x, x x^T, G, G x of each cell, times its area, at its corners; sums: (n_nodes, 18)."""
+    for e in range(len(areas)):
+        area = areas[e]
+        for n in connectivity[offsets[e]:offsets[e + 1]]:
+            x = centroids[e, 0] - nodes[n, 0]
+            y = centroids[e, 1] - nodes[n, 1]
+            sums[n, 0] += area
+            sums[n, 1] += area * x
+            sums[n, 2] += area * y
+            sums[n, 3] += area * x * x
+            sums[n, 4] += area * x * y
+            sums[n, 5] += area * y * y
+            for k in range(4):
+                gradient = area * gradients[e, k]
+                sums[n, 6 + k] += gradient
+                sums[n, 10 + k] += gradient * x
+                sums[n, 14 + k] += gradient * y
 
 
-def _weigh_triangles(mesh: Mesh, corners: Corners, moves: Array) -> Array:
-    """Area of each corner's triangle, and times it the gradient there and what curvature adds, (n, 11)."""
-    one, other = (mesh.nodes[n] - mesh.nodes[corners.nodes] for n in (corners.ahead, corners.behind))
-    to_one, to_other = (moves[n] - moves[corners.nodes] for n in (corners.ahead, corners.behind))
-    # Area times E^-T of E = [one, other] has no division: a flat corner weighs nothing.
-    from_one = 0.5 * np.column_stack([other[:, 1], -other[:, 0]])
-    from_other = 0.5 * np.column_stack([-one[:, 1], one[:, 0]])
-    slopes = to_one[:, :, None] * from_one[:, None, :] + to_other[:, :, None] * from_other[:, None, :]
-    curving = _bend(one)[:, None, :] * from_one[:, :, None] + _bend(other)[:, None, :] * from_other[:, :, None]
-    return np.column_stack([0.5 * multiply_across(one, other), slopes.reshape(-1, 4), curving.reshape(-1, 6)])
-
-
-def _bend(edge: Array) -> Array:
-    """What curvature (xx, xy, yy) of a displacement adds to it at an edge's end, (n, 3)."""
-    return np.column_stack([0.5 * edge[:, 0]**2, edge[:, 0] * edge[:, 1], 0.5 * edge[:, 1]**2])
+@numba.njit(cache=True)
+def _add_triangles(connectivity, offsets, nodes, shares, moves, sums):  # type: ignore[no-untyped-def]
+    """Add area, gradient and what curvature adds to it, of the triangle at each corner; sums: (n_nodes, 11)."""
+    for e in range(len(shares)):
+        corners = connectivity[offsets[e]:offsets[e + 1]]
+        for k in range(len(corners)):
+            n = corners[k]
+            ahead, behind = corners[(k + 1) % len(corners)], corners[k - 1]
+            one_x, one_y = nodes[ahead, 0] - nodes[n, 0], nodes[ahead, 1] - nodes[n, 1]
+            other_x, other_y = nodes[behind, 0] - nodes[n, 0], nodes[behind, 1] - nodes[n, 1]
+            half = 0.5 * shares[e]
+            sums[n, 0] += half * (one_x * other_y - one_y * other_x)
+            # Area times E^-T of E = [one, other] has no division: a flat corner weighs nothing.
+            from_one = (half * other_y, -half * other_x)
+            from_other = (-half * one_y, half * one_x)
+            # What curvatures xx, xy, yy of a displacement add to it at the edges' ends.
+            bend_one = (0.5 * one_x * one_x, one_x * one_y, 0.5 * one_y * one_y)
+            bend_other = (0.5 * other_x * other_x, other_x * other_y, 0.5 * other_y * other_y)
+            for j in range(2):
+                for c in range(2):
+                    to_one, to_other = moves[ahead, c] - moves[n, c], moves[behind, c] - moves[n, c]
+                    sums[n, 1 + 2 * c + j] += to_one * from_one[j] + to_other * from_other[j]
+                for m in range(3):
+                    sums[n, 5 + 3 * j + m] += bend_one[m] * from_one[j] + bend_other[m] * from_other[j]

@@ -30,27 +30,23 @@ class Corners:
     behind: NDArray[np.int64]
 
 
-def list_corners(mesh: Mesh, begin: int = 0, end: int | None = None) -> Corners:
-    """List the corners of cells that follow each other.
+def list_corners(mesh: Mesh) -> Corners:
+    """List the corners of all cells.
 
     Parameters
     ----------
     mesh : Mesh
         Of plane cells whose corners are their nodes.
-    begin, end : int, optional
-        The first cell, and the one after the last; all by default.
 
     Returns
     -------
     Corners
         In the order of the cells' nodes.
     """
-    end = mesh.n_cells if end is None else end
-    first, last = mesh.offsets[begin], mesh.offsets[end]
-    counts = np.diff(mesh.offsets[begin:end + 1])
-    cells = np.repeat(np.arange(begin, end), counts)
-    first_of_cell, n_of_cell = mesh.offsets[cells], np.repeat(counts, counts)
-    place = np.arange(first, last) - first_of_cell
+    counts = np.diff(mesh.offsets)
+    cells = np.repeat(np.arange(mesh.n_cells), counts)
+    first_of_cell, n_of_cell = mesh.offsets[cells], counts[cells]
+    place = np.arange(len(cells)) - first_of_cell
     ahead = first_of_cell + (place + 1) % n_of_cell
     behind = first_of_cell + (place - 1) % n_of_cell
-    return Corners(cells, mesh.connectivity[first:last], mesh.connectivity[ahead], mesh.connectivity[behind])
+    return Corners(cells, mesh.connectivity, mesh.connectivity[ahead], mesh.connectivity[behind])

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.plane import multiply_across
 
 Array = NDArray[np.float64]
 
@@ -33,12 +33,17 @@ def measure_covered_areas(mesh: Mesh) -> tuple[Array, Array]:
     return areas, areas / _measure_polygons(mesh.nodes, mesh.connectivity, mesh.offsets)
 
 
-def _measure_polygons(points: Array, connectivity: NDArray[np.int64], offsets: NDArray[np.int64]) -> Array:
+@numba.njit(cache=True)
+def _measure_polygons(points, connectivity, offsets):  # type: ignore[no-untyped-def]
     """Areas of polygons, (n,), square pixels."""
-    counts = np.diff(offsets)
-    first = np.repeat(offsets[:-1], counts)
-    place = np.arange(len(connectivity)) - first
-    ahead = first + (place + 1) % np.repeat(counts, counts)
-    # Relative to the first corner, so that far from the origin no digits are lost.
-    corners = points[connectivity] - points[connectivity[first]]
-    return np.asarray(0.5 * np.add.reduceat(multiply_across(corners, corners[ahead]), offsets[:-1]))
+    areas = np.zeros(len(offsets) - 1)
+    for e in range(len(areas)):
+        corners = connectivity[offsets[e]:offsets[e + 1]]
+        # Relative to the first corner, so that far from the origin no digits are lost.
+        origin_x, origin_y = points[corners[0], 0], points[corners[0], 1]
+        for k in range(1, len(corners) - 1):
+            one, other = corners[k], corners[k + 1]
+            one_x, one_y = points[one, 0] - origin_x, points[one, 1] - origin_y
+            other_x, other_y = points[other, 0] - origin_x, points[other, 1] - origin_y
+            areas[e] += 0.5 * (one_x * other_y - one_y * other_x)
+    return areas

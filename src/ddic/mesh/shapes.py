@@ -91,12 +91,25 @@ def compute_shape_gradients(mesh: Mesh, block: CellBlock,
     by_local = block.type.differentiate_shapes(local)
     # jacobian[e, p, i, j] = dx_i / dxi_j = sum_a x_ai dN_a / dxi_j
     jacobian = coordinates.transpose(0, 2, 1)[:, None] @ by_local
-    inverse, det = _invert(jacobian)
+    inverse, det = invert_matrices(jacobian)
     return by_local @ inverse, det
 
 
-def _invert(matrices: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Inverses and determinants of matrices (..., dim, dim); the closed form in two dimensions is ten times as fast."""
+def invert_matrices(matrices: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Invert many small matrices; in two dimensions by the closed form, which is ten times as fast.
+
+    Parameters
+    ----------
+    matrices : (..., dim, dim) array
+        None of them singular.
+
+    Returns
+    -------
+    inverses : (..., dim, dim) array
+        Of each.
+    det : (...) array
+        Determinants.
+    """
     if matrices.shape[-1] != 2:
         return np.linalg.inv(matrices), np.linalg.det(matrices)
     a, b = matrices[..., 0, 0], matrices[..., 0, 1]

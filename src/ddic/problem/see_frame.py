@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.case.schema import Case
+from ddic.functionals.cell_slopes import CellSlopes
 from ddic.problem.cameras import Camera
 from ddic.problem.exclusions import Exclusions
 from ddic.problem.find_exclusions import find_exclusions
@@ -62,7 +63,7 @@ class SeenFrame:
         return float(n_shown / max(n_cells, 1.0))
 
 
-def see_frame(case: Case, whole: ResidualModel, q: Sequence[Array], slopes: Sequence[Sequence[Array]],
+def see_frame(case: Case, whole: ResidualModel, q: Sequence[Array], slopes: Sequence[Sequence[CellSlopes]],
               limits: Limits = AT_END, start: SeenStart | None = None) -> SeenFrame:
     """See how a frame has to be corrected, and what of it does not show the specimen; collective.
 
@@ -74,8 +75,8 @@ def see_frame(case: Case, whole: ResidualModel, q: Sequence[Array], slopes: Sequ
         Of all pixels that the frame shows.
     q : sequence of (n_unknowns,) array
         Where it is thought to show them.
-    slopes : sequence of sequence of (n_cells, 2, 2) array
-        Mean of grad f grad f^T on the cells of each view, (grey levels / px)^2.
+    slopes : sequence of sequence of CellSlopes
+        Of the reference images, by subdomain and view.
     limits : Limits
         From which displacement error on a residual is not believed; those of a field by default.
     start : SeenStart, optional
@@ -114,19 +115,19 @@ def see_frame(case: Case, whole: ResidualModel, q: Sequence[Array], slopes: Sequ
     return SeenFrame(whole, evaluation, typical, excluded, is_shown)
 
 
-def measure_slopes(whole: ResidualModel, of_sharp: Sequence[Sequence[Array]]) -> Sequence[Sequence[Array]]:
+def measure_slopes(whole: ResidualModel, of_sharp: Sequence[Sequence[CellSlopes]]) -> Sequence[Sequence[CellSlopes]]:
     """Measure the slopes of the reference images that a frame is compared with; free of communication.
 
     Parameters
     ----------
     whole : ResidualModel
         Of the frame.
-    of_sharp : sequence of sequence of (n_cells, 2, 2) array
-        Those of the images as they are, (grey levels / px)^2.
+    of_sharp : sequence of sequence of CellSlopes
+        Those of the images as they are, by subdomain and view.
 
     Returns
     -------
-    sequence of sequence of (n_cells, 2, 2) array
+    sequence of sequence of CellSlopes
         The same where no image was blurred: those of a blurred one are weaker.
     """
     if not whole.blurs:
@@ -135,7 +136,7 @@ def measure_slopes(whole: ResidualModel, of_sharp: Sequence[Sequence[Array]]) ->
 
 
 def see_start(case: Case, cameras: Sequence[Camera], whole: ResidualModel, q: Sequence[Array],
-              slopes: Sequence[Sequence[Array]]) -> tuple[SeenFrame, tuple[str, ...]]:
+              slopes: Sequence[Sequence[CellSlopes]]) -> tuple[SeenFrame, tuple[str, ...]]:
     """See the same at a start, and blur the reference images as much as the frame is; collective.
 
     Parameters
@@ -148,8 +149,8 @@ def see_start(case: Case, cameras: Sequence[Camera], whole: ResidualModel, q: Se
         Of all pixels that the frame shows.
     q : sequence of (n_unknowns,) array
         Where it is thought to show them.
-    slopes : sequence of sequence of (n_cells, 2, 2) array
-        Mean of grad f grad f^T on the cells of each view, (grey levels / px)^2.
+    slopes : sequence of sequence of CellSlopes
+        Of the reference images, by subdomain and view.
 
     Returns
     -------
@@ -193,7 +194,6 @@ def keep_start(case: Case, seen: SeenFrame, q: list[Array]) -> SeenStart | None:
     if case.regularization is None or case.correlation.spoilt_pixels == "keep":
         return None
     return SeenStart(seen.whole, seen.evaluation, q, seen.typical, seen.is_shown)
-
 
 
 def _find_typical_cells(sample: Mapping[int, SeenCells]) -> dict[int, TypicalCell]:

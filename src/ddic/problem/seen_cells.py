@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.functionals.cell_slopes import CellSlopes
 from ddic.functionals.correlation import Residual
 from ddic.functionals.weighted_median import find_weighted_median
 from ddic.problem.residual_model import Evaluation, ResidualModel
@@ -96,7 +97,7 @@ class TypicalCell:
 
 
 def measure_seen_cells(whole: ResidualModel, evaluation: Evaluation,
-                       slopes: Sequence[Sequence[Array]]) -> list[list[SeenCells]]:
+                       slopes: Sequence[Sequence[CellSlopes]]) -> list[list[SeenCells]]:
     """Measure the cells of owned subdomains in a frame; free of communication.
 
     Parameters
@@ -105,8 +106,8 @@ def measure_seen_cells(whole: ResidualModel, evaluation: Evaluation,
         Of the frame.
     evaluation : Evaluation
         Of it.
-    slopes : sequence of sequence of (n_cells, 2, 2) array
-        Mean of grad f grad f^T on the cells of each view, (grey levels / px)^2.
+    slopes : sequence of sequence of CellSlopes
+        Of the reference images, by subdomain and view.
 
     Returns
     -------
@@ -122,7 +123,7 @@ def measure_seen_cells(whole: ResidualModel, evaluation: Evaluation,
             for of_subdomain in found]
 
 
-def _measure(residual: Residual, slopes: Array, correction: tuple[Array, Array]) -> SeenCells:
+def _measure(residual: Residual, slopes: CellSlopes, correction: tuple[Array, Array]) -> SeenCells:
     sums = residual.cell_sums
     n = sums.n_pixels
     safe = np.maximum(n, 1.0)
@@ -136,18 +137,16 @@ def _measure(residual: Residual, slopes: Array, correction: tuple[Array, Array])
     covariance = (rg + gg) / safe - mean_f * mean_g
     coefficient = covariance / np.maximum(spread_f * spread_g, 1e-300)
     unexplained = np.maximum(variance - _explain(residual, slopes, correction), 0.0)
-    texture = np.trace(slopes, axis1=1, axis2=2)
-    return SeenCells(n, variance, unexplained, texture, mean_f, mean_g, spread_f, spread_g, coefficient)
+    return SeenCells(n, variance, unexplained, slopes.texture, mean_f, mean_g, spread_f, spread_g, coefficient)
 
 
-def _explain(residual: Residual, slopes: Array, correction: tuple[Array, Array]) -> Array:
+def _explain(residual: Residual, slopes: CellSlopes, correction: tuple[Array, Array]) -> Array:
     """Mean square of a cell's residual that a small translation of it explains, (n_cells,), grey levels squared."""
-    gain, offset = (np.broadcast_to(value, len(slopes))[:, None] for value in correction)
+    gain, offset = (np.broadcast_to(value, len(slopes.mean))[:, None] for value in correction)
     of_r, of_g, of_one = np.moveaxis(residual.moments[..., 0], 1, 0)
     safe = np.maximum(residual.cell_sums.n_pixels, 1.0)[:, None]
     b = (of_r - (gain - 1.0) * of_g - offset * of_one) / safe
-    # Along speckle that varies in one direction only there is nothing to explain.
-    translation = np.einsum("cij,cj->ci", np.linalg.pinv(slopes, rcond=1e-6, hermitian=True), b)
+    translation = np.einsum("cij,cj->ci", slopes.inverse, b)
     return np.asarray(np.einsum("ci,ci->c", b, translation))
 
 
@@ -210,6 +209,6 @@ def find_typical_cell(cells: SeenCells) -> TypicalCell:
 
 def _find_texture(texture: Array, n_pixels: Array) -> float:
     """Mean |grad f|^2 above which a tenth of the pixels lie: most of the region may be blank."""
-    order = np.argsort(texture, kind="stable")
+    order = np.argsort(texture)
     reached = np.cumsum(n_pixels[order])
     return float(texture[order[np.searchsorted(reached, TEXTURED * reached[-1])]])

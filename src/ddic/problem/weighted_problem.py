@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.functionals.cell_slopes import CellSlopes
 from ddic.functionals.view import FrameView
 from ddic.mesh.plane import build_rotation
 from ddic.parallel.phases import Phase, PhaseClock
@@ -155,8 +156,8 @@ class WeightedProblem:
         return ResidualModel(self.team, self.weigh(views), correction, len(inputs.cameras))
 
     @cached_property
-    def slopes(self) -> list[list[NDArray[np.float64]]]:
-        """Mean of grad f grad f^T on the cells of each owned subdomain and view, (n_cells, 2, 2)."""
+    def slopes(self) -> list[list[CellSlopes]]:
+        """Mean of grad f grad f^T on the cells of each owned subdomain and view."""
         return [[view.measure_slopes() for view in r.views] for r in self.reference.references]
 
     def set_noise(self, noise: Sequence[float]) -> None:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.kinematics.nodal_gradients import prepare_recovery
-from ddic.kinematics.strain import build_gradient_operator
+from ddic.kinematics.strain import compute_displacement_gradients
 from ddic.kinematics.strain_measures import compute_infinitesimal
 from ddic.parallel.node_sums import sum_shared_nodes
 from ddic.parallel.team import Team
@@ -20,6 +18,7 @@ from ddic.problem.image_noise import ImageNoise, find_image_noise
 from ddic.problem.noise_forces import NoiseForces, prepare_noise_forces
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.weighted_problem import WeightedProblem
+from ddic.results.nodal_strain import recover_nodal_gradients
 from ddic.solvers.linear_step import AllowedError, LinearStep
 
 Array = NDArray[np.float64]
@@ -184,15 +183,13 @@ def estimate_deviations(team: Team, subdomains: Sequence[Subdomain], step: Linea
     squares = [(np.zeros((s.mesh.n_nodes, 2)), np.zeros((s.mesh.n_nodes, 3)), np.zeros((s.mesh.n_cells, 3)))
                for s in subdomains]
     at_rest = [np.zeros(s.n_unknowns) for s in subdomains]
-    recovery = prepare_recovery([s.mesh for s in subdomains], [~is_unmeasured for is_unmeasured in unmeasured],
-                                partial(sum_shared_nodes, team, subdomains))
-    in_cells = [build_gradient_operator(s.mesh) for s in subdomains]
     for sample in range(forces.n_samples):
         b = [scale * b_s for b_s in forces.generate(sample)]
         displacements = _displace(team, subdomains, step.solve(at_rest, b, ENOUGH).dq, unmeasured)
-        gradients = recovery.recover([u.ravel() for u in displacements])
-        for of_subdomain, u, gradient, by_cell in zip(squares, displacements, gradients, in_cells, strict=True):
-            found = (u, compute_infinitesimal(gradient), compute_infinitesimal((by_cell @ u).reshape(-1, 2, 2)))
+        at_nodes = recover_nodal_gradients(team, subdomains, [u.ravel() for u in displacements])
+        for subdomain, of_subdomain, u, gradient in zip(subdomains, squares, displacements, at_nodes, strict=True):
+            in_cells = compute_displacement_gradients(subdomain.mesh, u.ravel())
+            found = (u, compute_infinitesimal(gradient), compute_infinitesimal(in_cells))
             for total, values in zip(of_subdomain, found, strict=True):
                 np.add(total, values**2, out=total)
     return [FieldDeviations(*(np.sqrt(total / forces.n_samples) / scale for total in of_subdomain))

@@ -51,6 +51,7 @@ class WholeSystem:
             self.exchange = stack.keep(Exchange(team, self.n_owned, self.numbers))
             self._places = [np.searchsorted(self.exchange.ghosts, n) for n in self.numbers]
             self.kbars = [without_weights(system) for system in systems]
+            self._kbars_transposed = [kbar.T for kbar in self.kbars]
             self._multiplicity = self.sum_over_subdomains([np.ones(len(n)) for n in self.numbers])
             self._objects = stack.pop_all()
 
@@ -132,8 +133,8 @@ class WholeSystem:
         """
         x = self.restrict(here)
         gap = self._find_gap(x)
-        products = [system.hessian @ x_s + system.eta * (kbar.T @ gap_s)
-                    for system, kbar, x_s, gap_s in zip(self.systems, self.kbars, x, gap, strict=True)]
+        products = [system.hessian @ x_s + system.eta * (kbar_t @ gap_s)
+                    for system, kbar_t, x_s, gap_s in zip(self.systems, self._kbars_transposed, x, gap, strict=True)]
         return self.add_up(products)
 
     def set_right_hand_side(self, right: PETSc.Vec, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]],
@@ -153,9 +154,9 @@ class WholeSystem:
         """
         q_mean = self.restrict(mean)
         gap = self._find_gap(q_mean)
-        parts = [b_s + system.hessian @ (q_s - mean_s) - system.eta * (kbar.T @ gap_s)
-                 for system, kbar, b_s, q_s, mean_s, gap_s
-                 in zip(self.systems, self.kbars, b, q, q_mean, gap, strict=True)]
+        parts = [b_s + system.hessian @ (q_s - mean_s) - system.eta * (kbar_t @ gap_s)
+                 for system, kbar_t, b_s, q_s, mean_s, gap_s
+                 in zip(self.systems, self._kbars_transposed, b, q, q_mean, gap, strict=True)]
         self.exchange.add_to_owners(self.add_up(parts), right)
 
     def find_corrections(self, solution: PETSc.Vec, q: Sequence[NDArray[np.float64]],
