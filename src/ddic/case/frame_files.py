@@ -189,6 +189,16 @@ def _list_contradictions(case: Case) -> list[str]:
     if any(line.vertices is None for line in case.discontinuity):
         lines.append("images.deformed: a line that is looked for needs one pair; find it on one image first, and give "
                      "discontinuity.vertices")
+    if case.series.incremental != "never":
+        lines += [f"series.incremental: {reason}" for is_there, reason in (
+            (case.near, "goes with one camera; leave [[near]] out"),
+            (case.discontinuity, "lines would have to move with the specimen; leave [[discontinuity]] out"),
+            (case.output.uncertainty, "uncertainties would be of the last update; leave output.uncertainty out"),
+            ("residual_image" in case.output.model_fields_set and case.output.residual_image,
+             "pixels of the residual would be those of the last update; leave output.residual_image out"),
+            (case.images.reference_mask is not None and case.images.deformed_mask is None,
+             "a later frame is masked by images.deformed_mask; give one beside images.reference_mask"),
+        ) if is_there]
     return lines
 
 

@@ -807,6 +807,26 @@ class SeriesSection(Section):
             "as for a pair. Where the first two do not converge, the search follows."
         ),
     )
+    incremental: Literal["never", "auto", "always"] = Field(
+        default="never",
+        description=(
+            "When a frame that was measured takes the place of the reference image, on the mesh that has moved with "
+            "it: never; where a frame cannot be measured otherwise, or its residual has grown (auto); or always, after "
+            "`update_after` frames. Fields stay those since the first reference image; errors of updates add up "
+            "([series.md](series.md#updating-the-reference-image))."
+        ),
+    )
+    update_after: int = Field(
+        default=1, ge=1,
+        description='With `incremental = "always"`: frames that are compared with one reference image.',
+    )
+
+    @model_validator(mode="after")
+    def _updates_are_asked_for(self) -> SeriesSection:
+        """Refuse a number that nothing looks at."""
+        if "update_after" in self.model_fields_set and self.incremental != "always":
+            raise ValueError('series.update_after goes with series.incremental = "always"')
+        return self
 
 
 class OutputSection(Section):

@@ -31,7 +31,7 @@ class FrameState:
     time : float
         Unit chosen by the user.
     unknowns : dict of int to (n_unknowns,) array
-        By subdomain.
+        By subdomain, since the first reference image.
     noise : tuple of float
         By which cameras are weighted, grey levels; empty with one camera.
     shown_share : float

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from ddic.errors import ConvergenceError, SingularSubdomainError, is_collective
 from ddic.methods.dd_dic import Session
 from ddic.problem.cameras import Frame
+from ddic.results.frame_states import MeasuredState, extrapolate
 from ddic.results.listener import Listener
 from ddic.results.measurement import Measurement
-from ddic.results.series_frames import MeasuredState, extrapolate
 
 SEARCH = "a search"
 """Name of a start that nothing is known of."""
@@ -32,7 +32,7 @@ class KnownFrameStart:
     name : str
         For the log.
     q : list of (n_unknowns,) array
-        Unknowns of owned subdomains.
+        Unknowns of owned subdomains since the first reference image.
     least_shown : float
         Share of the cells that it must show.
     """
@@ -98,7 +98,8 @@ def measure_from(session: Session, frame: Frame, known: KnownFrameStart | None,
     if known is not None:
         session.begin_anew()
         try:
-            return session.measure(frame, known.q, known.least_shown), known.name
+            start = session.problem.reference.convert_to_reference(known.q)
+            return session.measure(frame, start, known.least_shown), known.name
         except (ConvergenceError, SingularSubdomainError) as error:
             if not is_collective(error):
                 raise

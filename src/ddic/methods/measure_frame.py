@@ -10,61 +10,86 @@ from ddic.case.frame_files import list_times
 from ddic.errors import DdicError, is_collective
 from ddic.io.background_writer import BackgroundWriter
 from ddic.io.series_folder import SeriesFolder
-from ddic.methods.dd_dic import Session
 from ddic.methods.frame_starts import choose_known_start, measure_from
-from ddic.methods.noise_floors import NoiseFloor
-from ddic.problem.frame_opener import FrameOpener
-from ddic.results.listener import Listener
-from ddic.results.series_frames import MeasuredState, write_failed_frame, write_frame
+from ddic.methods.reference_session import ReferenceSession
+from ddic.parallel.team import Team
+from ddic.results.frame_states import MeasuredState
+from ddic.results.measurement import Measurement
+from ddic.results.series_frames import write_failed_frame, write_frame
 from ddic.results.series_record import FrameRecord
 
 
 @dataclass(frozen=True)
-class SeriesTools:
-    """What all frames of a series are measured with.
+class MeasuredFrame:
+    """What became of a frame.
 
     Attributes
     ----------
-    opener : FrameOpener
-        Of the images.
-    session : Session
-        Prepared.
+    record : FrameRecord
+        What is told of it.
+    result : Measurement or DdicError
+        Its field, or why it could not be measured.
+    """
+
+    record: FrameRecord
+    result: Measurement | DdicError
+
+
+def measure_frame(session: ReferenceSession, number: int, states: Sequence[MeasuredState]) -> MeasuredFrame:
+    """Measure a frame; collective. What cannot be measured is told.
+
+    Parameters
+    ----------
+    session : ReferenceSession
+        Of the reference image in use.
+    number : int
+        From 1.
+    states : sequence of MeasuredState
+        Of the last frames that were measured, on the session's subdomains.
+
+    Returns
+    -------
+    MeasuredFrame
+        Measured or not.
+    """
+    images, opener = session.images, session.images.opener
+    case = opener.inputs.case
+    record = FrameRecord(number, opener.describe(number), list_times(case)[number - 1], converged=False,
+                         reference=session.frame)
+    began = time.perf_counter()
+    try:
+        frame = opener.open(number)
+        known = choose_known_start(case.series.start, states, record.time)
+        measurement, start = measure_from(session.session, frame, known, images.listener)
+    except DdicError as error:
+        if not is_collective(error):
+            raise
+        return MeasuredFrame(replace(record, failure=str(error)), error)
+    deviation = measurement.evaluation.grey[0].residual_std
+    record = replace(record, converged=True, iterations=len(measurement.records), started_from=start,
+                     residual_std_grey=deviation, noise_floor_px=session.estimate_noise_floor(measurement),
+                     notes=measurement.notes, seconds=float(images.team.maximum(time.perf_counter() - began)))
+    return MeasuredFrame(record, measurement)
+
+
+def keep_frame(team: Team, frame: MeasuredFrame, folder: SeriesFolder,
+               writer: BackgroundWriter) -> MeasuredState | None:
+    """Begin to write a frame, or note that it could not be measured; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    frame : MeasuredFrame
+        Measured or not.
     folder : SeriesFolder
         Where finished frames go.
     writer : BackgroundWriter
         Of rank 0.
-    floor : NoiseFloor
-        Of the frames.
-    listener : Listener
-        Told what happens.
-    """
-
-    opener: FrameOpener
-    session: Session
-    folder: SeriesFolder
-    writer: BackgroundWriter
-    floor: NoiseFloor
-    listener: Listener
-
-
-def measure_frame(tools: SeriesTools, number: int,
-                  states: Sequence[MeasuredState]) -> tuple[FrameRecord, MeasuredState | None]:
-    """Measure a frame and begin to write it; collective. What cannot be measured is noted.
-
-    Parameters
-    ----------
-    tools : SeriesTools
-        What it is measured with.
-    number : int
-        From 1.
-    states : sequence of MeasuredState
-        Of the last frames that were measured.
 
     Returns
     -------
-    record : FrameRecord
-        What is told of it.
-    state : MeasuredState or None
+    MeasuredState or None
         What the next frame starts from; None where it could not be measured.
 
     Raises
@@ -72,22 +97,9 @@ def measure_frame(tools: SeriesTools, number: int,
     OSError
         On all ranks, where it cannot be written.
     """
-    opener, case = tools.opener, tools.opener.inputs.case
-    record = FrameRecord(number, opener.describe(number), list_times(case)[number - 1], converged=False)
-    began = time.perf_counter()
-    try:
-        frame = opener.open(number)
-        known = choose_known_start(case.series.start, states, record.time)
-        measurement, start = measure_from(tools.session, frame, known, tools.listener)
-    except DdicError as error:
-        if not is_collective(error):
-            raise
-        failed = replace(record, failure=str(error))
-        write_failed_frame(opener.team, error, failed, tools.folder)
-        return failed, None
-    deviation = measurement.evaluation.grey[0].residual_std
-    record = replace(record, converged=True, iterations=len(measurement.records), started_from=start,
-                     residual_std_grey=deviation, noise_floor_px=tools.floor.estimate(measurement),
-                     notes=measurement.notes, seconds=float(opener.team.maximum(time.perf_counter() - began)))
-    of_frame = replace(measurement, inputs=measurement.inputs.with_frame(number - 1))
-    return record, write_frame(of_frame, record, tools.folder, tools.writer)
+    record, result = frame.record, frame.result
+    if isinstance(result, DdicError):
+        write_failed_frame(team, result, record, folder)
+        return None
+    of_frame = replace(result, inputs=result.inputs.with_frame(record.number - 1))
+    return write_frame(of_frame, record, folder, writer)

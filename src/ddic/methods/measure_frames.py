@@ -2,60 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from ddic.io.background_writer import BackgroundWriter
 from ddic.io.read_ahead import ReadAhead
-from ddic.io.series_folder import FrameState, SeriesFolder
 from ddic.methods.dd_dic import Session
-from ddic.methods.measure_frame import SeriesTools, measure_frame
-from ddic.methods.noise_floors import NoiseFloor
-from ddic.parallel.phases import PhaseClock
+from ddic.methods.frames_so_far import FramesSoFar
+from ddic.methods.measure_frame import keep_frame
+from ddic.methods.reference_session import ReferenceSession
+from ddic.methods.reference_updates import measure_with_updates
 from ddic.parallel.stop_request import StopRequest, is_stop_asked
-from ddic.problem.frame_opener import FrameOpener
-from ddic.results.listener import Listener
-from ddic.results.series_frames import collect_states
+from ddic.results.frame_states import N_STATES, collect_states
+from ddic.results.frames_to_measure import FramesToMeasure
+from ddic.results.series_images import SeriesImages
 from ddic.results.series_record import FrameRecord
 
-N_STATES = 2
-"""Frames from which the next one is extrapolated."""
 
-
-@dataclass(frozen=True)
-class FramesToMeasure:
-    """What is left to do of a series.
-
-    Attributes
-    ----------
-    numbers : sequence of int
-        Frames, from 1, in order.
-    states : sequence of FrameState
-        Of the last frames before them that were measured, two at most, in order.
-    folder : SeriesFolder
-        Where finished frames go.
-    """
-
-    numbers: Sequence[int]
-    states: Sequence[FrameState]
-    folder: SeriesFolder
-
-
-def measure_frames(opener: FrameOpener, wanted: FramesToMeasure, listener: Listener,
-                   clock: PhaseClock) -> list[FrameRecord]:
+def measure_frames(images: SeriesImages, wanted: FramesToMeasure) -> list[FrameRecord]:
     """Measure what is left of a series, or what of it a signal leaves time for; collective.
 
     Parameters
     ----------
-    opener : FrameOpener
-        Of the images.
+    images : SeriesImages
+        Of the series.
     wanted : FramesToMeasure
         Which.
-    listener : Listener
-        Told what happens.
-    clock : PhaseClock
-        Of the phases.
 
     Returns
     -------
@@ -67,25 +39,42 @@ def measure_frames(opener: FrameOpener, wanted: FramesToMeasure, listener: Liste
     InputError, SingularSubdomainError, FactorizationError, OSError
         On all ranks, where nothing can be prepared, or no frame can be written.
     """
-    team = opener.team
-    records: list[FrameRecord] = []
+    team, opener, listener = images.team, images.opener, images.listener
+    # A frame that has begun is finished: no signal ends it.
+    images = replace(images, team=replace(team, stop=StopRequest()))
     with ExitStack() as stack:
         reader, writer = stack.enter_context(ReadAhead()), stack.enter_context(BackgroundWriter())
-        first = None if wanted.states else opener.first
-        # A frame that has begun is finished: no signal ends it.
-        unhurried = replace(team, stop=StopRequest())
-        session = stack.enter_context(Session(unhurried, opener.inputs, listener, clock, first))
-        tools = SeriesTools(opener, session, wanted.folder, writer, NoiseFloor(session, clock), listener)
-        states = collect_states(session.problem, wanted.states)
-        for number in wanted.numbers:
-            if team.is_root:
-                reader.begin(opener.list_files(number + 1))
-            listener.frame(number, opener.n_frames, opener.describe(number))
-            record, state = measure_frame(tools, number, states)
-            states = [*states, state][-N_STATES:] if state is not None else states
-            records.append(record)
-            listener.note(record.describe())
-            if is_stop_asked(team):
-                break
+        so_far = _begin(images, wanted)
+        try:
+            for number in wanted.numbers:
+                if team.is_root:
+                    reader.begin(opener.list_files(number + 1))
+                listener.frame(number, opener.n_frames, opener.describe(number))
+                frame, session = measure_with_updates(so_far, number)
+                state = keep_frame(team, frame, wanted.folder, writer)
+                so_far = so_far.add(session, frame.record, state)
+                listener.note(frame.record.describe())
+                if is_stop_asked(team):
+                    break
+        finally:
+            so_far.session.close()
         team.on_root(writer.wait)
-    return records
+    return list(so_far.records[len(wanted.before):])
+
+
+def _begin(images: SeriesImages, wanted: FramesToMeasure) -> FramesSoFar:
+    """Prepare the session that an earlier run was at, or a new one; collective."""
+    measured = [record for record in wanted.before if record.converged]
+    first_frame = None if measured else images.opener.first
+    session = ReferenceSession(images, Session(images.team, images.opener.inputs, images.listener, images.clock,
+                                               first_frame))
+    problem = session.session.problem
+    states = collect_states(problem, [wanted.states[record.number] for record in measured[-N_STATES:]])
+    so_far = FramesSoFar(session, wanted.before, states)
+    if not states or not measured[-1].reference:
+        return so_far
+    reference = next(record for record in measured if record.number == measured[-1].reference)
+    updated = session.update(reference, *collect_states(problem, [wanted.states[reference.number]]))
+    states = updated.collect_states(session, states)
+    session.close()
+    return FramesSoFar(updated, wanted.before, states)

@@ -9,13 +9,12 @@ from ddic.case.frame_files import list_deformed
 from ddic.case.loader import LoadedCase
 from ddic.errors import ConvergenceError, StoppedError, as_collective
 from ddic.io.series_folder import SeriesFolder
-from ddic.methods.measure_frames import N_STATES, FramesToMeasure, measure_frames
-from ddic.parallel.phases import Phase, PhaseClock
+from ddic.methods.measure_frames import measure_frames
 from ddic.parallel.team import Team
-from ddic.problem.frame_opener import FrameOpener
-from ddic.problem.inputs import open_inputs
 from ddic.results.finish_series import describe_origin, finish_series
+from ddic.results.frames_to_measure import list_frames_to_measure
 from ddic.results.listener import Listener
+from ddic.results.series_images import open_series
 from ddic.results.series_record import FrameRecord, SeriesSummary
 
 
@@ -66,16 +65,11 @@ def run_series(team: Team, loaded: LoadedCase, listener: Listener, *, resume: bo
 def _measure_rest(team: Team, loaded: LoadedCase, folder: SeriesFolder, before: Mapping[int, FrameRecord],
                   listener: Listener) -> Sequence[FrameRecord]:
     """Measure the frames that are not finished; collective."""
-    numbers = [number for number in range(1, folder.n_frames + 1) if number not in before]
-    if not numbers:
+    wanted = list_frames_to_measure(team, folder, before)
+    if not wanted.numbers:
         return []
-    clock = PhaseClock(entered=listener.phase, advanced=listener.progress, waiting=team.waiting)
-    with clock.phase(Phase.MESH):
-        inputs, first = open_inputs(team, loaded, numbers[0] - 1)
-    measured = [number for number in sorted(before) if before[number].converged and number < numbers[0]]
-    states = team.on_root(lambda: [folder.read_state(number) for number in measured[-N_STATES:]])
-    opener = FrameOpener(team, inputs, numbers[0], first)
-    return measure_frames(opener, FramesToMeasure(numbers, states, folder), listener, clock)
+    images = open_series(team, loaded, wanted.numbers[0], listener)
+    return measure_frames(images, wanted)
 
 
 def _describe_stop(summary: SeriesSummary) -> str:

@@ -17,6 +17,7 @@ from ddic.problem.cameras import Camera, Frame, open_cameras, open_frame, open_o
 from ddic.problem.mesh_source import build_meshes
 from ddic.problem.rectangle import Rectangle, find_rectangle_of_case
 from ddic.problem.solver_choice import SolverChoice
+from ddic.problem.updated_reference import UpdatedReference
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,8 @@ class Inputs:
         Frames that are expected, where the case does not say it.
     choice : SolverChoice, optional
         What was chosen of what the case left open; None where it left nothing open, or nothing has been chosen yet.
+    updated : UpdatedReference, optional
+        What is known of the mesh where a later frame has taken the place of the reference image; None where none has.
     """
 
     case: Case
@@ -58,6 +61,7 @@ class Inputs:
     rectangle: Rectangle | None = None
     n_frames: int = 1
     choice: SolverChoice | None = None
+    updated: UpdatedReference | None = None
 
     def with_frame(self, number: int) -> Inputs:
         """Give the inputs of one frame of a series.

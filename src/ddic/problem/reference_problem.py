@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -55,6 +55,24 @@ class ReferenceProblem:
     def subdomains(self) -> list[Subdomain]:
         """Owned subdomains."""
         return [reference.subdomain for reference in self.references]
+
+    def convert_to_reference(self, q: Sequence[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
+        """Take unknowns since the first reference image from the one in use; free of communication.
+
+        Parameters
+        ----------
+        q : sequence of (n_unknowns,) array
+            Of each owned subdomain.
+
+        Returns
+        -------
+        list of (n_unknowns,) array
+            The same, unless a later frame has taken the first image's place.
+        """
+        updated = self.inputs.updated
+        if updated is None:
+            return list(q)
+        return [q_s - before for q_s, before in zip(q, updated.restrict(self.subdomains), strict=True)]
 
 
 def build_whole_mesh(team: Team, inputs: Inputs) -> RegionMesh | None:

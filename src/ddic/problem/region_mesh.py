@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -188,7 +188,9 @@ def build_region_mesh(inputs: Inputs) -> RegionMesh:
     costs = _costs(inputs.cameras, mesh, measured)
     boundary = find_boundary_nodes(mesh) if tying is None else tying.boundary
     kinematics = _choose_kinematics(inputs, mesh, tying)
-    controlled_nodes = _controlled_nodes(inputs.case.regularization, mesh, boundary)
+    # Boxes and sides are meant in the first reference image.
+    first = mesh if inputs.updated is None else replace(mesh, nodes=inputs.updated.nodes)
+    controlled_nodes = _controlled_nodes(inputs.case.regularization, first, boundary)
     interior = np.ones(mesh.n_nodes, dtype=bool)
     interior[boundary] = False
     if len(inputs.cameras) > 1:
@@ -235,7 +237,9 @@ def split_region(region_mesh: RegionMesh, n_ranks: int) -> NDArray[np.int64]:
     InputError
         Where there are not enough cells, cameras or slaves for the subdomains asked for.
     """
-    case, mesh = region_mesh.inputs.case, region_mesh.mesh
+    case, mesh, updated = region_mesh.inputs.case, region_mesh.mesh, region_mesh.inputs.updated
+    if updated is not None:
+        return updated.parts
     n_cameras = len(region_mesh.inputs.cameras)
     if case.solver.method == "monolithic":
         return np.zeros(mesh.n_cells, dtype=np.int64)

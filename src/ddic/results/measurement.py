@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +64,8 @@ class Measurement:
     model : ResidualModel
         Owned subdomains with their pixels.
     q : list of (n_unknowns,) array
-        Unknowns of each, one value for the copies of an interface unknown (Eq. 41 of [BP17]).
+        Unknowns of each since the reference image in use, one value for the copies of an interface unknown (Eq. 41 of
+        [BP17]).
     largest_jump : float
         Largest difference between copies before that, pixels.
     evaluation : Evaluation
@@ -131,16 +133,26 @@ class Measurement:
         """The cameras with their reference images."""
         return self.inputs.cameras
 
-    @property
+    @cached_property
     def subdomains(self) -> list[Subdomain]:
-        """Owned subdomains."""
-        return [of_subdomain.subdomain for of_subdomain in self.model.views]
+        """Owned subdomains, in the first reference image."""
+        subdomains = [of_subdomain.subdomain for of_subdomain in self.model.views]
+        updated = self.inputs.updated
+        return subdomains if updated is None else [updated.place_first(subdomain) for subdomain in subdomains]
+
+    @property
+    def unknowns(self) -> list[Array]:
+        """Unknowns of each owned subdomain since the first reference image, (n_unknowns,): q, but for updates."""
+        updated = self.inputs.updated
+        if updated is None:
+            return self.q
+        return [before + q_s for before, q_s in zip(updated.restrict(self.subdomains), self.q, strict=True)]
 
     @property
     def displacements(self) -> list[Array]:
-        """Displacement of each owned subdomain's nodes, node by node, specimen's frame, (n_dofs,), pixels."""
+        """Displacement of each owned subdomain's nodes since the first reference image, (n_dofs,), pixels."""
         found = []
-        for subdomain, q_s, is_unmeasured in zip(self.subdomains, self.q, self.unmeasured, strict=True):
+        for subdomain, q_s, is_unmeasured in zip(self.subdomains, self.unknowns, self.unmeasured, strict=True):
             displacement = np.array(subdomain.displacement(q_s))
             displacement.reshape(subdomain.mesh.nodes.shape)[is_unmeasured] = np.nan
             found.append(displacement)
@@ -150,11 +162,6 @@ class Measurement:
     def grey_correction(self) -> GreyCorrection:
         """Correction of grey levels that was taken."""
         return self.model.correction
-
-    @property
-    def unknowns(self) -> list[Array]:
-        """What another frame may start from."""
-        return self.q
 
     def at(self, points: Array) -> Array:
         """Interpolate the displacement by shape functions, never across a hole; collective.
@@ -267,7 +274,7 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str,
                               problem.solver.method, problem.solver.preconditioner,
                               solved.seen.measure_shown_share(), uncertainty)
     are_used = [~find_excluded(of_views[0]) for of_views in excluded.cells]
-    inverted = describe_inverted_cells(team, subdomains, measurement.displacements, are_used)
+    inverted = describe_inverted_cells(team, measurement.subdomains, measurement.displacements, are_used)
     if inverted and not failure:
         raise as_collective(ConvergenceError(inverted, replace(measurement, failure=inverted)))
     return measurement

@@ -35,6 +35,8 @@ class FrameRecord:
         Wall time, the slowest rank's.
     started_from : str
         Where Gauss-Newton started.
+    reference : int
+        Frame whose image was the reference image; 0 for the first one.
     failure : str
         Why it was not measured; empty where it was.
     notes : sequence of str
@@ -50,6 +52,7 @@ class FrameRecord:
     noise_floor_px: float = float("nan")
     seconds: float = float("nan")
     started_from: str = ""
+    reference: int = 0
     failure: str = ""
     notes: Sequence[str] = field(default_factory=tuple)
 
@@ -91,7 +94,8 @@ class FrameRecord:
         """
         if not self.converged:
             return f"frame {self.number}: not measured ({self.failure})"
-        return (f"frame {self.number}: {self.iterations} iterations from {self.started_from}, residual "
+        compared = f", compared with frame {self.reference}" if self.reference else ""
+        return (f"frame {self.number}: {self.iterations} iterations from {self.started_from}{compared}, residual "
                 f"{self.residual_std_grey:.3f} grey levels, {self.seconds:.2f} s")
 
 

@@ -1,0 +1,109 @@
+"""The session that frames of a series are measured in, and another one where a frame becomes the reference image."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Self
+
+from ddic.methods.dd_dic import Session
+from ddic.methods.noise_floors import NoiseFloor
+from ddic.problem.update_reference import update_reference
+from ddic.results.frame_states import MeasuredState
+from ddic.results.measurement import Measurement
+from ddic.results.series_images import SeriesImages
+from ddic.results.series_record import FrameRecord
+
+
+class ReferenceSession:
+    """The session of one reference image; use it in a ``with`` statement.
+
+    Parameters
+    ----------
+    images : SeriesImages
+        Of the series.
+    session : Session
+        Prepared; it is closed with this one.
+    frame : int, optional
+        Whose image is the reference image; 0, by default, for the first one.
+    noise_floor : float, optional
+        RMS displacement that noise leaves in the field of that frame, pixels.
+    """
+
+    def __init__(self, images: SeriesImages, session: Session, frame: int = 0, noise_floor: float = 0.0) -> None:
+        self.images, self.session, self.frame = images, session, frame
+        self._noise_floor = noise_floor
+        self._added = NoiseFloor(session, images.clock)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def estimate_noise_floor(self, measurement: Measurement) -> float:
+        """Estimate what noise leaves in a frame's field, with what it has left in those of updates; collective.
+
+        Parameters
+        ----------
+        measurement : Measurement
+            Of the frame.
+
+        Returns
+        -------
+        float
+            RMS of a component at a node, pixels; nan where a linear step fails.
+        """
+        return math.hypot(self._noise_floor, self._added.estimate(measurement))
+
+    def update(self, record: FrameRecord, state: MeasuredState) -> ReferenceSession:
+        """Prepare a session that compares with a frame that was measured; collective. This one stays.
+
+        Parameters
+        ----------
+        record : FrameRecord
+            Of the frame.
+        state : MeasuredState
+            Its field, on this session's subdomains.
+
+        Returns
+        -------
+        ReferenceSession
+            The caller's to close.
+
+        Raises
+        ------
+        InputError, SingularSubdomainError, FactorizationError
+            On all ranks, where the mesh has left the frame, or the frame does not hold it.
+        """
+        images, reference = self.images, self.session.problem.reference
+        displacement = state.gather(images.team, reference.subdomains, reference.region.n_nodes)
+        frame = images.opener.open(record.number)
+        inputs = update_reference(images.team, reference, frame, record.number, displacement)
+        session = Session(images.team, inputs, images.listener, images.clock)
+        return ReferenceSession(images, session, record.number, record.noise_floor_px)
+
+    def collect_states(self, other: ReferenceSession, states: Sequence[MeasuredState]) -> list[MeasuredState]:
+        """Take states over to this session's subdomains; collective.
+
+        Parameters
+        ----------
+        other : ReferenceSession
+            On whose subdomains they are.
+        states : sequence of MeasuredState
+            Of frames.
+
+        Returns
+        -------
+        list of MeasuredState
+            The same.
+        """
+        if other is self:
+            return list(states)
+        before, now = other.session.problem.reference, self.session.problem.reference
+        fields = [state.gather(self.images.team, before.subdomains, before.region.n_nodes) for state in states]
+        return [state.restrict(field, now.subdomains) for state, field in zip(states, fields, strict=True)]
+
+    def close(self) -> None:
+        """Free PETSc's objects."""
+        self.session.close()
