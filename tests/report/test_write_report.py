@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from html import unescape
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,15 +16,19 @@ from click.testing import CliRunner
 import ddic
 from accept.report_page import LEAST_LIKENESS, find_smallest_type
 from accept.support.browser import find_browser, probe_page, show_page
+from ddic.case.schema import AcquisitionSection
 from ddic.cli.report import report
 from ddic.errors import ConvergenceError
+from ddic.images.blurred import BLUR_NOTE
 from ddic.images.feature_size import measure_feature_size
 from ddic.io.image_file import open_image
 from ddic.io.plots.page_text import find_clipped_texts
 from ddic.io.result_reader import read_result
 from ddic.report.gathered import gather_all
 from ddic.report.report_pictures import draw_report_figures
-from ddic.report.stated_items import NOT_RECORDED, list_statements
+from ddic.report.stated_images import OF_SETUP
+from ddic.report.stated_items import list_statements
+from ddic.report.statement import NOT_RECORDED, NOT_STATED
 from ddic.report.worst_places import find_worst_places
 from support.commands import ddic as run_command
 
@@ -77,7 +83,11 @@ def write(folder: Path, *arguments: str) -> str:
 def test_what_is_stated(folder: Path) -> None:
     stated = state(folder / "result.vtkhdf")
     assert stated["Camera"] == "a camera of 12 bits"
-    assert stated["Aperture"] == NOT_RECORDED
+    assert stated["Aperture"] == f"{NOT_STATED}: acquisition.aperture"
+    assert stated["Image processing before ddic"] == f"{NOT_STATED}: acquisition.processing"
+    assert stated["Image filtering by ddic"] == "none but the interpolating spline"
+    # Elements of 11 px: two about a node, and those that its outer nodes take part in.
+    assert stated["Strain window"].startswith("the elements around a node, 22 px across; held by pixels over 44 px")
     assert stated["Image scale"] == "0.0125 mm per px (80 px per mm)"
     assert stated["Field of view"] == "2.5 mm x 2.5 mm"
     assert stated["Image size"] == "200 x 200 px"
@@ -92,6 +102,47 @@ def test_what_is_stated(folder: Path) -> None:
     for name in ("Displacement spatial resolution", "Strain noise floor", "Strain spatial resolution "
                  "(virtual strain gauge)", "Element size (subset size and step)", "Feature size of the pattern"):
         assert not stated[name].startswith(NOT_RECORDED), name
+
+
+def change(folder: Path, target: Path, *, summary: dict[str, Any] | None = None,
+           images: dict[str, Any] | None = None, uncertainty: dict[str, Any] | None = None) -> dict[str, str]:
+    """What is stated where the summary, the case's images or the uncertainty say something else."""
+    result = read_result(folder / "result.vtkhdf")
+    case = json.loads(str(result.attributes["case"]["json"]))
+    case["images"] |= images or {}
+    attributes = {**result.attributes, "case": {**result.attributes["case"], "json": json.dumps(case)}}
+    if uncertainty:
+        attributes["uncertainty"] = uncertainty
+    (target / "result.json").write_text(json.dumps(json.loads((folder / "result.json").read_text()) | (summary or {})))
+    changed = replace(result, path=target / "result.vtkhdf", attributes=attributes)
+    return {name: value for statement in list_statements(gather_all(changed)) for name, value in statement.items}
+
+
+def test_noise_is_that_which_was_measured(folder: Path, tmp_path: Path) -> None:
+    stated = change(folder, tmp_path, images={"at_rest": "rest.tif"},
+                    uncertainty={"noise_grey": 2.0625, "noise_origin": "of the images at rest"})
+    assert stated["Image noise"] == "2.06 grey levels (of the images at rest)"
+    asked = change(folder, tmp_path, images={"at_rest": "rest.tif"})["Image noise"]
+    assert asked.endswith("all noise; images.at_rest is measured with output.uncertainty = true alone")
+
+
+def test_a_blurred_reference_is_stated_as_a_filter(folder: Path, tmp_path: Path) -> None:
+    note = f"{BLUR_NOTE}, which is blurred as much: standard deviation 1.2 px at 0 degrees, 0.3 px across"
+    stated = change(folder, tmp_path, summary={"notes": ["something else", note]})
+    assert stated["Image filtering by ddic"] == f"none but the interpolating spline; {note}"
+
+
+def test_the_report_states_all_that_the_case_can_say_of_the_images() -> None:
+    assert {key for _, key in OF_SETUP} | {"processing"} == set(AcquisitionSection.model_fields)
+
+
+def test_the_guide_is_compared_with_what_is_stated(folder: Path) -> None:
+    text = (Path(__file__).parents[2] / "docs" / "report.md").read_text(encoding="utf-8")
+    rows = [line.split("|") for line in text.partition("## Beside the guide")[2].splitlines() if line.startswith("| ")]
+    named = [name for row in rows[1:] for name in re.findall(r"\*([^*]+)\*", row[2])]
+    # Two tables: the guide's items of the set-up and of the analysis.
+    assert len(rows) > 24
+    assert set(named) - set(state(folder / "result.vtkhdf")) == set()
 
 
 def test_page_holds_all_and_asks_for_nothing(folder: Path) -> None:

@@ -860,7 +860,7 @@ class OutputSection(Section):
 class AcquisitionSection(Section):
     """How the images were taken, in words of your own, for the result file and the report; nothing is computed from it.
 
-    Good-practices guides for DIC ask that these be stated; what is left out is "not recorded" in the report.
+    Good-practices guides for DIC ask that these be stated; what is left out is "not stated in the case" in the report.
     """
 
     camera: str = Field(
@@ -889,11 +889,15 @@ class AcquisitionSection(Section):
     )
     lighting: str = Field(
         default="",
-        description="Lamps, wavelength, polarizers.",
+        description="Lamps, wavelength, polarizers, filters.",
     )
     patterning: str = Field(
         default="",
         description="How the specimen got its pattern.",
+    )
+    processing: str = Field(
+        default="",
+        description="What was done to the images before ddic reads them: filters, correction of distortion.",
     )
     specimen: str = Field(
         default="",

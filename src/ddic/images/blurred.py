@@ -16,6 +16,9 @@ from ddic.images.window import Window
 
 Array = NDArray[np.float64]
 
+BLUR_NOTE = "the frame is less sharp than the reference image"
+"""How a note begins that tells of a reference image blurred like its frame."""
+
 REACH = 3.0
 """Standard deviations beyond which a blur is nothing."""
 

@@ -14,8 +14,8 @@ from ddic.io import result_schema as schema
 from ddic.io.physical_sidecar import write_physical_sidecar
 from ddic.io.replace_on_exit import replaced_on_exit
 from ddic.io.series_folder import SeriesFolder
+from ddic.io.stored_frame import GEOMETRY, StoredFrame, has_same_geometry, partition_like, read_stored_frame
 
-GEOMETRY = ("NumberOfPoints", "NumberOfCells", "NumberOfConnectivityIds", "Points", "Connectivity", "Offsets", "Types")
 CHUNK_BYTES = 1 << 20
 """Of the datasets that grow by a frame at a time. Larger chunks read whole frames faster, single nodes slower."""
 
@@ -33,7 +33,8 @@ class _Place:
 def join_frames(folder: SeriesFolder, numbers: Sequence[int], records: Sequence[str], origin: str) -> None:
     """Join result files of frames to one with steps.
 
-    Geometry that stays is written once. What is no field is kept by frame, so that each can be read as a result.
+    Geometry that stays is written once: frames of one mesh are all written in the pieces of the first one. What is no
+    field is kept by frame, so that each can be read as a result.
 
     Parameters
     ----------
@@ -60,17 +61,17 @@ def join_frames(folder: SeriesFolder, numbers: Sequence[int], records: Sequence[
         group = file.create_group(schema.VTKHDF)
         group.attrs["Version"] = np.array(schema.VTKHDF_VERSION, np.int64)
         group.attrs.create("Type", np.bytes_("UnstructuredGrid"))
-        places: list[tuple[_Place, int]] = []
+        geometry = _GrowingGeometry(group)
         fields = {kind: _GrowingFields(file.require_group(kind)) for kind in (schema.POINT_DATA, schema.CELL_DATA)}
         times = []
         for number in numbers:
             with h5py.File(folder.get_frame_path(number), "r") as source:
-                places.append(_add_geometry(group, source[schema.VTKHDF], places))
-                for kind, growing in fields.items():
-                    growing.add({name: values[...] for name, values in source[kind].items()}, source[kind])
+                frame = geometry.add(read_stored_frame(source), source[schema.VTKHDF])
+                for kind, values in ((schema.POINT_DATA, frame.point_data), (schema.CELL_DATA, frame.cell_data)):
+                    fields[kind].add(values, source[kind])
                 times.append(float(source[schema.TIME].attrs["deformed"]))
                 _copy_rest(source, file.create_group(schema.frame_group(number)))
-        _write_steps(group, places, times)
+        _write_steps(group, geometry.places, times)
         for kind, growing in fields.items():
             growing.write_offsets(group["Steps"].create_group(f"{kind.rpartition('/')[2]}Offsets"))
         series = file.create_group(schema.SERIES)
@@ -86,24 +87,35 @@ def join_frames(folder: SeriesFolder, numbers: Sequence[int], records: Sequence[
         schema.physical_path(target).unlink(missing_ok=True)
 
 
-def _add_geometry(group: Any, source: Any, places: Sequence[tuple[_Place, int]]) -> tuple[_Place, int]:
-    """Where a step's geometry stands: that of the last step, or its own behind all others; with its number of parts."""
-    n_parts = len(source["NumberOfPoints"])
-    if not places:
+class _GrowingGeometry:
+    """Geometry of all steps one behind the other; what stays from one step to the next is written once."""
+
+    def __init__(self, group: Any) -> None:
+        self._group = group
+        self._last: StoredFrame | None = None
+        self.places: list[tuple[_Place, int]] = []
+
+    def add(self, frame: StoredFrame, described: Any) -> StoredFrame:
+        """Add that of a step, in the pieces of the last one where its mesh is the same; the frame in these pieces."""
+        if self._last is not None:
+            frame = partition_like(frame, self._last)
+        if self._last is not None and has_same_geometry(frame, self._last):
+            self.places.append(self.places[-1])
+        else:
+            self.places.append((self._append(frame.geometry, described), len(frame.geometry["NumberOfPoints"])))
+        self._last = frame
+        return frame
+
+    def _append(self, geometry: Mapping[str, NDArray[Any]], described: Any) -> _Place:
+        """Write it behind all others; where it begins."""
+        if self._last is None:
+            for name in GEOMETRY:
+                _create_growing(self._group, name, geometry[name], described[name])
+            return _Place()
+        begin = _Place(*(len(self._group[name]) for name in ("NumberOfPoints", "Points", "Types", "Connectivity")))
         for name in GEOMETRY:
-            _create_growing(group, name, source[name][...], source[name])
-        return _Place(), n_parts
-    last, n_last = places[-1]
-    begin = {"Points": last.point, "Connectivity": last.connectivity, "Offsets": last.cell + last.part,
-             "Types": last.cell}
-    is_same = n_parts == n_last and all(
-        np.array_equal(source[name], group[name][begin.get(name, last.part):][:len(source[name])]) for name in GEOMETRY)
-    if is_same:
-        return last, n_parts
-    place = _Place(len(group["NumberOfPoints"]), len(group["Points"]), len(group["Types"]), len(group["Connectivity"]))
-    for name in GEOMETRY:
-        _append(group[name], source[name][...])
-    return place, n_parts
+            _append(self._group[name], geometry[name])
+        return begin
 
 
 class _GrowingFields:

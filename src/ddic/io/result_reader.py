@@ -340,17 +340,13 @@ def read_open_file(path: Path, file: Any) -> Result:
     points = _unflipped(file[schema.VTKHDF]["Points"][...], flipped)
     point_data = _fields(file[schema.POINT_DATA], flipped)
     cell_data = _fields(file[schema.CELL_DATA], flipped)
-    global_ids = point_data[schema.GLOBAL_NODE_ID]
-    # Interface nodes stand in every piece that has them, all copies with the same values.
-    first_copy = np.unique(global_ids, return_index=True)[1]
-    node_ids = np.searchsorted(global_ids[first_copy], global_ids)
-    order = np.argsort(cell_data[schema.GLOBAL_CELL_ID], kind="stable")
-    mesh = _merged_mesh(file[schema.VTKHDF], points[first_copy, :2], node_ids, order)
-    at_nodes = {name: values[first_copy] for name, values in point_data.items()}
-    on_cells = {name: values[order] for name, values in cell_data.items()}
+    merged = merge_pieces(file[schema.VTKHDF], points, point_data[schema.GLOBAL_NODE_ID],
+                          cell_data[schema.GLOBAL_CELL_ID])
+    at_nodes = {name: values[merged.points] for name, values in point_data.items()}
+    on_cells = {name: values[merged.cells] for name, values in cell_data.items()}
     result = Result(
         path=path,
-        mesh=mesh,
+        mesh=merged.mesh,
         displacement=np.ascontiguousarray(at_nodes[schema.DISPLACEMENT][:, :2]),
         point_data=at_nodes,
         cell_data=on_cells,
@@ -386,8 +382,54 @@ def _read_residual_image(file: Any) -> NDArray[np.float32] | None:
     return np.asarray(file[schema.RESIDUAL_IMAGE][schema.RESIDUAL], np.float32)
 
 
-def _merged_mesh(group: Any, nodes: NDArray[np.float64], node_ids: NDArray[np.int64],
-                 order: NDArray[np.intp]) -> Mesh:
+@dataclass(frozen=True)
+class MergedPieces:
+    """The pieces of a file as one mesh.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        Nodes and cells in the order of their numbers in the whole mesh.
+    points : (n_nodes,) array
+        Row of each node among the points of the pieces.
+    cells : (n_cells,) array
+        Row of each cell among the cells of the pieces.
+    """
+
+    mesh: Mesh
+    points: NDArray[np.intp]
+    cells: NDArray[np.intp]
+
+
+def merge_pieces(group: Any, points: NDArray[np.float64], global_node_ids: NDArray[np.int64],
+                 global_cell_ids: NDArray[np.int64]) -> MergedPieces:
+    """Merge the pieces of a file to one mesh.
+
+    Parameters
+    ----------
+    group : mapping of str to dataset or array
+        The geometry of the file by name.
+    points : (n_points, 3) array
+        Of all pieces, with the axes wanted; pixels.
+    global_node_ids : (n_points,) array
+        Number of each point's node in the whole mesh.
+    global_cell_ids : (n_cells,) array
+        Number of each cell of the pieces in the whole mesh.
+
+    Returns
+    -------
+    MergedPieces
+        The mesh, and where its nodes and cells stand in the file.
+    """
+    # Interface nodes stand in every piece that has them, all copies with the same values.
+    first_copy = np.unique(global_node_ids, return_index=True)[1]
+    node_ids = np.searchsorted(global_node_ids[first_copy], global_node_ids)
+    order = np.argsort(global_cell_ids, kind="stable")
+    return MergedPieces(_merge_mesh(group, points[first_copy, :2], node_ids, order), first_copy, order)
+
+
+def _merge_mesh(group: Any, nodes: NDArray[np.float64], node_ids: NDArray[np.int64],
+                order: NDArray[np.intp]) -> Mesh:
     """The whole mesh; node_ids: number in ``nodes`` of each stored point; order: of the stored cells."""
     n_points, n_cells = group["NumberOfPoints"][...], group["NumberOfCells"][...]
     n_ids = group["NumberOfConnectivityIds"][...]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from ddic.functionals.view import FrameView
-from ddic.images.blurred import Blur, BlurredSource
+from ddic.images.blurred import BLUR_NOTE, Blur, BlurredSource
 from ddic.images.sub_image import MaskedSource, read_reference
 from ddic.mesh.plane import build_rotation
 from ddic.parallel.team import Team
@@ -82,8 +82,8 @@ def match_sharpness(whole: ResidualModel, cameras: Sequence[Camera], q: Sequence
 
 
 def _describe(blur: Blur, of_camera: str) -> str:
-    return (f"the frame is less sharp than the reference image{of_camera}, which is blurred as much: standard "
-            f"deviation {blur.along:.1f} px at {np.rad2deg(blur.direction):.0f} degrees, {blur.across:.1f} px across")
+    return (f"{BLUR_NOTE}{of_camera}, which is blurred as much: standard deviation {blur.along:.1f} px at "
+            f"{np.rad2deg(blur.direction):.0f} degrees, {blur.across:.1f} px across")
 
 
 def _take_samples(whole: ResidualModel, q: Sequence[Array], camera: int) -> Iterator[tuple[Array, Array]]:

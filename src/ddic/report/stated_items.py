@@ -1,50 +1,26 @@
 """What good-practices guides for DIC ask to be stated, with its value or that it is not recorded.
 
-The items are those of the reporting tables of the International Digital Image Correlation Society's guide (2018), as
-far as they concern one camera and a plane specimen, said for finite elements: an element stands where a subset does.
+The items are those that the International Digital Image Correlation Society's guide (2018) asks of one camera and a
+plane specimen, said for finite elements: an element stands where a subset does. docs/report.md compares them.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ddic.images.feature_size import measure_feature_size
-from ddic.images.grey_levels import measure_grey_levels
 from ddic.io import result_schema as schema
 from ddic.io.plots.length_unit import find_length_unit
 from ddic.mesh.covered_areas import measure_covered_areas
+from ddic.probes.displacement_chain import find_chain
 from ddic.probes.metrology import Metrology, estimate_metrology
 from ddic.probes.probe_kinds import PointProbe
 from ddic.report.gathered import Gathered
-
-NOT_RECORDED = "not recorded"
-
-N_WINDOWS = 15
-"""Places at which the pattern is looked at, spread over the elements."""
-
-Items = list[tuple[str, str]]
-"""What is stated, and its value."""
-
-
-@dataclass(frozen=True)
-class Statement:
-    """Items that belong together.
-
-    Attributes
-    ----------
-    title : str
-        Above them.
-    items : list of (str, str)
-        Name and value of each.
-    """
-
-    title: str
-    items: Items
+from ddic.report.stated_images import list_images, list_setup
+from ddic.report.statement import NOT_RECORDED, Items, Statement
 
 
 def list_statements(gathered: Gathered) -> list[Statement]:
@@ -60,76 +36,11 @@ def list_statements(gathered: Gathered) -> list[Statement]:
     list of Statement
         In the order of the guides: how images were taken, what they are like, how they were compared, what it is worth.
     """
-    return [Statement("Set-up", _list_setup(gathered)), Statement("Images and pattern", _list_images(gathered)),
+    return [Statement("Set-up", list_setup(gathered)), Statement("Images and pattern", list_images(gathered)),
             Statement("Mesh and formulation", _list_formulation(gathered)),
             Statement("Regularisation", _list_regularization(gathered)),
             Statement("Convergence", _list_convergence(gathered)),
             Statement("Resolution and noise floors", _list_metrology(gathered))]
-
-
-def _list_setup(gathered: Gathered) -> Items:
-    """What the case says of the set-up, in its own words."""
-    words, section = gathered.get_section("acquisition"), gathered.get_section("images")
-    named = (("Specimen", "specimen"), ("Camera", "camera"), ("Lens", "lens"), ("Aperture", "aperture"),
-             ("Stand-off distance", "stand_off_distance"), ("Lighting", "lighting"), ("Exposure time", "exposure"),
-             ("Image acquisition rate", "image_rate"), ("Patterning", "patterning"))
-    items = [(name, str(words.get(key) or NOT_RECORDED)) for name, key in named]
-    size, unit = section.get("pixel_size"), section.get("length_unit", "px")
-    shape = _parse_size(gathered)
-    scale = view = NOT_RECORDED
-    if size:
-        scale = f"{size:g} {unit} per px ({1.0 / size:.4g} px per {unit})"
-        view = " x ".join(f"{size * side:.4g} {unit}" for side in shape) if shape else NOT_RECORDED
-    times = [gathered.get_attribute(schema.TIME, name) for name in ("reference", "deformed")]
-    stamps = NOT_RECORDED if None in times else f"{times[0]:g} (reference), {times[1]:g} (deformed)"
-    return [*items, ("Image scale", scale), ("Field of view", view), ("Times of the images", stamps)]
-
-
-def _parse_size(gathered: Gathered) -> tuple[int, int] | None:
-    """Width and height of the images, pixels."""
-    text = str(gathered.get_attribute(schema.PROVENANCE, "reference_size") or "")
-    parts = text.split("x")
-    return (int(parts[0]), int(parts[1])) if len(parts) == 2 else None
-
-
-def _list_images(gathered: Gathered) -> Items:
-    """Sizes, grey levels, features, noise."""
-    section, shape = gathered.get_section("images"), _parse_size(gathered)
-    items = [("Image size", f"{shape[0]} x {shape[1]} px" if shape else NOT_RECORDED)]
-    absent = f"{NOT_RECORDED}: the image is not there"
-    for name in ("reference", "deformed"):
-        value = absent
-        if name in gathered.images:
-            image = gathered.images[name]
-            levels = measure_grey_levels(image)
-            saturated = "none can be" if levels.saturation is None else (
-                f"{100 * levels.n_saturated / (image.width * image.height):.3g} %")
-            value = (f"{image.layout.bits} bit, {levels.lowest:g} to {levels.highest:g}, mean {levels.mean:.4g}, "
-                     f"RMS gradient {math.sqrt(levels.gradient_energy):.3g} per px; saturated: {saturated}")
-        items.append((f"Grey levels, {name}", value))
-    feature = absent
-    if "reference" in gathered.images:
-        centres = gathered.result.mesh.centroids
-        shown = centres[np.linspace(0, len(centres) - 1, N_WINDOWS).astype(int)]
-        width = measure_feature_size(gathered.images["reference"], shown)
-        of_what = "autocorrelation, full width at half maximum"
-        feature = f"{width:.3g} px ({of_what})" if math.isfinite(width) else "none found"
-    masks = [f"{what} image" for what in ("reference", "deformed") if section.get(f"{what}_mask")]
-    return [*items, ("Feature size of the pattern", feature), ("Image noise", _describe_noise(gathered)),
-            ("Masks", " and ".join(masks) or "none" if section else NOT_RECORDED),
-            ("Saturated pixels", "left out" if section.get("exclude_saturated") else "used"),
-            ("Image filtering", "none but the interpolating spline")]
-
-
-def _describe_noise(gathered: Gathered) -> str:
-    """Of an image, grey levels."""
-    given, residual = gathered.get_section("images").get("noise"), gathered.last_residual
-    if given:
-        return f"{given:g} grey levels (given in the case)"
-    if math.isnan(residual):
-        return NOT_RECORDED
-    return (f"{residual / math.sqrt(2.0):.3g} grey levels in each image, were the residual all noise; no static pair "
-            "is recorded")
 
 
 def _list_formulation(gathered: Gathered) -> Items:
@@ -159,8 +70,19 @@ def _list_formulation(gathered: Gathered) -> Items:
         ("Doubtful elements", _count(result.cell_data.get(schema.DOUBTFUL))),
         ("Strain", "at nodes, recovered from the gradients of the elements around each; infinitesimal, Green-Lagrange, "
                    "logarithmic" if schema.NODAL_HENCKY in result.point_data else "in the middle of elements"),
+        ("Strain window", _describe_window(gathered)),
         ("Filtering of displacement and strain", "none after the measurement"),
     ]
+
+
+def _describe_window(gathered: Gathered) -> str:
+    """Elements that make a strain value, and the pixels that these elements' nodes are held by."""
+    spacing = find_chain(gathered.result, np.empty(0, np.int64)).spacing
+    is_nodal = schema.NODAL_HENCKY in gathered.result.point_data
+    n_elements, place = (2, "the elements around a node") if is_nodal else (1, "one element")
+    # The nodes at the ends of the window take part in elements beyond it.
+    return (f"{place}, {n_elements * spacing:.3g} px across; held by pixels over {(n_elements + 2) * spacing:.3g} px, "
+            "which subsets call the virtual strain gauge, without regularisation")
 
 
 def _describe_grey(gathered: Gathered) -> str:
@@ -252,7 +174,8 @@ def _write_area(value: float) -> str:
 
 def _describe_source(gathered: Gathered) -> str:
     if "sigma_u" in gathered.result.point_data:
-        return "fields of standard deviations, RMS over the nodes"
+        origin = gathered.get_attribute(schema.UNCERTAINTY, "noise_origin") or NOT_RECORDED
+        return f"fields of standard deviations, RMS over the nodes; the images' noise: {origin}"
     if math.isfinite(gathered.noise_floor):
         return "estimated from the residual, as if it were all noise; no static pair is recorded"
     return NOT_RECORDED

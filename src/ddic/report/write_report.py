@@ -16,7 +16,8 @@ from ddic.io.replace_on_exit import replaced_on_exit
 from ddic.io.result_reader import Result
 from ddic.report.gathered import Gathered, gather_all
 from ddic.report.report_pictures import encode_report_figures
-from ddic.report.stated_items import NOT_RECORDED, find_field_metrology, list_statements
+from ddic.report.stated_items import find_field_metrology, list_statements
+from ddic.report.statement import NOT_RECORDED, NOT_STATED
 from ddic.report.worst_places import WorstPlace, find_worst_places
 
 TEMPLATE = "template.html"
@@ -51,7 +52,7 @@ def write_report(result: Result, path: Path | str, image: Path | None = None) ->
     page = template.render(
         title=gathered.case.get("title") or result.path.stem or "measurement", file=result.path.name or "in memory",
         result=result, absent=gathered.absent, key_numbers=_list_key_numbers(gathered),
-        statements=list_statements(gathered), not_recorded=NOT_RECORDED,
+        statements=list_statements(gathered), not_recorded=NOT_RECORDED, not_stated=NOT_STATED,
         pictures=encode_report_figures(gathered, places), places=[_write_place(place) for place in places],
         phases=_list_phases(gathered), memory=_describe_memory(gathered), notes=list(gathered.summary.get("notes", ())),
         case_path=gathered.get_attribute(schema.CASE, "path") or NOT_RECORDED,
