@@ -1,5 +1,5 @@
-"""``python -m ddic`` is ``ddic``; ``python -m mpi4py -m ddic`` also ends all ranks on an error in start-up."""
+"""``python -m ddic`` is ``ddic``."""
 
-from ddic.cli.app import main
+from ddic.cli.entry import main
 
 main()

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Callable
 from dataclasses import replace
+from typing import NoReturn
 
 import pytest
 from mpi4py import MPI
@@ -37,26 +39,91 @@ def test_the_ranks_of_a_node_are_asked_with_the_others() -> None:
         assert node.stop is team.stop
 
 
+class _EndedError(Exception):
+    """Stands for the end of the process."""
+
+
+def _end(line: str, code: int) -> NoReturn:
+    raise _EndedError(line, code)
+
+
 @pytest.fixture
 def interrupted(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Signals that would reach the main thread."""
+    """Signals that would reach the main thread; the process would end by _EndedError."""
     numbers: list[int] = []
     monkeypatch.setattr(signal, "pthread_kill", lambda thread, number: numbers.append(number))
+    monkeypatch.setattr(stop_request, "end_all_ranks", _end)
+    monkeypatch.setattr(stop_request, "BETWEEN", 0.0)
+    # Interruptions are sent by a thread; what ends it here ends no process.
+    monkeypatch.setattr(stop_request.threading, "Thread", _AtOnce)
     return numbers
+
+
+class _AtOnce:
+    """A thread that does its work when it is started."""
+
+    def __init__(self, target: Callable[[], None], **options: object) -> None:
+        self._target = target
+
+    def start(self) -> None:
+        self._target()
+
+
+def _begun() -> StopRequest:
+    return StopRequest(has_begun=True)
 
 
 @pytest.mark.parametrize("number", stop_request.STOPPING)
 def test_a_first_signal_asks_and_nothing_else(interrupted: list[int], number: signal.Signals) -> None:
-    request = StopRequest()
+    request = _begun()
     request.note(number, os.getppid())
     assert request.asked
     assert interrupted == []
 
 
+@pytest.mark.parametrize(("number", "code"), [
+    *((number, 3) for number in stop_request.STOPPING), *((number, 130) for number in stop_request.ENDING)])
+def test_a_signal_before_the_beginning_ends_the_process(interrupted: list[int], number: signal.Signals,
+                                                        code: int) -> None:
+    with pytest.raises(_EndedError) as caught:
+        StopRequest().note(number, os.getppid())
+    assert caught.value.args[1] == code
+    assert interrupted == []
+
+
+@pytest.mark.parametrize("number", stop_request.ENDING)
+def test_the_main_thread_is_interrupted_until_it_ends(interrupted: list[int], number: signal.Signals,
+                                                      monkeypatch: pytest.MonkeyPatch) -> None:
+    # A library has caught each interruption, or never returns.
+    with pytest.raises(_EndedError, match="interrupted; no result was written"):
+        _begun().note(number, 0)
+    assert interrupted == [signal.SIGALRM] * stop_request.N_INTERRUPTIONS
+    request = _begun()
+    monkeypatch.setattr(signal, "pthread_kill", lambda thread, number: setattr(request, "is_over", True))
+    request.note(number, 0)
+    request.note(number, 0)
+    assert request.is_over
+
+
+def test_a_second_interruption_ends_at_once(interrupted: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 100.0
+    monkeypatch.setattr(stop_request.time, "monotonic", lambda: now)
+    monkeypatch.setattr(StopRequest, "_interrupt_until_over", lambda request: interrupted.append(0))
+    request = _begun()
+    request.note(signal.SIGINT, 0)
+    now += 0.5 * REPEATED_AFTER
+    request.note(signal.SIGINT, 0)  # the first one again
+    assert interrupted == [0]
+    now += REPEATED_AFTER
+    with pytest.raises(_EndedError):
+        request.note(signal.SIGINT, 0)
+
+
 def test_only_a_later_sigterm_ends_at_once(interrupted: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
     now = 100.0
     monkeypatch.setattr(stop_request.time, "monotonic", lambda: now)
-    request = StopRequest()
+    monkeypatch.setattr(StopRequest, "_interrupt_until_over", lambda request: interrupted.append(0))
+    request = _begun()
     request.note(signal.SIGUSR1, 0)
     now += 2 * REPEATED_AFTER
     request.note(signal.SIGTERM, 0)
@@ -64,15 +131,20 @@ def test_only_a_later_sigterm_ends_at_once(interrupted: list[int], monkeypatch: 
     request.note(signal.SIGTERM, 0)
     now += 2 * REPEATED_AFTER
     request.note(signal.SIGUSR1, 0)
+    # It comes every second once the time of the processor is used up.
+    request.note(signal.SIGXCPU, 0)
     assert interrupted == []
     request.note(signal.SIGTERM, 0)
-    assert interrupted == [signal.SIGALRM]
+    assert interrupted == [0]
 
 
 def test_a_launcher_that_ends_is_obeyed_at_once(interrupted: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stop_request, "_is_launcher", lambda process: process == 7)
-    request = StopRequest()
+    monkeypatch.setattr(stop_request, "is_launcher", lambda process: process == 7)
+    monkeypatch.setattr(StopRequest, "_interrupt_until_over", lambda request: interrupted.append(0))
+    request = _begun()
     request.note(signal.SIGTERM, 8)
     assert interrupted == []
+    assert not request.is_by_launcher
     request.note(signal.SIGTERM, 7)
-    assert interrupted == [signal.SIGALRM]
+    assert interrupted == [0]
+    assert request.is_by_launcher

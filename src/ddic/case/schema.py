@@ -629,7 +629,7 @@ class SolverSection(Section):
             "array's memory."
         ),
     )
-    threads: Annotated[int, Field(ge=1)] = Field(
+    threads: Annotated[int, Field(ge=1, le=1024)] = Field(
         default=1,
         description=(
             "Threads of each rank for work on pixels: prefilter and gradient, M, residuals and the residual image; "

@@ -7,6 +7,7 @@ import importlib
 import click
 
 from ddic import __version__
+from ddic.cli.failed_start import failures_told
 
 COMMANDS = {
     "run": "Measure the displacement between two images.",
@@ -62,6 +63,22 @@ class LazyGroup(click.Group):
             return None
         command: click.Command = getattr(importlib.import_module(f"ddic.cli.{cmd_name}"), cmd_name)
         return command
+
+    def invoke(self, ctx: click.Context) -> object:
+        """Run the command; what it lets pass ends all ranks, in one line where the command could not be imported.
+
+        Parameters
+        ----------
+        ctx : Context
+            Of click.
+
+        Returns
+        -------
+        object
+            What the command returns.
+        """
+        with failures_told(passed=(click.ClickException, click.exceptions.Exit, click.Abort)):
+            return super().invoke(ctx)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the list of commands for --help without importing them.

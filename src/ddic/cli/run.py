@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import traceback
 import warnings
@@ -13,6 +14,8 @@ from typing import TYPE_CHECKING, TextIO
 
 import click
 
+from ddic.cli.failed_start import failures_told
+from ddic.parallel.end_process import INTERRUPTED, is_launcher, silence_abort
 from ddic.parallel.stop_request import StopRequest
 
 if TYPE_CHECKING:
@@ -23,19 +26,21 @@ if TYPE_CHECKING:
 @click.argument("case_file", metavar="CASE.toml", type=click.Path(path_type=Path))
 @click.option("--resume", is_flag=True, help="Go on with a series where an earlier run of it stopped.")
 @click.argument("petsc_options", nargs=-1, type=click.UNPROCESSED)
-def run(case_file: Path, petsc_options: tuple[str, ...], *, resume: bool) -> None:
+@click.pass_obj
+def run(stop: StopRequest | None, case_file: Path, petsc_options: tuple[str, ...], *, resume: bool) -> None:
     """Measure the displacement between the images of a case, a pair or a series; alone or under mpirun.
 
     Options that PETSC_OPTIONS give pass to PETSc, for instance -dual_ksp_monitor.
     """
     _check_words(case_file, petsc_options)
-    stop = StopRequest()
-    stop.note_signals()
-    # Imported here because MPI and PETSc start with them, which --help does not need.
-    import petsc4py
-
-    petsc4py.init(["ddic", *petsc_options])
-    sys.exit(_run_everywhere(case_file, petsc_options, stop, resume=resume))
+    if stop is None:  # by another way than the program's own beginning
+        stop = StopRequest()
+        stop.note_signals()
+    with failures_told():
+        team = _start(petsc_options, stop)
+    code = _run_everywhere(team, case_file, petsc_options, resume=resume)
+    stop.is_over = True
+    sys.exit(code)
 
 
 def _check_words(case_file: Path, words: tuple[str, ...]) -> None:
@@ -61,17 +66,32 @@ def _is_number(word: str) -> bool:
     return True
 
 
-def _run_everywhere(case_file: Path, petsc_options: tuple[str, ...], stop: StopRequest, *, resume: bool) -> int:
-    """Run on all ranks; an error that only this rank has ends the job."""
+def _start(petsc_options: tuple[str, ...], stop: StopRequest) -> Team:
+    """Import all that a run needs, and start MPI and PETSc with it; a failure from here on ends all ranks."""
+    silence_abort()
+    # Imported here because MPI and PETSc start with them, which --help does not need.
     import cv2
+    import petsc4py
 
-    from ddic.cli.console import RunConsole
-    from ddic.methods.run_case import run_file
+    petsc4py.init(["ddic", *petsc_options])
+    import ddic.cli.console
+    import ddic.methods.run_case
+    import ddic.results.listener
+    import ddic.solvers.unused_options  # noqa: F401
     from ddic.parallel.team import Team
-    from ddic.results.listener import Silence
 
     cv2.setNumThreads(1)
     team = replace(Team.world(), stop=stop)
+    stop.has_begun = True
+    return team
+
+
+def _run_everywhere(team: Team, case_file: Path, petsc_options: tuple[str, ...], *, resume: bool) -> int:
+    """Run on all ranks; an error that only this rank has ends the job."""
+    from ddic.cli.console import RunConsole
+    from ddic.methods.run_case import run_file
+    from ddic.results.listener import Silence
+
     try:
         with _warnings_told_once(team.is_root):
             if not team.is_root:
@@ -118,6 +138,10 @@ def _failed(team: Team, error: BaseException, petsc_options: tuple[str, ...]) ->
     """Say what went wrong, once, and return the exit code or end the job."""
     from ddic.errors import ConvergenceError, DdicError, is_collective
 
+    team.stop.is_over = True
+    if isinstance(error, KeyboardInterrupt) and team.stop.is_by_launcher:
+        # Which ends all ranks: another one has failed and says why, or the user has ended the launcher.
+        os._exit(INTERRUPTED)
     everywhere = is_collective(error)
     code = error.exit_code if isinstance(error, DdicError) else 1
     if team.is_root or not everywhere:
@@ -127,7 +151,7 @@ def _failed(team: Team, error: BaseException, petsc_options: tuple[str, ...]) ->
         elif isinstance(error, OSError):
             lines = [f"{where}{error.filename or 'a file'} could not be read or written: {error.strerror or error}"]
         elif isinstance(error, KeyboardInterrupt | SystemExit):
-            lines, code = [f"{where}interrupted; no result was written"], 130
+            lines, code = [f"{where}interrupted; no result was written"], INTERRUPTED
         else:
             lines = [f"{where}{line}" for line in _trace(error).splitlines()]
         sys.stdout.flush()
@@ -138,6 +162,10 @@ def _failed(team: Team, error: BaseException, petsc_options: tuple[str, ...]) ->
     if everywhere and isinstance(error, ConvergenceError):
         # It may be why.
         _warn_of_unused_options(team, petsc_options)
+    if team.size > 1 and is_launcher(os.getppid()):
+        # Its launcher has ten lines of its own to say where ranks end with another code than 0, of an abort none.
+        team.wait_for_all()
+        team.abort(code)
     return code
 
 

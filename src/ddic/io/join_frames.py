@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.io import result_schema as schema
+from ddic.io.open_hdf5 import open_hdf5
 from ddic.io.physical_sidecar import write_physical_sidecar
 from ddic.io.replace_on_exit import replaced_on_exit
 from ddic.io.series_folder import SeriesFolder
@@ -54,7 +55,7 @@ def join_frames(folder: SeriesFolder, numbers: Sequence[int], records: Sequence[
     """
     target = folder.result
     with replaced_on_exit(target) as temporary, h5py.File(temporary, "w") as file:
-        with h5py.File(folder.get_frame_path(numbers[0]), "r") as first:
+        with open_hdf5(folder.get_frame_path(numbers[0])) as first:
             for name in ("ddic_schema", "y_axis"):
                 file.attrs[name] = first.attrs[name]
         file.attrs[schema.STATUS], file.attrs[schema.FAILURE] = schema.CONVERGED, ""
@@ -65,7 +66,7 @@ def join_frames(folder: SeriesFolder, numbers: Sequence[int], records: Sequence[
         fields = {kind: _GrowingFields(file.require_group(kind)) for kind in (schema.POINT_DATA, schema.CELL_DATA)}
         times = []
         for number in numbers:
-            with h5py.File(folder.get_frame_path(number), "r") as source:
+            with open_hdf5(folder.get_frame_path(number)) as source:
                 frame = geometry.add(read_stored_frame(source), source[schema.VTKHDF])
                 for kind, values in ((schema.POINT_DATA, frame.point_data), (schema.CELL_DATA, frame.cell_data)):
                     fields[kind].add(values, source[kind])

@@ -9,6 +9,7 @@ import h5py
 import numpy as np
 
 from ddic.io import result_schema as schema
+from ddic.io.open_hdf5 import open_hdf5
 from ddic.io.replace_on_exit import replaced_on_exit
 
 ROWS = 1 << 16
@@ -35,7 +36,7 @@ def write_physical_sidecar(result: Path) -> Path:
         NAME.physical.vtkhdf beside the result.
     """
     path = schema.physical_path(result)
-    with (h5py.File(result) as source, replaced_on_exit(path) as temporary,
+    with (open_hdf5(result) as source, replaced_on_exit(path) as temporary,
           h5py.File(temporary, "w") as file):
         units, grid = source[schema.UNITS].attrs, source[schema.VTKHDF]
         file.attrs["ddic_schema"] = schema.SCHEMA_VERSION

@@ -10,6 +10,7 @@ from pathlib import Path
 import h5py
 
 from ddic.io import result_schema as schema
+from ddic.io.open_hdf5 import open_hdf5
 from ddic.io.physical_sidecar import write_physical_sidecar
 from ddic.io.residual_sidecar import write_sidecar
 
@@ -68,7 +69,7 @@ def _list_sidecars(result: Path) -> Iterator[Path]:
 
 def _write_moved_sidecar(sidecar: Path, target: Path, camera: int) -> None:
     """Write anew what leads to a residual image by the name of its file."""
-    with h5py.File(sidecar, "r") as file:
+    with open_hdf5(sidecar) as file:
         _, last_column, _, last_row, _, _ = file[schema.VTKHDF].attrs["WholeExtent"]
         is_flipped = str(file.attrs["y_axis"]) == "up"
     write_sidecar(target, camera, width=int(last_column) + 1, height=int(last_row) + 1, flip_y=is_flipped)
@@ -78,7 +79,7 @@ def _has_length_unit(result: Path) -> bool:
     """Whether a file holds displacements in a length unit; what is no result does not."""
     if not h5py.is_hdf5(result):
         return False
-    with h5py.File(result, "r") as file:
+    with open_hdf5(result) as file:
         return schema.DISPLACEMENT_PHYSICAL in file.get(schema.POINT_DATA, ())
 
 

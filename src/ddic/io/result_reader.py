@@ -10,13 +10,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
 from ddic.io.mesh_export import to_meshio, to_pyvista
+from ddic.io.open_hdf5 import open_hdf5
 from ddic.mesh.interpolation import differentiate_shapes_at, interpolate, locate
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.shapes import pad_cells
@@ -160,7 +160,7 @@ class Result:
     @cached_property
     def residual_image(self) -> NDArray[np.float32] | None:
         """The residual image (height, width), grey levels, read at first use; None if it was not written."""
-        with h5py.File(self.path, "r") as file:
+        with open_hdf5(self.path) as file:
             return _read_residual_image(file)
 
 
@@ -220,7 +220,7 @@ def opened_result(path: Path | str) -> Iterator[tuple[Path, Any]]:
     if not path.is_file():
         raise InputError(f"{path}: no such result file; check the path")
     try:
-        with h5py.File(path, "r") as file:
+        with open_hdf5(path) as file:
             check_schema(path, file)
             yield path, file
     except (OSError, KeyError, ValueError, IndexError) as error:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
+from ddic.io.open_hdf5 import open_hdf5
 from ddic.io.replace_on_exit import replaced_on_exit
 
 Array = NDArray[np.float64]
@@ -136,7 +137,7 @@ class SeriesFolder:
         """Records of a series that an earlier run has finished; none where there is another file, or no file."""
         if not self.result.is_file() or not h5py.is_hdf5(self.result):
             return {}
-        with h5py.File(self.result, "r") as file:
+        with open_hdf5(self.result) as file:
             if schema.STEPS not in file or file[schema.SERIES].attrs["origin"] != json.dumps(origin):
                 return {}
             records = file[schema.SERIES]["records"].asstr()[...]
@@ -158,7 +159,7 @@ class SeriesFolder:
         for number in range(1, self.n_frames + 1):
             failed, finished = self.get_failure_path(number), self.get_frame_path(number)
             if finished.is_file():
-                with h5py.File(finished, "r") as file:
+                with open_hdf5(finished) as file:
                     found[number] = str(file[schema.SERIES].attrs["record"])
             elif failed.is_file():
                 found[number] = failed.read_text(encoding="utf-8")
@@ -177,7 +178,7 @@ class SeriesFolder:
         FrameState
             All subdomains.
         """
-        with h5py.File(self.get_frame_path(number), "r") as file:
+        with open_hdf5(self.get_frame_path(number)) as file:
             group = file[schema.SERIES]
             unknowns = {int(name): values[...] for name, values in group["unknowns"].items()}
             return FrameState(float(group.attrs["time"]), unknowns, tuple(map(float, group.attrs["noise"])),

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.io import result_schema as schema
+from ddic.io.open_hdf5 import open_hdf5
 from ddic.io.result_reader import Result, opened_result, read_open_file, read_result
 
 
@@ -85,7 +86,7 @@ def is_series_file(path: Path) -> bool:
     """
     if not path.is_file() or not h5py.is_hdf5(path):
         return False
-    with h5py.File(path, "r") as file:
+    with open_hdf5(path) as file:
         return schema.STEPS in file
 
 

@@ -6,29 +6,38 @@ import os
 import signal
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, NoReturn
 
 from ddic.errors import StoppedError, as_collective
+from ddic.parallel.end_process import INTERRUPTED, end_all_ranks, is_launcher
 
 if TYPE_CHECKING:
     from ddic.parallel.team import Team
 
-STOPPING = (signal.SIGTERM, signal.SIGUSR1)
-"""What batch systems send ahead of the end of a job's time."""
+STOPPING = (signal.SIGTERM, signal.SIGUSR1, signal.SIGXCPU)
+"""What batch systems send ahead of the end of a job's time, of the processor too."""
+
+ENDING = (signal.SIGINT, signal.SIGHUP)
+"""Of the keyboard, and of a terminal that closes: they end a run at once."""
 
 REPEATED_AFTER = 1.0
-"""Seconds after which a further SIGTERM is a second request, which ends the run at once; before, it is the first one
-again, which batch systems send to a job's steps and once more through their launcher. A larger value waits longer
-before a second one counts."""
+"""Seconds after which a further SIGTERM or SIGINT is a second request, which ends the run at once; before, it is the
+first one again, which batch systems send to a job's steps and once more through their launcher. A larger value waits
+longer before a second one counts."""
 
-LAUNCHERS = frozenset({"mpirun", "mpiexec", "orterun", "orted", "prterun", "prte", "prted"})
-"""Open MPI's programs that start ranks. They end by sending SIGTERM, and SIGKILL one second later."""
+N_INTERRUPTIONS, BETWEEN = 3, 1.5
+"""Times that the main thread is interrupted, and seconds after each, before the process ends without it: it may be
+waiting inside a library, or a library may have caught the interruption. Larger values give more time to clean up;
+together they stay well below the ten seconds after which a batch system kills."""
 
 _INTERRUPTING = signal.SIGALRM
 """Brings an interruption to the main thread; SIGINT may be ignored there, as in what a shell runs in the background."""
+
+_TOLD = "interrupted; no result was written"
+_STOPPED_EARLY = ("stopped by a signal before the first iteration", StoppedError.exit_code)
 
 
 @dataclass
@@ -41,26 +50,40 @@ class StopRequest:
         Set once, by ``note`` or by hand.
     first_at : float
         When SIGTERM came first, seconds of ``time.monotonic``; infinity before.
+    ended_at : float
+        When the run was first told to end at once; infinity before.
+    has_begun : bool
+        Whether the ranks know of one another, so that they can agree on a stop; before, each ends alone.
+    is_over : bool
+        Whether the run has ended, well or not, and needs no interruption.
+    is_by_launcher : bool
+        Whether it is the launcher that ends the run: another rank has failed and says why, or the user ended it.
     """
 
     asked: bool = False
     first_at: float = float("inf")
+    ended_at: float = float("inf")
+    has_begun: bool = False
+    is_over: bool = False
+    is_by_launcher: bool = False
 
     def note_signals(self) -> None:
-        """Note SIGTERM and SIGUSR1 from now on, in a thread of their own; call it before MPI starts its threads.
+        """Note signals from now on, in a thread of their own; call it before MPI starts its threads.
 
-        They are blocked in all others, so that no operation of MPI, and no file being written, is ever cut short.
+        They are blocked in all others, so that no operation of MPI, and no file being written, is ever cut short. Those
+        of ``ENDING`` that were ignored, as under nohup, stay so.
         """
+        numbers = [*STOPPING, *(number for number in ENDING if signal.getsignal(number) != signal.SIG_IGN)]
         signal.signal(_INTERRUPTING, _interrupt)
-        for number in STOPPING:
+        for number in numbers:
             # For a thread that began earlier and blocks nothing.
             signal.signal(number, lambda number, frame: self.note(number, 0))
-        signal.pthread_sigmask(signal.SIG_BLOCK, STOPPING)
-        threading.Thread(target=self._wait_for_signals, name="stop request", daemon=True).start()
+        signal.pthread_sigmask(signal.SIG_BLOCK, numbers)
+        threading.Thread(target=self._wait_for_signals, args=(numbers,), name="stop request", daemon=True).start()
 
-    def _wait_for_signals(self) -> None:
+    def _wait_for_signals(self, numbers: Sequence[int]) -> None:
         while True:
-            number, sender = _receive()
+            number, sender = _receive(numbers)
             self.note(number, sender)
 
     def note(self, number: int, sender: int) -> None:
@@ -73,15 +96,39 @@ class StopRequest:
         sender : int
             Process that sent it; 0 where it is not known.
         """
-        self.asked = True
-        if number != signal.SIGTERM:
+        is_asked_to_stop = number in STOPPING
+        self.asked = self.asked or is_asked_to_stop
+        self.is_by_launcher = self.is_by_launcher or (number == signal.SIGTERM and is_launcher(sender))
+        if self.is_by_launcher and (self.is_over or not self.has_begun):
+            os._exit(INTERRUPTED)
+        if self.is_over:
             return
+        if not self.has_begun:
+            end_all_ranks(*(_STOPPED_EARLY if is_asked_to_stop else (_TOLD, INTERRUPTED)))
         now = time.monotonic()
+        if now - self.ended_at >= REPEATED_AFTER and number in (signal.SIGTERM, *ENDING):
+            end_all_ranks(_TOLD, INTERRUPTED)
+        if self._is_urgent(number, now) and self.ended_at == float("inf"):
+            self.ended_at = now
+            threading.Thread(target=self._interrupt_until_over, name="interruption", daemon=True).start()
+
+    def _is_urgent(self, number: int, now: float) -> bool:
+        """Whether the run must end at once."""
+        if number != signal.SIGTERM:
+            return number in ENDING
         is_repeated = now - self.first_at >= REPEATED_AFTER
         self.first_at = min(self.first_at, now)
         # A launcher that ends kills its ranks: what time is left is for the removal of temporary files.
-        if is_repeated or _is_launcher(sender):
+        return is_repeated or self.is_by_launcher
+
+    def _interrupt_until_over(self) -> None:
+        """Interrupt the main thread, and end the process where that does not."""
+        for _ in range(N_INTERRUPTIONS):
             signal.pthread_kill(threading.main_thread().ident or 0, _INTERRUPTING)
+            time.sleep(BETWEEN)
+            if self.is_over:
+                return
+        end_all_ranks(_TOLD, INTERRUPTED)
 
 
 def is_stop_asked(team: Team) -> bool:
@@ -119,20 +166,12 @@ def stop_if_asked(team: Team, when: str) -> None:
         raise as_collective(StoppedError(f"stopped by a signal {when}"))
 
 
-def _receive() -> tuple[int, int]:
+def _receive(numbers: Sequence[int]) -> tuple[int, int]:
     """Wait for a signal; its number and its sender, 0 where the system does not say."""
     if not hasattr(signal, "sigwaitinfo"):
-        return int(signal.sigwait(STOPPING)), 0
-    info = signal.sigwaitinfo(STOPPING)
+        return int(signal.sigwait(numbers)), 0
+    info = signal.sigwaitinfo(numbers)
     return info.si_signo, info.si_pid
-
-
-def _is_launcher(process: int) -> bool:
-    try:
-        name = Path(f"/proc/{process}/comm").read_text(encoding="utf-8").strip()
-    except OSError:
-        return False
-    return process != os.getpid() and name in LAUNCHERS
 
 
 def _interrupt(number: int, frame: FrameType | None) -> NoReturn:

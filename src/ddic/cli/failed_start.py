@@ -1,0 +1,75 @@
+"""What no command takes care of, a start that fails above all: one line where that says enough, and no rank waits."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import NoReturn
+
+from ddic.errors import DdicError
+from ddic.parallel.end_process import INTERRUPTED, end_all_ranks, find_rank
+
+
+@contextmanager
+def failures_told(passed: tuple[type[BaseException], ...] = ()) -> Iterator[None]:
+    """End the program where the block fails, with all ranks of its job: their end would wait for one another.
+
+    Parameters
+    ----------
+    passed : tuple of type, optional
+        Errors that somebody else takes care of. ``SystemExit`` is one.
+
+    Raises
+    ------
+    Exception
+        What is unexpected, where this is no rank of a job.
+    """
+    try:
+        yield
+    except SystemExit:
+        raise
+    except passed:
+        raise
+    except KeyboardInterrupt:
+        _end("interrupted", INTERRUPTED)
+    except DdicError as error:
+        _end(str(error), error.exit_code)
+    except (ImportError, MemoryError) as error:
+        _end(f"{_name_rank()}{describe_briefly(error)}", 1)
+    except Exception as error:
+        if find_rank() is None:
+            raise
+        _end(f"{_name_rank()}{''.join(traceback.format_exception(error))}", 1)
+
+
+def describe_briefly(error: BaseException) -> str:
+    """Describe what keeps a program from starting in one line.
+
+    Parameters
+    ----------
+    error : BaseException
+        Unexpected.
+
+    Returns
+    -------
+    str
+        What it says and its kind; a lack of memory in words.
+    """
+    said = " ".join(str(error).split())
+    if isinstance(error, MemoryError):
+        return f"out of memory{f' ({said})' if said else ''}: see free -m, and ulimit -v"
+    return f"ddic could not start ({type(error).__name__}: {said})"
+
+
+def _name_rank() -> str:
+    rank = find_rank()
+    return f"rank {rank}: " if rank else ""
+
+
+def _end(line: str, code: int) -> NoReturn:
+    if find_rank() is not None:
+        end_all_ranks(line, code)
+    sys.stderr.write(f"{line}\n")
+    sys.exit(code)
