@@ -7,6 +7,7 @@ import importlib
 import click
 
 from ddic import __version__
+from ddic.cli.address_space import require_address_space
 from ddic.cli.failed_start import failures_told
 
 COMMANDS = {
@@ -78,6 +79,7 @@ class LazyGroup(click.Group):
             What the command returns.
         """
         with failures_told(passed=(click.ClickException, click.exceptions.Exit, click.Abort)):
+            require_address_space()
             return super().invoke(ctx)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 
-from ddic.cli.address_space import require_address_space
 from ddic.cli.failed_start import failures_told
 from ddic.parallel.stop_request import StopRequest
 
@@ -16,7 +15,6 @@ def main() -> None:
         # Before the imports of a second or two, in which a rank that a signal ends would leave the others waiting.
         stop.note_signals()
     with failures_told():
-        require_address_space()
         from ddic.cli.app import main as command_line
 
     command_line(obj=stop)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, TextIO
 
 import click
 
+from ddic.cli.address_space import reserve_workspaces
 from ddic.cli.failed_start import failures_told
 from ddic.parallel.end_process import INTERRUPTED, is_launcher, silence_abort
 from ddic.parallel.stop_request import StopRequest
@@ -81,6 +82,7 @@ def _start(petsc_options: tuple[str, ...], stop: StopRequest) -> Team:
     from ddic.parallel.team import Team
 
     cv2.setNumThreads(1)
+    reserve_workspaces()
     team = replace(Team.world(), stop=stop)
     stop.has_begun = True
     return team
@@ -139,7 +141,7 @@ def _failed(team: Team, error: BaseException, petsc_options: tuple[str, ...]) ->
     from ddic.errors import ConvergenceError, DdicError, is_collective
 
     team.stop.is_over = True
-    if isinstance(error, KeyboardInterrupt) and team.stop.is_by_launcher:
+    if team.stop.is_by_launcher:
         # Which ends all ranks: another one has failed and says why, or the user has ended the launcher.
         os._exit(INTERRUPTED)
     everywhere = is_collective(error)

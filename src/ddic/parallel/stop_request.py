@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from types import FrameType
 from typing import TYPE_CHECKING, NoReturn
 
@@ -36,6 +37,9 @@ together they stay well below the ten seconds after which a batch system kills."
 _INTERRUPTING = signal.SIGALRM
 """Brings an interruption to the main thread; SIGINT may be ignored there, as in what a shell runs in the background."""
 
+_LATER = 0.01
+"""Seconds after which an interruption that was lost is sent again; a finalizer takes less."""
+
 _TOLD = "interrupted; no result was written"
 _STOPPED_EARLY = ("stopped by a signal before the first iteration", StoppedError.exit_code)
 
@@ -58,6 +62,9 @@ class StopRequest:
         Whether the run has ended, well or not, and needs no interruption.
     is_by_launcher : bool
         Whether it is the launcher that ends the run: another rank has failed and says why, or the user ended it.
+    before_end : callable
+        Called where the rank must end at once, from the thread that notes signals: what it removes goes even where the
+        main thread waits for other ranks.
     """
 
     asked: bool = False
@@ -66,6 +73,7 @@ class StopRequest:
     has_begun: bool = False
     is_over: bool = False
     is_by_launcher: bool = False
+    before_end: Callable[[], None] = field(default=lambda: None, repr=False)
 
     def note_signals(self) -> None:
         """Note signals from now on, in a thread of their own; call it before MPI starts its threads.
@@ -75,6 +83,7 @@ class StopRequest:
         """
         numbers = [*STOPPING, *(number for number in ENDING if signal.getsignal(number) != signal.SIG_IGN)]
         signal.signal(_INTERRUPTING, _interrupt)
+        sys.unraisablehook = self._take_up
         for number in numbers:
             # For a thread that began earlier and blocks nothing.
             signal.signal(number, lambda number, frame: self.note(number, 0))
@@ -104,12 +113,15 @@ class StopRequest:
         if self.is_over:
             return
         if not self.has_begun:
-            end_all_ranks(*(_STOPPED_EARLY if is_asked_to_stop else (_TOLD, INTERRUPTED)))
+            self._end(*(_STOPPED_EARLY if is_asked_to_stop else (_TOLD, INTERRUPTED)))
         now = time.monotonic()
         if now - self.ended_at >= REPEATED_AFTER and number in (signal.SIGTERM, *ENDING):
-            end_all_ranks(_TOLD, INTERRUPTED)
+            self._end(_TOLD, INTERRUPTED)
         if self._is_urgent(number, now) and self.ended_at == float("inf"):
             self.ended_at = now
+            if self.is_by_launcher:
+                # Which kills one second later, whatever the main thread does.
+                self.before_end()
             threading.Thread(target=self._interrupt_until_over, name="interruption", daemon=True).start()
 
     def _is_urgent(self, number: int, now: float) -> bool:
@@ -124,11 +136,23 @@ class StopRequest:
     def _interrupt_until_over(self) -> None:
         """Interrupt the main thread, and end the process where that does not."""
         for _ in range(N_INTERRUPTIONS):
-            signal.pthread_kill(threading.main_thread().ident or 0, _INTERRUPTING)
+            _interrupt_main_thread()
             time.sleep(BETWEEN)
             if self.is_over:
                 return
-        end_all_ranks(_TOLD, INTERRUPTED)
+        self._end(_TOLD, INTERRUPTED)
+
+    def _take_up(self, lost: sys.UnraisableHookArgs) -> None:
+        """Interrupt again where an interruption was lost in a finalizer; show all else that is lost there as ever."""
+        if not issubclass(lost.exc_type, KeyboardInterrupt):
+            sys.__unraisablehook__(lost)
+        elif not self.is_over:
+            # By a thread, a little later: not inside this function, where it would be lost as well.
+            threading.Timer(_LATER, _interrupt_main_thread).start()
+
+    def _end(self, line: str, code: int) -> NoReturn:
+        self.before_end()
+        end_all_ranks(line, code)
 
 
 def is_stop_asked(team: Team) -> bool:
@@ -164,6 +188,10 @@ def stop_if_asked(team: Team, when: str) -> None:
     """
     if is_stop_asked(team):
         raise as_collective(StoppedError(f"stopped by a signal {when}"))
+
+
+def _interrupt_main_thread() -> None:
+    signal.pthread_kill(threading.main_thread().ident or 0, _INTERRUPTING)
 
 
 def _receive(numbers: Sequence[int]) -> tuple[int, int]:

@@ -1,0 +1,66 @@
+"""A damaged HDF5 file holds no reader for ever; a good one is opened as it is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from ddic.errors import InputError
+from ddic.io.open_hdf5 import open_hdf5
+from support.commands import ddic
+
+HEAP = b"GCOL"
+"""Begins a collection of texts of variable length."""
+
+
+def _write(path: Path, values: np.ndarray, **options: object) -> Path:
+    with h5py.File(path, "w") as file:
+        file.attrs["title"] = "a text of variable length"
+        file.create_dataset("values", data=values, **options)
+        file["values"].attrs["unit"] = "px"
+    return path
+
+
+def _overwrite(path: Path, place: int, n_bytes: int) -> None:
+    content = bytearray(path.read_bytes())
+    content[place:place + n_bytes] = bytes(len(content[place:place + n_bytes]))
+    path.write_bytes(content)
+
+
+# What is zero from the first object's header on, or only from within its text on.
+@pytest.mark.parametrize("behind", [16, 40])
+def test_zeros_in_a_heap_are_found(tmp_path: Path, behind: int) -> None:
+    path = _write(tmp_path / "a.h5", np.arange(5000.0))
+    _overwrite(path, path.read_bytes().index(HEAP) + behind, 3000)
+    with pytest.raises(InputError, match="damaged: a part of it was overwritten"):
+        open_hdf5(path)
+
+
+def test_a_command_says_so(tmp_path: Path) -> None:
+    path = _write(tmp_path / "a.vtkhdf", np.arange(5000.0))
+    _overwrite(path, path.read_bytes().index(HEAP) + 16, 3000)
+    job = ddic("info", path)
+    assert job.code == 2
+    assert len(job.errors) == 1
+    assert job.errors[0].startswith(f"{path}: damaged")
+
+
+@pytest.mark.parametrize("options", [{}, {"chunks": (512,)}, {"chunks": (512,), "compression": "gzip"}])
+def test_a_good_file_is_opened(tmp_path: Path, options: dict[str, object]) -> None:
+    # Values that look like a collection with an object of no size: they are no part of the file's structure.
+    fake = HEAP + b"\1\0\0\0" + (4096).to_bytes(8, "little") + bytes(4080)
+    values = np.frombuffer(fake * 8)
+    path = _write(tmp_path / "a.h5", values, **options)
+    with open_hdf5(path) as file:
+        np.testing.assert_array_equal(file["values"][...], values)
+        assert file.attrs["title"] == "a text of variable length"
+
+
+def test_what_cannot_be_listed_is_damaged(tmp_path: Path) -> None:
+    path = _write(tmp_path / "a.h5", np.arange(5000.0))
+    _overwrite(path, path.read_bytes().index(b"SNOD"), 100)
+    with pytest.raises(InputError, match="damaged"):
+        open_hdf5(path)
