@@ -205,3 +205,10 @@ def test_examples_of_the_document_are_valid(tmp_path: Path) -> None:
     for block in blocks:
         (tmp_path / "case.toml").write_text(block if "[images]" in block else SMALLEST.partition("[mesh")[0] + block)
         load_case(tmp_path / "case.toml")
+
+
+@pytest.mark.parametrize("threads", ["1e23", "1025", "100000000000000000000000"])
+def test_threads_without_end_are_refused(tmp_path: Path, threads: str) -> None:
+    problems = _problems(tmp_path, SMALLEST + f"[solver]\nthreads = {threads}\n")
+    assert len(problems) == 1
+    assert problems[0].startswith("solver.threads = ")

@@ -306,8 +306,8 @@ writer.ResultWriter.write_pieces = slow
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("ranks", [0, 2])
+@pytest.mark.parametrize(("ranks", "number"), [
+    (0, signal.SIGINT), (0, signal.SIGTERM), (0, signal.SIGHUP), (2, signal.SIGINT), (2, signal.SIGTERM)])
 def test_an_interrupted_run_leaves_nothing(folder: Path, ranks: int, number: signal.Signals) -> None:
     signs = folder.parent
     with started(driven(SLOW.format(folder=str(signs)), folder), ranks) as process:

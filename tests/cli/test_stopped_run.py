@@ -37,8 +37,8 @@ def _send(process: subprocess.Popen[str], folder: Path, number: signal.Signals, 
 
 # Serial; mpiexec forwards SIGUSR1; a batch system may signal any of the ranks.
 @pytest.mark.parametrize(("ranks", "to", "number"), [
-    (0, 0, signal.SIGTERM), (0, 0, signal.SIGUSR1), (1, None, signal.SIGUSR1), (2, 0, signal.SIGTERM),
-    (2, 1, signal.SIGTERM), (3, 2, signal.SIGUSR1), (3, None, signal.SIGUSR1)])
+    (0, 0, signal.SIGTERM), (0, 0, signal.SIGUSR1), (0, 0, signal.SIGXCPU), (1, None, signal.SIGUSR1),
+    (2, 0, signal.SIGTERM), (2, 1, signal.SIGTERM), (3, 2, signal.SIGUSR1), (3, None, signal.SIGUSR1)])
 def test_the_last_field_is_kept(folder: Path, ranks: int, to: int | None, number: signal.Signals) -> None:
     (folder / "result.vtkhdf").write_text("an earlier result")
     with started(patient(folder), ranks) as process:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from typing import NoReturn
@@ -52,7 +53,7 @@ def interrupted(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Signals that would reach the main thread; the process would end by _EndedError."""
     numbers: list[int] = []
     monkeypatch.setattr(signal, "pthread_kill", lambda thread, number: numbers.append(number))
-    monkeypatch.setattr(stop_request, "end_all_ranks", _end)
+    monkeypatch.setattr(stop_request, "abort_all_ranks", _end)
     monkeypatch.setattr(stop_request, "BETWEEN", 0.0)
     # Interruptions are sent by a thread; what ends it here ends no process.
     monkeypatch.setattr(stop_request.threading, "Thread", _AtOnce)
@@ -148,3 +149,29 @@ def test_a_launcher_that_ends_is_obeyed_at_once(interrupted: list[int], monkeypa
     request.note(signal.SIGTERM, 7)
     assert interrupted == [0]
     assert request.is_by_launcher
+
+
+def test_an_interruption_that_a_finalizer_swallows_comes_again(monkeypatch: pytest.MonkeyPatch,
+                                                               capsys: pytest.CaptureFixture[str]) -> None:
+    again: list[int] = []
+    monkeypatch.setattr(stop_request, "_interrupt_main_thread", lambda: again.append(1))
+    monkeypatch.setattr(stop_request.threading, "Timer", lambda seconds, work: _AtOnce(work))
+    request = _begun()
+    monkeypatch.setattr(sys, "unraisablehook", request._take_up)
+    _lose(KeyboardInterrupt())
+    assert again == [1]
+    request.is_over = True
+    _lose(KeyboardInterrupt())
+    assert again == [1]
+    assert capsys.readouterr().err == ""
+    _lose(ValueError("of a finalizer"))
+    assert "of a finalizer" in capsys.readouterr().err
+
+
+def _lose(error: BaseException) -> None:
+    """Raise an error where nothing can catch it."""
+    class Lost:
+        def __del__(self) -> None:
+            raise error
+
+    Lost()

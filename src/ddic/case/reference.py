@@ -11,7 +11,7 @@ from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
-from annotated_types import Ge, Gt, Lt
+from annotated_types import Ge, Gt, Le, Lt
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
@@ -20,7 +20,7 @@ from ddic.errors import InputError
 
 HEAD = ("| key | type | default | unit | meaning |", "|---|---|---|---|---|")
 TABLE = re.compile(r"(?P<mark><!-- keys: ?(?P<section>[\w.]*) -->\n)(?:\|.*\n)*")
-COMPARISONS = {Gt: (">", "gt"), Ge: (">=", "ge"), Lt: ("<", "lt")}
+COMPARISONS = {Gt: (">", "gt"), Ge: (">=", "ge"), Lt: ("<", "lt"), Le: ("<=", "le")}
 PLAIN_TYPES = {bool: "true or false", int: "whole number", float: "number", str: "text", Path: "path"}
 
 

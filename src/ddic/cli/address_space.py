@@ -31,7 +31,7 @@ def require_address_space() -> None:
                         f"{LEAST_BYTES / 2**20:.0f} MiB and what the images take: raise the limit")
 
 
-def reserve_workspaces() -> None:
+def prepare_workspaces() -> None:
     """Let each library of linear algebra take its workspace while there is room; without a limit do nothing.
 
     numpy, scipy and PETSc bring one each. OpenBLAS takes it at its first product, and loops for ever without.

@@ -8,7 +8,7 @@ import click
 
 from ddic import __version__
 from ddic.cli.address_space import require_address_space
-from ddic.cli.failed_start import failures_told
+from ddic.cli.failed_start import failures_as_lines
 
 COMMANDS = {
     "run": "Measure the displacement between two images.",
@@ -78,7 +78,7 @@ class LazyGroup(click.Group):
         object
             What the command returns.
         """
-        with failures_told(passed=(click.ClickException, click.exceptions.Exit, click.Abort)):
+        with failures_as_lines(passed=(click.ClickException, click.exceptions.Exit, click.Abort)):
             require_address_space()
             return super().invoke(ctx)
 

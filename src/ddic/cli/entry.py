@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from ddic.cli.failed_start import failures_told
+from ddic.cli.failed_start import failures_as_lines
 from ddic.parallel.stop_request import StopRequest
 
 
@@ -14,7 +14,7 @@ def main() -> None:
     if sys.argv[1:2] == ["run"]:
         # Before the imports of a second or two, in which a rank that a signal ends would leave the others waiting.
         stop.note_signals()
-    with failures_told():
+    with failures_as_lines():
         from ddic.cli.app import main as command_line
 
     command_line(obj=stop)

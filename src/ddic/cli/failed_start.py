@@ -9,11 +9,11 @@ from contextlib import contextmanager
 from typing import NoReturn
 
 from ddic.errors import DdicError
-from ddic.parallel.end_process import INTERRUPTED, end_all_ranks, find_rank
+from ddic.parallel.abort_all_ranks import INTERRUPTED, abort_all_ranks, find_rank
 
 
 @contextmanager
-def failures_told(passed: tuple[type[BaseException], ...] = ()) -> Iterator[None]:
+def failures_as_lines(passed: tuple[type[BaseException], ...] = ()) -> Iterator[None]:
     """End the program where the block fails, with all ranks of its job: their end would wait for one another.
 
     Parameters
@@ -70,6 +70,6 @@ def _name_rank() -> str:
 
 def _end(line: str, code: int) -> NoReturn:
     if find_rank() is not None:
-        end_all_ranks(line, code)
+        abort_all_ranks(line, code)
     sys.stderr.write(f"{line}\n")
     sys.exit(code)

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, TextIO
 
 import click
 
-from ddic.cli.address_space import reserve_workspaces
-from ddic.cli.failed_start import failures_told
-from ddic.parallel.end_process import INTERRUPTED, is_launcher, silence_abort
+from ddic.cli.address_space import prepare_workspaces
+from ddic.cli.failed_start import failures_as_lines
+from ddic.parallel.abort_all_ranks import INTERRUPTED, is_launcher, prepare_abort
 from ddic.parallel.stop_request import StopRequest
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def run(stop: StopRequest | None, case_file: Path, petsc_options: tuple[str, ...
     if stop is None:  # by another way than the program's own beginning
         stop = StopRequest()
         stop.note_signals()
-    with failures_told():
+    with failures_as_lines():
         team = _start(petsc_options, stop)
     code = _run_everywhere(team, case_file, petsc_options, resume=resume)
     stop.is_over = True
@@ -69,7 +69,7 @@ def _is_number(word: str) -> bool:
 
 def _start(petsc_options: tuple[str, ...], stop: StopRequest) -> Team:
     """Import all that a run needs, and start MPI and PETSc with it; a failure from here on ends all ranks."""
-    silence_abort()
+    prepare_abort()
     # Imported here because MPI and PETSc start with them, which --help does not need.
     import cv2
     import petsc4py
@@ -82,7 +82,7 @@ def _start(petsc_options: tuple[str, ...], stop: StopRequest) -> Team:
     from ddic.parallel.team import Team
 
     cv2.setNumThreads(1)
-    reserve_workspaces()
+    prepare_workspaces()
     team = replace(Team.world(), stop=stop)
     stop.has_begun = True
     return team

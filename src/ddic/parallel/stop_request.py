@@ -13,7 +13,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, NoReturn
 
 from ddic.errors import StoppedError, as_collective
-from ddic.parallel.end_process import INTERRUPTED, end_all_ranks, is_launcher
+from ddic.parallel.abort_all_ranks import INTERRUPTED, abort_all_ranks, is_launcher
 
 if TYPE_CHECKING:
     from ddic.parallel.team import Team
@@ -152,7 +152,7 @@ class StopRequest:
 
     def _end(self, line: str, code: int) -> NoReturn:
         self.before_end()
-        end_all_ranks(line, code)
+        abort_all_ranks(line, code)
 
 
 def is_stop_asked(team: Team) -> bool:

@@ -42,12 +42,12 @@ def find_rank() -> int | None:
     return None
 
 
-def is_launcher(process: int) -> bool:
+def is_launcher(pid: int) -> bool:
     """Tell whether a process is one that starts ranks.
 
     Parameters
     ----------
-    process : int
+    pid : int
         Its number.
 
     Returns
@@ -56,21 +56,21 @@ def is_launcher(process: int) -> bool:
         False where it is gone, or this one.
     """
     try:
-        name = Path(f"/proc/{process}/comm").read_text(encoding="utf-8").strip()
+        name = Path(f"/proc/{pid}/comm").read_text(encoding="utf-8").strip()
     except OSError:
         return False
-    return process != os.getpid() and name in LAUNCHERS
+    return pid != os.getpid() and name in LAUNCHERS
 
 
-def silence_abort() -> None:
-    """Let an abort speak no lines of Open MPI's own, for ddic says why it ends; call it before MPI begins.
+def prepare_abort() -> None:
+    """Have an abort speak no lines of Open MPI's own, for ddic says why it ends; call it before MPI begins.
 
     Of the launcher's own messages none is lost; OMPI_MCA_orte_execute_quiet=0 in the environment brings all back.
     """
     os.environ.setdefault("OMPI_MCA_orte_execute_quiet", "1")
 
 
-def end_all_ranks(line: str, code: int) -> NoReturn:
+def abort_all_ranks(line: str, code: int) -> NoReturn:
     """Say why, and end this process and all ranks of its job; not collective.
 
     Nothing is finalised: the end of MPI waits for ranks that wait for this one. Where all ranks have the same to say,
