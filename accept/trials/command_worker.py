@@ -1,16 +1,20 @@
 """A process that runs commands of ddic one after the other, since starting one takes longer than refusing an input.
 
 Usage: python -m accept.trials.command_worker REQUESTS ANSWERS, two file descriptors. A request is a JSON line with
-"folder", "arguments" and "environment"; the answer one with "code" and "peak", bytes. What a command prints is in the
+"folder", "arguments" and "environment"; the answer one with "code" and "peak", bytes. A first answer, to no request,
+says that all is imported. What a command prints is in the
 files stdout and stderr beside its folder.
 """
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
+import importlib
 import json
 import os
 import resource
+import signal
 import sys
 import warnings
 from collections.abc import Iterator, Mapping
@@ -19,6 +23,11 @@ from typing import Any
 
 MOST_ADDRESSES = 6 << 30
 """Bytes of address space: what asks for more fails in this process and does not fill the machine."""
+
+PR_SET_PDEATHSIG = 1
+IMPORTED_LATER = ("ddic.problem.check_ranks", "ddic.io.plots.strain_map", "ddic.report.write_report",
+                  "ddic.methods.run_case", "ddic.io.plots.canvas")
+"""What commands import when they are called: no command's time holds it."""
 
 STDOUT, STDERR = "stdout", "stderr"
 
@@ -31,9 +40,16 @@ def serve(requests: int, answers: int) -> None:
     requests, answers : int
         File descriptors.
     """
+    # Who asks may be killed, and this process hang: neither would end the other.
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    for name in ("check", "crack", "export", "info", "opening", "plot", "probe", "report", "run", "sweep"):
+        importlib.import_module(f"ddic.cli.{name}")
+    for name in IMPORTED_LATER:
+        importlib.import_module(name)
     resource.setrlimit(resource.RLIMIT_AS, (MOST_ADDRESSES, MOST_ADDRESSES))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     with os.fdopen(requests, encoding="utf-8") as incoming, os.fdopen(answers, "w", encoding="utf-8") as outgoing:
+        print(json.dumps({"code": 0, "peak": 0}), file=outgoing, flush=True)
         for line in incoming:
             print(json.dumps(_answer(json.loads(line))), file=outgoing, flush=True)
 

@@ -166,4 +166,6 @@ def try_one(trial: Trial, good: Path, place: Path, run: Run) -> Verdict:
         faults += [f"{command[0]}: {fault}" for fault in wrong]
         codes.append(ended.code)
         peak = max(peak, ended.peak)
+        if ended.code == HUNG:
+            break
     return Verdict(trial, (*faults, *judge_codes(trial, codes)), tuple(codes), peak)

@@ -22,8 +22,8 @@ LIMIT_S = 20.0
 MOST_COMMANDS = 400
 """Commands of one process: what libraries keep of each would add up."""
 
-OF_FIRST_S = 100.0
-"""Seconds more for the first command of a process, which imports, and may compile, what later ones find."""
+TO_BEGIN_S = 120.0
+"""Seconds in which a process has to be there: it imports everything first."""
 
 
 @dataclass(frozen=True)
@@ -92,14 +92,18 @@ class Worker:
         return Ended(answer["code"], printed[0], printed[1], answer["peak"], time.perf_counter() - began)
 
     def _ask(self, request: Mapping[str, object]) -> dict[str, int]:
-        limit = LIMIT_S
         if self._process is None:
             self._begin()
-            limit += OF_FIRST_S
-        assert self._process is not None
+            ready = self._wait_for_answer(TO_BEGIN_S)
+            if ready["code"] != 0:
+                raise RuntimeError(f"the process that runs commands did not begin: {ready['code']}")
         self._n_commands += 1
         os.write(self._requests, (json.dumps(request) + "\n").encode())
-        deadline, received = time.perf_counter() + limit, b""
+        return self._wait_for_answer(LIMIT_S)
+
+    def _wait_for_answer(self, seconds: float) -> dict[str, int]:
+        """The next answer; how the process ended where none came."""
+        deadline, received = time.perf_counter() + seconds, b""
         while not received.endswith(b"\n"):
             left = deadline - time.perf_counter()
             if left <= 0 or not select.select([self._answers], [], [], left)[0]:
@@ -107,6 +111,7 @@ class Worker:
                 return {"code": HUNG, "peak": 0}
             chunk = os.read(self._answers, 65536)
             if not chunk:
+                assert self._process is not None
                 code = self._process.wait()
                 self._end()
                 return {"code": code, "peak": 0}
