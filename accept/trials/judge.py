@@ -61,11 +61,13 @@ def judge_end(ended: Ended) -> list[str]:
     return faults
 
 
-def judge_refusal(ended: Ended, before: State, after: State) -> list[str]:
+def judge_refusal(trial: Trial, ended: Ended, before: State, after: State) -> list[str]:
     """Find what is wrong with a refusal.
 
     Parameters
     ----------
+    trial : Trial
+        What was tried.
     ended : Ended
         With an exit code that is not 0.
     before, after : State
@@ -78,7 +80,7 @@ def judge_refusal(ended: Ended, before: State, after: State) -> list[str]:
     """
     faults = []
     lines = list_mistakes(ended.stderr)
-    if len(lines) != 1:
+    if not 1 <= len(lines) <= trial.n_mistakes:
         faults.append(f"{len(lines)} lines: {' | '.join(line[:120] for line in lines[:4])}")
     if len(ended.stderr) > MOST_CHARACTERS:
         faults.append(f"{len(ended.stderr)} characters are said")

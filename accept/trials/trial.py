@@ -11,6 +11,9 @@ from typing import Any, Literal
 CASE_FILE = "case.toml"
 ON_CASE: tuple[tuple[str, ...], ...] = (("check", CASE_FILE), ("run", CASE_FILE))
 
+Keys = tuple[str, ...]
+"""That lead to a value, from outside in."""
+
 Edit = Callable[[Path], None]
 """Changes files in the folder of a good case."""
 
@@ -49,6 +52,8 @@ class Trial:
         more than that the command ends in order, for damage that may leave a file whole.
     environment : mapping
         Variables of the environment that differ.
+    n_mistakes : int
+        Most lines that tell of them: each wrong entry of a list may have its own.
     """
 
     name: str
@@ -57,6 +62,7 @@ class Trial:
     commands: tuple[tuple[str, ...], ...] = ON_CASE
     expected: Expected = "refused or measured"
     environment: Mapping[str, str] = field(default_factory=dict)
+    n_mistakes: int = 1
 
     def write(self, folder: Path) -> None:
         """Write the case file and change what is beside it.

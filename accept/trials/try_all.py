@@ -162,7 +162,7 @@ def try_one(trial: Trial, good: Path, place: Path, run: Run) -> Verdict:
         ended = run(inside, command, trial)
         wrong = judge_end(ended)
         if not wrong and ended.code != 0 and trial.expected != "ends":
-            wrong = judge_refusal(ended, before, look_at(inside))
+            wrong = judge_refusal(trial, ended, before, look_at(inside))
         faults += [f"{command[0]}: {fault}" for fault in wrong]
         codes.append(ended.code)
         peak = max(peak, ended.peak)
