@@ -101,7 +101,9 @@ def _write_mesh(folder: Path) -> None:
     corner = (np.arange(4)[:, None] * 5 + np.arange(4)).ravel()
     quads = np.stack([corner, corner + 1, corner + 6, corner + 5], axis=1)
     points = np.stack([x.ravel(), y.ravel(), np.zeros(25)], axis=1)
-    meshio.Mesh(points, [("quad", quads)]).write(folder / "mesh.msh", file_format="gmsh22", binary=False)
+    tags = [np.zeros(len(quads), int)]
+    mesh = meshio.Mesh(points, [("quad", quads)], cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags})
+    mesh.write(folder / "mesh.msh", file_format="gmsh22", binary=False)
     (folder / "partition.txt").write_text("# of each cell\n" + "\n".join(str(k // 8) for k in range(16)) + "\n")
     (folder / "points.csv").write_text("x,y,u,v\n20,20,1.3,-0.7\n70,20,1.3,-0.7\n40,70,1.3,-0.7\n")
     (folder / "probes.toml").write_text("[point.A]\nat = [40, 40]\n")

@@ -12,6 +12,9 @@ MOST_BYTES = 2 << 30
 """Memory of a command."""
 
 REFUSED, MEASURED, NOT_CONVERGED = 2, 0, 1
+WANTED: Mapping[str, tuple[int, ...]] = {
+    "refused": (REFUSED,), "refused or measured": (REFUSED, MEASURED), "may fail": (REFUSED, MEASURED, NOT_CONVERGED),
+}
 MOST_CHARACTERS = 6000
 """Of all that is said of one mistake: a name may be 4096 long."""
 
@@ -126,7 +129,7 @@ def judge_codes(trial: Trial, codes: Sequence[int]) -> Iterable[str]:
     if trial.expected == "ends":
         return
     for command, code in zip(trial.commands, codes, strict=False):
-        wanted = (REFUSED,) if trial.expected == "refused" else (REFUSED, MEASURED)
+        wanted = WANTED[trial.expected]
         if code not in wanted and code >= 0:
             yield f"{command[0]}: exit code {code}, {' or '.join(map(str, wanted))} expected"
     by_name = {command[0]: code for command, code in zip(trial.commands, codes, strict=False)}

@@ -17,7 +17,7 @@ Keys = tuple[str, ...]
 Edit = Callable[[Path], None]
 """Changes files in the folder of a good case."""
 
-Expected = Literal["refused", "refused or measured", "ends"]
+Expected = Literal["refused", "refused or measured", "may fail", "ends"]
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,8 @@ class Trial:
     commands : tuple of tuple of str
         Arguments of ``ddic``, one command after the other.
     expected : str
-        "refused": exit code 2; "refused or measured": 0 with a result where the input is legal after all; "ends": no
+        "refused": exit code 2; "refused or measured": 0 with a result where the input is legal after all; "may
+        fail": 1 too, where it is legal and shows nothing that could be measured; "ends": no
         more than that the command ends in order, for damage that may leave a file whole.
     environment : mapping
         Variables of the environment that differ.

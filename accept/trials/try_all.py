@@ -155,7 +155,10 @@ def try_one(trial: Trial, good: Path, place: Path, run: Run) -> Verdict:
     shutil.rmtree(place, ignore_errors=True)
     inside = place / "inside"
     shutil.copytree(good, inside)
-    trial.write(inside)
+    try:
+        trial.write(inside)
+    except Exception as error:
+        return Verdict(trial, (f"could not be tried: {type(error).__name__}: {error}",), (), 0)
     faults, codes, peak = [], [], 0
     for command in trial.commands:
         before = look_at(inside)

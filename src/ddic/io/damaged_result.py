@@ -55,7 +55,7 @@ def read_array(dataset: Any) -> NDArray[Any]:
     Returns
     -------
     array
-        Its values.
+        Its values, of the dataset's shape.
 
     Raises
     ------
@@ -92,8 +92,8 @@ def require_sound_pieces(grid: Mapping[str, NDArray[Any]], n_stored: int) -> Non
 
     Parameters
     ----------
-    grid : mapping
-        Arrays NumberOfPoints, NumberOfCells, NumberOfConnectivityIds, Offsets, Connectivity and Types.
+    grid : dict of (n,) arrays
+        NumberOfPoints, NumberOfCells, NumberOfConnectivityIds, Offsets, Connectivity and Types.
     n_stored : int
         Points of all pieces.
 
@@ -142,8 +142,8 @@ def require_sound_fields(fields: Mapping[str, NDArray[Any]], n_rows: int) -> Non
 
     Parameters
     ----------
-    fields : mapping
-        Arrays by name.
+    fields : dict of (n_rows,), (n_rows, 3) or (n_rows, 6) arrays
+        By name.
     n_rows : int
         Of each.
 
@@ -162,7 +162,7 @@ def require_sound_ids(point_data: Mapping[str, NDArray[Any]], cell_data: Mapping
 
     Parameters
     ----------
-    point_data, cell_data : mapping
+    point_data, cell_data : dict of (n,), (n, 3) or (n, 6) arrays
         Fields of all pieces.
 
     Raises
