@@ -74,7 +74,7 @@ BAD_PATHS: Mapping[str, BadPath] = {
     "unreadable": BadPath(NAME, (_make_unreadable,), is_refused=False, for_output=False),
     "NUL": BadPath("a\0b"),
     "too long a name": BadPath("a" * 300),
-    "too long a path": BadPath("a/" * 3000),
+    "too long a path": BadPath("a/" * 2100),
     "a loop of links": BadPath(NAME, (_make_loop,)),
     "a link to nothing": BadPath(NAME, (_make_dangling,)),
     "a pipe": BadPath(NAME, (_make_pipe,)),
