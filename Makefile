@@ -14,7 +14,7 @@ SIZE ?= 22000
 
 .PHONY: help setup demo test test-slurm test-hosts lint docs bench bench-iterations bench-interface bench-paper bench-peers bench-big bench-scaling \
 	bench-threads accept-core accept-solver accept-performance accept-near-far accept-house accept-right accept-xdic accept-start accept-pgd \
-	accept-impressions accept-practice smoke clean
+	accept-impressions accept-practice accept-faults trials smoke clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -111,6 +111,12 @@ accept-impressions: setup ## measure the table of first impressions: the chosen 
 
 accept-practice: setup ## measure the table of daily work: series, clusters, uncertainty, recommended settings, the report (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.practice $(CHECK)
+
+accept-faults: setup ## measure the table of faults: bad inputs, damaged files, killed runs (CHECK=NAME: one check)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.faults --jobs $(JOBS) $(CHECK)
+
+trials: setup ## try bad inputs and damaged files (ARGS="--sample 40": some; ARGS=mesh.file: those of a name)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.trials --jobs $(JOBS) $(ARGS)
 
 smoke: setup ## run every check of every acceptance table on tiny cases: minutes, no bound is judged
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.smoke

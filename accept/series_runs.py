@@ -209,7 +209,7 @@ def measure_killed(scale: Scale) -> list[Row]:
     for victim in ("rank", "mpirun"):
         path = folder / f"{victim}.toml"
         path.write_text(f'{case}\n[output]\nfile = "{victim}.vtkhdf"\n', encoding="utf-8")
-        gone = _kill_in_the_middle(path, victim)
+        gone = kill_in_frame(path, KILLED_FRAME, victim)
         n_left = len(list((folder / f"{victim}.frames").glob("*.vtkhdf")))
         mpirun(2, ddic_command(), "run", str(path), "--resume")
         _, differing = find_unequal_datasets(folder / "whole.vtkhdf", folder / f"{victim}.vtkhdf")
@@ -224,14 +224,38 @@ def measure_killed(scale: Scale) -> list[Row]:
     return rows
 
 
-def _kill_in_the_middle(case: Path, victim: str) -> float:
-    """Kill when a frame begins; returns the seconds until every process is gone."""
-    process = subprocess.Popen(_command(case), cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-                               env=environment())
+def kill_in_frame(case: Path, frame: int, victim: str = "rank", *words: str) -> float:
+    """Kill a run on 2 ranks when a frame begins.
+
+    Parameters
+    ----------
+    case : Path
+        Case file of a series.
+    frame : int
+        Number of the frame.
+    victim : str, optional
+        "rank" for the last rank, else the launcher.
+    *words : str
+        Of ``ddic run``.
+
+    Returns
+    -------
+    float
+        Seconds until every process was gone.
+
+    Raises
+    ------
+    RuntimeError
+        Where processes were still there after a minute, or the run ended before that frame.
+    """
+    process = subprocess.Popen(_command(case, *words), cwd=ROOT, text=True, stdout=subprocess.PIPE,
+                               stderr=subprocess.DEVNULL, env=environment())
     assert process.stdout is not None
     for line in process.stdout:
-        if line.startswith(f"frame {KILLED_FRAME} of"):
+        if line.startswith(f"frame {frame} of"):
             break
+    else:
+        raise RuntimeError(f"{case} ended with {process.wait()} before frame {frame}")
     family = psutil.Process(process.pid).children(recursive=True)
     ranks = _list_ranks(process.pid)
     launchers = [child for child in family if child.pid not in {rank.pid for rank in ranks}]

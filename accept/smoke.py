@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 
-from accept import core, house, impressions, near_far, performance, pgd, practice, right, solver, start, xdic
+from accept import core, faults, house, impressions, near_far, performance, pgd, practice, right, solver, start, xdic
 from accept.table import Check, run_table
 
 TABLES: dict[str, Mapping[str, Check]] = {
@@ -24,6 +24,7 @@ TABLES: dict[str, Mapping[str, Check]] = {
     "pgd": pgd.CHECKS,
     "impressions": impressions.CHECKS,
     "practice": practice.CHECKS,
+    "faults": faults.CHECKS,
 }
 N_JOBS = "2"
 """Processes at a time of checks that count and do not time."""

@@ -9,13 +9,18 @@ import h5py
 import meshio
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from ddic.cli.info import info
+from ddic.cli.plot import plot
 from ddic.errors import InputError
+from ddic.io.damaged_result import require_known_displacement
 from ddic.io.result_reader import displacement_at, read_result
 from ddic.io.result_schema import flip_components
+from ddic.io.series_reader import is_series_file
 from ddic.mesh.mesh import Mesh
 
 Write = Callable[..., Path]
@@ -183,3 +188,99 @@ def test_a_file_cut_short_is_an_input_error(tmp_path: Path, write_result: Write)
     path.write_bytes(path.read_bytes()[:5000])
     with pytest.raises(InputError, match=r"r\.vtkhdf"):
         read_result(path)
+
+
+def _remove_node_numbers(file: h5py.File) -> None:
+    del file["VTKHDF/PointData/GlobalNodeId"]
+
+
+def _lead_to_no_node(file: h5py.File) -> None:
+    file["VTKHDF/Connectivity"][0] = -1
+
+
+def _shift_cells(file: h5py.File) -> None:
+    file["VTKHDF/Offsets"][1] = 3
+
+
+def _lose_points(file: h5py.File) -> None:
+    points = file["VTKHDF/Points"][...]
+    del file["VTKHDF/Points"]
+    file["VTKHDF/Points"] = points[:-1]
+
+
+def _move_a_node_away(file: h5py.File) -> None:
+    file["VTKHDF/Points"][0] = 1e300
+
+
+def _displace_without_end(file: h5py.File) -> None:
+    file["VTKHDF/PointData/displacement"][0] = np.inf
+
+
+def _write_words(file: h5py.File) -> None:
+    del file["VTKHDF/PointData/displacement"]
+    file["VTKHDF/PointData/displacement"] = ["a", "b"]
+
+
+def _claim_gigabytes(file: h5py.File) -> None:
+    # 80 GB of which nothing was written.
+    del file["VTKHDF/Points"]
+    file.create_dataset("VTKHDF/Points", (10**10,), "f8", chunks=(1000,))
+
+
+def _break_the_case(file: h5py.File) -> None:
+    file["case"].attrs["json"] = '{"title": "'
+
+
+@pytest.mark.parametrize("damage", [
+    _remove_node_numbers, _lead_to_no_node, _shift_cells, _lose_points, _move_a_node_away, _displace_without_end,
+    _write_words, _claim_gigabytes, _break_the_case])
+def test_a_result_that_is_not_of_one_piece_is_refused_in_a_line(tmp_path: Path, write_result: Write,
+                                                                damage: Callable[[h5py.File], None]) -> None:
+    path = write_result(tmp_path / "r.vtkhdf")
+    with h5py.File(path, "r+") as file:
+        damage(file)
+    with pytest.raises(InputError) as refused:
+        read_result(path)
+    assert len(refused.value.problems) == 1
+    assert str(path) in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_damaged_residual_image_is_an_input_error(tmp_path: Path, write_result: Write) -> None:
+    path = write_result(tmp_path / "r.vtkhdf")
+    with h5py.File(path, "r+") as file:
+        begin, length = file["residual_image/residual"].id.get_chunk_info(0)[2:]
+    content = bytearray(path.read_bytes())
+    content[begin:begin + length] = bytes(length)
+    path.write_bytes(content)
+    result = read_result(path)
+    with pytest.raises(InputError, match=r"r\.vtkhdf"):
+        _ = result.residual_image
+
+
+def test_a_start_from_a_result_with_numbers_lost_is_refused(tmp_path: Path, write_result: Write) -> None:
+    path = write_result(tmp_path / "r.vtkhdf")
+    with h5py.File(path, "r+") as file:
+        file["VTKHDF/CellData/residual_n_pixels"][...] = 100
+        file["VTKHDF/CellData/excluded"][...] = 0
+    require_known_displacement(read_result(path))
+    with h5py.File(path, "r+") as file:
+        file["VTKHDF/PointData/displacement"][3] = np.nan
+    with pytest.raises(InputError, match="1 nodes of cells that were measured have no displacement"):
+        require_known_displacement(read_result(path))
+    with h5py.File(path, "r+") as file:
+        file["VTKHDF/PointData/displacement"][...] = np.nan
+    with pytest.raises(InputError, match="no displacement of any node"):
+        require_known_displacement(read_result(path))
+
+
+def test_a_damaged_series_is_read_as_a_line_and_not_as_an_error_of_the_folder(tmp_path: Path,
+                                                                              write_result: Write) -> None:
+    path = write_result(tmp_path / "r.vtkhdf")
+    path.write_bytes(path.read_bytes()[:5000])
+    assert not is_series_file(path)
+    for command in (info, plot):
+        outcome = CliRunner().invoke(command, [str(path)])
+        assert outcome.exit_code == 2
+        assert "not a readable ddic result file" in outcome.stderr
+        assert len(outcome.stderr.splitlines()) == 1

@@ -24,7 +24,7 @@ def export(file: Path, frame: int | None, table: Path | None) -> None:
     from ddic.probes.field_tables import write_field_tables
 
     of_frame = "" if frame is None else f".frame_{frame}"
-    target = file.with_name(f"{file.stem}{of_frame}.csv") if table is None else table
+    target = file.parent / f"{file.stem}{of_frame}.csv" if table is None else table
     with errors_as_lines(target):
         with warnings_as_lines():
             result = read_frame(file, frame)

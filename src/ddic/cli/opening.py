@@ -33,7 +33,7 @@ def opening(file: Path, frame: int | None, output: Path | None) -> None:
     from ddic.io.replace_on_exit import replaced_on_exit
 
     of_frame = "" if frame is None else f".frame_{frame}"
-    target = file.with_name(f"{file.stem}{of_frame}.opening.csv") if output is None else output
+    target = file.parent / f"{file.stem}{of_frame}.opening.csv" if output is None else output
     with errors_as_lines(target):
         with warnings_as_lines():
             result = read_frame(file, frame)

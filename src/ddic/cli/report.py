@@ -27,7 +27,7 @@ def report(file: Path, image: Path | None, frame: int | None, output: Path | Non
     from ddic.io.frame_of_series import read_frame_or_last
     from ddic.report.write_report import write_report
 
-    target = file.with_name(f"{file.stem}.report.html") if output is None else output
+    target = file.parent / f"{file.stem}.report.html" if output is None else output
     with errors_as_lines(target), warnings_as_lines():
         result, _ = read_frame_or_last(file, frame)
         write_report(result, target, image)

@@ -15,6 +15,16 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
+from ddic.io.damaged_result import (
+    READ_ERRORS,
+    describe_damage,
+    read_array,
+    require_sound_attributes,
+    require_sound_fields,
+    require_sound_ids,
+    require_sound_pieces,
+    require_sound_values,
+)
 from ddic.io.mesh_export import to_meshio, to_pyvista
 from ddic.io.open_hdf5 import open_hdf5
 from ddic.mesh.interpolation import differentiate_shapes_at, interpolate, locate
@@ -22,6 +32,8 @@ from ddic.mesh.mesh import Mesh
 from ddic.mesh.shapes import pad_cells
 from ddic.separated.line_elements import LineElements
 from ddic.separated.separated_field import SeparatedField
+
+GRID = ("NumberOfPoints", "NumberOfCells", "NumberOfConnectivityIds", "Offsets", "Connectivity", "Types")
 
 SAME_NODE_PX = 1e-9
 """Distance, pixels, from a node below which a point is that node: rounding of coordinates."""
@@ -160,7 +172,7 @@ class Result:
     @cached_property
     def residual_image(self) -> NDArray[np.float32] | None:
         """The residual image (height, width), grey levels, read at first use; None if it was not written."""
-        with open_hdf5(self.path) as file:
+        with opened_result(self.path) as (_, file):
             return _read_residual_image(file)
 
 
@@ -223,8 +235,9 @@ def opened_result(path: Path | str) -> Iterator[tuple[Path, Any]]:
         with open_hdf5(path) as file:
             check_schema(path, file)
             yield path, file
-    except (OSError, KeyError, ValueError, IndexError) as error:
-        raise InputError(f"{path}: not a readable ddic result file ({error}); run ddic again") from error
+    except READ_ERRORS as error:
+        raise InputError(f"{path}: not a readable ddic result file ({describe_damage(error)}); run ddic again"
+                         ) from error
 
 
 def displacement_at(result: Result, points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -337,23 +350,31 @@ def read_open_file(path: Path, file: Any) -> Result:
         The measured field.
     """
     flipped = str(file.attrs["y_axis"]) == "up"
-    points = _unflipped(file[schema.VTKHDF]["Points"][...], flipped)
+    grid = {name: read_array(file[schema.VTKHDF][name]) for name in GRID}
+    points = _unflipped(read_array(file[schema.VTKHDF]["Points"]), flipped)
     point_data = _fields(file[schema.POINT_DATA], flipped)
     cell_data = _fields(file[schema.CELL_DATA], flipped)
-    merged = merge_pieces(file[schema.VTKHDF], points, point_data[schema.GLOBAL_NODE_ID],
-                          cell_data[schema.GLOBAL_CELL_ID])
+    require_sound_pieces(grid, len(points))
+    require_sound_fields({"Points": points, **point_data}, len(points))
+    require_sound_fields(cell_data, len(grid["Types"]))
+    require_sound_ids(point_data, cell_data)
+    merged = merge_pieces(grid, points, point_data[schema.GLOBAL_NODE_ID], cell_data[schema.GLOBAL_CELL_ID])
     at_nodes = {name: values[merged.points] for name, values in point_data.items()}
     on_cells = {name: values[merged.cells] for name, values in cell_data.items()}
+    displacement = np.ascontiguousarray(at_nodes[schema.DISPLACEMENT][:, :2])
+    require_sound_values(merged.mesh.nodes, displacement)
+    attributes = {name: dict(file[name].attrs) for name in file if schema.has_attributes(name)}
+    require_sound_attributes(attributes)
     result = Result(
         path=path,
         mesh=merged.mesh,
-        displacement=np.ascontiguousarray(at_nodes[schema.DISPLACEMENT][:, :2]),
+        displacement=displacement,
         point_data=at_nodes,
         cell_data=on_cells,
         subdomain_ids=on_cells[schema.SUBDOMAIN_ID].astype(np.int64),
         gauss_newton=_arrays(file, schema.GAUSS_NEWTON),
         krylov=tuple(_arrays(file, schema.KRYLOV).values()),
-        attributes={name: dict(file[name].attrs) for name in file if schema.has_attributes(name)},
+        attributes=attributes,
         flipped=flipped,
         corrections=_arrays(file, schema.CORRECTIONS),
         separated=_read_separated(file),
@@ -379,7 +400,7 @@ def _read_residual_image(file: Any) -> NDArray[np.float32] | None:
     """The first residual image of an open file; None if there is none."""
     if schema.RESIDUAL_IMAGE not in file:
         return None
-    return np.asarray(file[schema.RESIDUAL_IMAGE][schema.RESIDUAL], np.float32)
+    return read_array(file[schema.RESIDUAL_IMAGE][schema.RESIDUAL]).astype(np.float32, copy=False)
 
 
 @dataclass(frozen=True)
@@ -401,13 +422,13 @@ class MergedPieces:
     cells: NDArray[np.intp]
 
 
-def merge_pieces(group: Any, points: NDArray[np.float64], global_node_ids: NDArray[np.int64],
+def merge_pieces(grid: Mapping[str, NDArray[Any]], points: NDArray[np.float64], global_node_ids: NDArray[np.int64],
                  global_cell_ids: NDArray[np.int64]) -> MergedPieces:
     """Merge the pieces of a file to one mesh.
 
     Parameters
     ----------
-    group : mapping of str to dataset or array
+    grid : mapping of str to (n,) array
         The geometry of the file by name.
     points : (n_points, 3) array
         Of all pieces, with the axes wanted; pixels.
@@ -425,15 +446,14 @@ def merge_pieces(group: Any, points: NDArray[np.float64], global_node_ids: NDArr
     first_copy = np.unique(global_node_ids, return_index=True)[1]
     node_ids = np.searchsorted(global_node_ids[first_copy], global_node_ids)
     order = np.argsort(global_cell_ids, kind="stable")
-    return MergedPieces(_merge_mesh(group, points[first_copy, :2], node_ids, order), first_copy, order)
+    return MergedPieces(_merge_mesh(grid, points[first_copy, :2], node_ids, order), first_copy, order)
 
 
-def _merge_mesh(group: Any, nodes: NDArray[np.float64], node_ids: NDArray[np.int64],
+def _merge_mesh(grid: Mapping[str, NDArray[Any]], nodes: NDArray[np.float64], node_ids: NDArray[np.int64],
                 order: NDArray[np.intp]) -> Mesh:
     """The whole mesh; node_ids: number in ``nodes`` of each stored point; order: of the stored cells."""
-    n_points, n_cells = group["NumberOfPoints"][...], group["NumberOfCells"][...]
-    n_ids = group["NumberOfConnectivityIds"][...]
-    offsets, connectivity = group["Offsets"][...], group["Connectivity"][...]
+    n_points, n_cells, n_ids = (grid[name] for name in ("NumberOfPoints", "NumberOfCells", "NumberOfConnectivityIds"))
+    offsets, connectivity = grid["Offsets"], grid["Connectivity"]
     connectivity = node_ids[connectivity + np.repeat(np.cumsum(n_points) - n_points, n_ids)]
     # Each piece has n_cells + 1 offsets: all but its last are the starts of its cells.
     last = np.cumsum(n_cells + 1) - 1
@@ -443,12 +463,12 @@ def _merge_mesh(group: Any, nodes: NDArray[np.float64], node_ids: NDArray[np.int
     new_offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
     picked = np.arange(new_offsets[-1]) + np.repeat(starts - new_offsets[:-1], counts)
     return Mesh(np.ascontiguousarray(nodes), connectivity[picked].astype(np.int64), new_offsets,
-                group["Types"][...][order].astype(np.uint8))
+                grid["Types"][order].astype(np.uint8))
 
 
 def _fields(group: Any, flipped: bool) -> dict[str, NDArray[Any]]:
     """All datasets of a group, y down."""
-    return {name: _unflipped(data[...], flipped and _has_axes_of_image(data)) for name, data in group.items()}
+    return {name: _unflipped(read_array(data), flipped and _has_axes_of_image(data)) for name, data in group.items()}
 
 
 def _has_axes_of_image(data: Any) -> bool:
@@ -465,4 +485,4 @@ def _arrays(file: Any, group: str) -> dict[str, NDArray[Any]]:
     """All datasets of a group; none where there is no such group."""
     if group not in file:
         return {}
-    return {name: data[...] for name, data in file[group].items()}
+    return {name: read_array(data) for name, data in file[group].items()}

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.io import result_schema as schema
-from ddic.io.open_hdf5 import open_hdf5
+from ddic.io.result_reader import opened_result
 from ddic.io.series_reader import SeriesResult
 
 Array = NDArray[np.float64]
@@ -29,7 +29,7 @@ def find_displacement_range(series: SeriesResult) -> tuple[Array, Array]:
         Pixels, y down; nan where no node was measured.
     """
     low, high = np.full(2, np.nan), np.full(2, np.nan)
-    with open_hdf5(series.path) as file:
+    with opened_result(series.path) as (_, file):
         stored = file[schema.POINT_DATA][schema.DISPLACEMENT]
         for begin in range(0, len(stored), ROWS):
             displacement = stored[begin:begin + ROWS, :2]

@@ -12,7 +12,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.errors import InputError
 from ddic.io import result_schema as schema
+from ddic.io.damaged_result import READ_ERRORS
 from ddic.io.open_hdf5 import open_hdf5
 from ddic.io.result_reader import Result, opened_result, read_open_file, read_result
 
@@ -82,12 +84,16 @@ def is_series_file(path: Path) -> bool:
     Returns
     -------
     bool
-        False for what is no file, no HDF5 or the result of a pair.
+        False for what is no file, no HDF5, damaged or the result of a pair.
     """
     if not path.is_file() or not h5py.is_hdf5(path):
         return False
-    with open_hdf5(path) as file:
-        return schema.STEPS in file
+    try:
+        with open_hdf5(path) as file:
+            return schema.STEPS in file
+    except (InputError, *READ_ERRORS):
+        # Whoever reads it says what is wrong with it.
+        return False
 
 
 def read_series(path: Path | str) -> SeriesResult:

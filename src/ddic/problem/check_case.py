@@ -14,6 +14,7 @@ from ddic.case.schema import Case
 from ddic.case.unused_keys import list_unused_keys
 from ddic.errors import InputError
 from ddic.images.source import ImageSource
+from ddic.io.damaged_result import require_known_displacement
 from ddic.io.frame_of_series import read_frame_or_last
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
@@ -62,7 +63,7 @@ def check_case(loaded: LoadedCase, count_pixels: PixelCounter | None = None) -> 
         check_output(loaded)
     with problems.gathered():
         if case.start.from_result is not None:
-            read_frame_or_last(case.start.from_result, case.start.frame, "start.frame =")
+            require_known_displacement(read_frame_or_last(case.start.from_result, case.start.frame, "start.frame =")[0])
     points = _check_start_points(loaded, reference, problems)
     if case.pgd is not None:
         if reference is None:

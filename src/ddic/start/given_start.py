@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from ddic.case.schema import StartSection
 from ddic.errors import InputError
+from ddic.io.damaged_result import require_known_displacement
 from ddic.io.frame_of_series import read_frame_or_last
 from ddic.io.result_reader import SAME_NODE_PX, Result, evaluate_on_sides
 from ddic.io.result_schema import near_group
@@ -179,7 +180,9 @@ def load_given_start(section: StartSection) -> GivenStart | None:
         Where a file is missing or holds something else.
     """
     if section.from_result is not None:
-        return keep_displacement(*read_frame_or_last(section.from_result, section.frame, "start.frame ="))
+        result, name = read_frame_or_last(section.from_result, section.frame, "start.frame =")
+        require_known_displacement(result)
+        return keep_displacement(result, name)
     return load_start_points(section)
 
 

@@ -1,0 +1,111 @@
+"""What ddic does with inputs that are wrong, and with files that are damaged: ``accept/trials`` as rows."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Sequence
+
+from accept.table import Scale
+from accept.trials.command_trials import list_command_trials
+from accept.trials.file_trials import list_file_trials
+from accept.trials.mutants import DAMAGED, list_mutants
+from accept.trials.schema_trials import list_schema_trials
+from accept.trials.trial import ON_CASE, Trial
+from accept.trials.try_all import Verdict, try_all, try_apart
+from accept.trials.watched_worker import LIMIT_S
+from bench.support.rows import Row, append_result
+
+FEWEST_KINDS, N_MUTANTS = 450, 300
+EVERY_APART = 60
+"""Of so many kinds on case files one is tried once more, each command a process of its own, on one and two ranks."""
+
+SMOKE_KINDS, SMOKE_MUTANTS, SMOKE_APART = 40, 3, 1
+SEED = 18
+SHOWN = 5
+"""Names that a row shows."""
+
+
+def list_bad_inputs() -> list[Trial]:
+    """List all kinds of bad input.
+
+    Returns
+    -------
+    list of Trial
+        Of the schema's keys, of files, of command lines.
+    """
+    return [*list_schema_trials(), *list_file_trials(), *list_command_trials()]
+
+
+def choose_sample(trials: Sequence[Trial], n_chosen: int) -> list[Trial]:
+    """Choose some trials, the same ones each time.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        To choose from.
+    n_chosen : int
+        How many at most.
+
+    Returns
+    -------
+    list of Trial
+        In their order.
+    """
+    numbers = random.Random(SEED).sample(range(len(trials)), min(n_chosen, len(trials)))
+    return [trials[number] for number in sorted(numbers)]
+
+
+def measure_bad_inputs(scale: Scale) -> list[Row]:
+    """Try every kind of bad input, and some as a user does: in processes of their own, on two ranks.
+
+    Parameters
+    ----------
+    scale : Scale
+        A smoke run takes a sample.
+
+    Returns
+    -------
+    list of Row
+        One for those in processes that stay, one for each number of ranks.
+    """
+    trials, folder = list_bad_inputs(), scale.folder("trials")
+    of_cases = [trial for trial in trials if trial.commands == ON_CASE]
+    apart = choose_sample(of_cases, SMOKE_APART if scale.smoke else len(of_cases) // EVERY_APART)
+    bound = "exit code 2, or a measured result; one line a mistake; no traceback; nothing written; check and run agree"
+    tried = choose_sample(trials, SMOKE_KINDS) if scale.smoke else trials
+    rows = [_row(f"{len(tried)} kinds of bad input, at least {FEWEST_KINDS}", bound, try_all(tried, folder, scale.jobs),
+                 len(tried) >= FEWEST_KINDS)]
+    for n_ranks in (0, 2):
+        where = f"run on {n_ranks} ranks" if n_ranks else "each command a process"
+        rows.append(_row(f"{len(apart)} of them, {where}", bound, try_apart(apart, folder, n_ranks)))
+    return rows
+
+
+def measure_mutants(scale: Scale) -> list[Row]:
+    """Damage files of every format at random and give them to the commands that read them.
+
+    Parameters
+    ----------
+    scale : Scale
+        A smoke run takes a few of each.
+
+    Returns
+    -------
+    list of Row
+        One for each format.
+    """
+    n_mutants = SMOKE_MUTANTS if scale.smoke else N_MUTANTS
+    mutants = [trial for kind in DAMAGED for trial in list_mutants(kind, n_mutants)]
+    verdicts = try_all(mutants, scale.folder("trials"), scale.jobs)
+    bound = f"no crash, no traceback, no hang over {LIMIT_S:g} s, memory below 2 GiB"
+    return [_row(f"{n_mutants} damaged files: {kind}", bound, verdicts[first:first + n_mutants])
+            for kind, first in zip(DAMAGED, range(0, len(mutants), n_mutants), strict=True)]
+
+
+def _row(check: str, bound: str, verdicts: Sequence[Verdict], enough: bool = True) -> Row:
+    wrong = [verdict for verdict in verdicts if verdict.faults]
+    append_result("trials", {"check": check, "wrong": {one.trial.name: one.faults for one in wrong}})
+    shown = "".join(f"; {verdict.trial.name}: {verdict.faults[0][:160]}" for verdict in wrong[:SHOWN])
+    peak = max((verdict.peak for verdict in verdicts), default=0)
+    memory = f", {peak / 2**20:.0f} MiB at most" if peak else ""
+    return Row(check, bound, f"{len(wrong)} of {len(verdicts)} are not so{memory}{shown}", enough and not wrong)

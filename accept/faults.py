@@ -1,0 +1,20 @@
+"""Faults: nothing lost, nothing left, nothing hangs.
+
+Usage: python -m accept.faults [--smoke] [CHECK ...]: all checks, or the named ones; exit code 1 where a bound is
+missed.
+"""
+
+from __future__ import annotations
+
+import sys
+
+from accept.bad_inputs import measure_bad_inputs, measure_mutants
+from accept.resumed_series import measure_resumed_series
+from accept.table import Check, run_table
+
+CHECKS: dict[str, Check] = {
+    "bad_inputs": measure_bad_inputs, "mutants": measure_mutants, "resumed_series": measure_resumed_series,
+}
+
+if __name__ == "__main__":
+    sys.exit(run_table("faults", CHECKS))
