@@ -9,11 +9,14 @@ from __future__ import annotations
 import sys
 
 from accept.bad_inputs import measure_bad_inputs, measure_mutants
+from accept.failing_starts import measure_failing_starts
+from accept.kills_and_signals import measure_kills_and_signals
 from accept.resumed_series import measure_resumed_series
 from accept.table import Check, run_table
 
 CHECKS: dict[str, Check] = {
-    "bad_inputs": measure_bad_inputs, "mutants": measure_mutants, "resumed_series": measure_resumed_series,
+    "bad_inputs": measure_bad_inputs, "mutants": measure_mutants, "kills_and_signals": measure_kills_and_signals,
+    "failing_starts": measure_failing_starts, "resumed_series": measure_resumed_series,
 }
 
 if __name__ == "__main__":
