@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Iterable, Sequence
 from itertools import islice
 from typing import Any, TypeVar
@@ -66,6 +67,26 @@ class SingularSubdomainError(DdicError):
 
 class FactorizationError(DdicError):
     """A matrix that is not singular could not be factorised, for instance for want of memory."""
+
+
+class WriteError(DdicError):
+    """What was found cannot be written where it belongs, though this was possible before."""
+
+
+def is_disk_failure(error: OSError) -> bool:
+    """Tell whether a disk is full, broken or closed to writing, for which nobody's input is to blame.
+
+    Parameters
+    ----------
+    error : OSError
+        As the system raised it.
+
+    Returns
+    -------
+    bool
+        Whether it is.
+    """
+    return error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 
 
 _LISTED = 10

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ddic.io import result_schema as schema
 from ddic.io.image_chunks import ChunkGrid, pack_chunk
 from ddic.io.join_frames import join_frames
+from ddic.io.replace_on_exit import replaced_together
 from ddic.io.result_writer import Piece, PieceSize, ResultWriter
 from ddic.io.series_folder import SeriesFolder
 from ddic.mesh.mesh import Mesh
@@ -53,8 +54,9 @@ def write_series_file(path: Path, frames: Sequence[FrameFile], *, flip_y: bool =
                                    residual_std_grey=1.0 + 0.1 * number, noise_floor_px=0.004,
                                    started_from="the last frame" if number > 1 else "a search"))
         _write_frame(folder.get_frame_path(number), frame, number, (flip_y, length_unit, residual))
-    join_frames(folder, [record.number for record in records if record.converged],
-                [record.as_json() for record in records], "{}")
+    with replaced_together() as files:
+        join_frames(folder, [record.number for record in records if record.converged],
+                    [record.as_json() for record in records], "{}", files)
     folder.remove()
     return path
 

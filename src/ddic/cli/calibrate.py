@@ -37,7 +37,7 @@ def calibrate(far: Path, near: Path, ratio: float, model: Kind, distortion: bool
     from ddic.images.grey_levels import check_finite
     from ddic.io.image_file import open_image
 
-    with errors_as_lines():
+    with errors_as_lines(output):
         with warnings_as_lines():
             images = [open_image(path) for path in (far, near)]
             for image in images:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from ddic.errors import DdicError, InputError
+from ddic.errors import DdicError, InputError, WriteError, is_disk_failure
 
 
 @contextmanager
@@ -35,4 +35,4 @@ def errors_as_lines(target: Path | None = None) -> Iterator[None]:
         if target is None:
             raise
         click.echo(f"{target}: cannot be written to ({error.strerror}); choose another --output", err=True)
-        sys.exit(InputError.exit_code)
+        sys.exit(WriteError.exit_code if is_disk_failure(error) else InputError.exit_code)

@@ -101,6 +101,7 @@ def plot(file: Path, kind: str, frame: int | None, animate: bool, fps: float,
     """
     # Imported here because matplotlib is not needed by --help.
     from ddic.io.frame_of_series import read_frame
+    from ddic.io.made_folder import made_folder
     from ddic.io.plots.length_unit import find_length_unit
     from ddic.io.plots.strain_map import StrainChoice
     from ddic.io.series_reader import is_series_file, read_series
@@ -124,11 +125,11 @@ def plot(file: Path, kind: str, frame: int | None, animate: bool, fps: float,
         preview = _reference(result, image) if set(kinds) & set(OVER_IMAGE) else None
         drawing = _Drawing(result, second, preview, component, StrainChoice(measure, number, by_cell),
                            find_length_unit(result, units), limits, amplification, line)
-        folder.mkdir(parents=True, exist_ok=True)
-        if series is not None:
-            _animate(series, kind, drawing, pages, fps)
-        else:
-            _plot_one(kinds, drawing, pages, _caption(file, frame))
+        with made_folder(folder):
+            if series is not None:
+                _animate(series, kind, drawing, pages, fps)
+            else:
+                _plot_one(kinds, drawing, pages, _caption(file, frame))
 
 
 def _read_other(path: Path, frame: int | None) -> Result:
@@ -155,15 +156,18 @@ def _plot_one(kinds: list[str], drawing: _Drawing, pages: PageFiles, caption: tu
     from ddic.io.plots.canvas import save_figure
     from ddic.io.plots.failure_mark import draw_failures
     from ddic.io.plots.frame_caption import draw_caption
+    from ddic.io.replace_on_exit import replaced_together
 
     words, line = caption
-    for name in kinds:
-        figure = _figure(name, drawing)
-        draw_failures(figure, _list_shown(name, drawing))
-        if line:
-            draw_caption(figure, line)
-        target = pages.to_path(*words, name)
-        save_figure(figure, target, pages.dpi)
+    targets = [pages.to_path(*words, name) for name in kinds]
+    with replaced_together() as files:
+        for name, target in zip(kinds, targets, strict=True):
+            figure = _figure(name, drawing)
+            draw_failures(figure, _list_shown(name, drawing))
+            if line:
+                draw_caption(figure, line)
+            save_figure(figure, target, pages.dpi, files)
+    for target in targets:
         click.echo(target)
 
 

@@ -203,6 +203,7 @@ def plot_curves(series: SeriesResult, units: str | None, pages: PageFiles) -> No
     InputError
         Where the unit is not known.
     """
+    from ddic.io.made_folder import made_folder
     from ddic.io.plots.canvas import save_figure
     from ddic.io.plots.length_unit import find_length_unit
     from ddic.io.plots.time_curves import draw_time_curves
@@ -210,7 +211,7 @@ def plot_curves(series: SeriesResult, units: str | None, pages: PageFiles) -> No
 
     unit = find_length_unit(series[0], units)
     figure = draw_time_curves(gather_history(series), series.path.name, unit)
-    pages.folder.mkdir(parents=True, exist_ok=True)
     target = pages.to_path(CURVES)
-    save_figure(figure, target, pages.dpi)
+    with made_folder(pages.folder):
+        save_figure(figure, target, pages.dpi)
     click.echo(target)

@@ -16,6 +16,7 @@ import click
 
 from ddic.cli.address_space import prepare_workspaces
 from ddic.cli.failed_start import failures_as_lines
+from ddic.io.replace_on_exit import remove_unfinished
 from ddic.parallel.abort_all_ranks import INTERRUPTED, is_launcher, prepare_abort
 from ddic.parallel.stop_request import StopRequest
 
@@ -37,6 +38,9 @@ def run(stop: StopRequest | None, case_file: Path, petsc_options: tuple[str, ...
     if stop is None:  # by another way than the program's own beginning
         stop = StopRequest()
         stop.note_signals()
+    stop.before_end = remove_unfinished
+    # Alone, Open MPI would start a daemon that needs files of megabytes, which a limit of file sizes forbids.
+    os.environ.setdefault("OMPI_MCA_ess_singleton_isolated", "1")
     with failures_as_lines():
         team = _start(petsc_options, stop)
     code = _run_everywhere(team, case_file, petsc_options, resume=resume)
@@ -138,7 +142,7 @@ def _warnings_told_once(speaks: bool) -> Iterator[None]:
 
 def _failed(team: Team, error: BaseException, petsc_options: tuple[str, ...]) -> int:
     """Say what went wrong, once, and return the exit code or end the job."""
-    from ddic.errors import ConvergenceError, DdicError, is_collective
+    from ddic.errors import ConvergenceError, DdicError, is_collective, is_disk_failure
 
     team.stop.is_over = True
     if team.stop.is_by_launcher:
@@ -152,6 +156,8 @@ def _failed(team: Team, error: BaseException, petsc_options: tuple[str, ...]) ->
             lines = [f"{where}{line}" for line in str(error).splitlines()]
         elif isinstance(error, OSError):
             lines = [f"{where}{error.filename or 'a file'} could not be read or written: {error.strerror or error}"]
+            if is_disk_failure(error):
+                lines[0] += "; nothing was left of it, and what was there before still is"
         elif isinstance(error, KeyboardInterrupt | SystemExit):
             lines, code = [f"{where}interrupted; no result was written"], INTERRUPTED
         else:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ddic.errors import DdicError, InputError, is_collective
+from ddic.errors import DdicError, InputError, is_collective, is_disk_failure
 
 if TYPE_CHECKING:
     from ddic.parallel.team import Team
@@ -69,7 +69,8 @@ def _tell(team: Team, error: Exception, folder: Path) -> int:
         elif isinstance(error, DdicError):
             lines = [str(error)]
         click.echo("\n".join(lines), err=True)
-    code = error.exit_code if isinstance(error, DdicError) else InputError.exit_code
+    is_disk = isinstance(error, OSError) and is_disk_failure(error)
+    code = error.exit_code if isinstance(error, DdicError) else 1 if is_disk else InputError.exit_code
     if not is_everywhere and team.size > 1:
         team.abort(code)
     return code
@@ -97,19 +98,26 @@ def _try_all(team: Team, case_file: Path, lengths: list[float] | None, elements:
 
 def _write(found: Sweep, folder: Path, stem: str) -> list[str]:
     """Write table and figure; returns the lines that say what was found and where it is."""
+    from ddic.io.made_folder import made_folder
     from ddic.io.plots.canvas import save_figure
     from ddic.io.plots.sweep_curves import draw_sweep
+    from ddic.io.replace_on_exit import replaced_together
     from ddic.results.sweep_table import collect_by_size, list_failures, write_sweep
 
-    folder.mkdir(parents=True, exist_ok=True)
-    table, figure = folder / f"{stem}.sweep.csv", folder / f"{stem}.sweep.png"
-    write_sweep(found, table)
+    table, figure = _list_outputs(folder, stem)
     best = found.best
     title = f"recommended: {best.candidate.describe()} (error of {best.virtual_error:.2g} px on the virtual images)"
-    save_figure(draw_sweep(collect_by_size(found), title), figure)
+    with made_folder(folder), replaced_together() as files:
+        write_sweep(found, table, files)
+        save_figure(draw_sweep(collect_by_size(found), title), figure, files=files)
     noise = f"noise of an image, from the residual: {found.camera_noise:.2f} grey levels"
     said = [found.describe_recommendation(), "", found.describe_case(), ""]
     return [*list_failures(found), noise, *said, str(table), str(figure)]
+
+
+def _list_outputs(folder: Path, stem: str) -> tuple[Path, Path]:
+    """Table and figure of a case file."""
+    return folder / f"{stem}.sweep.csv", folder / f"{stem}.sweep.png"
 
 
 def _print_table(found: Sweep) -> None:

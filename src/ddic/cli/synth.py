@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 import click
 
 from ddic.cli.synth_near_far import near_far
-from ddic.cli.synth_options import ImageOptions, add_image_options, prepare_folder
+from ddic.cli.synth_options import ImageOptions, add_image_options, write_images
 from ddic.errors import DdicError, InputError
 
 if TYPE_CHECKING:
@@ -162,12 +162,12 @@ def _middle(image: ImageOptions) -> Pair:
 
 
 def _generate(field: DisplacementField, hole: Hole | None, image: ImageOptions) -> None:
-    """Write the two images, then the truth: where truth.json is, the pair is whole."""
+    """Write the two images and the truth."""
     from ddic.synth.digitise import Digitiser
     from ddic.synth.picture import Picture
     from ddic.synth.render import Scene, write_pair
     from ddic.synth.speckle_texture import SpeckleTexture
-    from ddic.synth.truth import save_truth
+    from ddic.synth.truth import describe_pair
 
     width, height = image["size"]
     digitiser = Digitiser(int(image["bit_depth"]), image["noise"], image["seed"])
@@ -176,9 +176,5 @@ def _generate(field: DisplacementField, hole: Hole | None, image: ImageOptions) 
     scene = Scene(texture, field, hole)
     folder = image["output"]
     pair = folder / "reference.tif", folder / "deformed.tif"
-    truth = folder / "truth.json"
-    prepare_folder(folder, truth)
-    write_pair(pair, scene, picture)
-    save_truth(truth, scene, picture)
-    for path in (*pair, truth):
-        click.echo(path)
+    write_images(folder, [path.name for path in pair], describe_pair(scene, picture),
+                 lambda files: write_pair(pair, scene, picture, files=files))

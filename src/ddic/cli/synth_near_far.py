@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Unpack
 
 import click
 
-from ddic.cli.synth_options import ImageOptions, Size, add_image_options, parse_size, prepare_folder
+from ddic.cli.synth_options import ImageOptions, Size, add_image_options, parse_size, write_images
 
 if TYPE_CHECKING:
     from ddic.synth.near_far_scene import NearFarScene
@@ -89,13 +89,10 @@ def _picture(image: ImageOptions, size: Size | None, noise: float | None) -> Pic
 
 
 def _write(image: ImageOptions, scene: NearFarScene) -> None:
-    """Write the images, then the truth: where truth.json is, the images are whole."""
-    from ddic.synth.near_far_scene import write_near_far
-    from ddic.synth.near_far_truth import save_near_far_truth
+    """Write the images and the truth."""
+    from ddic.synth.near_far_scene import FAR_FILES, NEAR_FILES, write_near_far
+    from ddic.synth.near_far_truth import describe_near_far
 
-    truth = image["output"] / "truth.json"
-    prepare_folder(image["output"], truth)
-    paths = write_near_far(image["output"], scene)
-    save_near_far_truth(truth, scene)
-    for path in (*paths, truth):
-        click.echo(path)
+    folder = image["output"]
+    write_images(folder, [*FAR_FILES, *NEAR_FILES], describe_near_far(scene),
+                 lambda files: write_near_far(folder, scene, files))

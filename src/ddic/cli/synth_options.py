@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import json
+import os
 import re
-from collections.abc import Callable
+import stat
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, TypedDict, TypeVar
+from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 
 import click
 
-from ddic.errors import InputError
+from ddic.errors import InputError, WriteError, is_disk_failure
+
+if TYPE_CHECKING:
+    from ddic.io.replace_on_exit import NewFiles
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 Size = tuple[int, int]
@@ -93,23 +99,67 @@ def add_image_options(size: str, files: str) -> Callable[[Command], Command]:
     return add
 
 
-def prepare_folder(folder: Path, truth: Path) -> None:
-    """Make the folder and drop the truth of earlier images, which no longer holds.
+def write_images(folder: Path, names: Sequence[str], record: dict[str, Any],
+                 render: Callable[[NewFiles], object]) -> None:
+    """Write images and their truth, all or nothing, and say where they are.
+
+    Images that are there already are inputs of cases: they are replaced by themselves alone.
 
     Parameters
     ----------
     folder : Path
+        Made where it is not there.
+    names : sequence of str
         Of the images.
-    truth : Path
-        Of the truth file.
+    record : dict
+        Content of truth.json.
+    render : callable
+        Begins the images in the files that it is given, and writes them.
 
     Raises
     ------
     InputError
-        Where the folder cannot be made or written to.
+        Where other files have these names, or the folder cannot be made or written to.
+    OSError
+        Where the disk does not take the files.
     """
+    from ddic.io.json_file import write_json
+    from ddic.io.made_folder import made_folder
+    from ddic.io.replace_on_exit import replaced_together
+
+    truth = folder / "truth.json"
+    paths = [*(folder / name for name in names), truth]
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        truth.unlink(missing_ok=True)
+        _require_free(paths, record)
+        with made_folder(folder), replaced_together() as files:
+            render(files)
+            write_json(truth, record, files)
     except OSError as error:
+        if is_disk_failure(error):
+            raise WriteError(f"{error.filename or folder}: cannot be written to ({error.strerror}); nothing was "
+                             "written; make room, or choose another --output") from error
         raise InputError(f"--output {folder}: {error.strerror}; choose a writable folder") from error
+    for path in paths:
+        click.echo(path)
+
+
+def _require_free(paths: Sequence[Path], record: dict[str, Any]) -> None:
+    """Raise InputError where a file is there, unless all were made by the same options."""
+    from ddic.io.json_file import convert_to_json
+
+    taken = [path for path in paths if os.path.lexists(path)]
+    if not taken:
+        return
+    try:
+        before = json.loads(paths[-1].read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        before = None
+    if before != json.loads(json.dumps(convert_to_json(record))) or any(not _is_plain(path) for path in taken):
+        raise InputError(f"{taken[0]}: is there already, and not of these options: an image may be the input of a "
+                         "case; remove it, or choose another --output")
+
+
+def _is_plain(path: Path) -> bool:
+    """Whether a file has one name and is no link."""
+    status = path.lstat()
+    return stat.S_ISREG(status.st_mode) and status.st_nlink == 1

@@ -37,10 +37,13 @@ def uncertainty(case_file: Path, sizes: str, displacements: int, noise: float, o
     from ddic.case.loader import load_case
     from ddic.images.window import Window
     from ddic.io.image_file import open_image
+    from ddic.io.made_folder import made_folder
     from ddic.io.plots.canvas import save_figure
     from ddic.io.plots.uncertainty_curves import draw_uncertainty
+    from ddic.io.replace_on_exit import replaced_together
 
     folder = case_file.parent if output is None else output
+    table, figure = (folder / f"{case_file.stem}.uncertainty.{ending}" for ending in ("csv", "png"))
     with errors_as_lines(folder):
         case = load_case(case_file).case
         image = open_image(case.images.reference)
@@ -52,11 +55,9 @@ def uncertainty(case_file: Path, sizes: str, displacements: int, noise: float, o
         grey = image.read(Window(0, 0, image.width, image.height))
         found = estimate_uncertainty(grey, sizes=of_elements, n_amplitudes=displacements, noise=noise,
                                      options=options, discontinuity=section)
-        folder.mkdir(parents=True, exist_ok=True)
-        table = folder / f"{case_file.stem}.uncertainty.csv"
-        _write(found, table)
-        figure = folder / f"{case_file.stem}.uncertainty.png"
-        save_figure(draw_uncertainty(found.sizes, found.deviation, BASES), figure)
+        with made_folder(folder), replaced_together() as files:
+            _write(found, files.begin(table))
+            save_figure(draw_uncertainty(found.sizes, found.deviation, BASES), figure, files=files)
     for line_of_table in _list(found):
         click.echo(line_of_table)
     click.echo(table)
@@ -73,9 +74,8 @@ def _parse_sizes(text: str) -> list[float]:
 def _write(found: Uncertainty, path: Path) -> None:
     """A row for each kind, element size, displacement and basis."""
     from ddic.api.known_displacements import BASES
-    from ddic.io.replace_on_exit import replaced_on_exit
 
-    with replaced_on_exit(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
+    with path.open("w", newline="", encoding="utf-8") as stream:
         table = csv.writer(stream)
         table.writerow(["kind", "element_size_px", "displacement_px", "elements", "bias_px", "deviation_px"])
         for kind, deviation in found.deviation.items():

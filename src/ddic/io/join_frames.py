@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.io import result_schema as schema
+from ddic.io.hdf5_stream import new_hdf5
 from ddic.io.open_hdf5 import open_hdf5
 from ddic.io.physical_sidecar import write_physical_sidecar
-from ddic.io.replace_on_exit import replaced_on_exit
+from ddic.io.replace_on_exit import NewFiles
 from ddic.io.series_folder import SeriesFolder
 from ddic.io.stored_frame import GEOMETRY, StoredFrame, has_same_geometry, partition_like, read_stored_frame
 
@@ -31,7 +32,8 @@ class _Place:
     connectivity: int = 0
 
 
-def join_frames(folder: SeriesFolder, numbers: Sequence[int], records: Sequence[str], origin: str) -> None:
+def join_frames(folder: SeriesFolder, numbers: Sequence[int], records: Sequence[str], origin: str,
+                files: NewFiles) -> None:
     """Join result files of frames to one with steps.
 
     Geometry that stays is written once: frames of one mesh are all written in the pieces of the first one. What is no
@@ -47,6 +49,8 @@ def join_frames(folder: SeriesFolder, numbers: Sequence[int], records: Sequence[
         Of all frames, measured or not, as JSON.
     origin : str
         What they were measured from, as JSON.
+    files : NewFiles
+        With which the result takes its name.
 
     Raises
     ------
@@ -54,7 +58,7 @@ def join_frames(folder: SeriesFolder, numbers: Sequence[int], records: Sequence[
         Where it cannot be written.
     """
     target = folder.result
-    with replaced_on_exit(target) as temporary, h5py.File(temporary, "w") as file:
+    with new_hdf5(files.begin(target)) as file:
         with open_hdf5(folder.get_frame_path(numbers[0])) as first:
             for name in ("ddic_schema", "y_axis"):
                 file.attrs[name] = first.attrs[name]
@@ -79,13 +83,11 @@ def join_frames(folder: SeriesFolder, numbers: Sequence[int], records: Sequence[
         series.attrs["numbers"] = np.array(numbers, np.int64)
         series.attrs["origin"] = origin
         series["records"] = np.array(list(records), dtype=h5py.string_dtype())
-        has_units = "displacement_physical" in file[schema.POINT_DATA]
-        if has_units:
+        if schema.DISPLACEMENT_PHYSICAL in file[schema.POINT_DATA]:
             file.copy(file[f"{schema.frame_group(numbers[0])}/{schema.UNITS}"], file, schema.UNITS)
-    if has_units:
-        write_physical_sidecar(target)
-    else:
-        schema.physical_path(target).unlink(missing_ok=True)
+            write_physical_sidecar(target, file, files)
+        else:
+            files.drop(schema.physical_path(target))
 
 
 class _GrowingGeometry:

@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ddic.io.replace_on_exit import replaced_on_exit
+from ddic.io.replace_on_exit import NewFiles, joined
 
 
-def write_json(path: Path, content: Mapping[str, Any]) -> None:
+def write_json(path: Path, content: Mapping[str, Any], files: NewFiles | None = None) -> None:
     """Write a JSON file, under a temporary name that is then changed; numbers that are not finite become null.
 
     Parameters
@@ -20,6 +20,8 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
         The file.
     content : mapping
         By name.
+    files : NewFiles, optional
+        With which it takes its name; by default it does so by itself.
 
     Raises
     ------
@@ -27,8 +29,8 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
         Where the folder cannot be written to.
     """
     text = json.dumps(convert_to_json(content), indent=2, allow_nan=False)
-    with replaced_on_exit(path) as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
+    with joined(files) as new:
+        new.begin(path).write_text(text + "\n", encoding="utf-8")
 
 
 def convert_to_json(value: Any) -> Any:

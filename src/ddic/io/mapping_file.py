@@ -61,7 +61,9 @@ def write_mapping(path: Path, content: MappingFile) -> None:
     Raises
     ------
     InputError
-        If it cannot be written.
+        If its folder is not there or cannot be written to.
+    OSError
+        If the disk does not take it.
     """
     mapping = content.mapping
     lines = [
@@ -85,11 +87,8 @@ def write_mapping(path: Path, content: MappingFile) -> None:
     ]
     if content.coefficient is not None:
         lines.append(f"correlation_coefficient = {float(content.coefficient)!r}")
-    try:
-        with replaced_on_exit(path) as temporary:
-            temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); choose another output file") from error
+    with replaced_on_exit(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def read_mapping(path: Path) -> CameraMapping:

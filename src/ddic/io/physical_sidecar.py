@@ -9,8 +9,8 @@ import h5py
 import numpy as np
 
 from ddic.io import result_schema as schema
-from ddic.io.open_hdf5 import open_hdf5
-from ddic.io.replace_on_exit import replaced_on_exit
+from ddic.io.hdf5_stream import new_hdf5
+from ddic.io.replace_on_exit import NewFiles
 
 ROWS = 1 << 16
 """Points that are read at a time; a larger value takes memory."""
@@ -18,7 +18,7 @@ ROWS = 1 << 16
 SIZES = ("NumberOfPoints", "NumberOfCells", "NumberOfConnectivityIds", "Connectivity", "Offsets", "Types")
 
 
-def write_physical_sidecar(result: Path) -> Path:
+def write_physical_sidecar(result: Path, source: Any, files: NewFiles) -> Path:
     """Write the file that shows a result in its length unit.
 
     It holds the points alone: HDF5 external links lead to cells and fields in the result file, so both move together.
@@ -28,7 +28,11 @@ def write_physical_sidecar(result: Path) -> Path:
     Parameters
     ----------
     result : Path
-        The result file, with the size of a pixel in its units.
+        Name of the result file.
+    source : h5py.File
+        Its content, with the size of a pixel in its units.
+    files : NewFiles
+        With which it takes its name.
 
     Returns
     -------
@@ -36,8 +40,7 @@ def write_physical_sidecar(result: Path) -> Path:
         NAME.physical.vtkhdf beside the result.
     """
     path = schema.physical_path(result)
-    with (open_hdf5(result) as source, replaced_on_exit(path) as temporary,
-          h5py.File(temporary, "w") as file):
+    with new_hdf5(files.begin(path)) as file:
         units, grid = source[schema.UNITS].attrs, source[schema.VTKHDF]
         file.attrs["ddic_schema"] = schema.SCHEMA_VERSION
         file.attrs["y_axis"] = source.attrs["y_axis"]

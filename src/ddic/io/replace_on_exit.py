@@ -1,29 +1,159 @@
-"""Files that appear under their name only when they are complete."""
+"""Files that appear under their name only when they are complete, several of them together."""
 
 from __future__ import annotations
 
+import fcntl
 import os
+import platform
+import re
+import time
+import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from ddic.errors import InputError
 
+FOREIGN_AGE = 86400.0
+"""Seconds after which what another machine has begun and does not hold counts as abandoned: locks of a shared file
+system may not reach from one machine to the other. A smaller value could take a file from a slow writer."""
 
-def make_temporary_name(path: Path) -> Path:
+_TEMPORARY = re.compile(r"\..+\.(?P<machine>[0-9a-f]{8})\.\d+\.(tmp|lock)")
+
+_UNFINISHED: set[Path] = set()
+"""Of this process, for ``remove_unfinished``: a signal reaches a process, not the object that writes."""
+
+
+def make_temporary_name(path: Path, ending: str = "tmp") -> Path:
     """Name a file under construction.
 
     Parameters
     ----------
     path : Path
         Final name.
+    ending : str, optional
+        Last part of the name.
 
     Returns
     -------
     Path
-        In the same folder, another for every process.
+        In the same folder, another for every process of every machine.
     """
-    return path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    return path.with_name(f".{path.name}.{_name_machine()}.{os.getpid()}.{ending}")
+
+
+@dataclass
+class NewFiles:
+    """Files under construction, which take their names together.
+
+    Attributes
+    ----------
+    begun : dict of Path to (Path, int)
+        By the final name: the temporary one, and the descriptor that holds its lock.
+    dropped : list of Path
+        Files that do not belong to the new ones.
+    """
+
+    begun: dict[Path, tuple[Path, int]] = field(default_factory=dict)
+    dropped: list[Path] = field(default_factory=list)
+
+    def begin(self, path: Path) -> Path:
+        """Begin a file.
+
+        Parameters
+        ----------
+        path : Path
+            Final name.
+
+        Returns
+        -------
+        Path
+            Temporary name of a file that is there and empty.
+
+        Raises
+        ------
+        InputError
+            If the folder does not exist or cannot be written to.
+        OSError
+            If the disk takes no file.
+        """
+        if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
+            raise InputError(f"{path}: the folder {path.parent} does not exist or cannot be written to; "
+                             "make it, or choose another output file")
+        temporary = make_temporary_name(path)
+        _UNFINISHED.add(temporary)
+        self.begun[path] = temporary, -1
+        self.begun[path] = temporary, _create_locked(temporary)
+        return temporary
+
+    def drop(self, path: Path) -> None:
+        """Have a file removed when the new ones take their names.
+
+        Parameters
+        ----------
+        path : Path
+            It need not be there.
+        """
+        self.dropped.append(path)
+
+    def publish(self) -> None:
+        """Give all files their names, in the order in which they were begun."""
+        for path in self.dropped:
+            path.unlink(missing_ok=True)
+        for path, (temporary, _) in self.begun.items():
+            temporary.replace(path)
+
+    def discard(self) -> None:
+        """Remove what has not got its name."""
+        for temporary, descriptor in self.begun.values():
+            with suppress(OSError):
+                # Of a folder that can no longer be written to, nothing can be removed.
+                temporary.unlink(missing_ok=True)
+            if descriptor >= 0:
+                os.close(descriptor)
+            _UNFINISHED.discard(temporary)
+
+
+@contextmanager
+def replaced_together() -> Iterator[NewFiles]:
+    """Yield a set of new files: on a clean exit all take their names, on any other none does, and nothing is left.
+
+    Yields
+    ------
+    NewFiles
+        To which files are added.
+
+    Raises
+    ------
+    OSError
+        Of the block, with the name of the file that could not be written.
+    """
+    files = NewFiles()
+    try:
+        yield files
+        files.publish()
+    except OSError as error:
+        _name_file(error, files)
+        raise
+    finally:
+        files.discard()
+
+
+def joined(files: NewFiles | None) -> AbstractContextManager[NewFiles]:
+    """Add to a set of new files, where there is one, or make one that stands by itself.
+
+    Parameters
+    ----------
+    files : NewFiles or None
+        The set, which whoever made it ends.
+
+    Returns
+    -------
+    context manager of NewFiles
+        The set.
+    """
+    return replaced_together() if files is None else nullcontext(files)
 
 
 @contextmanager
@@ -45,12 +175,75 @@ def replaced_on_exit(path: Path) -> Iterator[Path]:
     InputError
         If the folder does not exist or cannot be written to.
     """
-    if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
-        raise InputError(f"{path}: the folder {path.parent} does not exist or cannot be written to; "
-                         "make it, or choose another output file")
-    temporary = make_temporary_name(path)
+    with replaced_together() as files:
+        yield files.begin(path)
+
+
+def remove_unfinished() -> None:
+    """Remove the files that this process has begun and not finished; for a process that is about to be killed.
+
+    It may be called from another thread than the one that writes, whose next step then fails.
+    """
+    for temporary in tuple(_UNFINISHED):
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def remove_abandoned(folder: Path) -> None:
+    """Remove what processes that were killed have left unfinished in a folder.
+
+    A file belongs to a living process while that holds its lock.
+
+    Parameters
+    ----------
+    folder : Path
+        It need not be there.
+    """
+    if not folder.is_dir():
+        return
+    for path in folder.glob(".*.*"):
+        named = _TEMPORARY.fullmatch(path.name)
+        if named is not None:
+            with suppress(OSError):
+                _remove_if_abandoned(path, is_ours=named["machine"] == _name_machine())
+
+
+def _remove_if_abandoned(path: Path, *, is_ours: bool) -> None:
+    """Remove a file that nobody holds; raises OSError where somebody does, or its file system knows no locks."""
+    if not is_ours and time.time() - path.stat().st_mtime < FOREIGN_AGE:
+        return
+    descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW)
     try:
-        yield temporary
-        temporary.replace(path)
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        path.unlink(missing_ok=True)
     finally:
-        temporary.unlink(missing_ok=True)
+        os.close(descriptor)
+
+
+def _create_locked(path: Path) -> int:
+    """Make an empty file and hold its lock; returns the descriptor."""
+    while True:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW, 0o666)
+        with suppress(OSError):
+            # Where a file system knows no locks nothing is ever taken for abandoned.
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        if os.fstat(descriptor).st_nlink:
+            return descriptor
+        # Between its making and its lock it was taken for abandoned, and removed.
+        os.close(descriptor)
+
+
+def _name_file(error: OSError, files: NewFiles) -> None:
+    """Name the file that could not be written as the user knows it; systems name the temporary one, or none."""
+    finals = {str(temporary): path for path, (temporary, _) in files.begun.items()}
+    named = finals.get(str(error.filename))
+    if named is None and error.filename is None and finals:
+        # What has no name of its own is a write that failed, of the file that was begun last.
+        named = list(finals.values())[-1]
+    if named is not None:
+        error.filename = str(named)
+
+
+def _name_machine() -> str:
+    """Eight characters that tell machines apart, whatever the length of their names."""
+    return f"{zlib.crc32(platform.node().encode()):08x}"

@@ -8,10 +8,11 @@ import h5py
 import numpy as np
 
 from ddic.io import result_schema as schema
-from ddic.io.replace_on_exit import replaced_on_exit
+from ddic.io.hdf5_stream import new_hdf5
+from ddic.io.replace_on_exit import NewFiles
 
 
-def write_sidecar(result: Path, camera: int = 0, *, width: int, height: int, flip_y: bool) -> Path:
+def write_sidecar(result: Path, camera: int = 0, *, width: int, height: int, flip_y: bool, files: NewFiles) -> Path:
     """Write the ImageData file that shows a residual image of a result.
 
     It holds no pixels: an HDF5 external link leads to the image in the result file, so both move together.
@@ -26,6 +27,8 @@ def write_sidecar(result: Path, camera: int = 0, *, width: int, height: int, fli
         Of the image, pixels.
     flip_y : bool
         Show rows upwards (through VTKHDF's Direction, spacings being positive).
+    files : NewFiles
+        With which it takes its name.
 
     Returns
     -------
@@ -33,7 +36,7 @@ def write_sidecar(result: Path, camera: int = 0, *, width: int, height: int, fli
         NAME.residual.vtkhdf or NAME.near_1.residual.vtkhdf beside the result.
     """
     path = schema.sidecar_path(result, camera)
-    with replaced_on_exit(path) as temporary, h5py.File(temporary, "w") as file:
+    with new_hdf5(files.begin(path)) as file:
         file.attrs["ddic_schema"] = schema.SCHEMA_VERSION
         file.attrs["y_axis"] = "up" if flip_y else "down"
         group = file.create_group(schema.VTKHDF)

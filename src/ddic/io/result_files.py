@@ -10,8 +10,10 @@ from pathlib import Path
 import h5py
 
 from ddic.io import result_schema as schema
+from ddic.io.json_file import write_json
 from ddic.io.open_hdf5 import open_hdf5
 from ddic.io.physical_sidecar import write_physical_sidecar
+from ddic.io.replace_on_exit import replaced_together
 from ddic.io.residual_sidecar import write_sidecar
 
 
@@ -47,7 +49,8 @@ def move_result(result: Path, target: Path) -> None:
     if physical.is_file():
         physical.unlink()
         if _has_length_unit(target):
-            write_physical_sidecar(target)
+            with h5py.File(target, "r") as source, replaced_together() as files:
+                write_physical_sidecar(target, source, files)
     summary = schema.summary_path(result)
     if summary.is_file():
         summary.rename(schema.summary_path(target))
@@ -72,7 +75,9 @@ def _write_moved_sidecar(sidecar: Path, target: Path, camera: int) -> None:
     with open_hdf5(sidecar) as file:
         _, last_column, _, last_row, _, _ = file[schema.VTKHDF].attrs["WholeExtent"]
         is_flipped = str(file.attrs["y_axis"]) == "up"
-    write_sidecar(target, camera, width=int(last_column) + 1, height=int(last_row) + 1, flip_y=is_flipped)
+    with replaced_together() as files:
+        write_sidecar(target, camera, width=int(last_column) + 1, height=int(last_row) + 1, flip_y=is_flipped,
+                      files=files)
 
 
 def _has_length_unit(result: Path) -> bool:
@@ -90,4 +95,4 @@ def _write_new_name(summary: Path, result: Path) -> None:
         # Whatever it is, it is not a summary that says a name.
         return
     if isinstance(content, dict) and "result_file" in content:
-        summary.write_text(json.dumps(content | {"result_file": str(result)}, indent=2) + "\n", encoding="utf-8")
+        write_json(summary, content | {"result_file": str(result)})

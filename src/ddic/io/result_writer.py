@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from ddic.io import result_schema as schema
+from ddic.io.hdf5_stream import NewHdf5
 from ddic.io.image_chunks import ChunkGrid
 from ddic.io.physical_sidecar import write_physical_sidecar
-from ddic.io.replace_on_exit import replaced_on_exit
+from ddic.io.replace_on_exit import NewFiles, replaced_together
 from ddic.io.residual_sidecar import write_sidecar
 from ddic.io.result_reader import Result, read_open_file
 from ddic.io.result_schema import FieldSpec
@@ -92,11 +93,15 @@ class ResultWriter:
         for a file in memory, which ``read_back`` reads.
     flip_y : bool
         Write y upwards.
+    files : NewFiles, optional
+        With which the file and what stands beside it take their names; by default they do so by themselves.
     """
 
-    def __init__(self, path: Path | None, *, flip_y: bool = False) -> None:
+    def __init__(self, path: Path | None, *, flip_y: bool = False, files: NewFiles | None = None) -> None:
         self._path = path
         self._flip_y = flip_y
+        self._files = files
+        self._on_disk: NewHdf5 | None = None
         self._pieces: _Pieces | None = None
         self._written: set[int] = set()
         self._grids: list[ChunkGrid] = []
@@ -105,7 +110,7 @@ class ResultWriter:
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
-            self._file = stack.enter_context(self._open(stack))
+            self._file = self._open(stack)
             self._file.attrs["ddic_schema"] = schema.SCHEMA_VERSION
             self._file.attrs["y_axis"] = "up" if self._flip_y else "down"
             self._stack = stack.pop_all()
@@ -118,17 +123,20 @@ class ResultWriter:
             return
         with self._stack:
             self._refuse_missing_pieces()
-        if self._path is None:
-            return
+            if self._path is not None and self._files is not None:
+                self._write_company(self._path, self._files)
+
+    def _write_company(self, path: Path, files: NewFiles) -> None:
+        """Write what shows the residual images and the length unit."""
         if not self._grids:
             # One of an earlier run would point to an image that is no longer there.
-            schema.sidecar_path(self._path).unlink(missing_ok=True)
+            files.drop(schema.sidecar_path(path))
         for camera, grid in enumerate(self._grids):
-            write_sidecar(self._path, camera, width=grid.width, height=grid.height, flip_y=self._flip_y)
+            write_sidecar(path, camera, width=grid.width, height=grid.height, flip_y=self._flip_y, files=files)
         if self._has_physical_units():
-            write_physical_sidecar(self._path)
+            write_physical_sidecar(path, self._file, files)
         else:
-            schema.physical_path(self._path).unlink(missing_ok=True)
+            files.drop(schema.physical_path(path))
 
     def read_back(self) -> Result:
         """Read what was written, with the residual image, while the file is open.
@@ -207,6 +215,7 @@ class ResultWriter:
         _put(group["Types"], start.n_cells, pieces.types)
         self._write_fields(schema.POINT_DATA, announced.point_fields, pieces.point_data, start.n_points, n_points)
         self._write_fields(schema.CELL_DATA, announced.cell_fields, pieces.cell_data, start.n_cells, n_cells)
+        self._require_written()
         self._written.update(indices)
 
     def create_residual_image(self, grid: ChunkGrid) -> None:
@@ -246,6 +255,7 @@ class ResultWriter:
             raise ValueError("create_residual_image comes before write_residual_chunk")
         window = self._grids[-1].locate_chunk(number)
         self._residual.write_direct_chunk((window.y0, window.x0), data)
+        self._require_written()
 
     def write_table(self, group: str, columns: Mapping[str, Sequence[Any] | NDArray[Any]]) -> None:
         """Write a table, one dataset per column of numbers or texts.
@@ -340,9 +350,16 @@ class ResultWriter:
     def _open(self, stack: ExitStack) -> h5py.File:
         """The file under its temporary name, or in memory."""
         if self._path is None:
-            return h5py.File("in memory", "w", driver="core", backing_store=False)
-        temporary = stack.enter_context(replaced_on_exit(self._path))
-        return h5py.File(temporary, "w", rdcc_nbytes=CHUNK_CACHE_BYTES)
+            return stack.enter_context(h5py.File("in memory", "w", driver="core", backing_store=False))
+        if self._files is None:
+            self._files = stack.enter_context(replaced_together())
+        self._on_disk = stack.enter_context(NewHdf5(self._files.begin(self._path), CHUNK_CACHE_BYTES))
+        return self._on_disk.file
+
+    def _require_written(self) -> None:
+        """Raise OSError where the disk has refused a part: what is still to come would be kept in memory."""
+        if self._on_disk is not None:
+            self._on_disk.require_written()
 
     def _refuse_missing_pieces(self) -> None:
         """Raise where an announced piece has not been written."""

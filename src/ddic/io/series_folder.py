@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
 from ddic.io.open_hdf5 import open_hdf5
-from ddic.io.replace_on_exit import replaced_on_exit
+from ddic.io.replace_on_exit import remove_abandoned, replaced_on_exit
 
 Array = NDArray[np.float64]
 
@@ -122,16 +122,24 @@ class SeriesFolder:
             finished = self._read_whole(origin) if resume else {}
             if finished:
                 return finished
-            self.path.mkdir()
-            with replaced_on_exit(self.path / ORIGIN) as temporary:
-                temporary.write_text(json.dumps(origin), encoding="utf-8")
+            self._make(origin)
             return {}
+        remove_abandoned(self.path)
         self._require_same(origin)
         finished = self._list_finished()
         if not resume and finished:
             raise InputError(f"{self.path} holds {len(finished)} of {self.n_frames} frames of a series that was not "
                              "finished: go on with --resume, or remove the folder to begin anew")
         return finished
+
+    def _make(self, origin: Mapping[str, object]) -> None:
+        self.path.mkdir()
+        try:
+            with replaced_on_exit(self.path / ORIGIN) as temporary:
+                temporary.write_text(json.dumps(origin), encoding="utf-8")
+        except BaseException:
+            self.path.rmdir()
+            raise
 
     def _read_whole(self, origin: Mapping[str, object]) -> dict[int, str]:
         """Records of a series that an earlier run has finished; none where there is another file, or no file."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ddic.io import result_schema as schema
 from ddic.io.plots.length_unit import find_length_unit
-from ddic.io.replace_on_exit import replaced_on_exit
+from ddic.io.replace_on_exit import replaced_together
 from ddic.io.result_reader import Result
 
 VECTOR_NAMES = ("x", "y")
@@ -43,11 +43,28 @@ def write_field_tables(path: Path | str, result: Result) -> tuple[Path, Path]:
     InputError
         Where the folder cannot be written to.
     """
-    path = Path(path)
-    nodes, cells = (path.with_name(f"{path.stem}.{what}{path.suffix or '.csv'}") for what in ("nodes", "cells"))
+    nodes, cells = name_field_tables(Path(path))
     mesh = result.mesh
-    _write_table(nodes, _list_columns(result, "node", mesh.nodes, result.point_data))
-    _write_table(cells, _list_columns(result, "cell", mesh.centroids, result.cell_data))
+    with replaced_together() as files:
+        _write_table(files.begin(nodes), _list_columns(result, "node", mesh.nodes, result.point_data))
+        _write_table(files.begin(cells), _list_columns(result, "cell", mesh.centroids, result.cell_data))
+    return nodes, cells
+
+
+def name_field_tables(path: Path) -> tuple[Path, Path]:
+    """Name the tables of nodes and of cells.
+
+    Parameters
+    ----------
+    path : Path
+        NAME.csv.
+
+    Returns
+    -------
+    nodes, cells : Path
+        NAME.nodes.csv and NAME.cells.csv.
+    """
+    nodes, cells = (path.with_name(f"{path.stem}.{what}{path.suffix or '.csv'}") for what in ("nodes", "cells"))
     return nodes, cells
 
 
@@ -80,7 +97,7 @@ def _list_units(result: Result) -> dict[str, str]:
 def _write_table(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
     """Columns as CSV; nothing where a value is nan."""
     texts = [_format_column(values) for values in columns.values()]
-    with replaced_on_exit(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
+    with path.open("w", newline="", encoding="utf-8") as stream:
         table = csv.writer(stream)
         table.writerow(columns)
         table.writerows(zip(*texts, strict=True))

@@ -9,6 +9,7 @@ from dataclasses import replace
 from ddic.case.frame_files import list_cameras, list_deformed, list_times
 from ddic.case.loader import LoadedCase
 from ddic.io.join_frames import join_frames
+from ddic.io.replace_on_exit import replaced_together
 from ddic.io.result_schema import summary_path
 from ddic.io.series_folder import SeriesFolder
 from ddic.results.series_record import SeriesSummary, write_series_summary
@@ -48,16 +49,17 @@ def finish_series(folder: SeriesFolder, summary: SeriesSummary, origin: Mapping[
     Raises
     ------
     OSError
-        Where one cannot be written; the frames stay.
+        Where one cannot be written; neither is, an earlier result and the frames stay.
     """
     if not folder.path.exists():
         return
     measured = [frame.number for frame in summary.frames if frame.converged]
-    if measured:
-        records = [frame.as_json() for frame in summary.frames]
-        join_frames(folder, measured, records, json.dumps(origin))
-    else:
-        summary = replace(summary, result_file="")
-    write_series_summary(summary_path(folder.result), summary)
+    with replaced_together() as files:
+        if measured:
+            records = [frame.as_json() for frame in summary.frames]
+            join_frames(folder, measured, records, json.dumps(origin), files)
+        else:
+            summary = replace(summary, result_file="")
+        write_series_summary(summary_path(folder.result), summary, files)
     if summary.is_whole:
         folder.remove()

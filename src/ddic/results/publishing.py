@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.io import result_schema as schema
+from ddic.io.replace_on_exit import NewFiles
 from ddic.io.result_reader import Result
 from ddic.io.result_writer import ResultWriter
 from ddic.parallel.team import Team, require_held
@@ -91,7 +92,7 @@ class Destination:
     noise_floor: float = float("nan")
 
 
-def publish(measurement: Publishable, destination: Destination) -> None:
+def publish(measurement: Publishable, destination: Destination, files: NewFiles | None = None) -> None:
     """Write a result file; collective, only rank 0 touches the disk.
 
     Parameters
@@ -100,13 +101,15 @@ def publish(measurement: Publishable, destination: Destination) -> None:
         What was measured.
     destination : Destination
         Where it goes.
+    files : NewFiles, optional
+        Of rank 0, with which it takes its name there; by default it does so by itself.
 
     Raises
     ------
     OSError
         Where it cannot be written, on all ranks.
     """
-    _write(measurement, destination, lambda _: None)
+    _write(measurement, destination, lambda _: None, files)
 
 
 def gather(measurement: Publishable) -> Result:
@@ -149,12 +152,13 @@ def pack(measurement: Publishable, destination: Destination, add: Callable[[Resu
     return _write(measurement, replace(destination, path=None), finish)
 
 
-def _write(measurement: Publishable, destination: Destination, take: Callable[[ResultWriter], T]) -> T | None:
+def _write(measurement: Publishable, destination: Destination, take: Callable[[ResultWriter], T],
+           files: NewFiles | None = None) -> T | None:
     """Write a measurement; what fails on rank 0, a full disk, say, is raised on all ranks, and leaves no file."""
     team = measurement.team
     with ExitStack() as stack:
         writer = team.build_on_root(
-            lambda: stack.enter_context(ResultWriter(destination.path, flip_y=destination.flip_y)))
+            lambda: stack.enter_context(ResultWriter(destination.path, flip_y=destination.flip_y, files=files)))
         measurement.write(writer)
 
         def finish() -> T:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
-from ddic.errors import ConvergenceError, DdicError, InputError, is_collective
+from ddic.errors import ConvergenceError, DdicError, InputError, WriteError, as_collective, is_collective
+from ddic.io.replace_on_exit import replaced_together
 from ddic.io.result_files import move_result, remove_result
 from ddic.io.result_schema import earlier_path, not_converged_path, summary_path
 from ddic.parallel.phases import Phase, PhaseClock
@@ -38,12 +40,25 @@ def write_run(measurement: Measurement | SeparatedMeasurement, clock: PhaseClock
     -------
     Summary
         The same on all ranks.
+
+    Raises
+    ------
+    OSError, WriteError
+        On all ranks, where one of them cannot be written; neither is then, and an earlier one stays.
     """
     team, output = measurement.team, measurement.inputs.case.output
-    with clock.phase(Phase.WRITE):
-        publish(measurement, Destination(file, output.flip_y, gather_phase_times(team, clock), noise_floor))
-    summary = replace(summarize(measurement, clock), result_file=str(file), noise_floor_px=noise_floor)
-    team.on_root(lambda: write_summary(summary_path(file), summary))
+    with ExitStack() as stack:
+        files = team.build_on_root(lambda: stack.enter_context(replaced_together()))
+        try:
+            with clock.phase(Phase.WRITE):
+                publish(measurement, Destination(file, output.flip_y, gather_phase_times(team, clock), noise_floor),
+                        files)
+            summary = replace(summarize(measurement, clock), result_file=str(file), noise_floor_px=noise_floor)
+            team.on_root(lambda: write_summary(summary_path(file), summary, files))
+        except InputError as error:
+            # It could be written when the case was checked: the inputs are not to blame.
+            raise as_collective(WriteError(str(error))) from error
+        team.build_on_root(stack.pop_all().close)
     return summary
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ddic.io.json_file import convert_to_json, write_json
+from ddic.io.replace_on_exit import NewFiles
 
 
 @dataclass(frozen=True)
@@ -137,7 +138,7 @@ class SeriesSummary:
         return [frame for frame in self.frames if not frame.converged]
 
 
-def write_series_summary(path: Path, summary: SeriesSummary) -> None:
+def write_series_summary(path: Path, summary: SeriesSummary, files: NewFiles | None = None) -> None:
     """Write a summary as JSON, under a temporary name that is then changed; numbers that are not finite become null.
 
     Parameters
@@ -146,6 +147,8 @@ def write_series_summary(path: Path, summary: SeriesSummary) -> None:
         The file.
     summary : SeriesSummary
         Its content.
+    files : NewFiles, optional
+        With which it takes its name; by default it does so by itself.
 
     Raises
     ------
@@ -154,4 +157,4 @@ def write_series_summary(path: Path, summary: SeriesSummary) -> None:
     """
     of_run = {name: value for name, value in asdict(summary).items() if name != "frames"}
     write_json(path, {"converged": summary.is_whole and not summary.failures, "whole": summary.is_whole, **of_run,
-                      "frames": [asdict(frame) for frame in summary.frames]})
+                      "frames": [asdict(frame) for frame in summary.frames]}, files)

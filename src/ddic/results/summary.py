@@ -9,6 +9,7 @@ from typing import Any
 
 from ddic.functionals.half_amplitude import HalfAmplitudes
 from ddic.io.json_file import write_json
+from ddic.io.replace_on_exit import NewFiles
 from ddic.parallel.phases import Phase
 
 
@@ -168,7 +169,7 @@ class Summary:
     case: Mapping[str, Any] = field(default_factory=dict)
 
 
-def write_summary(path: Path, summary: Summary) -> None:
+def write_summary(path: Path, summary: Summary, files: NewFiles | None = None) -> None:
     """Write a summary as JSON, under a temporary name that is then changed; numbers that are not finite become null.
 
     Parameters
@@ -177,10 +178,12 @@ def write_summary(path: Path, summary: Summary) -> None:
         The file.
     summary : Summary
         Its content.
+    files : NewFiles, optional
+        With which it takes its name; by default it does so by itself.
 
     Raises
     ------
     InputError
         Where the folder cannot be written to.
     """
-    write_json(path, asdict(summary))
+    write_json(path, asdict(summary), files)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.io.plots.sweep_curves import SweptElements
-from ddic.io.replace_on_exit import replaced_on_exit
+from ddic.io.replace_on_exit import NewFiles, joined
 from ddic.results.sweep_trials import Sweep, Trial
 
 COLUMNS = ("element size [px]", "l_c [px]", "residual [grey levels]", "gap [1/px]", "degrees of freedom",
@@ -61,7 +61,7 @@ def list_failures(sweep: Sweep) -> list[str]:
             for trial in _sort(sweep) if trial.failure]
 
 
-def write_sweep(sweep: Sweep, path: Path) -> None:
+def write_sweep(sweep: Sweep, path: Path, files: NewFiles | None = None) -> None:
     """Write a row for each trial as comma-separated values.
 
     Parameters
@@ -70,13 +70,15 @@ def write_sweep(sweep: Sweep, path: Path) -> None:
         What was found.
     path : Path
         The file.
+    files : NewFiles, optional
+        With which it takes its name; by default it does so by itself.
 
     Raises
     ------
     OSError
         Where it cannot be written; no half-written file stays.
     """
-    with replaced_on_exit(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
+    with joined(files) as new, new.begin(path).open("w", newline="", encoding="utf-8") as stream:
         table = csv.writer(stream)
         table.writerow(_FIELDS)
         for trial in _sort(sweep):

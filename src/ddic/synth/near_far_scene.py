@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.images.camera import CameraMapping
+from ddic.io.replace_on_exit import NewFiles
 from ddic.mesh.plane import build_rotation
 from ddic.synth.fields import DisplacementField, Pair, require_finite
 from ddic.synth.hole import Hole
@@ -316,7 +317,7 @@ def build_near_far_scene(texture: TwoScaleTexture, field: DisplacementField, hol
     )
 
 
-def write_near_far(folder: Path, scene: NearFarScene) -> tuple[Path, ...]:
+def write_near_far(folder: Path, scene: NearFarScene, files: NewFiles) -> tuple[Path, ...]:
     """Write the four images, uncompressed TIFF, to a folder.
 
     f_f(X) = g_f(X + u(X)) and f_n(phi(X)) = g_n(phi(T(X + u(X)))) hold without any interpolation.
@@ -327,6 +328,8 @@ def write_near_far(folder: Path, scene: NearFarScene) -> tuple[Path, ...]:
         Must exist.
     scene : NearFarScene
         What both cameras see.
+    files : NewFiles
+        With which they take their names.
 
     Returns
     -------
@@ -336,12 +339,14 @@ def write_near_far(folder: Path, scene: NearFarScene) -> tuple[Path, ...]:
     Raises
     ------
     InputError
-        For a field that folds the plane or a file that cannot be written.
+        For a field that folds the plane, or a folder that cannot be written to.
+    OSError
+        Where the disk does not take them.
     """
     far = folder / FAR_FILES[0], folder / FAR_FILES[1]
     near = folder / NEAR_FILES[0], folder / NEAR_FILES[1]
-    write_pair(far, scene.far, scene.far_picture)
-    write_pair(near, scene.near, scene.near.camera.picture, _NEAR_STREAM)
+    write_pair(far, scene.far, scene.far_picture, files=files)
+    write_pair(near, scene.near, scene.near.camera.picture, _NEAR_STREAM, files)
     return far + near
 
 

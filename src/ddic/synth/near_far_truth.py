@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.images.camera import CameraMapping
+from ddic.io.json_file import write_json
 from ddic.synth.fields import DisplacementField
 from ddic.synth.near_far_scene import NearFarScene, SetUpMotion
-from ddic.synth.truth import as_tuples, describe_pair, load_truth, read_record, write_record
+from ddic.synth.truth import as_tuples, describe_pair, load_truth, read_record
 
 Built = TypeVar("Built")
 _REMEDY = "give the truth.json that ddic synth near-far wrote"
@@ -107,10 +108,7 @@ class NearFarTruth:
 
 
 def save_near_far_truth(path: Path, scene: NearFarScene) -> None:
-    """Write fields, textures, holes, cameras and the set-up's motion as JSON.
-
-    The far pair is described as ``save_truth`` describes a pair, the near pair likewise under ``near``, where
-    ``mapping`` is phi and ``motion`` is T; the displacement of both is the one of the specimen's frame.
+    """Write a truth file.
 
     Parameters
     ----------
@@ -122,7 +120,31 @@ def save_near_far_truth(path: Path, scene: NearFarScene) -> None:
     Raises
     ------
     InputError
-        If the field is not one of this package's, or the file cannot be written.
+        If the field is not one of this package's, or the folder cannot be written to.
+    """
+    write_json(path, describe_near_far(scene))
+
+
+def describe_near_far(scene: NearFarScene) -> dict[str, Any]:
+    """Describe fields, textures, holes, cameras and the set-up's motion, as values that JSON holds.
+
+    The far pair is described as ``save_truth`` describes a pair, the near pair likewise under ``near``, where
+    ``mapping`` is phi and ``motion`` is T; the displacement of both is the one of the specimen's frame.
+
+    Parameters
+    ----------
+    scene : NearFarScene
+        What was rendered.
+
+    Returns
+    -------
+    dict
+        A truth file's record.
+
+    Raises
+    ------
+    InputError
+        If the field is not one of this package's.
     """
     camera = scene.near.camera
     record = describe_pair(scene.far, scene.far_picture)
@@ -132,7 +154,7 @@ def save_near_far_truth(path: Path, scene: NearFarScene) -> None:
         "mapping": _describe_mapping(camera.mapping),
         "motion": dataclasses.asdict(camera.motion),
     }
-    write_record(path, record)
+    return record
 
 
 def _describe_mapping(mapping: CameraMapping) -> dict[str, Any]:

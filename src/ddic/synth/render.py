@@ -10,8 +10,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.errors import InputError
 from ddic.images.window import Window
+from ddic.io.replace_on_exit import NewFiles, joined
 from ddic.synth.digitise import Stored
 from ddic.synth.fields import DisplacementField
 from ddic.synth.hole import Hole
@@ -154,7 +154,8 @@ def render_pair(scene: Pictured, picture: Picture, stream: int = 0) -> ImagePair
     return ImagePair(reference, deformed)
 
 
-def write_pair(paths: tuple[Path, Path], scene: Pictured, picture: Picture, stream: int = 0) -> None:
+def write_pair(paths: tuple[Path, Path], scene: Pictured, picture: Picture, stream: int = 0,
+               files: NewFiles | None = None) -> None:
     """Write the images of ``render_pair`` to two uncompressed TIFF files, holding one band in memory.
 
     Parameters
@@ -167,35 +168,24 @@ def write_pair(paths: tuple[Path, Path], scene: Pictured, picture: Picture, stre
         Size, bit depth and noise of both images.
     stream : int, optional
         Of the reference image's noise; the deformed image's is the next.
+    files : NewFiles, optional
+        With which they take their names; by default the two do so by themselves.
 
     Raises
     ------
     InputError
-        For a field that folds the plane, or a file that cannot be written; no half-written file stays.
+        For a field that folds the plane, or a folder that cannot be written to; no half-written file stays.
+    OSError
+        Where the disk does not take them.
     ConvergenceError
         Where the motion cannot be inverted to 1e-12 px.
     """
-    path_reference, path_deformed = paths
-    try:
-        reference = _create_tiff(path_reference, picture)
-        deformed = _create_tiff(path_deformed, picture)
+    with joined(files) as new:
+        reference, deformed = (_create_tiff(new.begin(path), picture) for path in paths)
         first_rows = range(0, picture.height, _SQUARE)
         for row, band in zip(first_rows, _bands(scene, picture, stream), strict=True):
             reference.fill(row, band.reference)
             deformed.fill(row, band.deformed)
-    except BaseException as error:
-        _remove(paths)
-        if isinstance(error, OSError):
-            raise InputError(f"{error.filename or path_reference}: cannot be written: {error.strerror}; "
-                             "choose a folder with write access and enough space") from error
-        raise
-
-
-def _remove(paths: tuple[Path, ...]) -> None:
-    """Remove files that would otherwise stay half written."""
-    for path in paths:
-        if path.is_file():
-            path.unlink()
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ddic.errors import InputError
+from ddic.io.json_file import write_json
 from ddic.synth.fields import Affine, Bending, DisplacementField, Sinusoidal, Sum, Translation
 from ddic.synth.kirsch import Kirsch
 from ddic.synth.picture import Picture
@@ -36,9 +37,9 @@ def save_truth(path: Path, scene: Scene, picture: Picture) -> None:
     Raises
     ------
     InputError
-        If the field is not one of this package's, or the file cannot be written.
+        If the field is not one of this package's, or the folder cannot be written to.
     """
-    write_record(path, describe_pair(scene, picture))
+    write_json(path, describe_pair(scene, picture))
 
 
 def describe_pair(scene: Scene, picture: Picture) -> dict[str, Any]:
@@ -70,27 +71,6 @@ def describe_pair(scene: Scene, picture: Picture) -> dict[str, Any]:
         "hole": None if scene.hole is None else dataclasses.asdict(scene.hole),
         "image": {**size, **dataclasses.asdict(picture.digitiser)},
     }
-
-
-def write_record(path: Path, record: dict[str, Any]) -> None:
-    """Write a truth file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    record : dict
-        Values that JSON holds.
-
-    Raises
-    ------
-    InputError
-        If it cannot be written.
-    """
-    try:
-        path.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}; choose a writable folder") from error
 
 
 def load_truth(path: Path) -> DisplacementField:

@@ -15,6 +15,7 @@ from PIL import Image
 
 from ddic.errors import InputError
 from ddic.io.plots.page_room import make_room_above
+from ddic.io.replace_on_exit import replaced_on_exit
 
 N_GREYS, N_OF_SCALE = 32, 128
 """Colours of a GIF that are kept for texts and images, and for colour bars; the other ones of 256 are found."""
@@ -62,10 +63,14 @@ def write_animation(path: Path, pages: Iterable[Figure], height: float, fps: flo
         Where ffmpeg fails.
     """
     fitted = (_grow_page(page, height) for page in pages)
-    if path.suffix == ".mp4":
-        _write_mp4(path, fitted, fps, dpi)
-    else:
-        _write_gif(path, fitted, fps, dpi)
+    with replaced_on_exit(path) as temporary:
+        if path.suffix == ".mp4":
+            try:
+                _write_mp4(temporary, fitted, fps, dpi)
+            except (subprocess.CalledProcessError, BrokenPipeError) as error:
+                raise InputError(f"{path}: ffmpeg failed ({error}); leave --format out (GIF)") from error
+        else:
+            _write_gif(temporary, fitted, fps, dpi)
 
 
 def _write_gif(path: Path, pages: Iterable[Figure], fps: float, dpi: int) -> None:
@@ -104,18 +109,14 @@ def _choose_palette(page: Figure, drawn: Image.Image) -> Image.Image:
 
 def _write_mp4(path: Path, pages: Iterable[Figure], fps: float, dpi: int) -> None:
     # Matplotlib says that rates are whole numbers, and passes on any.
-    writer = animation.FFMpegWriter(fps=fps)  # type: ignore[arg-type]
-    try:
-        for number, page in enumerate(pages):
-            if number == 0:
-                writer.setup(page, str(path), dpi)
-            # Each page is a figure of its own; the writer takes the one that it was set up with.
-            writer.fig = page
-            writer.grab_frame()
-        writer.finish()
-    except (subprocess.CalledProcessError, BrokenPipeError) as error:
-        path.unlink(missing_ok=True)
-        raise InputError(f"{path}: ffmpeg failed ({error}); leave --format out (GIF)") from error
+    writer = animation.FFMpegWriter(fps=fps, extra_args=["-f", "mp4"])  # type: ignore[arg-type]
+    for number, page in enumerate(pages):
+        if number == 0:
+            writer.setup(page, str(path), dpi)
+        # Each page is a figure of its own; the writer takes the one that it was set up with.
+        writer.fig = page
+        writer.grab_frame()
+    writer.finish()
 
 
 def _grow_page(page: Figure, height: float) -> Figure:

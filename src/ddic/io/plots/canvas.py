@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ddic.io.plots.length_unit import PIXELS, LengthUnit
 from ddic.io.plots.page_text import format_title
+from ddic.io.replace_on_exit import NewFiles, joined
 from ddic.mesh.mesh import Mesh
 
 Component = Literal["x", "y", "magnitude"]
@@ -373,7 +374,7 @@ def format_component(symbol: str, component: Component) -> str:
     return f"$|{symbol}|$" if component == "magnitude" else f"${symbol}_{component}$"
 
 
-def save_figure(figure: Figure, path: Path, dpi: int = DPI) -> None:
+def save_figure(figure: Figure, path: Path, dpi: int = DPI, files: NewFiles | None = None) -> None:
     """Save a figure.
 
     Parameters
@@ -384,8 +385,17 @@ def save_figure(figure: Figure, path: Path, dpi: int = DPI) -> None:
         Whose ending tells the format: png, pdf, svg.
     dpi : int, optional
         Dots an inch; in PDF and SVG of images and of fields in colour, beside which texts and lines stay sharp.
+    files : NewFiles, optional
+        With which it takes its name; by default it does so by itself.
+
+    Raises
+    ------
+    InputError, OSError
+        Where it cannot be written; an earlier one stays.
     """
+    ending = path.suffix.lower()
     # Journals refuse type 3, matplotlib's own choice; without a date the same picture is the same file.
     with rc_context({"pdf.fonttype": 42, "svg.hashsalt": path.stem}):
         dated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
-        figure.savefig(path, dpi=dpi, metadata=dated.get(path.suffix.lower()))
+        with joined(files) as new:
+            figure.savefig(new.begin(path), format=ending.removeprefix("."), dpi=dpi, metadata=dated.get(ending))
