@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
 
 import pytest
@@ -28,9 +29,17 @@ def test_what_is_no_users_mistake_has_another_exit_code(capsys: pytest.CaptureFi
 
 def test_a_target_that_cannot_be_written_to_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended, errors_as_lines(Path("full")):
-        raise OSError(28, "No space left on device")
+        raise OSError(errno.EISDIR, "Is a directory")
     assert ended.value.code == 2
-    assert capsys.readouterr().err == "full: cannot be written to (No space left on device); choose another --output\n"
+    assert capsys.readouterr().err == "full: cannot be written to (Is a directory); choose another --output\n"
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EROFS, errno.EIO])
+def test_a_full_or_broken_disk_is_nobodys_mistake(number: int, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended, errors_as_lines(Path("full")):
+        raise OSError(number, "why")
+    assert ended.value.code == 1
+    assert capsys.readouterr().err == "full: cannot be written to (why); choose another --output\n"
 
 
 def test_other_failures_are_not_hidden() -> None:

@@ -86,10 +86,44 @@ def test_an_output_that_is_no_folder_is_named(tmp_path):
     assert str(tmp_path / "file" / "pair") in result.output
 
 
-def test_the_truth_of_an_earlier_pair_does_not_outlive_it(tmp_path):
+def test_an_earlier_pair_is_replaced_whole_or_not_at_all(tmp_path):
     assert run("translation", "--size", "30x30", "--output", tmp_path).exit_code == 0
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     assert run("sinusoidal", "--amplitude", 400, 0, "--output", tmp_path).exit_code == 2
-    assert not (tmp_path / "truth.json").exists()
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+    assert run("translation", "--size", "30x30", "--seed", 1, "--output", tmp_path).exit_code == 0
+    after = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert set(after) == set(before)
+    assert all(after[name] != content for name, content in before.items())
+
+
+@pytest.mark.parametrize("folder", [".", "images"])
+def test_images_of_a_case_are_not_replaced(tmp_path, folder):
+    images = tmp_path / folder
+    assert run("translation", "--size", "30x30", "--output", images).exit_code == 0
+    before = {path.name: path.read_bytes() for path in images.iterdir()}
+    text = f'[images]\nreference = "{folder}/reference.tif"\ndeformed = "{folder}/d*.tif"\n'
+    (tmp_path / "case.toml").write_text(text)
+    refused = run("translation", "--size", "30x30", "--seed", 1, "--output", images)
+    assert refused.exit_code == 2
+    assert "an input of" in refused.output
+    assert len(refused.output.strip().splitlines()) == 1
+    assert {name: (images / name).read_bytes() for name in before} == before
+
+
+@pytest.mark.parametrize("name", ["reference.tif", "deformed.tif", "truth.json"])
+@pytest.mark.parametrize("link", ["file", "hard", "symbolic"])
+def test_files_that_are_there_stay(tmp_path, name, link):
+    folder, kept = tmp_path / "pair", tmp_path / "kept"
+    folder.mkdir()
+    kept.write_text("mine")
+    {"file": lambda at: at.write_text("mine"), "hard": lambda at: at.hardlink_to(kept),
+     "symbolic": lambda at: at.symlink_to(kept)}[link](folder / name)
+    refused = run("translation", "--size", "30x30", "--output", folder)
+    assert refused.exit_code == 2
+    assert str(folder / name) in refused.output
+    assert [path.name for path in folder.iterdir()] == [name]
+    assert (folder / name).read_text() == "mine"
 
 
 def test_importing_the_command_loads_no_heavy_library():

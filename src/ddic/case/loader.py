@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -16,6 +16,7 @@ from ddic.case.messages import describe
 from ddic.case.schema import Case, OutputSection
 from ddic.case.sections import Location, find_section_in
 from ddic.errors import InputError
+from ddic.io.file_stamps import FileStamps
 
 DETECT = "detect"
 """In place of discontinuities: one line, found by itself."""
@@ -38,11 +39,14 @@ class LoadedCase:
         The file.
     text : str
         The file's content, as it was read.
+    stamps : FileStamps
+        Of what it names, when that was checked; empty before.
     """
 
     case: Case
     path: Path
     text: str
+    stamps: FileStamps = field(default_factory=FileStamps)
 
     @property
     def is_series(self) -> bool:

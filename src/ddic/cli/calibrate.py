@@ -34,10 +34,13 @@ def calibrate(far: Path, near: Path, ratio: float, model: Kind, distortion: bool
     """
     # Imported here because they bring numba, SciPy and OpenCV, which --help does not need.
     from ddic.calibration import near_calibration
+    from ddic.case.own_outputs import MAPPING, require_own_output
     from ddic.images.grey_levels import check_finite
     from ddic.io.image_file import open_image
 
     with errors_as_lines(output):
+        if output is not None:
+            require_own_output(output, MAPPING, (far, near))
         with warnings_as_lines():
             images = [open_image(path) for path in (far, near)]
             for image in images:

@@ -31,14 +31,19 @@ def check(case_file: Path, drawing: Path | None) -> None:
     """
     # Imported here because they bring numba, meshio and OpenCV, which --help does not need.
     from ddic.case.loader import load_case
+    from ddic.case.own_outputs import PICTURE, require_own_output
+    from ddic.problem.check_output import list_inputs
     from ddic.problem.check_ranks import check_case_file
 
-    with errors_as_lines(), warnings_as_lines():
+    with errors_as_lines(drawing), warnings_as_lines():
         if drawing is not None:
             _check_drawing(drawing)
+            require_own_output(drawing, PICTURE, (case_file,))
         report = check_case_file(case_file)
         if drawing is not None:
-            _draw(load_case(case_file).case, drawing)
+            loaded = load_case(case_file)
+            require_own_output(drawing, PICTURE, list_inputs(loaded))
+            _draw(loaded.case, drawing)
     for name, value in _lines(report):
         click.echo(f"{name:<20}{value}")
     if drawing is not None:
@@ -64,10 +69,7 @@ def _draw(case: Case, drawing: Path) -> None:
     reference = open_image(case.images.reference)
     mesh = _build_mesh(case, reference.width, reference.height)
     figure = draw_mesh_preview(mesh, read_preview(reference), list_discontinuities(case).lines)
-    try:
-        save_figure(figure, drawing)
-    except OSError as error:
-        raise InputError(f"--plot {drawing}: cannot be written ({error.strerror}); choose another file") from error
+    save_figure(figure, drawing)
 
 
 def _build_mesh(case: Case, width: int, height: int) -> Mesh:

@@ -28,6 +28,7 @@ def opening(file: Path, frame: int | None, output: Path | None) -> None:
     # Imported here because HDF5 is not needed by --help.
     import numpy as np
 
+    from ddic.case.own_outputs import OPENINGS, require_own_output
     from ddic.fracture.line_opening import measure_openings
     from ddic.io.frame_of_series import read_frame
     from ddic.io.replace_on_exit import replaced_on_exit
@@ -35,6 +36,7 @@ def opening(file: Path, frame: int | None, output: Path | None) -> None:
     of_frame = "" if frame is None else f".frame_{frame}"
     target = file.parent / f"{file.stem}{of_frame}.opening.csv" if output is None else output
     with errors_as_lines(target):
+        require_own_output(target, OPENINGS, (file,))
         with warnings_as_lines():
             result = read_frame(file, frame)
         found = measure_openings(result)

@@ -51,6 +51,7 @@ class _Drawing:
     limits: tuple[float, float] | None
     amplification: float | None
     line: tuple[float, float, float, float] | None
+    files: tuple[Path | None, ...] = ()
     scale: SharedScale | None = None
 
 
@@ -124,7 +125,7 @@ def plot(file: Path, kind: str, frame: int | None, animate: bool, fps: float,
         kinds = _kinds(kind, result, second)
         preview = _reference(result, image) if set(kinds) & set(OVER_IMAGE) else None
         drawing = _Drawing(result, second, preview, component, StrainChoice(measure, number, by_cell),
-                           find_length_unit(result, units), limits, amplification, line)
+                           find_length_unit(result, units), limits, amplification, line, (file, other, image))
         with made_folder(folder):
             if series is not None:
                 _animate(series, kind, drawing, pages, fps)
@@ -153,6 +154,7 @@ def _caption(file: Path, frame: int | None) -> tuple[list[str], str]:
 
 def _plot_one(kinds: list[str], drawing: _Drawing, pages: PageFiles, caption: tuple[list[str], str]) -> None:
     """Pictures of one result."""
+    from ddic.case.own_outputs import PICTURE, require_own_output
     from ddic.io.plots.canvas import save_figure
     from ddic.io.plots.failure_mark import draw_failures
     from ddic.io.plots.frame_caption import draw_caption
@@ -160,6 +162,8 @@ def _plot_one(kinds: list[str], drawing: _Drawing, pages: PageFiles, caption: tu
 
     words, line = caption
     targets = [pages.to_path(*words, name) for name in kinds]
+    for target in targets:
+        require_own_output(target, PICTURE, drawing.files)
     with replaced_together() as files:
         for name, target in zip(kinds, targets, strict=True):
             figure = _figure(name, drawing)
@@ -173,8 +177,11 @@ def _plot_one(kinds: list[str], drawing: _Drawing, pages: PageFiles, caption: tu
 
 def _animate(series: SeriesResult, kind: str, drawing: _Drawing, pages: PageFiles, fps: float) -> None:
     """An animation of one kind."""
+    from ddic.case.own_outputs import PICTURE, require_own_output
     from ddic.io.plots.animation import write_animation
 
+    target = pages.to_path(kind)
+    require_own_output(target, PICTURE, drawing.files)
     look = Look(drawing.component, drawing.strain, drawing.amplification, drawing.unit, drawing.limits)
     shared = replace(drawing, scale=find_shared_scale(series, kind, look))
 
@@ -183,7 +190,6 @@ def _animate(series: SeriesResult, kind: str, drawing: _Drawing, pages: PageFile
 
     # Titles may take one line in a frame and two in another: the highest page is known once all were laid out.
     height = max(float(one.get_size_inches()[1]) for one in draw_pages(series, draw))
-    target = pages.to_path(kind)
     write_animation(target, draw_pages(series, draw), height, fps, pages.dpi)
     click.echo(target)
 

@@ -203,15 +203,17 @@ def plot_curves(series: SeriesResult, units: str | None, pages: PageFiles) -> No
     InputError
         Where the unit is not known.
     """
+    from ddic.case.own_outputs import PICTURE, require_own_output
     from ddic.io.made_folder import made_folder
     from ddic.io.plots.canvas import save_figure
     from ddic.io.plots.length_unit import find_length_unit
     from ddic.io.plots.time_curves import draw_time_curves
     from ddic.io.series_history import gather_history
 
+    target = pages.to_path(CURVES)
+    require_own_output(target, PICTURE, (series.path,))
     unit = find_length_unit(series[0], units)
     figure = draw_time_curves(gather_history(series), series.path.name, unit)
-    target = pages.to_path(CURVES)
     with made_folder(pages.folder):
         save_figure(figure, target, pages.dpi)
     click.echo(target)

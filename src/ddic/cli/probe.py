@@ -47,11 +47,14 @@ def probe(files: tuple[Path, ...], points: tuple[str, ...], lines: tuple[str, ..
     spatial resolution, the wavelength of which 90 % are left, and its noise (docs/probes.md).
     """
     # Imported here because HDF5 is not needed by --help.
+    from ddic.case.own_outputs import PROBES, require_own_output
     from ddic.io.series_reader import read_frames
     from ddic.probes.probe_file import load_probes
     from ddic.probes.probe_table import measure_probes, write_probe_table
 
     with errors_as_lines(table):
+        if table is not None:
+            require_own_output(table, PROBES, (*files, file))
         given = {"point": points, "line": lines, "gauge": gauges, "extensometer": extensometers}
         probes = [*_parse_probes(given), *(load_probes(file) if file is not None else [])]
         if not probes:

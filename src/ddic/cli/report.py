@@ -24,11 +24,13 @@ def report(file: Path, image: Path | None, frame: int | None, output: Path | Non
     Of a series its last frame is taken where --frame names none.
     """
     # Imported here because matplotlib is not needed by --help.
+    from ddic.case.own_outputs import PAGE, require_own_output
     from ddic.io.frame_of_series import read_frame_or_last
     from ddic.report.write_report import write_report
 
     target = file.parent / f"{file.stem}.report.html" if output is None else output
     with errors_as_lines(target), warnings_as_lines():
+        require_own_output(target, PAGE, (file, image))
         result, _ = read_frame_or_last(file, frame)
         write_report(result, target, image)
     click.echo(target)

@@ -39,6 +39,7 @@ def sweep(case_file: Path, lengths: str | None, elements: str | None, output: Pa
     folder = case_file.parent if output is None else output
     try:
         chosen = team.together(lambda: (_parse(lengths, "--lengths"), _parse(elements, "--elements")))
+        team.on_root(lambda: _check_outputs(case_file, folder))
         found = _try_all(team, case_file, *chosen)
         lines = team.on_root(lambda: _write(found, folder, case_file.stem))
     except Exception as error:
@@ -113,6 +114,16 @@ def _write(found: Sweep, folder: Path, stem: str) -> list[str]:
     noise = f"noise of an image, from the residual: {found.camera_noise:.2f} grey levels"
     said = [found.describe_recommendation(), "", found.describe_case(), ""]
     return [*list_failures(found), noise, *said, str(table), str(figure)]
+
+
+def _check_outputs(case_file: Path, folder: Path) -> None:
+    """Refuse outputs that would replace an input."""
+    from ddic.case.loader import load_case
+    from ddic.case.own_outputs import PICTURE, TRIALS, require_own_output
+    from ddic.problem.check_output import list_inputs
+
+    for path, kind in zip(_list_outputs(folder, case_file.stem), (TRIALS, PICTURE), strict=True):
+        require_own_output(path, kind, list_inputs(load_case(case_file)))
 
 
 def _list_outputs(folder: Path, stem: str) -> tuple[Path, Path]:

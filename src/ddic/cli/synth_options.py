@@ -103,7 +103,8 @@ def write_images(folder: Path, names: Sequence[str], record: dict[str, Any],
                  render: Callable[[NewFiles], object]) -> None:
     """Write images and their truth, all or nothing, and say where they are.
 
-    Images that are there already are inputs of cases: they are replaced by themselves alone.
+    Images that are there already are replaced only where a command like this one made them and no case file beside
+    them or in the folder above names them.
 
     Parameters
     ----------
@@ -144,22 +145,30 @@ def write_images(folder: Path, names: Sequence[str], record: dict[str, Any],
 
 
 def _require_free(paths: Sequence[Path], record: dict[str, Any]) -> None:
-    """Raise InputError where a file is there, unless all were made by the same options."""
-    from ddic.io.json_file import convert_to_json
+    """Raise InputError where a file is there, unless all are of an earlier command like this one, and no case's."""
+    from ddic.case.own_outputs import require_no_input
 
+    for path in paths:
+        require_no_input(path)
     taken = [path for path in paths if os.path.lexists(path)]
     if not taken:
         return
-    try:
-        before = json.loads(paths[-1].read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        before = None
-    if before != json.loads(json.dumps(convert_to_json(record))) or any(not _is_plain(path) for path in taken):
-        raise InputError(f"{taken[0]}: is there already, and not of these options: an image may be the input of a "
-                         "case; remove it, or choose another --output")
+    if len(taken) < len(paths) or not all(map(_is_plain, taken)) or not _is_truth_like(paths[-1], record):
+        raise InputError(f"{taken[0]}: is there already, and not of a whole set that ddic synth made; remove it, or "
+                         "choose another --output")
 
 
 def _is_plain(path: Path) -> bool:
     """Whether a file has one name and is no link."""
     status = path.lstat()
     return stat.S_ISREG(status.st_mode) and status.st_nlink == 1
+
+
+def _is_truth_like(path: Path, record: dict[str, Any]) -> bool:
+    """Whether a file is the truth of images of the same cameras."""
+    try:
+        before = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return (isinstance(before, dict) and before.get("format") == record["format"]
+            and ("near" in before) == ("near" in record))

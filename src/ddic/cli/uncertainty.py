@@ -35,17 +35,22 @@ def uncertainty(case_file: Path, sizes: str, displacements: int, noise: float, o
     # Imported here because they bring numba, PETSc and matplotlib, which --help does not need.
     from ddic.api.known_displacements import BASES, estimate_uncertainty
     from ddic.case.loader import load_case
+    from ddic.case.own_outputs import PICTURE, UNCERTAINTY, require_own_output
     from ddic.images.window import Window
     from ddic.io.image_file import open_image
     from ddic.io.made_folder import made_folder
     from ddic.io.plots.canvas import save_figure
     from ddic.io.plots.uncertainty_curves import draw_uncertainty
     from ddic.io.replace_on_exit import replaced_together
+    from ddic.problem.check_output import list_inputs
 
     folder = case_file.parent if output is None else output
     table, figure = (folder / f"{case_file.stem}.uncertainty.{ending}" for ending in ("csv", "png"))
     with errors_as_lines(folder):
-        case = load_case(case_file).case
+        loaded = load_case(case_file)
+        for path, kind in ((table, UNCERTAINTY), (figure, PICTURE)):
+            require_own_output(path, kind, list_inputs(loaded))
+        case = loaded.case
         image = open_image(case.images.reference)
         of_elements = _parse_sizes(sizes)
         line = case.discontinuity[0] if case.discontinuity else None

@@ -19,28 +19,26 @@ FOREIGN_AGE = 86400.0
 """Seconds after which what another machine has begun and does not hold counts as abandoned: locks of a shared file
 system may not reach from one machine to the other. A smaller value could take a file from a slow writer."""
 
-_TEMPORARY = re.compile(r"\..+\.(?P<machine>[0-9a-f]{8})\.\d+\.(tmp|lock)")
+_TEMPORARY = re.compile(r"\..+\.(?P<machine>[0-9a-f]{8})\.\d+\.tmp")
 
 _UNFINISHED: set[Path] = set()
 """Of this process, for ``remove_unfinished``: a signal reaches a process, not the object that writes."""
 
 
-def make_temporary_name(path: Path, ending: str = "tmp") -> Path:
+def make_temporary_name(path: Path) -> Path:
     """Name a file under construction.
 
     Parameters
     ----------
     path : Path
         Final name.
-    ending : str, optional
-        Last part of the name.
 
     Returns
     -------
     Path
         In the same folder, another for every process of every machine.
     """
-    return path.with_name(f".{path.name}.{_name_machine()}.{os.getpid()}.{ending}")
+    return path.with_name(f".{path.name}.{_name_machine()}.{os.getpid()}.tmp")
 
 
 @dataclass
@@ -82,7 +80,7 @@ class NewFiles:
             raise InputError(f"{path}: the folder {path.parent} does not exist or cannot be written to; "
                              "make it, or choose another output file")
         temporary = make_temporary_name(path)
-        _UNFINISHED.add(temporary)
+        note_unfinished(temporary)
         self.begun[path] = temporary, -1
         self.begun[path] = temporary, _create_locked(temporary)
         return temporary
@@ -112,7 +110,7 @@ class NewFiles:
                 temporary.unlink(missing_ok=True)
             if descriptor >= 0:
                 os.close(descriptor)
-            _UNFINISHED.discard(temporary)
+            forget_unfinished(temporary)
 
 
 @contextmanager
@@ -179,6 +177,28 @@ def replaced_on_exit(path: Path) -> Iterator[Path]:
         yield files.begin(path)
 
 
+def note_unfinished(path: Path) -> None:
+    """Have a file removed by ``remove_unfinished``.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    """
+    _UNFINISHED.add(path)
+
+
+def forget_unfinished(path: Path) -> None:
+    """Undo ``note_unfinished``.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    """
+    _UNFINISHED.discard(path)
+
+
 def remove_unfinished() -> None:
     """Remove the files that this process has begun and not finished; for a process that is about to be killed.
 
@@ -201,7 +221,7 @@ def remove_abandoned(folder: Path) -> None:
     """
     if not folder.is_dir():
         return
-    for path in folder.glob(".*.*"):
+    for path in folder.glob(".*.tmp"):
         named = _TEMPORARY.fullmatch(path.name)
         if named is not None:
             with suppress(OSError):

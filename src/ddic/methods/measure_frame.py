@@ -13,6 +13,7 @@ from ddic.io.series_folder import SeriesFolder
 from ddic.methods.frame_starts import choose_known_start, measure_from
 from ddic.methods.reference_session import ReferenceSession
 from ddic.parallel.team import Team
+from ddic.problem.kept_inputs import inputs_kept
 from ddic.results.frame_states import MeasuredState
 from ddic.results.measurement import Measurement
 from ddic.results.series_frames import write_failed_frame, write_frame
@@ -58,9 +59,10 @@ def measure_frame(session: ReferenceSession, number: int, states: Sequence[Measu
                          reference=session.frame)
     began = time.perf_counter()
     try:
-        frame = opener.open(number)
-        known = choose_known_start(case.series.start, states, record.time)
-        measurement, start = measure_from(session.session, frame, known, images.listener)
+        with inputs_kept(images.team, opener.choose_stamps(number)):
+            frame = opener.open(number)
+            known = choose_known_start(case.series.start, states, record.time)
+            measurement, start = measure_from(session.session, frame, known, images.listener)
     except DdicError as error:
         if not is_collective(error):
             raise

@@ -10,6 +10,7 @@ from ddic.methods.run_series import run_series
 from ddic.parallel.team import Team
 from ddic.problem.check_ranks import load_checked_case
 from ddic.results.listener import Listener
+from ddic.results.run_files import claimed_output
 from ddic.results.series_record import SeriesSummary
 from ddic.results.summary import Summary
 
@@ -40,7 +41,8 @@ def run_case(team: Team, path: Path, listener: Listener) -> Summary:
     loaded = team.on_root(lambda: load_checked_case(path, team.size))
     if loaded.is_series:
         raise as_collective(InputError(f"{path}: images.deformed: names a series, one image is expected here"))
-    return run_pair(team, loaded, listener)
+    with claimed_output(team, loaded.case.output.file):
+        return run_pair(team, loaded, listener)
 
 
 def run_file(team: Team, path: Path, listener: Listener, *, resume: bool = False) -> Summary | SeriesSummary:
@@ -68,9 +70,10 @@ def run_file(team: Team, path: Path, listener: Listener, *, resume: bool = False
         On all ranks, as ``run_pair`` and ``run_series`` do.
     """
     loaded = team.on_root(lambda: load_checked_case(path, team.size))
-    if loaded.is_series:
-        return run_series(team, loaded, listener, resume=resume)
-    if resume:
+    if resume and not loaded.is_series:
         raise as_collective(InputError(f"--resume: {path} has one deformed image, no series to go on with; leave "
                                        "--resume out"))
-    return run_pair(team, loaded, listener)
+    with claimed_output(team, loaded.case.output.file):
+        if loaded.is_series:
+            return run_series(team, loaded, listener, resume=resume)
+        return run_pair(team, loaded, listener)

@@ -10,6 +10,7 @@ from ddic.methods.noise_floors import estimate_noise_floor
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.inputs import open_inputs
+from ddic.problem.kept_inputs import inputs_kept
 from ddic.results.listener import Listener
 from ddic.results.publishing import Destination
 from ddic.results.run_files import keep_failed_run, remove_failed_field, write_run
@@ -42,12 +43,13 @@ def run_pair(team: Team, loaded: LoadedCase, listener: Listener) -> Summary:
     output, start = loaded.case.output, loaded.case.start.from_result
     clock = PhaseClock(entered=listener.phase, advanced=listener.progress, waiting=team.waiting)
     try:
-        with clock.phase(Phase.MESH):
-            inputs, frame = open_inputs(team, loaded)
-        inputs = find_discontinuity(team, inputs, frame, listener, clock)
-        with prepare_recipe(team, inputs, listener, clock, frame) as recipe:
-            measurement = recipe.measure(frame)
-            noise_floor = estimate_noise_floor(recipe, measurement, clock)
+        with inputs_kept(team, loaded.stamps):
+            with clock.phase(Phase.MESH):
+                inputs, frame = open_inputs(team, loaded)
+            inputs = find_discontinuity(team, inputs, frame, listener, clock)
+            with prepare_recipe(team, inputs, listener, clock, frame) as recipe:
+                measurement = recipe.measure(frame)
+                noise_floor = estimate_noise_floor(recipe, measurement, clock)
     except DdicError as error:
         keep_failed_run(team, error, Destination(output.file, output.flip_y), start, clock)
         raise

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from ddic.case.frame_files import list_deformed
@@ -50,6 +50,8 @@ def check_output_file(file: Path) -> None:
     folder = file.parent
     if file.is_dir():
         raise InputError(f"output.file: {file} is a folder; give the name of a file")
+    if file.exists() and not file.is_file():
+        raise InputError(f"output.file: {file} is a device or a pipe; give the name of a file")
     if not folder.is_dir():
         raise InputError(f"output.file: there is no folder {folder}; make it first")
     if not os.access(folder, os.W_OK | os.X_OK):
@@ -59,17 +61,53 @@ def check_output_file(file: Path) -> None:
 def _check_nothing_is_overwritten(loaded: LoadedCase) -> None:
     result = loaded.case.output.file
     n_cameras = 1 + len(loaded.case.near)
-    written = {path.resolve() for name in (result, not_converged_path(result), earlier_path(result))
+    written = {path for name in (result, not_converged_path(result), earlier_path(result))
                for path in (name, summary_path(name), physical_path(name),
                             *(sidecar_path(name, camera) for camera in range(n_cameras)))}
-    for path in (loaded.path, *_list_inputs(loaded.case)):
-        if path is not None and path.resolve() in written:
+    resolved = {path.resolve() for path in written}
+    existing = [path for path in written if path.exists()]
+    for path in list_inputs(loaded):
+        if path is not None and (path.resolve() in resolved or _is_any(path, existing)):
             raise InputError(f"output.file: {result} would overwrite the input {path}; choose another name")
 
 
-def _list_inputs(case: Case) -> Iterator[Path | None]:
-    """Files that a case reads; None for each that it does not name."""
+def _is_any(path: Path, others: Iterable[Path]) -> bool:
+    """Whether a file is one of others by another name, a hard link for instance."""
+    return path.exists() and any(path.samefile(other) for other in others)
+
+
+def list_inputs(loaded: LoadedCase) -> Iterator[Path | None]:
+    """List the files that a case reads and no run replaces.
+
+    Parameters
+    ----------
+    loaded : LoadedCase
+        The case file.
+
+    Yields
+    ------
+    Path or None
+        The case file and what it names; None for each that it does not.
+    """
+    yield loaded.path
+    yield from list_named_files(loaded.case)
+
+
+def list_named_files(case: Case) -> Iterator[Path | None]:
+    """List the files that a case names and no run replaces.
+
+    Parameters
+    ----------
+    case : Case
+        Any.
+
+    Yields
+    ------
+    Path or None
+        None for each that it does not name.
+    """
     yield from _list_images(case.images)
+    yield case.images.at_rest
     yield case.solver.partition_file
     yield case.start.from_points
     yield from _list_mesh_files(case.mesh)

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from ddic.case.loader import LoadedCase, load_case_leniently
 from ddic.errors import InputError
+from ddic.io.file_stamps import FileStamps
 from ddic.problem.check_inputs import check_inputs
+from ddic.problem.check_output import list_named_files
 from ddic.problem.check_report import CheckReport
 from ddic.problem.gather_problems import Problems
 from ddic.problem.rectangle import check_number_of_ranks
@@ -71,8 +74,10 @@ def load_checked_case(path: Path, n_ranks: int, output: Path | None = None) -> L
     loaded, of_keys = _load_readable_keys(path)
     if output is not None:
         loaded = loaded.with_output(output)
+    # Before they are checked: what changes afterwards was not.
+    stamps = FileStamps.take([*list_named_files(loaded.case), loaded.case.start.from_result])
     _check(loaded, of_keys, n_ranks)
-    return loaded
+    return replace(loaded, stamps=stamps)
 
 
 def check_loaded_case(loaded: LoadedCase, n_ranks: int) -> None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from ddic.case.frame_files import list_cameras, list_deformed
+from ddic.io.file_stamps import FileStamps
 from ddic.parallel.team import Team
 from ddic.problem.cameras import Frame, open_frame, open_on_all_ranks
 from ddic.problem.inputs import Inputs
@@ -25,12 +26,15 @@ class FrameOpener:
         Of a frame that is open already, from 1.
     first : Frame
         Its images.
+    stamps : FileStamps
+        Of the images when they were checked.
     """
 
     team: Team
     inputs: Inputs
     first_number: int
     first: Frame
+    stamps: FileStamps = field(default_factory=FileStamps)
 
     @property
     def n_frames(self) -> int:
@@ -75,6 +79,22 @@ class FrameOpener:
         if number > self.n_frames:
             return []
         return [list_deformed(section)[number - 1] for section in list_cameras(self.inputs.case)]
+
+    def choose_stamps(self, number: int) -> FileStamps:
+        """Choose the stamps of what a frame is measured from.
+
+        Parameters
+        ----------
+        number : int
+            From 1.
+
+        Returns
+        -------
+        FileStamps
+            Of its images and the reference images.
+        """
+        references = [section.reference for section in list_cameras(self.inputs.case)]
+        return self.stamps.choose([*references, *self.list_files(number)])
 
     def describe(self, number: int) -> str:
         """Describe a frame by the far camera's image.

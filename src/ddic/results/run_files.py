@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 from ddic.errors import ConvergenceError, DdicError, InputError, WriteError, as_collective, is_collective
+from ddic.io.output_lock import held_output
 from ddic.io.replace_on_exit import replaced_together
 from ddic.io.result_files import move_result, remove_result
 from ddic.io.result_schema import earlier_path, not_converged_path, summary_path
@@ -60,6 +61,32 @@ def write_run(measurement: Measurement | SeparatedMeasurement, clock: PhaseClock
             raise as_collective(WriteError(str(error))) from error
         team.build_on_root(stack.pop_all().close)
     return summary
+
+
+@contextmanager
+def claimed_output(team: Team, file: Path) -> Iterator[None]:
+    """Keep other runs from a result's name while the block measures and writes it; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    file : Path
+        The result file.
+
+    Yields
+    ------
+    None
+        While this run has it.
+
+    Raises
+    ------
+    InputError
+        On all ranks, where another run has it.
+    """
+    with ExitStack() as stack:
+        team.build_on_root(lambda: stack.enter_context(held_output(file)))
+        yield
 
 
 def remove_failed_field(team: Team, file: Path, start: Path | None) -> None:

@@ -9,6 +9,7 @@ from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.frame_opener import FrameOpener
 from ddic.problem.inputs import open_inputs
+from ddic.problem.kept_inputs import inputs_kept
 from ddic.results.listener import Listener
 
 
@@ -59,6 +60,6 @@ def open_series(team: Team, loaded: LoadedCase, number: int, listener: Listener)
         On all ranks, where an image cannot be read.
     """
     clock = PhaseClock(entered=listener.phase, advanced=listener.progress, waiting=team.waiting)
-    with clock.phase(Phase.MESH):
+    with inputs_kept(team, loaded.stamps), clock.phase(Phase.MESH):
         inputs, first = open_inputs(team, loaded, number - 1)
-    return SeriesImages(team, FrameOpener(team, inputs, number, first), listener, clock)
+    return SeriesImages(team, FrameOpener(team, inputs, number, first, loaded.stamps), listener, clock)
