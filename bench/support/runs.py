@@ -176,6 +176,9 @@ def images(*arguments: str, folder: Path) -> Path:
     wanted = json.dumps([*arguments, source_version()])
     if not stamp.is_file() or stamp.read_text(encoding="utf-8") != wanted:
         folder.mkdir(parents=True, exist_ok=True)
+        for earlier in (*folder.glob("*reference.tif"), *folder.glob("*deformed.tif"), folder / "truth.json"):
+            # Case files of an earlier run may name them, and ddic replaces no input.
+            earlier.unlink(missing_ok=True)
         ddic("synth", *arguments, "--output", str(folder))
         stamp.write_text(wanted, encoding="utf-8")
     return folder

@@ -104,7 +104,7 @@ def write_images(folder: Path, names: Sequence[str], record: dict[str, Any],
     """Write images and their truth, all or nothing, and say where they are.
 
     Images that are there already are replaced only where a command like this one made them and no case file beside
-    them or in the folder above names them.
+    them or in the folder above names them, or by the same ones.
 
     Parameters
     ----------
@@ -147,13 +147,19 @@ def write_images(folder: Path, names: Sequence[str], record: dict[str, Any],
 def _require_free(paths: Sequence[Path], record: dict[str, Any]) -> None:
     """Raise InputError where a file is there, unless all are of an earlier command like this one, and no case's."""
     from ddic.case.own_outputs import require_no_input
+    from ddic.io.json_file import convert_to_json
 
-    for path in paths:
-        require_no_input(path)
     taken = [path for path in paths if os.path.lexists(path)]
     if not taken:
         return
-    if len(taken) < len(paths) or not all(map(_is_plain, taken)) or not _is_truth_like(paths[-1], record):
+    before = _read_truth(paths[-1])
+    is_set = len(taken) == len(paths) and all(map(_is_plain, taken)) and before.get("format") == record["format"]
+    if is_set and before == json.loads(json.dumps(convert_to_json(record))):
+        # The same images again.
+        return
+    for path in paths:
+        require_no_input(path)
+    if not is_set or ("near" in before) != ("near" in record):
         raise InputError(f"{taken[0]}: is there already, and not of a whole set that ddic synth made; remove it, or "
                          "choose another --output")
 
@@ -164,11 +170,10 @@ def _is_plain(path: Path) -> bool:
     return stat.S_ISREG(status.st_mode) and status.st_nlink == 1
 
 
-def _is_truth_like(path: Path, record: dict[str, Any]) -> bool:
-    """Whether a file is the truth of images of the same cameras."""
+def _read_truth(path: Path) -> dict[str, Any]:
+    """What a truth file holds; nothing where it is none."""
     try:
-        before = json.loads(path.read_text(encoding="utf-8"))
+        found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
-        return False
-    return (isinstance(before, dict) and before.get("format") == record["format"]
-            and ("near" in before) == ("near" in record))
+        return {}
+    return found if isinstance(found, dict) else {}
