@@ -152,8 +152,10 @@ def _require_free(paths: Sequence[Path], record: dict[str, Any]) -> None:
     taken = [path for path in paths if os.path.lexists(path)]
     if not taken:
         return
-    before = _read_truth(paths[-1])
-    is_set = len(taken) == len(paths) and all(map(_is_plain, taken)) and before.get("format") == record["format"]
+    is_set = len(taken) == len(paths) and all(map(_is_plain, taken))
+    # A device may have no end.
+    before = _read_truth(paths[-1]) if is_set else {}
+    is_set = before.get("format") == record["format"]
     if is_set and before == json.loads(json.dumps(convert_to_json(record))):
         # The same images again.
         return
