@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import stat
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
+import meshio
 import numpy as np
 from click.testing import CliRunner
 
@@ -17,8 +20,7 @@ from bench.support.runs import ddic, images
 from ddic.cli.app import main
 
 INPUTS = ("far_reference.tif", "far_deformed.tif", "near_reference.tif", "near_deformed.tif", "truth.json", "mask.png",
-          "mesh.msh", "mapping.toml", "partition.txt", "points.csv", "case.toml", "result.vtkhdf", "/dev/null",
-          "/dev/full")
+          "mesh.msh", "mapping.toml", "partition.txt", "points.csv", "case.toml", "result.vtkhdf", "device", "pipe")
 WAYS = ("name", "hard link", "symbolic link")
 
 _CASE = """[images]
@@ -113,8 +115,11 @@ def _prepare(folder: Path) -> None:
     cv2.imwrite(str(folder / "mask.png"), np.full((160, 200), 255, np.uint8))
     (folder / "mapping.toml").write_text("# Near camera: homography\nhomography = [[4, 0, 0], [0, 4, 0], [0, 0, 1]]\n",
                                          encoding="utf-8")
-    (folder / "mesh.msh").write_text("$MeshFormat\n4.1 0 8\n$EndMeshFormat\n", encoding="utf-8")
-    (folder / "partition.txt").write_text("0\n" * 20, encoding="utf-8")
+    corners = np.array([[40.0, 40.0, 0.0], [160.0, 40.0, 0.0], [160.0, 120.0, 0.0], [40.0, 120.0, 0.0]])
+    meshio.write(folder / "mesh.msh", meshio.Mesh(corners, [("quad", np.array([[0, 1, 2, 3]]))]), file_format="gmsh")
+    os.mkfifo(folder / "pipe")
+    _make_device(folder / "device")
+    (folder / "partition.txt").write_text("0\n", encoding="utf-8")
     (folder / "points.csv").write_text("x,y,u,v\n40,40,0,0\n", encoding="utf-8")
     simple = ('[images]\nreference = "far_reference.tif"\ndeformed = "far_deformed.tif"\n[mesh.structured]\n'
               "region = [20, 20, 180, 140]\nelement_size = 20\n")
@@ -125,6 +130,14 @@ def _prepare(folder: Path) -> None:
     (folder / "case.toml").write_text(_CASE, encoding="utf-8")
 
 
+def _make_device(path: Path) -> None:
+    """A device of the check's own, lest a fault replace one of the system's; a pipe where this user may have none."""
+    try:
+        os.mknod(path, 0o600 | stat.S_IFCHR, os.makedev(1, 3))
+    except OSError:
+        os.mkfifo(path)
+
+
 def _try(folder: Path, writer: Writer, input_: str, way: str) -> Iterator[str]:
     """Ask a command; what is wrong with its answer, empty where nothing is."""
     if writer.name == "run" and input_ == "result.vtkhdf":
@@ -133,13 +146,15 @@ def _try(folder: Path, writer: Writer, input_: str, way: str) -> Iterator[str]:
     target = folder / input_
     place = folder / "place"
     place.mkdir()
-    is_device = input_.startswith("/")
+    (folder / "run.toml").touch()
+    if writer.name == "run" and input_ == "case.toml":
+        target = folder / "run.toml"
     if writer.fixed_name is not None or way != "name":
-        # Devices have no hard links, and a file has another name only by one.
+        # Where the command names its output, that is a link to the input.
         output = place / (writer.fixed_name or f"linked{target.suffix}")
         if writer.name == "check":
             output = output.with_suffix(".png")
-        if way == "symbolic link" or is_device:
+        if way == "symbolic link":
             output.symlink_to(target)
         else:
             output.hardlink_to(target)
