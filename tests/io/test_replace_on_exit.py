@@ -41,7 +41,7 @@ def test_files_take_their_names_together(tmp_path: Path) -> None:
     gone.write_text("before")
     with replaced_together() as files:
         files.begin(old).write_text("after")
-        files.drop(gone)
+        files.remove_old(gone)
         files.begin(new).write_text("after")
         assert old.read_text() == gone.read_text() == "before"
         assert not new.exists()
@@ -57,7 +57,7 @@ def test_where_one_fails_all_stay_as_they_were(tmp_path: Path) -> None:
     def write() -> None:
         with replaced_together() as files:
             files.begin(old).write_text("after")
-            files.drop(gone)
+            files.remove_old(gone)
             files.begin(new)
             raise OSError(errno.ENOSPC, "full")
 

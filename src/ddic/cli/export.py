@@ -22,12 +22,12 @@ def export(file: Path, frame: int | None, table: Path | None) -> None:
     # Imported here because HDF5 is not needed by --help.
     from ddic.case.own_outputs import CELLS, NODES, require_own_output
     from ddic.io.frame_of_series import read_frame
-    from ddic.probes.field_tables import name_field_tables, write_field_tables
+    from ddic.probes.field_tables import list_field_tables, write_field_tables
 
     of_frame = "" if frame is None else f".frame_{frame}"
     target = file.parent / f"{file.stem}{of_frame}.csv" if table is None else table
     with errors_as_lines(target):
-        for path, kind in zip(name_field_tables(target), (NODES, CELLS), strict=True):
+        for path, kind in zip(list_field_tables(target), (NODES, CELLS), strict=True):
             require_own_output(path, kind, (file,))
         with warnings_as_lines():
             result = read_frame(file, frame)

@@ -13,7 +13,7 @@ from typing import Any
 import h5py
 
 
-class UnfailingFile(io.RawIOBase):
+class _UnfailingFile(io.RawIOBase):
     """A file that takes every write: what the disk refuses stays in memory, and why is kept.
 
     The HDF5 library cannot close a file that a disk refuses: it tries again when the process ends, and crashes. Here it
@@ -169,7 +169,7 @@ class NewHdf5:
     """
 
     def __init__(self, path: Path, cache_bytes: int | None = None) -> None:
-        self._stream = UnfailingFile(path)
+        self._stream = _UnfailingFile(path)
         self.file = h5py.File(self._stream, "w", rdcc_nbytes=cache_bytes)
 
     def __enter__(self) -> NewHdf5:

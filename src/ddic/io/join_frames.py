@@ -87,7 +87,7 @@ def join_frames(folder: SeriesFolder, numbers: Sequence[int], records: Sequence[
             file.copy(file[f"{schema.frame_group(numbers[0])}/{schema.UNITS}"], file, schema.UNITS)
             write_physical_sidecar(target, file, files)
         else:
-            files.drop(schema.physical_path(target))
+            files.remove_old(schema.physical_path(target))
 
 
 class _GrowingGeometry:

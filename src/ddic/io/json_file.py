@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ddic.io.replace_on_exit import NewFiles, joined
+from ddic.io.replace_on_exit import NewFiles, begin_files
 
 
 def write_json(path: Path, content: Mapping[str, Any], files: NewFiles | None = None) -> None:
@@ -29,7 +29,7 @@ def write_json(path: Path, content: Mapping[str, Any], files: NewFiles | None = 
         Where the folder cannot be written to.
     """
     text = json.dumps(convert_to_json(content), indent=2, allow_nan=False)
-    with joined(files) as new:
+    with begin_files(files) as new:
         new.begin(path).write_text(text + "\n", encoding="utf-8")
 
 

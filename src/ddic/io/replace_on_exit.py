@@ -85,7 +85,7 @@ class NewFiles:
         self.begun[path] = temporary, _create_locked(temporary)
         return temporary
 
-    def drop(self, path: Path) -> None:
+    def remove_old(self, path: Path) -> None:
         """Have a file removed when the new ones take their names.
 
         Parameters
@@ -102,11 +102,13 @@ class NewFiles:
         for path, (temporary, _) in self.begun.items():
             temporary.replace(path)
 
-    def discard(self) -> None:
+    def remove_unnamed(self) -> None:
         """Remove what has not got its name."""
         for temporary, descriptor in self.begun.values():
             with suppress(OSError):
-                # Of a folder that can no longer be written to, nothing can be removed.
+                # Of a folder that can no longer be written to, nothing can be removed, but emptied.
+                if descriptor >= 0 and os.path.samestat(temporary.stat(), os.fstat(descriptor)):
+                    os.ftruncate(descriptor, 0)
                 temporary.unlink(missing_ok=True)
             if descriptor >= 0:
                 os.close(descriptor)
@@ -135,10 +137,10 @@ def replaced_together() -> Iterator[NewFiles]:
         _name_file(error, files)
         raise
     finally:
-        files.discard()
+        files.remove_unnamed()
 
 
-def joined(files: NewFiles | None) -> AbstractContextManager[NewFiles]:
+def begin_files(files: NewFiles | None) -> AbstractContextManager[NewFiles]:
     """Add to a set of new files, where there is one, or make one that stands by itself.
 
     Parameters

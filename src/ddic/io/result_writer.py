@@ -130,13 +130,13 @@ class ResultWriter:
         """Write what shows the residual images and the length unit."""
         if not self._grids:
             # One of an earlier run would point to an image that is no longer there.
-            files.drop(schema.sidecar_path(path))
+            files.remove_old(schema.sidecar_path(path))
         for camera, grid in enumerate(self._grids):
             write_sidecar(path, camera, width=grid.width, height=grid.height, flip_y=self._flip_y, files=files)
         if self._has_physical_units():
             write_physical_sidecar(path, self._file, files)
         else:
-            files.drop(schema.physical_path(path))
+            files.remove_old(schema.physical_path(path))
 
     def read_back(self) -> Result:
         """Read what was written, with the residual image, while the file is open.

@@ -13,7 +13,7 @@ from ddic.io.series_folder import SeriesFolder
 from ddic.methods.frame_starts import choose_known_start, measure_from
 from ddic.methods.reference_session import ReferenceSession
 from ddic.parallel.team import Team
-from ddic.problem.kept_inputs import inputs_kept
+from ddic.problem.inputs import inputs_kept
 from ddic.results.frame_states import MeasuredState
 from ddic.results.measurement import Measurement
 from ddic.results.series_frames import write_failed_frame, write_frame

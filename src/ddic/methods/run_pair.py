@@ -9,8 +9,7 @@ from ddic.methods.detect import find_discontinuity
 from ddic.methods.noise_floors import estimate_noise_floor
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.inputs import open_inputs
-from ddic.problem.kept_inputs import inputs_kept
+from ddic.problem.inputs import inputs_kept, open_inputs
 from ddic.results.listener import Listener
 from ddic.results.publishing import Destination
 from ddic.results.run_files import keep_failed_run, remove_failed_field, write_run

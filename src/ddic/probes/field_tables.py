@@ -43,7 +43,7 @@ def write_field_tables(path: Path | str, result: Result) -> tuple[Path, Path]:
     InputError
         Where the folder cannot be written to.
     """
-    nodes, cells = name_field_tables(Path(path))
+    nodes, cells = list_field_tables(Path(path))
     mesh = result.mesh
     with replaced_together() as files:
         _write_table(files.begin(nodes), _list_columns(result, "node", mesh.nodes, result.point_data))
@@ -51,7 +51,7 @@ def write_field_tables(path: Path | str, result: Result) -> tuple[Path, Path]:
     return nodes, cells
 
 
-def name_field_tables(path: Path) -> tuple[Path, Path]:
+def list_field_tables(path: Path) -> tuple[Path, Path]:
     """Name the tables of nodes and of cells.
 
     Parameters

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ddic.case.frame_files import choose_frame, list_deformed
 from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case
+from ddic.errors import DdicError, InputError, as_collective, is_collective
+from ddic.io.file_stamps import FileStamps
 from ddic.kinematics.kinematics import RegionKinematics
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.team import Team
@@ -120,3 +123,39 @@ def open_inputs(team: Team, loaded: LoadedCase, number: int = 0) -> tuple[Inputs
                     rectangle=None if case.pgd is None else find_rectangle_of_case(case),
                     n_frames=len(list_deformed(case.images)))
     return inputs, open_frame(case, opener, number)
+
+
+@contextmanager
+def inputs_kept(team: Team, stamps: FileStamps) -> Iterator[None]:
+    """Refuse what the block finds where its inputs were not the same from their check to its end; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    stamps : FileStamps
+        Of the inputs when they were checked.
+
+    Yields
+    ------
+    None
+        While they are read.
+
+    Raises
+    ------
+    InputError
+        On all ranks, with a line for each file that has changed or vanished, in place of what the block raises.
+    """
+    try:
+        yield
+    except (DdicError, OSError) as error:
+        if is_collective(error):
+            _require_same(team, stamps, error)
+        raise
+    _require_same(team, stamps, None)
+
+
+def _require_same(team: Team, stamps: FileStamps, error: Exception | None) -> None:
+    changes = team.on_root(stamps.list_changes)
+    if changes:
+        raise as_collective(InputError(changes)) from error

@@ -8,8 +8,7 @@ from ddic.case.loader import LoadedCase
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.frame_opener import FrameOpener
-from ddic.problem.inputs import open_inputs
-from ddic.problem.kept_inputs import inputs_kept
+from ddic.problem.inputs import inputs_kept, open_inputs
 from ddic.results.listener import Listener
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.io.plots.sweep_curves import SweptElements
-from ddic.io.replace_on_exit import NewFiles, joined
+from ddic.io.replace_on_exit import NewFiles, begin_files
 from ddic.results.sweep_trials import Sweep, Trial
 
 COLUMNS = ("element size [px]", "l_c [px]", "residual [grey levels]", "gap [1/px]", "degrees of freedom",
@@ -78,7 +78,7 @@ def write_sweep(sweep: Sweep, path: Path, files: NewFiles | None = None) -> None
     OSError
         Where it cannot be written; no half-written file stays.
     """
-    with joined(files) as new, new.begin(path).open("w", newline="", encoding="utf-8") as stream:
+    with begin_files(files) as new, new.begin(path).open("w", newline="", encoding="utf-8") as stream:
         table = csv.writer(stream)
         table.writerow(_FIELDS)
         for trial in _sort(sweep):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.images.window import Window
-from ddic.io.replace_on_exit import NewFiles, joined
+from ddic.io.replace_on_exit import NewFiles, begin_files
 from ddic.synth.digitise import Stored
 from ddic.synth.fields import DisplacementField
 from ddic.synth.hole import Hole
@@ -180,7 +180,7 @@ def write_pair(paths: tuple[Path, Path], scene: Pictured, picture: Picture, stre
     ConvergenceError
         Where the motion cannot be inverted to 1e-12 px.
     """
-    with joined(files) as new:
+    with begin_files(files) as new:
         reference, deformed = (_create_tiff(new.begin(path), picture) for path in paths)
         first_rows = range(0, picture.height, _SQUARE)
         for row, band in zip(first_rows, _bands(scene, picture, stream), strict=True):

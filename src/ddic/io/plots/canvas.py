@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ddic.io.plots.length_unit import PIXELS, LengthUnit
 from ddic.io.plots.page_text import format_title
-from ddic.io.replace_on_exit import NewFiles, joined
+from ddic.io.replace_on_exit import NewFiles, begin_files
 from ddic.mesh.mesh import Mesh
 
 Component = Literal["x", "y", "magnitude"]
@@ -397,5 +397,5 @@ def save_figure(figure: Figure, path: Path, dpi: int = DPI, files: NewFiles | No
     # Journals refuse type 3, matplotlib's own choice; without a date the same picture is the same file.
     with rc_context({"pdf.fonttype": 42, "svg.hashsalt": path.stem}):
         dated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
-        with joined(files) as new:
+        with begin_files(files) as new:
             figure.savefig(new.begin(path), format=ending.removeprefix("."), dpi=dpi, metadata=dated.get(ending))
