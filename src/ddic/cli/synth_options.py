@@ -121,7 +121,7 @@ def write_images(folder: Path, names: Sequence[str], record: dict[str, Any],
     ------
     InputError
         Where other files have these names, or the folder cannot be made or written to.
-    OSError
+    WriteError
         Where the disk does not take the files.
     """
     from ddic.io.json_file import write_json
