@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.images.camera import CameraMapping
-from ddic.io.replace_on_exit import NewFiles
+from ddic.io.replace_on_exit import NewFiles, begin_files
 from ddic.mesh.plane import build_rotation
 from ddic.synth.fields import DisplacementField, Pair, require_finite
 from ddic.synth.hole import Hole
@@ -317,7 +317,7 @@ def build_near_far_scene(texture: TwoScaleTexture, field: DisplacementField, hol
     )
 
 
-def write_near_far(folder: Path, scene: NearFarScene, files: NewFiles) -> tuple[Path, ...]:
+def write_near_far(folder: Path, scene: NearFarScene, files: NewFiles | None = None) -> tuple[Path, ...]:
     """Write the four images, uncompressed TIFF, to a folder.
 
     f_f(X) = g_f(X + u(X)) and f_n(phi(X)) = g_n(phi(T(X + u(X)))) hold without any interpolation.
@@ -328,8 +328,8 @@ def write_near_far(folder: Path, scene: NearFarScene, files: NewFiles) -> tuple[
         Must exist.
     scene : NearFarScene
         What both cameras see.
-    files : NewFiles
-        With which they take their names.
+    files : NewFiles, optional
+        With which they take their names; by default they do so by themselves.
 
     Returns
     -------
@@ -345,8 +345,9 @@ def write_near_far(folder: Path, scene: NearFarScene, files: NewFiles) -> tuple[
     """
     far = folder / FAR_FILES[0], folder / FAR_FILES[1]
     near = folder / NEAR_FILES[0], folder / NEAR_FILES[1]
-    write_pair(far, scene.far, scene.far_picture, files=files)
-    write_pair(near, scene.near, scene.near.camera.picture, _NEAR_STREAM, files)
+    with begin_files(files) as new:
+        write_pair(far, scene.far, scene.far_picture, files=new)
+        write_pair(near, scene.near, scene.near.camera.picture, _NEAR_STREAM, new)
     return far + near
 
 
