@@ -49,7 +49,7 @@ def move_result(result: Path, target: Path) -> None:
     if physical.is_file():
         physical.unlink()
         if _has_length_unit(target):
-            with h5py.File(target, "r") as source, replaced_together() as files:
+            with open_hdf5(target) as source, replaced_together() as files:
                 write_physical_sidecar(target, source, files)
     summary = schema.summary_path(result)
     if summary.is_file():
