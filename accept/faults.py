@@ -10,13 +10,16 @@ import sys
 
 from accept.bad_inputs import measure_bad_inputs, measure_mutants
 from accept.failing_starts import measure_failing_starts
+from accept.full_disks import measure_full_disks
 from accept.kills_and_signals import measure_kills_and_signals
+from accept.outputs_onto_inputs import measure_outputs_onto_inputs
 from accept.resumed_series import measure_resumed_series
 from accept.table import Check, run_table
 
 CHECKS: dict[str, Check] = {
     "bad_inputs": measure_bad_inputs, "mutants": measure_mutants, "kills_and_signals": measure_kills_and_signals,
-    "failing_starts": measure_failing_starts, "resumed_series": measure_resumed_series,
+    "failing_starts": measure_failing_starts, "full_disks": measure_full_disks,
+    "outputs_onto_inputs": measure_outputs_onto_inputs, "resumed_series": measure_resumed_series,
 }
 
 if __name__ == "__main__":
