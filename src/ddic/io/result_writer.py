@@ -23,7 +23,6 @@ from ddic.io.result_reader import Result, read_open_file
 from ddic.io.result_schema import FieldSpec
 from ddic.separated.separated_field import SeparatedField
 
-CHUNK_ROWS = 16384
 CHUNK_CACHE_BYTES = 64 << 20
 
 
@@ -456,10 +455,8 @@ def join_pieces(pieces: Sequence[Piece]) -> Piece:
 
 
 def _create(group: Any, name: str, length: int, n_components: int, dtype: DTypeLike) -> Any:
-    """A dataset that can grow by steps."""
-    columns = () if n_components == 1 else (n_components,)
-    return group.create_dataset(name, (length, *columns), dtype, maxshape=(None, *columns),
-                                chunks=(max(1, min(length, CHUNK_ROWS)), *columns))
+    """A dataset in one piece: half the file of a small mesh, and half the time, of one in chunks."""
+    return group.create_dataset(name, (length,) if n_components == 1 else (length, n_components), dtype)
 
 
 def _put(dataset: Any, start: int, values: NDArray[Any]) -> None:
