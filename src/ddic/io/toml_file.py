@@ -105,4 +105,6 @@ def _list_unusable(value: Any, key: str, depth: int) -> Iterator[str]:
     elif isinstance(value, str) and "\0" in value:
         yield f"{key}: holds a NUL character (\\u0000), which ends a text for other programs; take it out"
     elif isinstance(value, int) and not -LARGEST <= value < LARGEST:
-        yield f"{key}: a whole number of more than 64 bits, which TOML does not have; write it as 1.5e3 or smaller"
+        # Python writes no more digits than some thousands.
+        digits = str(value)[:20] if value.bit_length() < 1000 else hex(value)[:20]
+        yield f"{key} = {digits}...: a whole number of more than 64 bits, which TOML does not have; give a smaller one"

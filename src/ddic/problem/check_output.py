@@ -11,7 +11,7 @@ from ddic.case.frame_files import list_deformed
 from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case, ImagesSection, MeshSection, NearSection
 from ddic.errors import InputError
-from ddic.io.input_file import find_real_path
+from ddic.io.input_file import find_real_path, is_readable_file
 from ddic.io.result_schema import earlier_path, not_converged_path, physical_path, sidecar_path, summary_path
 
 ROOM_IN_NAME = 48
@@ -88,7 +88,7 @@ def _check_nothing_is_overwritten(loaded: LoadedCase) -> None:
 
 def _is_any(path: Path, others: Iterable[Path]) -> bool:
     """Whether a file is one of others by another name, a hard link for instance."""
-    return path.exists() and any(path.samefile(other) for other in others)
+    return is_readable_file(path) and any(path.samefile(other) for other in others)
 
 
 def list_inputs(loaded: LoadedCase) -> Iterator[Path | None]:
