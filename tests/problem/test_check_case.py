@@ -108,13 +108,13 @@ def test_missing_deformed_image_does_not_hide_the_mesh(folder: Path) -> None:
 
 
 def test_images_of_different_size(folder: Path) -> None:
-    tifffile.imwrite(folder / "g.tif", np.zeros((80, 101), dtype=np.uint16))
+    tifffile.imwrite(folder / "g.tif", np.eye(80, 101, dtype=np.uint16))
     (line,) = _problems(folder, IMAGES + GRID)
     assert "g.tif: the image is 101x80 px, but the reference" in line
 
 
 def test_nan_is_refused_unless_masked(folder: Path) -> None:
-    grey = np.ones((80, 100), dtype=np.float32)
+    grey = np.eye(80, 100, dtype=np.float32)
     grey[20, 30] = np.nan
     tifffile.imwrite(folder / "f.tif", grey)
     (line,) = _problems(folder, IMAGES + GRID)
@@ -216,6 +216,7 @@ def test_command_refuses_a_missing_case(tmp_path: Path) -> None:
 
 def test_colour_images_are_announced(folder: Path) -> None:
     red = np.full((80, 100, 3), (0, 0, 200), dtype=np.uint8)
+    red[:, ::2] = 0
     cv2.imwrite(str(folder / "f.png"), red)
     (folder / "case.toml").write_text(IMAGES.replace("f.tif", "f.png") + GRID)
     done = CliRunner().invoke(check, [str(folder / "case.toml")])

@@ -10,6 +10,7 @@ from typing import TypeVar
 
 from ddic.case.schema import Case, ImagesSection, NearSection
 from ddic.errors import InputError
+from ddic.io.input_file import is_readable_file
 
 Section = TypeVar("Section", ImagesSection, NearSection)
 
@@ -150,7 +151,7 @@ def is_pattern(path: Path) -> bool:
     bool
         Not where a file is called so.
     """
-    return PATTERN.search(str(path)) is not None and not path.is_file()
+    return PATTERN.search(str(path)) is not None and not is_readable_file(path)
 
 
 def _match(pattern: Path) -> list[Path]:

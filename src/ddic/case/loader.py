@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,6 +16,8 @@ from ddic.case.schema import Case, OutputSection
 from ddic.case.sections import Location, find_section_in
 from ddic.errors import InputError
 from ddic.io.file_stamps import FileStamps
+from ddic.io.input_file import find_real_path, is_readable_file
+from ddic.io.toml_file import parse_toml, read_text
 
 DETECT = "detect"
 """In place of discontinuities: one line, found by itself."""
@@ -90,14 +91,11 @@ def load_case(path: Path | str) -> LoadedCase:
         each with the file, the key, the value and what is expected.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot read this case file ({error.strerror or error})") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not UTF-8 text (byte {error.start}); save it as UTF-8") from error
-    case = _absolute(parse_case(text, path), path.resolve().parent)
-    return LoadedCase(find_frames(case, path), path.resolve(), text)
+    text = read_text(path, "case file", "check the path")
+    place = path.resolve()
+    _require_text_name(place)
+    case = _absolute(parse_case(text, path), place.parent)
+    return LoadedCase(find_frames(case, path), place, text)
 
 
 def load_case_leniently(path: Path | str) -> tuple[LoadedCase | None, list[str]]:
@@ -121,13 +119,14 @@ def load_case_leniently(path: Path | str) -> tuple[LoadedCase | None, list[str]]
         problems = list(error.problems)
     path = Path(path)
     try:
-        text = path.read_text(encoding="utf-8")
-        data = convert_shorthand(tomllib.loads(text))
-    except (OSError, ValueError):
+        text = read_text(path, "case file", "check the path")
+        _require_text_name(path.resolve())
+        data = convert_shorthand(parse_toml(text, path))
+    except InputError:
         return None, problems
     folder = path.resolve().parent
     missing = [f"{file}: no such file; check the path" for file in _list_named_files(data, Case, folder)
-               if not file.is_file() and not is_pattern(file)]
+               if not is_readable_file(file) and not is_pattern(file)]
     case = _validate_without_bad_keys(data)
     if case is None:
         # Little else can be said of it.
@@ -167,9 +166,23 @@ def _list_named_files(data: Any, section: type[BaseModel], folder: Path) -> Iter
         if inner is not None and inner is not OutputSection:
             yield from _list_named_files(value, inner, folder)
         elif field is not None and _takes_path(field.annotation) and isinstance(value, str):
-            yield (folder / value).resolve()
+            yield _locate(value, folder)
         elif field is not None and _takes_path(field.annotation) and isinstance(value, list):
-            yield from ((folder / item).resolve() for item in value if isinstance(item, str))
+            yield from (_locate(item, folder) for item in value if isinstance(item, str))
+
+
+def _locate(value: Path | str, folder: Path) -> Path:
+    return find_real_path(folder / value)
+
+
+def _require_text_name(path: Path) -> None:
+    """Refuse a case in a folder whose name is no text, which results and messages could not hold."""
+    try:
+        str(path).encode("utf-8")
+    except UnicodeEncodeError as error:
+        name = str(path).encode("utf-8", "backslashreplace").decode()
+        raise InputError(f"{name}: the path of this case file is no UTF-8 text, which results name; rename the folder "
+                         "or the file") from error
 
 
 def _takes_path(annotation: Any) -> bool:
@@ -205,10 +218,7 @@ def parse_case(text: str, path: Path) -> Case:
     InputError
         As ``load_case`` does.
     """
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not valid TOML: {error}") from error
+    data = parse_toml(text, path)
     word = data.get("discontinuity")
     if isinstance(word, str) and word != DETECT:
         raise InputError(f'{path}: discontinuity = "{word}": write "{DETECT}", or [[discontinuity]] sections')
@@ -255,7 +265,7 @@ def _absolute(model: Model, folder: Path) -> Model:
 def _absolute_value(value: Any, folder: Path) -> Any:
     """The same value with absolute paths in it, at any depth."""
     if isinstance(value, Path):
-        return (folder / value).resolve()
+        return _locate(value, folder)
     if isinstance(value, BaseModel):
         return _absolute(value, folder)
     if isinstance(value, tuple):

@@ -31,6 +31,9 @@ EXPECTED = {
 }
 """What a key takes, by the kind of pydantic's error."""
 
+KINDS = ("one", "several")
+"""What the schema calls the two kinds of values that a key may take, which no key is called."""
+
 
 def describe(error: ValidationError, data: Mapping[str, Any]) -> list[str]:
     """Say what is wrong with a case file: key, value given, what is expected.
@@ -105,7 +108,7 @@ def _without_kinds(location: Location, data: Any) -> Location:
     """A location without what pydantic says of the kind that a value was taken for."""
     kept: list[str | int] = []
     for step in location:
-        if isinstance(step, str) and not isinstance(data, Mapping):
+        if isinstance(step, str) and (not isinstance(data, Mapping) or (step in KINDS and step not in data)):
             continue
         kept.append(step)
         try:

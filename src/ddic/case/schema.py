@@ -15,7 +15,11 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_val
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Count = Annotated[int, Field(ge=1, le=1_000_000_000)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+MOST_IN_PLANE_STRAIN = 0.4999
+"""Largest Poisson's ratio in plane strain, where the modulus of area over that of shear, 1 / (1 - 2 nu), enters the
+operator squared: 2.5e7 there, of the 1e16 that numbers hold. A larger value refuses less."""
 Box = tuple[Finite, Finite, Finite, Finite]
 
 
@@ -248,7 +252,8 @@ class MeshSection(Section):
             "A mesh that meshio reads (Gmsh, Abaqus, VTU, ...), with linear triangles (T3) and quadrilaterals (Q4), "
             "mixed or not. Named groups of lines and vertices, and point sets, become node sets. Orientation is "
             "repaired and unused nodes are dropped; a third coordinate must be constant. Cells that are flat, "
-            "crossed, not convex, repeated or without a pixel are refused by number."
+            "crossed, not convex, repeated, over one another or without a pixel are refused by number, and so are "
+            "nodes on a side of a cell that is not theirs."
         ),
         json_schema_extra={"unit": "mesh units"},
     )
@@ -503,7 +508,7 @@ class RegularizationSection(Section):
         description="The nodes in these boxes are not controlled either; each must hold a node.",
         json_schema_extra={"unit": "px", "shape": "list of [x0, y0, x1, y1]"},
     )
-    edge_wavelength: Annotated[float, Field(ge=0)] = Field(
+    edge_wavelength: NonNegative = Field(
         default=16.0,
         description=(
             "Wavelength below which equilibrium rules the nodes named in `not_controlled` and `boxes` as well, as if "
@@ -529,6 +534,15 @@ class RegularizationSection(Section):
         return self
 
     @model_validator(mode="after")
+    def _strain_is_compressible(self) -> RegularizationSection:
+        """Refuse a material that rounding cannot tell from an incompressible one."""
+        if self.plane == "strain" and self.poisson_ratio > MOST_IN_PLANE_STRAIN:
+            raise ValueError(f'regularization.poisson_ratio = {self.poisson_ratio:g}: in plane = "strain" no more than '
+                             f"{MOST_IN_PLANE_STRAIN:g} can be computed with; beyond it, elements hardly change their "
+                             "area and rounding hides the images")
+        return self
+
+    @model_validator(mode="after")
     def _tikhonov_has_no_material(self) -> RegularizationSection:
         """Refuse keys of the equilibrium gap beside Tikhonov's term."""
         of_gap = {"not_controlled", "boxes", "edge_wavelength", "poisson_ratio", "plane"} & self.model_fields_set
@@ -551,7 +565,7 @@ class SolverSection(Section):
             '`local_inverse` beside it mean `"dual"`.'
         ),
     )
-    frames: Annotated[int, Field(ge=1)] | None = Field(
+    frames: Count | None = Field(
         default=None,
         description=(
             'For `method = "auto"`: how many deformed images are measured from one reference image, which share its '
@@ -559,7 +573,7 @@ class SolverSection(Section):
         ),
         json_schema_extra={"default": "1; 10 in `ddic.prepare`"},
     )
-    subdomains: Annotated[int, Field(ge=1)] | None = Field(
+    subdomains: Count | None = Field(
         default=None,
         description='Number of subdomains for `partition = "metis"`.',
         json_schema_extra={"default": 'the number of ranks, or with `method = "auto"` what is fastest'},
@@ -572,7 +586,7 @@ class SolverSection(Section):
             "whose largest work is the least possible."
         ),
     )
-    blocks: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]] | None = Field(
+    blocks: tuple[Count, Count] | None = Field(
         default=None,
         description="For `partition = \"blocks\"`: a regular array of blocks of the mesh's bounding box.",
         json_schema_extra={"shape": "[columns, rows]"},
@@ -603,7 +617,7 @@ class SolverSection(Section):
         default=1e-6,
         description="Relative residual at which the Krylov iteration stops at the latest.",
     )
-    max_iterations: Annotated[int, Field(ge=1)] = Field(
+    max_iterations: Count = Field(
         default=1000,
         description=(
             'Krylov iterations of a linear step after which the run fails; where `method = "auto"` took conjugate '
@@ -668,7 +682,7 @@ class GaussNewtonSection(Section):
         description="Correction at any node.",
         json_schema_extra={"unit": "px"},
     )
-    max_iterations: Annotated[int, Field(ge=1)] = Field(
+    max_iterations: Count = Field(
         default=50,
         description="Iterations after which the run fails.",
     )
@@ -712,7 +726,7 @@ class StartSection(Section):
             "([start.md](start.md#from-a-given-displacement)). Of a series `frame` is taken."
         ),
     )
-    frame: Annotated[int, Field(ge=1)] | None = Field(
+    frame: Count | None = Field(
         default=None,
         description="Which frame of a series that `from_result` names, by its number, from 1.",
         json_schema_extra={"default": "the last one that was measured"},
@@ -775,11 +789,11 @@ class PgdSection(Section):
             "corrections. `false` is the published algorithm."
         ),
     )
-    max_corrections: Annotated[int, Field(ge=1)] = Field(
+    max_corrections: Count = Field(
         default=200,
         description="Corrections after which the run fails.",
     )
-    max_sweeps: Annotated[int, Field(ge=1)] = Field(
+    max_sweeps: Count = Field(
         default=6,
         description="Most sweeps of the fixed point that finds a correction, each along x and along y.",
     )

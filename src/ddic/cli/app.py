@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import importlib
+from typing import Any
 
 import click
 
 from ddic import __version__
 from ddic.cli.address_space import require_address_space
 from ddic.cli.failed_start import failures_as_lines
+from ddic.cli.finite_options import require_finite_options
+from ddic.cli.standard_output import output_as_line
 
 COMMANDS = {
     "run": "Measure the displacement between two images.",
@@ -63,7 +66,24 @@ class LazyGroup(click.Group):
         if cmd_name not in COMMANDS:
             return None
         command: click.Command = getattr(importlib.import_module(f"ddic.cli.{cmd_name}"), cmd_name)
+        require_finite_options(command)
         return command
+
+    def main(self, *args: Any, **extra: Any) -> Any:
+        """Run a command as a program.
+
+        Parameters
+        ----------
+        *args, **extra
+            As click takes them.
+
+        Returns
+        -------
+        object
+            What the command returns, where click is asked for that.
+        """
+        with output_as_line():
+            return super().main(*args, **extra)
 
     def invoke(self, ctx: click.Context) -> object:
         """Run the command; what it lets pass ends all ranks, in one line where the command could not be imported.

@@ -36,13 +36,13 @@ def calibrate(far: Path, near: Path, ratio: float, model: Kind, distortion: bool
     from ddic.calibration import near_calibration
     from ddic.case.own_outputs import MAPPING, require_own_output
     from ddic.images.grey_levels import check_finite
-    from ddic.io.image_file import open_image
+    from ddic.io.image_file import hold_image
 
     with errors_as_lines(output):
         if output is not None:
             require_own_output(output, MAPPING, (far, near))
         with warnings_as_lines():
-            images = [open_image(path) for path in (far, near)]
+            images = [hold_image(path) for path in (far, near)]
             for image in images:
                 check_finite(image)
             found = near_calibration.calibrate(images[0], images[1], ratio, model, distortion)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,14 +45,12 @@ def _format(lines: Lines) -> list[str]:
 def _describe(file: Path, frame: int | None) -> list[str]:
     # Imported here because HDF5 and OpenCV are not needed by --help.
     """What a file holds, in lines."""
-    import h5py
-
     from ddic.io.frame_of_series import read_frame
+    from ddic.io.input_file import require_file
     from ddic.io.series_reader import is_series_file, read_series
 
-    if not file.is_file():
-        raise InputError(f"{file}: no such file; check the path")
-    if not h5py.is_hdf5(file):
+    require_file(file, "file")
+    if not _is_hdf5(file):
         if frame is not None:
             raise InputError(f"--frame {frame}: {file} is no result file; leave it out")
         return _format(_image_lines(file))
@@ -60,13 +59,24 @@ def _describe(file: Path, frame: int | None) -> list[str]:
     return _format(_result_lines(read_frame(file, frame)))
 
 
+def _is_hdf5(file: Path) -> bool:
+    import h5py
+
+    try:
+        return bool(h5py.is_hdf5(file))
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read ({os.strerror(error.errno) if error.errno else error}); check its "
+                         "permissions") from error
+
+
 def _image_lines(file: Path) -> Lines:
     """Of an image."""
+    from ddic.images.binned import ArraySource
     from ddic.images.grey_levels import measure_grey_levels
-    from ddic.io.image_file import open_image
+    from ddic.io.image_file import open_decoded
 
-    image = open_image(file)
-    report = measure_grey_levels(image)
+    image, pixels = open_decoded(file)
+    report = measure_grey_levels(image if pixels is None else ArraySource(file, pixels, image.saturation))
     n_pixels = image.width * image.height
     saturated = "none possible (floating point)"
     if report.saturation is not None:

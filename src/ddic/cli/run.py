@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 import traceback
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
@@ -16,12 +18,18 @@ import click
 
 from ddic.cli.address_space import prepare_workspaces
 from ddic.cli.failed_start import failures_as_lines
+from ddic.cli.petsc_error import describe_petsc_error, is_petsc_error
+from ddic.cli.standard_output import FULL
+from ddic.io.input_file import is_readable_file
 from ddic.io.replace_on_exit import remove_unfinished
 from ddic.parallel.abort_all_ranks import INTERRUPTED, is_launcher, prepare_abort
 from ddic.parallel.stop_request import StopRequest
 
 if TYPE_CHECKING:
     from ddic.parallel.team import Team
+
+FILE_OPTIONS = ("-options_file", "-options_file_yaml")
+"""PETSc's options that name a file of further ones, which it looks for when it starts."""
 
 
 @click.command(context_settings={"ignore_unknown_options": True})
@@ -53,6 +61,9 @@ def _check_words(case_file: Path, words: tuple[str, ...]) -> None:
     if str(case_file).startswith("-"):
         raise click.UsageError(f"{case_file} stands where the case file belongs: ddic run CASE.toml [PETSc options]")
     takes_value = False
+    for option, value in pairwise((*words, "")):
+        if option in FILE_OPTIONS and not is_readable_file(Path(value)):
+            raise click.UsageError(f"{option} {value}: no such file of PETSc's options; check the path")
     for word in words:
         if word.startswith("--"):
             raise click.UsageError(f"no such option: {word}; PETSc's options begin with one dash")
@@ -129,9 +140,8 @@ def _warnings_told_once(speaks: bool) -> Iterator[None]:
     def show(message: Warning | str, category: type[Warning], filename: str, lineno: int,
              file: TextIO | None = None, line: str | None = None) -> None:
         text = str(message)
-        if not issubclass(category, UserWarning):
-            click.echo(warnings.formatwarning(message, category, filename, lineno, line), err=True, nl=False)
-        elif speaks and text not in told:
+        # Others are libraries' own, on what they do and not on what was given to them.
+        if issubclass(category, UserWarning) and speaks and text not in told:
             told.add(text)
             click.echo(f"warning: {text}", err=True)
 
@@ -155,9 +165,12 @@ def _failed(team: Team, error: BaseException, petsc_options: tuple[str, ...]) ->
         if isinstance(error, DdicError):
             lines = [f"{where}{line}" for line in str(error).splitlines()]
         elif isinstance(error, OSError):
-            lines = [f"{where}{error.filename or 'a file'} could not be read or written: {error.strerror or error}"]
+            lines = [f"{where}{_name_file(error)} could not be read or written: {error.strerror or error}"]
             if is_disk_failure(error):
                 lines[0] += "; nothing was left of it, and what was there before still is"
+        elif is_petsc_error(error):
+            said, code = describe_petsc_error(error, petsc_options)
+            lines = [f"{where}{said}"]
         elif isinstance(error, KeyboardInterrupt | SystemExit):
             lines, code = [f"{where}interrupted; no result was written"], INTERRUPTED
         else:
@@ -175,6 +188,16 @@ def _failed(team: Team, error: BaseException, petsc_options: tuple[str, ...]) ->
         team.wait_for_all()
         team.abort(code)
     return code
+
+
+def _name_file(error: OSError) -> str:
+    """The file that an error is about; HDF5 names it in its text alone."""
+    if error.filename is not None:
+        return str(os.fsdecode(error.filename))
+    named = re.search(r"name = '([^']+)'", str(error))
+    if named:
+        return named[1]
+    return "standard output, or a file," if error.errno in FULL else "a file"
 
 
 def _trace(error: BaseException) -> str:

@@ -19,6 +19,10 @@ CAMERA_BITS = (8, 10, 12, 14)
 BAND_PIXELS = 1 << 20
 """Pixels of a band: more make fewer reads, and take more memory."""
 
+LEAST_RANGE, LARGEST_LEVEL = 1e-12, 1e15
+"""Range of a float image's levels below which, and level beyond which, it is refused: sums of fourth powers of them
+have to be numbers. Wider limits refuse less."""
+
 
 @dataclass(frozen=True)
 class GreyLevels:
@@ -145,6 +149,48 @@ def check_finite(source: ImageSource, mask: NDArray[np.bool_] | None = None) -> 
     if count:
         raise InputError(f"{source.path}: {count} pixel(s) are NaN or infinite, the first at "
                          f"(x, y) = {first}; leave them out with a mask image (0 there)")
+
+
+def read_all(source: ImageSource) -> None:
+    """Read an image a band at a time and keep nothing, for the errors that it brings.
+
+    Parameters
+    ----------
+    source : ImageSource
+        The image.
+    """
+    for rows in _bands(source):
+        source.read(rows)
+
+
+def check_varied(source: ImageSource) -> None:
+    """Check that an image shows more than one grey level, and a float image levels that can be computed with.
+
+    Parameters
+    ----------
+    source : ImageSource
+        The image; its pixels that are not finite do not count.
+
+    Raises
+    ------
+    InputError
+        Where it does not; it says the level, or how large or small levels are.
+    """
+    lowest, highest = np.inf, -np.inf
+    for rows in _bands(source):
+        band = source.read(rows)
+        values = band if source.saturation is not None else band[np.isfinite(band)]
+        if values.size:
+            lowest, highest = min(lowest, float(values.min())), max(highest, float(values.max()))
+        # The rest of an integer image cannot change what is said.
+        if source.saturation is not None and highest > lowest:
+            return
+    if not highest > lowest:
+        level = f"one grey level, {highest:g}, everywhere" if np.isfinite(highest) else "no finite grey level"
+        raise InputError(f"{source.path}: the image shows {level}: there is nothing to measure by; give another image")
+    if highest - lowest < LEAST_RANGE or max(-lowest, highest) > LARGEST_LEVEL:
+        raise InputError(f"{source.path}: grey levels from {lowest:g} to {highest:g}: rounding hides them; scale the "
+                         "image, to 0 to 255 for instance")
 
 
 @dataclass

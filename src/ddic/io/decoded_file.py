@@ -12,9 +12,17 @@ from numpy.typing import NDArray
 from ddic.errors import InputError
 from ddic.images.window import Window
 from ddic.io.grey import to_grey
+from ddic.io.image_header import check_header
+from ddic.io.library_messages import caught_messages
 from ddic.io.pixel_format import PixelFormat
 
 _JPEG = b"\xff\xd8\xff"
+
+_DAMAGE = ("Corrupt JPEG data", "Premature end of JPEG file")
+"""What libjpeg says of pixels that it could not decode."""
+
+_HARMLESS = "extraneous bytes"
+"""What it says too where it lost none."""
 
 
 def read_decoded_format(path: Path) -> PixelFormat:
@@ -125,14 +133,21 @@ def _red_first(pixels: NDArray[Any], layout: PixelFormat) -> NDArray[Any]:
 
 def _decode(path: Path) -> NDArray[Any]:
     """All pixels (height, width, n_channels) as OpenCV orders them."""
-    try:
-        # Without this flag OpenCV silently cuts 16 bits to 8 and turns colour about.
-        pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    except cv2.error as error:
-        raise InputError(f"{path}: cannot be decoded ({error}); save it as grey TIFF or PNG") from error
+    check_header(path)
+    reason = ""
+    with caught_messages() as messages:
+        try:
+            # Without this flag OpenCV silently cuts 16 bits to 8 and turns colour about.
+            pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        except cv2.error as error:
+            pixels, reason = None, f" ({error.err or 'OpenCV refuses it'})"
     if pixels is None:
-        raise InputError(f"{path}: not an image that can be read, or cut short; "
+        raise InputError(f"{path}: not an image that can be read, or cut short{reason}; "
                          "give a TIFF, PNG, BMP or JPEG file")
+    damage = next((line for line in messages if line.startswith(_DAMAGE) and _HARMLESS not in line), None)
+    if damage is not None:
+        # The decoder has filled what is missing with grey.
+        raise InputError(f"{path}: damaged, or cut short ({damage}); copy or save it again")
     array = np.asarray(pixels)
     return array[..., None] if array.ndim == 2 else _without_equal_colours(array)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ddic.errors import InputError
+from ddic.io.input_file import is_readable_file
 from ddic.io.result_reader import Result, read_result
 from ddic.io.series_reader import SeriesResult, is_series_file, read_series
 
@@ -34,7 +35,7 @@ def read_frame(path: Path, number: int | None = None, asked_by: str = "--frame")
         Where a series is given without a number, a pair with one, or the file does not hold that frame.
     """
     if not is_series_file(path):
-        if number is not None and path.is_file():
+        if number is not None and is_readable_file(path):
             raise InputError(f"{asked_by} {number}: {path} is the result of a pair, not of a series; leave it out")
         return read_result(path)
     series = read_series(path)

@@ -13,8 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import InputError
+from ddic.images.binned import ArraySource
+from ddic.images.source import ImageSource
 from ddic.images.window import Window
 from ddic.io.decoded_file import decode_whole, is_jpeg, read_decoded, read_decoded_format
+from ddic.io.input_file import require_file
 from ddic.io.pixel_format import PixelFormat
 from ddic.io.tiff_file import can_decode, is_tiff, read_tiff, read_tiff_format
 
@@ -141,10 +144,31 @@ def open_decoded(path: Path | str) -> tuple[ImageFile, NDArray[Any] | None]:
     return ImageFile(path, layout, windowed), pixels
 
 
+def hold_image(path: Path | str) -> ImageSource:
+    """Open an image that is read in many windows: one that can only be decoded whole is decoded once.
+
+    Parameters
+    ----------
+    path : Path or str
+        The file.
+
+    Returns
+    -------
+    ImageSource
+        The file where it is read window by window, else its pixels in memory.
+
+    Raises
+    ------
+    InputError
+        As ``open_image`` does.
+    """
+    image, pixels = open_decoded(path)
+    return image if pixels is None else ArraySource(image.path, pixels, image.saturation)
+
+
 def _kind(path: Path) -> tuple[bool, bool]:
     """Whether a file can be read window by window, and whether it is a TIFF; raises InputError if it is missing."""
-    if not path.is_file():
-        raise InputError(f"{path}: no such image file; check the path")
+    require_file(path, "image file")
     try:
         tiff = is_tiff(path)
     except OSError as error:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from ddic.errors import InputError
 from ddic.images.camera import CameraMapping
 from ddic.io.replace_on_exit import replaced_on_exit
+from ddic.io.toml_file import parse_toml, read_text
 
 Array = NDArray[np.float64]
 
@@ -221,15 +221,8 @@ def _has_shape(value: Any, shape: tuple[int, ...]) -> bool:
 
 def _parsed(path: Path) -> dict[str, Any]:
     """The values of a TOML file."""
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot read this mapping file ({error.strerror or error}); check the path, or make "
-                         "it with ddic calibrate") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not UTF-8 text (byte {error.start}); make it with ddic calibrate") from error
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not valid TOML: {error}; make it with ddic calibrate") from error
+    text = read_text(path, "mapping file", "check the path, or make it with ddic calibrate")
+    return parse_toml(text, path)
 
 
 def _row(values: Iterable[Any]) -> str:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.images.window import Window
-from ddic.io.image_file import open_image
+from ddic.io.image_file import hold_image
 
 
 def read_mask(path: Path, width: int, height: int) -> NDArray[np.bool_]:
@@ -32,7 +32,7 @@ def read_mask(path: Path, width: int, height: int) -> NDArray[np.bool_]:
     InputError
         Where it cannot be read or has another size.
     """
-    source = open_image(path)
+    source = hold_image(path)
     if (source.width, source.height) != (width, height):
         raise InputError(f"{path}: the mask is {source.width}x{source.height} px, but its image is "
                          f"{width}x{height} px; give a mask of the image's size")

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import InputError
+from ddic.io.input_file import require_file
 from ddic.mesh.cell_type import CELL_TYPES, CellType
 from ddic.mesh.mesh import Mesh, Similarity, build_mesh
 
@@ -82,8 +83,7 @@ def _read_raw(path: Path) -> Any:
     """The mesh as meshio gives it."""
     import meshio
 
-    if not path.is_file():
-        raise InputError(f"{path}: no such mesh file")
+    require_file(path, "mesh file")
     said = io.StringIO()
     try:
         with redirect_stdout(said), redirect_stderr(said):

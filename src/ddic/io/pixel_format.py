@@ -28,6 +28,8 @@ class PixelFormat:
         Images in the file.
     inverted : bool
         Zero is stored for white.
+    is_compressed : bool
+        Pixels are decoded as they are read, so that only reading shows whether they can be.
     """
 
     width: int
@@ -38,6 +40,7 @@ class PixelFormat:
     n_channels: int
     n_pages: int = 1
     inverted: bool = False
+    is_compressed: bool = False
 
     @property
     def saturation(self) -> float | None:

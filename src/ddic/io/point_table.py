@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import InputError
+from ddic.io.toml_file import read_text
 
 COLUMNS = ("x", "y", "u", "v")
 """Columns that are read; others may stand beside them."""
@@ -54,12 +55,7 @@ def read_point_table(path: Path) -> PointTable:
     InputError
         Where the file is missing or holds something else, with the row and the column.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError(f"{path}: cannot read this table of points ({error.strerror or error})") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not UTF-8 text (byte {error.start}); save it as UTF-8") from error
+    text = read_text(path, "table of points", "check the path")
     lines = text.splitlines()
     separator = max(_SEPARATORS, key=lines[0].count) if lines else ","
     rows = [(number, row) for number, row in enumerate(csv.reader(lines, delimiter=separator), 1)

@@ -25,6 +25,7 @@ from ddic.io.damaged_result import (
     require_sound_pieces,
     require_sound_values,
 )
+from ddic.io.input_file import require_file
 from ddic.io.mesh_export import to_meshio, to_pyvista
 from ddic.io.open_hdf5 import open_hdf5
 from ddic.mesh.interpolation import differentiate_shapes_at, interpolate, locate
@@ -229,8 +230,7 @@ def opened_result(path: Path | str) -> Iterator[tuple[Path, Any]]:
     if not isinstance(path, str | Path):
         raise InputError(f"result: {type(path).__name__} given, the name of a file expected")
     path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such result file; check the path")
+    require_file(path, "result file")
     try:
         with open_hdf5(path) as file:
             check_schema(path, file)

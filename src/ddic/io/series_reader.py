@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
 from ddic.io.damaged_result import READ_ERRORS
+from ddic.io.input_file import is_readable_file
 from ddic.io.open_hdf5 import open_hdf5
 from ddic.io.result_reader import Result, opened_result, read_open_file, read_result
 
@@ -86,7 +87,7 @@ def is_series_file(path: Path) -> bool:
     bool
         False for what is no file, no HDF5, damaged or the result of a pair.
     """
-    if not path.is_file() or not h5py.is_hdf5(path):
+    if not is_readable_file(path) or not h5py.is_hdf5(path):
         return False
     try:
         with open_hdf5(path) as file:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import logging
 import lzma
 import struct
 import zlib
@@ -17,12 +19,18 @@ from numpy.typing import NDArray
 from ddic.errors import InputError
 from ddic.images.window import Window
 from ddic.io.grey import to_grey
+from ddic.io.image_header import check_claimed_size
 from ddic.io.pixel_format import PixelFormat
+
+# tifffile tells of damage by its log, beside what it raises; what matters of it is checked here.
+logging.getLogger("tifffile").addHandler(logging.NullHandler())
 
 MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 BAND_BYTES = 4 << 20
 FULL_SCALE = 257
 """Levels of 16 bits in one of 8."""
+WHOLE_BITS = (1, 8, 16, 32, 64)
+"""Bits of a pixel that tifffile reads by itself."""
 GREY, INVERTED_GREY, COLOUR, PALETTE = 1, 0, 2, 3
 # What tifffile and its codecs let through on damaged files: they have no common base class.
 DECODING_ERRORS = (tifffile.TiffFileError, zlib.error, lzma.LZMAError, struct.error, ValueError, LookupError,
@@ -67,6 +75,7 @@ def read_tiff_format(path: Path) -> PixelFormat:
     with _opened(path) as (tiff, page):
         n_pages = len(tiff.pages)
         _check_page(path, page)
+        _check_segments(path, tiff, page)
         colours = 3 if int(page.photometric) == COLOUR else 1
         bits, dtype = int(page.bitspersample), _pixel_type(page)
         levels = _read_palette(page)
@@ -77,7 +86,8 @@ def read_tiff_format(path: Path) -> PixelFormat:
         return PixelFormat(width=int(page.imagewidth), height=int(page.imagelength),
                            dtype=dtype, bits=bits, n_colours=colours,
                            n_channels=int(page.samplesperpixel), n_pages=n_pages,
-                           inverted=int(page.photometric) == INVERTED_GREY)
+                           inverted=int(page.photometric) == INVERTED_GREY,
+                           is_compressed=not _lies_together(page))
 
 
 def can_decode(path: Path) -> bool:
@@ -99,6 +109,9 @@ def can_decode(path: Path) -> bool:
                 tifffile.TIFF.DECOMPRESSORS[page.compression]
             if page.predictor != 1:
                 tifffile.TIFF.UNPREDICTORS[page.predictor]
+            if page.bitspersample not in WHOLE_BITS:
+                # Numbers of other bits, packed, are unpacked by a package that need not be there.
+                importlib.import_module("imagecodecs")
         except (KeyError, ImportError):
             return False
         return True
@@ -161,6 +174,32 @@ def _check_page(path: Path, page: Any) -> None:
         raise InputError(f"{path}: white-is-zero TIFF with {page.dtype} pixels; save it as black-is-zero")
 
 
+def _check_segments(path: Path, tiff: Any, page: Any) -> None:
+    """Refuse a file without all the strips or tiles that its first page claims."""
+    height, width = int(page.imagelength), int(page.imagewidth)
+    check_claimed_size(path, width, height)
+    starts, counts = np.asarray(page.dataoffsets, np.float64), np.asarray(page.databytecounts, np.float64)
+    size = tiff.filehandle.size
+    if _lies_together(page):
+        # Counts are wrong in some files that can be read all the same.
+        n_bytes = height * width * int(page.samplesperpixel) * _pixel_type(page).itemsize
+        is_whole = starts[0] + n_bytes <= size
+    else:
+        rows, columns = (page.tilelength, page.tilewidth) if page.is_tiled else (page.rowsperstrip, width)
+        n_planes = int(page.samplesperpixel) if page.planarconfig == 2 else 1
+        n_segments = -(-height // rows) * -(-width // columns) * n_planes
+        is_whole = n_segments <= len(starts) == len(counts) and bool(((starts + counts)[counts > 0] <= size).all())
+    if not is_whole:
+        raise InputError(f"{path}: cut short, or damaged: its header claims {width} x {height} px, which the {size} "
+                         "bytes of the file do not hold; copy or save it again")
+
+
+def _lies_together(page: Any) -> bool:
+    """Whether pixels of whole bytes lie together, row by row."""
+    bits_are_whole = page.bitspersample == 8 * _pixel_type(page).itemsize
+    return bool(page.is_contiguous and bits_are_whole and page.planarconfig == 1)
+
+
 def _read_palette(page: Any) -> NDArray[Any] | None:
     """Grey level of each number of a palette: whole levels where all its colours are grey; None without a palette."""
     if int(page.photometric) != PALETTE:
@@ -183,8 +222,7 @@ def _pixel_type(page: Any) -> np.dtype[Any]:
 def _blocks(tiff: Any, page: Any, layout: PixelFormat,
             window: Window) -> Iterator[tuple[NDArray[Any], int, int]]:
     """Blocks of pixels (rows, columns, channels) over the window, each with its first column and row."""
-    bits_are_whole = page.bitspersample == 8 * _pixel_type(page).itemsize
-    if page.is_contiguous and bits_are_whole and page.planarconfig == 1:
+    if _lies_together(page):
         yield from _bands(tiff, page, layout, window)
     elif page.planarconfig == 1 or layout.n_channels == 1:
         yield from _segments(tiff, page, window, range(len(page.dataoffsets)))

@@ -17,6 +17,9 @@ from ddic.mesh.mask_outline import OutlinedHole
 from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.snapping import chop_corners, snap_to_holes
 
+MOST_CELLS = 1e9
+"""Cells of a mesh: more than any image has pixels, and fewer than overflow a count."""
+
 
 @dataclass(frozen=True)
 class Grid:
@@ -131,14 +134,43 @@ def _refuse_impossible(region: Sequence[float], element_size: float, cell: str,
         raise InputError(f"mesh.structured: a mask of shape {np.shape(mask)}, (height, width) expected")
 
 
+def count_cells(region: Sequence[float], element_size: float) -> tuple[int, int]:
+    """Count the cells that cover a region, before there are any.
+
+    Parameters
+    ----------
+    region : (x0, y0, x1, y1)
+        Pixels.
+    element_size : float
+        Pixels.
+
+    Returns
+    -------
+    n_columns, n_rows : int
+        At least one each.
+
+    Raises
+    ------
+    InputError
+        Where there are more than MOST_CELLS in all.
+    """
+    x0, y0, x1, y1 = (float(side) for side in region)
+    with np.errstate(over="ignore"):
+        along = np.array([x1 - x0, y1 - y0]) / element_size
+        n_cells = np.maximum(along, 1.0).prod()
+    if not n_cells <= MOST_CELLS:
+        raise InputError(f"mesh.structured: element_size = {element_size:g} on region = [{x0:g}, {y0:g}, {x1:g}, "
+                         f"{y1:g}] asks for {n_cells:.3g} elements, more than {MOST_CELLS:.0e}; give larger elements, "
+                         "in pixels")
+    n_columns, n_rows = (max(1, round(float(sides))) for sides in along)
+    return n_columns, n_rows
+
+
 def _fit_grid(region: Sequence[float], element_size: float) -> Grid:
     """Lines that divide the region evenly."""
     x0, y0, x1, y1 = region
-    lines = []
-    for low, high in ((x0, x1), (y0, y1)):
-        n_cells = max(1, round((high - low) / element_size))
-        lines.append(np.linspace(low, high, n_cells + 1))
-    return Grid(*lines)
+    n_columns, n_rows = count_cells(region, element_size)
+    return Grid(np.linspace(x0, x1, n_columns + 1), np.linspace(y0, y1, n_rows + 1))
 
 
 def _kept_cells(grid: Grid, in_holes: Sequence[NDArray[np.bool_]],

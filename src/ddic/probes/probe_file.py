@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
 from ddic.errors import InputError
+from ddic.io.toml_file import parse_toml, read_text
 from ddic.probes.probe_kinds import KINDS, Extensometer, LineProbe, PointProbe, Probe, StrainGauge
 
 CLASSES: dict[str, type[Probe]] = {name: kind for kind, name in KINDS.items()}
@@ -45,12 +45,7 @@ def load_probes(path: Path | str) -> list[Probe]:
         With the file, the key and what is expected.
     """
     path = Path(path)
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot read this file of probes ({error.strerror or error})") from error
-    except ValueError as error:
-        raise InputError(f"{path}: not valid TOML: {error}") from error
+    data = parse_toml(read_text(path, "file of probes", "check the path"), path)
     try:
         probes = [_build_probe(kind, name, keys) for kind, named in data.items()
                   for name, keys in _check_kind(kind, named).items()]

@@ -21,6 +21,7 @@ from ddic.parallel.team import Team, require_held
 from ddic.partition.subdomain import Subdomain, interface_weights
 from ddic.problem.region_mesh import Region, build_material
 from ddic.problem.views import ReferenceViews
+from ddic.problem.wavelength_limits import NO_INNER_NODE
 from ddic.solvers.local_system import LocalSystem
 
 SINGULAR = 1e-9
@@ -143,8 +144,7 @@ def _weigh_gap(team: Team, section: RegularizationSection, region: Region, refer
     is_weighable = probe.gap_energies.reshape(-1, 2).any(axis=1).all()
     if not is_weighable and section.eta is None:
         raise as_collective(InputError(
-            "regularization.cut_off_wavelength: the mesh has no interior node, so no wavelength can be given a "
-            "weight; use a finer mesh or give regularization.eta"))
+            f"regularization.cut_off_wavelength: {NO_INNER_NODE}"))
     if not is_weighable:
         return _GapWeight(require_held(section.eta), 0.0)
     texture = team.ordered_sum([

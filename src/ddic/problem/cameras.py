@@ -17,7 +17,7 @@ from ddic.images.grey_levels import find_saturation
 from ddic.images.source import ImageSource
 from ddic.images.sub_image import MaskedSource
 from ddic.io.image_file import open_decoded, open_image
-from ddic.io.mapping_file import read_mapping
+from ddic.io.mapping_file import read_mapping_file
 from ddic.kinematics.camera_kinematics import CameraSetup, MotionKind, see_mesh
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.shared_image import open_once_a_node
@@ -146,7 +146,7 @@ def open_cameras(case: Case, opener: Opener) -> tuple[Camera, ...]:
     for number, section in enumerate(case.near, start=1):
         reference = _open_reference(section, opener)
         try:
-            setup = make_setup(_mapping(section), reference, section.motion)
+            setup = make_setup(_mapping(section, far.image, reference.image), reference, section.motion)
         except ValueError as error:
             raise InputError(f"near, entry {number}: {error}; check its mapping (ddic calibrate)") from error
         field_of_view = FieldOfView(section.region, section.margin, section.mesh is not None)
@@ -218,9 +218,15 @@ def make_setup(mapping: CameraMapping, reference: MaskedSource, motion: MotionKi
     return CameraSetup(mapping, motion, centre, farthest)
 
 
-def _mapping(section: NearSection) -> CameraMapping:
+def _mapping(section: NearSection, far: ImageSource, near: ImageSource) -> CameraMapping:
     if section.mapping_file is not None:
-        return read_mapping(section.mapping_file)
+        content = read_mapping_file(section.mapping_file)
+        for key, size, image in (("far_size", content.far_size, far), ("near_size", content.near_size, near)):
+            if size != (image.width, image.height):
+                raise InputError(f"{section.mapping_file}: images.{key} = {list(size)}, but {image.path} is "
+                                 f"{image.width} x {image.height} px: the mapping is that of other images; make it "
+                                 "from these by ddic calibrate")
+        return content.mapping
     if section.ratio is None or section.offset is None:
         # The schema lets no such section through.
         raise ValueError("neither near.mapping_file nor near.ratio and near.offset are given")

@@ -24,6 +24,7 @@ from ddic.problem.check_mesh_uses import CheckedMesh, check_mesh_uses
 from ddic.problem.check_output import check_output
 from ddic.problem.check_report import CheckReport, describe_inputs
 from ddic.problem.check_separated import check_separated_case
+from ddic.problem.check_texture import check_texture
 from ddic.problem.gather_problems import Problems
 from ddic.problem.mesh_source import build_mesh_anywhere, build_meshes
 from ddic.problem.start_points import StartPoints, check_start_points, load_start_points, require_points_inside
@@ -74,6 +75,10 @@ def check_case(loaded: LoadedCase, count_pixels: PixelCounter | None = None) -> 
         if points is not None:
             require_points_inside(points, checked.mesh)
     not_controlled = check_mesh_uses(loaded, checked, problems)
+    # What is wrong already may be why nothing is seen; near images may show what the far one does not.
+    if reference is not None and not problems.lines and not case.near:
+        with problems.gathered(loaded.path):
+            check_texture(case, reference, checked.mesh)
     if reference is None or problems.lines:
         raise InputError(problems.lines)
     return describe_inputs(case, reference, checked, not_controlled)

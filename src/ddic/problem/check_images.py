@@ -7,10 +7,11 @@ from pathlib import Path
 from ddic.case.frame_files import list_deformed
 from ddic.case.schema import ImagesSection, NearSection
 from ddic.errors import InputError
-from ddic.images.grey_levels import check_finite
+from ddic.images.grey_levels import check_finite, check_varied, read_all
 from ddic.images.source import ImageSource
-from ddic.io.image_file import open_image
+from ddic.io.image_file import ImageFile, hold_image
 from ddic.io.mask_file import read_mask
+from ddic.io.tiff_file import can_decode, is_tiff, read_tiff_format
 from ddic.problem.gather_problems import Problems
 
 
@@ -43,16 +44,40 @@ def check_images(images: ImagesSection | NearSection, problems: Problems) -> Ima
     return reference
 
 
+def check_decodable(images: ImagesSection | NearSection, problems: Problems) -> None:
+    """Check that the pixels of compressed images can be decoded, which takes as long as to read them.
+
+    Parameters
+    ----------
+    images : ImagesSection or NearSection
+        Names the files; found fit by ``check_images``.
+    problems : Problems
+        Takes what is found.
+    """
+    for path in (images.reference, *list_deformed(images)):
+        with problems.gathered():
+            if not (is_tiff(path) and can_decode(path)):
+                # Decoded whole when it was opened.
+                continue
+            layout = read_tiff_format(path)
+            if layout.is_compressed:
+                read_all(ImageFile(path, layout, windowed=True))
+
+
 def _check_image(path: Path, mask_path: Path | None, problems: Problems) -> ImageSource | None:
     """An image, checked with its mask; None where it cannot be read."""
     source: ImageSource | None = None
     with problems.gathered():
-        source = open_image(path)
+        source = hold_image(path)
     if source is None:
         return None
     with problems.gathered():
         mask = None if mask_path is None else read_mask(mask_path, source.width, source.height)
+        if mask is not None and not mask.any():
+            raise InputError(f"{mask_path}: the mask is 0 everywhere, so that no pixel of {path} is used; it has to be "
+                             "more than 0 where pixels are to be used")
         check_finite(source, mask)
+        check_varied(source)
     return source
 
 

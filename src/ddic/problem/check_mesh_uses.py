@@ -16,11 +16,12 @@ from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_cell_size
 from ddic.mesh.raster import rasterize
 from ddic.mesh.repair import check_pixels
+from ddic.mesh.topology import find_boundary_nodes
 from ddic.partition.ties import Tying
 from ddic.problem.cut_region import check_lines
 from ddic.problem.gather_problems import Problems
 from ddic.problem.mesh_source import describe_mesh_source
-from ddic.problem.wavelength_limits import check_wavelength_fits
+from ddic.problem.wavelength_limits import NO_INNER_NODE, check_wavelength_fits
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,8 @@ def check_mesh_uses(loaded: LoadedCase, checked: CheckedMesh, problems: Problems
             read_partition(case.solver.partition_file, mesh.n_cells)
     with problems.gathered(loaded.path):
         _check_subdomains(case.solver.subdomains, mesh)
+    with problems.gathered(loaded.path):
+        _check_blocks(case.solver.blocks, mesh)
     return not_controlled
 
 
@@ -113,6 +116,12 @@ def _check_subdomains(n_subdomains: int | None, mesh: Mesh) -> None:
                          "subdomains")
 
 
+def _check_blocks(blocks: tuple[int, int] | None, mesh: Mesh) -> None:
+    if blocks is not None and blocks[0] * blocks[1] > mesh.n_cells:
+        raise InputError(f"solver.blocks = {list(blocks)}: {blocks[0] * blocks[1]} blocks of a mesh of only "
+                         f"{mesh.n_cells} cells; ask for fewer")
+
+
 def check_wavelength(case: Case, mesh: Mesh) -> None:
     """Check that the cut-off wavelength is one that the mesh carries.
 
@@ -126,9 +135,11 @@ def check_wavelength(case: Case, mesh: Mesh) -> None:
     Raises
     ------
     InputError
-        Where it is shorter than SHORTEST_WAVELENGTH elements or longer than LONGEST_WAVELENGTH.
+        Where it is shorter than SHORTEST_WAVELENGTH elements or longer than LONGEST_WAVELENGTH, or has no inner node.
     """
     wavelength = None if case.regularization is None else case.regularization.cut_off_wavelength
     if wavelength is None:
         return
+    if len(find_boundary_nodes(mesh)) == mesh.n_nodes:
+        raise InputError(f"regularization.cut_off_wavelength = {wavelength:g}: {NO_INNER_NODE}")
     check_wavelength_fits(wavelength, measure_cell_size(mesh))

@@ -5,12 +5,18 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from tempfile import TemporaryFile
 
 from ddic.case.frame_files import list_deformed
 from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case, ImagesSection, MeshSection, NearSection
 from ddic.errors import InputError
+from ddic.io.input_file import find_real_path, is_readable_file
 from ddic.io.result_schema import earlier_path, not_converged_path, physical_path, sidecar_path, summary_path
+
+ROOM_IN_NAME = 48
+"""Bytes that names of files beside the result are longer by, those under construction among them:
+``.NAME.not_converged.near_1.residual.vtkhdf.PID.tmp`` less the result's own ending."""
 
 
 def check_output(loaded: LoadedCase) -> None:
@@ -48,14 +54,23 @@ def check_output_file(file: Path) -> None:
         Where it is a folder, or its folder is not there or cannot be written to.
     """
     folder = file.parent
-    if file.is_dir():
-        raise InputError(f"output.file: {file} is a folder; give the name of a file")
-    if file.exists() and not file.is_file():
-        raise InputError(f"output.file: {file} is a device or a pipe; give the name of a file")
-    if not folder.is_dir():
-        raise InputError(f"output.file: there is no folder {folder}; make it first")
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise InputError(f"output.file: the folder {folder} cannot be written to; choose another")
+    try:
+        if file.is_dir():
+            raise InputError(f"output.file: {file} is a folder; give the name of a file")
+        if file.exists() and not file.is_file():
+            raise InputError(f"output.file: {file} is a device or a pipe; give the name of a file")
+        if not folder.is_dir():
+            raise InputError(f"output.file: there is no folder {folder}; make it first")
+        longest = os.pathconf(folder, "PC_NAME_MAX")
+        if len(os.fsencode(file.name)) > longest - ROOM_IN_NAME:
+            raise InputError(f"output.file: {file.name} is too long a name: the file system takes {longest} bytes, of "
+                             f"which files beside it need {ROOM_IN_NAME}; shorten it")
+        # Rights alone do not tell: some folders are no places for files.
+        with TemporaryFile(dir=folder):
+            pass
+    except (OSError, ValueError) as error:
+        reason = (isinstance(error, OSError) and error.strerror) or error
+        raise InputError(f"output.file: the folder {folder} cannot be written to ({reason}); choose another") from error
 
 
 def _check_nothing_is_overwritten(loaded: LoadedCase) -> None:
@@ -64,16 +79,16 @@ def _check_nothing_is_overwritten(loaded: LoadedCase) -> None:
     written = {path for name in (result, not_converged_path(result), earlier_path(result))
                for path in (name, summary_path(name), physical_path(name),
                             *(sidecar_path(name, camera) for camera in range(n_cameras)))}
-    resolved = {path.resolve() for path in written}
+    resolved = {find_real_path(path) for path in written}
     existing = [path for path in written if path.exists()]
     for path in list_inputs(loaded):
-        if path is not None and (path.resolve() in resolved or _is_any(path, existing)):
+        if path is not None and (find_real_path(path) in resolved or _is_any(path, existing)):
             raise InputError(f"output.file: {result} would overwrite the input {path}; choose another name")
 
 
 def _is_any(path: Path, others: Iterable[Path]) -> bool:
     """Whether a file is one of others by another name, a hard link for instance."""
-    return path.exists() and any(path.samefile(other) for other in others)
+    return is_readable_file(path) and any(path.samefile(other) for other in others)
 
 
 def list_inputs(loaded: LoadedCase) -> Iterator[Path | None]:

@@ -9,6 +9,7 @@ from pathlib import Path
 from ddic.case.loader import LoadedCase, load_case_leniently
 from ddic.errors import InputError
 from ddic.io.file_stamps import FileStamps
+from ddic.problem.check_images import check_decodable
 from ddic.problem.check_inputs import check_inputs
 from ddic.problem.check_output import list_named_files
 from ddic.problem.check_report import CheckReport
@@ -116,7 +117,14 @@ def check_case_file(path: Path) -> CheckReport:
     InputError
         With all problems, one line each.
     """
-    return _check(*_load_readable_keys(path), None)
+    loaded, of_keys = _load_readable_keys(path)
+    report = _check(loaded, of_keys, None)
+    problems = Problems()
+    check_decodable(loaded.case.images, problems)
+    for near in loaded.case.near:
+        check_decodable(near, problems)
+    problems.require_none()
+    return report
 
 
 def _load_readable_keys(path: Path) -> tuple[LoadedCase, list[str]]:

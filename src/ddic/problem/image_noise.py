@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ddic.errors import InputError, as_collective
 from ddic.images.rest_noise import BLOCK, estimate_rest_noise
 from ddic.images.window import Window
-from ddic.io.image_file import open_image
+from ddic.io.image_file import hold_image
 from ddic.problem.noise_forces import find_white_transfer
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.weighted_problem import WeightedProblem
@@ -115,7 +115,7 @@ def _measure_at_rest(problem: WeightedProblem, path: Path) -> float:
     low = np.min([box[0] for box in boxes], axis=0).astype(int)
     high = np.max([box[1] for box in boxes], axis=0).astype(int)
     window = Window(low[0], low[1], high[0], high[1]).clip(reference.width, reference.height)
-    noise = team.on_root(lambda: estimate_rest_noise(reference, open_image(path), window))
+    noise = team.on_root(lambda: estimate_rest_noise(reference, hold_image(path), window))
     if not np.isfinite(noise):
         raise as_collective(InputError(f"images.at_rest: {path}: the mesh covers fewer than {BLOCK} x {BLOCK} px, from "
                                        "which no noise can be told; give images.noise"))

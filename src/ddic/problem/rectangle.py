@@ -12,8 +12,8 @@ from ddic.errors import InputError
 from ddic.mesh.control import BOUNDARY
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.repair import check_inside
-from ddic.mesh.structured import build_structured_mesh
-from ddic.problem.wavelength_limits import check_wavelength_fits
+from ddic.mesh.structured import build_structured_mesh, count_cells
+from ddic.problem.wavelength_limits import NO_INNER_NODE, check_wavelength_fits
 from ddic.separated.band_sums import N_BANDS
 from ddic.separated.line_elements import LineElements
 from ddic.separated.separated_regularization import ControlledLines
@@ -94,7 +94,7 @@ def build_rectangle(section: StructuredSection) -> Rectangle:
         raise InputError(f"mesh.structured.element_size = {section.element_size:g}: smaller than a pixel; give "
                          f"{SMALLEST_ELEMENT:g} or more")
     x0, y0, x1, y1 = section.region
-    n_x, n_y = (max(1, round(side / section.element_size)) for side in (x1 - x0, y1 - y0))
+    n_x, n_y = count_cells(section.region, section.element_size)
     return Rectangle(LineElements(np.linspace(x0, x1, n_x + 1)), LineElements(np.linspace(y0, y1, n_y + 1)))
 
 
@@ -172,6 +172,8 @@ def check_rectangle(case: Case, rectangle: Rectangle, width: int, height: int) -
     if section is None:
         return
     choose_controlled_lines(section, rectangle)
+    if section.operator == "equilibrium_gap" and min(rectangle.along_x.n_nodes, rectangle.along_y.n_nodes) < 3:
+        raise InputError(f"[regularization]: {NO_INNER_NODE.replace('give regularization.eta', 'leave it out')}")
     if section.cut_off_wavelength is not None:
         check_wavelength_fits(section.cut_off_wavelength, rectangle.element_size)
 

@@ -1,0 +1,58 @@
+"""Standard output that may be full, closed, or unable to show a name."""
+
+from __future__ import annotations
+
+import errno
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import click
+
+from ddic.errors import DdicError
+
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EPIPE)
+"""Errors of writing; those about a file name it."""
+
+
+@contextmanager
+def output_as_line() -> Iterator[None]:
+    """End the program with a line on standard error where standard output cannot be written.
+
+    Names of files that are no UTF-8 are printed with escapes.
+
+    Raises
+    ------
+    OSError
+        What the block raises for another reason.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        reconfigure = getattr(stream, "reconfigure", None)
+        if reconfigure is not None:
+            reconfigure(errors="backslashreplace")
+    try:
+        yield
+    except OSError as error:
+        if error.filename is not None or error.errno not in FULL:
+            raise
+        _end(error)
+    except SystemExit:
+        _require_written()
+        raise
+    _require_written()
+
+
+def _require_written() -> None:
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        _end(error)
+
+
+def _end(error: OSError) -> None:
+    # Else Python tries once more on its way out, and says so in lines of its own.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    if error.errno != errno.EPIPE:
+        click.echo(f"standard output cannot be written ({error.strerror}); make room, or print elsewhere", err=True)
+    sys.exit(DdicError.exit_code)

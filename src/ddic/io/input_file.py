@@ -1,0 +1,72 @@
+"""Files that are about to be read: whether they are there."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+from ddic.errors import InputError
+
+
+def require_file(path: Path, what: str) -> None:
+    """Refuse a path that leads to no file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    what : str
+        What it should be, for the message.
+
+    Raises
+    ------
+    InputError
+        Where nothing is there, where it is no regular file, or where the way there is closed; it says which.
+    """
+    try:
+        mode = path.stat().st_mode
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise InputError(f"{path}: no such {what}; check the path") from error
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise InputError(f"{path}: this {what} cannot be read ({reason}); check path and permissions") from error
+    if not stat.S_ISREG(mode):
+        kind = "a folder" if stat.S_ISDIR(mode) else "no regular file"
+        raise InputError(f"{path}: is {kind}, no such {what}; check the path")
+
+
+def find_real_path(path: Path) -> Path:
+    """Make a path absolute and free of links.
+
+    Parameters
+    ----------
+    path : Path
+        Any.
+
+    Returns
+    -------
+    Path
+        Where links go round in circles, as far as they can be followed: ``Path.resolve`` raises there, and who reads
+        the file says it in its own words.
+    """
+    return Path(os.path.realpath(path))
+
+
+def is_readable_file(path: Path) -> bool:
+    """Tell whether a path leads to a regular file.
+
+    Parameters
+    ----------
+    path : Path
+        Any.
+
+    Returns
+    -------
+    bool
+        False too where the way there is closed, goes round in circles, or is too long for the file system.
+    """
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False

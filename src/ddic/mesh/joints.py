@@ -1,0 +1,109 @@
+"""How cells meet: side to side and each place once, or a displacement would tear there or be counted twice."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ddic.errors import InputError, list_first
+from ddic.mesh.mesh import Mesh
+from ddic.mesh.raster import Raster, rasterize
+from ddic.mesh.topology import Facets, find_facets
+
+SHARED = 0.05
+"""Share of a cell's pixels that other cells hold too, above which cells overlap: less is rounding in a mesh generator,
+along sides that touch. A larger value forgives more."""
+
+ON_SIDE = 1e-3
+"""Distance from a side, over its length, below which a node lies on it. A larger value refuses more."""
+
+
+def check_joints(mesh: Mesh) -> None:
+    """Refuse a mesh whose cells do not meet as those of a finite element mesh do.
+
+    Cells along a slit, with nodes of their own on either side of it, are none of these.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Inside the image, all cells positively oriented.
+
+    Raises
+    ------
+    InputError
+        With a line for each kind of fault: more than two cells at a side, nodes on a side that is not theirs, cells
+        that overlap.
+    """
+    facets = find_facets(mesh)
+    crowded = np.flatnonzero(facets.n_cells > 2)
+    hanging = _find_hanging_nodes(mesh, facets)
+    overlapping = _find_overlapping_cells(mesh)
+    problems = []
+    if len(crowded):
+        cells = np.unique(facets.side_cells[np.isin(facets.side_facets, crowded)])
+        problems.append(f"{len(crowded)} sides belong to more than two cells (among cells, numbered from 0: "
+                        f"{list_first(cells)}): delete the cells that are too many")
+    if len(hanging):
+        problems.append(f"{len(hanging)} nodes lie on a side of a cell that they are no corner of (at "
+                        f"{_list_places(mesh.nodes[hanging])} px): the displacement would tear there; join the parts "
+                        "of the mesh node to node in the mesh generator")
+    if len(overlapping):
+        problems.append(f"{len(overlapping)} cells (numbered from 0: {list_first(overlapping)}) lie over others: "
+                        "delete those that are too many")
+    if problems:
+        raise InputError(problems)
+
+
+def _find_hanging_nodes(mesh: Mesh, facets: Facets) -> NDArray[np.int64]:
+    """Nodes at the mesh's edge inside a side there that is not theirs."""
+    sides = facets.nodes[facets.n_cells == 1][:, :2]
+    nodes = np.unique(sides)
+    first, second = mesh.nodes[sides[:, 0]], mesh.nodes[sides[:, 1]]
+    lengths = np.linalg.norm(second - first, axis=1)
+    near = cKDTree(mesh.nodes[nodes]).query_ball_point((first + second) / 2, lengths / 2)
+    numbers = np.repeat(np.arange(len(sides)), [len(found) for found in near])
+    found = nodes[np.concatenate(near).astype(np.int64)]
+    along, off = _measure_place(mesh.nodes[found] - first[numbers], (second - first)[numbers])
+    is_inside = (along > ON_SIDE) & (along < 1 - ON_SIDE) & (np.abs(off) < ON_SIDE)
+    return np.asarray(np.unique(found[is_inside]))
+
+
+def _measure_place(points: NDArray[np.float64],
+                   sides: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Places of points along sides and off them, over the sides' lengths."""
+    squares = (sides**2).sum(axis=1)
+    along = (points * sides).sum(axis=1) / squares
+    off = (points[:, 0] * sides[:, 1] - points[:, 1] * sides[:, 0]) / squares
+    return along, off
+
+
+def _find_overlapping_cells(mesh: Mesh) -> NDArray[np.int64]:
+    """Cells of which others hold more than SHARED of the pixels."""
+    raster = rasterize(mesh)
+    counts = raster.pixel_counts
+    if not counts.any():
+        return np.zeros(0, np.int64)
+    times = _count_cells_of_pixels(raster)
+    if (times <= 1).all():
+        return np.zeros(0, np.int64)
+    window = raster.window
+    shared = raster.sum_by_cell((times > 1).astype(np.float64), window.x0, window.y0)
+    return np.flatnonzero(shared > SHARED * np.maximum(counts, 1))
+
+
+def _count_cells_of_pixels(raster: Raster) -> NDArray[np.int32]:
+    """Number of cells that each pixel of the raster's window belongs to, (height, width)."""
+    window = raster.window
+    changes = np.zeros((window.height, window.width + 1), dtype=np.int32)
+    filled = raster.stops > raster.starts
+    rows = raster.rows[filled] - window.y0
+    np.add.at(changes, (rows, raster.starts[filled] - window.x0), 1)
+    np.add.at(changes, (rows, raster.stops[filled] - window.x0), -1)
+    return np.asarray(np.cumsum(changes, axis=1, dtype=np.int32)[:, :-1])
+
+
+def _list_places(points: NDArray[np.float64]) -> str:
+    """The first places."""
+    listed = ", ".join(f"({x:.6g}, {y:.6g})" for x, y in points[:3])
+    return listed + (", ..." if len(points) > 3 else "")

@@ -1,0 +1,78 @@
+"""Standard output that cannot be written, numbers that are none, and what PETSc refuses."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from ddic.cli.app import main
+from ddic.cli.petsc_error import describe_petsc_error
+from ddic.io import decoded_file
+
+FULL = Path("/dev/full")
+
+
+@pytest.mark.skipif(not FULL.is_char_device(), reason="needs a device that is always full")
+def test_a_full_standard_output_is_said_in_a_line() -> None:
+    with FULL.open("w") as full:
+        done = subprocess.run([sys.executable, "-m", "ddic", "--help"], stdout=full, stderr=subprocess.PIPE, text=True,
+                              check=False, timeout=60)
+    assert done.returncode == 1
+    assert done.stderr.splitlines() == ["standard output cannot be written (No space left on device); make room, or "
+                                        "print elsewhere"]
+
+
+def test_a_name_that_is_no_text_can_be_printed(tmp_path: Path) -> None:
+    name = os.fsdecode(os.fsencode(tmp_path) + b"/\xff.tif")
+    done = subprocess.run([sys.executable, "-m", "ddic", "info", name], capture_output=True, text=True, check=False,
+                          timeout=60)
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
+    assert "no such file" in done.stderr
+
+
+@pytest.mark.parametrize("words", [
+    ("plot", "r.vtkhdf", "--amplification", "nan"), ("plot", "r.vtkhdf", "--limits", "nan", "1"),
+    ("crack", "r.vtkhdf", "--tip", "1", "inf")])
+def test_nan_and_infinity_are_no_numbers(words: tuple[str, ...]) -> None:
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 2
+    assert "is not a finite number" in done.stderr
+
+
+class _Refusal(Exception):
+    """Like PETSc's, whose text is its stack with the reason last."""
+
+    ierr = 86
+
+    def __str__(self) -> str:
+        return "error code 86\n[0] KSPSetFromOptions() at /x.c:1\n[0] Unable to find requested KSP type nosuch"
+
+
+def test_what_petsc_refuses_is_a_wrong_input_where_it_was_asked_for() -> None:
+    line, code = describe_petsc_error(_Refusal(), ("-dual_ksp_type", "nosuch"))
+    assert (line, code) == ("PETSc refuses its options -dual_ksp_type nosuch: Unable to find requested KSP type nosuch "
+                            "(error 86)", 2)
+    assert describe_petsc_error(_Refusal(), ())[1] == 1
+
+
+def test_info_decodes_an_image_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Three bands of rows, which were decoded one by one, and once more for the header.
+    grey = np.random.default_rng(1).integers(0, 255, (1600, 1600)).astype(np.uint8)
+    cv2.imwrite(str(tmp_path / "a.png"), grey)
+    decoded, imread = [], cv2.imread
+
+    def count(*words: object) -> object:
+        decoded.append(words)
+        return imread(*words)
+
+    monkeypatch.setattr(decoded_file.cv2, "imread", count)
+    assert CliRunner().invoke(main, ["info", str(tmp_path / "a.png")]).exit_code == 0
+    assert len(decoded) == 1
