@@ -31,8 +31,16 @@ def check_images(images: ImagesSection | NearSection, problems: Problems) -> Ima
         The reference image; None where it cannot be read.
     """
     reference = _check_image(images.reference, images.reference_mask, problems)
-    for path in list_deformed(images):
+    if reference is not None:
+        with problems.gathered():
+            check_varied(reference)
+    deformed_images = list_deformed(images)
+    for path in deformed_images:
         deformed = _check_image(path, images.deformed_mask, problems)
+        if deformed is not None and len(deformed_images) == 1:
+            # A blank frame of a series is told when its turn comes, and loses no other.
+            with problems.gathered():
+                check_varied(deformed)
         if reference is not None and deformed is not None:
             with problems.gathered():
                 _check_same_size(reference, deformed)
@@ -40,6 +48,7 @@ def check_images(images: ImagesSection | NearSection, problems: Problems) -> Ima
         at_rest = _check_image(images.at_rest, None, problems)
         if reference is not None and at_rest is not None:
             with problems.gathered():
+                check_varied(at_rest)
                 _check_same_size(reference, at_rest)
     return reference
 
@@ -77,7 +86,6 @@ def _check_image(path: Path, mask_path: Path | None, problems: Problems) -> Imag
             raise InputError(f"{mask_path}: the mask is 0 everywhere, so that no pixel of {path} is used; it has to be "
                              "more than 0 where pixels are to be used")
         check_finite(source, mask)
-        check_varied(source)
     return source
 
 
