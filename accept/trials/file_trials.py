@@ -147,6 +147,9 @@ GOOD_IMAGES: Mapping[Keys, str] = {
 OF_SIZE = 2
 """Lines on an image of another size: neither the other image nor the mesh goes with it."""
 
+OF_MAPPING = 4
+"""Lines on a mapping file that is another one: each key that it lacks or should not have."""
+
 MASKS = ("reference_mask", "deformed_mask", "mask")
 
 
@@ -269,7 +272,8 @@ def _list_texts() -> Iterator[Trial]:
                               (of_mapping, "odd.toml", MAPPINGS)):
         for name, text in texts.items():
             yield Trial(f"{file} is {name}", case, (partial(_write, file, _text(text)),),
-                        expected="refused or measured" if name in ("commas", "of one place twice") else "refused")
+                        expected="refused or measured" if name in ("commas", "of one place twice") else "refused",
+                        n_mistakes=OF_MAPPING if texts is MAPPINGS else 1)
     yield from _list_changed_mappings(of_mapping)
 
 

@@ -53,6 +53,26 @@ def find_real_path(path: Path) -> Path:
     return Path(os.path.realpath(path))
 
 
+def is_endless_file(path: Path) -> bool:
+    """Tell whether a path leads to a pipe, a socket or a device, which may never end or never begin.
+
+    Parameters
+    ----------
+    path : Path
+        Any.
+
+    Returns
+    -------
+    bool
+        False too where nothing is there.
+    """
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError):
+        return False
+    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
+
+
 def is_readable_file(path: Path) -> bool:
     """Tell whether a path leads to a regular file.
 

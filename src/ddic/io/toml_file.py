@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ddic.errors import InputError
+from ddic.io.input_file import is_endless_file
 
 DEEPEST = 50
 """Levels of lists and sections in one another: no file of ddic's has more than six. A larger value lets more nonsense
@@ -37,8 +38,10 @@ def read_text(path: Path, what: str, remedy: str) -> str:
     Raises
     ------
     InputError
-        Where it cannot be read, or is no UTF-8.
+        Where it cannot be read, is a pipe or a device, or is no UTF-8.
     """
+    if is_endless_file(path):
+        raise InputError(f"{path}: is no regular file, no {what}; {remedy}")
     try:
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
