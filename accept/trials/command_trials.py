@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from functools import partial
 
 import click
 
 from accept.trials.good_case import PAIR
+from accept.trials.path_edits import NAME, NULL, make_device
 from accept.trials.trial import CASE_FILE, Trial
 from ddic.cli.app import COMMANDS, main
 
@@ -21,7 +23,7 @@ GOOD: Mapping[str, tuple[str, ...]] = {
 """Arguments with which a command succeeds; a command that is not here is tried without any."""
 
 BAD_WORDS = ("", "nan", "-inf", "1e308", "-1", "0", "2x", "a\tb", "9" * 5000, "a" * 300)
-BAD_FILES = ("missing.odd", ".", "mask.png", "points.csv", CASE_FILE, "earlier.pair.residual.vtkhdf", "/dev/null", "")
+BAD_FILES = ("missing.odd", ".", "mask.png", "points.csv", CASE_FILE, "earlier.pair.residual.vtkhdf", NAME, "")
 NO_UTF8 = "\udcff"
 """A byte that is no UTF-8, as Python has it among a command's arguments."""
 
@@ -69,4 +71,5 @@ def _of_option(name: str, good: tuple[str, ...], option: click.Option) -> Iterat
 
 def _trial(arguments: tuple[str, ...], expected: str = "refused") -> Trial:
     shown = " ".join(word if len(word) < 40 else f"{word[:10]}...{len(word)}" for word in arguments)
-    return Trial(f"ddic {shown!a}", PAIR, commands=(arguments,), expected=expected)  # type: ignore[arg-type]
+    edits = (partial(make_device, NULL),) if NAME in arguments else ()
+    return Trial(f"ddic {shown!a}", PAIR, edits, commands=(arguments,), expected=expected)  # type: ignore[arg-type]

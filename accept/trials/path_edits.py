@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import os
+import stat
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from accept.trials.trial import Edit, Raw
 
 NAME = "odd"
+
+NULL, FULL = 3, 7
+"""Numbers of devices of memory."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +59,22 @@ def _make_pipe(folder: Path) -> None:
     os.mkfifo(folder / NAME)
 
 
+def make_device(number: int, folder: Path) -> None:
+    """Make a device of the trial's own, lest a fault replace one of the system's; a pipe where this user may have none.
+
+    Parameters
+    ----------
+    number : int
+        Of the kind, among the devices of memory: 3 the one that takes all, 7 the one that is full.
+    folder : Path
+        Where.
+    """
+    try:
+        os.mknod(folder / NAME, 0o666 | stat.S_IFCHR, os.makedev(1, number))
+    except PermissionError:
+        os.mkfifo(folder / NAME)
+
+
 def _make_text(folder: Path) -> None:
     (folder / NAME).write_text("nothing of the kind\n", encoding="utf-8")
 
@@ -78,8 +99,8 @@ BAD_PATHS: Mapping[str, BadPath] = {
     "a loop of links": BadPath(NAME, (_make_loop,)),
     "a link to nothing": BadPath(NAME, (_make_dangling,)),
     "a pipe": BadPath(NAME, (_make_pipe,)),
-    "a device": BadPath("/dev/null"),
-    "a device that is full": BadPath("/dev/full"),
+    "a device": BadPath(NAME, (partial(make_device, NULL),)),
+    "a device that is full": BadPath(NAME, (partial(make_device, FULL),)),
     "in /proc": BadPath("/proc/odd.vtkhdf"),
     "a pattern of nothing": BadPath("none_*.tif"),
     "the case file itself": BadPath("case.toml"),
