@@ -9,10 +9,10 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-LIMIT = 8
+LIMIT = 6
 """Seconds for one test; to start pytest on two ranks takes two or three on an idle machine, and counts for no test."""
-N_SLOW = 6
-SECONDS = 2.0
+N_SLOW = 4
+SECONDS = 1.6
 """Of each slow test: all of them take longer than LIMIT, one far less."""
 HANG_S = 300
 """Far beyond the limit of the test itself, which would end the suite from outside."""

@@ -37,8 +37,7 @@ def _send(process: subprocess.Popen[str], folder: Path, number: signal.Signals, 
 
 # Serial; mpiexec forwards SIGUSR1; a batch system may signal any of the ranks.
 @pytest.mark.parametrize(("ranks", "to", "number"), [
-    (0, 0, signal.SIGTERM), (0, 0, signal.SIGUSR1), (0, 0, signal.SIGXCPU), (1, None, signal.SIGUSR1),
-    (2, 0, signal.SIGTERM), (2, 1, signal.SIGTERM), (3, 2, signal.SIGUSR1), (3, None, signal.SIGUSR1)])
+    (0, 0, signal.SIGTERM), (0, 0, signal.SIGXCPU), (2, 1, signal.SIGTERM), (3, None, signal.SIGUSR1)])
 def test_the_last_field_is_kept(folder: Path, ranks: int, to: int | None, number: signal.Signals) -> None:
     (folder / "result.vtkhdf").write_text("an earlier result")
     with started(patient(folder), ranks) as process:
@@ -68,7 +67,7 @@ def _check_kept_field(kept: Path) -> None:
     assert 0 < np.abs(result.displacement).max() < 1.5
 
 
-@pytest.mark.parametrize("ranks", [0, 2])
+@pytest.mark.parametrize("ranks", [2])
 def test_it_goes_on_from_where_it_was_stopped(folder: Path, ranks: int) -> None:
     with started(patient(folder), ranks) as process:
         wait_for(folder.parent / "iterating*", max(ranks, 1))
@@ -117,7 +116,7 @@ pgd_dic.SeparatedSession._report = report_and_signal
 
 
 # Anywhere between the start and some ten iterations, on an idle machine; drawn, but the same every day.
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0])
 @pytest.mark.parametrize("ranks", [1, 2, 3])
 def test_a_signal_at_any_time_ends_the_run(folder: Path, ranks: int, seed: int) -> None:
     draw = random.Random(10 * ranks + seed)

@@ -8,6 +8,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import Lock
+from typing import IO
 
 STANDARD_ERROR = 2
 
@@ -24,7 +25,7 @@ def caught_messages() -> Iterator[list[str]]:
         Empty; filled with the lines, without blank ones, on the way out.
     """
     lines: list[str] = []
-    with _LOCK, tempfile.TemporaryFile() as caught:
+    with _LOCK, _open_scratch() as caught:
         sys.stderr.flush()
         try:
             kept = os.dup(STANDARD_ERROR)
@@ -41,3 +42,10 @@ def caught_messages() -> Iterator[list[str]]:
             os.close(kept)
             caught.seek(0)
             lines += [line for line in caught.read().decode(errors="replace").splitlines() if line.strip()]
+
+
+def _open_scratch() -> IO[bytes]:
+    """A file of no folder: what is decoded may be all that a full disk has room for."""
+    if hasattr(os, "memfd_create"):
+        return os.fdopen(os.memfd_create("messages"), "w+b")
+    return tempfile.TemporaryFile()
