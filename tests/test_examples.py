@@ -355,15 +355,14 @@ def test_large_motion(tmp_path: Path) -> None:
     assert rms < 0.01
 
 
-@pytest.mark.parametrize(("method", "ranks"), [("dual", 0), ("dual", 2), ("assembled", 2), ("conjugate_gradient", 0),
-                                               ("monolithic", 0)])
+@pytest.mark.parametrize(("method", "ranks"), [("dual", 2), ("assembled", 2), ("monolithic", 0)])
 def test_integrated_dic(tmp_path: Path, method: str, ranks: int) -> None:
     _, _, error = run_script("integrated_dic", tmp_path, method, ranks=ranks)
     # The spline's bias, 1.4e-3 px, and what squares of 10 px cannot follow of the fourth power of x.
     assert error < 3e-3
 
 
-@pytest.mark.parametrize(("method", "ranks"), [("dual", 0), ("dual", 2), ("conjugate_gradient", 2), ("monolithic", 0)])
+@pytest.mark.parametrize(("method", "ranks"), [("dual", 0), ("conjugate_gradient", 2)])
 def test_fixed_components(tmp_path: Path, method: str, ranks: int) -> None:
     n_nodes, n_unknowns, strain, held, others = run_script("fixed_components", tmp_path, method, ranks=ranks)
     assert n_unknowns == 2 * n_nodes - n_nodes / 3

@@ -20,9 +20,9 @@ INTERRUPTED = 130
 _RANK_VARIABLES = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK", "SLURM_PROCID")
 """Of Open MPI; of other launchers with PMIx; of MPICH and Intel MPI; of srun."""
 
-_HEAD_START = 1.0
-"""Seconds that rank 0 has to tell what all ranks have to tell, before others do; a launcher that it ends takes less to
-end them. A larger value delays what only another rank knows."""
+_HEAD_START = 2.5
+"""Seconds that rank 0 has to tell what all ranks have to tell, before others do, on a busy machine too. A larger value
+delays what only another rank knows; the last of them waits for twice as long."""
 
 _STEPS = 64
 """Ranks of which each waits a little longer than the one before."""
