@@ -108,6 +108,7 @@ def test_fields_are_those_since_the_first_image(shared_path: Path, more: str, of
     for step in range(N_FRAMES):
         # The mesh in the file is that of the first image, to the last bit.
         np.testing.assert_array_equal(series[step].mesh.nodes, first.nodes)
+        assert series[step].attributes["provenance"]["reference_path"].endswith("f.tif")
         assert np.abs(find_errors(series, step)).max() < of_frame * (step + 1)
 
 

@@ -57,4 +57,6 @@ def _describe_first(team: Team, problem: ReferenceProblem) -> UpdatedReference:
     for index, node_ids, of_nodes, cell_ids in team.gather_lists(
             [(s.index, s.node_ids, s.mesh.nodes, s.cell_ids) for s in problem.subdomains]):
         nodes[node_ids], parts[cell_ids] = of_nodes, index
-    return UpdatedReference(0, nodes, np.zeros(nodes.shape), parts, problem.inputs.build_mesh)
+    inputs = problem.inputs
+    first_image = inputs.cameras[0].reference.image
+    return UpdatedReference(0, nodes, np.zeros(nodes.shape), parts, first_image, inputs.build_mesh)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.images.source import ImageSource
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.repair import check_inside
 from ddic.partition.subdomain import Subdomain
@@ -30,6 +31,8 @@ class UpdatedReference:
         From there to the frame, pixels.
     parts : (n_cells,) array of int64
         Subdomain of each cell, as in the first reference image.
+    first_image : ImageSource
+        The first reference image.
     build_first_mesh : callable
         Gives the whole mesh in the first reference image; called on rank 0 only.
     """
@@ -38,6 +41,7 @@ class UpdatedReference:
     nodes: Array
     displacement: Array
     parts: NDArray[np.int64]
+    first_image: ImageSource
     build_first_mesh: Callable[[], tuple[Mesh, Tying | None]]
 
     def build_moved_mesh(self, width: int, height: int) -> Mesh:

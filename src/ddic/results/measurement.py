@@ -212,10 +212,13 @@ class Measurement:
         dict
             Sizes, and the first camera's images with their checksums.
         """
-        reference, deformed = self.cameras[0].reference.image, self.frame[0].image
+        updated, deformed = self.inputs.updated, self.frame[0].image
+        # Mesh and fields are those of the first one.
+        reference = self.cameras[0].reference.image if updated is None else updated.first_image
         return {"n_ranks": self.size.n_ranks, "n_subdomains": self.size.n_subdomains,
                 "method": self.method, "preconditioner": self.preconditioner,
-                **describe_image("reference", reference), **describe_image("deformed", deformed)}
+                **describe_image("reference", reference), **describe_image("deformed", deformed),
+                "compared_with_path": str(self.cameras[0].reference.image.path)}
 
 
 def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str, ...], solved: SolvedFrame,
