@@ -44,7 +44,7 @@ def measure_slurm_job(scale: Scale) -> list[Row]:
     mpirun(2, ddic_command(), "run", str(case))
     with one_machine_slurm() as slurm:
         rows = [_compare(slurm, launcher, case) for launcher in LAUNCHERS]
-        case = _write_case(folder / "long", 600 if scale.smoke else 2400, 6, _ENDLESS)
+        case = _write_case(folder / "long", 600 if scale.smoke else 3600, 6, _ENDLESS)
         rows += [_stop(slurm, launcher, case) for launcher in LAUNCHERS]
     return rows
 

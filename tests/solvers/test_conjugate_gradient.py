@@ -104,6 +104,24 @@ def test_a_step_is_taken_up_where_it_was_left() -> None:
 
 
 @pytest.mark.parallel([1, 2])
+def test_a_step_that_forgets_comes_to_the_same_bits() -> None:
+    problem = linear_step(wavelength=WAVELENGTH)
+    with Decomposed(Team.world(), problem, split(problem.mesh, "blocks", 4), "consistent") as cut:
+        fresh, used = _step(cut), _step(cut)
+        expected = cut.solve(fresh).dq
+        cut.solve(used, allowed=AllowedError(1e-3))
+        # Guards the test: a solution that is taken up again leaves other digits.
+        taken_up = cut.solve(used).dq
+        used.forget()
+        again = cut.solve(used).dq
+        for step in (fresh, used):
+            step.destroy()
+        assert cut.team.sum(sum(not np.array_equal(a, b) for a, b in zip(taken_up, expected, strict=True))) > 0
+        for one, two in zip(again, expected, strict=True):
+            np.testing.assert_array_equal(one, two)
+
+
+@pytest.mark.parallel([1, 2])
 def test_failures_say_what_to_do() -> None:
     problem = linear_step(wavelength=WAVELENGTH)
     with Decomposed(Team.world(), problem, split(problem.mesh, "blocks", 4), "consistent") as cut:

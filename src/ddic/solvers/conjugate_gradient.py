@@ -51,7 +51,7 @@ class ConjugateGradientStep:
     def __init__(self, team: Team, systems: Sequence[LocalSystem], tolerance: float, max_iterations: int) -> None:
         self._tolerance = tolerance
         # Bounds of the eigenvalues of D^-1 A, from all iterations so far.
-        self.forget()
+        self._largest, self._lowest = 1.0, 1.0
         self._unit_size = measure_unit_size(team, [system.subdomain for system in systems])
         with PetscStack() as stack:
             self._whole = stack.keep(WholeSystem(team, systems))
@@ -116,7 +116,8 @@ class ConjugateGradientStep:
                           self._estimate_error(norm))
 
     def forget(self) -> None:
-        """Forget the bounds of the eigenvalues that earlier steps found."""
+        """Forget the last solution, and the bounds of the eigenvalues that earlier steps found."""
+        self._left.set(0.0)
         self._largest, self._lowest = 1.0, 1.0
 
     def destroy(self) -> None:
