@@ -70,7 +70,7 @@ def prepare_abort() -> None:
     os.environ.setdefault("OMPI_MCA_orte_execute_quiet", "1")
 
 
-def abort_all_ranks(line: str, code: int) -> NoReturn:
+def abort_all_ranks(line: str, code: int, head_start: float = _HEAD_START) -> NoReturn:
     """Say why, and end this process and all ranks of its job; not collective.
 
     Nothing is finalised: the end of MPI waits for ranks that wait for this one. Where all ranks have the same to say,
@@ -82,9 +82,11 @@ def abort_all_ranks(line: str, code: int) -> NoReturn:
         For the user.
     code : int
         The exit code.
+    head_start : float, optional
+        Seconds that rank 0 has to speak before others do.
     """
     rank = find_rank() or 0
-    if rank > 0 and _is_ended_within(_HEAD_START * (1.0 + (rank % _STEPS) / _STEPS)):
+    if rank > 0 and _is_ended_within(head_start * (1.0 + (rank % _STEPS) / _STEPS)):
         os._exit(code)
     # Whatever is wrong with the streams, the process ends.
     with suppress(Exception):

@@ -40,6 +40,10 @@ _INTERRUPTING = signal.SIGALRM
 _LATER = 0.01
 """Seconds after which an interruption that was lost is sent again; a finalizer takes less."""
 
+_HEAD_START = 1.0
+"""Seconds that rank 0 has to speak where all ranks were signalled; the main thread goes on meanwhile. A larger value
+lets a short run end before it is interrupted."""
+
 _TOLD = "interrupted; no result was written"
 _STOPPED_EARLY = ("stopped by a signal before the first iteration", StoppedError.exit_code)
 
@@ -152,7 +156,7 @@ class StopRequest:
 
     def _end(self, line: str, code: int) -> NoReturn:
         self.before_end()
-        abort_all_ranks(line, code)
+        abort_all_ranks(line, code, _HEAD_START)
 
 
 def is_stop_asked(team: Team) -> bool:
