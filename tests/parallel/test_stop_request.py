@@ -44,7 +44,7 @@ class _EndedError(Exception):
     """Stands for the end of the process."""
 
 
-def _end(line: str, code: int) -> NoReturn:
+def _end(line: str, code: int, head_start: float) -> NoReturn:
     raise _EndedError(line, code)
 
 
