@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import stat
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ import meshio
 import numpy as np
 from click.testing import CliRunner
 
+from accept.support.own_device import make_device
 from accept.table import Scale
 from bench.support.rows import Row
 from bench.support.runs import ddic, images
@@ -118,7 +118,7 @@ def _prepare(folder: Path) -> None:
     corners = np.array([[40.0, 40.0, 0.0], [160.0, 40.0, 0.0], [160.0, 120.0, 0.0], [40.0, 120.0, 0.0]])
     meshio.write(folder / "mesh.msh", meshio.Mesh(corners, [("quad", np.array([[0, 1, 2, 3]]))]), file_format="gmsh")
     os.mkfifo(folder / "pipe")
-    _make_device(folder / "device")
+    make_device(folder / "device")
     (folder / "partition.txt").write_text("0\n", encoding="utf-8")
     (folder / "points.csv").write_text("x,y,u,v\n40,40,0,0\n", encoding="utf-8")
     simple = ('[images]\nreference = "far_reference.tif"\ndeformed = "far_deformed.tif"\n[mesh.structured]\n'
@@ -128,14 +128,6 @@ def _prepare(folder: Path) -> None:
     (folder / "simple.toml").unlink()
     (folder / "result.json").unlink()
     (folder / "case.toml").write_text(_CASE, encoding="utf-8")
-
-
-def _make_device(path: Path) -> None:
-    """A device of the check's own, lest a fault replace one of the system's; a pipe where this user may have none."""
-    try:
-        os.mknod(path, 0o600 | stat.S_IFCHR, os.makedev(1, 3))
-    except OSError:
-        os.mkfifo(path)
 
 
 def _try(folder: Path, writer: Writer, input_: str, way: str) -> Iterator[str]:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from functools import partial
 
 import click
 
 from accept.trials.good_case import PAIR
-from accept.trials.path_edits import NAME, NULL, make_device
+from accept.trials.path_edits import NAME, make_own_device
 from accept.trials.trial import CASE_FILE, Trial
 from ddic.cli.app import COMMANDS, main
 
@@ -71,5 +70,5 @@ def _of_option(name: str, good: tuple[str, ...], option: click.Option) -> Iterat
 
 def _trial(arguments: tuple[str, ...], expected: str = "refused") -> Trial:
     shown = " ".join(word if len(word) < 40 else f"{word[:10]}...{len(word)}" for word in arguments)
-    edits = (partial(make_device, NULL),) if NAME in arguments else ()
+    edits = (make_own_device,) if NAME in arguments else ()
     return Trial(f"ddic {shown!a}", PAIR, edits, commands=(arguments,), expected=expected)  # type: ignore[arg-type]

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import os
-import stat
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from accept.support.own_device import FULL, NULL, make_device
 from accept.trials.trial import Edit, Raw
 
 NAME = "odd"
-
-NULL, FULL = 3, 7
-"""Numbers of devices of memory."""
 
 
 @dataclass(frozen=True)
@@ -59,20 +56,17 @@ def _make_pipe(folder: Path) -> None:
     os.mkfifo(folder / NAME)
 
 
-def make_device(number: int, folder: Path) -> None:
-    """Make a device of the trial's own, lest a fault replace one of the system's; a pipe where this user may have none.
+def make_own_device(folder: Path, number: int = NULL) -> None:
+    """Make a device of the trial's own.
 
     Parameters
     ----------
-    number : int
-        Of the kind, among the devices of memory: 3 the one that takes all, 7 the one that is full.
     folder : Path
-        Where.
+        Where, under NAME.
+    number : int, optional
+        Of the kind.
     """
-    try:
-        os.mknod(folder / NAME, 0o666 | stat.S_IFCHR, os.makedev(1, number))
-    except PermissionError:
-        os.mkfifo(folder / NAME)
+    make_device(folder / NAME, number)
 
 
 def _make_text(folder: Path) -> None:
@@ -99,8 +93,8 @@ BAD_PATHS: Mapping[str, BadPath] = {
     "a loop of links": BadPath(NAME, (_make_loop,)),
     "a link to nothing": BadPath(NAME, (_make_dangling,)),
     "a pipe": BadPath(NAME, (_make_pipe,)),
-    "a device": BadPath(NAME, (partial(make_device, NULL),)),
-    "a device that is full": BadPath(NAME, (partial(make_device, FULL),)),
+    "a device": BadPath(NAME, (make_own_device,)),
+    "a device that is full": BadPath(NAME, (partial(make_own_device, number=FULL),)),
     "in /proc": BadPath("/proc/odd.vtkhdf"),
     "a pattern of nothing": BadPath("none_*.tif"),
     "the case file itself": BadPath("case.toml"),

@@ -13,14 +13,15 @@ import tifffile
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from ddic.errors import ConvergenceError, InputError, StoppedError, as_collective
+from ddic.errors import ConvergenceError, InputError, StoppedError
 from ddic.io.series_reader import SeriesResult, read_series
 from ddic.methods.run_case import run_case, run_file
 from ddic.parallel.team import Team
 from ddic.results.listener import Silence
 from ddic.results.series_record import SeriesSummary
 from ddic.synth.fields import Sinusoidal
-from support.cases import Ears, contents, write_case, write_images
+from support.cases import Ears, write_case, write_images
+from support.interrupted import assert_equal_results, interrupt
 from support.pictures import pair_of
 
 RANKS = [1, 2, 3]
@@ -29,21 +30,6 @@ SOLVER = '[solver]\nmethod = "dual"\nsubdomains = 4\ntolerance = 1e-12\ninexact 
 TIGHT = SOLVER + "[gauss_newton]\ntolerance = 1e-13\nrms_tolerance = 1e-9\n"
 SMOOTH = TIGHT + "[regularization]\ncut_off_wavelength = 48\n"
 SERIES = [f'"g_{number}.tif"' for number in range(1, N_FRAMES + 1)]
-
-
-class Interrupted(Exception):
-    """What ends a run in the middle of a frame."""
-
-
-class EndsAt(Ears):
-    """A listener that ends the run, on all ranks, when a frame begins to iterate."""
-
-    last: int = 0
-
-    def iteration(self, record: Any) -> None:
-        super().iteration(record)
-        if self.frames[-1] == self.last:
-            raise as_collective(Interrupted("ended in the middle"))
 
 
 class AsksAt(Ears):
@@ -84,14 +70,6 @@ def run(path: Path, *, resume: bool = False) -> SeriesSummary:
     assert isinstance(summary, SeriesSummary)
     MPI.COMM_WORLD.barrier()
     return summary
-
-
-def interrupt(path: Path, at: int) -> None:
-    ears = EndsAt()
-    ears.last = at
-    with pytest.raises(Interrupted):
-        run_file(Team.world(), path, ears)
-    MPI.COMM_WORLD.barrier()
 
 
 def displacement(series: SeriesResult, step: int) -> NDArray[np.float64]:
@@ -160,13 +138,7 @@ def test_what_is_resumed_equals_what_was_not_interrupted(shared_path: Path, more
     summary = run(parts, resume=True)
     assert summary.n_resumed == 2
     assert [frame.started_from for frame in summary.frames][2:] == ["the last two frames"] * 2
-    one, two = (contents(path.parent / "result.vtkhdf") for path in (whole, parts))
-    assert one.keys() == two.keys()
-    for name, values in one.items():
-        # What time it took, and where it stands.
-        if any(word in name for word in ("phases", "date", "path", "records", "origin", "json", "seconds")):
-            continue
-        np.testing.assert_array_equal(values, two[name], err_msg=name)
+    assert_equal_results(whole.parent / "result.vtkhdf", parts.parent / "result.vtkhdf")
 
 
 @pytest.mark.parallel([1, 2])

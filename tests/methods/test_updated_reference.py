@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ddic.case.loader import load_case
-from ddic.errors import ConvergenceError, InputError, as_collective
+from ddic.errors import ConvergenceError, InputError
 from ddic.io.series_reader import SeriesResult, read_series
 from ddic.methods.run_case import run_file
 from ddic.parallel.team import Team
@@ -24,7 +23,8 @@ from ddic.synth.fields import Sinusoidal
 from ddic.synth.picture import Picture
 from ddic.synth.render import Scene, render_pair
 from ddic.synth.speckle_texture import SpeckleTexture
-from support.cases import Ears, contents, write_case, write_images
+from support.cases import Ears, write_case, write_images
+from support.interrupted import assert_equal_results, interrupt
 
 RANKS = [1, 2, 3]
 N_FRAMES = 4
@@ -32,23 +32,6 @@ SERIES = ", ".join(f'"g_{number}.tif"' for number in range(1, N_FRAMES + 1))
 SOLVER = '[solver]\nmethod = "dual"\nsubdomains = 4\n'
 NEVER, AUTO, ALWAYS = (f'incremental = "{when}"' for when in ("never", "auto", "always"))
 SMOOTH = "[regularization]\ncut_off_wavelength = 48\n[gauss_newton]\nmax_iterations = 30\n"
-
-
-class Interrupted(Exception):
-    """What ends a run in the middle of a frame."""
-
-
-class EndsAt(Ears):
-    """A listener that ends the run, on all ranks, when a frame begins to iterate."""
-
-    def __init__(self, last: int) -> None:
-        super().__init__()
-        self.last = last
-
-    def iteration(self, record: Any) -> None:
-        super().iteration(record)
-        if self.frames[-1] == self.last:
-            raise as_collective(Interrupted("ended in the middle"))
 
 
 def field(number: float) -> Sinusoidal:
@@ -139,17 +122,9 @@ def test_a_residual_that_stays_asks_for_nothing(tmp_path: Path) -> None:
 def test_what_is_resumed_equals_what_was_not_interrupted(shared_path: Path) -> None:
     whole, parts = (write_frames(shared_path / name, f"{ALWAYS}\nupdate_after = 2") for name in ("whole", "parts"))
     assert [frame.reference for frame in run(whole).frames] == [0, 0, 2, 2]
-    with pytest.raises(Interrupted):
-        run_file(Team.world(), parts, EndsAt(4))
-    MPI.COMM_WORLD.barrier()
+    interrupt(parts, 4)
     assert run(parts, resume=True).n_resumed == 3
-    one, two = (contents(path.parent / "result.vtkhdf") for path in (whole, parts))
-    assert one.keys() == two.keys()
-    for name, values in one.items():
-        # What time it took, and where it stands.
-        if any(word in name for word in ("phases", "date", "path", "records", "origin", "json", "seconds")):
-            continue
-        np.testing.assert_array_equal(values, two[name], err_msg=name)
+    assert_equal_results(whole.parent / "result.vtkhdf", parts.parent / "result.vtkhdf")
 
 
 def test_a_mesh_that_leaves_the_image_stays_with_its_reference(tmp_path: Path) -> None:

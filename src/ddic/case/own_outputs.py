@@ -14,7 +14,7 @@ from typing import Any
 
 from ddic.case.frame_files import PATTERN
 from ddic.errors import InputError
-from ddic.io.input_file import is_endless_file
+from ddic.io.toml_file import read_text
 
 LONGEST_CASE = 1 << 20
 """Bytes of a TOML file that is read as a possible case file; longer ones are none."""
@@ -125,10 +125,10 @@ def _list_toml_files(path: Path) -> list[Path]:
 def _list_named_files(case_file: Path) -> Iterator[Path]:
     """Files that a TOML file names but for what it has written, and that are there."""
     try:
-        if is_endless_file(case_file) or case_file.stat().st_size > LONGEST_CASE:
+        if case_file.stat().st_size > LONGEST_CASE:
             return
-        content = tomllib.loads(case_file.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+        content = tomllib.loads(read_text(case_file, "case file", "check the path"))
+    except (InputError, OSError, ValueError, RecursionError):
         return
     for text in _list_texts({key: value for key, value in content.items() if key != "output"}):
         if not text or "\0" in text or "\n" in text:

@@ -1,9 +1,32 @@
-"""The median of values that count more or less."""
+"""Medians and other quantiles of values that count more or less."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+
+
+def find_weighted_quantile(values: NDArray[np.float64], weights: NDArray[np.float64], share: float) -> float:
+    """Find the value below which lies a share of all weight.
+
+    Parameters
+    ----------
+    values : (n,) array
+        At least one.
+    weights : (n,) array
+        Not negative, not all of them 0.
+    share : float
+        Between 0 and 1.
+
+    Returns
+    -------
+    float
+        One of the values.
+    """
+    order = np.argsort(values)
+    reached = np.cumsum(weights[order])
+    place = int(np.searchsorted(reached, share * reached[-1]))
+    return float(values[order[place]])
 
 
 def find_weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
@@ -21,7 +44,4 @@ def find_weighted_median(values: NDArray[np.float64], weights: NDArray[np.float6
     float
         One of the values.
     """
-    order = np.argsort(values)
-    reached = np.cumsum(weights[order])
-    place = int(np.searchsorted(reached, 0.5 * reached[-1]))
-    return float(values[order[place]])
+    return find_weighted_quantile(values, weights, 0.5)

@@ -66,11 +66,8 @@ def is_endless_file(path: Path) -> bool:
     bool
         False too where nothing is there.
     """
-    try:
-        mode = path.stat().st_mode
-    except (OSError, ValueError):
-        return False
-    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
+    mode = _find_mode(path)
+    return mode is not None and not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
 
 
 def is_readable_file(path: Path) -> bool:
@@ -86,7 +83,13 @@ def is_readable_file(path: Path) -> bool:
     bool
         False too where the way there is closed, goes round in circles, or is too long for the file system.
     """
+    mode = _find_mode(path)
+    return mode is not None and stat.S_ISREG(mode)
+
+
+def _find_mode(path: Path) -> int | None:
+    """What a path leads to; None where nothing is there, or where it cannot be told."""
     try:
-        return path.is_file()
+        return path.stat().st_mode
     except (OSError, ValueError):
-        return False
+        return None

@@ -45,7 +45,7 @@ class FramesSoFar:
         FramesSoFar
             With it.
         """
-        states = session.collect_states(self.session, self.states)
+        states = session.restrict_states(self.session, self.states)
         if session is not self.session:
             self.session.close()
         states = states if state is None else [*states, state]

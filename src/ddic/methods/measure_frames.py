@@ -75,6 +75,6 @@ def _begin(images: SeriesImages, wanted: FramesToMeasure) -> FramesSoFar:
         return so_far
     reference = next(record for record in measured if record.number == measured[-1].reference)
     updated = session.update(reference, *collect_states(problem, [wanted.states[reference.number]]))
-    states = updated.collect_states(session, states)
+    states = updated.restrict_states(session, states)
     session.close()
     return FramesSoFar(updated, wanted.before, states)

@@ -79,12 +79,12 @@ class ReferenceSession:
         images, reference = self.images, self.session.problem.reference
         displacement = state.gather(images.team, reference.subdomains, reference.region.n_nodes)
         frame = images.opener.open(record.number)
-        inputs = update_reference(images.team, reference, frame, record.number, displacement)
+        inputs = update_reference(images.team, reference, frame, displacement)
         session = Session(images.team, inputs, images.listener, images.clock)
         return ReferenceSession(images, session, record.number, record.noise_floor_px)
 
-    def collect_states(self, other: ReferenceSession, states: Sequence[MeasuredState]) -> list[MeasuredState]:
-        """Take states over to this session's subdomains; collective.
+    def restrict_states(self, other: ReferenceSession, states: Sequence[MeasuredState]) -> list[MeasuredState]:
+        """Restrict states to this session's subdomains; collective.
 
         Parameters
         ----------

@@ -38,12 +38,12 @@ def measure_with_updates(so_far: FramesSoFar, number: int) -> tuple[MeasuredFram
     if can_update and section.incremental == "always" and number - session.frame > section.update_after:
         updated = _update(so_far, last)
         if updated is not None:
-            return measure_frame(updated, number, updated.collect_states(session, so_far.states)), updated
+            return measure_frame(updated, number, updated.restrict_states(session, so_far.states)), updated
     frame = measure_frame(session, number, so_far.states)
     if can_update and section.incremental == "auto" and _asks_for_update(frame.record, so_far.records):
         updated = _update(so_far, last)
         if updated is not None:
-            again = measure_frame(updated, number, updated.collect_states(session, so_far.states))
+            again = measure_frame(updated, number, updated.restrict_states(session, so_far.states))
             if _is_better(again.record, frame.record):
                 return again, updated
             updated.close()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ddic.functionals.cell_slopes import CellSlopes
 from ddic.functionals.correlation import Residual
-from ddic.functionals.weighted_median import find_weighted_median
+from ddic.functionals.weighted_median import find_weighted_median, find_weighted_quantile
 from ddic.problem.residual_model import Evaluation, ResidualModel
 
 Array = NDArray[np.float64]
@@ -22,7 +22,7 @@ ENOUGH_CELLS = 20_000
 """Cells of the region of which medians are taken, evenly spread over their numbers: these are known to a per cent."""
 
 TEXTURED = 0.9
-"""Share of the pixels in cells of weaker texture than what is called textured."""
+"""Share of the pixels in cells of weaker texture than what is called textured: most of the region may be blank."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,11 +204,4 @@ def find_typical_cell(cells: SeenCells) -> TypicalCell:
         gain = find_weighted_median(cells.spread_f[varies] / cells.spread_g[varies], n[varies])
     offset = find_weighted_median(cells.mean_f - gain * cells.mean_g, n)
     return TypicalCell(find_weighted_median(cells.unexplained, n), find_weighted_median(cells.spread_f, n)**2,
-                       _find_texture(cells.texture, n), gain, offset)
-
-
-def _find_texture(texture: Array, n_pixels: Array) -> float:
-    """Mean |grad f|^2 above which a tenth of the pixels lie: most of the region may be blank."""
-    order = np.argsort(texture)
-    reached = np.cumsum(n_pixels[order])
-    return float(texture[order[np.searchsorted(reached, TEXTURED * reached[-1])]])
+                       find_weighted_quantile(cells.texture, n, TEXTURED), gain, offset)

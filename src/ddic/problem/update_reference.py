@@ -16,7 +16,7 @@ from ddic.problem.updated_reference import UpdatedReference
 Array = NDArray[np.float64]
 
 
-def update_reference(team: Team, problem: ReferenceProblem, frame: Frame, number: int, displacement: Array) -> Inputs:
+def update_reference(team: Team, problem: ReferenceProblem, frame: Frame, displacement: Array) -> Inputs:
     """Put a frame in the place of the reference image, and the mesh where the frame shows it; collective.
 
     Parameters
@@ -27,8 +27,6 @@ def update_reference(team: Team, problem: ReferenceProblem, frame: Frame, number
         Of the reference image in use, of one camera, without discontinuities.
     frame : Frame
         One that was measured.
-    number : int
-        Of it, from 1.
     displacement : (n_nodes, 2) array
         Of all nodes since the first reference image, finite, pixels.
 
@@ -39,7 +37,7 @@ def update_reference(team: Team, problem: ReferenceProblem, frame: Frame, number
     """
     inputs = problem.inputs
     first = _describe_first(team, problem) if inputs.updated is None else inputs.updated
-    updated = replace(first, frame=number, displacement=displacement)
+    updated = replace(first, displacement=displacement)
     image = frame[0].image
     # What a case gives of the displacement is said of the first reference image.
     start = inputs.case.start.model_copy(update={"from_result": None, "frame": None, "from_points": None,
@@ -59,4 +57,4 @@ def _describe_first(team: Team, problem: ReferenceProblem) -> UpdatedReference:
         nodes[node_ids], parts[cell_ids] = of_nodes, index
     inputs = problem.inputs
     first_image = inputs.cameras[0].reference.image
-    return UpdatedReference(0, nodes, np.zeros(nodes.shape), parts, first_image, inputs.build_mesh)
+    return UpdatedReference(nodes, np.zeros(nodes.shape), parts, first_image, inputs.build_mesh)

@@ -23,8 +23,6 @@ class UpdatedReference:
 
     Attributes
     ----------
-    frame : int
-        The frame that has taken the reference image's place, from 1.
     nodes : (n_nodes, 2) array
         In the first reference image, pixels.
     displacement : (n_nodes, 2) array
@@ -37,7 +35,6 @@ class UpdatedReference:
         Gives the whole mesh in the first reference image; called on rank 0 only.
     """
 
-    frame: int
     nodes: Array
     displacement: Array
     parts: NDArray[np.int64]

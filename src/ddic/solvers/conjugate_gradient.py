@@ -50,8 +50,6 @@ class ConjugateGradientStep:
 
     def __init__(self, team: Team, systems: Sequence[LocalSystem], tolerance: float, max_iterations: int) -> None:
         self._tolerance = tolerance
-        # Bounds of the eigenvalues of D^-1 A, from all iterations so far.
-        self._largest, self._lowest = 1.0, 1.0
         self._unit_size = measure_unit_size(team, [system.subdomain for system in systems])
         with PetscStack() as stack:
             self._whole = stack.keep(WholeSystem(team, systems))
@@ -67,6 +65,7 @@ class ConjugateGradientStep:
             self._ksp = stack.keep(create_ksp(team.comm, CONJUGATE_GRADIENT))
             self._configure(max_iterations)
             self._objects = stack.pop_all()
+        self.forget()
 
     def solve(self, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]],
               allowed: AllowedError | None = None) -> StepResult:
@@ -118,6 +117,7 @@ class ConjugateGradientStep:
     def forget(self) -> None:
         """Forget the last solution, and the bounds of the eigenvalues that earlier steps found."""
         self._left.set(0.0)
+        # Of D^-1 A, from all iterations so far.
         self._largest, self._lowest = 1.0, 1.0
 
     def destroy(self) -> None:
