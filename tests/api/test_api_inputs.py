@@ -230,7 +230,8 @@ def test_outputs(pair: Pair, mesh: ddic.Mesh, output: Any, words: str) -> None:
 
 def test_output_does_not_overwrite_an_image(files: tuple[Path, Path], mesh: ddic.Mesh) -> None:
     for path in files:
-        assert "would overwrite an image" in told(lambda path=path: ddic.measure(files, mesh, output=path))
+        said = told(lambda path=path: ddic.measure(files, mesh, output=path))
+        assert f"output: {path} would overwrite the input {path}" in said
         assert path.stat().st_size > 20_000
 
 

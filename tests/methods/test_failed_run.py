@@ -151,19 +151,6 @@ def test_a_restart_from_a_failed_field_goes_on_and_keeps_it(shared_path: Path) -
     assert from_failed.iterations <= from_scratch.iterations - 2
 
 
-@pytest.mark.parallel([1, 3])
-def test_what_the_case_starts_from_stays_where_it_is(shared_path: Path) -> None:
-    team = Team.world()
-    run_case(team, _write(shared_path, GOOD), Silence())
-    team.comm.barrier()
-    again = '[start]\nfrom_result = "result.vtkhdf"\nindependent = false\n'
-    # A start that is the result needs one iteration: to none of these tolerances.
-    never = "[gauss_newton]\nmax_iterations = 1\ntolerance = 1e-300\nrms_tolerance = 0.0\n"
-    error = _fail(team, _write(shared_path, GOOD + never + again))
-    assert str(error).endswith("result.vtkhdf is still the earlier result that the case starts from")
-    assert _names(shared_path) == sorted(_of("result") + _of("result.not_converged"))
-
-
 @pytest.mark.parallel([1, 2])
 def test_a_failure_without_a_field_moves_an_earlier_result_too(shared_path: Path) -> None:
     team = Team.world()

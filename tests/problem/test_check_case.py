@@ -250,6 +250,16 @@ def test_the_result_may_not_overwrite_an_input(folder: Path, name: str, input_: 
     assert f"would overwrite the input {folder / input_}" in problems[0]
 
 
+@pytest.mark.parametrize(("start", "is_lost"), [("r.vtkhdf", True), ("link.vtkhdf", True), ("r.earlier.vtkhdf", True),
+                                                ("r.not_converged.vtkhdf", False)])
+def test_the_result_may_not_overwrite_what_the_case_starts_from(folder: Path, start: str, *, is_lost: bool) -> None:
+    (folder / start).write_bytes(b"no result, which is another problem")
+    if start.startswith("link"):
+        (folder / "r.vtkhdf").symlink_to(folder / start)
+    problems = _problems(folder, f'{IMAGES}{GRID}[start]\nfrom_result = "{start}"\n[output]\nfile = "r.vtkhdf"\n')
+    assert any(f"would overwrite the input {folder / start}" in problem for problem in problems) is is_lost
+
+
 def test_the_result_may_not_take_the_summary_s_name(folder: Path) -> None:
     problems = _problems(folder, IMAGES + GRID + '[output]\nfile = "x.json"\n')
     assert "is the name of the summary" in problems[0]

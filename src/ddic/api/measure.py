@@ -31,7 +31,7 @@ from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team, require_held
 from ddic.problem.cameras import Camera, Frame, make_setup
 from ddic.problem.check_mesh_uses import check_mesh
-from ddic.problem.check_output import check_output_file
+from ddic.problem.check_output import check_nothing_is_overwritten, check_output_file
 from ddic.problem.check_ranks import check_loaded_case, check_ranks, load_checked_case
 from ddic.problem.inputs import Inputs, open_inputs
 from ddic.problem.mesh_source import accept_mesh, convert_mapping
@@ -217,9 +217,9 @@ class Session:
             raise InputError(f"output: {type(output).__name__} given, the name of a file expected")
         path = Path(output)
         check_output_file(path)
-        for image in (*(camera.reference for camera in self._inputs.cameras), *frame):
-            if image.image.path.is_file() and image.image.path.resolve() == path.resolve():
-                raise InputError(f"output: {path} would overwrite an image that is measured; choose another name")
+        images = [image.image.path for image in (*(camera.reference for camera in self._inputs.cameras), *frame)]
+        of_case = [self._inputs.case_path] if self._inputs.case_text else []
+        check_nothing_is_overwritten(path, self._inputs.case, [*images, *of_case], "output")
         return path
 
 

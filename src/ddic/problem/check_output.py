@@ -37,7 +37,7 @@ def check_output(loaded: LoadedCase) -> None:
     if case.output.file.suffix == ".json":
         raise InputError(f"output.file: {case.output.file} is the name of the summary that is written beside the "
                          "result; choose another ending, such as .vtkhdf")
-    _check_nothing_is_overwritten(loaded)
+    check_nothing_is_overwritten(case.output.file, case, [loaded.path])
 
 
 def check_output_file(file: Path) -> None:
@@ -73,22 +73,49 @@ def check_output_file(file: Path) -> None:
         raise InputError(f"output.file: the folder {folder} cannot be written to ({reason}); choose another") from error
 
 
-def _check_nothing_is_overwritten(loaded: LoadedCase) -> None:
-    result = loaded.case.output.file
-    n_cameras = 1 + len(loaded.case.near)
-    written = {path for name in (result, not_converged_path(result), earlier_path(result))
-               for path in (name, summary_path(name), physical_path(name),
-                            *(sidecar_path(name, camera) for camera in range(n_cameras)))}
-    resolved = {find_real_path(path) for path in written}
-    existing = [path for path in written if path.exists()]
-    for path in list_inputs(loaded):
-        if path is not None and (find_real_path(path) in resolved or _is_any(path, existing)):
-            raise InputError(f"output.file: {result} would overwrite the input {path}; choose another name")
+def check_nothing_is_overwritten(result: Path, case: Case, others: Iterable[Path | None] = (),
+                                 key: str = "output.file") -> None:
+    """Check that neither a result nor what stands beside it takes the place of an input.
+
+    A case may go on from the field that it left when it did not converge: the next one replaces that.
+
+    Parameters
+    ----------
+    result : Path
+        The result file.
+    case : Case
+        With the files that it names.
+    others : iterable of Path or None, optional
+        Further inputs; None for each that is not given.
+    key : str, optional
+        Where the result's name comes from, for the message.
+
+    Raises
+    ------
+    InputError
+        At the first input that would be lost.
+    """
+    start = case.start.from_result
+    n_cameras = 1 + len(case.near)
+    replaced = [*_list_company(result, n_cameras), *_list_company(earlier_path(result), n_cameras)]
+    last_field = _list_company(not_converged_path(result), n_cameras)
+    for path in (*others, *list_named_files(case)):
+        written = replaced if path == start else [*replaced, *last_field]
+        if path is not None and _is_any(path, written):
+            raise InputError(f"{key}: {result} would overwrite the input {path}; choose another name")
+
+
+def _list_company(result: Path, n_cameras: int) -> list[Path]:
+    """A result file and what stands beside it."""
+    sidecars = (sidecar_path(result, camera) for camera in range(n_cameras))
+    return [result, summary_path(result), physical_path(result), *sidecars]
 
 
 def _is_any(path: Path, others: Iterable[Path]) -> bool:
-    """Whether a file is one of others by another name, a hard link for instance."""
-    return is_readable_file(path) and any(path.samefile(other) for other in others)
+    """Whether a file is one of others, or will be, by another name too: a hard link for instance."""
+    here = find_real_path(path)
+    return any(here == find_real_path(other) or (is_readable_file(path) and is_readable_file(other)
+                                                 and path.samefile(other)) for other in others)
 
 
 def list_inputs(loaded: LoadedCase) -> Iterator[Path | None]:
@@ -125,6 +152,7 @@ def list_named_files(case: Case) -> Iterator[Path | None]:
     yield case.images.at_rest
     yield case.solver.partition_file
     yield case.start.from_points
+    yield case.start.from_result
     yield from _list_mesh_files(case.mesh)
     for near in case.near:
         if near.mesh is not None:

@@ -76,7 +76,7 @@ def load_checked_case(path: Path, n_ranks: int, output: Path | None = None) -> L
     if output is not None:
         loaded = loaded.with_output(output)
     # Before they are checked: what changes afterwards was not.
-    stamps = FileStamps.take([*list_named_files(loaded.case), loaded.case.start.from_result])
+    stamps = FileStamps.take(list_named_files(loaded.case))
     _check(loaded, of_keys, n_ranks)
     return replace(loaded, stamps=stamps)
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ddic.errors import ConvergenceError, DdicError, InputError, WriteError, as_collective, is_collective
+from ddic.io.input_file import find_real_path
 from ddic.io.output_lock import get_lock_path, held_output
 from ddic.io.replace_on_exit import note_unfinished, replaced_together
 from ddic.io.result_files import move_result, remove_result
@@ -105,10 +106,10 @@ def remove_failed_field(team: Team, file: Path, start: Path | None) -> None:
     file : Path
         The result file.
     start : Path or None
-        Earlier result that the case starts from, which stays.
+        Earlier result that the case starts from: where it is that field, it stays.
     """
     path = not_converged_path(file)
-    if path.resolve() != start:
+    if start is None or find_real_path(path) != find_real_path(start):
         team.on_root(lambda: remove_result(path))
 
 
@@ -127,7 +128,7 @@ def keep_failed_run(team: Team, error: DdicError, destination: Destination, star
     destination : Destination
         Of the result, had there been one.
     start : Path or None
-        Earlier result that the case starts from, which stays.
+        Earlier result that the case starts from: it stays where no other field takes its place.
     clock : PhaseClock, optional
         This rank's; with one, a summary is written too.
     """
@@ -136,7 +137,7 @@ def keep_failed_run(team: Team, error: DdicError, destination: Destination, star
         return
     last = _try(lambda: _write_last_field(team, error, destination, start, clock),
                 "the last field could not be written")
-    earlier = _try(lambda: team.on_root(lambda: _move_earlier_result(file, start)),
+    earlier = _try(lambda: team.on_root(lambda: _move_earlier_result(file)),
                    f"an earlier result could not be moved whole from {file}")
     error.args = ("; ".join([str(error), *last, *earlier]),)
 
@@ -168,12 +169,10 @@ def _write_last_field(team: Team, error: DdicError, destination: Destination, st
     return [f"the last field, not converged, is in {path}"]
 
 
-def _move_earlier_result(file: Path, start: Path | None) -> list[str]:
+def _move_earlier_result(file: Path) -> list[str]:
     """Move an earlier result, lest it pass for this run's; says where it is."""
     if not file.is_file():
         return []
-    if file.resolve() == start:
-        return [f"{file} is still the earlier result that the case starts from"]
     target = earlier_path(file)
     move_result(file, target)
     return [f"an earlier result of the same name is now {target}"]
