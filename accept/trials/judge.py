@@ -94,7 +94,7 @@ def judge_refusal(trial: Trial, ended: Ended, before: State, after: State) -> li
 
 
 def list_mistakes(stderr: str) -> list[str]:
-    """List the lines that tell of a mistake: not warnings, not click's reminder of how a command is called.
+    """List the lines that tell of a mistake: not warnings.
 
     Parameters
     ----------
@@ -106,9 +106,7 @@ def list_mistakes(stderr: str) -> list[str]:
     list of str
         Lines.
     """
-    lines = [line for line in stderr.splitlines() if line.strip() and not line.startswith("warning: ")]
-    errors = [line for line in lines if line.startswith("Error: ")]
-    return errors if lines and lines[0].startswith("Usage: ") else lines
+    return [line for line in stderr.splitlines() if line.strip() and not line.startswith("warning: ")]
 
 
 def judge_codes(trial: Trial, codes: Sequence[int]) -> Iterable[str]:

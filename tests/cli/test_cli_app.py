@@ -40,10 +40,18 @@ def test_version() -> None:
     assert __version__ in result.output
 
 
-def test_an_unknown_command_is_refused() -> None:
-    result = CliRunner().invoke(main, ["measure"])
+@pytest.mark.parametrize(("words", "line"), [
+    ("measure", "ddic: No such command 'measure'; see ddic --help"),
+    ("--fast", "ddic: No such option '--fast'; see ddic --help"),
+    ("run", "ddic run: Missing argument 'CASE.toml'; see ddic run --help"),
+    ("synth translation", "ddic synth translation: Missing option '--output'; see ddic synth translation --help"),
+    ("run --fast", "--fast stands where the case file belongs: ddic run CASE.toml [PETSc options]"),
+    ("info none.vtkhdf two.vtkhdf", "ddic info: Got unexpected extra argument (two.vtkhdf); see ddic info --help"),
+])
+def test_words_that_a_command_does_not_take_are_told_in_a_line(words: str, line: str) -> None:
+    result = CliRunner().invoke(main, words.split(), prog_name="ddic")
     assert result.exit_code == 2
-    assert "measure" in result.output
+    assert result.output.splitlines() == [line]
 
 
 def test_module_and_script_are_the_same_program() -> None:

@@ -6,7 +6,7 @@ import pytest
 import tifffile
 from click.testing import CliRunner
 
-from ddic.cli.synth import synth
+from ddic.cli.app import main
 from ddic.synth.digitise import Digitiser
 from ddic.synth.fields import Affine, Bending, Sinusoidal, Sum, Translation
 from ddic.synth.hole import Hole
@@ -18,7 +18,7 @@ from ddic.synth.truth import load_truth
 
 
 def run(*arguments):
-    return CliRunner().invoke(synth, [str(argument) for argument in arguments])
+    return CliRunner().invoke(main, ["synth", *(str(argument) for argument in arguments)])
 
 
 @pytest.mark.parametrize(("arguments", "field"), [

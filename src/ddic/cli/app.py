@@ -12,6 +12,7 @@ from ddic.cli.address_space import require_address_space
 from ddic.cli.failed_start import failures_as_lines
 from ddic.cli.finite_options import require_finite_options
 from ddic.cli.standard_output import output_as_line
+from ddic.cli.usage_as_line import usage_as_line
 
 COMMANDS = {
     "run": "Measure the displacement between two images.",
@@ -28,6 +29,10 @@ COMMANDS = {
     "sweep": "Recommend a cut-off wavelength and an element size by trying them out.",
     "calibrate": "Find where a near-field image lies in a far-field one.",
 }
+
+
+CLICKS_OWN = (click.ClickException, click.exceptions.Exit, click.Abort)
+"""What click ends a program with by itself."""
 
 
 class LazyGroup(click.Group):
@@ -98,9 +103,26 @@ class LazyGroup(click.Group):
         object
             What the command returns.
         """
-        with failures_as_lines(passed=(click.ClickException, click.exceptions.Exit, click.Abort)):
+        with failures_as_lines(passed=CLICKS_OWN), usage_as_line():
             require_address_space()
             return super().invoke(ctx)
+
+    def make_context(self, info_name: str | None, args: list[str], parent: click.Context | None = None,
+                     **extra: Any) -> click.Context:
+        """Read the words before a command's name.
+
+        Parameters
+        ----------
+        info_name, args, parent, **extra
+            As click gives them.
+
+        Returns
+        -------
+        Context
+            Of click.
+        """
+        with failures_as_lines(passed=CLICKS_OWN), usage_as_line():
+            return super().make_context(info_name, args, parent, **extra)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the list of commands for --help without importing them.

@@ -17,4 +17,4 @@ def main() -> None:
     with failures_as_lines():
         from ddic.cli.app import main as command_line
 
-    command_line(obj=stop)
+    command_line(prog_name="ddic", obj=stop)

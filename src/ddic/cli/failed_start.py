@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import NoReturn
 
+from ddic.cli.standard_output import is_of_output
 from ddic.errors import DdicError
 from ddic.parallel.abort_all_ranks import INTERRUPTED, abort_all_ranks, find_rank
 
@@ -24,7 +25,7 @@ def failures_as_lines(passed: tuple[type[BaseException], ...] = ()) -> Iterator[
     Raises
     ------
     Exception
-        What is unexpected, where this is no rank of a job.
+        What is unexpected, where this is no rank of a job; what standard output does not take.
     """
     try:
         yield
@@ -39,7 +40,7 @@ def failures_as_lines(passed: tuple[type[BaseException], ...] = ()) -> Iterator[
     except (ImportError, MemoryError) as error:
         _end(f"{_name_rank()}{describe_briefly(error)}", 1)
     except Exception as error:
-        if find_rank() is None:
+        if find_rank() is None or is_of_output(error):
             raise
         _end(f"{_name_rank()}{''.join(traceback.format_exception(error))}", 1)
 

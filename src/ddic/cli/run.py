@@ -20,6 +20,7 @@ from ddic.cli.address_space import prepare_workspaces
 from ddic.cli.failed_start import failures_as_lines
 from ddic.cli.petsc_error import describe_petsc_error, is_petsc_error
 from ddic.cli.standard_output import FULL
+from ddic.errors import ConvergenceError, DdicError, InputError, is_collective, is_disk_failure
 from ddic.io.input_file import is_readable_file
 from ddic.io.replace_on_exit import remove_unfinished
 from ddic.parallel.abort_all_ranks import INTERRUPTED, is_launcher, prepare_abort
@@ -59,18 +60,18 @@ def run(stop: StopRequest | None, case_file: Path, petsc_options: tuple[str, ...
 def _check_words(case_file: Path, words: tuple[str, ...]) -> None:
     """Refuse what is neither the one case file, nor an option of PETSc, nor the value of one."""
     if str(case_file).startswith("-"):
-        raise click.UsageError(f"{case_file} stands where the case file belongs: ddic run CASE.toml [PETSc options]")
+        raise InputError(f"{case_file} stands where the case file belongs: ddic run CASE.toml [PETSc options]")
     takes_value = False
     for option, value in pairwise((*words, "")):
         if option in FILE_OPTIONS and not is_readable_file(Path(value)):
-            raise click.UsageError(f"{option} {value}: no such file of PETSc's options; check the path")
+            raise InputError(f"{option} {value}: no such file of PETSc's options; check the path")
     for word in words:
         if word.startswith("--"):
-            raise click.UsageError(f"no such option: {word}; PETSc's options begin with one dash")
+            raise InputError(f"no such option: {word}; PETSc's options begin with one dash")
         is_option = word.startswith("-") and not _is_number(word)
         if not is_option and (not takes_value or word.endswith(".toml")):
-            raise click.UsageError(f"{word} is one word too many: ddic run takes one case file, then PETSc's options; "
-                                   "run several cases one after the other")
+            raise InputError(f"{word} is one word too many: ddic run takes one case file, then PETSc's options; "
+                             "run several cases one after the other")
         takes_value = is_option
 
 
@@ -152,8 +153,6 @@ def _warnings_told_once(speaks: bool) -> Iterator[None]:
 
 def _failed(team: Team, error: BaseException, petsc_options: tuple[str, ...]) -> int:
     """Say what went wrong, once, and return the exit code or end the job."""
-    from ddic.errors import ConvergenceError, DdicError, is_collective, is_disk_failure
-
     team.stop.is_over = True
     if team.stop.is_by_launcher:
         # Which ends all ranks: another one has failed and says why, or the user has ended the launcher.

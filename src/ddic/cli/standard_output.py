@@ -34,13 +34,29 @@ def output_as_line() -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if error.filename is not None or error.errno not in FULL:
+        if not is_of_output(error):
             raise
         _end(error)
     except SystemExit:
         _require_written()
         raise
     _require_written()
+
+
+def is_of_output(error: BaseException) -> bool:
+    """Tell whether standard output could not be written.
+
+    Parameters
+    ----------
+    error : BaseException
+        Any.
+
+    Returns
+    -------
+    bool
+        False where the error names a file.
+    """
+    return isinstance(error, OSError) and error.filename is None and error.errno in FULL
 
 
 def _require_written() -> None:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Unpack
 
 import click
 
 from ddic.cli.synth_near_far import near_far
 from ddic.cli.synth_options import ImageOptions, add_image_options, write_images
-from ddic.errors import DdicError, InputError
 
 if TYPE_CHECKING:
     from ddic.synth.fields import DisplacementField
@@ -18,44 +17,7 @@ Pair = tuple[float, float]
 _pair_options = add_image_options("512x512", "reference.tif, deformed.tif and truth.json")
 
 
-class InputFailure(click.ClickException):
-    """Bad input, shown as one line."""
-
-    exit_code = 2
-
-
-class OneLineErrors(click.Group):
-    """A group of commands whose errors are one line each, without the usage text."""
-
-    def invoke(self, ctx: click.Context) -> Any:
-        """Run the chosen command.
-
-        Parameters
-        ----------
-        ctx : Context
-            Of click.
-
-        Returns
-        -------
-        object
-            What the command returns.
-
-        Raises
-        ------
-        InputFailure, ClickException
-            In place of any error made for the user, shown as one line.
-        """
-        try:
-            return super().invoke(ctx)
-        except click.UsageError as error:
-            raise InputFailure(error.format_message()) from error
-        except InputError as error:
-            raise InputFailure(str(error)) from error
-        except DdicError as error:
-            raise click.ClickException(str(error)) from error
-
-
-@click.group(cls=OneLineErrors)
+@click.group()
 def synth() -> None:
     """Generate speckled image pairs with an exactly known displacement.
 
