@@ -35,7 +35,7 @@ CUT: dict[str, Any] = {**PAIR, "discontinuity": [{"vertices": [[48.0, 10.0], [48
 NEAR: dict[str, Any] = {
     **PAIR,
     "images": {"reference": "far_reference.tif", "deformed": "far_deformed.tif"},
-    "mesh": {"structured": {"region": [8, 8, 88, 88], "element_size": 4}},
+    "mesh": {"structured": {"region": [8, 8, 88, 88], "element_size": 8}},
     "near": [{"reference": "near_reference.tif", "deformed": "near_deformed.tif", "mapping_file": "mapping.toml"}],
 }
 OF_SECTION: Mapping[str, Mapping[str, Any]] = {

@@ -96,7 +96,7 @@ BAD_PATHS: Mapping[str, BadPath] = {
     "a device": BadPath(NAME, (make_own_device,)),
     "a device that is full": BadPath(NAME, (partial(make_own_device, number=FULL),)),
     "in /proc": BadPath("/proc/odd.vtkhdf"),
-    "a pattern of nothing": BadPath("none_*.tif"),
+    "a pattern of nothing": BadPath("none_*.tif", for_output=False),
     "the case file itself": BadPath("case.toml"),
 }
 """By what there is."""

@@ -71,7 +71,7 @@ def _of_section(section: type[BaseModel], above: Keys) -> Iterator[Trial]:
         keys = (*above, name)
         inner = find_section_in(field.annotation)
         if inner is not None and len(keys) < 4:
-            yield from _of_values(keys, NO_SECTIONS, "refused")
+            yield from (replace(trial, n_mistakes=OF_LIST) for trial in _of_values(keys, NO_SECTIONS, "refused"))
             yield from _of_values((*keys, "nonsense"), {"unknown key": 1}, "refused")
             # A near field's own mesh is described as the mesh is.
             if keys != ("near", "mesh"):
@@ -129,7 +129,8 @@ def _of_path(keys: Keys) -> Iterator[Trial]:
         is_output = keys[0] == "output"
         if is_output and not bad.for_output:
             continue
-        trial = _trial(keys, name, bad.path, "refused" if bad.is_refused else "refused or measured")
+        # Where it can be read, it may be a picture of something else.
+        trial = _trial(keys, name, bad.path, "refused" if bad.is_refused else "may fail")
         yield replace(trial, edits=bad.edits)
 
 

@@ -107,7 +107,7 @@ def estimate_uncertainty(image: NDArray[Any], *, sizes: Sequence[float] = (8, 16
     Raises
     ------
     InputError
-        Where the image is no array of grey levels, or too small for the elements.
+        Where the image is no array of grey levels, or too small for the elements; where noise is more than it shows.
     """
     grey = _take_middle(image)
     height, width = grey.shape
@@ -122,6 +122,10 @@ def estimate_uncertainty(image: NDArray[Any], *, sizes: Sequence[float] = (8, 16
     if len(sizes) == 0 or not all(2 <= size <= min(grey.shape) - 2 * MARGIN for size in sizes):
         raise InputError(f"sizes: {list(sizes)} px on {width} x {height} px of the image; give sizes of elements from "
                          f"2 to {min(grey.shape) - 2 * MARGIN} px")
+    span = float(np.ptp(grey))
+    if not 0.0 <= noise <= span:
+        raise InputError(f"noise: {noise:g}, but grey levels of the image span {span:g}; give a standard deviation in "
+                         "grey levels")
     amplitudes = np.linspace(0.0, 1.0, n_amplitudes)
     shape = (len(sizes), n_amplitudes, len(BASES))
     bias: dict[Kind, Array] = {kind: np.full(shape, np.nan) for kind in KINDS}

@@ -11,7 +11,7 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ValidationError
 
 from ddic.case.frame_files import find_frames, is_pattern, is_series
-from ddic.case.messages import describe
+from ddic.case.messages import describe, remove_kinds
 from ddic.case.schema import Case, OutputSection
 from ddic.case.sections import Location, find_section_in
 from ddic.errors import InputError
@@ -148,7 +148,7 @@ def _validate_without_bad_keys(data: dict[str, Any]) -> Case | None:
             locations = [problem["loc"] for problem in error.errors() if problem["type"] != "missing"]
         if not locations:
             return None
-        for location in locations:
+        for location in [remove_kinds(location, data) for location in locations]:
             _remove(data, location)
     return None
 
@@ -193,6 +193,7 @@ def _remove(data: Any, location: Location) -> None:
     """Remove a key; what a list holds goes with the whole list, whose places would else change their meaning."""
     keys = location[:next((k for k, step in enumerate(location) if isinstance(step, int)), len(location))]
     for step in keys[:-1]:
+        # What one problem has removed, the next one may lie in.
         data = data.get(step, {})
     if keys:
         data.pop(keys[-1], None)

@@ -31,6 +31,9 @@ EXPECTED = {
 }
 """What a key takes, by the kind of pydantic's error."""
 
+TOO_SHORT = "too_short"
+"""What pydantic calls a list of too few items."""
+
 KINDS = ("one", "several")
 """What the schema calls the two kinds of values that a key may take, which no key is called."""
 
@@ -50,12 +53,53 @@ def describe(error: ValidationError, data: Mapping[str, Any]) -> list[str]:
     list of str
         A line per problem.
     """
-    return [_line(problem, data) for problem in error.errors(include_url=False)]
+    located = [(remove_kinds(problem["loc"], data), problem) for problem in error.errors(include_url=False)]
+    # A list without its wrong items is too short as well, which says nothing more.
+    wrong = [location for location, problem in located if problem["type"] != TOO_SHORT]
+    return [_line(location, problem, data) for location, problem in located
+            if problem["type"] != TOO_SHORT or not any(_is_at(other, location) for other in wrong)]
 
 
-def _line(problem: ErrorDetails, data: Mapping[str, Any]) -> str:
+def _is_at(location: Location, place: Location) -> bool:
+    """Whether a location is a place, or in it."""
+    return location[:len(place)] == place
+
+
+def remove_kinds(location: Location, data: Any) -> Location:
+    """Remove from a location what pydantic says of the kind that a value was taken for.
+
+    Parameters
+    ----------
+    location : tuple of str or int
+        Where pydantic found a problem.
+    data : dict
+        The parsed case file.
+
+    Returns
+    -------
+    tuple of str or int
+        Keys and places that lead to a value of the case file, or to one that is missing.
+    """
+    kept: list[str | int] = []
+    for step in location:
+        is_kind = step in KINDS and isinstance(data, Mapping) and step not in data
+        if is_kind or not isinstance(data, Mapping if isinstance(step, str) else list):
+            continue
+        kept.append(step)
+        data = _take(data, step)
+    return tuple(kept)
+
+
+def _take(data: Any, step: str | int) -> Any:
+    """What a section or a list holds; an empty section where it holds nothing there."""
+    try:
+        return data[step]
+    except (KeyError, IndexError):
+        return {}
+
+
+def _line(location: Location, problem: ErrorDetails, data: Mapping[str, Any]) -> str:
     """One problem in one line."""
-    location = _without_kinds(problem["loc"], data)
     kind = problem["type"]
     key = _dotted(location)
     context = problem.get("ctx", {})
@@ -102,20 +146,6 @@ def _home_of(key: str) -> str:
         if section is not None and key in section.model_fields:
             names.append(f"[{name}]")
     return " or ".join(names)
-
-
-def _without_kinds(location: Location, data: Any) -> Location:
-    """A location without what pydantic says of the kind that a value was taken for."""
-    kept: list[str | int] = []
-    for step in location:
-        if isinstance(step, str) and (not isinstance(data, Mapping) or (step in KINDS and step not in data)):
-            continue
-        kept.append(step)
-        try:
-            data = data[step]
-        except (KeyError, IndexError):
-            data = {}
-    return tuple(kept)
 
 
 def _value_at(data: Any, location: Location) -> Any:

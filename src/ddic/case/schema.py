@@ -508,7 +508,7 @@ class RegularizationSection(Section):
         description="The nodes in these boxes are not controlled either; each must hold a node.",
         json_schema_extra={"unit": "px", "shape": "list of [x0, y0, x1, y1]"},
     )
-    edge_wavelength: NonNegative = Field(
+    edge_wavelength: Annotated[NonNegative, Field(le=1e9)] = Field(
         default=16.0,
         description=(
             "Wavelength below which equilibrium rules the nodes named in `not_controlled` and `boxes` as well, as if "

@@ -113,7 +113,13 @@ class LazyGroup(click.Group):
 
         Parameters
         ----------
-        info_name, args, parent, **extra
+        info_name : str or None
+            Of this program.
+        args : list of str
+            What was typed.
+        parent : Context, optional
+            None for the program itself.
+        **extra
             As click gives them.
 
         Returns

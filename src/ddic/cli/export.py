@@ -9,6 +9,7 @@ import click
 from ddic.cli.errors_as_lines import errors_as_lines
 from ddic.cli.frame_option import add_frame_option
 from ddic.cli.warned import warnings_as_lines
+from ddic.errors import InputError
 
 
 @click.command()
@@ -27,6 +28,8 @@ def export(file: Path, frame: int | None, table: Path | None) -> None:
     of_frame = "" if frame is None else f".frame_{frame}"
     target = file.parent / f"{file.stem}{of_frame}.csv" if table is None else table
     with errors_as_lines(target):
+        if not target.name:
+            raise InputError("--csv: give the name of a table, results.csv for instance")
         for path, kind in zip(list_field_tables(target), (NODES, CELLS), strict=True):
             require_own_output(path, kind, (file,))
         with warnings_as_lines():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import signal
 import sys
 import traceback
 import warnings
@@ -91,6 +92,8 @@ def _start(petsc_options: tuple[str, ...], stop: StopRequest) -> Team:
     import petsc4py
 
     petsc4py.init(["ddic", *petsc_options])
+    # PETSc would end the rank with ten lines; so the line that nobody reads any more is an error like others.
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)
     import ddic.cli.console
     import ddic.methods.run_case
     import ddic.results.listener

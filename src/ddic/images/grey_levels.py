@@ -19,6 +19,10 @@ CAMERA_BITS = (8, 10, 12, 14)
 BAND_PIXELS = 1 << 20
 """Pixels of a band: more make fewer reads, and take more memory."""
 
+NOISES = (1e-5, 1.0)
+"""Least and largest standard deviation of noise over the span of grey levels: of two cameras whose noises differ by
+more, one counts for nothing beside rounding. Wider limits refuse less."""
+
 LEAST_RANGE, LARGEST_LEVEL = 1e-12, 1e15
 """Range of a float image's levels below which, and level beyond which, it is refused: sums of fourth powers of them
 have to be numbers. Wider limits refuse less."""
@@ -176,6 +180,19 @@ def check_varied(source: ImageSource) -> None:
     InputError
         Where it does not; it says the level, or how large or small levels are.
     """
+    lowest, highest = _find_range(source)
+    if source.saturation is not None and highest > lowest:
+        return
+    if not highest > lowest:
+        level = f"one grey level, {highest:g}, everywhere" if np.isfinite(highest) else "no finite grey level"
+        raise InputError(f"{source.path}: the image shows {level}: there is nothing to measure by; give another image")
+    if highest - lowest < LEAST_RANGE or max(-lowest, highest) > LARGEST_LEVEL:
+        raise InputError(f"{source.path}: grey levels from {lowest:g} to {highest:g}: rounding hides them; scale the "
+                         "image, to 0 to 255 for instance")
+
+
+def _find_range(source: ImageSource) -> tuple[float, float]:
+    """Lowest and highest finite level; of an integer image two of its levels, where it has two."""
     lowest, highest = np.inf, -np.inf
     for rows in _bands(source):
         band = source.read(rows)
@@ -184,13 +201,30 @@ def check_varied(source: ImageSource) -> None:
             lowest, highest = min(lowest, float(values.min())), max(highest, float(values.max()))
         # The rest of an integer image cannot change what is said.
         if source.saturation is not None and highest > lowest:
-            return
-    if not highest > lowest:
-        level = f"one grey level, {highest:g}, everywhere" if np.isfinite(highest) else "no finite grey level"
-        raise InputError(f"{source.path}: the image shows {level}: there is nothing to measure by; give another image")
-    if highest - lowest < LEAST_RANGE or max(-lowest, highest) > LARGEST_LEVEL:
-        raise InputError(f"{source.path}: grey levels from {lowest:g} to {highest:g}: rounding hides them; scale the "
-                         "image, to 0 to 255 for instance")
+            break
+    return lowest, highest
+
+
+def check_noise(source: ImageSource, noise: float) -> None:
+    """Check that a noise can be that of an image, in its grey levels.
+
+    Parameters
+    ----------
+    source : ImageSource
+        The image.
+    noise : float
+        Standard deviation, grey levels.
+
+    Raises
+    ------
+    InputError
+        Where it is none of NOISES times what the image's levels may span, or do where they are floats.
+    """
+    span = float(np.ptp(_find_range(source))) if source.saturation is None else source.saturation
+    least, largest = (share * span for share in NOISES)
+    if not least <= noise <= largest:
+        raise InputError(f"{source.path}: noise = {noise:g}: grey levels of this image span {span:g}; give the "
+                         f"standard deviation of its noise, from {least:.2g} to {largest:.2g}, or leave it out")
 
 
 @dataclass

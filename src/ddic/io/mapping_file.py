@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -130,7 +131,10 @@ def read_mapping_file(path: Path) -> MappingFile:
     InputError
         With the file, the key, the value and what is expected, one line per problem.
     """
-    reader = _Reader(_parsed(path), path)
+    data = _parsed(path)
+    if not get_close_matches("homography", data):
+        raise InputError(f"{path}: this is no mapping file, for it holds no homography; make one with ddic calibrate")
+    reader = _Reader(data, path)
     reader.refuse_others()
     homography = reader.numbers("homography", (3, 3), None)
     centre = reader.numbers("distortion.centre", (2,), np.zeros(2))

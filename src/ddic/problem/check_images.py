@@ -7,12 +7,15 @@ from pathlib import Path
 from ddic.case.frame_files import list_deformed
 from ddic.case.schema import ImagesSection, NearSection
 from ddic.errors import InputError
-from ddic.images.grey_levels import check_finite, check_varied, read_all
+from ddic.images.grey_levels import check_finite, check_noise, check_varied, read_all
 from ddic.images.source import ImageSource
 from ddic.io.image_file import ImageFile, hold_image
 from ddic.io.mask_file import read_mask
 from ddic.io.tiff_file import can_decode, is_tiff, read_tiff_format
 from ddic.problem.gather_problems import Problems
+
+LEAST_SIDE = 8
+"""Pixels along each side of an image, of which a spline and a few elements need some."""
 
 
 def check_images(images: ImagesSection | NearSection, problems: Problems) -> ImageSource | None:
@@ -34,6 +37,8 @@ def check_images(images: ImagesSection | NearSection, problems: Problems) -> Ima
     if reference is not None:
         with problems.gathered():
             check_varied(reference)
+            if images.noise is not None:
+                check_noise(reference, images.noise)
     deformed_images = list_deformed(images)
     for path in deformed_images:
         deformed = _check_image(path, images.deformed_mask, problems)
@@ -79,6 +84,10 @@ def _check_image(path: Path, mask_path: Path | None, problems: Problems) -> Imag
     with problems.gathered():
         source = hold_image(path)
     if source is None:
+        return None
+    if min(source.width, source.height) < LEAST_SIDE:
+        problems.lines.append(f"{path}: the image is {source.width}x{source.height} px: too small to measure on; give "
+                              f"one of {LEAST_SIDE}x{LEAST_SIDE} px at least")
         return None
     with problems.gathered():
         mask = None if mask_path is None else read_mask(mask_path, source.width, source.height)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -51,10 +52,12 @@ def check_output_file(file: Path) -> None:
     Raises
     ------
     InputError
-        Where it is a folder, or its folder is not there or cannot be written to.
+        Where it is a folder or a link in circles, or its folder is not there or cannot be written to.
     """
     folder = file.parent
     try:
+        if _is_endless_link(file):
+            raise InputError(f"output.file: {file} is a link that leads in circles; remove it, or give another name")
         if file.is_dir():
             raise InputError(f"output.file: {file} is a folder; give the name of a file")
         if file.exists() and not file.is_file():
@@ -71,6 +74,14 @@ def check_output_file(file: Path) -> None:
     except (OSError, ValueError) as error:
         reason = (isinstance(error, OSError) and error.strerror) or error
         raise InputError(f"output.file: the folder {folder} cannot be written to ({reason}); choose another") from error
+
+
+def _is_endless_link(path: Path) -> bool:
+    try:
+        path.stat()
+    except OSError as error:
+        return error.errno == errno.ELOOP
+    return False
 
 
 def check_nothing_is_overwritten(result: Path, case: Case, others: Iterable[Path | None] = (),

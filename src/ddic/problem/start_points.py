@@ -92,7 +92,7 @@ def load_start_points(section: StartSection) -> StartPoints | None:
 
 
 def check_start_points(given: StartPoints, width: int, height: int) -> None:
-    """Check that points lie in the reference image, and what they move to is finite.
+    """Check that points lie in the reference image, and are moved by no more than its diagonal.
 
     Parameters
     ----------
@@ -117,6 +117,11 @@ def check_start_points(given: StartPoints, width: int, height: int) -> None:
         x, y = given.points[number]
         raise InputError(f"{given.describe_point(number)}: ({x:g}, {y:g}) lies outside the reference image of "
                          f"{width} x {height} px; give x (column) and y (row) in pixels")
+    lengths = np.hypot(*given.displacement.T)
+    farthest = int(lengths.argmax())
+    if lengths[farthest] > np.hypot(width, height):
+        raise InputError(f"{given.describe_point(farthest)}: moves by {lengths[farthest]:g} px, out of the image of "
+                         f"{width} x {height} px; give displacements in pixels")
 
 
 def require_points_inside(given: StartPoints, mesh: Mesh) -> None:

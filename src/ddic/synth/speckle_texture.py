@@ -24,6 +24,9 @@ RAW_DEVIATION = math.sqrt(kernels.DENSITY * _MEAN_AMPLITUDE_SQUARED * math.pi * 
 TEXTURE_DEVIATION = 0.6
 """Standard deviation of s; more drives grey levels towards the ends of the scale."""
 
+FARTHEST = 1e9
+"""Texture units from the origin beyond which no speckle is drawn: far out numbers of cells would not be whole."""
+
 # Area whose speckles are drawn at once, and side of the tiles that a larger one is cut into, texture units: more
 # draw fewer speckles twice, and hold more of them.
 _LARGEST_BLOCK = 2048.0**2
@@ -74,12 +77,15 @@ class SpeckleTexture:
         Raises
         ------
         InputError
-            If a coordinate is not finite.
+            If a coordinate is not finite, or too far away.
         """
         x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
         flat_x, flat_y = x.ravel() / self.size_factor, y.ravel() / self.size_factor
         if not (np.isfinite(flat_x).all() and np.isfinite(flat_y).all()):
             raise InputError("texture: coordinates must be finite")
+        if max(np.abs(flat_x).max(initial=0.0), np.abs(flat_y).max(initial=0.0)) > FARTHEST:
+            raise InputError(f"texture: a point lies more than {FARTHEST:g} px away, where no speckles are drawn; give "
+                             "a smaller displacement")
         raw = np.empty(x.size)
         for chosen in _compact_groups(flat_x, flat_y):
             raw[chosen] = self._sum_of_speckles(flat_x[chosen], flat_y[chosen])
