@@ -7,7 +7,7 @@ import subprocess
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from accept.support.launcher_lines import drop_launcher_lines
@@ -23,6 +23,9 @@ HANGS = 120.0
 """Seconds after which a run is killed."""
 
 DISK_KIB = 32768
+FRAMES = "result.frames"
+"""Folder of a series' finished frames, beside its result."""
+
 PAGE = 4096
 """Bytes that a disk in memory gives at a time."""
 
@@ -95,8 +98,9 @@ def _measure_limits(folder: Path, scale: Scale) -> Row:
         largest = max(new.values())
         # Shells count KiB: from nothing to just short of the largest file.
         sizes = sorted({int(share * (largest - 1) / 1024) for share in _choose_shares(job, scale)})
-        trials += [_try(job, seconds, 1 + number % 2 * _can_be_parallel(job), size)
-                   for number, size in enumerate(sizes)]
+        for number, size in enumerate(sizes):
+            trials.append(_try(job, seconds, 1 + number % 2 * _can_be_parallel(job), size))
+            trials[-1] += _resume(job)
     return _judge("a limit of file sizes", trials)
 
 
@@ -107,12 +111,12 @@ def _measure_disks(folder: Path, scale: Scale) -> Row:
         seconds, new = _find_new(job)
         needed = sum(-(-size // PAGE) * PAGE for size in new.values())
         for number, share in enumerate(_choose_shares(job, scale)):
-            filler.unlink(missing_ok=True)
             free = shutil.disk_usage(disk).free
             room = int(share * (needed - PAGE)) // PAGE * PAGE
             filler.write_bytes(bytes(max(free - room, 0)))
             trials.append(_try(job, seconds, 1 + number % 2 * _can_be_parallel(job), None))
-        filler.unlink()
+            filler.unlink()
+            trials[-1] += _resume(job)
     return _judge("a full disk", trials)
 
 
@@ -178,9 +182,25 @@ def _try(job: Job, seconds: float, n_ranks: int, limit_kib: int | None) -> list[
     after = _read(job.folder)
     if any(after.get(name) != content for name, content in before.items()):
         wrong.append("an older file changed")
-    if set(after) - set(before):
-        wrong.append(f"left {sorted(set(after) - set(before))}")
+    left = sorted(set(after) - set(before) - set(_list_finished_frames(job)))
+    if left:
+        wrong.append(f"left {left}")
     return [f"{job.name} on {n_ranks}: {one}" for one in wrong]
+
+
+def _list_finished_frames(job: Job) -> list[str]:
+    """What a series keeps of the frames that it has measured: one with --resume goes on from them."""
+    kept = [path for path in (job.folder / FRAMES).glob("*") if path.suffix in (".vtkhdf", ".json")]
+    return [str(path.relative_to(job.folder)) for path in kept if not path.name.startswith(".")]
+
+
+def _resume(job: Job) -> list[str]:
+    """Go on from what a series has kept, now that there is room; what is wrong with how that ends."""
+    if not _list_finished_frames(job):
+        return []
+    code, lines, _ = replace(job, words=(*job.words, "--resume")).start(1, None)
+    wrong = [f"{job.name}, resumed: exit code {code}: {lines[:1]}"] if code else []
+    return wrong + ([f"{job.name}, resumed: frames are left"] if (job.folder / FRAMES).exists() else [])
 
 
 def _read(folder: Path) -> dict[str, bytes]:
@@ -192,7 +212,8 @@ def _judge(what: str, trials: Sequence[Sequence[str]]) -> Row:
     n_right = sum(not trial for trial in trials)
     found = f"{n_right} of {len(trials)} so" + (f"; {'; '.join(wrong[:5])}" if wrong else "")
     return Row(f"{what}: run at {N_SIZES} sizes on 1 and 2 ranks, six other commands at 2",
-               f"exit code 1, one line, within {LONGEST:g} s, the older files intact, nothing left", found, not wrong)
+               f"exit code 1, one line, within {LONGEST:g} s, the older files intact, nothing left but "
+               "frames that a series has finished, from which it is resumed", found, not wrong)
 
 
 @contextmanager

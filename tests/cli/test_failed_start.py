@@ -10,8 +10,12 @@ import sys
 import time
 from pathlib import Path
 
+import numba
 import pytest
+from numba.core import caching
 
+from ddic.cli import failed_start
+from ddic.cli.failed_start import failures_as_lines
 from support.cases import write_case, write_images
 from support.commands import DDIC, Finished, driven, finished, started, wait_for
 
@@ -106,3 +110,15 @@ def test_too_little_address_space_is_refused(folder: Path, mebibytes: int) -> No
     lines = job.stderr.splitlines()
     assert len(lines) == 1
     assert lines[0].startswith(f"the address space of a process is limited to {mebibytes} MiB (ulimit -v)")
+
+
+def test_no_folder_for_kernels_is_said_in_a_line(monkeypatch: pytest.MonkeyPatch,
+                                                 capsys: pytest.CaptureFixture[str]) -> None:
+    # As where neither the sources' folder nor the user's may be written to.
+    monkeypatch.setattr(failed_start, "find_rank", lambda: None)
+    monkeypatch.setattr(caching.CompileResultCacheImpl, "_locator_classes", [])
+    with pytest.raises(SystemExit) as end, failures_as_lines():
+        numba.njit(cache=True)(write_case)
+    assert end.value.code == 1
+    assert capsys.readouterr().err.splitlines() == ["there is no folder in which compiled kernels can be kept; set "
+                                                    "NUMBA_CACHE_DIR to one that you may write to"]

@@ -12,6 +12,9 @@ from ddic.cli.standard_output import is_of_output
 from ddic.errors import DdicError
 from ddic.parallel.abort_all_ranks import INTERRUPTED, abort_all_ranks, find_rank
 
+_NO_CACHE = "no locator available for file"
+"""What numba says where it finds no folder for compiled kernels that it may write to."""
+
 
 @contextmanager
 def failures_as_lines(passed: tuple[type[BaseException], ...] = ()) -> Iterator[None]:
@@ -40,6 +43,9 @@ def failures_as_lines(passed: tuple[type[BaseException], ...] = ()) -> Iterator[
     except (ImportError, MemoryError) as error:
         _end(f"{_name_rank()}{describe_briefly(error)}", 1)
     except Exception as error:
+        if _NO_CACHE in str(error):
+            _end(f"{_name_rank()}there is no folder in which compiled kernels can be kept; set NUMBA_CACHE_DIR to one "
+                 "that you may write to", 1)
         if find_rank() is None or is_of_output(error):
             raise
         _end(f"{_name_rank()}{''.join(traceback.format_exception(error))}", 1)
