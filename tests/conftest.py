@@ -3,6 +3,7 @@ from __future__ import annotations
 import faulthandler
 import gc
 import os
+import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,6 +24,10 @@ from mpi4py import MPI
 RANKS = (1, 2, 3, 4)
 
 cv2.setNumThreads(1)
+
+# Whoever starts the tests in the background, or by nohup, has these ignored; tests send them to programs.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 hypothesis.settings.register_profile("local", deadline=None)
 hypothesis.settings.register_profile("fixed", deadline=None, derandomize=True)
