@@ -12,7 +12,7 @@ JOBS ?= 2
 # Side of the images of bench-big, pixels.
 SIZE ?= 22000
 
-.PHONY: help setup demo test test-slurm test-hosts lint docs bench bench-iterations bench-interface bench-paper bench-peers bench-big bench-scaling \
+.PHONY: help setup demo test test-programs test-slurm test-hosts lint docs bench bench-iterations bench-interface bench-paper bench-peers bench-big bench-scaling \
 	bench-threads accept-core accept-solver accept-performance accept-near-far accept-house accept-right accept-xdic accept-start accept-pgd \
 	accept-impressions accept-practice accept-faults trials smoke clean
 
@@ -35,8 +35,11 @@ $(DOCS_STAMP): $(STAMP)
 demo: setup ## render a plate with a hole in tension, measure it on two ranks, print the error
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; bash examples/demo/run.sh
 
-test: setup ## run all tests: serial, then on 1, 2, 3 and 4 ranks
+test: setup ## run the tests: on one process a core, then on 2, 3 and 4 ranks
 	@bash scripts/run_tests.sh
+
+test-programs: setup ## run the tests that start whole programs: jobs under mpirun, examples, scripts
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m pytest -n auto -m program
 
 test-slurm: setup ## run the Slurm tests on a Slurm of this machine; needs slurm-wlm, munge and libpmix-dev, and root
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; DDIC_TEST_SLURM=1 $(PYTHON) -m pytest tests/cluster/test_slurm.py

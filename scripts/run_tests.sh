@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Runs the whole suite: the tests of one rank in a process a core, then the parallel ones on 2, 3 and 4 ranks.
+# Runs the suite: the tests of one rank in a process a core, then the parallel ones on 2, 3 and 4 ranks. Those marked
+# "program", which start whole programs, run where they are named, and by make test-programs.
 # Arguments go to every pytest, e.g. scripts/run_tests.sh tests/solvers -x
 # DDIC_TEST_TIMEOUT: seconds allowed for one test (600): for a test that hangs, however long all of them take.
 # DDIC_TEST_RANKS: the numbers of ranks ("2 3 4").
@@ -44,18 +45,20 @@ show_other_ranks() { # number of ranks
     done
 }
 
-run_alone() { # name, marker expression, pytest arguments
-    local name="$1" marked="$2" start=$SECONDS code=0
-    shift 2
-    printf '\n== %s\n' "$name"
+run_alone() { # pytest arguments
+    local start=$SECONDS code=0 marked="not parallel or parallel[1]"
+    if ((whole)); then marked="($marked) and not program"; fi
+    printf '\n== serial tests, and parallel ones on 1 rank\n'
     "${PYTEST[@]}" -n auto -m "$marked" "$@" || code=$?
-    record "$name" "$code" "$((SECONDS - start))"
+    record "1 rank" "$code" "$((SECONDS - start))"
 }
 
 run_ranks() { # number of ranks, pytest arguments
     local n="$1" start=$SECONDS code=0
     shift
     local marked="parallel and parallel[$n]"
+    # Every rank reads what it may have to run: of the whole suite, the files with parallel tests alone.
+    if ((whole)); then mapfile -t < <(grep -rl --include='test_*.py' 'mark\.parallel' tests) && set -- "${MAPFILE[@]}"; fi
     printf '\n== parallel tests on %s ranks\n' "$n"
     "$MPIEXEC" -n "$n" bash scripts/rank_output.sh "$logs/$n" \
         python -m mpi4py "${PYTEST[@]:1}" -p no:cacheprovider -m "$marked" "$@" || code=$?
@@ -68,8 +71,7 @@ run_ranks() { # number of ranks, pytest arguments
     record "$n ranks" "$code" "$((SECONDS - start))"
 }
 
-run_alone serial "not parallel" "$@"
-run_alone "1 rank" "parallel and parallel[1]" "$@"
+run_alone "$@"
 for n in "${RANKS[@]}"; do
     run_ranks "$n" "$@"
 done

@@ -14,6 +14,8 @@ import tifffile
 from support.cases import write_case, write_images
 from support.commands import ddic, finished
 
+pytestmark = pytest.mark.program
+
 MORE = """
 [correlation]
 grey_correction = "element"

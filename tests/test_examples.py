@@ -13,6 +13,8 @@ import pytest
 
 from accept.support.compare_prints import NUMBER, find_differences
 
+pytestmark = pytest.mark.program
+
 ROOT = Path(__file__).parents[1]
 SECONDS = 240
 """Far above the few seconds of an example: a limit for hangs, not for slow machines."""

@@ -14,8 +14,8 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[2]
 """The repository: every command is started here, so that ``bench`` and ``accept`` can be imported."""
 
-DATA = ROOT / "bench" / "data"
-"""Images, cases and results of runs; not part of the repository."""
+DATA = Path(os.environ.get("DDIC_BENCH_DATA") or ROOT / "bench" / "data")
+"""Images, cases and results of runs; not part of the repository. Measurements at the same time need one each."""
 
 TIMEOUT_S = 900
 """Seconds after which a run counts as hanging."""

@@ -14,6 +14,8 @@ from support.cases import write_case, write_images
 from support.commands import LIMIT, started, wait_for
 from support.patient import ENDLESS, FOUR, patient
 
+pytestmark = pytest.mark.program
+
 
 @pytest.mark.parametrize("ranks", [0, 2])
 def test_a_log_grows_line_by_line(tmp_path: Path, ranks: int, monkeypatch: pytest.MonkeyPatch) -> None:

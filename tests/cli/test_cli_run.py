@@ -18,6 +18,8 @@ from ddic.parallel.stop_request import REPEATED_AFTER
 from support.cases import write_case, write_images
 from support.commands import LIMIT, Finished, ddic, driven, finished, started, wait_for
 
+pytestmark = pytest.mark.program
+
 INPUTS = ["case.toml", "f.tif", "g.tif"]
 OUTPUTS = ["result.json", "result.residual.vtkhdf", "result.vtkhdf"]
 FOUR = '[solver]\nmethod = "dual"\nsubdomains = 4\n'

@@ -19,6 +19,8 @@ from ddic.cli.failed_start import failures_as_lines
 from support.cases import write_case, write_images
 from support.commands import DDIC, Finished, driven, finished, started, wait_for
 
+pytestmark = pytest.mark.program
+
 SECONDS_TO_END = 20.0
 """A start takes two or three seconds, on a busy machine five; a job that hangs takes LIMIT."""
 

@@ -18,6 +18,8 @@ from support.cases import write_case, write_images
 from support.commands import LIMIT, started, wait_for
 from support.patient import ENDLESS, FOUR, patient
 
+pytestmark = pytest.mark.program
+
 ROOT = Path(__file__).resolve().parents[2]
 PLACES = {"pbs": ("seconds=3420", "seconds={}"), "mpirun": ("ranks=2 seconds=0", "ranks=2 seconds={}")}
 

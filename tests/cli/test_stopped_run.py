@@ -19,6 +19,8 @@ from support.cases import write_case, write_images
 from support.commands import LIMIT, Finished, driven, finished, started, wait_for
 from support.patient import ENDLESS, FOUR, patient
 
+pytestmark = pytest.mark.program
+
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
