@@ -251,8 +251,10 @@ def test_the_result_may_not_overwrite_an_input(folder: Path, name: str, input_: 
 
 
 @pytest.mark.parametrize(("start", "is_lost"), [("r.vtkhdf", True), ("link.vtkhdf", True), ("r.earlier.vtkhdf", True),
+                                                ("r.frames/000001.vtkhdf", True),
                                                 ("r.not_converged.vtkhdf", False)])
 def test_the_result_may_not_overwrite_what_the_case_starts_from(folder: Path, start: str, *, is_lost: bool) -> None:
+    (folder / start).parent.mkdir(exist_ok=True)
     (folder / start).write_bytes(b"no result, which is another problem")
     if start.startswith("link"):
         (folder / "r.vtkhdf").symlink_to(folder / start)

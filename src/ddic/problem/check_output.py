@@ -13,7 +13,14 @@ from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case, ImagesSection, MeshSection, NearSection
 from ddic.errors import InputError
 from ddic.io.input_file import find_real_path, is_readable_file
-from ddic.io.result_schema import earlier_path, not_converged_path, physical_path, sidecar_path, summary_path
+from ddic.io.result_schema import (
+    earlier_path,
+    frames_path,
+    not_converged_path,
+    physical_path,
+    sidecar_path,
+    summary_path,
+)
 
 ROOM_IN_NAME = 48
 """Bytes that names of files beside the result are longer by, those under construction among them:
@@ -110,10 +117,12 @@ def check_nothing_is_overwritten(result: Path, case: Case, others: Iterable[Path
     n_cameras = 1 + len(case.near)
     replaced = [*_list_company(result, n_cameras), *_list_company(earlier_path(result), n_cameras)]
     last_field = _list_company(not_converged_path(result), n_cameras)
-    for path in (*others, *list_named_files(case)):
-        written = replaced if path == start else [*replaced, *last_field]
-        if path is not None and _is_any(path, written):
-            raise InputError(f"{key}: {result} would overwrite the input {path}; choose another name")
+    inputs = [*others, *(path for path in list_named_files(case) if path != start)]
+    frames = find_real_path(frames_path(result))
+    in_frames = (path for path in (*inputs, start) if path is not None and frames in find_real_path(path).parents)
+    lost = _find_lost(inputs, [*replaced, *last_field]) or _find_lost([start], replaced) or next(in_frames, None)
+    if lost is not None:
+        raise InputError(f"{key}: {result} would overwrite the input {lost}; choose another name")
 
 
 def _list_company(result: Path, n_cameras: int) -> list[Path]:
@@ -122,11 +131,18 @@ def _list_company(result: Path, n_cameras: int) -> list[Path]:
     return [result, summary_path(result), physical_path(result), *sidecars]
 
 
-def _is_any(path: Path, others: Iterable[Path]) -> bool:
-    """Whether a file is one of others, or will be, by another name too: a hard link for instance."""
-    here = find_real_path(path)
-    return any(here == find_real_path(other) or (is_readable_file(path) and is_readable_file(other)
-                                                 and path.samefile(other)) for other in others)
+def _find_lost(inputs: Iterable[Path | None], written: Iterable[Path]) -> Path | None:
+    """The first input that is one of the files to be written, by another name too: a hard link for instance."""
+    places = {find_real_path(path) for path in written}
+    existing = [path for path in places if is_readable_file(path)]
+    for path in inputs:
+        if path is None:
+            continue
+        if find_real_path(path) in places:
+            return path
+        if is_readable_file(path) and any(path.samefile(other) for other in existing):
+            return path
+    return None
 
 
 def list_inputs(loaded: LoadedCase) -> Iterator[Path | None]:
