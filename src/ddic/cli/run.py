@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import os
-import re
 import signal
 import sys
-import traceback
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,13 +16,12 @@ from typing import TYPE_CHECKING, TextIO
 import click
 
 from ddic.cli.address_space import prepare_workspaces
+from ddic.cli.failed_job import leave_together, tell_failure
 from ddic.cli.failed_start import failures_as_lines
-from ddic.cli.petsc_error import describe_petsc_error, is_petsc_error
-from ddic.cli.standard_output import FULL
-from ddic.errors import ConvergenceError, DdicError, InputError, is_collective, is_disk_failure
+from ddic.errors import ConvergenceError, InputError
 from ddic.io.input_file import is_readable_file
 from ddic.io.replace_on_exit import remove_unfinished
-from ddic.parallel.abort_all_ranks import INTERRUPTED, is_launcher, prepare_abort
+from ddic.parallel.abort_all_ranks import INTERRUPTED, prepare_abort
 from ddic.parallel.stop_request import StopRequest
 
 if TYPE_CHECKING:
@@ -160,50 +157,9 @@ def _failed(team: Team, error: BaseException, petsc_options: tuple[str, ...]) ->
     if team.stop.is_by_launcher:
         # Which ends all ranks: another one has failed and says why, or the user has ended the launcher.
         os._exit(INTERRUPTED)
-    everywhere = is_collective(error)
-    code = error.exit_code if isinstance(error, DdicError) else 1
-    if team.is_root or not everywhere:
-        where = "" if team.size == 1 or everywhere else f"rank {team.rank}: "
-        if isinstance(error, DdicError):
-            lines = [f"{where}{line}" for line in str(error).splitlines()]
-        elif isinstance(error, OSError):
-            lines = [f"{where}{_name_file(error)} could not be read or written: {error.strerror or error}"]
-            if is_disk_failure(error):
-                lines[0] += "; nothing was left of it, and what was there before still is"
-        elif is_petsc_error(error):
-            said, code = describe_petsc_error(error, petsc_options)
-            lines = [f"{where}{said}"]
-        elif isinstance(error, KeyboardInterrupt | SystemExit):
-            lines, code = [f"{where}interrupted; no result was written"], INTERRUPTED
-        else:
-            lines = [f"{where}{line}" for line in _trace(error).splitlines()]
-        sys.stdout.flush()
-        click.echo("\n".join(lines), err=True)
-        sys.stderr.flush()
-    if team.size > 1 and not everywhere:
-        remove_unfinished()
-        team.abort(code)
-    if everywhere and isinstance(error, ConvergenceError):
+    code = tell_failure(team, error, petsc_options)
+    if isinstance(error, ConvergenceError):
         # It may be why.
         _warn_of_unused_options(team, petsc_options)
-    if team.size > 1 and is_launcher(os.getppid()):
-        # Its launcher has ten lines of its own to say where ranks end with another code than 0, of an abort none.
-        team.wait_for_all()
-        team.abort(code)
+    leave_together(team, code)
     return code
-
-
-def _name_file(error: OSError) -> str:
-    """The file that an error is about; HDF5 names it in its text alone."""
-    if error.filename is not None:
-        return str(os.fsdecode(error.filename))
-    named = re.search(r"name = '([^']+)'", str(error))
-    if named:
-        return named[1]
-    return "standard output, or a file," if error.errno in FULL else "a file"
-
-
-def _trace(error: BaseException) -> str:
-    """Where an unexpected error happened: on its own rank, if that rank left a note, else here."""
-    notes: list[str] = getattr(error, "__notes__", [])
-    return "\n".join(notes) or "".join(traceback.format_exception(error))

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ddic.errors import DdicError, InputError, is_collective, is_disk_failure
+from ddic.cli.failed_job import leave_together, tell_failure
+from ddic.errors import InputError, is_disk_failure
 
 if TYPE_CHECKING:
     from ddic.parallel.team import Team
@@ -43,7 +44,9 @@ def sweep(case_file: Path, lengths: str | None, elements: str | None, output: Pa
         found = _try_all(team, case_file, *chosen)
         lines = team.on_root(lambda: _write(found, folder, case_file.stem))
     except Exception as error:
-        sys.exit(_tell(team, error, folder))
+        code = tell_failure(team, error)
+        leave_together(team, code)
+        sys.exit(code)
     if team.is_root:
         _print_table(found)
         click.echo("\n".join(lines))
@@ -56,25 +59,6 @@ def _parse(text: str | None, option: str) -> list[float] | None:
         return [float(part) for part in text.split(",")]
     except ValueError as error:
         raise InputError(f"{option} {text}: give numbers with commas between them, 16,32,64 for instance") from error
-
-
-def _tell(team: Team, error: Exception, folder: Path) -> int:
-    """Say what went wrong, once, and return the exit code; what one rank alone raises ends the job."""
-    is_everywhere = is_collective(error)
-    if not is_everywhere and team.size == 1 and not isinstance(error, DdicError | OSError):
-        raise error
-    if team.is_root or not is_everywhere:
-        lines = [*getattr(error, "__notes__", [])] or [str(error)]
-        if isinstance(error, OSError):
-            lines = [f"{folder}: cannot be written to ({error.strerror}); choose another --output"]
-        elif isinstance(error, DdicError):
-            lines = [str(error)]
-        click.echo("\n".join(lines), err=True)
-    is_disk = isinstance(error, OSError) and is_disk_failure(error)
-    code = error.exit_code if isinstance(error, DdicError) else 1 if is_disk else InputError.exit_code
-    if not is_everywhere and team.size > 1:
-        team.abort(code)
-    return code
 
 
 def _try_all(team: Team, case_file: Path, lengths: list[float] | None, elements: list[float] | None) -> Sweep:
@@ -108,9 +92,14 @@ def _write(found: Sweep, folder: Path, stem: str) -> list[str]:
     table, figure = _list_outputs(folder, stem)
     best = found.best
     title = f"recommended: {best.candidate.describe()} (error of {best.virtual_error:.2g} px on the virtual images)"
-    with made_folder(folder), replaced_together() as files:
-        write_sweep(found, table, files)
-        save_figure(draw_sweep(collect_by_size(found), title), figure, files=files)
+    try:
+        with made_folder(folder), replaced_together() as files:
+            write_sweep(found, table, files)
+            save_figure(draw_sweep(collect_by_size(found), title), figure, files=files)
+    except OSError as error:
+        if is_disk_failure(error):
+            raise
+        raise InputError(f"{folder}: cannot be written to ({error.strerror}); choose another --output") from error
     noise = f"noise of an image, from the residual: {found.camera_noise:.2f} grey levels"
     said = [found.describe_recommendation(), "", found.describe_case(), ""]
     return [*list_failures(found), noise, *said, str(table), str(figure)]
