@@ -51,7 +51,7 @@ def tell_failure(team: Team, error: BaseException, petsc_options: Sequence[str] 
     return code
 
 
-def leave_together(team: Team, code: int) -> None:
+def abort_quietly(team: Team, code: int) -> None:
     """End all ranks where a launcher waits for them, which else has ten lines of its own to say; collective.
 
     Parameters

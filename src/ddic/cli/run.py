@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, TextIO
 import click
 
 from ddic.cli.address_space import prepare_workspaces
-from ddic.cli.failed_job import leave_together, tell_failure
+from ddic.cli.failed_job import abort_quietly, tell_failure
 from ddic.cli.failed_start import failures_as_lines
 from ddic.errors import ConvergenceError, InputError
 from ddic.io.input_file import is_readable_file
@@ -161,5 +161,5 @@ def _failed(team: Team, error: BaseException, petsc_options: tuple[str, ...]) ->
     if isinstance(error, ConvergenceError):
         # It may be why.
         _warn_of_unused_options(team, petsc_options)
-    leave_together(team, code)
+    abort_quietly(team, code)
     return code
