@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from ddic.parallel.team import Team
 
 
-def tell_failure(team: Team, error: BaseException, petsc_options: Sequence[str] = ()) -> int:
+def show_failure(team: Team, error: BaseException, petsc_options: Sequence[str] = ()) -> int:
     """Say what went wrong, once; what this rank alone knows ends the job.
 
     Parameters

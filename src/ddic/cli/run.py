@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, TextIO
 import click
 
 from ddic.cli.address_space import prepare_workspaces
-from ddic.cli.failed_job import abort_quietly, tell_failure
+from ddic.cli.failed_job import abort_quietly, show_failure
 from ddic.cli.failed_start import failures_as_lines
 from ddic.errors import ConvergenceError, InputError
 from ddic.io.input_file import is_readable_file
@@ -157,7 +157,7 @@ def _failed(team: Team, error: BaseException, petsc_options: tuple[str, ...]) ->
     if team.stop.is_by_launcher:
         # Which ends all ranks: another one has failed and says why, or the user has ended the launcher.
         os._exit(INTERRUPTED)
-    code = tell_failure(team, error, petsc_options)
+    code = show_failure(team, error, petsc_options)
     if isinstance(error, ConvergenceError):
         # It may be why.
         _warn_of_unused_options(team, petsc_options)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ddic.cli.failed_job import abort_quietly, tell_failure
+from ddic.cli.failed_job import abort_quietly, show_failure
 from ddic.errors import InputError, is_disk_failure
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def sweep(case_file: Path, lengths: str | None, elements: str | None, output: Pa
         found = _try_all(team, case_file, *chosen)
         lines = team.on_root(lambda: _write(found, folder, case_file.stem))
     except Exception as error:
-        code = tell_failure(team, error)
+        code = show_failure(team, error)
         abort_quietly(team, code)
         sys.exit(code)
     if team.is_root:
