@@ -70,6 +70,7 @@ def test_it_stands_for_what_a_case_says(case_file: Path) -> None:
     (([["a", "b"]], [[1, 2]]), "start: points: could not convert string to float"),
     ((np.full((1, 2), 50.0), np.array([[1.0, np.nan]])), "start[0]: holds a value that is not finite"),
     ((np.array([[50.0, 50.0], [500.0, 5.0]]), np.ones((2, 2))), "start[1]: (500, 5) lies outside the reference image"),
+    ((np.full((1, 2), 50.0), np.array([[1e308, 1.0]])), "start[0]: moves by 1e+308 px, out of the image of"),
     ((np.array([[5.0, 5.0]]), np.ones((1, 2))), "start: none of 1 points lies in the mesh"),
 ])
 def test_wrong_starts(pair: Pair, mesh: ddic.Mesh, start: Any, words: str) -> None:

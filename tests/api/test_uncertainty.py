@@ -38,6 +38,11 @@ def test_lines_that_can_only_open_are_opened_and_segments_go_on() -> None:
     assert continuous > 5 * enriched
 
 
+def test_more_noise_than_the_image_shows_is_refused() -> None:
+    with pytest.raises(InputError, match=r"noise: 1e\+308, but grey levels of the image span"):
+        ddic.estimate_uncertainty(IMAGE, sizes=(16,), n_amplitudes=2, noise=1e308)
+
+
 def test_noise_is_what_is_measured_of_it() -> None:
     found = ddic.estimate_uncertainty(IMAGE, sizes=(16, 32), n_amplitudes=2, noise=2.0)
     rising = found.deviation["uniform"].mean(axis=1)

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel
 
-from ddic.case.loader import load_case
+from ddic.case.loader import load_case, load_case_leniently
 from ddic.case.schema import Case
 from ddic.errors import InputError
 
@@ -106,6 +106,26 @@ def test_all_problems_at_once(tmp_path: Path) -> None:
         "mesh.structured.region = 4: expected a list in square brackets",
         "solver.tolerance = 3: expected less than 1",
     )
+
+
+@pytest.mark.parametrize(("value", "lines"), [
+    ("3", ["3: expected a text in quotes"]),
+    ("[]", ["[]: expected at least 1 items"]),
+    ("1979-05-27", ["1979-05-27: expected a text in quotes"]),
+    ('["a.tif", 3]', None),
+])
+def test_a_value_of_one_kind_or_several_is_told_once(tmp_path: Path, value: str, lines: list[str] | None) -> None:
+    path = tmp_path / "case.toml"
+    path.write_text(f'[images]\nreference = "f.tif"\ndeformed = {value}\n[mesh.structured]\n'
+                    "region = [0, 0, 9, 9]\nelement_size = 3\n")
+    with pytest.raises(InputError) as caught:
+        load_case(path)
+    told = [line.removeprefix(f"{path}: images.deformed") for line in caught.value.problems]
+    assert told == (["[1] = 3: expected a text in quotes"] if lines is None else [f" = {line}" for line in lines])
+    # What is left of the case is checked all the same.
+    case, problems = load_case_leniently(path)
+    assert case is None
+    assert list(caught.value.problems) == problems[:len(told)]
 
 
 def test_missing_sections(tmp_path: Path) -> None:

@@ -73,6 +73,16 @@ def test_errors_name_file_key_value_and_remedy(tmp_path: Path, old: str, new: st
     assert words in str(error.value)
 
 
+@pytest.mark.parametrize("text", ["", 'images = {reference = "a"}\n[mesh]\nfile = "b"\n'])
+def test_a_file_of_something_else_is_told_once(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "mapping.toml"
+    path.write_text(text)
+    with pytest.raises(InputError) as error:
+        read_mapping(path)
+    assert error.value.problems == (
+        f"{path}: this is no mapping file, for it holds no homography; make one with ddic calibrate",)
+
+
 def test_a_file_that_is_missing(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="make it with ddic calibrate"):
         read_mapping(tmp_path / "none.toml")

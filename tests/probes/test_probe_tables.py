@@ -164,6 +164,13 @@ def test_results_of_several_pixel_sizes_are_refused(tmp_path: Path) -> None:
     assert "several pixel sizes" in ran.output
 
 
+def test_a_table_without_a_name_is_refused(tmp_path: Path) -> None:
+    write_result(tmp_path / "r.vtkhdf", 1.0)
+    ran = CliRunner().invoke(export, [str(tmp_path / "r.vtkhdf"), "--csv", ""])
+    assert ran.exit_code == 2
+    assert ran.output == "--csv: give the name of a table, results.csv for instance\n"
+
+
 def test_whole_fields(tmp_path: Path) -> None:
     result = tmp_path / "r.vtkhdf"
     write_result(result, 1.0, pixel_size=0.5)

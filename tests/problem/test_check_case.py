@@ -267,6 +267,25 @@ def test_the_result_may_not_take_the_summary_s_name(folder: Path) -> None:
     assert "is the name of the summary" in problems[0]
 
 
+@pytest.mark.parametrize("noise", ["1e308", "1e-300"])
+def test_a_noise_that_no_image_has_is_refused(folder: Path, noise: str) -> None:
+    (line,) = _problems(folder, f"{IMAGES}noise = {noise}\n{GRID}")
+    assert line.startswith(f"{folder / 'f.tif'}: noise = {noise.replace('e', 'e+' if '-' not in noise else 'e')}: grey")
+    assert "levels of this image span 65535; give the standard deviation of its noise, from 0.0066 to 6.6e+04" in line
+
+
+def test_an_image_of_a_few_pixels_is_told_once(folder: Path) -> None:
+    tifffile.imwrite(folder / "f.tif", np.arange(16, dtype=np.uint8).reshape(4, 4))
+    assert _problems(folder, IMAGES + GRID) == (
+        f"{folder / 'f.tif'}: the image is 4x4 px: too small to measure on; give one of 8x8 px at least",)
+
+
+def test_a_result_that_is_a_link_in_circles_is_refused(folder: Path) -> None:
+    (folder / "r.vtkhdf").symlink_to(folder / "r.vtkhdf")
+    (line,) = _problems(folder, f'{IMAGES}{GRID}[output]\nfile = "r.vtkhdf"\n')
+    assert "is a link that leads in circles" in line
+
+
 @pytest.mark.parametrize(("wavelength", "words"), [(29.0, "no wave shorter than 3 elements; give at least 30"),
                                                    (1.1e4, "rounding hides the images")])
 def test_wavelengths_that_the_mesh_cannot_carry_are_refused(folder: Path, wavelength: float, words: str) -> None:

@@ -61,6 +61,7 @@ def test_the_hole_can_be_left_unpainted(tmp_path):
     (("translation", "--size", "90"), "WIDTHxHEIGHT"),
     (("translation", "--size", "0x10"), "WIDTHxHEIGHT"),
     (("translation", "--vector", "nan", 0), "vector"),
+    (("translation", "--vector", 1e308, 1e308), "a point lies more than 1e+09 px away"),
     (("translation", "--noise", -1), "noise"),
     (("translation", "--seed", -1), "seed"),
     (("translation", "--speckle-size", 0), "size_factor"),

@@ -19,9 +19,10 @@ CAMERA_BITS = (8, 10, 12, 14)
 BAND_PIXELS = 1 << 20
 """Pixels of a band: more make fewer reads, and take more memory."""
 
-NOISES = (1e-5, 1.0)
+NOISES = (1e-7, 1.0)
 """Least and largest standard deviation of noise over the span of grey levels: of two cameras whose noises differ by
-more, one counts for nothing beside rounding. Wider limits refuse less."""
+more, one counts for nothing beside rounding. Pictures of 10 bits in files of 16 have noise of 5e-6. Wider limits refuse
+less."""
 
 LEAST_RANGE, LARGEST_LEVEL = 1e-12, 1e15
 """Range of a float image's levels below which, and level beyond which, it is refused: sums of fourth powers of them
