@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import re
 
-_OF_LAUNCHER = re.compile(r"\[[^\]]+:\d+\] |mpi\w+: |\(null\): ")
+_OF_LAUNCHER = re.compile(r"\[[^\]]+:\d+\] |mpi\w+: |\(null\): |\[warn\] ")
+"""Open MPI names host and process, or the launcher, which now and then is ``(null)``; libevent within it warns."""
+
 _RULE = "-" * 40
 
 
@@ -19,7 +21,7 @@ def drop_launcher_lines(text: str) -> list[str]:
     Returns
     -------
     list of str
-        Without empty lines, lines that name a host and a process, and paragraphs between dashes.
+        Without empty lines, the launcher's own, and paragraphs between dashes.
     """
     kept, quoted = [], False
     for line in text.splitlines():

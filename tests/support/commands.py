@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -12,6 +11,8 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+from accept.support.launcher_lines import drop_launcher_lines
 
 LIMIT = 60.0
 """Seconds after which a job counts as hanging; it takes two or three."""
@@ -39,18 +40,7 @@ class Finished:
     @property
     def errors(self) -> list[str]:
         """Lines of standard error that come from ddic, not from the launcher."""
-        return _without_launcher(self.err)
-
-
-def _without_launcher(text: str) -> list[str]:
-    """Lines but for Open MPI's: those that name host and process, and its paragraphs between dashes."""
-    kept, quoted = [], False
-    for line in text.splitlines():
-        if line.startswith("-" * 40):
-            quoted = not quoted
-        elif line.strip() and not quoted and not re.match(r"\[[^\]]+:\d+\] |mpi\w+: Forwarding signal ", line):
-            kept.append(line)
-    return kept
+        return drop_launcher_lines(self.err)
 
 
 @contextlib.contextmanager
