@@ -27,6 +27,12 @@ def test_help_lists_the_commands_and_imports_nothing_heavy() -> None:
     assert "heavy: []" in job.out
 
 
+def test_the_beginning_imports_nothing_that_may_be_missing() -> None:
+    # What fails before there is a command is told in a line by what begins here.
+    job = finished([sys.executable, "-c", "import sys, ddic.cli.entry; print('click' in sys.modules)"])
+    assert job.out == "False\n", job.err
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_explains_itself(name: str) -> None:
     result = CliRunner().invoke(main, [name, "--help"])

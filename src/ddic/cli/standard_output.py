@@ -8,8 +8,6 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-import click
-
 from ddic.errors import DdicError
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EPIPE)
@@ -70,5 +68,5 @@ def _end(error: OSError) -> None:
     # Else Python tries once more on its way out, and says so in lines of its own.
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     if error.errno != errno.EPIPE:
-        click.echo(f"standard output cannot be written ({error.strerror}); make room, or print elsewhere", err=True)
+        sys.stderr.write(f"standard output cannot be written ({error.strerror}); make room, or print elsewhere\n")
     sys.exit(DdicError.exit_code)
