@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from accept.support.launcher_lines import drop_launcher_lines
 from accept.table import Scale
 from bench.support.rows import Row
 from bench.support.runs import ROOT, TIMEOUT_S, ddic_run, environment, images
@@ -94,5 +95,4 @@ def _run(absent: str, case: Path, n_ranks: int) -> tuple[int, list[str]]:
     done = subprocess.run(["timeout", str(TIMEOUT_S), launcher, "-n", str(n_ranks), sys.executable, "-m",
                            "bench.support.absent_packages", absent, "run", str(case)], cwd=ROOT, text=True,
                           env=environment(), capture_output=True, check=False)
-    own = done.stderr.partition("\n-----")[0].splitlines()
-    return done.returncode, [line for line in own if line.strip() and not line.startswith("---")]
+    return done.returncode, drop_launcher_lines(done.stderr)

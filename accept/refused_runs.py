@@ -18,6 +18,9 @@ SHOWN = 160
 
 _GOOD = ('[images]\nreference = "images/reference.tif"\ndeformed = "images/deformed.tif"\n'
          "[mesh.structured]\nregion = [20, 20, 220, 220]\nelement_size = 20\n[solver]\nsubdomains = 4\n")
+_DUAL = f'{_GOOD}method = "dual"\n'
+"""The linear step whose option it is: another one has no use for it, spelt right or not."""
+
 _FAILS = _GOOD + "[gauss_newton]\nmax_iterations = 1\n[start]\nrigid = false\npyramid = false\nindependent = false\n"
 
 
@@ -77,16 +80,16 @@ def _name_two_cases(folder: Path) -> Row:
     before = {path: path.stat().st_mtime_ns for path in folder.glob("result*")}
     code, printed = _run(folder, _GOOD, "other.toml")
     untouched = before == {path: path.stat().st_mtime_ns for path in folder.glob("result*")}
-    error = next((line for line in printed.splitlines() if line.startswith("Error: ")), "")
+    said = printed.strip().splitlines()
     return Row("ddic run case.toml other.toml", "exit code 2, one line that names the second, nothing written",
-               f"exit code {code}; {'nothing' if untouched else 'something'} written; {error[:SHOWN]}",
-               code == 2 and untouched and "other.toml" in error)
+               f"exit code {code}; {'nothing' if untouched else 'something'} written; {len(said)} line: "
+               f"{' '.join(said)[:SHOWN]}", code == 2 and untouched and len(said) == 1 and "other.toml" in said[0])
 
 
 def _mistype_an_option(folder: Path) -> Row:
-    code, printed = _run(folder, _GOOD, OPTION, "1e-3")
+    code, printed = _run(folder, _DUAL, OPTION, "1e-3")
     said = [line for line in printed.splitlines() if OPTION in line]
-    right, silent = _run(folder, _GOOD, OPTION.replace("kps", "ksp"), "1e-3")
+    right, silent = _run(folder, _DUAL, OPTION.replace("kps", "ksp"), "1e-3")
     n_false = sum("never asked for" in line for line in silent.splitlines())
     return Row(f"ddic run case.toml {OPTION} 1e-3", "one warning that names it; none where it is spelt right",
                f"exit code {code}, {len(said)} line: {' '.join(said)[:SHOWN]}; spelt right: exit code {right}, "
