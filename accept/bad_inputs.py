@@ -19,7 +19,7 @@ FEWEST_KINDS, N_MUTANTS = 450, 300
 EVERY_APART = 60
 """Of so many kinds on case files one is tried once more, each command a process of its own, on one and two ranks."""
 
-SMOKE_KINDS, SMOKE_MUTANTS, SMOKE_APART = 40, 3, 1
+SMOKE_KINDS, SMOKE_MUTANTS, SMOKE_APART = 12, 1, 1
 SEED = 18
 SHOWN = 5
 """Names that a row shows."""

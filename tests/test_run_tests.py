@@ -40,7 +40,7 @@ def _run_suite(folder: Path, tests: str, *arguments: str) -> subprocess.Complete
     shutil.copy(ROOT / "pyproject.toml", folder)
     own = {name: value for name, value in os.environ.items() if not name.startswith(("PYTEST_", "OMPI_COMM", "PMIX_"))}
     environment = {**own, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{own['PATH']}",
-                   "DDIC_TEST_TIMEOUT": str(LIMIT), "DDIC_TEST_RANKS": "2"}
+                   "DDIC_TEST_TIMEOUT": str(LIMIT), "DDIC_TEST_RANKS": "2", "PYTEST_XDIST_AUTO_NUM_WORKERS": "1"}
     return subprocess.run(["bash", "scripts/run_tests.sh", *arguments], cwd=folder, env=environment, text=True,
                           capture_output=True, timeout=HANG_S, check=False)
 
