@@ -9,6 +9,8 @@ mkdir -p "$out/images"
 cp "$here/case.toml" "$out/case.toml"
 
 ddic synth near-far --size 400x320 --ratio 4 --radius 40 --noise 2 --seed 2 --output "$out/images"
+# No command replaces what a case names: another calibration begins by removing the last one.
+rm -f "$out/mapping.toml"
 ddic calibrate "$out/images/far_reference.tif" "$out/images/near_reference.tif" --ratio 4.2 --model similarity \
     --output "$out/mapping.toml"
 timeout 300 "${MPIEXEC:-mpirun}" -n 2 ddic run "$out/case.toml"
