@@ -3,7 +3,7 @@
 - ```` ```sh ```` is typed into a shell, block after block. Where its first line is a comment that says what it
   ``needs``, it is left out unless that is there.
 - ```` ```text ```` of lines that begin with ``$``: commands, each followed by all that it prints.
-- ```` ```python ```` is run; blocks without commands between them are one program.
+- ```` ```python ```` is run; blocks without commands between them are one program. What one ``needs`` is as above.
 - ``<!-- file: NAME -->`` above a block: it is saved as NAME.
 - ```` ```text ```` after a line that ends in "prints": the last lines that the block before it prints.
 - ``<!-- differs: WORD, WORD -->`` above it: numbers of these units differ from run to run.
@@ -90,7 +90,7 @@ def read_blocks(page: Path) -> list[Block]:
         elif found["language"] == "sh":
             blocks.append(Block("sh", content, line, needs=_find_needs(content)))
         elif found["language"] == "python":
-            blocks.append(Block("python", content, line))
+            blocks.append(Block("python", content, line, needs=_find_needs(content)))
     return blocks
 
 
