@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import subprocess
 import sys
 import tempfile
@@ -16,6 +15,7 @@ from typing import IO
 
 import psutil
 
+from accept.support.launcher_lines import drop_launcher_lines
 from bench.support.runs import environment, images
 
 DDIC = (sys.executable, "-m", "ddic")
@@ -165,15 +165,9 @@ class Job:
     def _read(self) -> tuple[list[str], int]:
         """Lines of ddic, and the number of those of the launcher."""
         self._said.seek(0)
-        own, n_others, quoted = list[str](), 0, False
-        for line in filter(str.strip, self._said.read().splitlines()):
-            is_rule = line.startswith("-" * 40)
-            if is_rule or quoted or re.match(r"\[[^\]]+:\d+\] |mpi\w+: ", line):
-                n_others += 1
-            else:
-                own.append(line)
-            quoted ^= is_rule
-        return own, n_others
+        said = self._said.read()
+        own = drop_launcher_lines(said)
+        return own, sum(bool(line.strip()) for line in said.splitlines()) - len(own)
 
 
 def list_hidden(folder: Path) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-_OF_LAUNCHER = re.compile(r"\[[^\]]+:\d+\] |mpi\w+: |\(null\): |\[warn\] ")
+_OF_LAUNCHER = re.compile(r"\[[^\]]+:\d+\] |(mpi\w+|\(null\)): (Forwarding signal |abort is already)|\[warn\] Epoll ")
 """Open MPI names host and process, or the launcher, which now and then is ``(null)``; libevent within it warns."""
 
 _RULE = "-" * 40

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from accept.support.launcher_lines import drop_launcher_lines
 from accept.trials.good_case import make_good_folder
 from accept.trials.judge import judge_codes, judge_end, judge_refusal, look_at
 from accept.trials.trial import Trial
@@ -126,10 +127,7 @@ def _run_apart(command: Sequence[str], inside: Path, trial: Trial) -> Ended:
                               timeout=LIMIT_S + OF_LAUNCHER_S)
     except subprocess.TimeoutExpired:
         return Ended(HUNG, "", "", 0, time.perf_counter() - began)
-    # What mpiexec adds to a refusal begins with a line of dashes, or of a word in brackets.
-    told = done.stderr.decode(errors="replace").partition("\n-----")[0]
-    if told.startswith("-----"):
-        told = ""
+    told = "\n".join(drop_launcher_lines(done.stderr.decode(errors="replace")))
     return Ended(done.returncode, done.stdout.decode(errors="replace"), told, 0, time.perf_counter() - began)
 
 
