@@ -82,12 +82,8 @@ def _check_image(path: Path, mask_path: Path | None, problems: Problems) -> Imag
     """An image, checked with its mask; None where it cannot be read."""
     source: ImageSource | None = None
     with problems.gathered():
-        source = hold_image(path)
+        source = _hold_large_enough(path)
     if source is None:
-        return None
-    if min(source.width, source.height) < LEAST_SIDE:
-        problems.lines.append(f"{path}: the image is {source.width}x{source.height} px: too small to measure on; give "
-                              f"one of {LEAST_SIDE}x{LEAST_SIDE} px at least")
         return None
     with problems.gathered():
         mask = None if mask_path is None else read_mask(mask_path, source.width, source.height)
@@ -95,6 +91,15 @@ def _check_image(path: Path, mask_path: Path | None, problems: Problems) -> Imag
             raise InputError(f"{mask_path}: the mask is 0 everywhere, so that no pixel of {path} is used; it has to be "
                              "more than 0 where pixels are to be used")
         check_finite(source, mask)
+    return source
+
+
+def _hold_large_enough(path: Path) -> ImageSource:
+    """An image; InputError where it cannot be read, or has too few pixels."""
+    source = hold_image(path)
+    if min(source.width, source.height) < LEAST_SIDE:
+        raise InputError(f"{path}: the image is {source.width}x{source.height} px: too small to measure on; give "
+                         f"one of {LEAST_SIDE}x{LEAST_SIDE} px at least")
     return source
 
 

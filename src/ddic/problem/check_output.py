@@ -119,8 +119,7 @@ def check_nothing_is_overwritten(result: Path, case: Case, others: Iterable[Path
     last_field = _list_company(not_converged_path(result), n_cameras)
     inputs = [*others, *(path for path in list_named_files(case) if path != start)]
     frames = find_real_path(frames_path(result))
-    in_frames = (path for path in (*inputs, start) if path is not None and frames in find_real_path(path).parents)
-    lost = _find_lost(inputs, [*replaced, *last_field]) or _find_lost([start], replaced) or next(in_frames, None)
+    lost = _find_lost(inputs, [*replaced, *last_field], frames) or _find_lost([start], replaced, frames)
     if lost is not None:
         raise InputError(f"{key}: {result} would overwrite the input {lost}; choose another name")
 
@@ -131,14 +130,15 @@ def _list_company(result: Path, n_cameras: int) -> list[Path]:
     return [result, summary_path(result), physical_path(result), *sidecars]
 
 
-def _find_lost(inputs: Iterable[Path | None], written: Iterable[Path]) -> Path | None:
-    """The first input that is one of the files to be written, by another name too: a hard link for instance."""
+def _find_lost(inputs: Iterable[Path | None], written: Iterable[Path], folder: Path) -> Path | None:
+    """The first input in a folder, or one of the files to be written, by another name too: a hard link for instance."""
     places = {find_real_path(path) for path in written}
     existing = [path for path in places if is_readable_file(path)]
     for path in inputs:
         if path is None:
             continue
-        if find_real_path(path) in places:
+        real = find_real_path(path)
+        if real in places or folder in real.parents:
             return path
         if is_readable_file(path) and any(path.samefile(other) for other in existing):
             return path
