@@ -54,15 +54,13 @@ def describe(error: ValidationError, data: Mapping[str, Any]) -> list[str]:
         A line per problem.
     """
     located = [(remove_kinds(problem["loc"], data), problem) for problem in error.errors(include_url=False)]
-    # A list without its wrong items is too short as well, which says nothing more.
-    wrong = [location for location, problem in located if problem["type"] != TOO_SHORT]
     return [_line(location, problem, data) for location, problem in located
-            if problem["type"] != TOO_SHORT or not any(_is_at(other, location) for other in wrong)]
+            if problem["type"] != TOO_SHORT or _is_too_short(_value_at(data, location), problem)]
 
 
-def _is_at(location: Location, place: Location) -> bool:
-    """Whether a location is a place, or in it."""
-    return location[:len(place)] == place
+def _is_too_short(value: Any, problem: ErrorDetails) -> bool:
+    """Whether a list has too few items itself, and not only without the wrong ones, which are told one by one."""
+    return isinstance(value, list) and len(value) < problem["ctx"]["min_length"]
 
 
 def remove_kinds(location: Location, data: Any) -> Location:
