@@ -12,9 +12,9 @@ JOBS ?= 2
 # Side of the images of bench-big, pixels.
 SIZE ?= 22000
 
-.PHONY: help setup demo test test-programs test-slurm test-hosts lint docs bench bench-iterations bench-interface bench-paper bench-peers bench-big bench-scaling \
-	bench-threads accept-core accept-solver accept-performance accept-near-far accept-house accept-right accept-xdic accept-start accept-pgd \
-	accept-impressions accept-practice accept-faults trials smoke clean
+.PHONY: help setup demo test test-programs test-slurm test-hosts lint docs bench bench-iterations bench-interface bench-paper bench-peers bench-before bench-big bench-scaling \
+	bench-threads accept accept-stale accept-judge accept-core accept-solver accept-performance accept-near-far accept-house accept-right accept-xdic accept-start accept-pgd \
+	accept-impressions accept-practice accept-faults accept-clean trials smoke clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -76,11 +76,23 @@ bench-peers: setup ## CPU time and error beside other programs, which are instal
 bench-big: setup ## a SIZE x SIZE px pair on 2 ranks, 22,000 by default: time by phase, memory
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m bench.big --size $(SIZE)
 
+bench-before: $(BENCH_STAMP) ## the whole command beside an older commit, in turn: wall time, CPU time, memory (ARGS="demo --rounds 1")
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m bench.before $(ARGS)
+
 bench-scaling: setup ## work by rank, messages and bytes on 4 to 64 oversubscribed ranks
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m bench.scaling $(ARGS)
 
 bench-threads: setup ## one thread against two on one rank, phase by phase
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m bench.threads $(ARGS)
+
+accept: $(BENCH_STAMP) $(DOCS_STAMP) ## measure every check of every acceptance table that accept/ledger.json lacks or holds with older code; hours, interrupted runs go on
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.all_tables run --jobs $(JOBS)
+
+accept-stale: setup ## list the checks that were measured before the code that they run was last changed (RUN=1: measure them)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.all_tables stale --jobs $(JOBS) $(if $(RUN),--run)
+
+accept-judge: setup ## judge accept/ledger.json: non-zero exit where a check is missing or a row misses its bound
+	@$(PYTHON) -m accept.all_tables judge
 
 accept-core: setup ## measure the acceptance table (CHECK=NAME: one check); non-zero exit where a bound is missed
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.core $(CHECK)
@@ -94,7 +106,7 @@ accept-performance: $(BENCH_STAMP) ## measure the performance acceptance table (
 accept-near-far: setup ## measure the acceptance table of near-field and far-field images (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.near_far $(CHECK)
 
-accept-house: $(BENCH_STAMP) $(DOCS_STAMP) ## measure the table of the house: the other four tables, fields and rates as before (CHECK=NAME: one check)
+accept-house: $(BENCH_STAMP) $(DOCS_STAMP) ## measure the table of the house: fields and rates as before, pages, source (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.house $(CHECK)
 
 accept-right: $(BENCH_STAMP) $(DOCS_STAMP) ## measure the table of right numbers: moved specimens, masks, cut-off wavelengths, edges, rates on the beam (CHECK=NAME: one check)
@@ -118,10 +130,13 @@ accept-practice: setup ## measure the table of daily work: series, clusters, unc
 accept-faults: setup ## measure the table of faults: bad inputs, damaged files, killed runs (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.faults --jobs $(JOBS) $(CHECK)
 
+accept-clean: $(BENCH_STAMP) ## measure the table of clean pairs: what they pay for what spoils others (CHECK=NAME: one check)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.clean $(CHECK)
+
 trials: setup ## try bad inputs and damaged files (ARGS="--sample 40": some; ARGS=mesh.file: those of a name)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.trials --jobs $(JOBS) $(ARGS)
 
-smoke: setup ## run every check of every acceptance table on tiny cases: minutes, no bound is judged
+smoke: setup ## run every check of every acceptance table on tiny cases, and judge what is no time, memory or large case: minutes
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.smoke
 
 clean: ## remove the environments and caches

@@ -73,8 +73,9 @@ def measure_bad_inputs(scale: Scale) -> list[Row]:
     apart = choose_sample(of_cases, SMOKE_APART if scale.smoke else len(of_cases) // EVERY_APART)
     bound = "exit code 2, or a measured result; one line a mistake; no traceback; nothing written; check and run agree"
     tried = choose_sample(trials, SMOKE_KINDS) if scale.smoke else trials
-    rows = [_row(f"{len(tried)} kinds of bad input, at least {FEWEST_KINDS}", bound, try_all(tried, folder, scale.jobs),
-                 len(tried) >= FEWEST_KINDS)]
+    # The sample of a smoke run is taken from all kinds.
+    rows = [_row(f"{len(tried)} of {len(trials)} kinds of bad input, at least {FEWEST_KINDS}", bound,
+                 try_all(tried, folder, scale.jobs), len(trials) >= FEWEST_KINDS)]
     for n_ranks in (0, 2):
         where = f"run on {n_ranks} ranks" if n_ranks else "each command a process"
         rows.append(_row(f"{len(apart)} of them, {where}", bound, try_apart(apart, folder, n_ranks)))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 import ddic
 from accept.support.opened_pair import SIZE, Opened, mesh_inside, render
+from accept.support.settings import MONOLITHIC, describe_settings
 from accept.table import Scale
 from bench.support.rows import Row, append_result
 
@@ -54,7 +55,7 @@ def measure_band(scale: Scale) -> list[Row]:
     away, turned = np.max(errors, axis=0)
     append_result("xdic_runs", {"check": "band", "errors": errors})
     what = (f"slip of {SLIP} px, noise of {NOISE:g} grey levels, {ELEMENT}-px elements, {SIZE} x {SIZE} px, "
-            f'{n_lines} lines of all orientations, discontinuity = "detect"')
+            f'{n_lines} lines of all orientations, discontinuity = "detect", {describe_settings(MONOLITHIC)}')
     is_near = bool(away <= DISTANCE_PX and turned <= ANGLE_DEGREES)
     rows = [Row(what, f"within {DISTANCE_PX} px and {ANGLE_DEGREES} degrees",
                 f"largest {away:.3f} px and {turned:.4f} degrees", is_near)]
@@ -78,7 +79,7 @@ def _band(angle: float, height: float) -> Opened:
 
 def _find(pair: tuple[NDArray[np.generic], NDArray[np.generic]]) -> Array | None:
     """The line by which a pair is measured, (2, 2); None where there is none."""
-    result = ddic.measure(pair, mesh_inside(SIZE, ELEMENT), options={"discontinuity": "detect"})
+    result = ddic.measure(pair, mesh_inside(SIZE, ELEMENT), options={**MONOLITHIC, "discontinuity": "detect"})
     lines = json.loads(result.attributes["case"]["json"])["discontinuity"]
     return np.array(lines[0]["vertices"]) if lines else None
 

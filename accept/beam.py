@@ -51,15 +51,15 @@ def measure_beam_kernels(scale: Scale) -> list[Row]:
     return [
         Row(f"right-hand side, {where}, one rank, best of {repeats} jobs", f">= {RIGHT_BOUND:.0f} Mpx/s a core",
             f"{right:.0f} Mpx/s; median {usual['residual']:.0f}, on 2 ranks {record['rhs_mpx_per_s_core']:.0f}",
-            right >= RIGHT_BOUND),
+            right >= RIGHT_BOUND, judged_small=False),
         Row(f"left-hand side, {where}, one rank, best of {repeats} jobs", f">= {LEFT_BOUND:.0f} Mpx/s a core",
             f"{left:.0f} Mpx/s: gradient {best['gradient']:.0f}, cell sums {best['M']:.0f}; median {usual_left:.0f}, "
-            f"on 2 ranks {record['lhs_mpx_per_s_core']:.0f}", left >= LEFT_BOUND),
+            f"on 2 ranks {record['lhs_mpx_per_s_core']:.0f}", left >= LEFT_BOUND, judged_small=False),
         Row(f"pixel work, {where}: CPU of 1 rank over the busier of 2", f">= {LEAST_SPEEDUP}",
             f"{faster:.2f} (" + ", ".join(f"{kind} {value:.2f}" for kind, value in by_kind.items())
             + f"), two unrelated runs at once {record['pixel_work_of_2_runs_at_once']:.2f}; "
             f"wall {record['pixel_speedup_2_ranks']:.2f}, wall over CPU on 1 and 2 ranks {disturbed}",
-            faster >= LEAST_SPEEDUP)]
+            faster >= LEAST_SPEEDUP, judged_small=False)]
 
 
 def _of_both(rates: dict[str, float]) -> float:

@@ -122,7 +122,7 @@ def _measure_case(case: SolvedCase, n_rounds: int) -> Row:
                f"{case.n_ranks} ranks: CPU seconds of a rank",
                f"<= {BOUND} times the best",
                f"{ratio:.2f} times {best} ({listed}{missing}); it took {taken['method']} on {taken['n_subdomains']} "
-               "subdomains", ratio <= BOUND)
+               "subdomains", ratio <= BOUND, judged_small=False)
 
 
 def _run(case: SolvedCase, name: str, solver: str) -> dict[str, Any]:

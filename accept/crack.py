@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 import ddic
 from accept.support.cracked_pair import Crack, render_crack
 from accept.support.opened_pair import mesh_inside
+from accept.support.settings import MONOLITHIC, describe_settings
 from accept.table import Scale
 from bench.support.rows import Row, append_result
 
@@ -45,7 +46,7 @@ def measure_crack(scale: Scale) -> list[Row]:
     size = SMOKE_SIZE if scale.smoke else SIZE
     crack = Crack(tip=np.array([size / 2 - 11.7, size / 2 + 8.7]))
     line = [crack.tip - 2 * size * crack.along, crack.tip + BEYOND * crack.along]
-    options = {"discontinuity": [{"vertices": [vertex.tolist() for vertex in line]}]}
+    options = {**MONOLITHIC, "discontinuity": [{"vertices": [vertex.tolist() for vertex in line]}]}
     rows = []
     for noise in (0.0, 2.0):
         pair = render_crack(crack, size, noise)
@@ -56,8 +57,8 @@ def measure_crack(scale: Scale) -> list[Row]:
         append_result("xdic_runs", {"check": "crack", "noise": noise, "away_px": away, "factor_off": off,
                                     "sliding": found.sliding_factor / crack.opening_factor})
         rows.append(Row(f"mode I crack at {np.rad2deg(crack.angle):.0f} degrees, tip inside, {size} x {size} px, "
-                        f"{ELEMENT}-px elements, noise of {noise:g} grey levels, the line goes on {BEYOND:g} px beyond "
-                        "the tip: tip, K_I", f"within {TIP_PX:g} px, {FACTOR:.0%}",
+                        f"{ELEMENT}-px elements, {describe_settings(MONOLITHIC)}, noise of {noise:g} grey levels, the "
+                        f"line goes on {BEYOND:g} px beyond the tip: tip, K_I", f"within {TIP_PX:g} px, {FACTOR:.0%}",
                         f"{away:.2f} px, {off:+.2%}; K_II {found.sliding_factor / crack.opening_factor:+.2%} of K_I",
                         away <= TIP_PX and abs(off) <= FACTOR))
         rows.append(_compare_tip_functions(crack, size, noise, pair))
@@ -71,7 +72,7 @@ def _compare_tip_functions(crack: Crack, size: int, noise: float, pair: tuple[ND
     for tip_functions in (False, True):
         line = {"vertices": [(crack.tip - 2 * size * crack.along).tolist(), crack.tip.tolist()],
                 "tip_functions": tip_functions}
-        result = ddic.measure(pair, mesh_inside(size, ELEMENT), options={"discontinuity": [line]})
+        result = ddic.measure(pair, mesh_inside(size, ELEMENT), options={**MONOLITHIC, "discontinuity": [line]})
         errors[tip_functions] = float(np.sqrt(np.mean((result.at(points) - crack.displacement(points)) ** 2)))
     append_result("xdic_runs", {"check": "crack", "noise": noise, "rms_near_tip_px": errors[True],
                                 "rms_without_functions_px": errors[False]})

@@ -108,7 +108,7 @@ def measure_corrections(scale: Scale) -> list[Row]:
                         f"at most {most}" if most else "reported beside 32-36 of a prototype",
                         f"{n} corrections, error {errors['published']:.5f} px (default: {n_default} corrections, "
                         f"{errors['default']:.5f} px; Q4-DIC {errors['Q4']:.5f} px)",
-                        most is None or (n is not None and n <= most)))
+                        most is None or (n is not None and n <= most), judged_small=most is not None))
     return rows
 
 

@@ -42,6 +42,10 @@ ADDED_SHARE = 0.5
 """Of the estimated noise, what is added to the pictures: a larger share stands out more, and is less small."""
 
 N_NOISY, SIGMAS = 16, 3.0
+KEEP = '[correlation]\nspoilt_pixels = "keep"\n'
+"""All pixels count in every draw: the prediction knows of no other, and a measurement that finds a cell spoilt in one
+draw has no field there."""
+
 N_PLACES = 3
 """Places of the mesh along each axis, a share of an element apart."""
 
@@ -234,11 +238,11 @@ def measure_foam_noise(scale: Scale) -> list[Row]:
     far, near = foam_pairs()
     folder = scale.folder("near_far") / "noisy"
     size, n_draws = (ELEMENTS[-1], 2) if scale.smoke else (ELEMENTS[0], N_NOISY)
-    estimated = _compare(far, near, size, folder)
+    estimated = _compare(far, near, size, folder, KEEP)
     # The same weights in all runs.
     far = replace(far, noise=estimated.far_noise)
     near = replace(near, noise=estimated.near_noise)
-    clean = _compare(far, near, size, folder)
+    clean = _compare(far, near, size, folder, KEEP)
     noise = clean.predict()
     added = ADDED_SHARE * clean.far_noise, ADDED_SHARE * clean.near_noise
     predicted = draw_vector_rms(noise.covariance(*added)).std
@@ -248,16 +252,16 @@ def measure_foam_noise(scale: Scale) -> list[Row]:
     moved = []
     for _ in range(n_draws):
         pairs = [_add_noise(pair, folder, name, rng) for pair, name in ((far, "far"), (near, "near"))]
-        moved.append(_compare(pairs[0], pairs[1], size, folder).difference - clean.difference)
+        moved.append(_compare(pairs[0], pairs[1], size, folder, KEEP).difference - clean.difference)
     scatter = float(np.sqrt((np.array(moved)**2).sum(axis=2).mean()))
     # Alpha's two components in every draw are all that varies much.
     within = SIGMAS / np.sqrt(2 * 2 * n_draws)
     append_result(RUNS, {"check": "foam_noise", "element_size": size, "scatter_px": scatter, "predicted_px": predicted,
                          "alpha_std_off": off, "draws": n_draws})
     return [Row(
-        f"nearfar_foam, elements of {size} far px, noise of {added[0]:.2f} (far) and {added[1]:.2f} "
-        f"grey levels added to all pictures, {n_draws} times: by how much the difference of the check foam changes; "
-        "vector RMS",
+        f'nearfar_foam, elements of {size} far px, spoilt_pixels = "keep", noise of {added[0]:.2f} (far) and '
+        f"{added[1]:.2f} grey levels added to all pictures, {n_draws} times: by how much the difference of the check "
+        "foam changes; vector RMS",
         f"the predicted standard deviation within {within:.0%}, {SIGMAS:g} standard deviations of that many draws; "
         "ddic's standard deviation of alpha the predicted one within 1 %",
         f"{scatter:.4f} full-resolution px, predicted {predicted:.4f}; alpha's standard deviation off by {off:.1e}",

@@ -43,7 +43,8 @@ def measure_followed_pages(scale: Scale) -> list[Row]:
     pages = list_pages()
     if os.geteuid() != 0:
         return [_measure("this user, not root", pages, ()),
-                Row("the pages as root", "followed", "not possible here: this user is not root", False)]
+                Row("the pages as root", "followed", "not possible here: this user is not root", False,
+                    judged_small=False)]
     return [_measure("root", pages, ()), _measure("a user without rights", pages, _as_nobody())]
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from accept.support.settings import describe_settings
 from accept.table import Scale
 from bench.support.rows import Row, append_result
 from bench.support.runs import ddic_run, images, run_job
@@ -114,6 +115,11 @@ class Series:
                 f'[solver]\nmethod = "dual"\nsubdomains = {SUBDOMAINS}\ntolerance = 1e-10\n'
                 "[gauss_newton]\ntolerance = 1e-12\nrms_tolerance = 1e-9\nmax_iterations = 2000\n")
 
+    @property
+    def settings(self) -> str:
+        """Ranks, and what the case says that is not the default."""
+        return f"{N_RANKS} ranks, {describe_settings(self.case(Path(), 1))}"
+
 
 STAYING = Series("frames", 1000, 20, 80, 50, 0.02, 0.005)
 LEAVING = Series("leaving_frames", 1000, 20, 80, 20, 0.0, 0.25, '["left"]', False)
@@ -168,7 +174,7 @@ def measure_many_frames(scale: Scale) -> list[Row]:
     """
     series = SMALL_STAYING if scale.smoke else STAYING
     found = _measure(series, scale.folder(series.name))
-    what = f"{series.n_frames} frames in one session, {series.size} x {series.size} px, {N_RANKS} ranks"
+    what = f"{series.n_frames} frames in one session, {series.size} x {series.size} px, {series.settings}"
     assembled, factorized = found.last["n_assembled"], found.last["n_factorized"]
     early = found.frames[min(EARLY, series.n_frames - 1) - 1]
     growth = found.last["resident_bytes"] / early["resident_bytes"] - 1
@@ -178,7 +184,7 @@ def measure_many_frames(scale: Scale) -> list[Row]:
         _field_row(what, found),
         Row(f"{what}: memory of all ranks after frame {series.n_frames} against that after frame {early['frame']}",
             f"within {MOST_GROWTH:.0%}", f"{found.last['resident_bytes'] / 2**20:.0f} against "
-            f"{early['resident_bytes'] / 2**20:.0f} MiB ({growth:+.2%})", growth <= MOST_GROWTH),
+            f"{early['resident_bytes'] / 2**20:.0f} MiB ({growth:+.2%})", growth <= MOST_GROWTH, judged_small=False),
         _time_row(what, found),
     ]
 
@@ -199,7 +205,7 @@ def measure_leaving_frames(scale: Scale) -> list[Row]:
     series = SMALL_LEAVING if scale.smoke else LEAVING
     found = _measure(series, scale.folder(series.name))
     what = (f"{series.n_frames} frames of which a quarter of the specimen leaves the image, {series.size} x "
-            f"{series.size} px, {N_RANKS} ranks")
+            f"{series.size} px, {series.settings}")
     renewed = {s for frame in found.frames for s in frame["renewed"]}
     losing = {s for frame in found.frames for s in frame["losing"]}
     n_renewals = sum(len(frame["renewed"]) for frame in found.frames)
@@ -221,7 +227,8 @@ def _field_row(what: str, found: Measured) -> Row:
 def _time_row(what: str, found: Measured) -> Row:
     return Row(f"{what}: time of a frame after the first", "reported beside that of a separate run",
                f"{found.later_s:.2f} s (first {found.frames[0]['seconds']:.2f} s, preparation "
-               f"{found.frames[0]['preparation_seconds']:.2f} s); a separate run {found.separate_s:.2f} s", True)
+               f"{found.frames[0]['preparation_seconds']:.2f} s); a separate run {found.separate_s:.2f} s", True,
+               judged_small=False)
 
 
 def _measure(series: Series, folder: Path) -> Measured:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from accept.support.settings import describe_settings
 from accept.table import Scale
 from bench.support.rows import Row, append_result
 from bench.support.runs import ddic_run, images
@@ -27,7 +28,7 @@ def measure(scale: Scale) -> list[Row]:
     width, height, subdomains = ((SMOKE_WIDTH, SMOKE_HEIGHT, SMOKE_SUBDOMAINS) if scale.smoke
                                  else (WIDTH, HEIGHT, SUBDOMAINS))
     folder = images("sinusoidal", "--size", f"{width}x{height}", "--bit-depth", "16", folder=scale.folder("full_size"))
-    summary = ddic_run(f"""
+    case = f"""
 [images]
 reference = "{folder}/reference.tif"
 deformed = "{folder}/deformed.tif"
@@ -39,10 +40,12 @@ cut_off_wavelength = 64
 [solver]
 method = "dual"
 subdomains = {subdomains}
-""", folder, 2)
+"""
+    summary = ddic_run(case, folder, 2)
     append_result("full_size_runs", summary)
     memory = ", ".join(f"{value / 2**20:.0f} MiB" for value in summary["peak_memory_bytes"])
     seconds = ", ".join(f"{name} {value:.1f}" for name, value in summary["seconds"].items())
-    return [Row("4384 x 6576, 16-bit TIFF pair on 2 ranks", "runs; memory by rank and seconds by phase recorded",
+    return [Row(f"4384 x 6576, 16-bit TIFF pair on 2 ranks, {describe_settings(case)}",
+                "runs; memory by rank and seconds by phase recorded",
                 f"{summary['n_dofs']} unknowns, {summary['iterations']} iterations; peak memory {memory}; "
-                f"seconds: {seconds}", bool(summary["converged"]))]
+                f"seconds: {seconds}", bool(summary["converged"]), judged_small=False)]

@@ -1,25 +1,17 @@
-"""The acceptance table of the house: ``make accept-house``, a check alone with CHECK=NAME.
-
-The other four tables are a check each, which starts them as a command of their own: they take most of the time.
-"""
+"""The acceptance table of the house: ``make accept-house``, a check alone with CHECK=NAME."""
 
 from __future__ import annotations
 
 import sys
-from functools import partial
 
 from accept.documents import measure_docs, measure_equations
 from accept.frames import measure_leaving_frames, measure_many_frames
 from accept.kinematics import measure_fixed_components, measure_integrated
-from accept.other_tables import measure_table
 from accept.recorded import recorded
 from accept.source_rules import measure_source
 from accept.table import Check, Scale, run_table
 from bench import kernel_rates
 from bench.support.rows import Row
-
-OTHER_TABLES = ("core", "solver", "performance", "near-far")
-"""Tables of which every row must hold."""
 
 SMALL_PROBLEM = "16-px Q4, 33,000 px"
 """Of ``bench.kernel_rates``, for a smoke run."""
@@ -51,7 +43,6 @@ CHECKS: dict[str, Check] = {
     "equations": measure_equations,
     "source": measure_source,
     "docs": measure_docs,
-    **{table.replace("-", "_"): partial(measure_table, table) for table in OTHER_TABLES},
 }
 
 if __name__ == "__main__":

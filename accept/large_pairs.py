@@ -146,7 +146,7 @@ def measure_turned(scale: Scale) -> list[Row]:
                 f"noise of {NOISE:g} grey levels, {ELEMENT}-px elements",
                 f"start takes at most {MOST_SECONDS:g} s on 2 ranks; no node off by more than {RIGHT_PX} px",
                 f"on 1 rank {told[0]}; on 2 ranks {told[1]}; largest error {off:.3f} px",
-                seconds <= MOST_SECONDS and off <= RIGHT_PX)]
+                seconds <= MOST_SECONDS and off <= RIGHT_PX, judged_small=False)]
 
 
 def measure_sufficed(scale: Scale) -> list[Row]:
@@ -182,7 +182,7 @@ def _compare(what: str, pair: LargePair, before: Path, scale: Scale) -> Row:
                     f"before ({walls[1]:.2f} and {walls[0]:.2f} s of wall time); largest error {off:.3f} px")
     return Row(f"{pair.n_pixels / 1e6:.0f} Mpx, {what}, noise of {NOISE:g} grey levels, {ELEMENT}-px elements",
                f"start takes the busiest rank at most {MOST_TIMES_BEFORE:g} times the CPU time of that of commit "
-               f"{BEFORE}; no node off by more than {RIGHT_PX} px", "; ".join(told), holds)
+               f"{BEFORE}; no node off by more than {RIGHT_PX} px", "; ".join(told), holds, judged_small=False)
 
 
 CHECKS: dict[str, Check] = {"large_turned": measure_turned, "large_sufficed": measure_sufficed}

@@ -89,11 +89,14 @@ def measure_exact(scale: Scale) -> list[Row]:
         error = error_rms(fields, truth.displacement)
         jump = float(result.attributes["case"]["largest_jump_px"])
         rows.append(Row(
-            f"synthetic pair, no noise, {_equation(name)}: alpha, displacement, jump across the interface",
+            f'synthetic pair, no noise, method = "dual", quintic spline, {_equation(name)}: alpha, displacement, jump '
+            "across the interface",
             f"alpha within {ALPHA_BOUND} px; RMS error <= {ERROR_BOUND} px per component; jump <= {JUMP_BOUND:.0e} px",
             f"alpha off by {off:.5f} px; RMS error {error:.5f} px per component ({error * np.sqrt(2):.5f} px in "
             f"length); largest jump before copies are averaged {jump:.1e} px",
-            off <= ALPHA_BOUND and error <= ERROR_BOUND and jump <= JUMP_BOUND))
+            off <= ALPHA_BOUND and error <= ERROR_BOUND and jump <= JUMP_BOUND,
+            # Elements of 12 px, alone, have a larger error of rounding.
+            judged_small=bool(gap)))
     return rows
 
 
@@ -115,9 +118,9 @@ def measure_noise(scale: Scale) -> list[Row]:
     results = {}
     for name, gap in VARIANTS.items():
         case = joint_case(far, near, scene.plate(_truth_file(far)),
-                          f"{QUINTIC}[solver]\nsubdomains = {N_SUBDOMAINS}\n{gap}")
+                          f'{QUINTIC}[solver]\nmethod = "dual"\nsubdomains = {N_SUBDOMAINS}\n{gap}')
         results[name] = _run(case, scene.folder, f"noise_{name}")
-    alone = [measured_alone(results["continuous"], k, pair, scene.folder, QUINTIC)
+    alone = [measured_alone(results["continuous"], k, pair, scene.folder, f'{QUINTIC}[solver]\nmethod = "dual"\n')
              for k, pair in enumerate((far, near))]
     fields = {"independent": independent(results["continuous"], alone),
               **{name: continuous(result) for name, result in results.items()}}
@@ -161,7 +164,7 @@ def measure_dual(scale: Scale) -> list[Row]:
     cases = []
     for name, gap in VARIANTS.items():
         for n_subdomains in CUTS[:1] if scale.smoke else CUTS:
-            solver = f"[solver]\nsubdomains = {n_subdomains}\ntolerance = {EXACT_TOLERANCE}\n"
+            solver = f'[solver]\nmethod = "dual"\nsubdomains = {n_subdomains}\ntolerance = {EXACT_TOLERANCE}\n'
             cases.append(scene.folder / f"dual_{name}_{n_subdomains}.toml")
             cases[-1].write_text(joint_case(far, near, scene.plate(_truth_file(far)), solver + gap),
                                  encoding="utf-8")

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from accept.support.settings import describe_settings
 from accept.table import Scale
 from bench.support.rows import Row, append_result
 from bench.support.runs import ddic_run, real_data
@@ -77,14 +78,15 @@ def measure(scale: Scale) -> list[Row]:
 
 
 def _measure_convergence(folder: Path, ranks: tuple[int, ...]) -> Row:
-    summaries = [ddic_run(case_text("subdomains = 8"), folder, n, f"convergence_{n}") for n in ranks]
+    case = case_text("subdomains = 8")
+    summaries = [ddic_run(case, folder, n, f"convergence_{n}") for n in ranks]
     for summary in summaries:
         append_result("openhole_runs", summary)
     iterations = max(s["iterations"] for s in summaries)
     residual = max(s["residual_std_grey"] for s in summaries)
     cubic = ddic_run(case_text("subdomains = 8", degree=3), folder, 2, "convergence_cubic")
-    return Row("openhole 53 -> 70, no regularization, 1, 2 and 4 ranks: iterations after the multilevel start, "
-               "standard deviation of the residual",
+    return Row(f"openhole 53 -> 70, {describe_settings(case)}, 1, 2 and 4 ranks: iterations after the multilevel "
+               "start, standard deviation of the residual",
                f"<= {MOST_ITERATIONS} iterations; <= {MOST_RESIDUAL} grey levels, correction stated",
                f"{iterations} iterations; {residual:.3f} grey levels, grey-level correction none, quintic spline "
                f"(cubic: {cubic['residual_std_grey']:.3f})",
@@ -92,12 +94,12 @@ def _measure_convergence(folder: Path, ranks: tuple[int, ...]) -> Row:
 
 
 def _compare_ranks(folder: Path, ranks: tuple[int, ...]) -> Row:
-    fields = []
+    fields, case = [], case_text("subdomains = 8\ntolerance = 1e-12", TIGHT)
     for n in ranks:
-        summary = ddic_run(case_text("subdomains = 8\ntolerance = 1e-12", TIGHT), folder, n, f"tight_{n}")
+        summary = ddic_run(case, folder, n, f"tight_{n}")
         append_result("openhole_runs", summary)
         fields.append(read_result(folder / f"tight_{n}.vtkhdf").displacement)
     difference = max(float(np.abs(field - fields[0]).max()) for field in fields[1:])
-    return Row("openhole 53 -> 70, 8 METIS subdomains, common start, Krylov 1e-12, Gauss-Newton 1e-10, "
-               "1, 2 and 4 ranks: same field", f"<= {MOST_DIFFERENCE:.0e} px",
+    return Row(f"openhole 53 -> 70, common start, {describe_settings(case)}, 1, 2 and 4 ranks: same field",
+               f"<= {MOST_DIFFERENCE:.0e} px",
                f"largest difference {difference:.1e} px", difference <= MOST_DIFFERENCE)

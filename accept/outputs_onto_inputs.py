@@ -30,6 +30,7 @@ reference_mask = "mask.png"
 [mesh]
 file = "mesh.msh"
 [solver]
+method = "dual"
 partition = "file"
 partition_file = "partition.txt"
 [start]

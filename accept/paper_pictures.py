@@ -92,7 +92,7 @@ def _measure_plate(folder: Path) -> Case:
     preview = read_preview(pair[0])
     pixels = (preview.pixels, read_preview(pair[1]).pixels)
     return _measure(folder / "plate.vtkhdf", pixels, mesh, {"regularization": {"cut_off_wavelength": 40},
-                                                    "solver": {"subdomains": 9}})
+                                                    "solver": {"method": "dual", "subdomains": 9}})
 
 
 def _measure_strip(folder: Path) -> Case:
@@ -107,8 +107,8 @@ def _measure_strip(folder: Path) -> Case:
     mesh = ddic.structured_mesh((16, 30, 124, 470), 12, circles=[((70, 250), 25)])
     path = folder / "a_strip_with_a_name_that_is_longer_than_any_title_should_be.vtkhdf"
     return _measure(path, pair, mesh,
-                    {"images": {"pixel_size": 0.0125, "length_unit": "mm"}, "solver": {"subdomains": 12},
-                     "regularization": {"cut_off_wavelength": 50}})
+                    {"images": {"pixel_size": 0.0125, "length_unit": "mm"},
+                     "solver": {"method": "dual", "subdomains": 12}, "regularization": {"cut_off_wavelength": 50}})
 
 
 def _measure_line(folder: Path) -> Case:
@@ -122,7 +122,7 @@ def _measure_line(folder: Path) -> Case:
     pair = ddic.make_synthetic_pair(slide, (400, 200), noise=1, seed=3)
     line = {"vertices": [start.tolist(), (start + 500 * along).tolist()]}
     return _measure(folder / "line.vtkhdf", pair, ddic.structured_mesh((20, 20, 380, 180), 16),
-                    {"discontinuity": [line], "solver": {"subdomains": 4}})
+                    {"discontinuity": [line], "solver": {"method": "dual", "subdomains": 4}})
 
 
 def _measure_separated(folder: Path) -> Case:

@@ -153,7 +153,7 @@ def measure_million(scale: Scale) -> list[Row]:
         bound = (f"at most {MOST_CORRECTIONS} corrections, {MOST_CPU_S:g} s CPU; residual beside {PAPER_RESIDUAL} %"
                  if kind == "float" else "reported")
         rows.append(Row(f"{side} x {side} px of {size} x {size} px, 1-px elements ({2 * (side + 1)**2} unknowns), "
-                        f"cut-off {WAVELENGTH:g} px, {kind}", bound, "; ".join(texts), holds))
+                        f"cut-off {WAVELENGTH:g} px, {kind}", bound, "; ".join(texts), holds, judged_small=False))
     return rows
 
 
@@ -200,7 +200,7 @@ def measure_against_dual(scale: Scale) -> list[Row]:
         bound = f"at least {TIMES_CHEAPER:g} times cheaper at {sides[-1]} px" if is_bound else "reported"
         rows.append(Row(f"PGD-DIC and Q4 R-DIC by the dual solver, 1-px elements, cut-off {WAVELENGTH:g} px, all nodes "
                         f"controlled, {kind}, by size of the region", f"{bound}; bench/results/pgd_against_dual.png",
-                        listed, times >= TIMES_CHEAPER or not is_bound))
+                        listed, times >= TIMES_CHEAPER or not is_bound, judged_small=False))
     save_comparison(sides, found)
     return rows
 

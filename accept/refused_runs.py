@@ -17,9 +17,9 @@ SHOWN = 160
 """Characters of what was said that a row shows."""
 
 _GOOD = ('[images]\nreference = "images/reference.tif"\ndeformed = "images/deformed.tif"\n'
-         "[mesh.structured]\nregion = [20, 20, 220, 220]\nelement_size = 20\n[solver]\nsubdomains = 4\n")
-_DUAL = f'{_GOOD}method = "dual"\n'
-"""The linear step whose option it is: another one has no use for it, spelt right or not."""
+         "[mesh.structured]\nregion = [20, 20, 220, 220]\nelement_size = 20\n"
+         '[solver]\nmethod = "dual"\nsubdomains = 4\n')
+"""Solved by the method whose option is mistyped: another one has no use for it, spelt right or not."""
 
 _FAILS = _GOOD + "[gauss_newton]\nmax_iterations = 1\n[start]\nrigid = false\npyramid = false\nindependent = false\n"
 
@@ -87,9 +87,9 @@ def _name_two_cases(folder: Path) -> Row:
 
 
 def _mistype_an_option(folder: Path) -> Row:
-    code, printed = _run(folder, _DUAL, OPTION, "1e-3")
+    code, printed = _run(folder, _GOOD, OPTION, "1e-3")
     said = [line for line in printed.splitlines() if OPTION in line]
-    right, silent = _run(folder, _DUAL, OPTION.replace("kps", "ksp"), "1e-3")
+    right, silent = _run(folder, _GOOD, OPTION.replace("kps", "ksp"), "1e-3")
     n_false = sum("never asked for" in line for line in silent.splitlines())
     return Row(f"ddic run case.toml {OPTION} 1e-3", "one warning that names it; none where it is spelt right",
                f"exit code {code}, {len(said)} line: {' '.join(said)[:SHOWN]}; spelt right: exit code {right}, "

@@ -46,12 +46,15 @@ region = [16, 16, 2032, 576]
 element_size = {ELEMENT}
 [regularization]
 cut_off_wavelength = {WAVELENGTH}
+[solver]
+method = "assembled"
 """, scale.folder("sample14"), 2, law)
         columns, mean = column_average(scale.folder("sample14") / f"{law}.vtkhdf")
         x = np.arange(32, 2016)
         error = float(np.sqrt(((np.interp(x, columns, mean) - exact[x, column]) ** 2).mean()))
         append_result("sample14_runs", {"law": law, "rms_error_px": error, **summary})
-        rows.append(Row(f"dic_challenge_sample14 {law}, {ELEMENT}-px Q4, l_c = {WAVELENGTH} px: column-averaged u, RMS",
+        rows.append(Row(f"dic_challenge_sample14 {law}, {ELEMENT}-px Q4, l_c = {WAVELENGTH} px, method = "
+                        '"assembled": column-averaged u, RMS',
                         f"<= {bound} px", f"{error:.4f} px", error <= bound))
     return rows
 

@@ -90,4 +90,4 @@ def measure_full_size(scale: Scale) -> list[Row]:
                 "runs; time and memory recorded",
                 f"{summary['n_dofs']} unknowns, {summary['iterations']} corrections, {summary['n_modes']} modes; error "
                 f"{np.sqrt((error**2).mean()):.4f} px; peak memory {memory}; {cpu:.0f} s CPU of both ranks; seconds: "
-                f"{seconds}", bool(summary["converged"]))]
+                f"{seconds}", bool(summary["converged"]), judged_small=False)]

@@ -17,6 +17,7 @@ import psutil
 from accept.openhole import case_text
 from accept.support.moving_frames import Frames, describe_case, write_frames
 from accept.support.same_datasets import find_unequal_datasets
+from accept.support.settings import describe_settings
 from accept.table import Check, Scale
 from bench.support.rows import Row, append_result
 from bench.support.runs import ROOT, TIMEOUT_S, ddic_command, ddic_run, environment, mpirun, real_data
@@ -35,6 +36,9 @@ FAST, SMOKE_FAST = Frames((2448, 2048), 200, 20.0), Frames((240, 200), 6, 4.0)
 ELEMENT, SMALL_ELEMENT = 16, 10
 LEAST_RATE, MOST_GROWTH = 4.0, 1.05
 """Frames a second after the first; memory of a rank at the end over that at a tenth of the frames."""
+
+LEAST_OF_PYVALE = 14.0
+"""CPU seconds of pyvale for the middle frame over ddic's a frame."""
 
 LARGEST_ERROR = 0.1
 """Of a node in the last frame, pixels: the images have noise of 1 grey level."""
@@ -68,11 +72,12 @@ def measure_openhole(scale: Scale) -> list[Row]:
     append_result("series_openhole", times)
     share = float(np.median(times["series"]) / np.median(times["one by one"]))
     iterations = ", ".join(str(frame["iterations"]) for frame in summary["frames"])
-    return [Row(f"openhole, frame 53 to {', '.join(map(str, numbers))} as a series on 2 ranks",
+    return [Row(f"openhole, frame 53 to {', '.join(map(str, numbers))} as a series on 2 ranks, "
+                f"{describe_settings(_openhole(*numbers))}",
                 f"every frame converges; at most {MOST_SHARE} of the time of separate runs",
                 f"{'all converge' if converged else 'not all converge'} ({iterations} iterations); "
                 f"{np.median(times['series']):.1f} s, {share:.2f} times {np.median(times['one by one']):.1f} s",
-                converged and share <= MOST_SHARE)]
+                converged and share <= MOST_SHARE, judged_small=False)]
 
 
 def _openhole(*numbers: int) -> str:
@@ -91,10 +96,11 @@ def _time_run(case: str, folder: Path, name: str) -> tuple[dict[str, Any], float
 
 @dataclass
 class _Watched:
-    """What was seen of a run: when each frame began, and the memory of the largest process then."""
+    """What was seen of a run: when each frame began, the largest process's memory then, all ranks' CPU seconds."""
 
     began: dict[int, float] = field(default_factory=dict)
     memory: dict[int, int] = field(default_factory=dict)
+    cpu: dict[int, float] = field(default_factory=dict)
     end: float = 0.0
 
 
@@ -113,12 +119,7 @@ def measure_rate(scale: Scale) -> list[Row]:
     """
     frames, element = (SMOKE_FAST, SMALL_ELEMENT) if scale.smoke else (FAST, ELEMENT)
     folder = scale.folder("series_rate")
-    write_frames(frames, folder)
-    for left in ("rate.vtkhdf", "rate.json"):
-        (folder / left).unlink(missing_ok=True)
-    case = folder / "rate.toml"
-    case.write_text(f'{describe_case(frames, element)}\n[output]\nfile = "rate.vtkhdf"\n', encoding="utf-8")
-    seen = _watch(case)
+    seen = _watch_series(frames, element, folder)
     rate = (frames.n_frames - 1) / (seen.end - seen.began[2])
     early = max(2, frames.n_frames // 10)
     growth = seen.memory[frames.n_frames] / seen.memory[early]
@@ -127,17 +128,60 @@ def measure_rate(scale: Scale) -> list[Row]:
     deformation = frames.make_deformation(frames.n_frames)
     error = float(np.abs(last.displacement - deformation.displacement(last.mesh.nodes)).max())
     append_result("series_rate", {"rate": rate, "growth": growth, "error": error, "n_frames": frames.n_frames})
-    beside = "" if scale.smoke else f"; {_time_pyvale(folder, frames)}"
+    beside = "" if scale.smoke else f"; pyvale on the middle frame: {_time_pyvale(folder, frames):.1f} CPU s"
     width, height = frames.size
     megabytes = seen.memory[frames.n_frames] / 2**20
     return [Row(f"{frames.n_frames} frames of {width} x {height} px, 8 bit, {element}-px Q4, motion growing to "
-                f"{frames.largest:g} px, 2 ranks",
+                f"{frames.largest:g} px, default settings, 2 ranks",
                 f"at least {LEAST_RATE:g} frames a second after the first, fields and strains written; memory constant "
                 f"(within {MOST_GROWTH:g}); no node off by more than {LARGEST_ERROR} px",
                 f"{rate:.1f} frames a second; memory of the larger rank {growth:.3f} times that at frame {early}, "
                 f"{megabytes:.0f} MiB; largest error {error:.3f} px{beside}",
                 rate >= LEAST_RATE and growth <= MOST_GROWTH and error <= LARGEST_ERROR
-                and len(series) == frames.n_frames)]
+                and len(series) == frames.n_frames, judged_small=False)]
+
+
+def measure_beside_pyvale(scale: Scale) -> list[Row]:
+    """Compare CPU seconds a frame with those of pyvale on the middle frame.
+
+    Parameters
+    ----------
+    scale : Scale
+        A smoke run takes few small frames, and ddic alone where the peers are not installed.
+
+    Returns
+    -------
+    list of Row
+        One row.
+    """
+    from bench.support.peer_environment import peers_are_there
+
+    frames, element = (SMOKE_FAST, SMALL_ELEMENT) if scale.smoke else (FAST, ELEMENT)
+    folder = scale.folder("series_rate")
+    seen = _watch_series(frames, element, folder)
+    # From the second frame's begin to the last one's: the first finds its start on coarse images.
+    own = (seen.cpu[frames.n_frames] - seen.cpu[2]) / (frames.n_frames - 2)
+    rate = (frames.n_frames - 1) / (seen.end - seen.began[2])
+    width, height = frames.size
+    what = (f"series of {frames.n_frames} frames of {width} x {height} px, 2 ranks, strains written: pyvale's CPU for "
+            "the middle frame over ddic's a frame")
+    bound, told = f"at least {LEAST_OF_PYVALE:g}", f"{own:.2f} CPU s a frame, {rate:.1f} frames a second"
+    if scale.smoke and not peers_are_there():
+        return [Row(what, bound, f"ddic alone: {told}", True, judged_small=False)]
+    theirs = _time_pyvale(folder, frames)
+    append_result("series_rate", {"cpu_a_frame": own, "rate": rate, "pyvale_cpu": theirs})
+    return [Row(what, bound, f"{theirs / own:.1f} times: {theirs:.2f} CPU s; {told}", theirs >= LEAST_OF_PYVALE * own,
+                judged_small=False)]
+
+
+def _watch_series(frames: Frames, element: float, folder: Path) -> _Watched:
+    """Measure a series whose images are made where they are not there."""
+    write_frames(frames, folder)
+    for left in ("rate.vtkhdf", "rate.json"):
+        (folder / left).unlink(missing_ok=True)
+    case = folder / "rate.toml"
+    case.write_text(f'{describe_case(frames, element)}\n[output]\nfile = "rate.vtkhdf"\n', encoding="utf-8")
+    return _watch(case)
 
 
 def _watch(case: Path) -> _Watched:
@@ -149,7 +193,9 @@ def _watch(case: Path) -> _Watched:
         if line.startswith("frame ") and " of " in line:
             number = int(line.split()[1])
             seen.began[number] = time.perf_counter()
-            seen.memory[number] = max((_read_memory(rank) for rank in _list_ranks(process.pid)), default=0)
+            ranks = _list_ranks(process.pid)
+            seen.memory[number] = max((_read_memory(rank) for rank in ranks), default=0)
+            seen.cpu[number] = sum(_read_cpu(rank) for rank in ranks)
         elif line.startswith("result: "):
             seen.end = time.perf_counter()
     if process.wait() != 0:
@@ -171,8 +217,13 @@ def _read_memory(process: psutil.Process) -> int:
     return int(process.memory_info().rss)
 
 
-def _time_pyvale(folder: Path, frames: Frames) -> str:
-    """CPU seconds a frame of pyvale on the middle frame, in words."""
+def _read_cpu(process: psutil.Process) -> float:
+    used = process.cpu_times()
+    return float(used.user + used.system)
+
+
+def _time_pyvale(folder: Path, frames: Frames) -> float:
+    """CPU seconds of pyvale on the middle frame."""
     from bench.peers import QUICK_SUBSETS, Pair, measure_peer
 
     middle = folder / "pyvale"
@@ -180,7 +231,7 @@ def _time_pyvale(folder: Path, frames: Frames) -> str:
     for name, target in (("reference.tif", "reference.tif"), (f"frame_{frames.n_frames // 2}.tif", "deformed.tif")):
         shutil.copyfile(folder / name, middle / target)
     record, *_ = measure_peer("pyvale", Pair(middle, *frames.size, 1), {"settings": QUICK_SUBSETS})
-    return f"pyvale on the middle frame: {record['cpu_seconds']:.1f} CPU s"
+    return float(record["cpu_seconds"])
 
 
 def measure_killed(scale: Scale) -> list[Row]:
@@ -220,7 +271,9 @@ def measure_killed(scale: Scale) -> list[Row]:
                         "no process left, the result equal to that of an undisturbed run, no frame lost",
                         f"all gone after {gone:.1f} s; {n_left} frames were kept, {n_measured} of {frames.n_frames} "
                         f"are in the result; {told}",
-                        n_left >= KILLED_FRAME - 1 and n_measured == frames.n_frames and not differing))
+                        n_left >= KILLED_FRAME - 1 and n_measured == frames.n_frames and not differing,
+                        # On a machine that does something else too, bits differ in some runs: why is not known yet.
+                        judged_small=False))
     return rows
 
 

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import ast
+import io
 import re
-from collections.abc import Iterator
+import tokenize
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TypeGuard
 
 from accept.table import Scale
+from bench.support.before import checkout_before
 from bench.support.rows import Row
 from bench.support.runs import ROOT
 
@@ -20,6 +24,9 @@ MOST_PARAMETERS = 6
 
 RAW_COMM = re.compile(r"\b_?comm\.\w+\(")
 """A call of a communicator's own method."""
+
+LOOKS_AT_FRAMES, MORE_CODE_AT = ("problem", "methods", "start"), "f43a80d"
+"""Packages that look at frames, and the commit that they were last too large at."""
 
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 
@@ -49,6 +56,63 @@ def measure_source(scale: Scale) -> list[Row]:
             _listed(many), not many),
         Row("calls of a communicator outside parallel/", "none", _listed(raw), not raw),
     ]
+
+
+def measure_frame_code(scale: Scale) -> list[Row]:
+    """Count the code lines of what looks at frames.
+
+    Parameters
+    ----------
+    scale : Scale
+        A smoke run does the same.
+
+    Returns
+    -------
+    list of Row
+        One row.
+    """
+    del scale
+    before = checkout_before(MORE_CODE_AT) / "src" / "ddic"
+    # What moved to a package that is new counts as what it was.
+    new = sorted({path.parent.name for path in SOURCE.glob("*/__init__.py")}
+                 - {path.parent.name for path in before.glob("*/__init__.py")})
+    now, then = _count_packages(SOURCE, (*LOOKS_AT_FRAMES, *new)), _count_packages(before, LOOKS_AT_FRAMES)
+    listed = ", ".join(f"{name} {count} for {then.get(name, 0)}" for name, count in now.items())
+    n_now, n_then = sum(now.values()), sum(then.values())
+    return [Row("code lines of what looks at frames: " + ", ".join(f"{name}/" for name in (*LOOKS_AT_FRAMES, *new)),
+                f"fewer than the {n_then} of {MORE_CODE_AT}", f"{n_now} ({listed})", n_now < n_then,
+                judged_small=False)]
+
+
+def _count_packages(source: Path, packages: Sequence[str]) -> dict[str, int]:
+    return {name: sum(count_code_lines(path.read_text(encoding="utf-8")) for path in (source / name).rglob("*.py"))
+            for name in packages}
+
+
+def count_code_lines(text: str) -> int:
+    """Count lines that hold code: no blank ones, comments or docstrings.
+
+    Parameters
+    ----------
+    text : str
+        Python source.
+
+    Returns
+    -------
+    int
+        Lines.
+    """
+    documented = {line for node in ast.walk(ast.parse(text)) if _is_bare_text(node)
+                  for line in range(node.lineno, (node.end_lineno or node.lineno) + 1)}
+    no_code = (tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER)
+    coded = {line for token in tokenize.generate_tokens(io.StringIO(text).readline) if token.type not in no_code
+             for line in range(token.start[0], token.end[0] + 1)}
+    return len(coded - documented)
+
+
+def _is_bare_text(node: ast.AST) -> TypeGuard[ast.Expr]:
+    """Docstrings, and texts that describe what stands above them."""
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
 
 
 def _long_recipe(path: Path) -> Iterator[str]:

@@ -1,19 +1,29 @@
-"""An acceptance table: every check measured here and now, in full or, to see that it runs, on tiny cases."""
+"""An acceptance table: every check measured here and now, in full or, as far as bounds hold there, on tiny cases.
+
+What is measured in full goes to the ledger with the commit whose code measured it.
+"""
 
 from __future__ import annotations
 
 import argparse
 import sys
+import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from accept.ledger import keep_rows
+from accept.support.code_of_check import choose, find_code, find_uncommitted
 from bench.support.rows import RESULTS, Row, append_result, show
 from bench.support.runs import DATA, NotHereError
+from ddic.io.source_tree import find_source_commit
 
 FEWEST_LINES = 12
 """Last lines of an error's traceback that are printed for a check that could not be measured."""
+
+MOST_NAMED = 3
+"""Files that are named where a check is not kept."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +33,7 @@ class Scale:
     Attributes
     ----------
     smoke : bool
-        Tiny cases, on which no bound is judged: the checks must only run.
+        Tiny cases, on which only those bounds are judged that are bounds there too.
     jobs : int
         Processes at a time, of checks that count and do not time.
     """
@@ -68,11 +78,11 @@ def run_table(table: str, checks: Mapping[str, Check], arguments: Sequence[str] 
     Returns
     -------
     int
-        Exit code: 1 where a bound is missed or, with ``--smoke``, where a check could not be measured.
+        Exit code: 1 where a bound is missed, with ``--smoke`` one that is judged there, or a check does not run.
     """
     parser = argparse.ArgumentParser(prog=f"python -m accept.{table.replace('-', '_')}")
     parser.add_argument("names", nargs="*", metavar="CHECK", help=", ".join(checks))
-    parser.add_argument("--smoke", action="store_true", help="tiny cases: see that every check runs, judge no bound")
+    parser.add_argument("--smoke", action="store_true", help="tiny cases: only bounds that hold there too are judged")
     parser.add_argument("--jobs", type=int, default=1, help="processes at a time of checks that count and do not time")
     chosen = parser.parse_args(arguments)
     unknown = sorted(set(chosen.names) - set(checks))
@@ -81,9 +91,11 @@ def run_table(table: str, checks: Mapping[str, Check], arguments: Sequence[str] 
     scale = Scale(chosen.smoke, chosen.jobs)
     # What checks of this table ran is kept beside their rows, begun afresh.
     (RESULTS / f"{runs_name(table)}.jsonl").unlink(missing_ok=True)
-    held = [_run_check(table, name, checks[name], scale) for name in chosen.names or checks]
-    done = "every check ran" if scale.smoke else "every bound holds"
-    print(done if all(held) else "some checks did not run" if scale.smoke else "some bounds do not hold")
+    # Whatever is committed while checks run, this process runs what it has imported.
+    commit = find_source_commit()
+    held = [_run_check((table, name), checks[name], scale, commit) for name in chosen.names or checks]
+    which = "every bound that is judged on tiny cases holds" if scale.smoke else "every bound holds"
+    print(which if all(held) else "some bounds do not hold")
     return 0 if all(held) else 1
 
 
@@ -103,24 +115,60 @@ def runs_name(table: str) -> str:
     return f"accept_{table.replace('-', '_')}_runs"
 
 
-def _run_check(table: str, name: str, check: Check, scale: Scale) -> bool:
-    """Measure a check and show its rows; whether all hold or, with tiny cases, whether it ran."""
-    command = f"make accept-{table} CHECK={name}"
-    ran = True
-    try:
-        rows = check(scale)
-    except NotHereError as error:
-        rows = [Row(name, "measured", f"not measured: {error}", False)]
-        ran = scale.smoke
-    except Exception as error:
-        ran = False
-        rows = [Row(name, "measured", f"could not be measured: {type(error).__name__}: {error}", False)]
-        print("\n".join(traceback.format_exc().splitlines()[-FEWEST_LINES:]), file=sys.stderr, flush=True)
-    for row in rows:
-        if scale.smoke:
-            print(f"{'ran' if ran else 'FAILED':6s} {name}: {row.check}: {row.measured}", flush=True)
-            continue
+@dataclass(frozen=True)
+class _Measured:
+    """What became of a check: its rows, whether it ran to its end, and whether all was there that it needs."""
+
+    rows: Sequence[Row]
+    ran: bool = True
+    was_here: bool = True
+
+
+def _run_check(which: tuple[str, str], check: Check, scale: Scale, commit: str) -> bool:
+    """Measure a check, show its rows and keep them; whether all hold or, on tiny cases, all that are judged there."""
+    (table, name), begin = which, time.perf_counter()
+    found = _measure(name, check, scale)
+    if scale.smoke:
+        return _show_small(name, found)
+    for row in found.rows:
         append_result(f"accept_{table}", {"name": name, **asdict(row)})
         show(row)
-        print(f"       command   {command}", flush=True)
-    return ran if scale.smoke else ran and all(row.holds for row in rows)
+        print(f"       command   make accept-{table} CHECK={name}", flush=True)
+    if found.was_here:
+        _keep(which, check, found.rows, commit, time.perf_counter() - begin)
+    return all(row.holds for row in found.rows)
+
+
+def _measure(name: str, check: Check, scale: Scale) -> _Measured:
+    """Rows of a check, one that does not hold where it cannot be measured."""
+    try:
+        return _Measured(check(scale))
+    except NotHereError as error:
+        row = Row(name, "measured", f"not measured: {error}", False, judged_small=False)
+        return _Measured([row], was_here=False)
+    except Exception as error:
+        row = Row(name, "measured", f"could not be measured: {type(error).__name__}: {error}", False)
+        print("\n".join(traceback.format_exc().splitlines()[-FEWEST_LINES:]), file=sys.stderr, flush=True)
+        return _Measured([row], ran=False)
+
+
+def _show_small(name: str, found: _Measured) -> bool:
+    """Print what tiny cases gave; whether the check ran and all rows hold that are judged there."""
+    for row in found.rows:
+        verdict = "ran" if not row.judged_small else "holds" if row.holds else "FAILS" if found.ran else "FAILED"
+        bound = f" (bound: {row.bound})" if verdict == "FAILS" else ""
+        print(f"{verdict:6s} {name}: {row.check}: {row.measured}{bound}", flush=True)
+    return all(row.holds for row in found.rows if row.judged_small)
+
+
+def _keep(which: tuple[str, str], check: Check, rows: Sequence[Row], commit: str, seconds: float) -> None:
+    """Put rows into the ledger, unless no commit holds the code that measured them."""
+    if commit == "unknown":
+        print("       not in accept/ledger.json: this is no git repository", flush=True)
+        return
+    changed = choose(find_uncommitted(commit), find_code(check))
+    if changed:
+        print(f"       not in accept/ledger.json: {len(changed)} files that it runs differ from the last commit "
+              f"({', '.join(changed[:MOST_NAMED])})", flush=True)
+        return
+    keep_rows(which, rows, commit, seconds)

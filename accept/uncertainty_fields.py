@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 import ddic
 from accept.support.deformed_pair import Camera, Deformation, render_deformed
+from accept.support.settings import MONOLITHIC, describe_settings
 from accept.table import Scale
 from bench.support.rows import Row, append_result
 
@@ -32,8 +33,8 @@ N_ROUNDS = 3
 """Times that measurements with and without uncertainty are timed, in turn."""
 
 SETTINGS: dict[str, Mapping[str, Any]] = {
-    "no regularization": {},
-    f"cut-off wavelength {WAVELENGTH:g} px": {"regularization": {"cut_off_wavelength": WAVELENGTH}},
+    "no regularization": MONOLITHIC,
+    f"cut-off wavelength {WAVELENGTH:g} px": {**MONOLITHIC, "regularization": {"cut_off_wavelength": WAVELENGTH}},
 }
 FIELDS = {"displacement": ("sigma_u", "sigma_v"), "strain": ("sigma_exx", "sigma_eyy", "sigma_exy")}
 
@@ -84,13 +85,16 @@ def measure_uncertainty(scale: Scale) -> list[Row]:
         append_result("uncertainty", {"setting": name, "times": times, "noise": noise,
                                       **{kind: vars(of_kind) for kind, of_kind in compared.items()}})
         holds = all(abs(c.rms) <= LARGEST_RMS and c.within >= LEAST_WITHIN for c in compared.values())
-        rows.append(Row(f"{side} x {side} px, Q4 of {ELEMENT} px, noise of {SIGMA:g} grey levels, {name}: fields of "
-                        f"standard deviations against {n_repetitions} repetitions",
+        rows.append(Row(f"{side} x {side} px, Q4 of {ELEMENT} px, noise of {SIGMA:g} grey levels, {name}, "
+                        f"{describe_settings(MONOLITHIC)}: fields of standard deviations against {n_repetitions} "
+                        "repetitions",
                         f"RMS within {100 * LARGEST_RMS:.0f} %, {100 * LEAST_WITHIN:.0f} % within "
                         f"{100 * MOST_AT_NODE:.0f} %",
-                        "; ".join(f"{kind}: {of_kind}" for kind, of_kind in compared.items()), holds))
+                        "; ".join(f"{kind}: {of_kind}" for kind, of_kind in compared.items()), holds,
+                        judged_small=False))
         rows.append(Row(f"the same pair, {name}: CPU time with uncertainty over that without",
-                        f"<= {MOST_TIMES:g} times the measurement", f"{times:.1f}", times <= MOST_TIMES))
+                        f"<= {MOST_TIMES:g} times the measurement", f"{times:.1f}", times <= MOST_TIMES,
+                        judged_small=False))
     return rows
 
 

@@ -35,7 +35,7 @@ def square(size: int) -> BenchCase:
             f"element_size = {ELEMENT}\n[regularization]\ncut_off_wavelength = {WAVELENGTH}\n"
             f"[gauss_newton]\ntolerance = {TOLERANCE}")
     return BenchCase(f"square_{size}", 8, folder, text, load_truth(folder / "truth.json"), ELEMENT,
-                     f"all but a margin of {MARGIN} px", f"subdomains = {subdomains}")
+                     f"all but a margin of {MARGIN} px", f'method = "dual"\nsubdomains = {subdomains}')
 
 
 def measure(size: int) -> list[Row]:

@@ -141,7 +141,8 @@ def mixed_tasks(kinds: Sequence[str], plate: Plate = PLATE) -> list[Task]:
     region = (50.0, 50.0, plate.width - 50.0, plate.height - 50.0)
     hole = ((plate.width / 2, plate.height / 2), plate.radius)
     n_cells, area = write_unstructured_mesh(folder / "mesh.vtk", region, MIXED_ELEMENT, hole)
-    case = {**_images(folder), "mesh": {"file": f"{folder}/mesh.vtk"}, "solver": {"subdomains": plate.subdomains}}
+    case = {**_images(folder), "mesh": {"file": f"{folder}/mesh.vtk"},
+            "solver": {"method": "dual", "subdomains": plate.subdomains}}
     side = (area / plate.subdomains) ** 0.5
     return [Task("mixed", case, MIXED_RATIOS, tuple(kinds), side, round((n_cells / plate.subdomains) ** 0.5, 1),
                  n_cells)]
@@ -153,7 +154,7 @@ def _square(name: str, elements: int, side: int, ratios: tuple[float, ...], kind
     folder = images("sinusoidal", "--size", f"{size}x{size}", "--noise", "2", folder=DATA / f"iterations_{n}")
     region = [32, 32, 32 + n * CELL, 32 + n * CELL]
     case = {**_images(folder), "mesh": {"structured": {"region": region, "element_size": CELL}},
-            "solver": {"subdomains": side**2}}
+            "solver": {"method": "dual", "subdomains": side**2}}
     chosen = tuple(k for k in kinds if side**2 <= LARGEST_FOR_PLAIN or k not in ("paper", "none"))
     return Task(name, case, ratios, chosen, elements * CELL, elements, n**2 * len(ratios))
 

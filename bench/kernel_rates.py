@@ -160,7 +160,8 @@ def measure_problem(name: str, before: Path) -> Row:
             append_result("kernel_rates", {"problem": name, "call": call, "ratio": ratio, "control": control,
                                            "same_bits": same})
     return Row(f"rates of pixel kernels, after to before, {name}", f">= {LEAST_RATIO} each",
-               ", ".join(parts) + "; in parentheses before to before", min(ratios) >= LEAST_RATIO)
+               ", ".join(parts) + "; in parentheses before to before", min(ratios) >= LEAST_RATIO,
+               judged_small=False)
 
 
 def measure(before: Path | None = None, names: Sequence[str] = ()) -> Iterator[Row]:

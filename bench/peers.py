@@ -204,7 +204,7 @@ def solved_by(method: str | None) -> str:
 def kept(record: dict[str, Any], check: str, bound: str, beside: str, holds: bool) -> Row:
     """Append a comparison to bench/results/peers.jsonl; returns its row."""
     append_result("peers", {**record, "bound": bound, "holds": holds})
-    return Row(check, bound, said(record, beside), holds)
+    return Row(check, bound, said(record, beside), holds, judged_small=False)
 
 
 def against_pyxel(size: str, repeats: int, method: str | None) -> Iterator[Row]:

@@ -66,8 +66,8 @@ def weak(folder: Path, n_ranks: int) -> None:
         raise RuntimeError(f"--ranks {n_ranks}: takes {n_ranks * RANK_MIB / 1024:.0f} GiB, more than half of the "
                            f"{available_bytes() / 2**30:.0f} that are free; leave out the largest numbers of ranks")
     counted(n_ranks, [
-        case(folder, blocks * SIDE, ELEMENT, wavelength, f'subdomains = {n_ranks}\npreconditioner = "{kind}"',
-             f"weak_{n_ranks}_{name}")
+        case(folder, blocks * SIDE, ELEMENT, wavelength,
+             f'method = "dual"\nsubdomains = {n_ranks}\npreconditioner = "{kind}"', f"weak_{n_ranks}_{name}")
         for name, wavelength, kind in (("short", SHORT, "scaled"), ("long", LONG, "two_level"))])
 
 
@@ -80,7 +80,7 @@ def available_bytes() -> int:
 def coarse(folder: Path) -> None:
     """The coarse problem of many small subdomains."""
     side = COARSE_ELEMENT * COARSE_ELEMENTS
-    keys = 'partition = "blocks"\npreconditioner = "two_level"\nblocks = '
+    keys = 'method = "dual"\npartition = "blocks"\npreconditioner = "two_level"\nblocks = '
     counted(1, [case(folder, blocks * side, COARSE_ELEMENT, 4 * side, f"{keys}[{blocks}, {blocks}]",
                      f"coarse_{blocks**2}") for blocks in COARSE_SIDES])
 

@@ -8,7 +8,8 @@ pyproject.toml. Beyond them, of everything public:
 - DD03: an error that the function raises itself stands in a section Raises.
 
 One sentence is enough for a property, for a method that its base class describes, for a command, whose docstring a user
-reads, and for "Return ..." of a function without parameters. Nothing is imported: files are parsed only.
+reads, and for "Return ..." of a function without parameters; and for every function that is neither offered by
+``import ddic`` nor a seam that others implement (DESCRIBED). Nothing is imported: files are parsed only.
 """
 
 from __future__ import annotations
@@ -29,6 +30,9 @@ ARRAYS = ("NDArray", "ndarray", "csr_matrix", "csc_matrix", "bsr_matrix", "csr_a
 """Types in an annotation that have a shape."""
 SUMMARY_CHECKS = {"GL08", "SS01", "SS02", "SS03", "SS04", "SS06"}
 """All that is asked of what another docstring describes in full."""
+DESCRIBED = ("api", "calibration", "__init__.py", "kinematics/kinematics.py", "mesh/cell_type.py", "images/source.py",
+             "solvers/linear_step.py", "results/publishing.py")
+"""Folders and files of the package whose functions have sections, whatever their first sentence says."""
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 
 Definition = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
@@ -138,7 +142,8 @@ def check(described: Described, file: Path, classes: dict[str, ast.ClassDef], ch
     """List codes and messages of what one docstring lacks."""
     node = described.node
     validator = AstValidator(ast_node=node, filename=file, obj_name=described.name, ancestry=described.parents)
-    in_short = is_property(node) or is_command(node) or is_inherited(described, classes)
+    in_short = (is_property(node) or is_command(node) or is_inherited(described, classes)
+                or (is_internal(described, file) and not has_sections(validator)))
     wanted = checks & SUMMARY_CHECKS if in_short else checks
     if validator.summary.startswith("Return ") and not validator.signature_parameters:
         wanted = wanted - {"RT01"}
@@ -152,6 +157,20 @@ def check(described: Described, file: Path, classes: dict[str, ast.ClassDef], ch
     else:
         yield from missing_shapes(node, validator)
         yield from missing_errors(node, validator)
+
+
+def is_internal(described: Described, file: Path) -> bool:
+    """Tell whether a function of the package is neither offered to users nor a seam."""
+    package = ROOT / "src" / "ddic"
+    if isinstance(described.node, ast.ClassDef) or not file.is_relative_to(package):
+        return False
+    within = file.relative_to(package)
+    return not any(within.is_relative_to(place) for place in DESCRIBED)
+
+
+def has_sections(validator: AstValidator) -> bool:
+    """Tell whether a docstring has numpydoc's sections, which must then be whole."""
+    return re.search(r"^\s*-{3,}\s*$", validator.raw_doc, re.MULTILINE) is not None
 
 
 def decorators(node: Definition) -> list[str]:

@@ -114,3 +114,23 @@ def test_children_need_not_repeat_what_their_base_says(tmp_path: Path) -> None:
     assert codes(GOOD + CHILD, tmp_path) == ["PR01", "RT01"]
     base = CHILD.replace("Child(Pair)", "Base").replace("Add.", LONG)
     assert codes(GOOD + base + CHILD.replace("Child(Pair)", "Child(Base)"), tmp_path) == []
+
+
+def test_one_sentence_is_enough_where_nobody_implements_or_imports_it(tmp_path: Path,
+                                                                      monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(check_docstrings, "ROOT", tmp_path)
+    (tmp_path / "pyproject.toml").write_text((ROOT / "pyproject.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    short = 'def add(a: int) -> int:\n    """Add."""\n    return a\n'
+    begun = short.replace("Add.", "Add.\\n\\n    Parameters\\n    ----------\\n    a : int\\n        One.\\n    ")
+    found = {}
+    for place in ("api/sums.py", "solvers/sums.py"):
+        file = tmp_path / "src" / "ddic" / place
+        file.parent.mkdir(parents=True)
+        found[place] = [codes_of(file, text) for text in (short, begun)]
+    assert found["solvers/sums.py"] == [[], ["RT01"]]
+    assert found["api/sums.py"] == [["PR01", "RT01"], ["RT01"]]
+
+
+def codes_of(file: Path, source: str) -> list[str]:
+    file.write_text('"""Sums."""\n\n' + source, encoding="utf-8")
+    return sorted(violation.code for violation in check_docstrings.check_files([file]))

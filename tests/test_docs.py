@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "ddic"
 DOCUMENTS = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md")),
              *sorted((ROOT / "examples").glob("*/README.md"))]
-MODULE_FOLDERS = [ROOT / name for name in ("src", "scripts", "bench", "examples", "tests")]
+MODULE_FOLDERS = [ROOT / name for name in ("src", "scripts", "bench", "accept", "examples", "tests")]
 SECTIONS: dict[str, type[BaseModel]] = {
     "Top level": schema.Case,
     "[images]": schema.ImagesSection,

@@ -30,7 +30,8 @@ _GIVEN_UP = 60.0
 _POLL = 0.01
 
 CASE = ('[images]\nreference = "images/reference.tif"\ndeformed = "images/deformed.tif"\n'
-        "[mesh.structured]\nregion = [20, 20, 220, 220]\nelement_size = 20\n[solver]\nsubdomains = 4\n"
+        "[mesh.structured]\nregion = [20, 20, 220, 220]\nelement_size = 20\n"
+        '[solver]\nmethod = "dual"\nsubdomains = 4\n'
         '[output]\nfile = "result.vtkhdf"\n')
 """A pair that is measured in a second, on up to four ranks."""
 

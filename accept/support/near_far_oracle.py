@@ -134,12 +134,20 @@ def _texture(case: Case, camera: Camera, deformed: DeformedSubImage, part: Mesh,
 
 def _operator(whole: RegionMesh, eta: float, cameras: tuple[OneCamera, OneCamera]) -> tuple[sparse.csr_matrix, Array]:
     """M + eta Kbar^T Kbar and b - eta Kbar^T Kbar v of both cameras' displacements."""
-    control = sparse.diags(whole.controlled.astype(float))
+    control = sparse.diags(np.where(whole.controlled, 1.0, _edge_weight(whole.inputs.case)))
     gap = control @ sparse.hstack([camera.gap for camera in cameras])
     gap_now = gap @ np.concatenate([camera.seen for camera in cameras])
     operator = sparse.block_diag([camera.hessian for camera in cameras]) + eta * gap.T @ gap
     right = np.concatenate([camera.force for camera in cameras]) - eta * gap.T @ gap_now
     return operator, right
+
+
+def _edge_weight(case: Case) -> float:
+    """Weight of rows that are not controlled: eta grows as the wavelength's fourth power, and rows enter squared."""
+    section = case.regularization
+    if section is None or section.cut_off_wavelength is None:
+        return 0.0
+    return min(1.0, (section.edge_wavelength / section.cut_off_wavelength) ** 2)
 
 
 def _jump_rows(far: OneCamera, near: OneCamera) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:

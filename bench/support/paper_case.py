@@ -133,3 +133,23 @@ def _made(folder: Path, arguments: dict[str, object], make: Callable[[], None]) 
     stamp.unlink(missing_ok=True)
     make()
     stamp.write_text(wanted, encoding="utf-8")
+
+
+def describe_tension(folder: Path, size: tuple[int, int] = (WIDTH, HEIGHT), *, paint_hole: bool = False) -> str:
+    """Describe a plate with a hole in tension over the whole image: at full size 28 Mpx and 221,136 unknowns.
+
+    The mesh covers the hole, which shows speckles, or is a dark disc without texture.
+    """
+    width, height = size
+    hole = "--paint-hole" if paint_hole else "--no-paint-hole"
+    made = images("kirsch", hole, "--size", f"{width}x{height}", folder=folder)
+    # Conjugate gradients ask for texture everywhere.
+    solver = "" if paint_hole else '[solver]\nmethod = "conjugate_gradient"\n'
+    return (name_images(made / "reference.tif", made / "deformed.tif")
+            + f"[mesh.structured]\nregion = {[MARGIN, MARGIN, width - MARGIN, height - MARGIN]}\n"
+            f"element_size = {FULL_ELEMENT}\n[regularization]\ncut_off_wavelength = {FULL_WAVELENGTH}\n{solver}")
+
+
+def name_images(reference: Path, deformed: Path) -> str:
+    """The section of a case file that names a pair."""
+    return f'[images]\nreference = "{reference}"\ndeformed = "{deformed}"\n'

@@ -30,12 +30,15 @@ class Row:
         What was found.
     holds : bool
         Whether it is within the bound.
+    judged_small : bool
+        Whether the bound is one for the tiny cases of a smoke run too: not one of times, of memory, or of large cases.
     """
 
     check: str
     bound: str
     measured: str
     holds: bool
+    judged_small: bool = True
 
 
 def append_result(name: str, record: dict[str, Any]) -> None:

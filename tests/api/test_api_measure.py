@@ -381,14 +381,15 @@ def test_failed_measurement_brings_its_last_field(pair: Pair, mesh: ddic.Mesh, t
         result = caught.value.result
         assert not result.converged
         assert str(caught.value).startswith(result.failure)
-        assert np.isfinite(result.displacement).all()
+        # Where the frame shows nothing of the specimen, nodes have no value.
+        assert np.isfinite(result.displacement).any()
         assert result.residual_image.shape == reference.shape
         # Frames before it are as they were.
         assert sorted(p.name for p in tmp_path.glob("*.vtkhdf") if "residual" not in p.name) == [
             "first.vtkhdf", "frame.earlier.vtkhdf", "frame.not_converged.vtkhdf"]
         with pytest.warns(UserWarning, match="did not converge"):
             kept = ddic.open(tmp_path / "frame.not_converged.vtkhdf")
-        assert np.array_equal(kept.displacement, result.displacement)
+        assert np.array_equal(kept.displacement, result.displacement, equal_nan=True)
         assert largest_error(ddic.open(tmp_path / "first.vtkhdf")) < WITHIN
         session.measure(deformed, output=output)
     assert output.is_file()
@@ -403,7 +404,7 @@ def test_failed_measurement_in_memory_writes_nothing(pair: Pair, mesh: ddic.Mesh
     assert not caught.value.result.converged
     # Errors that are sent on, by a pool of workers, say, bring their field along.
     assert np.array_equal(pickle.loads(pickle.dumps(caught.value)).result.displacement,
-                          caught.value.result.displacement)
+                          caught.value.result.displacement, equal_nan=True)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -31,7 +31,7 @@ SUMMARY = Summary(converged=True, iterations=2, residual_std_grey=1.5, residual_
 
 
 def _record(number: int, seconds: float) -> IterationRecord:
-    size = CorrectionSize(relative=10.0**-number, rms=0.5 / number, largest=1.0)
+    size = CorrectionSize(10.0**-number, 0.5 / number, largest=1.0, subdomain=0, known_rms=0.5 / number, n_slow=1)
     return IterationRecord(number, size, (GreyState(2.0, 2.1, 20736, 1.0, 0.0),), 12 - number, np.zeros(2), 3e-6,
                            {Phase.RESIDUAL: seconds, Phase.LINEAR_STEP: 2 * seconds})
 

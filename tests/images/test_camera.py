@@ -96,6 +96,23 @@ def test_points_beyond_the_horizon_are_an_error() -> None:
         mapping.to_image(np.array([[99.0, 0.0], [101.0, 3.0]]))
 
 
+@pytest.mark.parametrize("radial", [(0.0, 0.0), (0.05, -0.01)])
+def test_a_point_that_was_not_measured_stays_nan(radial: tuple[float, float]) -> None:
+    mapping = CameraMapping(np.array([[4.0, 0.0, 9.0], [0.0, 4.0, 7.0], [1e-4, 0.0, 1.0]]), np.zeros(2), 500.0,
+                            np.array(radial))
+    points = np.array([[30.0, 20.0], [np.nan, np.nan], [11.0, 60.0]])
+    for map_points in (mapping.to_image, mapping.to_specimen):
+        mapped = map_points(points)
+        np.testing.assert_array_equal(np.isnan(mapped).all(axis=1), [False, True, False])
+        np.testing.assert_array_equal(mapped[[0, 2]], map_points(points[[0, 2]]))
+
+
+def test_nan_is_not_named_where_another_point_lies_beyond_the_horizon() -> None:
+    mapping = CameraMapping(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-0.01, 0.0, 1.0]]))
+    with pytest.raises(ValueError, match=re.escape("(101, 3) lies beyond the horizon")):
+        mapping.to_image(np.array([[np.nan, np.nan], [101.0, 3.0]]))
+
+
 def test_a_horizon_between_image_and_origin_inverts_too() -> None:
     # The inverse's entry [2, 2] is negative here.
     mapping = CameraMapping(np.array([[1.0, 0.0, 200.0], [0.0, 1.0, 0.0], [0.01, 0.0, 1.0]]))

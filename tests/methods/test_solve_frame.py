@@ -13,7 +13,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 import ddic
-from ddic.problem.exclusions import BLANK, KEPT, SPOILT, UNSEEN
+from ddic.problem.exclusions import BLANK, HELD_OFF, KEPT, SPOILT, UNSEEN
 from support.spoilt import FIELD, MESH, SIDE, WITHIN, Spoilt, blank_half, blur, change, clean, hide, measure_files, soil
 
 Options = dict[str, Any]
@@ -76,8 +76,11 @@ def test_any_linear_step_finds_the_same(name: str, regularized: bool) -> None:
     assembled, *others = (ddic.measure(scene.pair, MESH, options=settings(method, regularized=regularized))
                           for method in ("assembled", *methods))
     # Gauss-Newton to 1e-9 px. Where half is blank, elements have a brightness of their own, whose slopes are those of
-    # the start, which the dual method finds otherwise: 3e-4 px.
-    assert max(largest_difference(assembled, other) for other in others) <= (1e-3 if name == "blank" else 1e-8)
+    # the start, which the dual method finds otherwise: 3e-4 px. Nodes between many hidden boxes are known to 0.1 px, in
+    # proportion to which Gauss-Newton follows them: 1.4e-5 px. Pixels at the brink of dirt are judged where a field
+    # with l_c is roughly found, to 0.01 px: 2 of 35,000 are judged otherwise, or none, which is 2.2e-4 px.
+    most = {"blank": 1e-3, "many": 1e-4, "dirt": 1e-3 if regularized else 1e-8}
+    assert max(largest_difference(assembled, other) for other in others) <= most.get(name, 1e-8)
 
 
 @pytest.mark.parametrize("options", [{}, REGULARIZED, {"solver": {"method": "conjugate_gradient"}},
@@ -120,7 +123,7 @@ def test_what_is_hidden_is_marked_and_spoils_nothing_else(box: tuple[int, int, i
     # A node at the edge has a part of its pixels; of a tenth, 3 times the noise, and five deviations.
     assert np.nanmax(errors) <= (0.1 if regularized else 0.35)
     # Not measured is what no pixel and no mechanics hold, and nothing else.
-    unheld = np.setdiff1d(np.arange(MESH.n_nodes), np.unique(cells[states == KEPT]))
+    unheld = np.setdiff1d(np.arange(MESH.n_nodes), np.unique(cells[np.isin(states, (KEPT, HELD_OFF))]))
     expected = np.zeros(MESH.n_nodes, dtype=bool)
     if not regularized:
         assert len(unheld) >= 4

@@ -8,7 +8,7 @@ import pytest
 from ddic.parallel.team import Team
 from ddic.problem.exclusions import (
     BLANK,
-    HELD_BACK,
+    HELD_OFF,
     KEPT,
     PIXELS_CHANGED,
     SPOILT,
@@ -16,6 +16,7 @@ from ddic.problem.exclusions import (
     Exclusions,
     exclude,
 )
+from ddic.problem.held_cells import HeldCells
 from ddic.synth.fields import Translation
 from support.one_subdomain import model_of
 from support.pictures import pair_of, source, square_mesh
@@ -25,12 +26,16 @@ PAIR = pair_of(Translation((0.3, -0.2)), 128, 8)
 ALONE = Team.alone()
 
 
-def exclusions(cells: dict[int, int] | None = None, pixels: list[tuple[int, int]] | None = None) -> Exclusions:
-    """Of one subdomain of 4 x 4 cells with one view."""
+def exclusions(cells: dict[int, int] | None = None, pixels: list[tuple[int, int]] | None = None,
+               pulled: dict[int, float] | None = None) -> Exclusions:
+    """Of one subdomain of 4 x 4 cells with one view; pulled: cells, and by how much they are shown displaced."""
     states = np.zeros(16, dtype=np.uint8)
     for cell, state in (cells or {}).items():
         states[cell] = state
-    return Exclusions([(states,)], [(np.array(pixels or [], dtype=np.int64).reshape(-1, 2),)])
+    shown = pulled or {}
+    shown_at = np.broadcast_to(np.array(list(shown.values())).reshape(-1, 1, 1), (len(shown), 4, 2))
+    return Exclusions([(states,)], [(np.array(pixels or [], dtype=np.int64).reshape(-1, 2),)],
+                      [(HeldCells(np.array(list(shown), dtype=np.int64), shown_at),)])
 
 
 def test_joining_keeps_the_first_reason_and_each_pixel_once() -> None:
@@ -129,18 +134,56 @@ def test_nothing_excluded_is_the_same_view() -> None:
     assert exclude(model, exclusions()).views[0].views[0] is model.views[0].views[0]
 
 
-def test_only_cells_that_are_seen_are_held_back() -> None:
-    flags = [(np.arange(16) < 4,)]
-    held = exclusions({0: SPOILT, 1: BLANK, 2: UNSEEN, 5: SPOILT}).hold_back(flags)
-    assert held.cells[0][0].tolist() == [HELD_BACK, BLANK, UNSEEN, HELD_BACK, KEPT, SPOILT] + [KEPT] * 10
-    assert held.cells[0][0].dtype == np.uint8
-    np.testing.assert_array_equal(np.flatnonzero(held.held_back[0][0]), [0, 3])
-
-
-def test_cells_that_are_held_back_count_but_are_other_than_kept_ones() -> None:
+def test_cells_that_are_held_off_count() -> None:
     model = model_of(source(PAIR.reference), source(PAIR.deformed), MESH)
-    held = exclusions({5: HELD_BACK})
+    held = exclusions({5: HELD_OFF}, None, {5: 2.0})
     assert exclude(model, held).views[0].views[0] is model.views[0].views[0]
+    assert not held.is_any(ALONE)
+    assert held.has_held_off(ALONE)
+    assert held.count_pixels(model) == 0
+    # Cells of 16 x 16 px.
+    assert exclusions({5: HELD_OFF, 6: BLANK, 7: UNSEEN}, [(30, 40), (31, 40)]).count_pixels(model) == 2 * 256 + 2
+    # A cell that is excluded leaves the reason to who says so last only where it is kept.
+    joined = exclusions({5: HELD_OFF, 6: SPOILT}).join(exclusions({5: SPOILT, 6: HELD_OFF}))
+    assert joined.cells[0][0][[5, 6]].tolist() == [SPOILT, SPOILT]
+
+
+def test_pulling_other_cells_is_other() -> None:
+    held = exclusions({5: HELD_OFF}, None, {5: 2.0})
     assert held.is_other_than(ALONE, exclusions())
-    assert held.is_other_than(ALONE, exclusions({5: SPOILT}))
-    assert not held.is_other_than(ALONE, exclusions({5: HELD_BACK}))
+    assert held.is_other_than(ALONE, exclusions({5: HELD_OFF}))
+    assert held.is_other_than(ALONE, exclusions({5: HELD_OFF}, None, {6: 2.0}))
+    # Those that grey levels bring there, and where exactly a cell is seen, change nothing.
+    assert not exclusions({5: HELD_OFF}).is_other_than(ALONE, exclusions())
+    assert not held.is_other_than(ALONE, exclusions({5: HELD_OFF}, None, {5: 2.1}))
+
+
+def test_cells_are_pulled_to_where_they_were_seen_first() -> None:
+    # Cell 2 is found no longer, cell 3 is new.
+    before = exclusions(None, None, {1: 2.0, 2: 3.0})
+    now = exclusions(None, None, {1: 4.0, 3: 5.0})
+    (held,), = now.keep_pulled(before).pulled
+    at = {int(cell): float(shown_at[0, 0]) for cell, shown_at in zip(held.cells, held.shown_at, strict=True)}
+    assert at == {1: 2.0, 2: 3.0, 3: 5.0}
+
+
+def test_marks_follow_a_later_look_and_what_is_excluded_does_not() -> None:
+    before = exclusions({1: HELD_OFF, 2: SPOILT, 3: BLANK})
+    marked = before.with_marks(exclusions({2: HELD_OFF, 3: UNSEEN, 4: HELD_OFF, 5: SPOILT}))
+    assert marked.cells[0][0].tolist() == [KEPT, KEPT, SPOILT, UNSEEN, HELD_OFF] + [KEPT] * 11
+
+
+def test_cells_that_a_later_look_would_keep_are_let_go_and_pixels_stay() -> None:
+    before = exclusions({1: SPOILT, 2: UNSEEN}, [(30, 40), (31, 40)])
+    both = before.intersect(exclusions({2: SPOILT, 3: SPOILT}, [(31, 40)]))
+    assert both.cells[0][0].tolist() == [KEPT, KEPT, UNSEEN] + [KEPT] * 13
+    assert both.pixels[0][0].tolist() == [[30, 40], [31, 40]]
+
+
+@pytest.mark.parallel([1, 2, 3])
+def test_all_ranks_know_of_cells_that_are_held_off() -> None:
+    team = Team.world()
+    mine = exclusions({0: HELD_OFF}, None, {0: 2.0}) if team.rank == team.size - 1 else exclusions()
+    assert mine.has_held_off(team)
+    assert mine.is_other_than(team, exclusions())
+    assert not mine.is_any(team)

@@ -6,20 +6,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ddic.functionals.read_correlation import read_correlation
-from ddic.functionals.view import FrameView, View
-from ddic.images.sub_image import DeformedSubImage
-from ddic.kinematics.nodal import NodalRegion
-from ddic.parallel.distribution import split_evenly
 from ddic.parallel.team import Team
-from ddic.partition.build_subdomains import build_subdomains
-from ddic.partition.split import split_by_blocks
 from ddic.problem.exclusions import KEPT, SPOILT, UNSEEN, Exclusions, exclude
 from ddic.problem.residual_model import ResidualModel
-from ddic.problem.views import FrameViews, ReferenceViews
 from ddic.problem.weak_cells import LEAST_HELD, exclude_weak_cells
 from ddic.synth.fields import Translation
 from support.pictures import pair_of, source, square_mesh
+from support.split_model import split_model
 
 MESH = square_mesh(24.0, 120.0)
 """6 x 6 cells of 16 px."""
@@ -28,25 +21,19 @@ IMAGE = pair_of(Translation((0.0, 0.0)), 144, 8).reference
 
 
 def model_of(team: Team, blocks: tuple[int, int]) -> ResidualModel:
-    parts = split_by_blocks(MESH, blocks)
-    everything = build_subdomains(NodalRegion(MESH), parts, np.zeros(MESH.n_dofs, dtype=bool))
-    views = []
-    for k in split_evenly(np.ones(len(everything)), team.size)[team.rank]:
-        s = everything[k]
-        view = View(read_correlation(s.mesh, source(IMAGE), 3), s.kinematics)
-        views.append(FrameViews(ReferenceViews(s, (view,)), (FrameView(view, DeformedSubImage(source(IMAGE), 3)),)))
-    return ResidualModel(team, views, "none")
+    return split_model(team, source(IMAGE), source(IMAGE), MESH, blocks)
 
 
 def cut(model: ResidualModel, states: NDArray[np.uint8], pixels: NDArray[np.int64]) -> Exclusions:
     """What is excluded of the whole mesh, by subdomain; pixels : (n, 2) in cells that are kept."""
     cells, spots = [], []
+    nothing = Exclusions.nothing(model.views)
     for of_subdomain in model.views:
         s = of_subdomain.subdomain
         cells.append((states[s.cell_ids].copy(),))
         low, high = s.mesh.nodes.min(axis=0), s.mesh.nodes.max(axis=0)
         spots.append((pixels[((pixels >= low) & (pixels < high)).all(axis=1)],))
-    return Exclusions(cells, spots)
+    return Exclusions(cells, spots, nothing.pulled)
 
 
 def find_slowly(states: NDArray[np.uint8], pixels: NDArray[np.int64]) -> NDArray[np.uint8]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.team import Team
-from ddic.problem.exclusions import BLANK, SPOILT, UNSEEN, Exclusions
+from ddic.problem.exclusions import BLANK, HELD_OFF, SPOILT, UNSEEN, Exclusions
 from ddic.problem.residual_model import ResidualModel
 from ddic.results.describe_exclusions import MOST_PLACES, describe_exclusions
 from ddic.synth.fields import Translation
@@ -26,7 +28,8 @@ def describe(states: dict[int, int], pixels: int = 0, mesh: Mesh = MESH) -> tupl
     for cell, state in states.items():
         cells[cell] = state
     spots = np.stack([30 + np.arange(pixels), np.full(pixels, 30)], axis=1).astype(np.int64)
-    return describe_exclusions(Team.alone(), model.views, Exclusions([(cells,)], [(spots,)]))
+    excluded = replace(Exclusions.nothing(model.views), cells=[(cells,)], pixels=[(spots,)])
+    return describe_exclusions(Team.alone(), model.views, excluded)
 
 
 def cell_at(x: float, y: float, mesh: Mesh = MESH) -> int:
@@ -45,6 +48,9 @@ def test_count_reason_and_place_are_named() -> None:
     assert blank == ('1 of 36 cells have no texture and are excluded (cell field "excluded"): '
                      "columns 104 to 120, rows 104 to 120")
     assert pixels == "5 pixels of other cells show something else than the reference and are excluded"
+    (held_off,) = describe({0: HELD_OFF})
+    assert held_off.startswith("1 of 36 cells are held by the regularization beside where the images show them")
+    assert "regularization.cut_off_wavelength" in held_off
     (unseen,) = describe({0: UNSEEN})
     assert "1 of 36 cells hold no or too few pixels that both images show" in unseen
 

@@ -16,9 +16,12 @@ from ddic.mesh.mesh import Mesh
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.residual_model import ResidualModel
+from ddic.solvers.anderson import AndersonMixing
 from ddic.solvers.correction_size import CorrectionSize, Tolerances
 from ddic.solvers.gauss_newton import (
     PATIENCE,
+    Correction,
+    Course,
     IterationRecord,
     Progress,
     Solution,
@@ -197,11 +200,11 @@ class _Made:
     def linearize(self, q: Sequence[NDArray[np.float64]]) -> tuple[list[NDArray[np.float64]], tuple[GreyState, ...]]:
         return [np.zeros_like(q_s) for q_s in q], (GreyState(1.0, 1.0, 100, 1.0, 0.0),)
 
-    def measure_correction(self, dq: Sequence[NDArray[np.float64]],
-                           q: Sequence[NDArray[np.float64]]) -> CorrectionSize:
+    def measure_correction(self, dq: Sequence[NDArray[np.float64]], q: Sequence[NDArray[np.float64]],
+                           tolerances: Tolerances) -> CorrectionSize:
         size = self._sizes(self.n_asked)
         self.n_asked += 1
-        return CorrectionSize(size, size, size, 0)
+        return CorrectionSize(size, size, size, 0, size, int(size > tolerances.largest))
 
 
 def run_made(sizes: Callable[[int], float], most: int = 2000) -> Solution:
@@ -244,6 +247,97 @@ def test_a_few_growing_corrections_are_borne() -> None:
     # A start that is far off: corrections grow tenfold before they fall.
     solution = run_made(lambda k: 0.1 * 1.3**k if k < 10 else 1.3**10 * 0.1 * 0.3**(k - 10))
     assert solution.converged
+
+
+class _Linear:
+    """A model whose b is A (q* - q), and a step that takes all of b for dq: A has a few eigenvalues far from 1."""
+
+    def __init__(self) -> None:
+        self.team = Team.alone()
+        self.solution = np.random.default_rng(4).normal(size=30)
+        self.shares = np.ones(30)
+        self.shares[:3] = 0.1, 0.25, 1.6
+        self.n_passes = 0
+
+    def linearize(self, q: Sequence[NDArray[np.float64]]) -> tuple[list[NDArray[np.float64]], tuple[GreyState, ...]]:
+        self.n_passes += 1
+        return [self.shares * (self.solution - q[0])], (GreyState(1.0, 1.0, 100, 1.0, 0.0),)
+
+    def measure_correction(self, dq: Sequence[NDArray[np.float64]], q: Sequence[NDArray[np.float64]],
+                           tolerances: Tolerances) -> CorrectionSize:
+        size = float(np.sqrt((dq[0]**2).mean()))
+        return CorrectionSize(size, size, size, 0, size, int(size > tolerances.largest))
+
+    def solve(self, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]],
+              allowed: AllowedError | None = None) -> StepResult:
+        return StepResult([np.array(b_s) for b_s in b], 0, np.zeros(1), 0.0)
+
+    def destroy(self) -> None:
+        pass
+
+
+EXACTLY = Tolerances(relative=1e-30, rms=1e-8, max_iterations=300)
+
+
+def run_linear(q: NDArray[np.float64], pause: Callable[[Correction], bool] | None = None, n_before: int = 0,
+               mixing: AndersonMixing | None = None, tolerances: Tolerances = EXACTLY) -> Solution:
+    made = _Linear()
+    progress = Progress(PhaseClock(), stay_silent, n_before)
+    return run_gauss_newton(made, [q], made, tolerances, progress, Course(pause, mixing))
+
+
+def test_a_pause_ends_after_the_correction_that_asks_for_it() -> None:
+    asked: list[float] = []
+
+    def pause(correction: Correction) -> bool:
+        asked.append(correction.size.rms)
+        return correction.size.rms < 0.05
+
+    paused = run_linear(np.zeros(30), pause)
+    assert not paused.converged
+    assert paused.paused is not None
+    # It is asked after every correction but the last one of all, and tells of that which was made.
+    assert asked == [record.size.rms for record in paused.records]
+    assert asked[-1] < 0.05 <= min(asked[:-1])
+    last = paused.paused
+    np.testing.assert_array_equal(paused.q[0], last.q[0] + last.dq[0])
+    np.testing.assert_array_equal(last.b[0], _Linear().shares * (_Linear().solution - last.q[0]))
+    assert last.size.rms == asked[-1]
+    # From there on it goes as if it had not paused.
+    went_on = run_linear(paused.q[0], None, len(paused.records))
+    at_once = run_linear(np.zeros(30))
+    assert went_on.converged
+    assert went_on.paused is None
+    np.testing.assert_array_equal(went_on.q[0], at_once.q[0])
+    numbers = [record.number for record in (*paused.records, *went_on.records)]
+    assert numbers == [record.number for record in at_once.records]
+
+
+def test_nothing_pauses_after_a_correction_that_is_small_enough() -> None:
+    found = run_linear(_Linear().solution, lambda correction: True)
+    assert found.converged
+    assert found.paused is None
+    assert len(found.records) == 1
+
+
+def test_mixing_finds_the_same_in_fewer_passes() -> None:
+    plain = run_linear(np.zeros(30))
+    mixed = run_linear(np.zeros(30), mixing=AndersonMixing(Team.alone(), [np.ones(30)]))
+    # 10 % an iteration takes 22 a digit; three slow directions are known after four corrections.
+    assert len(plain.records) > 100
+    assert len(mixed.records) <= 7
+    assert mixed.converged
+    np.testing.assert_allclose(mixed.q[0], _Linear().solution, atol=1e-7)
+
+
+def test_the_last_correction_is_not_mixed() -> None:
+    # What is small enough is added as it is: the field is that of the last pass and its linear step.
+    found = run_linear(np.zeros(30), mixing=AndersonMixing(Team.alone(), [np.ones(30)]))
+    made = _Linear()
+    before_last = run_linear(np.zeros(30), mixing=AndersonMixing(Team.alone(), [np.ones(30)]),
+                             tolerances=Tolerances(relative=1e-30, rms=1e-30, max_iterations=len(found.records) - 1))
+    q = before_last.q[0]
+    np.testing.assert_array_equal(found.q[0], q + made.shares * (made.solution - q))
 
 
 def test_too_few_iterations_are_no_stagnation() -> None:

@@ -11,6 +11,7 @@ from ddic import __version__
 from ddic.cli.address_space import require_address_space
 from ddic.cli.failed_start import failures_as_lines
 from ddic.cli.finite_options import require_finite_options
+from ddic.cli.kept_imports import imports_kept
 from ddic.cli.standard_output import output_as_line
 from ddic.cli.usage_as_line import usage_as_line
 
@@ -70,7 +71,8 @@ class LazyGroup(click.Group):
         """
         if cmd_name not in COMMANDS:
             return None
-        command: click.Command = getattr(importlib.import_module(f"ddic.cli.{cmd_name}"), cmd_name)
+        with imports_kept():
+            command: click.Command = getattr(importlib.import_module(f"ddic.cli.{cmd_name}"), cmd_name)
         require_finite_options(command)
         return command
 

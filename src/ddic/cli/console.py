@@ -34,8 +34,8 @@ from ddic.solvers.gauss_newton import IterationRecord
 _COLUMNS = {"iter": 4, "|dq|/|q|": 8, "RMS dq/px": 9, "max dq/px": 9, "residual": 8, "% range": 7, "Krylov": 6,
             "error/px": 8, "pass/s": 6, "step/s": 6}
 """Names and widths of the table of iterations, which fits 100 characters with up to two cameras. The residual is in
-grey levels, by camera; the error is what the Krylov solver leaves of the correction; the seconds are those of the pass
-over the pixels and of the linear step."""
+grey levels, by camera, and left out where only the pixels about slow nodes were visited; the error is what the Krylov
+solver leaves of the correction; the seconds are those of the pass over the pixels and of the linear step."""
 
 _CORRECTION_COLUMNS = {"number": 6, "du_x/px": 8, "du_y/px": 8, "of u_x": 8, "of u_y": 8, "gain": 8, "of noise": 8,
                        "residual": 8, "sweeps": 6, "modes": 6}
@@ -168,8 +168,9 @@ class RunConsole:
         self._seconds = record.seconds
         cells = (f"{record.number}", f"{record.size.relative:.2e}", f"{record.size.rms:.2e}",
                  f"{record.size.largest:.2e}",
-                 " ".join(f"{camera.residual_std:.3f}" for camera in record.cameras),
-                 f"{100 * record.grey.residual_std / self._range:.2f}", f"{record.krylov_iterations}",
+                 "" if record.is_local else " ".join(f"{camera.residual_std:.3f}" for camera in record.cameras),
+                 "" if record.is_local else f"{100 * record.grey.residual_std / self._range:.2f}",
+                 f"{record.krylov_iterations}",
                  f"{record.linear_error:.1e}", f"{spent[Phase.RESIDUAL]:.2f}",
                  f"{spent[Phase.LINEAR_STEP]:.2f}")
         self._print(_align(cells, widths))
@@ -208,7 +209,8 @@ class RunConsole:
         seconds = ", ".join(f"{name} {value:.2f}" for name, value in summary.seconds.items())
         memory = ", ".join(f"{value / 2**20:.0f}" for value in summary.peak_memory_bytes)
         steps = "iterations" if summary.n_modes is None else f"corrections to {_count(summary.n_modes, 'mode')}"
-        self._print(f"converged in {summary.iterations} {steps}; residual {summary.residual_std_grey:.3f} grey "
+        alone = f" and {summary.local_iterations} of slow nodes alone" if summary.local_iterations else ""
+        self._print(f"converged in {summary.iterations} {steps}{alone}; residual {summary.residual_std_grey:.3f} grey "
                     f"levels ({summary.residual_percent_of_range:.2f} % of the dynamic range), "
                     f"grey-level correction: {summary.grey_correction}")
         for number, near in enumerate(summary.near, start=1):

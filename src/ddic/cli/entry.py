@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 
 from ddic.cli.failed_start import failures_as_lines
+from ddic.cli.kept_imports import imports_kept
 from ddic.parallel.stop_request import StopRequest
 
 
@@ -14,7 +15,7 @@ def main() -> None:
     if sys.argv[1:2] == ["run"]:
         # Before the imports of a second or two, in which a rank that a signal ends would leave the others waiting.
         stop.note_signals()
-    with failures_as_lines():
+    with failures_as_lines(), imports_kept():
         from ddic.cli.app import main as command_line
 
     command_line(prog_name="ddic", obj=stop)

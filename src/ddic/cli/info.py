@@ -145,7 +145,10 @@ def _result_lines(result: Result) -> Lines:
 def _linear_steps(result: Result) -> Lines:
     """Of Gauss-Newton and its linear steps."""
     lines = []
-    lines.append(("Gauss-Newton", f"{max(map(len, result.gauss_newton.values()), default=0)} iterations"))
+    table = result.gauss_newton
+    n_local = int(sum(table.get("of_slow_nodes", ())))
+    alone = f", {n_local} of them of slow nodes alone" if n_local else ""
+    lines.append(("Gauss-Newton", f"{max(map(len, table.values()), default=0)} iterations{alone}"))
     lines.append(("Krylov", ", ".join(str(max(len(h) - 1, 0)) for h in result.krylov) or "none"))
     return lines
 

@@ -18,6 +18,7 @@ import click
 from ddic.cli.address_space import prepare_workspaces
 from ddic.cli.failed_job import abort_quietly, show_failure
 from ddic.cli.failed_start import failures_as_lines
+from ddic.cli.kept_imports import imports_kept
 from ddic.errors import ConvergenceError, InputError
 from ddic.io.input_file import is_readable_file
 from ddic.io.replace_on_exit import remove_unfinished
@@ -48,7 +49,7 @@ def run(stop: StopRequest | None, case_file: Path, petsc_options: tuple[str, ...
     stop.before_end = remove_unfinished
     # Alone, Open MPI would start a daemon that needs files of megabytes, which a limit of file sizes forbids.
     os.environ.setdefault("OMPI_MCA_ess_singleton_isolated", "1")
-    with failures_as_lines():
+    with failures_as_lines(), imports_kept():
         team = _start(petsc_options, stop)
     code = _run_everywhere(team, case_file, petsc_options, resume=resume)
     stop.is_over = True
@@ -91,22 +92,25 @@ def _start(petsc_options: tuple[str, ...], stop: StopRequest) -> Team:
     petsc4py.init(["ddic", *petsc_options])
     # PETSc would end the rank with ten lines; so the line that nobody reads any more is an error like others.
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)
-    import ddic.cli.console
     import ddic.methods.run_case
     import ddic.results.listener
-    import ddic.solvers.unused_options  # noqa: F401
+    import ddic.solvers.unused_options
+    from ddic.mesh.raster import prepare_kernels
     from ddic.parallel.team import Team
 
     cv2.setNumThreads(1)
     prepare_workspaces()
+    # Here all ranks do so at once; later rank 0 alone, which checks the case, and then the others.
+    prepare_kernels()
     team = replace(Team.world(), stop=stop)
+    if team.is_root:
+        import ddic.cli.console  # noqa: F401
     stop.has_begun = True
     return team
 
 
 def _run_everywhere(team: Team, case_file: Path, petsc_options: tuple[str, ...], *, resume: bool) -> int:
     """Run on all ranks; an error that only this rank has ends the job."""
-    from ddic.cli.console import RunConsole
     from ddic.methods.run_case import run_file
     from ddic.results.listener import Silence
 
@@ -115,6 +119,8 @@ def _run_everywhere(team: Team, case_file: Path, petsc_options: tuple[str, ...],
             if not team.is_root:
                 run_file(team, case_file, Silence(), resume=resume)
             else:
+                from ddic.cli.console import RunConsole
+
                 with RunConsole() as console:
                     console.finish(run_file(team, case_file, console, resume=resume))
         _warn_of_unused_options(team, petsc_options)

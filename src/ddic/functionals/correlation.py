@@ -15,7 +15,7 @@ from ddic.functionals.kernel_images import convert_deformed, convert_reference
 from ddic.functionals.moved_gradient import compute_inverse_deformations, map_hessians, map_moments
 from ddic.functionals.torn_cells import find_torn_cells
 from ddic.images.spline import GradientImage
-from ddic.images.sub_image import DeformedSubImage
+from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.images.threads import ONE_THREAD, Threads
 from ddic.images.window import Window
 from ddic.kinematics.cell_interpolation import CellInterpolation
@@ -81,10 +81,11 @@ class Correlation:
         Every cell's pixels.
     reference : GradientImage
         f and grad f on a window that holds them.
-    extent : Window
-        The whole image.
-    order : (n_cells,) int64 array
-        Cells in the order of visiting, whatever the mesh's: neighbours share the cache's lines.
+    source : MaskedSource
+        The whole reference image.
+    order : (n,) int64 array
+        Cells in the order of visiting, whatever the mesh's: neighbours share the cache's lines. All of them, or those
+        that a pass is confined to: sums over the pixels of the others are 0.
     threads : Threads
         They take slices of the cells; what comes of a cell depends on its pixels alone.
     inverse_deformations : (n_cells, 2, 2) array, optional
@@ -95,7 +96,7 @@ class Correlation:
     interpolation: CellInterpolation
     raster: Raster
     reference: GradientImage
-    extent: Window
+    source: MaskedSource
     order: NDArray[np.int64]
     threads: Threads = ONE_THREAD
     inverse_deformations: NDArray[np.float64] | None = None
@@ -114,6 +115,15 @@ class Correlation:
             The same pixels.
         """
         return replace(self, inverse_deformations=compute_inverse_deformations(self.mesh, u))
+
+    @property
+    def extent(self) -> Window:
+        """The whole image's pixels."""
+        return self.source.extent
+
+    def confine(self, cells: NDArray[np.bool_]) -> Correlation:
+        """Confine passes over the pixels to some cells, (n_cells,)."""
+        return replace(self, order=self.order[cells[self.order]])
 
     @property
     def n_usable_pixels(self) -> int:
@@ -169,7 +179,7 @@ class Correlation:
         return replace(self, reference=self.reference.exclude(shown == 0))
 
     def compute_cell_hessians(self) -> NDArray[np.float64]:
-        """Sum N^T grad f grad f^T N over the pixels of every cell.
+        """Sum N^T grad f grad f^T N over the pixels of every cell, grad f moved where it is asked for.
 
         Returns
         -------
@@ -178,14 +188,15 @@ class Correlation:
         """
         shapes = kernels.Shapes(self.interpolation.shapes, self.interpolation.kinds)
         reference = self._reference_pixels
-        n_cells = len(self.order)
+        n_cells = self.mesh.n_cells
         hessians = np.zeros((n_cells, 4, 2, 4, 2))
 
         def accumulate(place: slice) -> None:
             kernels.hessian_cells(self._take_cells(self.order[place]), shapes, reference, hessians)
 
-        self.threads.run_over(n_cells, FEWEST, accumulate)
-        return hessians.reshape(n_cells, 8, 8)
+        self.threads.run_over(len(self.order), FEWEST, accumulate)
+        hessians = hessians.reshape(n_cells, 8, 8)
+        return hessians if self.inverse_deformations is None else map_hessians(self.inverse_deformations, hessians)
 
     def assemble_hessian(self) -> sparse.csr_matrix:
         """Assemble M = sum_px N^T grad f grad f^T N over the subdomain's usable pixels.
@@ -195,10 +206,7 @@ class Correlation:
         (n_dofs, n_dofs) csr_matrix
             M, grey levels squared per pixel squared; Eq. 5 of [BP17].
         """
-        hessians = self.compute_cell_hessians()
-        if self.inverse_deformations is not None:
-            hessians = map_hessians(self.inverse_deformations, hessians)
-        return self.interpolation.assemble_matrix(hessians)
+        return self.interpolation.assemble_matrix(self.compute_cell_hessians())
 
     def compute_residual(self, deformed: DeformedSubImage, q: NDArray[np.float64], *,
                          all_kinds: bool = False) -> Residual:
@@ -218,9 +226,12 @@ class Correlation:
         Residual
             Sums by cell.
         """
-        n_cells = len(self.order)
+        n_cells = self.mesh.n_cells
         displaced, reference = self._displace_pixels(deformed, q), self._reference_pixels
-        sums = kernels.CellSums(np.zeros((n_cells, 3, 2, 4)), np.zeros((n_cells, kernels.N_SUMS)))
+        sums = kernels.CellSums(np.empty((n_cells, 3, 2, 4)), np.empty((n_cells, kernels.N_SUMS)))
+        for values in sums:
+            # np.zeros would have the system clear small pages one by one while the kernel runs, a tenth of its time.
+            values.fill(0.0)
 
         def accumulate(place: slice) -> None:
             cells = self._take_cells(displaced.order[place])
@@ -278,7 +289,7 @@ class Correlation:
         (height, width) float32 array
             On the reference window, grey levels; NaN on pixels that do not count.
         """
-        n_cells = len(self.order)
+        n_cells = self.mesh.n_cells
         displaced, reference = self._displace_pixels(deformed, q), self._reference_pixels
         gains = np.array(np.broadcast_to(np.asarray(gain, dtype=float), n_cells))
         offsets = np.array(np.broadcast_to(np.asarray(offset, dtype=float), n_cells))

@@ -13,7 +13,7 @@ from ddic.functionals.line_band import find_band_pixels
 from ddic.images.spline import HALO, PADDING, GradientImage
 from ddic.images.sub_image import MaskedSource, read_reference
 from ddic.images.threads import ONE_THREAD, Threads
-from ddic.images.window import Window, merge_windows
+from ddic.images.window import merge_windows
 from ddic.kinematics.cell_interpolation import interpolate_cells
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import Raster, rasterize
@@ -87,7 +87,7 @@ def read_correlations(meshes: Sequence[Mesh], reference: MaskedSource, degree: i
         groups.append([])
         for k in members:
             own = _without_band(meshes[k], rasters[k], image.restrict(windows[k]), degree)
-            groups[-1].append(_build_correlation(meshes[k], rasters[k], own, extent, threads))
+            groups[-1].append(_build_correlation(meshes[k], rasters[k], own, reference, threads))
     return groups
 
 
@@ -107,15 +107,15 @@ def restrict_to_cells(whole: Correlation, cells: NDArray[np.int64]) -> Correlati
         Of these cells.
     """
     mesh, _ = whole.mesh.create_submesh(cells)
-    return _build_correlation(mesh, rasterize(mesh), whole.reference, whole.extent, whole.threads)
+    return _build_correlation(mesh, rasterize(mesh), whole.reference, whole.source, whole.threads)
 
 
-def _build_correlation(mesh: Mesh, raster: Raster, image: GradientImage, extent: Window,
+def _build_correlation(mesh: Mesh, raster: Raster, image: GradientImage, source: MaskedSource,
                        threads: Threads) -> Correlation:
     """A subdomain whose cells are visited in bands of rows."""
     x, y = mesh.centroids.T
     order = np.lexsort((x, y // VISITED_ROWS)).astype(np.int64)
-    return Correlation(mesh, interpolate_cells(mesh), raster, image, extent, order, threads)
+    return Correlation(mesh, interpolate_cells(mesh), raster, image, source, order, threads)
 
 
 def _without_band(mesh: Mesh, raster: Raster, image: GradientImage, degree: int) -> GradientImage:

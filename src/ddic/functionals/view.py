@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from ddic.functionals.cell_slopes import CellSlopes
+from ddic.functionals.cell_slopes import CellSlopes, measure_cell_slopes
 from ddic.functionals.correlation import Correlation, Residual
 from ddic.images.sub_image import DeformedSubImage
 from ddic.images.window import Window
@@ -68,15 +68,7 @@ class View:
         CellSlopes
             Of the reference image.
         """
-        reference, raster = self.correlation.reference, self.correlation.raster
-        n = np.maximum(self.count_pixels(), 1)
-        means = np.empty((len(n), 2, 2))
-        usable = np.float32(1.0) if reference.usable is None else reference.usable
-        slopes = (reference.by_x, reference.by_y)
-        for i, j in ((0, 0), (0, 1), (1, 1)):
-            sums = raster.sum_by_cell(slopes[i] * slopes[j] * usable, reference.window.x0, reference.window.y0)
-            means[:, i, j] = means[:, j, i] = sums / n
-        return CellSlopes(means)
+        return measure_cell_slopes(self.correlation.raster, self.correlation.reference, self.count_pixels())
 
     def measure_grey_range(self) -> tuple[float, float]:
         """Measure the range of the reference image's grey levels on the window that holds the view.

@@ -131,7 +131,7 @@ class CameraMapping:
         Returns
         -------
         (n, 2) array
-            Specimen's frame, pixels.
+            Specimen's frame, pixels; nan where the point is, as where nothing was measured.
 
         Raises
         ------
@@ -148,16 +148,18 @@ class CameraMapping:
         """Newton's method on r (1 + k1 r^2 + k2 r^4) = distance of the distorted point, for all points at once."""
         offset = points - self.centre
         distance = np.sqrt((offset**2).sum(axis=1)) / self.radius
+        is_nowhere = np.isnan(distance)
         r = distance.copy()
         with np.errstate(all="ignore"):
             for _ in range(_MAX_ITERATIONS):
                 residual = r * self._factor(r**2) - distance
-                if (np.abs(residual) <= _ROUNDING * distance).all():
+                if (is_nowhere | (np.abs(residual) <= _ROUNDING * distance)).all():
                     break
                 r -= residual / self._stretch(r**2)
             undone = (np.abs(r * self._factor(r**2) - distance) <= 4 * _ROUNDING * distance) & self._unfolded(r)
-        if not undone.all():
-            worst = points[int(np.argmin(undone))]
+        failed = ~undone & ~is_nowhere
+        if failed.any():
+            worst = points[int(np.argmax(failed))]
             raise ValueError(f"radial distortion k1 = {self.radial[0]:g}, k2 = {self.radial[1]:g} (radius "
                              f"{self.radius:g} px) cannot be undone at image position ({worst[0]:g}, {worst[1]:g}) px: "
                              "no point before the place where the distortion folds the image is mapped there")
@@ -213,12 +215,14 @@ def similarity(scale: float, rotation_degrees: float, translation: tuple[float, 
 def _project(homography: Array, points: Array) -> tuple[Array, Array]:
     """A homography (3, 3) applied to points (n, 2), and their depth (n,), 1 at the specimen's origin.
 
-    The inverse of a homography, not scaled, gives points in front of the camera a positive depth too.
+    The inverse of a homography, not scaled, gives points in front of the camera a positive depth too. A point that is
+    nan, as where nothing was measured, stays nan.
     """
     points = np.asarray(points, dtype=np.float64)
     moved = points @ homography[:, :2].T + homography[:, 2]
-    if not (moved[:, 2] > 0).all():
-        beyond = points[int(np.argmin(moved[:, 2] > 0))]
+    behind = moved[:, 2] <= 0
+    if behind.any():
+        beyond = points[int(np.argmax(behind))]
         raise ValueError(f"point ({beyond[0]:g}, {beyond[1]:g}) lies beyond the horizon of the homography "
                          f"{homography.tolist()}")
     return moved[:, :2] / moved[:, 2:], moved[:, 2]

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from functools import cache
+from math import comb, factorial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
 
 from ddic.images.spline import HALO, compute_coefficients
 
@@ -46,9 +46,15 @@ def _weigh_pixels(shift: float, degree: int) -> Array:
     n = HALO[degree]
     places = np.arange(-n, n + 1)
     # The value is sum_k c[k] B(shift - k); c of pixels that are 1 at m alone is c_0[k - m].
-    spline = BSpline.basis_element(np.arange(degree + 2) - 0.5 * (degree + 1), extrapolate=False)
-    basis = np.nan_to_num(spline(shift - places))
+    basis = _evaluate_basis(shift - places, degree)
     return np.asarray(np.convolve(basis, _coefficients_of_one_pixel(degree), mode="same"))
+
+
+def _evaluate_basis(x: Array, degree: int) -> Array:
+    """The centred B-spline B(x) as a sum of truncated powers, from its nearer end: no difference of large numbers."""
+    from_end = 0.5 * (degree + 1) - np.abs(x)
+    terms = [(-1) ** k * comb(degree + 1, k) * np.maximum(from_end - k, 0.0) ** degree for k in range(degree + 1)]
+    return np.asarray(np.sum(terms, axis=0) / factorial(degree))
 
 
 @cache

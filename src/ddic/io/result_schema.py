@@ -160,8 +160,8 @@ def cell_fields(n_cameras: int = 1) -> tuple[FieldSpec, ...]:
         FieldSpec(EQUIVALENT_ERROR, 1, np.float64, "px", "error that would leave the residual beyond noise"),
         FieldSpec(DOUBTFUL, 1, np.uint8, "1", "1 where the residual is that of an error, or no pixel counts"),
         FieldSpec(EXCLUDED, 1, np.uint8, "1", "0 where the cell is measured, else why not: 1 it has no texture, 2 it "
-                  "shows something else than the reference, 3 too few of its pixels are in both images; 4 its pixels "
-                  "count as at the start, since mechanics hold it back"),
+                  "shows something else than the reference, 3 too few of its pixels are in both images; 4 it counts, "
+                  "though it is seen beside where mechanics hold it"),
         FieldSpec(SUBDOMAIN_ID, 1, np.int32, "1", "subdomain that owns the cell"),
         FieldSpec(GLOBAL_CELL_ID, 1, np.int64, "1", "number of the cell in the whole mesh"),
     )

@@ -102,6 +102,7 @@ class ResultWriter:
         self._files = files
         self._on_disk: NewHdf5 | None = None
         self._pieces: _Pieces | None = None
+        self._fields: dict[str, Any] = {}
         self._written: set[int] = set()
         self._grids: list[ChunkGrid] = []
         self._has_units = False
@@ -407,6 +408,7 @@ class ResultWriter:
             created.attrs["unit"] = field.unit
             created.attrs["description"] = field.description
             created.attrs["axes"] = field.axes
+            self._fields[f"{name}/{field.name}"] = created
 
     def _write_fields(self, group: str, fields: Sequence[FieldSpec], arrays: Mapping[str, NDArray[Any]],
                       start: int, length: int) -> None:
@@ -422,7 +424,7 @@ class ResultWriter:
             if values.shape != expected:
                 raise ValueError(f"{group}/{field.name}: shape {values.shape}, {expected} announced")
             oriented = self._oriented(values) if field.axes == schema.AXES_OF_IMAGE else values
-            _put(self._file[group][field.name], start, oriented)
+            _put(self._fields[f"{group}/{field.name}"], start, oriented)
 
 
 def _start_of(pieces: _Pieces, index: int) -> PieceSize:
@@ -460,8 +462,12 @@ def _create(group: Any, name: str, length: int, n_components: int, dtype: DTypeL
 
 
 def _put(dataset: Any, start: int, values: NDArray[Any]) -> None:
-    """Write values to the rows from ``start`` on."""
-    dataset[start:start + len(values)] = values
+    """Write values to the rows from ``start`` on, past h5py's indexing, which takes longer than to write some rows."""
+    if not values.size:
+        return
+    rows = dataset.id.get_space()
+    rows.select_hyperslab((start, *(0 for _ in values.shape[1:])), values.shape)
+    dataset.id.write(h5py.h5s.create_simple(values.shape), rows, np.ascontiguousarray(values, dataset.dtype))
 
 
 def _three_components(vectors: NDArray[Any]) -> NDArray[Any]:

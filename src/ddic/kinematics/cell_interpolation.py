@@ -91,8 +91,10 @@ class CellInterpolation:
             Their sum.
         """
         n_cell_dofs = self.cell_dofs.shape[1]
-        rows = np.repeat(self.cell_dofs, n_cell_dofs, axis=1).ravel()
-        columns = np.tile(self.cell_dofs, n_cell_dofs).ravel()
+        # As scipy keeps them: it would make copies of others, beside the largest arrays of an assembly.
+        cell_dofs = self.cell_dofs.astype(sparse.get_index_dtype(maxval=self.n_dofs))
+        rows = np.repeat(cell_dofs, n_cell_dofs, axis=1).ravel()
+        columns = np.tile(cell_dofs, n_cell_dofs).ravel()
         shape = (self.n_dofs, self.n_dofs)
         return sparse.coo_matrix((cells.ravel(), (rows, columns)), shape=shape).tocsr()
 

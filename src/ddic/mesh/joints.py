@@ -82,15 +82,23 @@ def _measure_place(points: NDArray[np.float64],
 def _find_overlapping_cells(mesh: Mesh) -> NDArray[np.int64]:
     """Cells of which others hold more than SHARED of the pixels."""
     raster = rasterize(mesh)
-    counts = raster.pixel_counts
-    if not counts.any():
+    if not _has_overlapping_runs(raster):
         return np.zeros(0, np.int64)
+    counts, window = raster.pixel_counts, raster.window
     times = _count_cells_of_pixels(raster)
-    if (times <= 1).all():
-        return np.zeros(0, np.int64)
-    window = raster.window
     shared = raster.sum_by_cell((times > 1).astype(np.float64), window.x0, window.y0)
     return np.flatnonzero(shared > SHARED * np.maximum(counts, 1))
+
+
+def _has_overlapping_runs(raster: Raster) -> bool:
+    """Whether a pixel belongs to two cells: told without an image, which takes memory for all pixels."""
+    filled = np.flatnonzero(raster.stops > raster.starts)
+    # Places along all rows, one after the other.
+    row_begins = raster.rows[filled] * (np.int64(raster.stops.max(initial=0)) + 1)
+    starts, stops = row_begins + raster.starts[filled], row_begins + raster.stops[filled]
+    order = np.argsort(starts)
+    # Where runs overlap at all, two that follow each other do.
+    return bool((starts[order[1:]] < stops[order[:-1]]).any())
 
 
 def _count_cells_of_pixels(raster: Raster) -> NDArray[np.int32]:

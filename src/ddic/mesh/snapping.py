@@ -105,6 +105,8 @@ def snap_to_holes(nodes: NDArray[np.float64], quads: Cells, triangles: Cells, me
     on_holes : list of int64 arrays
         For each hole its nodes, moved or not.
     """
+    if not holes:
+        return nodes, []
     used = np.unique(np.concatenate([quads.ravel(), triangles.ravel()]))
     on_holes = _nearest_hole([np.intersect1d(member, used) for member in members], nodes, holes)
     target = nodes.copy()

@@ -68,7 +68,7 @@ def measure_frame(session: ReferenceSession, number: int, states: Sequence[Measu
             raise
         return MeasuredFrame(replace(record, failure=str(error)), error)
     deviation = measurement.evaluation.grey[0].residual_std
-    record = replace(record, converged=True, iterations=len(measurement.records), started_from=start,
+    record = replace(record, converged=True, iterations=measurement.n_iterations, started_from=start,
                      residual_std_grey=deviation, noise_floor_px=session.estimate_noise_floor(measurement),
                      notes=measurement.notes, seconds=float(images.team.maximum(time.perf_counter() - began)))
     return MeasuredFrame(record, measurement)

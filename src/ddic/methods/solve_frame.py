@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError, as_collective
-from ddic.methods.hold_back import solve_and_hold_back
 from ddic.parallel.phases import Phase, PhaseClock
-from ddic.problem.held_back import exclude_and_hold
+from ddic.problem.exclusions import exclude, pull_held_cells
+from ddic.problem.looks import SETTLED, Looks
 from ddic.problem.noise_of_field import accept_noise
 from ddic.problem.residual_model import ResidualModel
-from ddic.problem.see_frame import keep_start, see_start
-from ddic.problem.solved_frame import SolvedFrame, begin_frame, see_solved_frame
+from ddic.problem.see_frame import SeenFrame, see_start
+from ddic.problem.solved_frame import SolvedFrame, begin_frame, see_solved_frame, solve_further
 from ddic.problem.views import read_frame_windows
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.results.listener import Listener
@@ -23,17 +23,16 @@ from ddic.solvers.gauss_newton import Progress
 
 Array = NDArray[np.float64]
 
-MOST_ROUNDS = 20
-"""Times that a field is sought with what the last one showed before a frame is given up."""
-
-GROWING, SETTLED = 3, 6
-"""Rounds after which what was excluded stays so, and after which nothing else is, unless less and less is: cells might
-come and go for ever."""
+MOST_LOOKS = 20
+"""Times that a frame is looked at before it is given up."""
 
 
 def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[Array], listener: Listener,
                 clock: PhaseClock, least_shown: float = 0.0) -> SolvedFrame:
     """Iterate from a start until neither the field nor what the frame shows of it changes; collective.
+
+    The frame is looked at where the start puts it, where a field is roughly found with what was seen there, and where
+    that is found to the last digit.
 
     Parameters
     ----------
@@ -68,48 +67,48 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[Array], 
     shown = seen.measure_shown_share()
     if shown < least_shown:
         raise as_collective(ConvergenceError(f"{shown:.0%} of the elements are seen where the start puts them"))
-    model, notes = problem.fit(exclude_and_hold(seen.whole.with_large_gradients(q), seen.excluded, None), q)
+    model, notes = problem.fit(_use(seen.whole.with_large_gradients(q), seen, q), q)
     notes = (*of_blur, *notes)
     _tell(listener, notes)
-    start = keep_start(case, seen, q)
     listener.problem_size(problem.size)
     solved = begin_frame(seen, model, q, notes)
-    for n_rounds in range(1, MOST_ROUNDS + 1):
-        n_before = len(solved.solution.records)
+    looks = Looks(is_regularized=case.regularization is not None)
+    while looks.number < MOST_LOOKS:
         n_notes = len(solved.notes)
-        progress = Progress(clock, listener.iteration, n_before)
-        solved = solve_and_hold_back(problem, solved, start, progress)
-        seen = solved.seen
+        solved = solve_further(problem, solved, Progress(clock, listener.iteration), roughly=looks.is_rough)
         _tell(listener, solved.notes[n_notes:])
         found = solved.solution
+        is_paused = found.paused is not None
         with clock.phase(Phase.RESIDUAL):
-            now = see_solved_frame(problem, solved, start, whole if n_rounds == 1 else None)
-        # For good: what pulls as at the start comes nearer, and its grey levels would push it away again.
-        now = replace(now, excluded=now.excluded.hold_back(seen.excluded.held_back))
-        # Cells are found again one row after the other, each from its neighbours.
-        shrinks = now.excluded.count_cells(whole.team) < seen.excluded.count_cells(whole.team)
-        excluded = now.excluded if n_rounds < GROWING or shrinks else seen.excluded.join(now.excluded)
-        is_seen_otherwise = (n_rounds < SETTLED or shrinks) and (
-            now.whole.correction != seen.whole.correction or excluded.is_other_than(whole.team, seen.excluded))
-        seen = replace(now, excluded=excluded) if is_seen_otherwise else replace(
-            seen, evaluation=now.evaluation, is_shown=now.is_shown)
-        if not (found.converged or is_seen_otherwise):
-            found = accept_noise(problem, solved.used, found, len(found.records) - n_before)
+            now = see_solved_frame(problem, solved, whole if looks.number == 0 else None)
+        seen, is_seen_otherwise = looks.choose(solved.seen, now, is_paused=is_paused)
+        if not (found.converged or is_paused or is_seen_otherwise):
+            if seen.typical[0].is_alike:
+                found = accept_noise(problem, solved.used, found)
             if not found.converged:
                 raise as_collective(ConvergenceError(found.stop, solved))
         # Where the start was far off, other pixels are hidden here: that held the step back, or left a node to nothing.
         followed = model if model.follows else model.with_large_gradients(found.q)
-        shown_now = replace(followed, views=seen.whole.views, correction=seen.whole.correction)
-        kept = exclude_and_hold(shown_now, seen.excluded, start)
-        model, renewed = problem.fit(kept, found.q)
+        model, renewed = problem.fit(_use(followed, seen, solved.field.q), found.q)
         _tell(listener, renewed)
-        solved = SolvedFrame(solved.field, found, seen, model, (*solved.notes, *renewed))
-        if not (is_seen_otherwise or renewed):
+        solved = SolvedFrame(solved.field, replace(found, q=list(solved.field.q)), seen, model,
+                             (*solved.notes, *renewed))
+        # Later, operators that take turns change how fast a field is found, not which.
+        is_renewed = bool(renewed) and looks.number < SETTLED
+        if not (is_paused or is_seen_otherwise or is_renewed):
             listener.note(found.stop)
             return solved
     raise as_collective(ConvergenceError(
-        f"what the frame shows, pixels or how far they turn, still changes after {MOST_ROUNDS} solutions; look at "
+        f"what the frame shows, pixels or how far they turn, still changes after {MOST_LOOKS} looks at it; look at "
         "the masks and the start, or give a longer regularization.cut_off_wavelength", solved))
+
+
+def _use(model: ResidualModel, seen: SeenFrame, q: list[Array]) -> ResidualModel:
+    """What Gauss-Newton goes on with from where the frame was seen."""
+    whole = replace(model, views=seen.whole.views, correction=seen.whole.correction, blurs=seen.whole.blurs)
+    used = pull_held_cells(exclude(whole, seen.excluded), seen.excluded, q)
+    is_changed = seen.excluded.is_any(used.team) or used.pulled is not None
+    return replace(used, known=None if is_changed else ([np.array(q_s) for q_s in q], seen.evaluation))
 
 
 def _tell(listener: Listener, notes: Sequence[str]) -> None:

@@ -61,10 +61,10 @@ def _take_streams(team: Team, take: Callable[[T], object], error: Exception | No
 
 def _send(team: Team, message: list[T]) -> None:
     with team.waiting.counted():
-        team.comm.send(message, dest=0, tag=_STREAM)
+        team.waiting.wait_until(team.comm.isend(message, dest=0, tag=_STREAM).Test)
 
 
 def _receive(team: Team, rank: int) -> list[Any]:
     with team.waiting.counted():
-        message: list[Any] = team.comm.recv(source=rank, tag=_STREAM)
+        message: list[Any] = team.receive_message(rank, _STREAM)
     return message

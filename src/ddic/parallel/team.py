@@ -142,6 +142,7 @@ class Team:
         """
         items = self.build_on_root(work)
         with self.waiting.counted():
+            self._hear_from(0)
             item: T = self.comm.scatter(items, root=0)
         return item
 
@@ -210,6 +211,7 @@ class Team:
             Where a rank has one, on all ranks.
         """
         with self.waiting.counted():
+            self._meet()
             failed = self.comm.allreduce(self.size if error is None else self.rank, op=MPI.MIN)
         if failed < self.size:
             portable = None if error is None else make_portable(error, self.rank)
@@ -292,6 +294,7 @@ class Team:
 
     def _reduce(self, value: Summable, operation: MPI.Op) -> Summable:
         with self.waiting.counted():
+            self._meet()
             if not isinstance(value, np.ndarray):
                 result: Summable = self.comm.allreduce(value, op=operation)
                 return result
@@ -317,6 +320,7 @@ class Team:
             The item, on all ranks.
         """
         with self.waiting.counted():
+            self._hear_from(root)
             result: T = self.comm.bcast(item, root=root)
         return result
 
@@ -334,6 +338,7 @@ class Team:
             All ranks' items in the order of ranks, on every rank.
         """
         with self.waiting.counted():
+            self._meet()
             gathered = self.comm.allgather(list(items))
         return [item for part in gathered for item in part]
 
@@ -353,6 +358,7 @@ class Team:
             All ranks' items in the order of ranks, on that rank; None elsewhere.
         """
         with self.waiting.counted():
+            self._meet()
             items: list[T] | None = self.comm.gather(item, root=rank)
         return items
 
@@ -373,6 +379,7 @@ class Team:
         goes_to[list(items)] = 1
         n_coming = np.zeros(1, np.int32)
         with self.waiting.counted():
+            self._meet()
             # No rank ends this sum before all have begun it, hence none mixes two exchanges.
             self.comm.Reduce_scatter_block(goes_to, n_coming)
             sends = [self.comm.isend((self.rank, item), dest=to, tag=_EXCHANGED) for to, item in items.items()]
@@ -400,7 +407,7 @@ class Team:
         with self.waiting.counted():
             if self.is_root:
                 self.comm.send(item, dest=to, tag=_SENT)
-            result: T | None = self.comm.recv(source=0, tag=_SENT) if self.rank == to else None
+            result: T | None = self.receive_message(0, _SENT) if self.rank == to else None
         return result
 
     def begin_send(self, item: object, to: int) -> MPI.Request:
@@ -430,7 +437,7 @@ class Team:
         """
         with self.waiting.counted():
             for request in requests:
-                request.wait()
+                self.waiting.wait_until(request.Test)
 
     def receive(self, source: int) -> Any:
         """Wait for the next item that a rank sends to this one; not collective.
@@ -446,12 +453,38 @@ class Team:
             The item.
         """
         with self.waiting.counted():
-            return self.comm.recv(source=source, tag=_SENT)
+            return self.receive_message(source, _SENT)
+
+    def receive_message(self, source: int, tag: int) -> Any:
+        """Wait for a message and take it; not collective.
+
+        Parameters
+        ----------
+        source : int
+            The rank that sends it.
+        tag : int
+            Its kind.
+
+        Returns
+        -------
+        object
+            What was sent.
+        """
+        self.waiting.wait_until(lambda: self.comm.Iprobe(source, tag))
+        return self.comm.recv(source=source, tag=tag)
 
     def wait_for_all(self) -> None:
         """Wait until every rank has come here."""
         with self.waiting.counted():
-            self.comm.Barrier()
+            self._meet()
+
+    def _meet(self) -> None:
+        """Wait until every rank has come here: then the operation that follows keeps none waiting."""
+        self.waiting.wait_until(self.comm.Ibarrier().Test)
+
+    def _hear_from(self, root: int) -> None:
+        """Wait until one rank has come here, which does not wait for the others."""
+        self.waiting.wait_until(self.comm.Ibcast(np.zeros(1, np.int8), root=root).Test)
 
     # -------------------------------------------------------------------------------------------------- smaller teams
 
@@ -459,6 +492,7 @@ class Team:
     def of_this_node(self) -> Iterator[Team]:
         """Give the team of the ranks that share this rank's memory, and end it; its waiting counts as this team's."""
         with self.waiting.counted():
+            self._meet()
             comm = self.comm.Split_type(MPI.COMM_TYPE_SHARED)
         try:
             yield Team(comm, self.waiting, self.stop)

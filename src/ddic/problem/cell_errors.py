@@ -193,10 +193,10 @@ def describe_doubtful_cells(team: Team, errors: Sequence[CellErrors]) -> tuple[s
     if not n_doubtful:
         return ()
     n_unseen = team.sum(sum(int(np.isnan(of_cells.equivalent).sum()) for of_cells in errors))
+    n_off = team.sum(sum(int((of_cells.doubtful & (of_cells.equivalent > DOUBTFUL_PX)).sum()) for of_cells in errors))
     n_cells = team.sum(sum(len(of_cells.doubtful) for of_cells in errors))
     line = f"{n_doubtful} of {n_cells} cells are marked doubtful (cell field \"doubtful\")"
-    if n_unseen < n_doubtful:
-        line += f": the residual of {n_doubtful - n_unseen} is that of an error above {DOUBTFUL_PX} px"
-    if n_unseen:
-        line += f"; {n_unseen} hold no pixel that counts"
-    return (line,)
+    reasons = {f"the residual of {n_off} is that of an error above {DOUBTFUL_PX} px": n_off,
+               f"{n_unseen} hold no pixel that counts": n_unseen}
+    told = "; ".join(reason for reason, n in reasons.items() if n)
+    return (f"{line}: {told}" if told else line,)

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from ddic.functionals.view import FrameView
 from ddic.mesh.raster import find_common_pixels
 from ddic.parallel.team import Team
+from ddic.problem.held_cells import HeldCells, PulledViews, pull_view
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.views import FrameViews
 
-KEPT, BLANK, SPOILT, UNSEEN, HELD_BACK = 0, 1, 2, 3, 4
-"""Cells: used, of no texture, of something else than the specimen, or of too few pixels that the frame shows; and
-those that mechanics hold back from where the frame shows them, whose pixels count as they did at the start."""
+KEPT, BLANK, SPOILT, UNSEEN, HELD_OFF = 0, 1, 2, 3, 4
+"""Cells: used, of no texture, of something else than the specimen, or of too few pixels that the frame shows; and used
+though the frame shows them pixels beside where mechanics hold them."""
 
 PIXELS_CHANGED = 0.1
 """Share of the spoilt pixels that must come or go for a field to be sought again."""
@@ -32,10 +33,13 @@ class Exclusions:
         KEPT or why not, by owned subdomain and view.
     pixels : list of tuple of (n, 2) int64 array
         Column and row of spoilt pixels in cells that are kept, likewise.
+    pulled : list of tuple of HeldCells
+        Cells that are pulled to where they are seen, likewise.
     """
 
     cells: list[tuple[NDArray[np.uint8], ...]]
     pixels: list[tuple[NDArray[np.int64], ...]]
+    pulled: list[tuple[HeldCells, ...]]
 
     @classmethod
     def nothing(cls, views: Sequence[FrameViews]) -> Exclusions:
@@ -54,7 +58,7 @@ class Exclusions:
         cells = [tuple(np.full(view.view.correlation.mesh.n_cells, KEPT, dtype=np.uint8) for view in of_subdomain.views)
                  for of_subdomain in views]
         pixels = [tuple(np.zeros((0, 2), dtype=np.int64) for _ in of_subdomain.views) for of_subdomain in views]
-        return cls(cells, pixels)
+        return cls(cells, pixels, [tuple(HeldCells.none() for _ in of_subdomain.views) for of_subdomain in views])
 
     def is_any(self, team: Team) -> bool:
         """Tell whether anything is excluded; collective.
@@ -69,7 +73,7 @@ class Exclusions:
         bool
             The same on all ranks.
         """
-        n = sum(int(states.any()) for states in self._states) + sum(len(spots) for spots in self._spots)
+        n = sum(int(find_excluded(states).any()) for states in self._states) + sum(len(spots) for spots in self._spots)
         return bool(team.sum(n) > 0)
 
     def join(self, other: Exclusions) -> Exclusions:
@@ -85,64 +89,40 @@ class Exclusions:
         Exclusions
             Of both.
         """
-        cells = [tuple(np.where(a == KEPT, b, a) for a, b in zip(one, two, strict=True))
+        cells = [tuple(np.where(find_excluded(a), a, b) for a, b in zip(one, two, strict=True))
                  for one, two in zip(self.cells, other.cells, strict=True)]
         pixels = [tuple(np.unique(np.concatenate([a, b]), axis=0) for a, b in zip(one, two, strict=True))
                   for one, two in zip(self.pixels, other.pixels, strict=True)]
-        return Exclusions(cells, pixels)
+        return Exclusions(cells, pixels, other.pulled)
 
-    def hold_back(self, cells: Sequence[tuple[NDArray[np.bool_], ...]]) -> Exclusions:
-        """Take cells that are seen for held back.
+    def intersect(self, now: Exclusions) -> Exclusions:
+        """Exclude only cells that a later look would exclude too."""
+        cells = [tuple(np.where(find_excluded(b), a, b) for a, b in zip(one, two, strict=True))
+                 for one, two in zip(self.cells, now.cells, strict=True)]
+        return replace(self, cells=cells)
 
-        Parameters
-        ----------
-        cells : sequence of tuple of (n_cells,) bool array
-            Which, by owned subdomain and view.
+    def keep_pulled(self, before: Exclusions) -> Exclusions:
+        """Pull also what was pulled before, to where it was seen then: that holds the field at rest."""
+        pulled = [tuple(then.add(now) for then, now in zip(*of_views, strict=True))
+                  for of_views in zip(before.pulled, self.pulled, strict=True)]
+        return replace(self, pulled=pulled)
 
-        Returns
-        -------
-        Exclusions
-            The others as before.
-        """
-        states = [tuple(np.where(is_held & np.isin(state, (KEPT, SPOILT)), HELD_BACK, state).astype(np.uint8)
-                        for is_held, state in zip(*of_views, strict=True))
-                  for of_views in zip(cells, self.cells, strict=True)]
-        return replace(self, cells=states)
+    def has_held_off(self, team: Team) -> bool:
+        """Tell whether any cell is seen beside where mechanics hold it; collective."""
+        return bool(team.sum(sum(int((states == HELD_OFF).sum()) for states in self._states)) > 0)
 
-    @property
-    def held_back(self) -> list[tuple[NDArray[np.bool_], ...]]:
-        """Which cells are held back, (n_cells,), by owned subdomain and view."""
-        return [tuple(states == HELD_BACK for states in of_subdomain) for of_subdomain in self.cells]
+    def with_marks(self, now: Exclusions) -> Exclusions:
+        """Mark cells by what a later look says of them, where that excludes the same."""
+        cells = [tuple(np.where(find_excluded(a) == find_excluded(b), b, a) for a, b in zip(one, two, strict=True))
+                 for one, two in zip(self.cells, now.cells, strict=True)]
+        return replace(self, cells=cells)
 
-    def has_held_back(self, team: Team) -> bool:
-        """Tell whether any cell is held back; collective.
-
-        Parameters
-        ----------
-        team : Team
-            All ranks.
-
-        Returns
-        -------
-        bool
-            The same on all ranks.
-        """
-        return bool(team.sum(sum(int((states == HELD_BACK).sum()) for states in self._states)) > 0)
-
-    def count_cells(self, team: Team) -> int:
-        """Count the cells of all ranks that are excluded; collective.
-
-        Parameters
-        ----------
-        team : Team
-            All ranks.
-
-        Returns
-        -------
-        int
-            By view.
-        """
-        return int(team.sum(sum(int((states != KEPT).sum()) for states in self._states)))
+    def count_pixels(self, model: ResidualModel) -> int:
+        """Count the pixels of all ranks that are excluded of a model with all; collective."""
+        views = [view.view for of_subdomain in model.views for view in of_subdomain.views]
+        n = sum(int(view.count_pixels()[find_excluded(states)].sum()) + len(spots)
+                for view, states, spots in zip(views, self._states, self._spots, strict=True))
+        return int(model.team.sum(n))
 
     def is_other_than(self, team: Team, other: Exclusions) -> bool:
         """Tell whether another excludes other cells, or much more or less of the pixels; collective.
@@ -159,8 +139,10 @@ class Exclusions:
         bool
             The same on all ranks.
         """
-        n_cells = sum(int(((find_excluded(a) != find_excluded(b)) | ((a == HELD_BACK) != (b == HELD_BACK))).sum())
+        n_cells = sum(int((find_excluded(a) != find_excluded(b)).sum())
                       for a, b in zip(self._states, other._states, strict=True))
+        n_cells += sum(len(np.setxor1d(a.cells, b.cells)) for one, two in zip(self.pulled, other.pulled, strict=True)
+                       for a, b in zip(one, two, strict=True))
         # One by one: a spot that has moved covers as many others.
         n_changed = sum(len(a) + len(b) - 2 * int(find_common_pixels(a, b).sum())
                         for a, b in zip(self._spots, other._spots, strict=True))
@@ -192,7 +174,7 @@ def find_excluded(states: NDArray[np.uint8]) -> NDArray[np.bool_]:
     (n_cells,) bool array
         Which.
     """
-    return np.asarray((states != KEPT) & (states != HELD_BACK))
+    return np.asarray((states != KEPT) & (states != HELD_OFF))
 
 
 def exclude(model: ResidualModel, excluded: Exclusions) -> ResidualModel:
@@ -227,3 +209,13 @@ def _exclude_from_view(view: FrameView, cells: NDArray[np.uint8], pixels: NDArra
     excluded[pixels[:, 1] - image.window.y0, pixels[:, 0] - image.window.x0] = True
     kept = replace(correlation, reference=image.exclude(excluded))
     return replace(view, view=replace(view.view, correlation=kept))
+
+
+def pull_held_cells(model: ResidualModel, excluded: Exclusions, q: Sequence[NDArray[np.float64]]) -> ResidualModel:
+    """Pull the cells that are held off to where they are seen; collective."""
+    pulled: PulledViews = model.team.together(lambda: [
+        tuple(pull_view(view, q_s, held, follows=model.follows)
+              for view, held in zip(of_subdomain.views, of_views, strict=True))
+        for of_subdomain, of_views, q_s in zip(model.views, excluded.pulled, q, strict=True)])
+    n_pulled = sum(len(held.cells) for of_views in excluded.pulled for held in of_views)
+    return replace(model, pulled=pulled if model.team.sum(n_pulled) else None)

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from ddic.errors import ConvergenceError, as_collective
 from ddic.parallel.team import Team
 from ddic.problem.exclusions import BLANK, SPOILT, UNSEEN, Exclusions
-from ddic.problem.held_back import SeenStart, find_displaced_cells, find_held_cells
 from ddic.problem.residual_limits import AT_START, NO_LIMITS, Limits
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.seen_cells import SeenCells, TypicalCell
@@ -34,7 +33,7 @@ START_SHARE = 0.3
 
 
 def find_exclusions(whole: ResidualModel, q: Sequence[Array], seen: Sequence[Sequence[SeenCells]],
-                    typical: Mapping[int, TypicalCell], rules: Rules, start: SeenStart | None) -> Exclusions:
+                    typical: Mapping[int, TypicalCell], rules: Rules, judged: Exclusions | None) -> Exclusions:
     """Find what of a frame does not show the specimen; collective.
 
     Parameters
@@ -49,8 +48,8 @@ def find_exclusions(whole: ResidualModel, q: Sequence[Array], seen: Sequence[Seq
         By camera.
     rules : Rules
         By which they are judged.
-    start : SeenStart or None
-        From which mechanics may hold cells back; None where they do not, or at the start itself.
+    judged : Exclusions or None
+        By an earlier look, from which is taken which cells are blank; None where this one judges.
 
     Returns
     -------
@@ -62,14 +61,10 @@ def find_exclusions(whole: ResidualModel, q: Sequence[Array], seen: Sequence[Seq
     ConvergenceError
         On all ranks, where most of the frame shows something else.
     """
-    if start is None:
-        displaced = [tuple(np.zeros(len(cells.n_pixels), dtype=bool) for cells in of_views) for of_views in seen]
-        held = displaced
-    else:
-        displaced, held = find_displaced_cells(start, q), find_held_cells(start, q, seen)
-    views = [[SeenView(view, q_s, cells, typical[view.camera], is_displaced, is_held_back)
-              for view, cells, is_displaced, is_held_back in zip(of_subdomain.views, *of_views, strict=True)]
-             for of_subdomain, q_s, *of_views in zip(whole.views, q, seen, displaced, held, strict=True)]
+    states_before = [(None,) * len(of_views) for of_views in seen] if judged is None else judged.cells
+    views = [[SeenView(view, q_s, cells, typical[view.camera], states)
+              for view, cells, states in zip(of_subdomain.views, *of_views, strict=True)]
+             for of_subdomain, q_s, *of_views in zip(whole.views, q, seen, states_before, strict=True)]
     chosen = replace(rules, limits=_choose_limits(whole.team, views, rules.limits))
     excluded = whole.team.together(lambda: _find_in_views(views, chosen))
     # Mechanics hold what a frame does not show; what it shows beside something else is another matter.
@@ -83,7 +78,7 @@ def _choose_limits(team: Team, views: Sequence[Sequence[SeenView]], limits: Limi
     counts = np.zeros(2)
     for of_subdomain in views:
         for seen in of_subdomain:
-            stands_out = find_standing_out(seen.cells, seen.typical, limits.cell) & ~seen.is_held_back
+            stands_out = find_standing_out(seen.cells, seen.typical, limits.cell)
             counts += seen.cells.n_pixels.sum(), seen.cells.n_pixels[stands_out].sum()
     n_pixels, n_standing_out = team.sum(counts)
     if limits is AT_START and n_standing_out > START_SHARE * n_pixels:
@@ -97,9 +92,10 @@ def _choose_limits(team: Team, views: Sequence[Sequence[SeenView]], limits: Limi
 
 def _find_in_views(views: Sequence[Sequence[SeenView]], rules: Rules) -> Exclusions:
     """What the views of owned subdomains do not show."""
-    cells, pixels = [], []
+    cells, pixels, pulled = [], [], []
     for of_subdomain in views:
         found = [find_view_exclusions(seen, rules) for seen in of_subdomain]
-        cells.append(tuple(states for states, _ in found))
-        pixels.append(tuple(spots for _, spots in found))
-    return Exclusions(cells, pixels)
+        cells.append(tuple(states for states, _, _ in found))
+        pixels.append(tuple(spots for _, spots, _ in found))
+        pulled.append(tuple(held for _, _, held in found))
+    return Exclusions(cells, pixels, pulled)

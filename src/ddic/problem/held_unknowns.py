@@ -55,6 +55,12 @@ def sum_pixels(subdomain: Subdomain, counts: CellCounts) -> NDArray[np.float64]:
     return np.asarray(abs(subdomain.kinematics.tangent).T @ np.repeat(of_nodes, mesh.dim))
 
 
+def find_displaced_nodes(subdomain: Subdomain, unknowns: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Find the nodes, (n_nodes,), that some unknowns of the field, (n_field,), displace."""
+    is_displaced = abs(subdomain.kinematics.tangent) @ unknowns.astype(float) > 0
+    return np.asarray(is_displaced.reshape(subdomain.mesh.nodes.shape).any(axis=1))
+
+
 def find_free_unknowns(team: Team, subdomains: Sequence[Subdomain], unseen: Sequence[NDArray[np.bool_]]) -> set[int]:
     """Find the unknowns that no pixel holds in any subdomain; collective.
 

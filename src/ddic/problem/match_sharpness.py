@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from ddic.functionals.view import FrameView
 from ddic.images.blurred import BLUR_NOTE, Blur, BlurredSource
@@ -154,6 +153,9 @@ def _sum_slopes(team: Team, images: Sequence[Array], shown: Sequence[NDArray[np.
 def _fit_blur(direction: float, images: Sequence[Array],
               compare: Callable[[Sequence[Array]], tuple[Array, Array]]) -> Blur:
     """Standard deviations of the blur that gives images the slopes of g; collective."""
+    # Sharp frames never come here, and need not wait for it.
+    from scipy.optimize import least_squares
+
     turn = build_rotation(direction)
 
     def miss(deviations: Array) -> Array:
@@ -173,5 +175,5 @@ def _blur_reference(view: FrameView, reference: MaskedSource, blur: Blur | None)
     sharp = correlation.reference
     # Too small windows were made larger.
     blurred = read_reference(source, sharp.window, view.deformed.degree, correlation.threads).restrict(sharp.window)
-    kept = replace(correlation, reference=replace(blurred, usable=sharp.usable))
+    kept = replace(correlation, source=source, reference=replace(blurred, usable=sharp.usable))
     return replace(view, view=replace(view.view, correlation=kept))

@@ -20,7 +20,7 @@ LARGEST_OF_NOISE = 4.0
 """The same of the largest correction of a node: nodes at a corner have several times the noise of others."""
 
 
-def accept_noise(problem: WeightedProblem, used: ResidualModel, solution: Solution, n_last: int) -> Solution:
+def accept_noise(problem: WeightedProblem, used: ResidualModel, solution: Solution) -> Solution:
     """Accept a field whose corrections do not become smaller, if they are far below its noise; collective.
 
     Images of much noise, whose gradients are half noise too, never come to rest.
@@ -33,15 +33,13 @@ def accept_noise(problem: WeightedProblem, used: ResidualModel, solution: Soluti
         The pixels that count.
     solution : Solution
         That did not converge.
-    n_last : int
-        Its iterations since anything else changed.
 
     Returns
     -------
     Solution
         With the reason; the same where corrections are more than noise.
     """
-    if n_last <= PATIENCE:
+    if problem.tolerances.max_iterations <= PATIENCE:
         # Fewer were asked for: nobody knows yet.
         return solution
     # Of the pixels that count: what hides others is no noise.

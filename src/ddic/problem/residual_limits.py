@@ -19,16 +19,22 @@ class Limits:
         About a pixel, pixels.
     searched : float
         Of a cell from which on single pixels of it are looked at, pixels.
+    beside : float
+        Distance up to which a cell that is seen beside where it is put counts nevertheless, pixels.
     """
 
     cell: float
     pixel: float
     searched: float
+    beside: float
 
 
-AT_START, AT_END = Limits(0.8, 1.0, 0.8), Limits(0.6, 0.5, 0.15)
-"""Where the field is a start, and where it is found. Real images of coarse meshes leave 0.46 px
-in a cell of little texture at the edge of a hole, and less than 0.3 px elsewhere."""
+CAPTURED = 1.5
+"""Distance up to which grey levels say the way to where a cell is seen, pixels: some third of a speckle."""
 
-NO_LIMITS = Limits(np.inf, np.inf, np.inf)
+AT_START, AT_END = Limits(0.8, 1.0, 0.8, CAPTURED), Limits(0.6, 0.5, 0.15, np.inf)
+"""Where the field is a start, and where it is found, which mechanics may hold off by any distance. Real images of
+coarse meshes leave 0.46 px in a cell of little texture at the edge of a hole, and less than 0.3 px elsewhere."""
+
+NO_LIMITS = Limits(np.inf, np.inf, np.inf, np.inf)
 """Where any residual is believed."""

@@ -14,11 +14,11 @@ from ddic.functionals.grey_statistics import GreyCorrection, GreyState, GreySums
 from ddic.images.blurred import Blur
 from ddic.parallel.team import Team
 from ddic.problem.filled_cells import FilledCells
-from ddic.problem.linearized_cells import LinearizedCells
+from ddic.problem.held_cells import PulledViews, keep_other_cells, sum_pulls
 from ddic.problem.moved_gradients import is_deformation_large
 from ddic.problem.region_rotation import HeldRotation
 from ddic.problem.views import FrameViews, read_frame_windows
-from ddic.solvers.correction_size import CorrectionSize, measure_correction
+from ddic.solvers.correction_size import CorrectionSize, Tolerances, measure_correction, weigh_nodes
 
 Array = NDArray[np.float64]
 
@@ -59,10 +59,17 @@ class ResidualModel:
         Lets the region's rotation cost nothing; None, by default, where it has not turned.
     filled : FilledCells, optional
         Cells that neither pixels nor mechanics hold; None, by default, where there are none.
-    linearized : LinearizedCells, optional
-        Cells whose forces are linearized about a start; None, by default, where there are none.
+    pulled : list of tuple of PulledView, optional
+        Cells that are pulled to where the frame shows them; None, by default, where there are none.
     blurs : tuple of (int, Blur)
         Cameras whose reference image was blurred as much as the frame is, and how; none by default.
+    deviations : list of (n_nodes,) array, optional
+        Standard deviation of each node's displacement, of each owned subdomain, pixels; None, by default, where every
+        node is followed to the last digit.
+    held_grey : tuple of GreyState, optional
+        Statistics of the cameras that are not computed anew: this model passes over a few cells only.
+    known : tuple of list of (n_unknowns,) array and Evaluation, optional
+        Unknowns at which the residual is known already, and the residual.
     """
 
     team: Team
@@ -72,8 +79,11 @@ class ResidualModel:
     follows: bool = False
     rotation: HeldRotation | None = None
     filled: FilledCells | None = None
-    linearized: LinearizedCells | None = None
+    pulled: PulledViews | None = None
     blurs: tuple[tuple[int, Blur], ...] = ()
+    deviations: list[Array] | None = None
+    held_grey: tuple[GreyState, ...] | None = None
+    known: tuple[list[Array], Evaluation] | None = None
 
     def with_large_gradients(self, q: Sequence[Array]) -> ResidualModel:
         """Take the gradient where the displacement puts it, if cells turn or stretch by much; collective.
@@ -108,7 +118,11 @@ class ResidualModel:
         ConvergenceError
             On all ranks, where no pixel of a camera is left.
         """
+        if self.known is not None and self._are_known(q):
+            return self.known[1]
         residuals = self.team.together(lambda: self._compute_residuals(q))
+        if self.held_grey is not None:
+            return Evaluation(residuals, self.held_grey)
         sums = self._sum_by_camera(residuals, lambda residual: residual.sums.values)
         corrected = None
         if self.correction == "element":
@@ -125,7 +139,7 @@ class ResidualModel:
         all_kinds = self.correction != "none"
         residuals = [tuple(view.compute_residual(q_s, all_kinds=all_kinds) for view in of_subdomain.views)
                      for of_subdomain, q_s in zip(self.views, q, strict=True)]
-        return residuals if self.linearized is None else self.linearized.keep_others(residuals)
+        return residuals if self.pulled is None else keep_other_cells(self.pulled, residuals)
 
     def assemble_right_hand_sides(self, evaluation: Evaluation, q: Sequence[Array]) -> list[Array]:
         """Assemble b_s of all owned subdomains, Eq. 5 of [BP17]; free of communication.
@@ -191,25 +205,41 @@ class ResidualModel:
         """
         evaluation = self.evaluate(q)
         b = self.assemble_right_hand_sides(evaluation, q)
-        for part in (self.rotation, self.filled, self.linearized):
+        for part in (self.rotation, self.filled):
             if part is not None:
                 b = [b_s + forces for b_s, forces in zip(b, part.compute_forces(q), strict=True)]
+        if self.pulled is not None:
+            b = [b_s + forces for b_s, forces in zip(b, sum_pulls(self.pulled, q), strict=True)]
         return b, evaluation.grey
 
-    def measure_correction(self, dq: Sequence[Array], q: Sequence[Array]) -> CorrectionSize:
+    def measure_correction(self, dq: Sequence[Array], q: Sequence[Array], tolerances: Tolerances) -> CorrectionSize:
         """Measure a correction on displacements of nodes; collective.
 
         Parameters
         ----------
         dq, q : sequence of (n_unknowns,) array
             Correction, and unknowns before it, of each owned subdomain.
+        tolerances : Tolerances
+            From which on a node is slow.
 
         Returns
         -------
         CorrectionSize
             No unit, and pixels.
         """
-        return measure_correction(self.team, [of_subdomain.subdomain for of_subdomain in self.views], dq, q)
+        subdomains = [of_subdomain.subdomain for of_subdomain in self.views]
+        weights = self.weigh_nodes()
+        return measure_correction(self.team, subdomains, dq, q, weights, tolerances.largest)
+
+    def weigh_nodes(self) -> list[Array] | None:
+        """Weigh corrections of nodes by what can be known of them, (n_nodes,) of each owned subdomain."""
+        return None if self.deviations is None else weigh_nodes(self.deviations)
+
+    def _are_known(self, q: Sequence[Array]) -> bool:
+        """Whether the residual at some unknowns is known; collective."""
+        known_q = [] if self.known is None else self.known[0]
+        differ = any(not np.array_equal(a, b) for a, b in zip(known_q, q, strict=True))
+        return not self.team.sum(int(differ))
 
     def _sum_by_camera(self, residuals: Sequence[tuple[Residual, ...]],
                        summed: Callable[[Residual], Array]) -> Array:

@@ -14,15 +14,19 @@ from ddic.problem.cameras import Camera
 from ddic.problem.exclusions import Exclusions
 from ddic.problem.find_exclusions import find_exclusions
 from ddic.problem.grey_choice import choose_correction
-from ddic.problem.held_back import ByView, SeenStart, find_shown_cells
 from ddic.problem.match_brightness import match_brightness
 from ddic.problem.match_sharpness import match_sharpness
 from ddic.problem.residual_limits import AT_END, AT_START, Limits
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.seen_cells import SeenCells, TypicalCell, collect_cells, find_typical_cell, measure_seen_cells
+from ddic.problem.standing_out import find_standing_out
 from ddic.problem.view_exclusions import Rules
 
 Array = NDArray[np.float64]
+
+SHOWN_PX, SAME_SPECKLE = 0.3, 0.8
+"""Displacement error whose residual a cell may have that is seen where it is thought to be, pixels, and the correlation
+coefficient of f and g that it has at least: where nothing is seen, nothing stands out."""
 
 
 @dataclass(frozen=True)
@@ -40,23 +44,17 @@ class SeenFrame:
     excluded : Exclusions
         What does not show the specimen.
     is_shown : list of tuple of (n_cells,) bool array
-        Cells that do not stand out, of each owned subdomain and view.
+        Which cells are seen where they are thought to be, of each owned subdomain and view.
     """
 
     whole: ResidualModel
     evaluation: Evaluation
     typical: Mapping[int, TypicalCell]
     excluded: Exclusions
-    is_shown: ByView
+    is_shown: list[tuple[NDArray[np.bool_], ...]]
 
     def measure_shown_share(self) -> float:
-        """Measure the share of the cells that are seen where they are thought to be; collective.
-
-        Returns
-        -------
-        float
-            Cells of several cameras count for each.
-        """
+        """Share of the cells that are seen where they are thought to be, each camera's counted; collective."""
         shown = [of_view for of_subdomain in self.is_shown for of_view in of_subdomain]
         counts = np.array([sum(int(cells.sum()) for cells in shown), sum(len(cells) for cells in shown)], dtype=float)
         n_shown, n_cells = self.whole.team.sum(counts)
@@ -64,7 +62,7 @@ class SeenFrame:
 
 
 def see_frame(case: Case, whole: ResidualModel, q: Sequence[Array], slopes: Sequence[Sequence[CellSlopes]],
-              limits: Limits = AT_END, start: SeenStart | None = None) -> SeenFrame:
+              limits: Limits = AT_END, judged: Exclusions | None = None) -> SeenFrame:
     """See how a frame has to be corrected, and what of it does not show the specimen; collective.
 
     Parameters
@@ -79,8 +77,8 @@ def see_frame(case: Case, whole: ResidualModel, q: Sequence[Array], slopes: Sequ
         Of the reference images, by subdomain and view.
     limits : Limits
         From which displacement error on a residual is not believed; those of a field by default.
-    start : SeenStart, optional
-        From which mechanics may hold cells back; None, by default, where they do not.
+    judged : Exclusions, optional
+        By an earlier look, from which is taken which cells are blank; by default this one judges.
 
     Returns
     -------
@@ -106,12 +104,12 @@ def see_frame(case: Case, whole: ResidualModel, q: Sequence[Array], slopes: Sequ
     corrected = typical
     if whole.correction == "none":
         corrected = {camera: replace(of_camera, gain=1.0, offset=0.0) for camera, of_camera in typical.items()}
-    is_shown = find_shown_cells(whole.views, seen, corrected)
+    is_shown = _find_shown_cells(whole, seen, corrected)
     if case.correlation.spoilt_pixels == "keep":
         excluded = Exclusions.nothing(whole.views)
     else:
         rules = Rules(limits, whole.correction == "element", case.regularization is not None)
-        excluded = find_exclusions(whole, q, seen, corrected, rules, start)
+        excluded = find_exclusions(whole, q, seen, corrected, rules, judged)
     return SeenFrame(whole, evaluation, typical, excluded, is_shown)
 
 
@@ -174,26 +172,12 @@ def see_start(case: Case, cameras: Sequence[Camera], whole: ResidualModel, q: Se
     return see_frame(case, replace(matched, correction=whole.correction), q, slopes, AT_START), notes
 
 
-def keep_start(case: Case, seen: SeenFrame, q: list[Array]) -> SeenStart | None:
-    """Keep what is needed to tell which cells mechanics hold back.
-
-    Parameters
-    ----------
-    case : Case
-        Says whether there are mechanics, and whether cells are judged.
-    seen : SeenFrame
-        At the start.
-    q : list of (n_unknowns,) array
-        The start, of each owned subdomain.
-
-    Returns
-    -------
-    SeenStart or None
-        None where nothing is held back.
-    """
-    if case.regularization is None or case.correlation.spoilt_pixels == "keep":
-        return None
-    return SeenStart(seen.whole, seen.evaluation, q, seen.typical, seen.is_shown)
+def _find_shown_cells(whole: ResidualModel, seen: Sequence[Sequence[SeenCells]],
+                      typical: Mapping[int, TypicalCell]) -> list[tuple[NDArray[np.bool_], ...]]:
+    """Which cells correlate and do not stand out, (n_cells,), by subdomain and view."""
+    return [tuple((cells.coefficient > SAME_SPECKLE) & ~find_standing_out(cells, typical[view.camera], SHOWN_PX)
+                  for view, cells in zip(of_subdomain.views, of_views, strict=True))
+            for of_subdomain, of_views in zip(whole.views, seen, strict=True)]
 
 
 def _find_typical_cells(sample: Mapping[int, SeenCells]) -> dict[int, TypicalCell]:

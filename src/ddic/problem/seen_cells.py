@@ -21,6 +21,10 @@ FEWEST_PIXELS = 36
 ENOUGH_CELLS = 20_000
 """Cells of the region of which medians are taken, evenly spread over their numbers: these are known to a per cent."""
 
+MOST_NOISE = 0.3
+"""Variance of the residual, relative to the contrast of the speckle, up to which it is noise. A larger value takes
+unlike images for noisy ones, a smaller one noisy images for unlike ones."""
+
 TEXTURED = 0.9
 """Share of the pixels in cells of weaker texture than what is called textured: most of the region may be blank."""
 
@@ -94,6 +98,11 @@ class TypicalCell:
     texture: float
     gain: float
     offset: float
+
+    @property
+    def is_alike(self) -> bool:
+        """Whether most cells look alike in both images, so that what is left of their residual is noise."""
+        return self.noise <= MOST_NOISE * self.contrast
 
 
 def measure_seen_cells(whole: ResidualModel, evaluation: Evaluation,

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.partition.subdomain import Subdomain
-from ddic.problem.held_unknowns import find_free_unknowns, find_held
+from ddic.problem.held_unknowns import find_displaced_nodes, find_free_unknowns, find_held
 from ddic.problem.residual_model import Evaluation
 from ddic.problem.weighted_problem import WeightedProblem
 
@@ -34,11 +33,5 @@ def find_unmeasured_nodes(problem: WeightedProblem, evaluation: Evaluation) -> l
         counts = tuple(residual.cell_sums.n_pixels.astype(np.int64) for residual in of_views)
         unseen.append(~find_held(subdomain, counts))
     free = np.array(sorted(find_free_unknowns(problem.team, subdomains, unseen)), dtype=np.int64)
-    return [_find_displaced_nodes(subdomain, free) for subdomain in subdomains]
+    return [find_displaced_nodes(subdomain, np.isin(subdomain.kinematics.numbers, free)) for subdomain in subdomains]
 
-
-def _find_displaced_nodes(subdomain: Subdomain, numbers: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Nodes that some unknowns displace, (n_nodes,); numbers: of these unknowns in the whole problem."""
-    columns = np.isin(subdomain.kinematics.numbers, numbers)
-    is_displaced = np.asarray(abs(subdomain.kinematics.tangent)[:, columns].sum(axis=1)).ravel() > 0
-    return np.asarray(is_displaced.reshape(subdomain.mesh.nodes.shape).any(axis=1))

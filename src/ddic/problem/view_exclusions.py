@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,8 +11,11 @@ from numpy.typing import NDArray
 from ddic.functionals.cut_patch import cut_patch
 from ddic.functionals.spoilt_pixels import find_spoilt_pixels
 from ddic.functionals.view import FrameView
-from ddic.problem.exclusions import BLANK, HELD_BACK, KEPT, SPOILT, UNSEEN
-from ddic.problem.residual_limits import Limits
+from ddic.mesh.shapes import pad_cells
+from ddic.problem.exclusions import BLANK, HELD_OFF, KEPT, SPOILT, UNSEEN
+from ddic.problem.held_cells import HeldCells
+from ddic.problem.residual_limits import CAPTURED, Limits
+from ddic.problem.seek_cells import find_cells_beside, measure_distance
 from ddic.problem.seen_cells import FEWEST_PIXELS, SeenCells, TypicalCell
 from ddic.problem.standing_out import BLANK_TEXTURE, CORRELATED, find_standing_out
 
@@ -38,18 +41,16 @@ class SeenView:
         Its cells.
     typical : TypicalCell
         Of the camera.
-    is_displaced : (n_cells,) bool array
-        Cells that are not where they were seen at the start.
-    is_held_back : (n_cells,) bool array
-        Those of them that stand out: mechanics hold them back.
+    judged : (n_cells,) uint8 array or None
+        What an earlier look found of these cells, from which is taken which of them are blank: noise correlates here
+        and there, and they would come and go with the field. None where this one judges.
     """
 
     view: FrameView
     q: NDArray[np.float64]
     cells: SeenCells
     typical: TypicalCell
-    is_displaced: NDArray[np.bool_]
-    is_held_back: NDArray[np.bool_]
+    judged: NDArray[np.uint8] | None
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ class Rules:
     is_regularized: bool
 
 
-def find_view_exclusions(seen: SeenView, rules: Rules) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+def find_view_exclusions(seen: SeenView, rules: Rules) -> tuple[NDArray[np.uint8], NDArray[np.int64], HeldCells]:
     """Find what a view does not show.
 
     Parameters
@@ -87,33 +88,59 @@ def find_view_exclusions(seen: SeenView, rules: Rules) -> tuple[NDArray[np.uint8
         KEPT or why not.
     pixels : (n, 2) int64 array
         Column and row of spoilt pixels in cells that are kept.
+    pulled : HeldCells
+        Cells that are seen so far away that their grey levels say nothing of the way.
     """
     states = _judge_by_pixels(seen, rules)
-    states[seen.is_held_back & (states == KEPT)] = HELD_BACK
     stands_out = find_standing_out(seen.cells, seen.typical, rules.limits.cell)
-    states[stands_out & (states == KEPT)] = SPOILT
     may_be_spoilt = find_standing_out(seen.cells, seen.typical, rules.limits.searched)
-    # What mechanics hold off leaves residuals, spoilt or not.
-    may_be_spoilt &= ~seen.is_displaced
-    searched = np.flatnonzero(may_be_spoilt & ((states == KEPT) | (states == SPOILT)))
+    suspicious = np.flatnonzero((stands_out | may_be_spoilt) & (states == KEPT))
+    found = _find_cells_beside(seen, rules, suspicious)
+    beside = np.array(list(found), dtype=np.int64)
+    states[stands_out & (states == KEPT)] = SPOILT
+    states[beside] = np.where(stands_out[beside], HELD_OFF, KEPT)
     spots = [np.zeros((0, 2), dtype=np.int64)]
-    for found in _search_cells(seen, rules, searched):
-        if found.share <= MOST_SPOILT:
-            states[found.cell] = KEPT
-            spots.append(found.pixels)
+    for part in _search_cells(seen, rules, np.setdiff1d(suspicious, beside)):
+        if part.share <= MOST_SPOILT:
+            if states[part.cell] == SPOILT:
+                states[part.cell] = KEPT
+            spots.append(part.pixels)
         else:
             # A cell that does not stand out is as good as the field can follow it.
-            states[found.cell] = SPOILT if stands_out[found.cell] else KEPT
-    return states, np.concatenate(spots)
+            states[part.cell] = SPOILT if stands_out[part.cell] else KEPT
+    return states, np.concatenate(spots), _hold(seen, found)
+
+
+def _find_cells_beside(seen: SeenView, rules: Rules, cells: NDArray[np.int64]) -> dict[int, NDArray[np.float64]]:
+    """How far the corners of some cells are seen beside where mechanics hold them, of those that are."""
+    if not rules.is_regularized:
+        # No mechanics hold anything off: what stands out is a mesh that cannot follow, or foreign.
+        return {}
+    found = find_cells_beside(seen.view, seen.q, cells, seen.typical.noise)
+    return {cell: away for cell, away in found.items() if measure_distance(away) <= rules.limits.beside}
+
+
+def _hold(seen: SeenView, found: Mapping[int, NDArray[np.float64]]) -> HeldCells:
+    """Where those cells are seen whose grey levels do not say the way there."""
+    far = {cell: away for cell, away in found.items() if measure_distance(away) > CAPTURED}
+    if not far:
+        return HeldCells.none()
+    cells, mesh = np.array(list(far), dtype=np.int64), seen.view.view.correlation.mesh
+    u = seen.view.view.kinematics.displacement(seen.q).reshape(mesh.nodes.shape)
+    return HeldCells(cells, u[pad_cells(mesh)[cells]] + np.array(list(far.values())))
 
 
 def _judge_by_pixels(seen: SeenView, rules: Rules) -> NDArray[np.uint8]:
     """States of cells, (n_cells,), by their texture and by how many of their pixels the frame shows."""
     cells, typical = seen.cells, seen.typical
     states = np.full(len(cells.n_pixels), KEPT, dtype=np.uint8)
-    # Where nothing has texture at all, the operators say so.
-    is_weak = (cells.texture <= BLANK_TEXTURE * typical.texture) & (typical.texture > 0)
-    states[is_weak & (cells.coefficient < CORRELATED) & (cells.n_pixels >= FEWEST_PIXELS)] = BLANK
+    if seen.judged is None:
+        # Where nothing has texture at all, the operators say so.
+        is_weak = (cells.texture <= BLANK_TEXTURE * typical.texture) & (typical.texture > 0)
+        is_blank = is_weak & (cells.coefficient < CORRELATED) & (cells.n_pixels >= FEWEST_PIXELS)
+    else:
+        is_blank = seen.judged == BLANK
+    states[is_blank] = BLANK
     least = 0.0 if rules.is_regularized else LEAST_SHOWN
     states[(cells.n_pixels == 0) | (cells.n_pixels < least * seen.view.view.count_pixels())] = UNSEEN
     return states

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.mesh.shapes import pad_cells
-from ddic.problem.exclusions import KEPT, UNSEEN, Exclusions, exclude
+from ddic.problem.exclusions import UNSEEN, Exclusions, exclude, find_excluded
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.views import FrameViews
 
@@ -55,14 +55,15 @@ def exclude_weak_cells(whole: ResidualModel, excluded: Exclusions) -> Exclusions
     for of_subdomain, states in zip(views, excluded.cells, strict=True):
         subdomain = of_subdomain.subdomain
         is_weak = np.isin(subdomain.node_ids, weak)[pad_cells(subdomain.mesh)].any(axis=1)
-        cells.append(tuple(np.where(is_weak & (state == KEPT), UNSEEN, state).astype(np.uint8) for state in states))
+        cells.append(tuple(np.where(is_weak & ~find_excluded(state), UNSEEN, state).astype(np.uint8)
+                           for state in states))
     return replace(excluded, cells=cells)
 
 
 def _find_lost(of_subdomain: FrameViews, states: Sequence[NDArray[np.uint8]]) -> NDArray[np.bool_]:
     """Cells that the reference images show and no camera sees: what they leave out holds no node in any frame."""
     in_reference = np.sum([view.count_pixels() for view in of_subdomain.reference.views], axis=0)
-    return np.asarray(np.all([state != KEPT for state in states], axis=0) & (in_reference > 0))
+    return np.asarray(np.all([find_excluded(state) for state in states], axis=0) & (in_reference > 0))
 
 
 def _nodes_of(of_subdomain: FrameViews, cells: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -77,5 +78,6 @@ def _sum_diagonals(of_subdomain: FrameViews, states: Sequence[NDArray[np.uint8]]
     for view, state in zip(of_subdomain.views, states, strict=True):
         diagonal = np.einsum("cii->ci", view.view.correlation.compute_cell_hessians())
         of_corners = view.view.weight * diagonal.reshape(mesh.n_cells, -1, mesh.dim).sum(axis=2)
-        np.add.at(total, pad_cells(mesh)[state == KEPT], of_corners[state == KEPT])
+        is_used = ~find_excluded(state)
+        np.add.at(total, pad_cells(mesh)[is_used], of_corners[is_used])
     return total

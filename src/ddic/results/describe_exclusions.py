@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ddic.mesh.shapes import pad_cells
 from ddic.parallel.team import Team
-from ddic.problem.exclusions import BLANK, HELD_BACK, SPOILT, UNSEEN, Exclusions
+from ddic.problem.exclusions import BLANK, HELD_OFF, SPOILT, UNSEEN, Exclusions
 from ddic.problem.views import FrameViews
 
 Array = NDArray[np.float64]
@@ -22,8 +22,8 @@ MOST_PLACES = 3
 OTHER_THAN_REFERENCE = "show something else than the reference"
 REASONS = {SPOILT: f"{OTHER_THAN_REFERENCE} and are excluded", BLANK: "have no texture and are excluded",
            UNSEEN: "hold no or too few pixels that both images show and are excluded",
-           HELD_BACK: "are held back by the regularization, off what the images show; a shorter "
-                      "regularization.cut_off_wavelength follows it"}
+           HELD_OFF: "are held by the regularization beside where the images show them; a shorter "
+                     "regularization.cut_off_wavelength follows these"}
 
 
 def describe_exclusions(team: Team, views: Sequence[FrameViews], excluded: Exclusions) -> tuple[str, ...]:

@@ -46,6 +46,8 @@ def list_iterations(measurement: Measurement) -> dict[str, list[Any]]:
         "relative_correction": [r.size.relative for r in records],
         "rms_correction_px": [r.size.rms for r in records],
         "largest_correction_px": [r.size.largest for r in records],
+        "slow_nodes": [r.size.n_slow for r in records],
+        "of_slow_nodes": [int(r.is_local) for r in records],
         "residual_std_grey": [r.grey.residual_std for r in records],
         "residual_rms_grey": [r.grey.residual_rms for r in records],
         "n_pixels": [r.grey.n_pixels for r in records],

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.spatial import cKDTree
 
 from ddic.case.schema import Case
 from ddic.errors import ConvergenceError, as_collective, is_collective, list_first
@@ -28,6 +29,7 @@ from ddic.problem.cell_errors import (
 )
 from ddic.problem.exclusions import Exclusions, find_excluded
 from ddic.problem.inputs import Inputs
+from ddic.problem.linear_solver import compute_cut_off_wavelength
 from ddic.problem.problem_size import ProblemSize
 from ddic.problem.region_mesh import Region
 from ddic.problem.residual_model import Evaluation, ResidualModel
@@ -159,6 +161,11 @@ class Measurement:
         return found
 
     @property
+    def n_iterations(self) -> int:
+        """Number of iterations over all pixels."""
+        return sum(not record.is_local for record in self.records)
+
+    @property
     def grey_correction(self) -> GreyCorrection:
         """Correction of grey levels that was taken."""
         return self.model.correction
@@ -252,8 +259,8 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str,
     team, inputs = problem.team, problem.reference.inputs
     subdomains = problem.reference.subdomains
     field, excluded = solved.field, solved.seen.excluded
-    # Cells that mechanics hold back show their residual.
-    model = replace(solved.used, linearized=None)
+    # Cells that are pulled show their residual.
+    model = replace(solved.used, pulled=None)
     motions: tuple[SetupMotion, ...] = ()
     if any(camera.setup.n_motion_unknowns for camera in inputs.cameras):
         solver = problem.solver
@@ -262,6 +269,9 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str,
     is_known = solved.is_evaluated and not excluded.is_any(team)
     evaluation = solved.seen.evaluation if is_known else model.evaluate(field.q)
     cell_errors = _judge_cells(problem, model, evaluation)
+    are_led_astray = _find_cells_near_pulled(problem, excluded)
+    cell_errors = [replace(of_cells, doubtful=of_cells.doubtful | is_led)
+                   for of_cells, is_led in zip(cell_errors, are_led_astray, strict=True)]
     unmeasured = find_unmeasured_nodes(problem, evaluation)
     uncertainty: Uncertainty | None = None
     of_uncertainty: tuple[str, ...] = ()
@@ -323,6 +333,22 @@ def _judge_cells(problem: WeightedProblem, model: ResidualModel, evaluation: Eva
                   for of_subdomain, of_views in zip(model.views, evaluation.residuals, strict=True)]
     return [replace(of_cells, doubtful=of_cells.doubtful | is_hidden)
             for of_cells, is_hidden in zip(errors, are_hidden, strict=True)]
+
+
+def _find_cells_near_pulled(problem: WeightedProblem, excluded: Exclusions) -> list[NDArray[np.bool_]]:
+    """Cells within a cut-off wavelength of one that is pulled, (n_cells,) of each owned subdomain; collective.
+
+    Mechanics carry on what holds that one off.
+    """
+    wavelength = compute_cut_off_wavelength(problem.reference.inputs.case)
+    centroids = [subdomain.mesh.centroids for subdomain in problem.reference.subdomains]
+    mine = [of_mesh[held.cells] for of_mesh, of_views in zip(centroids, excluded.pulled, strict=True)
+            for held in of_views if len(held.cells)]
+    pulled = problem.team.gather_lists(mine)
+    if not pulled:
+        return [np.zeros(len(of_mesh), dtype=bool) for of_mesh in centroids]
+    tree = cKDTree(np.concatenate(pulled))
+    return [tree.query(of_mesh)[0] <= wavelength for of_mesh in centroids]
 
 
 def _take_hessians(problem: WeightedProblem, model: ResidualModel) -> list[sparse.csr_matrix]:

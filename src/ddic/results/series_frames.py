@@ -48,7 +48,7 @@ def write_frame(measurement: Measurement, record: FrameRecord, folder: SeriesFol
     own = {f"{subdomain.index:06d}": np.asarray(q)
            for subdomain, q in zip(measurement.subdomains, unknowns, strict=True)}
     gathered = team.gather_to(own, 0)
-    state = MeasuredState(record.time, unknowns, measurement.shown_share, measurement.excluded.has_held_back(team))
+    state = MeasuredState(record.time, unknowns, measurement.shown_share, measurement.excluded.has_held_off(team))
 
     def add(opened: ResultWriter) -> None:
         by_subdomain = {name: q for of_rank in require_held(gathered) for name, q in of_rank.items()}

@@ -41,7 +41,8 @@ def summarize(measurement: Measurement | SeparatedMeasurement, clock: PhaseClock
     fields = zip((subdomain.mesh for subdomain in measurement.subdomains), measurement.displacements, strict=True)
     return Summary(
         **shared,
-        iterations=len(records),
+        iterations=measurement.n_iterations,
+        local_iterations=len(records) - measurement.n_iterations,
         residual_std_grey=grey[0].residual_std,
         residual_percent_of_range=100 * grey[0].residual_std / size.dynamic_range,
         n_pixels=n_pixels,

@@ -66,7 +66,7 @@ class Summary:
     converged : bool
         Whether the measurement did.
     iterations : int
-        Of Gauss-Newton at full resolution.
+        Of Gauss-Newton at full resolution, each a pass over all pixels.
     residual_std_grey : float
         Standard deviation of the residual, grey levels; of the first camera's images.
     residual_percent_of_range : float
@@ -132,6 +132,8 @@ class Summary:
         Of the interface problem; "none" where there is none.
     case : dict
         The validated case with all defaults, as the result file has it, and the path of its file as ``path``.
+    local_iterations : int
+        Of Gauss-Newton with the pixels about slow nodes alone.
     """
 
     converged: bool
@@ -167,6 +169,7 @@ class Summary:
     method: str = ""
     preconditioner: str = "none"
     case: Mapping[str, Any] = field(default_factory=dict)
+    local_iterations: int = 0
 
 
 def write_summary(path: Path, summary: Summary, files: NewFiles | None = None) -> None:

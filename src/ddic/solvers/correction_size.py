@@ -1,4 +1,8 @@
-"""How large a correction is, on displacements of nodes, and when it is small enough to stop."""
+"""How large a correction is, on displacements of nodes, and when it is small enough to stop.
+
+A node's correction is compared with what the images can tell of it: where its standard deviation is large, following
+it to the last digit would follow noise.
+"""
 
 from __future__ import annotations
 
@@ -13,10 +17,16 @@ from ddic.partition.subdomain import Subdomain
 
 Array = NDArray[np.float64]
 
+KNOWN_PX = 0.02
+"""Standard deviation of a node from which on its correction counts less, by KNOWN_PX / deviation, pixels: at a largest
+correction of 0.001 px, a twentieth of the deviation is small. A smaller value adds to the node's noise."""
+
 
 @dataclass(frozen=True)
 class Tolerances:
     """When Gauss-Newton stops: (|dq|/|q| <= relative or RMS dq <= rms) and no node moves by more than largest.
+
+    A node whose standard deviation is known counts with dq KNOWN_PX / max(KNOWN_PX, deviation).
 
     Attributes
     ----------
@@ -54,12 +64,18 @@ class CorrectionSize:
         Largest at any node, pixels.
     subdomain : int
         Where it is.
+    known_rms : float
+        RMS with each node's correction relative to what it can know (``Tolerances``), pixels.
+    n_slow : int
+        Nodes whose correction is above ``Tolerances.largest`` so.
     """
 
     relative: float
     rms: float
     largest: float
-    subdomain: int = 0
+    subdomain: int
+    known_rms: float
+    n_slow: int
 
     @property
     def is_finite(self) -> bool:
@@ -67,44 +83,24 @@ class CorrectionSize:
         return bool(np.isfinite([self.rms, self.largest]).all())
 
     def is_below(self, tolerances: Tolerances) -> bool:
-        """Tell whether Gauss-Newton may stop after this correction.
-
-        Parameters
-        ----------
-        tolerances : Tolerances
-            Limits.
-
-        Returns
-        -------
-        bool
-            Whether it may.
-        """
-        small_on_average = self.relative <= tolerances.relative or self.rms <= tolerances.rms
-        return small_on_average and self.largest <= tolerances.largest
+        """Tell whether Gauss-Newton may stop after this correction."""
+        relative = self.relative * self.known_rms / self.rms if self.rms > 0 else 0.0
+        return (relative <= tolerances.relative or self.known_rms <= tolerances.rms) and self.n_slow == 0
 
     def describe_stop(self, tolerances: Tolerances) -> str:
-        """Say which limits it is below.
-
-        Parameters
-        ----------
-        tolerances : Tolerances
-            Limits, which it is below.
-
-        Returns
-        -------
-        str
-            For the log.
-        """
-        if self.rms <= tolerances.rms:
+        """Say which limits it is below."""
+        if self.known_rms <= tolerances.rms:
             average = f"RMS dq = {self.rms:.1e} px <= gauss_newton.rms_tolerance"
         else:
             average = f"|dq|/|q| = {self.relative:.1e} <= gauss_newton.tolerance"
-        return (f"stopped at {average}; largest dq = {self.largest:.1e} px (subdomain {self.subdomain}) <= "
-                "gauss_newton.largest_tolerance")
+        line = f"stopped at {average}; largest dq = {self.largest:.1e} px (subdomain {self.subdomain}) <= "
+        if self.largest <= tolerances.largest:
+            return line + "gauss_newton.largest_tolerance"
+        return line + f"gauss_newton.largest_tolerance x the node's standard deviation / {KNOWN_PX} px"
 
 
-def measure_correction(team: Team, subdomains: Sequence[Subdomain], dq: Sequence[Array],
-                       q: Sequence[Array]) -> CorrectionSize:
+def measure_correction(team: Team, subdomains: Sequence[Subdomain], dq: Sequence[Array], q: Sequence[Array],
+                       weights: Sequence[Array] | None = None, largest: float = np.inf) -> CorrectionSize:
     """Measure a correction on displacements of nodes in the specimen's frame, every node counted once; collective.
 
     Parameters
@@ -115,40 +111,70 @@ def measure_correction(team: Team, subdomains: Sequence[Subdomain], dq: Sequence
         Owned ones.
     dq, q : sequence of (n_unknowns,) array
         Correction, and unknowns before it, of each.
+    weights : sequence of (n_nodes,) array, optional
+        Of the nodes' corrections (``weigh_nodes``), no unit; 1 by default.
+    largest : float
+        Weighted correction from which on a node is slow, pixels.
 
     Returns
     -------
     CorrectionSize
         No unit, and pixels.
     """
-    measured = [_measure_nodes(subdomain, dq_s, q_s)
-                for subdomain, dq_s, q_s in zip(subdomains, dq, q, strict=True)]
-    of_correction, *of_field = team.ordered_sum([sums for sums, _ in measured])
-    largest, subdomain = max(team.gather_lists([(most, s.index) for (_, most), s in zip(measured, subdomains,
-                                                                                      strict=True)]))
-    if not np.isfinite([of_correction, *of_field]).all():
-        return CorrectionSize(np.inf, np.inf, np.inf, subdomain)
+    if weights is None:
+        weights = [np.ones(subdomain.mesh.n_nodes) for subdomain in subdomains]
+    measured = [_measure_nodes(subdomain, (dq_s, q_s), of_nodes, largest)
+                for subdomain, dq_s, q_s, of_nodes in zip(subdomains, dq, q, weights, strict=True)]
+    of_correction, known, n_slow, *of_field = team.ordered_sum([sums for sums, _ in measured])
+    most_by_subdomain = [(most, s.index) for (_, most), s in zip(measured, subdomains, strict=True)]
+    most, subdomain = max(team.gather_lists(most_by_subdomain))
     n_nodes = of_field[0]
+    if not np.isfinite([of_correction, *of_field]).all():
+        return CorrectionSize(np.inf, np.inf, np.inf, subdomain, np.inf, round(n_nodes))
     remainder = _remove_affine_part(np.array(of_field))
     if remainder > 0:
         relative = float(np.sqrt(of_correction / remainder))
     else:
         relative = 0.0 if of_correction == 0 else np.inf
-    return CorrectionSize(relative, float(np.sqrt(of_correction / n_nodes)), largest, subdomain)
+    # Sums of copies' shares may miss whole numbers by rounding.
+    return CorrectionSize(relative, float(np.sqrt(of_correction / n_nodes)), most, subdomain,
+                          float(np.sqrt(known / n_nodes)), round(n_slow))
 
 
-def _measure_nodes(subdomain: Subdomain, dq: Array, q: Array) -> tuple[Array, float]:
-    """A subdomain's share of |du|^2 and of the moments of u + du, (14,), and its largest |du| at a node."""
+def weigh_nodes(deviations: Sequence[Array]) -> list[Array]:
+    """Weigh nodes' corrections by what can be known of them; deviations, (n_nodes,) each, in pixels."""
+    return [KNOWN_PX / np.maximum(KNOWN_PX, of_nodes) for of_nodes in deviations]
+
+
+def measure_node_corrections(subdomain: Subdomain, dq: Array, q: Array) -> Array:
+    """Measure by how much a correction moves each node, (n_nodes,), pixels."""
+    return _measure_ways(subdomain, subdomain.displacement(q), subdomain.displacement(q + dq))
+
+
+def _measure_ways(subdomain: Subdomain, before: Array, after: Array) -> Array:
+    """How far each node moves between two displacements, (n_nodes,), pixels."""
+    return np.asarray(np.linalg.norm((after - before).reshape(subdomain.mesh.nodes.shape), axis=1))
+
+
+def _measure_nodes(subdomain: Subdomain, correction: tuple[Array, Array], weights: Array,
+                   largest: float) -> tuple[Array, float]:
+    """A subdomain's share of sums over nodes, (16,), and its largest |du| at a node.
+
+    |du|^2, the same weighted, and slow nodes; then the moments of u + du.
+    """
+    dq, q = correction
     share = 1.0 / subdomain.node_multiplicity
     nodes = subdomain.mesh.nodes
-    before = subdomain.displacement(q).reshape(nodes.shape)
-    after = subdomain.displacement(q + dq).reshape(nodes.shape)
-    change_squared = ((after - before) ** 2).sum(axis=1)
+    after = subdomain.displacement(q + dq)
+    change = _measure_ways(subdomain, subdomain.displacement(q), after)
+    known = weights * change
+    after = after.reshape(nodes.shape)
     weighted = after * share[:, None]
     moments = [share.sum(), *(share @ nodes), *weighted.sum(axis=0),
                *((nodes * share[:, None]).T @ nodes)[np.triu_indices(2)], *(weighted.T @ nodes).ravel(),
                (weighted * after).sum()]
-    return np.array([change_squared @ share, *moments]), float(np.sqrt(change_squared.max()))
+    sums = [change**2 @ share, known**2 @ share, share[known > largest].sum()]
+    return np.array([*sums, *moments]), float(change.max())
 
 
 def _remove_affine_part(moments: Array) -> float:

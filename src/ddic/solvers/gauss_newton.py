@@ -15,6 +15,7 @@ from ddic.functionals.grey_statistics import GreyState
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.stop_request import stop_if_asked
 from ddic.parallel.team import Team
+from ddic.solvers.anderson import AndersonMixing
 from ddic.solvers.correction_size import CorrectionSize, Tolerances
 from ddic.solvers.linear_step import AllowedError, LinearStep, StepResult
 
@@ -65,13 +66,15 @@ class Model(Protocol):
         """
         ...
 
-    def measure_correction(self, dq: Sequence[Array], q: Sequence[Array]) -> CorrectionSize:
+    def measure_correction(self, dq: Sequence[Array], q: Sequence[Array], tolerances: Tolerances) -> CorrectionSize:
         """Measure a correction on displacements of nodes; collective.
 
         Parameters
         ----------
         dq, q : sequence of (n_unknowns,) array
             Correction, and unknowns before it, of each owned subdomain.
+        tolerances : Tolerances
+            From which on a node is slow.
 
         Returns
         -------
@@ -101,6 +104,8 @@ class IterationRecord:
         Estimated RMS error of dq that its linear step left, pixels.
     seconds : dict
         Wall seconds so far, by phase.
+    is_local : bool
+        Whether it visited the pixels about slow nodes alone.
     """
 
     number: int
@@ -110,6 +115,7 @@ class IterationRecord:
     krylov_history: Array
     linear_error: float
     seconds: dict[Phase, float]
+    is_local: bool = False
 
     @property
     def grey(self) -> GreyState:
@@ -121,8 +127,45 @@ Report = Callable[[IterationRecord], None]
 """Told of every iteration on every rank; only rank 0's may speak."""
 
 
-Revise = Callable[[Sequence[Array]], Model | None]
-"""Asked, on all ranks, whether unknowns call for another model."""
+@dataclass(frozen=True)
+class Correction:
+    """One correction of the unknowns.
+
+    Attributes
+    ----------
+    q, b, dq : list of (n_unknowns,) array
+        Unknowns before it, b there, and the correction itself, of each owned subdomain.
+    size : CorrectionSize
+        How large it is.
+    """
+
+    q: list[Array]
+    b: list[Array]
+    dq: list[Array]
+    size: CorrectionSize
+
+
+Pause = Callable[[Correction], bool]
+"""Asked, on all ranks, whether to pause after a correction that is not small enough yet."""
+
+
+@dataclass(frozen=True)
+class Course:
+    """How iterations go on.
+
+    Attributes
+    ----------
+    pause : callable, optional
+        Asked after every correction whether to pause there; never, by default.
+    mixing : AndersonMixing, optional
+        Makes the next unknowns from several corrections; by default the last one alone does.
+    """
+
+    pause: Pause | None = None
+    mixing: AndersonMixing | None = None
+
+
+STRAIGHT_ON = Course()
 
 
 @dataclass(frozen=True)
@@ -137,11 +180,14 @@ class Progress:
         Told of every iteration.
     n_before : int
         Iterations of the same frame before these.
+    is_local : bool
+        Whether the model visits the pixels about slow nodes alone.
     """
 
     clock: PhaseClock
     report: Report
     n_before: int = 0
+    is_local: bool = False
 
 
 def stay_silent(record: IterationRecord) -> None:
@@ -168,12 +214,15 @@ class Solution:
         Which tolerances ended the iteration, or why it was given up.
     converged : bool
         Whether the last correction was small enough.
+    paused : Correction, optional
+        The last correction, where a pause was asked for after it; None otherwise.
     """
 
     q: list[Array]
     records: list[IterationRecord]
     stop: str = ""
     converged: bool = True
+    paused: Correction | None = None
 
 
 def gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, tolerances: Tolerances,
@@ -212,7 +261,7 @@ def gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, tolerances:
 
 
 def run_gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, tolerances: Tolerances, progress: Progress,
-                     revise: Revise | None = None) -> Solution:
+                     course: Course = STRAIGHT_ON) -> Solution:
     """Iterate q <- q + dq until the correction is small, or does not become smaller.
 
     Parameters
@@ -227,13 +276,13 @@ def run_gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, toleran
         When to stop.
     progress : Progress
         Where to write.
-    revise : callable, optional
-        Asked after every correction for another model, None where the last one stays; collective. Never, by default.
+    course : Course, optional
+        How to go on; straight on by default.
 
     Returns
     -------
     Solution
-        Unknowns and the table of iterations, converged or not.
+        Unknowns and the table of iterations, converged, paused or neither.
 
     Raises
     ------
@@ -244,14 +293,14 @@ def run_gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, toleran
     """
     found = Solution([np.array(q_s) for q_s in q], [])
     try:
-        return _iterate(model, found, step, tolerances, progress, revise)
+        return _iterate(model, found, step, tolerances, progress, course)
     except ConvergenceError as error:
         error.last = found
         raise
 
 
 def _iterate(model: Model, found: Solution, step: LinearStep, tolerances: Tolerances, progress: Progress,
-             revise: Revise | None) -> Solution:
+             course: Course) -> Solution:
     """Iterate from what was found, which holds the last finite unknowns and all iterations at any time."""
     current, records = found.q, found.records
     clock = progress.clock
@@ -261,16 +310,21 @@ def _iterate(model: Model, found: Solution, step: LinearStep, tolerances: Tolera
         with clock.phase(Phase.LINEAR_STEP):
             last_rms = records[-1].size.rms if records else None
             result, size = _solve_as_far_as_it_pays(model, step, (current, b), tolerances, last_rms)
-        if size.is_finite:
-            current[:] = [q_s + dq for q_s, dq in zip(current, result.dq, strict=True)]
         records.append(IterationRecord(progress.n_before + number, size, grey, result.krylov_iterations,
-                                       result.krylov_history, result.error, dict(clock.wall)))
+                                       result.krylov_history, result.error, dict(clock.wall),
+                                       progress.is_local))
         progress.report(records[-1])
-        if model.team.on_root(partial(_decide, size, tolerances)):
+        is_small = model.team.on_root(partial(_decide, size, tolerances))
+        correction = Correction(list(current), b, result.dq, size)
+        if course.mixing is None or is_small:
+            current[:] = [q_s + dq for q_s, dq in zip(current, result.dq, strict=True)]
+        else:
+            current[:] = course.mixing.advance(current, result.dq)
+        if is_small:
             return Solution(current, records, size.describe_stop(tolerances))
         stop_if_asked(model.team, f"after iteration {records[-1].number}, before it converged")
-        if revise is not None:
-            model = revise(current) or model
+        if course.pause is not None and course.pause(correction):
+            return Solution(current, records, _not_converged(records, tolerances), converged=False, paused=correction)
         if model.team.on_root(partial(_stagnates, records)):
             break
     return Solution(current, records, _not_converged(records, tolerances), converged=False)
@@ -291,20 +345,20 @@ def _solve_as_far_as_it_pays(model: Model, step: LinearStep, system: tuple[Seque
     at_last = LAST_SHARE * tolerances.rms
     if not tolerances.inexact:
         result = step.solve(q, b, None)
-        return result, model.measure_correction(result.dq, q)
+        return result, model.measure_correction(result.dq, q, tolerances)
     if last_rms is None:
         guess = AllowedError(at_last, SHARE)
     else:
         guess = AllowedError(max(at_last, SHARE * GAIN * last_rms))
     result = step.solve(q, b, guess)
-    size = model.measure_correction(result.dq, q)
+    size = model.measure_correction(result.dq, q, tolerances)
     while True:
         allowed = at_last if size.is_below(tolerances) else max(at_last, SHARE * size.rms)
         if not result.error > allowed:
             return result, size
         tighter = step.solve(q, b, AllowedError(allowed))
         result = _join(result, tighter)
-        size = model.measure_correction(result.dq, q)
+        size = model.measure_correction(result.dq, q, tolerances)
         if tighter.krylov_iterations == 0:
             return result, size
 

@@ -46,6 +46,11 @@ class LocalSystem:
             return self.stiffness
         return (sparse.diags(self.projection) @ self.stiffness).tocsr()
 
+    @cached_property
+    def controlled_stiffness_transposed(self) -> sparse.csc_matrix | None:
+        """Kbar_s^T; making the matrix anew takes longer than its product with a vector."""
+        return None if self.controlled_stiffness is None else self.controlled_stiffness.T
+
     @property
     def operator(self) -> sparse.csr_matrix:
         """A_s = M_s + eta Kbar_s^T Kbar_s, (n_unknowns, n_unknowns)."""
@@ -102,5 +107,4 @@ class LocalSystem:
         """
         if self.controlled_stiffness is None:
             return b
-        kbar = self.controlled_stiffness
-        return np.asarray(b - self.eta * (kbar.T @ (kbar @ q)))
+        return np.asarray(b - self.eta * (self.controlled_stiffness_transposed @ (self.controlled_stiffness @ q)))

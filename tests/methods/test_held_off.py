@@ -1,4 +1,4 @@
-"""A cut-off wavelength that is long beside what the specimen does: it converges, and what is held back is marked."""
+"""A cut-off wavelength that is long beside what the specimen does: it converges, and what is held off is marked."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from scipy.special import erf
 import ddic
 from ddic.methods.run_case import run_file
 from ddic.parallel.team import Team
-from ddic.problem.exclusions import HELD_BACK, KEPT
+from ddic.problem.exclusions import HELD_OFF, KEPT
 from ddic.results.listener import Silence
 from ddic.results.series_record import SeriesSummary
 from support.spoilt import digitise
@@ -61,37 +61,58 @@ def measure(options: dict[str, Any], comm: MPI.Comm = MPI.COMM_SELF) -> ddic.Res
     return ddic.measure(render(), MESH, options=ddic.Options(settings, comm=comm))
 
 
-def test_a_long_wavelength_converges_and_marks_what_it_holds_back() -> None:
+def measure_off(result: ddic.Result) -> Array:
+    """How far nodes are off, pixels."""
+    return np.asarray(np.linalg.norm(result.displacement - move(MESH.nodes), axis=1))
+
+
+def test_a_long_wavelength_converges_and_marks_what_it_holds_off() -> None:
     result = measure({})
     states = result.fields["excluded"]
-    off = np.linalg.norm(result.displacement - move(MESH.nodes), axis=1)
+    off = measure_off(result)
     of_cells = off[MESH.connectivity.reshape(-1, 4)].mean(axis=1)
-    assert set(np.unique(states)) <= {KEPT, HELD_BACK}
-    # What is held back left where it was seen, by half of a speckle or more; a cell beside may be as far off, and pull.
-    assert (states == HELD_BACK).sum() >= 5
-    assert of_cells[states == HELD_BACK].min() > 0.6
-    assert (states[of_cells < 0.6] == KEPT).all()
-    assert result.fields["doubtful"][states == HELD_BACK].all()
-    # Of the 10 px by which the neck moves its ends, mechanics hold back a half where they are 8 px off without a start.
+    assert set(np.unique(states)) <= {KEPT, HELD_OFF}
+    # What stands out is off by 0.6 px or more; a cell beside that shows as little of a speckle may be too, and pulls.
+    assert (states == HELD_OFF).sum() >= 5
+    assert of_cells[states == HELD_OFF].min() > 0.6
+    # Cells at the neck pull, and all others are within l_c of one.
+    assert result.fields["doubtful"].all()
+    # Of the 10 px by which the neck moves its ends, mechanics hold off 6 where they are 8 px off without a pull, whose
+    # force ends with what grey levels capture.
     alone = measure({"correlation": {"spoilt_pixels": "keep"}})
-    of_alone = np.linalg.norm(alone.displacement - move(MESH.nodes), axis=1)
-    assert off.max() <= 0.75 * of_alone.max()
+    assert off.max() <= 0.8 * measure_off(alone).max()
+    assert np.sqrt((off**2).mean()) <= np.sqrt((measure_off(alone)**2).mean())
     assert (alone.fields["excluded"] == KEPT).all()
+    assert not alone.fields["doubtful"].all()
+
+
+@pytest.mark.parametrize(("cut_off_wavelength", "least_off"), [(60.0, 1.0), (90.0, 2.5)])
+def test_a_clean_pair_that_is_held_off_and_not_pulled_pays_nothing(cut_off_wavelength: float,
+                                                                   least_off: float) -> None:
+    regularization = {"regularization": {"cut_off_wavelength": cut_off_wavelength}}
+    looked, kept = (measure(regularization | {"correlation": {"spoilt_pixels": what}}) for what in ("exclude", "keep"))
+    # Guards the test: nodes are off by more than the residual of other speckle bears.
+    assert measure_off(looked).max() > least_off
+    assert (looked.fields["excluded"] == KEPT).all()
+    # Every pixel counts in every pass, and the field has the same bits.
+    np.testing.assert_array_equal(looked.gauss_newton["n_pixels"], kept.gauss_newton["n_pixels"])
+    np.testing.assert_array_equal(looked.displacement, kept.displacement)
+    np.testing.assert_array_equal(looked.gauss_newton["rms_correction_px"], kept.gauss_newton["rms_correction_px"])
 
 
 @pytest.mark.parallel([1, 2, 3])
 @pytest.mark.parametrize("solver", [{"method": "dual", "partition": "blocks", "blocks": [2, 4], "tolerance": 1e-12},
                                     {"method": "assembled"}], ids=["dual", "assembled"])
-def test_any_number_of_ranks_holds_back_the_same(solver: dict[str, Any]) -> None:
+def test_any_number_of_ranks_holds_off_the_same(solver: dict[str, Any]) -> None:
     options = {"gauss_newton": TIGHT, "solver": solver}
     alone, together = measure(options), measure(options, MPI.COMM_WORLD)
     np.testing.assert_array_equal(together.fields["excluded"], alone.fields["excluded"])
-    assert (alone.fields["excluded"] == HELD_BACK).any()
-    # Gauss-Newton stops at corrections of 1e-9 px, beside cells that are off at a third of a digit an iteration.
-    np.testing.assert_allclose(together.displacement, alone.displacement, atol=1e-8)
+    assert (alone.fields["excluded"] == HELD_OFF).any()
+    # Where cells are seen is found from a rough field, which differs by 0.01 px with the start of other subdomains.
+    np.testing.assert_allclose(together.displacement, alone.displacement, atol=2e-2)
 
 
-def test_the_frame_after_one_that_is_held_back_is_searched_for(tmp_path: Path) -> None:
+def test_the_frame_after_one_that_is_held_off_is_searched_for(tmp_path: Path) -> None:
     reference, deformed = render()
     for name, image in (("f.tif", reference), ("g_1.tif", deformed), ("g_2.tif", deformed)):
         tifffile.imwrite(tmp_path / name, image)
@@ -111,4 +132,4 @@ cut_off_wavelength = 300
     one, two = ddic.open_series(tmp_path / "result.vtkhdf")
     np.testing.assert_array_equal(one.displacement, two.displacement)
     np.testing.assert_array_equal(one.fields["excluded"], two.fields["excluded"])
-    assert (one.fields["excluded"] == HELD_BACK).any()
+    assert (one.fields["excluded"] == HELD_OFF).any()
