@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 
 from accept.series_runs import kill_in_frame
-from accept.support.moving_frames import Frames, describe_case, write_frames
+from accept.support.moving_frames import REPEATABLE, Frames, describe_case, write_frames
 from accept.support.same_datasets import find_unequal_datasets
 from accept.table import Scale
 from bench.support.rows import Row
@@ -15,9 +15,6 @@ from ddic.io.series_reader import read_series
 SIZE, ELEMENT = (128, 128), 16
 N_FRAMES, EVERY = 300, 20
 SMOKE_FRAMES, SMOKE_EVERY = 8, 4
-REPEATABLE = '[solver]\nmethod = "dual"\n'
-"""Two undisturbed runs of the assembled method on two ranks differ in their last bits: MUMPS adds up as it comes."""
-
 LARGEST = 6.0
 """Displacement in the last frame, pixels."""
 

@@ -15,7 +15,7 @@ import numpy as np
 import psutil
 
 from accept.openhole import case_text
-from accept.support.moving_frames import Frames, describe_case, write_frames
+from accept.support.moving_frames import REPEATABLE, Frames, describe_case, write_frames
 from accept.support.same_datasets import find_unequal_datasets
 from accept.support.settings import describe_settings
 from accept.table import Check, Scale
@@ -250,7 +250,7 @@ def measure_killed(scale: Scale) -> list[Row]:
     frames = SMOKE_FAST if scale.smoke else Frames((1200, 1000), 6, 6.0)
     folder = scale.folder("series_killed")
     write_frames(frames, folder)
-    case = describe_case(frames, SMALL_ELEMENT)
+    case = describe_case(frames, SMALL_ELEMENT) + REPEATABLE
     for name in ("whole", "rank", "mpirun"):
         shutil.rmtree(folder / f"{name}.frames", ignore_errors=True)
         for ending in ("vtkhdf", "json"):
@@ -267,13 +267,12 @@ def measure_killed(scale: Scale) -> list[Row]:
         n_measured = len(read_series(folder / f"{victim}.vtkhdf"))
         told = "its datasets are equal" if not differing else f"other values in {', '.join(differing)}"
         rows.append(Row(f"{frames.n_frames} frames, {frames.size[0]} x {frames.size[1]} px, 2 ranks: SIGKILL to "
-                        f"{'one rank' if victim == 'rank' else 'mpirun'} in frame {KILLED_FRAME}, then --resume",
+                        f"{'one rank' if victim == 'rank' else 'mpirun'} in frame {KILLED_FRAME}, then --resume; "
+                        f"{describe_settings(case)}",
                         "no process left, the result equal to that of an undisturbed run, no frame lost",
                         f"all gone after {gone:.1f} s; {n_left} frames were kept, {n_measured} of {frames.n_frames} "
                         f"are in the result; {told}",
-                        n_left >= KILLED_FRAME - 1 and n_measured == frames.n_frames and not differing,
-                        # On a machine that does something else too, bits differ in some runs: why is not known yet.
-                        judged_small=False))
+                        n_left >= KILLED_FRAME - 1 and n_measured == frames.n_frames and not differing))
     return rows
 
 
