@@ -15,7 +15,7 @@ from accept.support.settings import MONOLITHIC, describe_settings
 from accept.table import Scale
 from bench.support.rows import Row, append_result
 from ddic.errors import ConvergenceError, SingularSubdomainError
-from ddic.start.block_sizes import choose_block_sizes
+from ddic.start.binned_pair import choose_block_sizes
 
 SLIP = 7.5
 """Of one plate along the other, which does not move, pixels."""

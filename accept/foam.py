@@ -29,7 +29,7 @@ from bench.support.rows import Row, append_result
 from bench.support.runs import ddic_run, environment
 from ddic.io.result_reader import Result, read_result
 from ddic.mesh.mesh import Mesh
-from ddic.start.camera_noise import ROUNDING
+from ddic.start.frame_start import ROUNDING
 
 RUNS = runs_name("near-far")
 N_RANKS = 2

@@ -24,7 +24,7 @@ from petsc4py import PETSc
 from ddic.methods.run_case import run_case
 from ddic.parallel.phases import Phase
 from ddic.parallel.team import Team
-from ddic.problem.problem_size import ProblemSize
+from ddic.problem.weighted_problem import ProblemSize
 from ddic.separated.corrections import CorrectionRecord
 from ddic.solvers.dual.coarse_space import CoarseSpace
 from ddic.solvers.dual.local_dual import LocalDual

@@ -15,7 +15,7 @@ import pytest
 
 from ddic.cli.console import RunConsole, is_on_terminal
 from ddic.parallel.phases import REPEATED, Phase
-from ddic.problem.problem_size import ProblemSize
+from ddic.problem.weighted_problem import ProblemSize
 from ddic.results.summary import Summary
 from ddic.separated.corrections import CorrectionRecord
 from ddic.solvers.correction_size import CorrectionSize

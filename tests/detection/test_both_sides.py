@@ -11,7 +11,7 @@ from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.own_side import find_points_on_own_side
 from ddic.mesh.structured import build_structured_mesh
-from ddic.start.correlate_alone import Images
+from ddic.start.independent import Images
 from ddic.synth.fields import Translation
 from support.pictures import pair_of, source
 

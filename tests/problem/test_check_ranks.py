@@ -9,7 +9,7 @@ import pytest
 
 from ddic.case.loader import load_case
 from ddic.errors import InputError
-from ddic.problem.check_ranks import check_ranks
+from ddic.problem.check_inputs import check_ranks
 from support.cases import write_case
 
 

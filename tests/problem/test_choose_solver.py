@@ -19,10 +19,9 @@ from ddic.parallel.team import Team
 from ddic.problem import choose_solver as choosing
 from ddic.problem.cameras import open_cameras, open_in_headers
 from ddic.problem.choose_solver import weigh_candidates
-from ddic.problem.inputs import Inputs
+from ddic.problem.inputs import Inputs, SolverChoice
 from ddic.problem.mesh_source import build_meshes
 from ddic.problem.region_mesh import build_region_mesh
-from ddic.problem.solver_choice import SolverChoice
 from support.cases import Ears, largest_difference, write_case, write_images
 from support.measuring import measure, whole_field
 

@@ -19,8 +19,8 @@ from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.split import split_by_blocks
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.filled_cells import HELD, STIFFNESS, FilledCells, fill_cells
 from ddic.problem.region_rotation import fit_rigid_motion
+from ddic.problem.residual_model import HELD, STIFFNESS, FilledCells, fill_cells
 from support.pictures import square_mesh
 
 Array = NDArray[np.float64]

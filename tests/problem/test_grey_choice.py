@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ddic.problem.grey_choice import CELL_SHARE, GLOBAL_SHARE, GROSS_SHARE, choose_correction
+from ddic.problem.match_brightness import CELL_SHARE, GLOBAL_SHARE, GROSS_SHARE, choose_correction
 from support.seen import make_seen
 
 NOISE = 8.0

@@ -14,8 +14,7 @@ from ddic.mesh.shapes import pad_cells
 from ddic.mesh.structured import build_structured_mesh
 from ddic.parallel.team import Team
 from ddic.problem.exclusions import HELD_OFF, SPOILT, Exclusions, exclude, pull_held_cells
-from ddic.problem.held_cells import HeldCells, sum_pulls
-from ddic.problem.residual_limits import CAPTURED
+from ddic.problem.held_cells import CAPTURED, HeldCells, sum_pulls
 from ddic.problem.residual_model import ResidualModel
 from ddic.synth.fields import Translation
 from support.one_subdomain import model_of

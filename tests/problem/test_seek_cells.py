@@ -10,7 +10,7 @@ from ddic.functionals.view import FrameView
 from ddic.images.sub_image import MaskedSource
 from ddic.mesh.shapes import pad_cells
 from ddic.parallel.team import Team
-from ddic.problem.seek_cells import REACH, find_cells_beside
+from ddic.problem.held_cells import REACH, find_cells_beside
 from ddic.synth.fields import Affine, DisplacementField, Translation
 from support.one_subdomain import model_of
 from support.pictures import pair_of, source, square_mesh

@@ -17,7 +17,7 @@ from ddic.io.result_schema import CELL_DATA, POINT_DATA, RESIDUAL_IMAGE
 from ddic.methods.run_case import run_case
 from ddic.parallel.team import Team
 from ddic.problem import views
-from ddic.problem.thread_note import list_own_cores, note_crowded_cores
+from ddic.problem.reference_problem import list_own_cores, note_crowded_cores
 from support.cases import Ears, case_text, contents, write_case, write_images
 
 RANKS = [1, 2, 3, 4]

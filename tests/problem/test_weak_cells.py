@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ddic.parallel.team import Team
 from ddic.problem.exclusions import KEPT, SPOILT, UNSEEN, Exclusions, exclude
 from ddic.problem.residual_model import ResidualModel
-from ddic.problem.weak_cells import LEAST_HELD, exclude_weak_cells
+from ddic.problem.view_exclusions import LEAST_HELD, exclude_weak_cells
 from ddic.synth.fields import Translation
 from support.pictures import pair_of, source, square_mesh
 from support.split_model import split_model

@@ -10,8 +10,7 @@ from ddic.images.grid_field import build_uniform_field
 from ddic.mesh.cut_mesh import CutMesh, cut_mesh
 from ddic.mesh.own_side import find_points_on_own_side
 from ddic.mesh.structured import build_structured_mesh
-from ddic.start.coarse_displacement import evaluate_at_nodes
-from ddic.start.cut_field import CutField
+from ddic.start.coarse_displacement import CutField, evaluate_at_nodes
 
 MIDDLE = np.array([100.3, 98.7])
 

@@ -11,7 +11,7 @@ from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.own_side import find_points_on_own_side
 from ddic.mesh.structured import build_structured_mesh
-from ddic.start.extrapolate import extrapolate
+from ddic.start.given_start import extrapolate
 
 MESH = build_structured_mesh((0.0, 0.0, 200.0, 100.0), 10)
 KNOWN = MESH.nodes[:, 0] < 121

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ddic.start.local_affine import fit_robustly, fit_without_itself
+from ddic.start.feature_matches import fit_robustly, fit_without_itself
 
 
 @given(seed=st.integers(0, 10**6), n_wrong=st.integers(0, 1))

@@ -9,8 +9,8 @@ from ddic.mesh.cell_type import Q4
 from ddic.mesh.mesh import build_mesh
 from ddic.mesh.structured import build_structured_mesh
 from ddic.start.binned_pair import BinnedPair
-from ddic.start.cut_field import CutField
-from ddic.start.moved_on import move_on
+from ddic.start.coarse_displacement import CutField
+from ddic.start.start_from_given import move_on
 from ddic.synth.fields import Affine, DisplacementField
 from support.pictures import pair_of, source, square_mesh
 

@@ -10,8 +10,7 @@ import pytest
 from ddic.images.grid_field import build_uniform_field
 from ddic.kinematics.discontinuities import Discontinuities
 from ddic.mesh.structured import build_structured_mesh
-from ddic.start.binned_pair import BinnedPair
-from ddic.start.block_sizes import choose_block_sizes
+from ddic.start.binned_pair import BinnedPair, choose_block_sizes
 from ddic.start.multilevel import SURE, MultilevelStart, Stages, find_multilevel_start
 from ddic.start.pyramid_level import correlate_level
 from ddic.synth.fields import Affine, DisplacementField, Translation

@@ -10,8 +10,7 @@ from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.mesh import build_mesh
 from ddic.mesh.own_side import find_points_on_own_side
 from ddic.mesh.structured import build_structured_mesh
-from ddic.start.affine_map import fit_affine_map
-from ddic.start.pair_field import interpolate_pairs
+from ddic.start.feature_matches import fit_affine_map, interpolate_pairs
 
 MESH = build_structured_mesh((0.0, 0.0, 200.0, 100.0), 10)
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from ddic.start.binned_pair import BinnedPair
-from ddic.start.coarse_displacement import evaluate_at_nodes
-from ddic.start.cut_field import CutField
+from ddic.start.coarse_displacement import CutField, evaluate_at_nodes
 from ddic.start.multilevel import MultilevelStart, Pyramid, Stages
 from ddic.start.start_from_given import find_start_from_given
 from ddic.synth.fields import Affine, DisplacementField, Translation

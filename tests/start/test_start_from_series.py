@@ -13,7 +13,7 @@ from ddic.cli.check import check
 from ddic.errors import InputError
 from ddic.methods.run_case import run_pair
 from ddic.parallel.team import Team
-from ddic.problem.check_ranks import load_checked_case
+from ddic.problem.check_inputs import load_checked_case
 from ddic.results.listener import Silence
 from ddic.start.given_start import EarlierResult, load_given_start
 from support.cases import write_case, write_images

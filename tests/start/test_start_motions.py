@@ -13,7 +13,7 @@ from ddic.kinematics.camera_kinematics import MotionKind
 from ddic.parallel.team import Team
 from ddic.partition.by_camera import find_cameras_at_nodes
 from ddic.partition.subdomain import Interface, Subdomain
-from ddic.start.start_motions import start_motions
+from ddic.start.frame_start import start_motions
 from support.near_far_linear import NearFarCut, NearFarStep, near_far_step
 
 RANKS = [1, 2, 4]

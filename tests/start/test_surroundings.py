@@ -11,11 +11,8 @@ from ddic.images.window import Window
 from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.structured import build_structured_mesh
 from ddic.start.binned_pair import BinnedPair, PixelPair
-from ddic.start.coarse_displacement import evaluate_at_nodes, move_field
-from ddic.start.cut_field import CutField
-from ddic.start.level_mesh import move_mesh
-from ddic.start.multilevel import MultilevelStart, Stages, find_multilevel_start
-from ddic.start.surroundings import bin_surroundings, can_bin_finer
+from ddic.start.coarse_displacement import CutField, evaluate_at_nodes, move_field, move_mesh
+from ddic.start.multilevel import MultilevelStart, Stages, bin_surroundings, can_bin_finer, find_multilevel_start
 from ddic.synth.fields import Affine
 from support.pictures import pair_of, rms_error, source
 

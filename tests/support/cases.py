@@ -11,7 +11,7 @@ import numpy as np
 import tifffile
 
 from ddic.parallel.phases import Phase
-from ddic.problem.problem_size import ProblemSize
+from ddic.problem.weighted_problem import ProblemSize
 from ddic.separated.corrections import CorrectionRecord
 from ddic.solvers.gauss_newton import IterationRecord
 from ddic.synth.fields import DisplacementField, Sinusoidal

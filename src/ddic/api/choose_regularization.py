@@ -17,10 +17,9 @@ from ddic.methods.detect import find_discontinuity
 from ddic.methods.sweep_candidates import measure_candidates
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.check_ranks import check_loaded_case, load_checked_case
+from ddic.problem.check_inputs import check_loaded_case, load_checked_case
 from ddic.problem.inputs import Inputs, open_inputs
-from ddic.problem.mesh_source import build_meshes
-from ddic.problem.wavelength_limits import LONGEST_WAVELENGTH, SHORTEST_WAVELENGTH
+from ddic.problem.mesh_source import LONGEST_WAVELENGTH, SHORTEST_WAVELENGTH, build_meshes
 from ddic.results.listener import Silence
 from ddic.results.sweep_trials import Candidate, Sweep
 

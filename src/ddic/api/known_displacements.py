@@ -23,7 +23,7 @@ from ddic.mesh.structured import build_structured_mesh
 from ddic.methods.expected_noise import estimate_nodal_noise
 from ddic.problem.cameras import Camera, make_setup
 from ddic.problem.inputs import Inputs
-from ddic.problem.wavelength_limits import SHORTEST_WAVELENGTH
+from ddic.problem.mesh_source import SHORTEST_WAVELENGTH
 
 Array = NDArray[np.float64]
 

@@ -30,9 +30,9 @@ from ddic.methods.detect import find_discontinuity, is_line_wanted
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team, require_held
 from ddic.problem.cameras import Camera, Frame, make_setup
+from ddic.problem.check_inputs import check_loaded_case, check_ranks, load_checked_case
 from ddic.problem.check_mesh_uses import check_mesh
 from ddic.problem.check_output import check_nothing_is_overwritten, check_output_file
-from ddic.problem.check_ranks import check_loaded_case, check_ranks, load_checked_case
 from ddic.problem.inputs import Inputs, open_inputs
 from ddic.problem.mesh_source import accept_mesh, convert_mapping
 from ddic.problem.rectangle import Rectangle, check_rectangle, find_rectangle, find_rectangle_of_case

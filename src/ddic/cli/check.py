@@ -32,8 +32,8 @@ def check(case_file: Path, drawing: Path | None) -> None:
     # Imported here because they bring numba, meshio and OpenCV, which --help does not need.
     from ddic.case.loader import load_case
     from ddic.case.own_outputs import PICTURE, require_own_output
+    from ddic.problem.check_inputs import check_case_file
     from ddic.problem.check_output import list_inputs
-    from ddic.problem.check_ranks import check_case_file
 
     with errors_as_lines(drawing), warnings_as_lines():
         if drawing is not None:

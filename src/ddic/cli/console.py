@@ -25,7 +25,7 @@ from rich.text import Text
 
 from ddic.cli.run_share import OF_CORRECTION, OF_ITERATION, RunShare
 from ddic.parallel.phases import REPEATED, Phase
-from ddic.problem.problem_size import ProblemSize
+from ddic.problem.weighted_problem import ProblemSize
 from ddic.results.series_record import SeriesSummary
 from ddic.results.summary import Summary
 from ddic.separated.corrections import CorrectionRecord

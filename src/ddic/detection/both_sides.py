@@ -12,7 +12,7 @@ from ddic.images.window import Window
 from ddic.mesh.cut_mesh import CutMesh
 from ddic.mesh.interpolation import interpolate_located, place_in_cells
 from ddic.mesh.plane import multiply_across
-from ddic.start.correlate_alone import Images
+from ddic.start.independent import Images
 
 Array = NDArray[np.float64]
 

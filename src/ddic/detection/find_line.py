@@ -17,8 +17,8 @@ from ddic.kinematics.strain import compute_strain
 from ddic.mesh.interpolation import interpolate_located, place_in_cells
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_cell_size
-from ddic.start.correlate_alone import Images, correlate_alone
-from ddic.start.level_mesh import cut_level
+from ddic.start.coarse_displacement import cut_level
+from ddic.start.independent import Images, correlate_alone
 
 Array = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from ddic.detection.find_line import Detection, find_line
 from ddic.problem.cameras import Frame
 from ddic.problem.inputs import Inputs
-from ddic.start.correlate_alone import Images
-from ddic.start.extrapolate import extrapolate
+from ddic.start.given_start import extrapolate
+from ddic.start.independent import Images
 
 
 def find_line_of_case(inputs: Inputs, frame: Frame, displacement: NDArray[np.float64]) -> Detection:

@@ -17,8 +17,8 @@ from ddic.mesh.polyline import measure_distance
 from ddic.mesh.quality import measure_cell_size
 from ddic.mesh.raster import list_pixels, rasterize
 from ddic.solvers.correction_size import Tolerances
-from ddic.start.correlate_alone import Images, correlate_alone
-from ddic.start.level_mesh import LevelMesh, cut_level
+from ddic.start.coarse_displacement import LevelMesh, cut_level
+from ddic.start.independent import Images, correlate_alone
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from typing import Self
 
 from ddic.methods.dd_dic import Session
 from ddic.methods.noise_floors import NoiseFloor
-from ddic.problem.update_reference import update_reference
+from ddic.problem.reference_problem import update_reference
 from ddic.results.frame_states import MeasuredState
 from ddic.results.measurement import Measurement
 from ddic.results.series_images import SeriesImages

@@ -11,23 +11,27 @@ from numpy.typing import NDArray
 from ddic.errors import ConvergenceError, as_collective
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.problem.exclusions import exclude, pull_held_cells
-from ddic.problem.looks import SETTLED, Looks
-from ddic.problem.noise_of_field import accept_noise
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.see_frame import SeenFrame, see_start
-from ddic.problem.solved_frame import SolvedFrame, begin_frame, see_solved_frame, solve_further
+from ddic.problem.solved_frame import (
+    SETTLED,
+    Looks,
+    SolvedFrame,
+    accept_noise,
+    begin_frame,
+    see_solved_frame,
+    solve_further,
+)
 from ddic.problem.views import read_frame_windows
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.results.listener import Listener
 from ddic.solvers.gauss_newton import Progress
 
-Array = NDArray[np.float64]
-
 MOST_LOOKS = 20
 """Times that a frame is looked at before it is given up."""
 
 
-def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[Array], listener: Listener,
+def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[NDArray[np.float64]], listener: Listener,
                 clock: PhaseClock, least_shown: float = 0.0) -> SolvedFrame:
     """Iterate from a start until neither the field nor what the frame shows of it changes; collective.
 
@@ -103,7 +107,7 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[Array], 
         "the masks and the start, or give a longer regularization.cut_off_wavelength", solved))
 
 
-def _use(model: ResidualModel, seen: SeenFrame, q: list[Array]) -> ResidualModel:
+def _use(model: ResidualModel, seen: SeenFrame, q: list[NDArray[np.float64]]) -> ResidualModel:
     """What Gauss-Newton goes on with from where the frame was seen."""
     whole = replace(model, views=seen.whole.views, correction=seen.whole.correction, blurs=seen.whole.blurs)
     used = pull_held_cells(exclude(whole, seen.excluded), seen.excluded, q)

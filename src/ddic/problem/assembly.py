@@ -19,9 +19,9 @@ from ddic.functionals.equilibrium_gap import (
 )
 from ddic.parallel.team import Team, require_held
 from ddic.partition.subdomain import Subdomain, interface_weights
+from ddic.problem.mesh_source import NO_INNER_NODE
 from ddic.problem.region_mesh import Region, build_material
 from ddic.problem.views import ReferenceViews
-from ddic.problem.wavelength_limits import NO_INNER_NODE
 from ddic.solvers.local_system import LocalSystem
 
 SINGULAR = 1e-9

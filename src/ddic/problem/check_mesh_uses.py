@@ -19,9 +19,8 @@ from ddic.mesh.repair import check_pixels
 from ddic.mesh.topology import find_boundary_nodes
 from ddic.partition.ties import Tying
 from ddic.problem.cut_region import check_lines
-from ddic.problem.gather_problems import Problems
-from ddic.problem.mesh_source import describe_mesh_source
-from ddic.problem.wavelength_limits import NO_INNER_NODE, check_wavelength_fits
+from ddic.problem.inputs import Problems
+from ddic.problem.mesh_source import NO_INNER_NODE, check_wavelength_fits, describe_mesh_source
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.mesh import Mesh
 from ddic.problem.check_mesh_uses import CheckedMesh
 from ddic.problem.cut_region import describe_cut, list_discontinuities
-from ddic.problem.problem_size import describe_cut_off
+from ddic.problem.weighted_problem import describe_cut_off
 
 
 @dataclass(frozen=True)

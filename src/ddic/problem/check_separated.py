@@ -7,14 +7,14 @@ from ddic.case.schema import Case
 from ddic.errors import InputError
 from ddic.images.source import ImageSource
 from ddic.problem.check_report import CheckReport, count_bits
-from ddic.problem.gather_problems import Problems
-from ddic.problem.problem_size import describe_cut_off
+from ddic.problem.inputs import Problems
 from ddic.problem.rectangle import (
     Rectangle,
     check_rectangle,
     choose_controlled_lines,
     find_rectangle_of_case,
 )
+from ddic.problem.weighted_problem import describe_cut_off
 
 
 def check_separated_case(loaded: LoadedCase, reference: ImageSource, problems: Problems) -> CheckReport:

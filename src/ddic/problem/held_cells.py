@@ -1,25 +1,66 @@
-"""Cells that mechanics hold pixels off what the images show.
+"""Cells that mechanics hold pixels off what the images show: where these show them, and how that pulls.
 
-Where a cut-off wavelength is long beside what the specimen does, equilibrium holds the field off. Grey levels of other
-speckle say nothing of the way back, and drive the field to and fro; where the cell is seen does: it pulls with
-M_e (u_seen - u), the force of a displacement as large in the linear theory of [LPHR11]. That grows up to the distance
-that grey levels capture, and no further, as theirs does: a crack, which mechanics smear, would pull all about it along.
+Where a cut-off wavelength is long beside what the specimen does, equilibrium holds the field off; Gauss-Newton may
+also still be on its way. What is found within a few pixels of where the field puts it is the specimen's, and none of
+its pixels is foreign; what hides the specimen is found nowhere.
+
+Grey levels of other speckle say nothing of the way back, and drive the field to and fro; where the cell is seen does:
+it pulls with M_e (u_seen - u), the force of a displacement as large in the linear theory of [LPHR11]. That grows up to
+the distance that grey levels capture, and no further, as theirs does: a crack, which mechanics smear, would pull all
+about it along.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from functools import reduce
+from typing import Any, Self
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ddic.functionals.correlation import Residual
 from ddic.functionals.grey_statistics import GreySums
 from ddic.functionals.view import FrameView, View
+from ddic.images.spline import PADDING, SplineImage
+from ddic.images.window import Window
 from ddic.mesh.shapes import pad_cells
-from ddic.problem.residual_limits import CAPTURED
+
+
+@dataclass(frozen=True)
+class Limits:
+    """From which displacement error on a residual is not believed.
+
+    Attributes
+    ----------
+    cell : float
+        Of a whole cell, pixels.
+    pixel : float
+        About a pixel, pixels.
+    searched : float
+        Of a cell from which on single pixels of it are looked at, pixels.
+    beside : float
+        Distance up to which a cell that is seen beside where it is put counts nevertheless, pixels.
+    """
+
+    cell: float
+    pixel: float
+    searched: float
+    beside: float
+
+
+CAPTURED = 1.5
+"""Distance up to which grey levels say the way to where a cell is seen, pixels: some third of a speckle."""
+
+AT_START, AT_END = Limits(0.8, 1.0, 0.8, CAPTURED), Limits(0.6, 0.5, 0.15, np.inf)
+"""Where the field is a start, and where it is found, which mechanics may hold off by any distance. Real images of
+coarse meshes leave 0.46 px in a cell of little texture at the edge of a hole, and less than 0.3 px elsewhere."""
+
+NO_LIMITS = Limits(np.inf, np.inf, np.inf, np.inf)
+"""Where any residual is believed."""
+
 
 Array = NDArray[np.float64]
 
@@ -116,3 +157,172 @@ def keep_other_cells(pulled: PulledViews, residuals: Sequence[tuple[Residual, ..
     return [tuple(residual if view is None else view.keep_others(residual)
                   for view, residual in zip(of_views, of_subdomain, strict=True))
             for of_views, of_subdomain in zip(pulled, residuals, strict=True)]
+
+
+Image = NDArray[np.float32]
+
+REACH = 8
+"""Distance in which a cell is sought, pixels: mechanics hold waves of some 8 px off by as much. A larger one takes
+longer, and finds by chance what is elsewhere."""
+
+SMALLEST = 31
+"""Least side of the square of pixels that is sought, pixels: six speckles, which two places hardly have in common."""
+
+GUESSED, FOUND = 0.4, 0.8
+"""Correlation coefficients, relative to what the noise lets expect, from which on the best whole-pixel translation is
+refined to an affine motion, and from which on that is believed. Unlike squares of 40 speckles have one of 0.15 at one
+place, 0.45 at the best of all in reach, and 0.6 after an affine motion."""
+
+BESIDE = 0.15
+"""Distance by which a cell is seen beside where it is put, pixels: of what is seen where it is put, the
+residual tells what hides it."""
+
+PIXEL = 0.5
+"""Error of the displacement up to which a pixel's grey levels agree, pixels."""
+
+LEAST_AGREEMENT = 0.97
+"""Share of the pixels that must agree where a cell is found: of clean pairs 0.98 or more do, of squares with a wire
+that stands still or with dirt on the lens, which correlate with themselves, less than 0.95."""
+
+ENOUGH = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-6)
+"""Iterations of the affine motion, and gain of its correlation coefficient below which they end."""
+
+SMOOTHED = 1
+"""Side of the window over which the affine motion's images are averaged, pixels. Averages of f would end at its border,
+where those of g do not: one over 3 px puts corners 0.1 to 0.3 px off, more than noise of 16 grey levels does."""
+
+
+def find_cells_beside(view: FrameView, q: Array, cells: NDArray[np.int64], noise: float) -> dict[int, Array]:
+    """Find the cells that the frame shows beside where unknowns put them, not far off.
+
+    Parameters
+    ----------
+    view : FrameView
+        With all pixels that the frame shows.
+    q : (n_unknowns,) array
+        The subdomain's unknowns.
+    cells : (n,) int64 array
+        Numbers of the cells that are sought.
+    noise : float
+        Variance of the residual where nothing is foreign, grey levels squared.
+
+    Returns
+    -------
+    dict of int to (4, 2) array
+        By the numbers of those that are found: how far their corners (``pad_cells``) are seen from where they are put,
+        pixels; in the mean BESIDE or more.
+    """
+    correlation = view.view.correlation
+    mesh = correlation.mesh
+    corners = dict(zip(cells.tolist(), pad_cells(mesh)[cells], strict=True))
+    squares = {cell: _place_square(mesh.nodes[of_cell], correlation.extent) for cell, of_cell in corners.items()}
+    # From the whole image, without anything masked: neither the cut into subdomains nor what is hidden has a say.
+    squares = {cell: square for cell, square in squares.items() if _is_whole(correlation.source.find_usable(square))}
+    if not squares:
+        return {}
+    moved = mesh.nodes + view.view.kinematics.displacement(q).reshape(mesh.nodes.shape)
+    motions = {cell: _fit_motion(mesh.nodes[corners[cell]], moved[corners[cell]]) for cell in squares}
+    g = view.deformed.get_spline(reduce(Window.union, (_displace_box(motions[cell], square.grow(REACH))
+                                                       for cell, square in squares.items())))
+    found = {}
+    for cell, square in squares.items():
+        f = np.ascontiguousarray(correlation.source.image.read(square), dtype=np.float32)
+        affine = _seek(f, _displace(g, motions[cell], square.grow(REACH)), noise)
+        if affine is None:
+            continue
+        put = mesh.nodes[corners[cell]] - [square.x0, square.y0]
+        away = put @ affine[:, :2].T + affine[:, 2] - put
+        if measure_distance(away) >= BESIDE:
+            found[cell] = away
+    return found
+
+
+def measure_distance(away: Array) -> float:
+    """Mean distance of corners, (4, 2), pixels."""
+    return float(np.linalg.norm(away, axis=1).mean())
+
+
+def _seek(f: Image, g: Image, noise: float) -> Array | None:
+    """Affine motion, (2, 3), that takes f to where it is seen in g; None where it is nowhere.
+
+    A whole-pixel translation is sought, and refined; g is REACH larger on all sides.
+    """
+    seen = np.isfinite(g)
+    # What is out of the image or masked correlates with nothing.
+    filled = np.where(seen, g, np.float32(g[seen].mean() if seen.any() else 0.0))
+    contrast = float(f.var())
+    if not (contrast > 0 and filled.std() > 0):
+        return None
+    expected = contrast / (contrast + noise)
+    coefficients = cv2.matchTemplate(filled, f, cv2.TM_CCOEFF_NORMED)
+    row, column = np.unravel_index(int(np.nanargmax(coefficients)), coefficients.shape)
+    if coefficients[row, column] < GUESSED * expected:
+        return None
+    affine = np.array([[1.0, 0.0, column], [0.0, 1.0, row]], dtype=np.float32)
+    try:
+        coefficient, affine = cv2.findTransformECC(f, filled, affine, cv2.MOTION_AFFINE, ENOUGH,
+                                                   seen.astype(np.uint8), SMOOTHED)
+    except cv2.error:
+        # It does not converge where nothing is alike.
+        return None
+    if coefficient < FOUND * expected:
+        return None
+    at_found = cv2.warpAffine(g, affine, f.shape[::-1], flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP,
+                              borderValue=float("nan"))
+    within = 3.0 * np.sqrt(noise) + PIXEL * np.hypot(*np.gradient(f))
+    if _measure_agreement(f, at_found, within) < LEAST_AGREEMENT:
+        return None
+    return np.asarray(affine - [[0.0, 0.0, REACH], [0.0, 0.0, REACH]], dtype=np.float64)
+
+
+def _measure_agreement(f: Image, g: Image, within: Array) -> float:
+    """Share of the pixels that are seen at which f and g agree, as bright and as strong in contrast as most of f."""
+    seen = np.isfinite(g)
+    if not seen.any():
+        return 0.0
+    (middle_f, spread_f), (middle_g, spread_g) = ((np.median(image), np.subtract(*np.percentile(image, [75, 25])))
+                                                  for image in (f[seen], g[seen]))
+    as_bright = (g - middle_g) * (spread_f / max(spread_g, 1e-6)) + middle_f
+    return float(np.mean(np.abs(f - as_bright)[seen] <= within[seen]))
+
+
+def _place_square(nodes: Array, extent: Window) -> Window:
+    """The box about some nodes, at least SMALLEST wide, within an extent."""
+    centre, half = nodes.mean(axis=0), np.maximum(np.ptp(nodes, axis=0), SMALLEST) / 2
+    (x0, y0), (x1, y1) = np.floor(centre - half).astype(int), np.ceil(centre + half).astype(int)
+    return Window(max(int(x0), extent.x0), max(int(y0), extent.y0), min(int(x1), extent.x1), min(int(y1), extent.y1))
+
+
+def _is_whole(usable: NDArray[Any] | None) -> bool:
+    return usable is None or bool(usable.all())
+
+
+def _fit_motion(nodes: Array, moved: Array) -> Array:
+    """Affine motion, (3, 2) on [1, x, y], that is nearest to how some nodes have moved."""
+    return np.asarray(np.linalg.lstsq(np.column_stack([np.ones(len(nodes)), nodes]), moved, rcond=None)[0])
+
+
+def _displace_box(motion: Array, box: Window) -> Window:
+    """The box of where a motion takes a box of pixels."""
+    corners = np.array([[1.0, x, y] for x in (box.x0, box.x1) for y in (box.y0, box.y1)])
+    (x0, y0), (x1, y1) = np.floor((corners @ motion).min(axis=0)), np.ceil((corners @ motion).max(axis=0))
+    return Window(int(x0), int(y0), int(x1) + 1, int(y1) + 1)
+
+
+def _displace(g: SplineImage, motion: Array, box: Window) -> Image:
+    """Take g to the pixels of a box; nan beyond its window and on what is excluded."""
+    # Clean pairs never come here, and need not wait for it.
+    from scipy.ndimage import map_coordinates
+
+    x, y = np.meshgrid(np.arange(box.x0, box.x1), np.arange(box.y0, box.y1))
+    left, top = (motion[0, k] + motion[1, k] * x + motion[2, k] * y - corner
+                 for k, corner in enumerate((g.window.x0, g.window.y0)))
+    pad = PADDING[g.degree]
+    values = map_coordinates(g.coefficients, [top + pad, left + pad], np.float32, order=g.degree,
+                             mode="nearest", prefilter=False)
+    is_inside = (left >= 0) & (top >= 0) & (left <= g.window.width - 1) & (top <= g.window.height - 1)
+    if g.usable is not None:
+        rows = np.clip(np.floor(top).astype(int), 0, g.window.height - 1)
+        columns = np.clip(np.floor(left).astype(int), 0, g.window.width - 1)
+        is_inside &= g.usable[rows, columns] > 0
+    return np.where(is_inside, values, np.float32(np.nan))

@@ -1,4 +1,8 @@
-"""The residual f - g(x + u) of all subdomains in one frame: what Gauss-Newton asks of the images."""
+"""The residual f - g(x + u) of all subdomains in one frame: what Gauss-Newton asks of the images.
+
+Also whether a frame turns or stretches the specimen so much that the gradient of its own image is needed, and the
+elastic matter that takes the place of cells that are not shown and that nothing else holds.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +11,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from ddic.errors import ConvergenceError, as_collective
 from ddic.functionals.correlation import Residual
+from ddic.functionals.elasticity import Material, integrate_cell_stiffness
 from ddic.functionals.grey_statistics import GreyCorrection, GreyState, GreySums
+from ddic.functionals.moved_gradient import LARGE_SHARE, compute_inverse_deformations, find_large_gradients
 from ddic.images.blurred import Blur
+from ddic.kinematics.cell_interpolation import interpolate_cells
+from ddic.mesh.plane import build_rotation
 from ddic.parallel.team import Team
-from ddic.problem.filled_cells import FilledCells
+from ddic.partition.subdomain import Subdomain
 from ddic.problem.held_cells import PulledViews, keep_other_cells, sum_pulls
-from ddic.problem.moved_gradients import is_deformation_large
-from ddic.problem.region_rotation import HeldRotation
+from ddic.problem.region_rotation import HeldRotation, fit_rigid_motion
 from ddic.problem.views import FrameViews, read_frame_windows
 from ddic.solvers.correction_size import CorrectionSize, Tolerances, measure_correction, weigh_nodes
 
@@ -275,3 +283,184 @@ def _sums_corrected_by_cell(residual: Residual) -> Array:
     """Sum of the residual corrected cell by cell, and of its square, (2,)."""
     first, second = residual.cell_sums.sum_residual(*residual.cell_sums.fit_gain_and_offset())
     return np.array([first.sum(), second.sum()])
+
+
+ByView = tuple[Array | None, ...]
+"""F^-1 of the cells of a subdomain, as each of its cameras sees them; None for the identity."""
+
+
+def find_inverse_deformations(of_subdomain: FrameViews, q: Array) -> ByView:
+    """Compute F^-1 of the cells of a subdomain.
+
+    Parameters
+    ----------
+    of_subdomain : FrameViews
+        In a frame.
+    q : (n_unknowns,) array
+        Its unknowns.
+
+    Returns
+    -------
+    tuple of (n_cells, 2, 2) array
+        By camera.
+    """
+    return tuple(compute_inverse_deformations(view.view.correlation.mesh, view.view.kinematics.displacement(q))
+                 for view in of_subdomain.views)
+
+
+def is_deformation_large(team: Team, views: Sequence[FrameViews], q: Sequence[Array]) -> bool:
+    """Tell whether more than a few cells of the region turn or stretch by much; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    views : sequence of FrameViews
+        Owned subdomains in a frame.
+    q : sequence of (n_unknowns,) array
+        Their unknowns.
+
+    Returns
+    -------
+    bool
+        The same on all ranks.
+    """
+    n_pixels, n_large = 0, 0
+    for of_subdomain, q_s in zip(views, q, strict=True):
+        own = of_subdomain.views[0].view
+        # By pixels: cells about a crack's tip are small and many.
+        of_cells = own.count_pixels()
+        is_large = find_large_gradients(own.correlation.mesh, own.kinematics.displacement(q_s))
+        n_pixels += int(of_cells.sum())
+        n_large += int(of_cells[is_large].sum())
+    return bool(team.sum(n_large) > LARGE_SHARE * team.sum(n_pixels))
+
+
+STIFFNESS = 1e-4
+"""Young's modulus of filled cells, relative to the mean diagonal of M. They pull at the cells beside them: a larger
+value moves these, a smaller one worsens the operators' condition."""
+
+HELD = 1e-8
+"""What the operator of filled cells has on its diagonal beyond their stiffness, relative to the mean diagonal of M: a
+subdomain that is hidden altogether may move as a rigid body, and its operator must not be singular. Forces have nothing
+of it, so that it costs iterations only; a larger value costs more of them, where hundreds of cells are hidden in a row.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class FilledCells:
+    """Elastic energy of the cells that a frame does not show, less that of the region's rigid motion.
+
+    Attributes
+    ----------
+    team : Team
+        All ranks.
+    subdomains : tuple of Subdomain
+        Owned ones.
+    of_nodes : tuple of (n_dofs, n_dofs) csr_matrix
+        Stiffness of the filled cells of each on displacements of nodes, not turned, grey levels squared per pixel
+        squared.
+    stiffness : tuple of (n_unknowns, n_unknowns) csr_matrix
+        The same on unknowns, turned as far as the region had when the operators were assembled.
+    held : float
+        What their operators have on the diagonal beyond it, grey levels squared per pixel squared.
+    """
+
+    team: Team
+    subdomains: tuple[Subdomain, ...]
+    of_nodes: tuple[sparse.csr_matrix, ...]
+    stiffness: tuple[sparse.csr_matrix, ...]
+    held: float
+
+    def assemble_operator(self, number: int) -> sparse.csr_matrix:
+        """Assemble what the operator of an owned subdomain is given.
+
+        Parameters
+        ----------
+        number : int
+            Of the subdomain among the owned ones.
+
+        Returns
+        -------
+        (n_unknowns, n_unknowns) csr_matrix
+            Grey levels squared per pixel squared; positive on each unknown of filled cells.
+        """
+        stiffness = self.stiffness[number]
+        is_filled = stiffness.diagonal() > 0
+        return (stiffness + sparse.diags(self.held * is_filled)).tocsr()
+
+    def compute_forces(self, q: Sequence[Array]) -> list[Array]:
+        """Compute the forces that b is given; collective.
+
+        Parameters
+        ----------
+        q : sequence of (n_unknowns,) array
+            Unknowns of each owned subdomain.
+
+        Returns
+        -------
+        list of (n_unknowns,) array
+            Grey levels squared per pixel.
+        """
+        motion = fit_rigid_motion(self.team, self.subdomains, q)
+        forces = []
+        for subdomain, of_nodes, q_s in zip(self.subdomains, self.of_nodes, q, strict=True):
+            of_subdomain = np.zeros(subdomain.n_unknowns)
+            if of_nodes.nnz:
+                nodes = subdomain.mesh.nodes
+                field = subdomain.kinematics.displacement(q_s[:subdomain.n_field]).reshape(nodes.shape)
+                rest = (field - motion.evaluate(nodes)) @ motion.rotation
+                # Turned as the region is now: else the field would depend on where its operators were assembled.
+                pull = -(of_nodes @ rest.ravel()).reshape(nodes.shape) @ motion.rotation.T
+                of_subdomain[:subdomain.n_field] = subdomain.kinematics.project_vector(pull.ravel())
+            forces.append(of_subdomain)
+        return forces
+
+
+def fill_cells(team: Team, subdomains: Sequence[Subdomain], cells: Sequence[NDArray[np.bool_]], weight: float,
+               angle: float) -> FilledCells:
+    """Give cells without pixels an elastic energy; free of communication.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    subdomains : sequence of Subdomain
+        Owned ones.
+    cells : sequence of (n_cells,) bool array
+        Which of their cells are filled.
+    weight : float
+        Mean diagonal of M, grey levels squared per pixel squared.
+    angle : float
+        By which the region has turned, radians.
+
+    Returns
+    -------
+    FilledCells
+        Of all of them.
+    """
+    of_nodes = [_assemble(subdomain, chosen, STIFFNESS * weight)
+                for subdomain, chosen in zip(subdomains, cells, strict=True)]
+    stiffness = [_turn(subdomain, matrix, angle) for subdomain, matrix in zip(subdomains, of_nodes, strict=True)]
+    return FilledCells(team, tuple(subdomains), tuple(of_nodes), tuple(stiffness), HELD * weight)
+
+
+def _assemble(subdomain: Subdomain, chosen: NDArray[np.bool_], modulus: float) -> sparse.csr_matrix:
+    """On displacements of nodes, (n_dofs, n_dofs)."""
+    n_dofs = subdomain.mesh.n_dofs
+    if not chosen.any():
+        return sparse.csr_matrix((n_dofs, n_dofs))
+    of_cells = integrate_cell_stiffness(subdomain.mesh, Material())
+    of_cells[~chosen] = 0.0
+    stiffness: sparse.csr_matrix = interpolate_cells(subdomain.mesh).assemble_matrix(modulus * of_cells)
+    return stiffness
+
+
+def _turn(subdomain: Subdomain, of_nodes: sparse.csr_matrix, angle: float) -> sparse.csr_matrix:
+    """The same on unknowns, R K R^T, (n_unknowns, n_unknowns)."""
+    n_motion = subdomain.n_motion
+    if not of_nodes.nnz:
+        return sparse.csr_matrix((subdomain.n_unknowns, subdomain.n_unknowns))
+    turn = sparse.kron(sparse.identity(subdomain.mesh.n_nodes), build_rotation(angle)).tocsr()
+    of_field = subdomain.kinematics.project_matrix((turn @ of_nodes @ turn.T).tocsr())
+    return sparse.block_diag([of_field, sparse.csr_matrix((n_motion, n_motion))]).tocsr() if n_motion else of_field

@@ -12,15 +12,19 @@ from ddic.case.schema import Case
 from ddic.functionals.cell_slopes import CellSlopes
 from ddic.problem.cameras import Camera
 from ddic.problem.exclusions import Exclusions
-from ddic.problem.find_exclusions import find_exclusions
-from ddic.problem.grey_choice import choose_correction
-from ddic.problem.match_brightness import match_brightness
+from ddic.problem.held_cells import AT_END, AT_START, Limits
+from ddic.problem.match_brightness import choose_correction, match_brightness
 from ddic.problem.match_sharpness import match_sharpness
-from ddic.problem.residual_limits import AT_END, AT_START, Limits
 from ddic.problem.residual_model import Evaluation, ResidualModel
-from ddic.problem.seen_cells import SeenCells, TypicalCell, collect_cells, find_typical_cell, measure_seen_cells
-from ddic.problem.standing_out import find_standing_out
-from ddic.problem.view_exclusions import Rules
+from ddic.problem.seen_cells import (
+    SeenCells,
+    TypicalCell,
+    collect_cells,
+    find_standing_out,
+    find_typical_cell,
+    measure_seen_cells,
+)
+from ddic.problem.view_exclusions import Rules, find_exclusions
 
 Array = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from ddic.mesh.shapes import pad_cells
 from ddic.parallel.node_sums import sum_shared_nodes
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.held_unknowns import find_displaced_nodes
+from ddic.problem.renewal import find_displaced_nodes
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.views import FrameViews
 from ddic.solvers.correction_size import CorrectionSize, Tolerances, measure_node_corrections

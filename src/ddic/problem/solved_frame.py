@@ -1,4 +1,8 @@
-"""The field of a frame, found with what was seen of it last."""
+"""The field of a frame, found with what was seen of it last, and which look at the frame is believed.
+
+Cells and pixels come and go with the field that they are judged by: they must come to rest. So must corrections that
+do not become smaller, but are far below the noise of the field.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError
-from ddic.problem.grey_choice import ORDER
+from ddic.problem.cell_errors import find_unmeasured_nodes
+from ddic.problem.match_brightness import ORDER
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.see_frame import SeenFrame, see_frame
 from ddic.problem.slow_nodes import confine_to_slow_nodes, estimate_node_deviations
@@ -17,7 +22,8 @@ from ddic.problem.weighted_problem import WeightedProblem
 from ddic.solvers.anderson import AndersonMixing
 from ddic.solvers.correction_size import CorrectionSize, Tolerances
 from ddic.solvers.dual.continuity import ContinuousField, average_copies
-from ddic.solvers.gauss_newton import Correction, Course, Model, Pause, Progress, Solution, run_gauss_newton
+from ddic.solvers.gauss_newton import PATIENCE, Correction, Course, Model, Pause, Progress, Solution, run_gauss_newton
+from ddic.solvers.noise_floor import estimate_noise_by_steps
 
 Array = NDArray[np.float64]
 
@@ -206,3 +212,102 @@ def see_solved_frame(problem: WeightedProblem, solved: SolvedFrame, as_read: Res
     except ConvergenceError as error:
         error.last = solved
         raise
+
+
+SHARE_OF_NOISE = 0.2
+"""RMS of corrections that do not become smaller, relative to the noise of the field, up to which it counts as found. A
+larger share adds to that noise."""
+
+LARGEST_OF_NOISE = 4.0
+"""The same of the largest correction of a node: nodes at a corner have several times the noise of others."""
+
+
+def accept_noise(problem: WeightedProblem, used: ResidualModel, solution: Solution) -> Solution:
+    """Accept a field whose corrections do not become smaller, if they are far below its noise; collective.
+
+    Images of much noise, whose gradients are half noise too, never come to rest.
+
+    Parameters
+    ----------
+    problem : WeightedProblem
+        The linear step.
+    used : ResidualModel
+        The pixels that count.
+    solution : Solution
+        That did not converge.
+
+    Returns
+    -------
+    Solution
+        With the reason; the same where corrections are more than noise.
+    """
+    if problem.tolerances.max_iterations <= PATIENCE:
+        # Fewer were asked for: nobody knows yet.
+        return solution
+    # Of the pixels that count: what hides others is no noise.
+    evaluation = used.evaluate(solution.q)
+    deviation = evaluation.grey[0].residual_std
+    # Of a vector, as corrections are; the residual has the noise of both images.
+    counted = [~is_unmeasured for is_unmeasured in find_unmeasured_nodes(problem, evaluation)]
+    noise = np.sqrt(2.0) * estimate_noise_by_steps(problem.team, problem.solver.assembly.systems, problem.solver.step,
+                                                   deviation / np.sqrt(2.0), counted)
+    last = solution.records[-1].size
+    if not (last.rms <= SHARE_OF_NOISE * noise and last.largest <= LARGEST_OF_NOISE * noise):
+        return solution
+    stop = (f"stopped at RMS dq = {last.rms:.1e} px, largest dq = {last.largest:.1e} px, which do not become smaller: "
+            f"a residual of {deviation:.1f} grey levels leaves an error of {noise:.1e} px RMS in the field")
+    return replace(solution, stop=stop, converged=True)
+
+
+MOST_ROUGH = 3
+"""Looks at fields that are roughly found, if each shows something else; from the last of them on, what was excluded
+stays so, unless clearly less is."""
+
+SETTLED, SHRINKING = 5, 0.9
+"""Looks after which nothing else is excluded, and share of the fewest pixels so far below which fewer are nevertheless:
+pixels might come and go for ever."""
+
+
+class Looks:
+    """Looks at a frame after the start's, and what of each is believed.
+
+    Parameters
+    ----------
+    is_regularized : bool
+        Whether mechanics hold nodes beside what is hidden.
+
+    Attributes
+    ----------
+    number : int
+        Of the last look.
+    is_rough : bool
+        Whether the next one is at a field that is roughly found.
+    """
+
+    def __init__(self, *, is_regularized: bool) -> None:
+        self.number, self.is_rough, self._is_regularized = 0, True, is_regularized
+        self._was_found, self._fewest = False, np.inf
+
+    def choose(self, seen: SeenFrame, now: SeenFrame, *, is_paused: bool) -> tuple[SeenFrame, bool]:
+        """Choose what to go on with, and tell whether it is other than before; collective."""
+        team = now.whole.team
+        self.number += 1
+        if is_paused and not self._is_regularized:
+            # Nothing holds nodes beside what is hidden, and a rough field would be judged by what drags them there. It
+            # tells the noise, though, and what only the start put elsewhere.
+            self.is_rough = False
+            return replace(now, excluded=seen.excluded.intersect(now.excluded)), True
+        # Cells are found again one row after the other, each from its neighbours.
+        n_excluded = now.excluded.count_pixels(now.whole)
+        shrinks = n_excluded < SHRINKING * self._fewest
+        self._fewest = min(self._fewest, n_excluded)
+        excluded = now.excluded.keep_pulled(seen.excluded)
+        if (self._was_found or self.number >= MOST_ROUGH) and not shrinks:
+            excluded = seen.excluded.join(excluded)
+        is_other = (self.number < SETTLED or shrinks) and (
+            now.whole.correction != seen.whole.correction or excluded.is_other_than(team, seen.excluded))
+        self._was_found |= not is_paused
+        self.is_rough = is_other and not self._was_found and self.number < MOST_ROUGH
+        if is_other:
+            return replace(now, excluded=excluded), True
+        return replace(now, whole=seen.whole, excluded=seen.excluded.with_marks(now.excluded)), False

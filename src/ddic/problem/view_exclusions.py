@@ -1,23 +1,38 @@
-"""What a view of a subdomain does not show: states of its cells, and spoilt pixels of those that are kept."""
+"""What a view of a subdomain does not show: states of its cells, and spoilt pixels of those that are kept.
+
+A cell stands out where its residual is that of a displacement error beyond a limit, more than noise explains. If some
+of its pixels are spoilt, these are excluded, and the whole cell where they are many. If none is by itself, the cell is
+excluded for now: where its neighbours put it, it may be seen again. Cells beside what is excluded that hold one of
+their nodes by a few pixels only are weak: they go too.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.errors import ConvergenceError, as_collective
 from ddic.functionals.cut_patch import cut_patch
 from ddic.functionals.spoilt_pixels import find_spoilt_pixels
 from ddic.functionals.view import FrameView
 from ddic.mesh.shapes import pad_cells
-from ddic.problem.exclusions import BLANK, HELD_OFF, KEPT, SPOILT, UNSEEN
-from ddic.problem.held_cells import HeldCells
-from ddic.problem.residual_limits import CAPTURED, Limits
-from ddic.problem.seek_cells import find_cells_beside, measure_distance
-from ddic.problem.seen_cells import FEWEST_PIXELS, SeenCells, TypicalCell
-from ddic.problem.standing_out import BLANK_TEXTURE, CORRELATED, find_standing_out
+from ddic.parallel.team import Team
+from ddic.problem.exclusions import BLANK, HELD_OFF, KEPT, SPOILT, UNSEEN, Exclusions, exclude, find_excluded
+from ddic.problem.held_cells import (
+    AT_START,
+    CAPTURED,
+    NO_LIMITS,
+    HeldCells,
+    Limits,
+    find_cells_beside,
+    measure_distance,
+)
+from ddic.problem.residual_model import ResidualModel
+from ddic.problem.seen_cells import BLANK_TEXTURE, CORRELATED, FEWEST_PIXELS, SeenCells, TypicalCell, find_standing_out
+from ddic.problem.views import FrameViews
 
 MOST_SPOILT = 0.5
 """Share of a cell's pixels that may be spoilt; of a larger share the rest says little of its nodes."""
@@ -172,3 +187,149 @@ def _search_cells(seen: SeenView, rules: Rules, searched: NDArray[np.int64]) -> 
         if spoilt.any():
             rows, columns = np.nonzero(spoilt)
             yield _SpoiltPart(cell, np.column_stack([columns + box.x0, rows + box.y0]), len(rows) / n_counted)
+
+
+Array = NDArray[np.float64]
+
+LEAST_HELD = 0.1
+"""Diagonal of M of a node beside what is excluded, relative to that of a node of the region in the mean, below which
+the cells about it are excluded as well. A larger share loses more of them, a smaller one leaves nodes to noise."""
+
+
+def exclude_weak_cells(whole: ResidualModel, excluded: Exclusions) -> Exclusions:
+    """Exclude also the cells beside that hold one of their nodes by a few pixels only; collective.
+
+    Parameters
+    ----------
+    whole : ResidualModel
+        With all pixels that the frame shows.
+    excluded : Exclusions
+        Of its subdomains.
+
+    Returns
+    -------
+    Exclusions
+        With at most one row of cells more.
+    """
+    team, views = whole.team, whole.views
+    used = exclude(whole, excluded).views
+    diagonals = team.together(lambda: [_sum_diagonals(of_subdomain, states)
+                                       for of_subdomain, states in zip(used, excluded.cells, strict=True)])
+    totals = team.sum(np.array([sum(d.sum() for d in diagonals), sum((d > 0).sum() for d in diagonals)], dtype=float))
+    mean = totals[0] / max(totals[1], 1.0)
+    beside = set(np.concatenate(team.gather_lists(
+        [np.unique(_nodes_of(of_subdomain, _find_lost(of_subdomain, states)))
+         for of_subdomain, states in zip(views, excluded.cells, strict=True)])).tolist())
+    copies = team.gather_lists([
+        (int(number), float(diagonal)) for of_subdomain, of_nodes in zip(views, diagonals, strict=True)
+        for number, diagonal in zip(of_subdomain.subdomain.node_ids, of_nodes, strict=True) if int(number) in beside])
+    held: dict[int, float] = {}
+    for number, diagonal in copies:
+        held[number] = held.get(number, 0.0) + diagonal
+    weak = np.array(sorted(number for number, diagonal in held.items() if diagonal < LEAST_HELD * mean))
+    cells = []
+    for of_subdomain, states in zip(views, excluded.cells, strict=True):
+        subdomain = of_subdomain.subdomain
+        is_weak = np.isin(subdomain.node_ids, weak)[pad_cells(subdomain.mesh)].any(axis=1)
+        cells.append(tuple(np.where(is_weak & ~find_excluded(state), UNSEEN, state).astype(np.uint8)
+                           for state in states))
+    return replace(excluded, cells=cells)
+
+
+def _find_lost(of_subdomain: FrameViews, states: Sequence[NDArray[np.uint8]]) -> NDArray[np.bool_]:
+    """Cells that the reference images show and no camera sees: what they leave out holds no node in any frame."""
+    in_reference = np.sum([view.count_pixels() for view in of_subdomain.reference.views], axis=0)
+    return np.asarray(np.all([find_excluded(state) for state in states], axis=0) & (in_reference > 0))
+
+
+def _nodes_of(of_subdomain: FrameViews, cells: NDArray[np.bool_]) -> NDArray[np.int64]:
+    subdomain = of_subdomain.subdomain
+    return np.asarray(subdomain.node_ids[pad_cells(subdomain.mesh)[cells]]).ravel()
+
+
+def _sum_diagonals(of_subdomain: FrameViews, states: Sequence[NDArray[np.uint8]]) -> Array:
+    """Diagonal of M at the nodes of a subdomain, over components and cameras, (n_nodes,)."""
+    mesh = of_subdomain.subdomain.mesh
+    total = np.zeros(mesh.n_nodes)
+    for view, state in zip(of_subdomain.views, states, strict=True):
+        diagonal = np.einsum("cii->ci", view.view.correlation.compute_cell_hessians())
+        of_corners = view.view.weight * diagonal.reshape(mesh.n_cells, -1, mesh.dim).sum(axis=2)
+        is_used = ~find_excluded(state)
+        np.add.at(total, pad_cells(mesh)[is_used], of_corners[is_used])
+    return total
+
+
+LARGEST_SHARE = 0.5
+"""Share of the pixels that are shown which may be spoilt; of a larger one nobody knows which part is right."""
+
+START_SHARE = 0.3
+"""The same at a start, which may be wrong itself: with more, nothing is excluded before the first iterations."""
+
+
+def find_exclusions(whole: ResidualModel, q: Sequence[Array], seen: Sequence[Sequence[SeenCells]],
+                    typical: Mapping[int, TypicalCell], rules: Rules, judged: Exclusions | None) -> Exclusions:
+    """Find what of a frame does not show the specimen; collective.
+
+    Parameters
+    ----------
+    whole : ResidualModel
+        With all pixels that the frame shows.
+    q : sequence of (n_unknowns,) array
+        Unknowns of each owned subdomain.
+    seen : sequence of sequence of SeenCells
+        Cells of each subdomain and view.
+    typical : mapping of int to TypicalCell
+        By camera.
+    rules : Rules
+        By which they are judged.
+    judged : Exclusions or None
+        By an earlier look, from which is taken which cells are blank; None where this one judges.
+
+    Returns
+    -------
+    Exclusions
+        Of owned subdomains.
+
+    Raises
+    ------
+    ConvergenceError
+        On all ranks, where most of the frame shows something else.
+    """
+    states_before = [(None,) * len(of_views) for of_views in seen] if judged is None else judged.cells
+    views = [[SeenView(view, q_s, cells, typical[view.camera], states)
+              for view, cells, states in zip(of_subdomain.views, *of_views, strict=True)]
+             for of_subdomain, q_s, *of_views in zip(whole.views, q, seen, states_before, strict=True)]
+    chosen = replace(rules, limits=_choose_limits(whole.team, views, rules.limits))
+    excluded = whole.team.together(lambda: _find_in_views(views, chosen))
+    # Mechanics hold what a frame does not show; what it shows beside something else is another matter.
+    doubted = (BLANK, SPOILT) if rules.is_regularized else (BLANK, SPOILT, UNSEEN)
+    n_doubted = sum(int(np.isin(state, doubted).any()) for of_subdomain in excluded.cells for state in of_subdomain)
+    return exclude_weak_cells(whole, excluded) if whole.team.sum(n_doubted) else excluded
+
+
+def _choose_limits(team: Team, views: Sequence[Sequence[SeenView]], limits: Limits) -> Limits:
+    """Choose no limits where too much stands out at a start; raise where too much does later."""
+    counts = np.zeros(2)
+    for of_subdomain in views:
+        for seen in of_subdomain:
+            stands_out = find_standing_out(seen.cells, seen.typical, limits.cell)
+            counts += seen.cells.n_pixels.sum(), seen.cells.n_pixels[stands_out].sum()
+    n_pixels, n_standing_out = team.sum(counts)
+    if limits is AT_START and n_standing_out > START_SHARE * n_pixels:
+        return NO_LIMITS
+    if n_standing_out > LARGEST_SHARE * n_pixels:
+        raise as_collective(ConvergenceError(
+            f"{n_standing_out / n_pixels:.0%} of the pixels do not show in the deformed image what the field says: the "
+            "start is wrong, or the images do not show the same surface; look at both, and give a start"))
+    return limits
+
+
+def _find_in_views(views: Sequence[Sequence[SeenView]], rules: Rules) -> Exclusions:
+    """What the views of owned subdomains do not show."""
+    cells, pixels, pulled = [], [], []
+    for of_subdomain in views:
+        found = [find_view_exclusions(seen, rules) for seen in of_subdomain]
+        cells.append(tuple(states for states, _, _ in found))
+        pixels.append(tuple(spots for _, spots, _ in found))
+        pulled.append(tuple(held for _, _, held in found))
+    return Exclusions(cells, pixels, pulled)

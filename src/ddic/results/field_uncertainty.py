@@ -14,8 +14,7 @@ from ddic.kinematics.strain_measures import compute_infinitesimal
 from ddic.parallel.node_sums import sum_shared_nodes
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.image_noise import ImageNoise, find_image_noise
-from ddic.problem.noise_forces import NoiseForces, prepare_noise_forces
+from ddic.problem.noise_forces import ImageNoise, NoiseForces, find_image_noise, prepare_noise_forces
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.results.nodal_strain import recover_nodal_gradients

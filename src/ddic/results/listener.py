@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from ddic.parallel.phases import Phase
-from ddic.problem.problem_size import ProblemSize
+from ddic.problem.weighted_problem import ProblemSize
 from ddic.separated.corrections import CorrectionRecord
 from ddic.solvers.gauss_newton import IterationRecord
 

@@ -25,17 +25,16 @@ from ddic.problem.cell_errors import (
     describe_doubtful_cells,
     find_cell_errors,
     find_noisy_cells,
+    find_unmeasured_nodes,
     measure_cell_residuals,
 )
 from ddic.problem.exclusions import Exclusions, find_excluded
 from ddic.problem.inputs import Inputs
 from ddic.problem.linear_solver import compute_cut_off_wavelength
-from ddic.problem.problem_size import ProblemSize
 from ddic.problem.region_mesh import Region
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.solved_frame import SolvedFrame
-from ddic.problem.unmeasured_nodes import find_unmeasured_nodes
-from ddic.problem.weighted_problem import WeightedProblem
+from ddic.problem.weighted_problem import ProblemSize, WeightedProblem
 from ddic.results.camera_images import write_residual_images
 from ddic.results.describe_exclusions import describe_exclusions
 from ddic.results.field_pieces import write_pieces

@@ -15,8 +15,8 @@ from ddic.io.result_writer import ResultWriter
 from ddic.parallel.team import Team, require_held
 from ddic.problem.cameras import Camera, Frame
 from ddic.problem.inputs import Inputs
-from ddic.problem.problem_size import ProblemSize
 from ddic.problem.separated_problem import SeparatedProblem
+from ddic.problem.weighted_problem import ProblemSize
 from ddic.results.provenance import describe_image
 from ddic.results.residual_image import Patch, pack_chunks, stream_chunks
 from ddic.results.separated_cells import OutputCells, write_output_cells

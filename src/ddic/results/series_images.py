@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from ddic.case.loader import LoadedCase
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.frame_opener import FrameOpener
-from ddic.problem.inputs import inputs_kept, open_inputs
+from ddic.problem.inputs import FrameOpener, inputs_kept, open_inputs
 from ddic.results.listener import Listener
 
 

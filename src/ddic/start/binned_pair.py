@@ -1,4 +1,4 @@
-"""An image pair in blocks of pixels, and the blocks of a region."""
+"""An image pair in blocks of pixels, the sides of these blocks, and the square grid on which they are measured."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.images.grid_field import GridField, fill_absent
 from ddic.images.sub_image import MaskedSource
-from ddic.mesh.mesh import Mesh
-from ddic.mesh.raster import Raster
-from ddic.start.coarse_grid import locate_block_centre
+from ddic.mesh.cell_type import Q4
+from ddic.mesh.mesh import Mesh, build_mesh
+from ddic.mesh.raster import Raster, rasterize
 
 
 @dataclass(frozen=True)
@@ -96,3 +97,219 @@ def find_active_blocks(coarse: MaskedSource, raster: Raster) -> NDArray[np.uint8
     covered = raster.find_covered(coarse.image.width, coarse.image.height)
     usable = coarse.find_usable(coarse.extent)
     return covered if usable is None else covered & usable
+
+
+CELL = 16
+"""Side of the grid's cells, blocks. A larger value gives smoother fields, found more surely."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Square cells that hold active blocks, within a regular grid over the region's bounding box.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        The cells, blocks.
+    numbers : (mesh.n_nodes,) array of int64
+        Numbers of its nodes in the full grid, row after row.
+    shape : (rows, columns)
+        Nodes of the full grid.
+    origin : (2,) array
+        Its first node, blocks.
+    spacing : (2,) array
+        Between its nodes, blocks.
+    """
+
+    mesh: Mesh
+    numbers: NDArray[np.int64]
+    shape: tuple[int, int]
+    origin: NDArray[np.float64]
+    spacing: NDArray[np.float64]
+
+    def make_field(self, displacement: NDArray[np.float64], factor: int) -> GridField:
+        """Make a field of displacements of the cells' nodes.
+
+        Parameters
+        ----------
+        displacement : (mesh.n_dofs,) array
+            Of the nodes, blocks.
+        factor : int
+            Side of a block, pixels.
+
+        Returns
+        -------
+        GridField
+            On the full grid, pixels; nodes without a cell have the nearest node's value.
+        """
+        values = np.full((*self.shape, 2), np.nan)
+        values.reshape(-1, 2)[self.numbers] = displacement.reshape(-1, 2) * factor
+        x0, y0 = self.origin * factor + locate_block_centre(factor)
+        step_x, step_y = self.spacing * factor
+        return GridField((x0, y0), (step_x, step_y), fill_absent(values))
+
+
+def locate_block_centre(factor: int) -> float:
+    """Find the position of the first block's centre.
+
+    Parameters
+    ----------
+    factor : int
+        Side of a block, pixels.
+
+    Returns
+    -------
+    float
+        Along either axis, pixels.
+    """
+    return (factor - 1) / 2
+
+
+def build_grid(region: Mesh, active: NDArray[np.uint8]) -> Grid:
+    """Build a grid over a region, without the cells that have no active block.
+
+    Parameters
+    ----------
+    region : Mesh
+        What is measured, blocks.
+    active : (rows, columns) array of uint8
+        1 on the blocks that count.
+
+    Returns
+    -------
+    Grid
+        Of cells with a side of about ``CELL`` blocks.
+    """
+    # Pixels that fill no block may lie beyond the last one's edge.
+    n_rows_of_blocks, n_columns_of_blocks = active.shape
+    edge = np.array([n_columns_of_blocks, n_rows_of_blocks]) - 0.5
+    low, high = np.maximum(region.nodes.min(axis=0), -0.5), np.minimum(region.nodes.max(axis=0), edge)
+    n_columns, n_rows = np.maximum(np.round((high - low) / CELL).astype(int), 1)
+    xs = np.linspace(low[0], high[0], n_columns + 1)
+    ys = np.linspace(low[1], high[1], n_rows + 1)
+    all_x, all_y = np.meshgrid(xs, ys)
+    nodes = np.stack([all_x.ravel(), all_y.ravel()], axis=1)
+    full = build_mesh(nodes, {Q4: _connect(n_rows, n_columns)})
+
+    n_active = rasterize(full).sum_by_cell(active)
+    mesh, numbers = full.create_submesh(np.flatnonzero(n_active > 0))
+    shape = (int(n_rows) + 1, int(n_columns) + 1)
+    spacing = (high - low) / (n_columns, n_rows)
+    return Grid(mesh, numbers, shape, low, spacing)
+
+
+def _connect(n_rows: int, n_columns: int) -> NDArray[np.int64]:
+    """Nodes of each cell of a full grid, (n_cells, 4)."""
+    nodes_a_row = n_columns + 1
+    rows, columns = np.divmod(np.arange(n_rows * n_columns), n_columns)
+    corner = rows * nodes_a_row + columns
+    below = corner + nodes_a_row
+    return np.stack([corner, corner + 1, below + 1, below], axis=1)
+
+
+LARGEST_COARSE_IMAGE = 1_000_000
+"""Pixels of the finest image of the pyramid: what one rank is asked to hold and correlate. A larger value gives a
+better start later."""
+
+LARGEST_FFT_IMAGE = 500_000
+"""Most blocks of the image in which a rigid translation is sought. A larger value takes longer."""
+
+ENOUGH_FFT_IMAGE = 200_000
+"""Blocks of the image enough for a rigid translation, if ENOUGH_BLOCKS of them show the region. A larger value takes
+longer."""
+
+ENOUGH_BLOCKS = 2000
+"""Blocks of the region enough for a rigid translation: coefficients of unrelated images then stay below 0.11 (2000
+samples, 200 000 translations), far from LEAST_COEFFICIENT. A larger value keeps more blocks of small regions."""
+
+SMALLEST_SIDE = 1.5 * CELL
+"""Least side of the region on the coarsest level, blocks: there the grid is hardly more than an affine map. A larger
+value leaves out coarse levels."""
+
+COARSEST = 64
+"""Largest block, pixels. A level finds displacements of about a block beyond its start; a larger value reaches
+further."""
+
+
+def choose_finest_block(n_pixels: int) -> int:
+    """Find the side of the smallest blocks that the start looks at.
+
+    Parameters
+    ----------
+    n_pixels : int
+        Of an image.
+
+    Returns
+    -------
+    int
+        Pixels.
+    """
+    return 1 if n_pixels <= LARGEST_FFT_IMAGE else find_finest_level(n_pixels)
+
+
+def find_finest_level(n_pixels: int) -> int:
+    """Find the side of the smallest blocks of the pyramid.
+
+    Parameters
+    ----------
+    n_pixels : int
+        Of an image.
+
+    Returns
+    -------
+    int
+        Pixels.
+    """
+    finest = 2
+    while n_pixels / finest**2 > LARGEST_COARSE_IMAGE:
+        finest *= 2
+    return finest
+
+
+def choose_block_sizes(n_pixels: int, mesh: Mesh) -> list[int]:
+    """Choose the block sizes of the pyramid's levels.
+
+    Parameters
+    ----------
+    n_pixels : int
+        Of an image.
+    mesh : Mesh
+        The whole mesh, pixels.
+
+    Returns
+    -------
+    list of int
+        Pixels, coarsest first; none where the region is smaller than a cell of each.
+    """
+    side = float(np.ptp(mesh.nodes, axis=0).min())
+    sizes = [find_finest_level(n_pixels)]
+    while sizes[-1] < COARSEST and side / (2 * sizes[-1]) >= SMALLEST_SIDE:
+        sizes.append(2 * sizes[-1])
+    return [size for size in reversed(sizes) if side / size >= CELL]
+
+
+def choose_rigid_block(n_pixels: int, mesh: Mesh) -> int:
+    """Choose the side of the blocks in which a rigid translation is sought.
+
+    Parameters
+    ----------
+    n_pixels : int
+        Of an image.
+    mesh : Mesh
+        The whole mesh, pixels.
+
+    Returns
+    -------
+    int
+        Pixels.
+    """
+    region = float(np.prod(np.ptp(mesh.nodes, axis=0)))
+    size = 1
+    while True:
+        n_blocks = n_pixels / size**2
+        n_larger_blocks_of_region = region / (2 * size) ** 2
+        is_too_large = n_blocks > LARGEST_FFT_IMAGE
+        is_more_than_enough = n_blocks > ENOUGH_FFT_IMAGE and n_larger_blocks_of_region >= ENOUGH_BLOCKS
+        if not (is_too_large or is_more_than_enough):
+            return size
+        size *= 2

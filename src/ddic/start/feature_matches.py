@@ -1,4 +1,7 @@
-"""Speckles found again by their looks, whatever the rotation: OpenCV's SIFT, and what neighbours say of each other."""
+"""Speckles found again by their looks, whatever the rotation, and the displacement that they give a mesh.
+
+OpenCV's SIFT finds them; affine maps through a few neighbours tell which of them err, in each piece of a region.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +10,16 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ddic.images.sub_image import MaskedSource
 from ddic.mesh.interpolation import locate
 from ddic.mesh.mesh import Mesh
+from ddic.mesh.own_side import find_points_on_own_side
 from ddic.mesh.raster import rasterize
 from ddic.start.binned_pair import BinnedPair, find_active_blocks, scale_mesh
-from ddic.start.local_affine import N_NEIGHBOURS, fit_without_itself
 
 Array = NDArray[np.float64]
 
@@ -152,3 +157,311 @@ def _find_consistent(points: Array, displacement: Array, pieces: NDArray[np.int6
             own = own[np.linalg.norm(predicted - displacement[own], axis=1) <= misfit]
         kept.append(own)
     return np.concatenate(kept) if kept else np.zeros(0, np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class MatchedField:
+    """Displacement by affine maps of the nearest matches, each piece of the region for itself.
+
+    Attributes
+    ----------
+    matches : FeatureMatches
+        At least one.
+    mesh : Mesh
+        The region, perhaps cut by lines, pixels.
+    piece_of_cell : (n_cells,) array of int64
+        Piece of the region that each cell is of.
+    """
+
+    matches: FeatureMatches
+    mesh: Mesh
+    piece_of_cell: NDArray[np.int64]
+
+    def interpolate_at_nodes(self, mesh: Mesh) -> Array:
+        """Interpolate the displacement at the nodes of a mesh, each in the piece that it belongs to.
+
+        Parameters
+        ----------
+        mesh : Mesh
+            Perhaps with cut cells, pixels.
+
+        Returns
+        -------
+        (n_nodes, 2) array
+            Displacement, pixels; beyond the region that of the piece of the nearest match.
+        """
+        return self._interpolate(mesh.nodes, find_points_on_own_side(mesh))
+
+    def at(self, points: Array) -> Array:
+        """Interpolate the displacement.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n, 2) array
+            Displacement, pixels; beyond the region that of the piece of the nearest match.
+        """
+        return self._interpolate(points, points)
+
+    def _interpolate(self, points: Array, on_own_side: Array) -> Array:
+        """Displacement of points, each in the piece that a point on its own side lies in."""
+        cells = locate(self.mesh, on_own_side).cells
+        nearest = cKDTree(self.matches.points).query(on_own_side)[1]
+        pieces = np.where(cells >= 0, self.piece_of_cell[cells], self.matches.pieces[nearest])
+        # A piece in which nothing was found moves with what is next to it.
+        pieces = np.where(np.isin(pieces, self.matches.pieces), pieces, self.matches.pieces[nearest])
+        values = np.empty(points.shape)
+        for piece in np.unique(pieces):
+            wanted, own = np.flatnonzero(pieces == piece), np.flatnonzero(self.matches.pieces == piece)
+            n_neighbours = min(N_NEIGHBOURS, len(own))
+            tree = cKDTree(self.matches.points[own])
+            near = own[tree.query(points[wanted], list(range(1, n_neighbours + 1)))[1]]
+            offsets = self.matches.points[near] - points[wanted, None]
+            values[wanted] = fit_robustly(offsets, self.matches.displacement[near])
+        return values
+
+
+EXACT = 1e-9
+"""What an affine map may leave of the displacements, pixels, to be taken for all of them: rounding."""
+
+NODES_AT_ONCE = 50_000
+"""Nodes whose neighbours are held at the same time: 100 MB."""
+
+
+@dataclass(frozen=True, eq=False)
+class PairField:
+    """A displacement at the nodes of a mesh.
+
+    Attributes
+    ----------
+    displacement : (n_nodes, 2) array
+        Pixels.
+    n_pieces_without : int
+        Pieces of the mesh in which no point lies: they move with the affine map of the nearest point's piece.
+    """
+
+    displacement: Array
+    n_pieces_without: int
+
+
+def interpolate_pairs(points: Array, displacement: Array, mesh: Mesh) -> PairField:
+    """Interpolate displacements at points, each piece of the mesh for itself.
+
+    One point says a translation, two a rotation with a scale, three an affine map; what this leaves of more points is
+    interpolated by affine maps of the nearest ones, of which some may be wrong.
+
+    Parameters
+    ----------
+    points : (n, 2) array
+        At least one, pixels.
+    displacement : (n, 2) array
+        Pixels.
+    mesh : Mesh
+        Perhaps cut by lines, pixels.
+
+    Returns
+    -------
+    PairField
+        At all nodes.
+    """
+    piece_of_node = find_piece_of_nodes(mesh)
+    cells = locate(mesh, points).cells
+    nearest_node = cKDTree(mesh.nodes).query(points)[1]
+    piece_of_point = np.where(cells >= 0, find_pieces(mesh)[cells], piece_of_node[nearest_node])
+    held = np.unique(piece_of_point)
+    nearest_point = cKDTree(points).query(mesh.nodes)[1]
+    from_piece = np.where(np.isin(piece_of_node, held), piece_of_node, piece_of_point[nearest_point])
+    values = np.empty((mesh.n_nodes, 2))
+    for piece in held:
+        own, nodes = piece_of_point == piece, np.flatnonzero(from_piece == piece)
+        of_piece = fit_affine_map(points[own], displacement[own])
+        values[nodes] = of_piece.at(mesh.nodes[nodes])
+        values[nodes] += _interpolate_rest(points[own], displacement[own], of_piece, mesh.nodes[nodes])
+    return PairField(values, int(piece_of_node.max()) + 1 - len(held))
+
+
+def _interpolate_rest(points: Array, displacement: Array, of_all: AffineMap, places: Array) -> Array:
+    """What an affine map leaves of displacements, at places."""
+    rest = displacement - of_all.at(points)
+    values = np.zeros_like(places)
+    if np.abs(rest).max() <= EXACT * max(1.0, float(np.abs(displacement).max())):
+        return values
+    tree, n_neighbours = cKDTree(points), min(N_NEIGHBOURS, len(points))
+    for first in range(0, len(places), NODES_AT_ONCE):
+        some = slice(first, first + NODES_AT_ONCE)
+        near = tree.query(places[some], list(range(1, n_neighbours + 1)))[1]
+        values[some] = fit_robustly(points[near] - places[some, None], rest[near])
+    return values
+
+
+def find_pieces(mesh: Mesh) -> NDArray[np.int64]:
+    """Find the pieces of a mesh: cells that hang together by nodes are of one.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Perhaps cut by lines.
+
+    Returns
+    -------
+    (n_cells,) array of int64
+        Piece of each cell, from 0.
+    """
+    cell_of_corner = np.repeat(np.arange(mesh.n_cells), np.diff(mesh.offsets))
+    ones = np.ones(len(cell_of_corner))
+    has_node = sparse.csr_matrix((ones, (cell_of_corner, mesh.connectivity)), (mesh.n_cells, mesh.n_nodes))
+    _, pieces = connected_components(has_node @ has_node.T, directed=False)
+    return np.asarray(pieces, dtype=np.int64)
+
+
+def find_piece_of_nodes(mesh: Mesh) -> NDArray[np.int64]:
+    """Find the piece of a mesh that each node is of.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Perhaps cut by lines; every node is a corner of a cell.
+
+    Returns
+    -------
+    (n_nodes,) array of int64
+        Piece, from 0, as ``find_pieces`` numbers them.
+    """
+    pieces = np.zeros(mesh.n_nodes, dtype=np.int64)
+    pieces[mesh.connectivity] = np.repeat(find_pieces(mesh), np.diff(mesh.offsets))
+    return pieces
+
+
+THIN = 0.02
+"""Width of a set of points, times its length, below which they are on a line and tell no affine map. A larger value
+takes a similarity for more of them."""
+
+
+@dataclass(frozen=True, eq=False)
+class AffineMap:
+    """A displacement that is linear in the position.
+
+    Attributes
+    ----------
+    centre : (2,) array
+        Pixels.
+    translation : (2,) array
+        Displacement of the centre, pixels.
+    gradient : (2, 2) array
+        du_i/dx_j.
+    """
+
+    centre: Array
+    translation: Array
+    gradient: Array
+
+    def at(self, points: Array) -> Array:
+        """Evaluate the displacement.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n, 2) array
+            Pixels.
+        """
+        return np.asarray(self.translation + (points - self.centre) @ self.gradient.T)
+
+
+def fit_affine_map(points: Array, displacement: Array) -> AffineMap:
+    """Fit the map of least squares that the points tell.
+
+    Parameters
+    ----------
+    points : (n, 2) array
+        At least one, pixels.
+    displacement : (n, 2) array
+        Pixels.
+
+    Returns
+    -------
+    AffineMap
+        A translation of one point, a rotation with a scale of two or of several on a line, affine of others.
+    """
+    centre, translation = points.mean(axis=0), displacement.mean(axis=0)
+    offsets, rest = points - centre, displacement - translation
+    axes = np.linalg.svd(offsets, compute_uv=False)
+    if axes[0] == 0.0:
+        return AffineMap(centre, translation, np.zeros((2, 2)))
+    if len(axes) > 1 and axes[1] > THIN * axes[0]:
+        return AffineMap(centre, translation, np.linalg.lstsq(offsets, rest, rcond=None)[0].T)
+    # (1 + a + ib) (x + iy): a rotation with a scale.
+    x, y = offsets.T
+    square = float((offsets**2).sum())
+    a = float((x * rest[:, 0] + y * rest[:, 1]).sum()) / square
+    b = float((x * rest[:, 1] - y * rest[:, 0]).sum()) / square
+    return AffineMap(centre, translation, np.array([[a, -b], [b, a]]))
+
+
+N_NEIGHBOURS = 12
+"""Neighbours that an affine map is fitted to: twice its unknowns a component, and as many again for wrong ones."""
+
+N_ROUNDS = 15
+"""Rounds of reweighting, which leave the least sum of distances instead of squares: wrong neighbours hardly count."""
+
+RIDGE = 1e-3
+"""Share of the neighbours' spread that holds a gradient which they do not tell."""
+
+SMALLEST = 1e-3
+"""Misfit, pixels, below which a neighbour's weight grows no more."""
+
+
+def fit_without_itself(points: Array, displacement: Array, neighbours: NDArray[np.int64]) -> Array:
+    """Predict the displacement of each point from its neighbours'.
+
+    Parameters
+    ----------
+    points : (n, 2) array
+        Pixels.
+    displacement : (n, 2) array
+        Pixels.
+    neighbours : (n, k + 1) array of int64
+        Points nearest to each, itself first.
+
+    Returns
+    -------
+    (n, 2) array
+        Pixels.
+    """
+    others = neighbours[:, 1:]
+    return fit_robustly(points[others] - points[:, None], displacement[others])
+
+
+def fit_robustly(offsets: Array, displacement: Array) -> Array:
+    """Fit an affine map to the displacements of some neighbours, of which some may be wrong.
+
+    Parameters
+    ----------
+    offsets : (n, k, 2) array
+        Where the neighbours are, from the place that is asked for, pixels.
+    displacement : (n, k, 2) array
+        Pixels.
+
+    Returns
+    -------
+    (n, 2) array
+        The map's value at each place, pixels.
+    """
+    spread = np.sqrt((offsets**2).mean(axis=(1, 2), keepdims=True))
+    terms = np.concatenate([np.ones((*offsets.shape[:2], 1)), offsets / np.maximum(spread, 1e-12)], axis=2)
+    ridge = offsets.shape[1] * RIDGE**2 * np.diag([0.0, 1.0, 1.0])
+    weights = np.ones(offsets.shape[:2])
+    for _ in range(N_ROUNDS):
+        weighted = terms * weights[..., None]
+        normal = np.einsum("nki,nkj->nij", weighted, terms) + weights.mean(axis=1)[:, None, None] * ridge
+        coefficients = np.linalg.solve(normal, np.einsum("nki,nkc->nic", weighted, displacement))
+        misfit = np.linalg.norm(terms @ coefficients - displacement, axis=2)
+        weights = 1.0 / np.maximum(misfit, SMALLEST)
+    return np.asarray(coefficients[:, 0])

@@ -4,25 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.errors import list_first
+from ddic.errors import InputError, as_collective, list_first
+from ddic.functionals.grey_statistics import GreyCorrection
+from ddic.functionals.view import FrameView
 from ddic.kinematics.camera_kinematics import CameraKinematics
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team, require_held
-from ddic.problem.cameras import Frame
+from ddic.partition.subdomain import Subdomain
+from ddic.problem.cameras import Camera, Frame
+from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.start_points import StartPoints
 from ddic.problem.views import FrameViews, ReferenceViews, read_frame_windows
 from ddic.problem.weighted_problem import WeightedProblem
-from ddic.start.camera_noise import describe_noise, estimate_noise
-from ddic.start.coarse_field import CoarseSearch, StartField
-from ddic.start.earlier_field import fit_found_fields
+from ddic.start.coarse_field import CoarseSearch, StartField, fit_found_fields
 from ddic.start.given_start import EarlierResult, GivenStart
 from ddic.start.independent import measure_independently
 from ddic.start.multilevel import MultilevelStart
-from ddic.start.start_motions import start_motions
 
 Array = NDArray[np.float64]
 
@@ -155,3 +157,207 @@ def _join_motion(reference: ReferenceViews, field: Array, motion: Array) -> Arra
         raise TypeError("a camera whose set-up moves has kinematics of its own")
     in_image = kinematics.displacement(np.concatenate([field, np.zeros_like(motion)]))
     return kinematics.fit_with_motion(in_image, motion)
+
+
+SMALLEST_SINGULAR_VALUE = 1e-9
+"""Of what motions do to jumps, relative to the largest, below which jumps do not tell a motion. A larger value refuses
+more meshes."""
+
+
+@dataclass(frozen=True)
+class _InterfaceField:
+    """What subdomains of one camera say of n unknowns on their interfaces.
+
+    Attributes
+    ----------
+    camera : int
+        Number of the camera.
+    numbers : (n,) array of int64
+        Of the unknowns.
+    values : (n,) array
+        Of the unknowns.
+    columns : (n, n_motion_unknowns) array
+        What the camera's motion does to them.
+    """
+
+    camera: int
+    numbers: NDArray[np.int64]
+    values: Array
+    columns: Array
+
+
+def start_motions(team: Team, cameras: Sequence[Camera], subdomains: Sequence[Subdomain],
+                  fields: Sequence[Array]) -> list[Array]:
+    """Find the motion of each camera that leaves the least jumps between independent fields, Eq. 22 of [BP17].
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    cameras : sequence of Camera
+        All of them.
+    subdomains : sequence of Subdomain
+        Owned ones.
+    fields : sequence of (n_field,) array
+        Field of each, as if no set-up had moved.
+
+    Returns
+    -------
+    list of (n_motion_unknowns,) array
+        Of each camera, on all ranks.
+
+    Raises
+    ------
+    InputError
+        On all ranks, where a camera shares too few unknowns with others.
+    """
+    owned = team.together(lambda: [_interface_field(cameras[subdomain.camera], subdomain, field)
+                                   for subdomain, field in zip(subdomains, fields, strict=True)])
+    pieces = team.gather_lists(owned)
+    by_camera = [_mean_of_copies([piece for piece in pieces if piece.camera == camera.number]) for camera in cameras]
+    n_motion_unknowns = [camera.setup.n_motion_unknowns for camera in cameras]
+    columns, jumps = _find_jumps(by_camera, n_motion_unknowns)
+    motions, _, rank, _ = np.linalg.lstsq(columns, jumps, rcond=SMALLEST_SINGULAR_VALUE)
+    if rank < sum(n_motion_unknowns):
+        raise as_collective(InputError(
+            "near: the elements of a near-field image share too few nodes with those of other images to tell how its "
+            "set-up moved; enlarge the mesh around it, or give near.region"))
+    return np.split(motions, np.cumsum(n_motion_unknowns)[:-1])
+
+
+def _find_jumps(by_camera: Sequence[_InterfaceField], n_motion_unknowns: Sequence[int]) -> tuple[Array, Array]:
+    """What all motions do to the jumps between each two cameras, (n, n motion unknowns), and these jumps, (n,)."""
+    ends = np.cumsum(n_motion_unknowns)
+    of_camera = [slice(end - n, end) for end, n in zip(ends, n_motion_unknowns, strict=True)]
+    n_columns = int(ends[-1])
+    columns = [np.zeros((0, n_columns))]
+    jumps = [np.zeros(0)]
+    for (a, of_a), (b, of_b) in combinations(enumerate(by_camera), 2):
+        _, at_a, at_b = np.intersect1d(of_a.numbers, of_b.numbers, return_indices=True)
+        between = np.zeros((len(at_a), n_columns))
+        between[:, of_camera[a]] = of_a.columns[at_a]
+        between[:, of_camera[b]] = -of_b.columns[at_b]
+        columns.append(between)
+        jumps.append(of_a.values[at_a] - of_b.values[at_b])
+    return np.concatenate(columns), np.concatenate(jumps)
+
+
+def _interface_field(camera: Camera, subdomain: Subdomain, field: Array) -> _InterfaceField:
+    """A subdomain's field and the columns of its camera's motion on its interface."""
+    at = subdomain.jumps.unknowns
+    kinematics = subdomain.kinematics
+    displacements = camera.setup.motion_columns(subdomain.mesh.nodes).T
+    columns = np.zeros((len(at), len(displacements)))
+    for k, displacement in enumerate(displacements):
+        columns[:, k] = kinematics.fit(displacement)[at]
+    return _InterfaceField(camera.number, kinematics.numbers[at], field[at], columns)
+
+
+def _mean_of_copies(pieces: Sequence[_InterfaceField]) -> _InterfaceField:
+    """One value for each unknown from the subdomains of one camera."""
+    if not pieces:
+        return _InterfaceField(-1, np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 0)))
+    all_numbers = np.concatenate([piece.numbers for piece in pieces])
+    all_values = np.concatenate([piece.values for piece in pieces])
+    all_columns = np.concatenate([piece.columns for piece in pieces])
+    numbers, place, copy_of, counts = np.unique(all_numbers, return_index=True, return_inverse=True,
+                                                return_counts=True)
+    sums = np.bincount(copy_of.reshape(-1), all_values, len(numbers))
+    return _InterfaceField(pieces[0].camera, numbers, sums / counts, all_columns[place])
+
+
+ROUNDING = 0.29
+"""Standard deviation of the rounding to whole grey levels: no estimate of an image of integers is below it."""
+
+SMALLEST_SHARE = 1e-4
+"""Share of the range of its grey levels below which no estimate of a camera's noise is, whatever their unit: no camera
+tells ten thousand of them apart. A larger value gives a camera without noise less weight."""
+
+
+def estimate_noise(team: Team, cameras: Sequence[Camera], views: Sequence[FrameViews],
+                   fields: Sequence[NDArray[np.float64]], correction: GreyCorrection) -> list[float]:
+    """Find the noise of each camera: given, or its residual's standard deviation over sqrt(2); collective.
+
+    Of a camera's subdomains the one in the middle counts: some may not have been measured well by themselves.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    cameras : sequence of Camera
+        All of them.
+    views : sequence of FrameViews
+        Owned subdomains in the frame.
+    fields : sequence of (n_field,) array
+        Field of each, as its own camera alone sees it.
+    correction : GreyCorrection
+        Of grey levels.
+
+    Returns
+    -------
+    list of float
+        Standard deviation of each camera's noise, grey levels.
+    """
+    alone = [_by_own_camera(of_subdomain) for of_subdomain in views]
+    model = ResidualModel(team, alone, correction, len(cameras))
+    evaluation = model.evaluate(fields)
+    deviations = team.gather_lists([(of_subdomain.subdomain.camera, _deviation(model, evaluation, k))
+                                    for k, of_subdomain in enumerate(alone)])
+    ranges = team.gather_lists([(of_subdomain.subdomain.camera, *of_subdomain.reference.own.measure_grey_range())
+                                for of_subdomain in alone])
+    noise = []
+    for camera in cameras:
+        of_camera = [std for number, std in deviations if number == camera.number]
+        # The residual has the noise of two images.
+        estimated = float(np.median(of_camera)) / np.sqrt(2)
+        lowest = min(low for number, low, _ in ranges if number == camera.number)
+        highest = max(high for number, _, high in ranges if number == camera.number)
+        smallest = max(SMALLEST_SHARE * (highest - lowest), _rounding(camera))
+        noise.append(max(estimated, smallest) if camera.noise is None else camera.noise)
+    return noise
+
+
+def _rounding(camera: Camera) -> float:
+    """Standard deviation of the rounding of a camera's grey levels; floats need not be rounded."""
+    return 0.0 if camera.reference.image.saturation is None else ROUNDING
+
+
+def describe_noise(cameras: Sequence[Camera], noise: Sequence[float]) -> tuple[str, ...]:
+    """Say what noise each camera has.
+
+    Parameters
+    ----------
+    cameras : sequence of Camera
+        All of them.
+    noise : sequence of float
+        Of each, grey levels.
+
+    Returns
+    -------
+    tuple of str
+        A line for each.
+    """
+    lines = []
+    for camera, sigma in zip(cameras, noise, strict=True):
+        origin = "estimated from the residual" if camera.noise is None else "given"
+        lines.append(f"{camera.label}: noise of {sigma:.2f} grey levels ({origin})")
+    return tuple(lines)
+
+
+def _by_own_camera(of_subdomain: FrameViews) -> FrameViews:
+    """The same by its own camera, which keeps its number, in a set-up that does not move."""
+    alone = of_subdomain.reference.alone()
+    own = of_subdomain.reference.own.hold_still()
+    return FrameViews(ReferenceViews(alone.subdomain, (own,)), (FrameView(own, of_subdomain.views[0].deformed),))
+
+
+def _deviation(model: ResidualModel, evaluation: Evaluation, place: int) -> float:
+    """Standard deviation of a subdomain's residual, grey levels."""
+    residual = evaluation.residuals[place][0]
+    camera = model.views[place].views[0].camera
+    first, second = residual.cell_sums.sum_residual(*model.find_correction(evaluation, camera, residual))
+    n_pixels = max(float(residual.sums.n_pixels), 1.0)
+    mean = first.sum() / n_pixels
+    variance = second.sum() / n_pixels - mean**2
+    # Rounding may leave a variance of nothing below zero.
+    return float(np.sqrt(max(variance, 0.0)))

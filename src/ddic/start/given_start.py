@@ -1,4 +1,7 @@
-"""A displacement that the user gives to start from, brought to the mesh of a region."""
+"""A displacement that the user gives to start from, brought to the mesh of a region.
+
+Beyond where it is known it is in equilibrium with what is known.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +9,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 from scipy.spatial import cKDTree
 
 from ddic.case.schema import StartSection
 from ddic.errors import InputError
+from ddic.functionals.elasticity import Material, assemble_stiffness
 from ddic.io.damaged_result import require_known_displacement
 from ddic.io.frame_of_series import read_frame_or_last
 from ddic.io.result_reader import SAME_NODE_PX, Result, evaluate_on_sides
@@ -22,9 +27,9 @@ from ddic.mesh.own_side import find_points_on_own_side
 from ddic.mesh.topology import find_boundary_facets
 from ddic.problem.cameras import Camera
 from ddic.problem.start_points import StartPoints, check_start_points, load_start_points, require_points_inside
-from ddic.start.cut_field import CutField
-from ddic.start.extrapolate import extrapolate
-from ddic.start.pair_field import interpolate_pairs
+from ddic.solvers.local_operator import LocalOperator
+from ddic.start.coarse_displacement import CutField
+from ddic.start.feature_matches import AffineMap, find_piece_of_nodes, fit_affine_map, interpolate_pairs
 
 Array = NDArray[np.float64]
 
@@ -298,3 +303,87 @@ def _measure_distances(mesh: Mesh, points: Array) -> Array:
     share = ((points[:, None] - first) * along).sum(axis=2) / np.maximum((along**2).sum(axis=2), 1e-300)
     feet = first + np.clip(share, 0.0, 1.0)[..., None] * along
     return np.asarray(np.linalg.norm(points[:, None] - feet, axis=2).min(axis=1))
+
+
+HELD = 1e-9
+"""Stiffness, times the mean of K's diagonal, that holds nodes to the affine map of what is known: where one node of a
+piece is known, nothing else keeps the piece from turning about it. A larger value lets deformation fade sooner."""
+
+
+@dataclass(frozen=True, eq=False)
+class Extrapolated:
+    """A displacement at all nodes of a mesh.
+
+    Attributes
+    ----------
+    displacement : (n_nodes, 2) array
+        Pixels.
+    n_pieces_without : int
+        Pieces of the mesh in which it was known nowhere: they move with the affine map of what is nearest.
+    """
+
+    displacement: Array
+    n_pieces_without: int
+
+
+def extrapolate(mesh: Mesh, displacement: Array, known: NDArray[np.bool_]) -> Extrapolated:
+    """Extrapolate a displacement from the nodes at which it is known.
+
+    In each piece the affine map nearest to what is known goes on, and what this leaves is in equilibrium, with free
+    edges: rotations and homogeneous strains are extrapolated exactly.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Perhaps cut by lines, pixels.
+    displacement : (n_nodes, 2) array
+        Pixels; looked at where it is known.
+    known : (n_nodes,) array of bool
+        At least one.
+
+    Returns
+    -------
+    Extrapolated
+        As given where it is known.
+    """
+    values = np.where(known[:, None], displacement, 0.0)
+    pieces = find_piece_of_nodes(mesh)
+    maps: dict[int, AffineMap] = {}
+    for piece in np.unique(pieces[known]):
+        own = known & (pieces == piece)
+        maps[int(piece)] = fit_affine_map(mesh.nodes[own], displacement[own])
+    places = np.flatnonzero(known)
+    nearest = places[cKDTree(mesh.nodes[known]).query(mesh.nodes)[1]]
+    from_piece = np.where(np.isin(pieces, list(maps)), pieces, pieces[nearest])
+    background = np.empty_like(values)
+    for piece, of_piece in maps.items():
+        members = from_piece == piece
+        background[members] = of_piece.at(mesh.nodes[members])
+    values[~known] = background[~known]
+    values += _balance(mesh, np.where(known[:, None], values - background, 0.0), known)
+    return Extrapolated(values, len(np.unique(pieces)) - len(maps))
+
+
+def _balance(mesh: Mesh, prescribed: Array, known: NDArray[np.bool_]) -> Array:
+    """Displacement of unknown nodes in equilibrium with prescribed ones; 0 at these."""
+    values = np.zeros_like(prescribed)
+    padded = mesh.cells
+    touched = ((padded >= 0) & ~known[padded]).any(axis=1)
+    if not touched.any():
+        return values
+    part, nodes = mesh.create_submesh(np.flatnonzero(touched))
+    stiffness = assemble_stiffness(part, Material()).tocsr()
+    is_free = np.repeat(~known[nodes], mesh.dim)
+    free, held = np.flatnonzero(is_free), np.flatnonzero(~is_free)
+    inside = stiffness[free][:, free]
+    ridge = HELD * float(inside.diagonal().mean())
+    operator = LocalOperator((inside + ridge * sparse.identity(len(free), format="csr")).tocsr(),
+                             smallest_eigenvalue=0.0, where="extrapolation of the start")
+    try:
+        found = operator.solve(-stiffness[free][:, held] @ prescribed[nodes].ravel()[held])
+    finally:
+        operator.destroy()
+    of_part = np.zeros(part.n_dofs)
+    of_part[free] = found
+    values[nodes] = of_part.reshape(-1, mesh.dim)
+    return values

@@ -12,8 +12,7 @@ from scipy import ndimage
 from ddic.images.sub_image import MaskedSource
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
-from ddic.start.binned_pair import BinnedPair, find_active_blocks, scale_mesh
-from ddic.start.coarse_grid import CELL
+from ddic.start.binned_pair import CELL, BinnedPair, find_active_blocks, scale_mesh
 
 Array = NDArray[np.float64]
 

@@ -12,12 +12,9 @@ from ddic.kinematics.discontinuities import Discontinuities
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
 from ddic.solvers.correction_size import Tolerances
-from ddic.start.binned_pair import BinnedPair, find_active_blocks, scale_mesh
-from ddic.start.coarse_displacement import CoarseField, evaluate_at_nodes
-from ddic.start.coarse_grid import CELL, build_grid
-from ddic.start.correlate_alone import Images, correlate_alone
-from ddic.start.cut_field import CutField
-from ddic.start.level_mesh import cut_level, scale_to_pixels
+from ddic.start.binned_pair import CELL, BinnedPair, build_grid, find_active_blocks, scale_mesh
+from ddic.start.coarse_displacement import CoarseField, CutField, cut_level, evaluate_at_nodes, scale_to_pixels
+from ddic.start.independent import Images, correlate_alone
 
 CUT_OFF = 4.0 * CELL
 """Cut-off wavelength of a level, blocks. A larger value finds smoother fields, and strays less where texture is

@@ -13,12 +13,9 @@ from ddic.kinematics.discontinuities import Discontinuities
 from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
-from ddic.start.binned_pair import BinnedPair, find_active_blocks, scale_mesh
-from ddic.start.coarse_displacement import CoarseField
-from ddic.start.coarse_grid import CELL
-from ddic.start.cut_field import CutField
-from ddic.start.level_mesh import scale_to_pixels
-from ddic.start.pieces import find_pieces
+from ddic.start.binned_pair import CELL, BinnedPair, find_active_blocks, scale_mesh
+from ddic.start.coarse_displacement import CoarseField, CutField, scale_to_pixels
+from ddic.start.feature_matches import find_pieces
 
 LEAST_COEFFICIENT = 0.3
 """Correlation coefficient below which a rigid translation is noise. A larger value starts from zero more often."""
