@@ -35,6 +35,10 @@ from ddic.problem.region_mesh import build_material
 LEAST_SIDE = 8
 """Pixels along each side of an image, of which a spline and a few elements need some."""
 
+LARGEST_PROBE = 1000
+"""Side of the part of the image whose texture is measured, pixels, in the middle of the mesh. A larger value takes
+longer."""
+
 
 def check_images(images: ImagesSection | NearSection, problems: Problems) -> ImageSource | None:
     """Check the images of a camera and their masks.
@@ -126,11 +130,6 @@ def _check_same_size(reference: ImageSource, deformed: ImageSource) -> None:
         raise InputError(f"{deformed.path}: the image is {deformed.width}x{deformed.height} px, but the "
                          f"reference {reference.path} is {reference.width}x{reference.height} px; "
                          "give a pair of one size")
-
-
-LARGEST_PROBE = 1000
-"""Side of the part of the image whose texture is measured, pixels, in the middle of the mesh. A larger value takes
-longer."""
 
 
 def check_texture(case: Case, reference: ImageSource, mesh: Mesh) -> None:

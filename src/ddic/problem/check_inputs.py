@@ -35,6 +35,9 @@ from ddic.problem.rectangle import check_number_of_ranks
 from ddic.problem.start_points import StartPoints, check_start_points, load_start_points, require_points_inside
 from ddic.solvers.factor_packages import require_packages
 
+PixelCounter = Callable[[Mesh, Tying | None], NDArray[np.int64]]
+"""Gives the number of pixels of each cell of a mesh, (n_cells,); raises InputError where an image is unfit."""
+
 
 def check_ranks(loaded: LoadedCase, n_ranks: int) -> None:
     """Refuse more ranks than a case has subdomains, and solvers that PETSc has not on so many.
@@ -202,10 +205,6 @@ def _count_pixels_by_camera(case: Case, mesh: Mesh, tying: Tying | None) -> NDAr
     for measured in collect_cells(cameras, mesh, labels):
         counts[measured.cells] = rasterize(measured.seen).pixel_counts
     return counts
-
-
-PixelCounter = Callable[[Mesh, Tying | None], NDArray[np.int64]]
-"""Gives the number of pixels of each cell of a mesh, (n_cells,); raises InputError where an image is unfit."""
 
 
 def check_case(loaded: LoadedCase, count_pixels: PixelCounter | None = None) -> CheckReport:

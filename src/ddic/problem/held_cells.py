@@ -28,6 +28,42 @@ from ddic.images.spline import PADDING, SplineImage
 from ddic.images.window import Window
 from ddic.mesh.shapes import pad_cells
 
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+CAPTURED = 1.5
+"""Distance up to which grey levels say the way to where a cell is seen, pixels: some third of a speckle."""
+
+REACH = 8
+"""Distance in which a cell is sought, pixels: mechanics hold waves of some 8 px off by as much. A larger one takes
+longer, and finds by chance what is elsewhere."""
+
+SMALLEST = 31
+"""Least side of the square of pixels that is sought, pixels: six speckles, which two places hardly have in common."""
+
+GUESSED, FOUND = 0.4, 0.8
+"""Correlation coefficients, relative to what the noise lets expect, from which on the best whole-pixel translation is
+refined to an affine motion, and from which on that is believed. Unlike squares of 40 speckles have one of 0.15 at one
+place, 0.45 at the best of all in reach, and 0.6 after an affine motion."""
+
+BESIDE = 0.15
+"""Distance by which a cell is seen beside where it is put, pixels: of what is seen where it is put, the
+residual tells what hides it."""
+
+PIXEL = 0.5
+"""Error of the displacement up to which a pixel's grey levels agree, pixels."""
+
+LEAST_AGREEMENT = 0.97
+"""Share of the pixels that must agree where a cell is found: of clean pairs 0.98 or more do, of squares with a wire
+that stands still or with dirt on the lens, which correlate with themselves, less than 0.95."""
+
+ENOUGH = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-6)
+"""Iterations of the affine motion, and gain of its correlation coefficient below which they end."""
+
+SMOOTHED = 1
+"""Side of the window over which the affine motion's images are averaged, pixels. Averages of f would end at its border,
+where those of g do not: one over 3 px puts corners 0.1 to 0.3 px off, more than noise of 16 grey levels does."""
+
 
 @dataclass(frozen=True)
 class Limits:
@@ -51,18 +87,12 @@ class Limits:
     beside: float
 
 
-CAPTURED = 1.5
-"""Distance up to which grey levels say the way to where a cell is seen, pixels: some third of a speckle."""
-
 AT_START, AT_END = Limits(0.8, 1.0, 0.8, CAPTURED), Limits(0.6, 0.5, 0.15, np.inf)
 """Where the field is a start, and where it is found, which mechanics may hold off by any distance. Real images of
 coarse meshes leave 0.46 px in a cell of little texture at the edge of a hole, and less than 0.3 px elsewhere."""
 
 NO_LIMITS = Limits(np.inf, np.inf, np.inf, np.inf)
 """Where any residual is believed."""
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,39 +187,6 @@ def keep_other_cells(pulled: PulledViews, residuals: Sequence[tuple[Residual, ..
     return [tuple(residual if view is None else view.keep_others(residual)
                   for view, residual in zip(of_views, of_subdomain, strict=True))
             for of_views, of_subdomain in zip(pulled, residuals, strict=True)]
-
-
-Image = NDArray[np.float32]
-
-REACH = 8
-"""Distance in which a cell is sought, pixels: mechanics hold waves of some 8 px off by as much. A larger one takes
-longer, and finds by chance what is elsewhere."""
-
-SMALLEST = 31
-"""Least side of the square of pixels that is sought, pixels: six speckles, which two places hardly have in common."""
-
-GUESSED, FOUND = 0.4, 0.8
-"""Correlation coefficients, relative to what the noise lets expect, from which on the best whole-pixel translation is
-refined to an affine motion, and from which on that is believed. Unlike squares of 40 speckles have one of 0.15 at one
-place, 0.45 at the best of all in reach, and 0.6 after an affine motion."""
-
-BESIDE = 0.15
-"""Distance by which a cell is seen beside where it is put, pixels: of what is seen where it is put, the
-residual tells what hides it."""
-
-PIXEL = 0.5
-"""Error of the displacement up to which a pixel's grey levels agree, pixels."""
-
-LEAST_AGREEMENT = 0.97
-"""Share of the pixels that must agree where a cell is found: of clean pairs 0.98 or more do, of squares with a wire
-that stands still or with dirt on the lens, which correlate with themselves, less than 0.95."""
-
-ENOUGH = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-6)
-"""Iterations of the affine motion, and gain of its correlation coefficient below which they end."""
-
-SMOOTHED = 1
-"""Side of the window over which the affine motion's images are averaged, pixels. Averages of f would end at its border,
-where those of g do not: one over 3 px puts corners 0.1 to 0.3 px off, more than noise of 16 grey levels does."""
 
 
 def find_cells_beside(view: FrameView, q: Array, cells: NDArray[np.int64], noise: float) -> dict[int, Array]:

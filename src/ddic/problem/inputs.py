@@ -30,6 +30,8 @@ from ddic.problem.cameras import Camera, Frame, open_cameras, open_frame, open_o
 from ddic.problem.mesh_source import build_meshes
 from ddic.problem.rectangle import Rectangle, find_rectangle_of_case
 
+Array = NDArray[np.float64]
+
 
 @dataclass(frozen=True)
 class Inputs:
@@ -289,9 +291,6 @@ class SolverChoice:
     case: Case
     note: str
     most_iterations: int | None
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,6 +34,29 @@ LEAST_SLOPE = 0.25
 """Difference of brightness between nodes of a cell, relative to the standard deviation of the residual, from which on
 the cell is given a slope. A smaller value spends time on what is less than noise."""
 
+GLOBAL_SHARE = 0.02
+"""Mean square of a brightness change of the whole image, relative to the residual's variance, from which on it is
+corrected. A larger share leaves as much of it in the residual, where it counts like noise."""
+
+CELL_SHARE = 0.1
+"""The same of what differs from cell to cell: a correction of each cell costs some of its information."""
+
+GROSS = 4.0
+"""Brightness change of a cell, squared and relative to the residual's variance, from which on it is gross."""
+
+GROSS_SHARE = 0.005
+"""Share of the pixels in cells of gross changes, a reflection say, from which on cells are corrected one by one."""
+
+FEWEST_PIXELS = 64
+"""Pixels of a cell, in the median, from which on it can tell its own gain and offset from a displacement."""
+
+LEAST_CHANGE, LEAST_GROSS = 0.005, 0.02
+"""Brightness change relative to the contrast of the speckle below which it is none, and not gross: images without noise
+are no reason to correct what interpolation leaves."""
+
+ORDER: tuple[GreyCorrection, ...] = ("none", "global", "element")
+"""From the simplest on."""
+
 
 def match_brightness(whole: ResidualModel, seen: Sequence[Sequence[SeenCells]],
                      typical: Mapping[int, TypicalCell]) -> ResidualModel:
@@ -106,30 +129,6 @@ def _even_out(view: FrameView, sums: Array, typical: TypicalCell) -> FrameView:
     removed[pixels[:, 1] - image.window.y0, pixels[:, 0] - image.window.x0] = at_pixels
     evened = replace(correlation, reference=image.correct_light(removed))
     return replace(view, view=replace(view.view, correlation=evened))
-
-
-GLOBAL_SHARE = 0.02
-"""Mean square of a brightness change of the whole image, relative to the residual's variance, from which on it is
-corrected. A larger share leaves as much of it in the residual, where it counts like noise."""
-
-CELL_SHARE = 0.1
-"""The same of what differs from cell to cell: a correction of each cell costs some of its information."""
-
-GROSS = 4.0
-"""Brightness change of a cell, squared and relative to the residual's variance, from which on it is gross."""
-
-GROSS_SHARE = 0.005
-"""Share of the pixels in cells of gross changes, a reflection say, from which on cells are corrected one by one."""
-
-FEWEST_PIXELS = 64
-"""Pixels of a cell, in the median, from which on it can tell its own gain and offset from a displacement."""
-
-LEAST_CHANGE, LEAST_GROSS = 0.005, 0.02
-"""Brightness change relative to the contrast of the speckle below which it is none, and not gross: images without noise
-are no reason to correct what interpolation leaves."""
-
-ORDER: tuple[GreyCorrection, ...] = ("none", "global", "element")
-"""From the simplest on."""
 
 
 def choose_correction(cells: Mapping[int, SeenCells], least: GreyCorrection = "none",

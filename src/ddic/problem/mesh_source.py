@@ -23,6 +23,17 @@ from ddic.partition.ties import Tying, tie_meshes
 BYTES_PER_CELL = 520
 """Memory that a built-in mesh takes for each cell while it is made, measured on 62,500 and on 1,000,000 cells alike."""
 
+SHORTEST_WAVELENGTH = 3.0
+"""Elements per cut-off wavelength below which a plane wave is not one on the mesh (aliasing)."""
+
+LONGEST_WAVELENGTH = 1000.0
+"""Elements per cut-off wavelength beyond which M is lost in A = M + eta Kbar^T Kbar, whose ratio grows as its
+fourth power (1e12 here, of 1e16)."""
+
+NO_INNER_NODE = ("the mesh has no interior node, so no wavelength can be given a weight; use a finer mesh or give "
+                 "regularization.eta")
+"""What is said of a mesh all of whose nodes lie on its boundary."""
+
 
 def build_mesh(case: Case, width: int, height: int) -> Mesh:
     """Read or make the case's mesh, repair it and check that it lies in the image.
@@ -226,18 +237,6 @@ def _structured(section: StructuredSection, width: int, height: int) -> Mesh:
         polygons=[*(np.array(polygon.vertices) for polygon in section.polygons), *outlined],
         mask=mask,
     )
-
-
-SHORTEST_WAVELENGTH = 3.0
-"""Elements per cut-off wavelength below which a plane wave is not one on the mesh (aliasing)."""
-
-LONGEST_WAVELENGTH = 1000.0
-"""Elements per cut-off wavelength beyond which M is lost in A = M + eta Kbar^T Kbar, whose ratio grows as its
-fourth power (1e12 here, of 1e16)."""
-
-NO_INNER_NODE = ("the mesh has no interior node, so no wavelength can be given a weight; use a finer mesh or give "
-                 "regularization.eta")
-"""What is said of a mesh all of whose nodes lie on its boundary."""
 
 
 def check_weight_fits(eta: float, modulus: float, texture: float, size: float) -> None:

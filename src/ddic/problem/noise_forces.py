@@ -37,6 +37,8 @@ from ddic.solvers.noise_samples import FEWEST_SAMPLES, MOST_SAMPLES, SampledCell
 
 Array = NDArray[np.float64]
 
+GIVEN, OF_REST, OF_RESIDUAL = "given", "of the images at rest", "estimated from the residual"
+
 
 @dataclass(frozen=True, eq=False)
 class NoiseForces:
@@ -203,9 +205,6 @@ def _assemble(view: View, forces: Array) -> Array:
     interpolation = view.correlation.interpolation
     on_nodes = np.bincount(interpolation.cell_dofs.ravel(), forces.ravel(), interpolation.n_dofs)
     return np.asarray(view.weight * view.kinematics.project_vector(on_nodes.astype(np.float64, copy=False)))
-
-
-GIVEN, OF_REST, OF_RESIDUAL = "given", "of the images at rest", "estimated from the residual"
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,8 @@ from ddic.problem.region_mesh import Region, RegionMesh, build_region_mesh, scat
 from ddic.problem.views import ReferenceViews, read_reference_views
 from ddic.solvers.factor_packages import describe_missing_packages
 
+Array = NDArray[np.float64]
+
 T = TypeVar("T")
 
 
@@ -365,9 +367,6 @@ def list_own_cores() -> frozenset[int]:
     if hasattr(os, "sched_getaffinity"):
         return frozenset(os.sched_getaffinity(0))
     return frozenset(range(os.cpu_count() or 1))
-
-
-Array = NDArray[np.float64]
 
 
 def update_reference(team: Team, problem: ReferenceProblem, frame: Frame, displacement: Array) -> Inputs:

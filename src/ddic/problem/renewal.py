@@ -52,6 +52,9 @@ keeps the operator of a subdomain regular that is hidden altogether, and slows d
 those longer than 30 cut-off wavelengths. A larger share slows shorter ones. Without mechanics the same
 share of the diagonal stays at interfaces, whose nodes a neighbour's pixels may hold alone."""
 
+CellCounts = tuple[NDArray[np.int64], ...]
+"""Pixels of each cell, (n_cells,), by view of a subdomain."""
+
 
 @dataclass(frozen=True)
 class RenewalRule:
@@ -343,10 +346,6 @@ def _hold_shared(of_subdomain: FrameViews, hessian: sparse.csr_matrix, whole: Se
     if is_filled is not None:
         is_shared &= ~is_filled
     return sparse.csr_matrix(hessian + sparse.diags(HELD_SHARE * diagonal * is_shared))
-
-
-CellCounts = tuple[NDArray[np.int64], ...]
-"""Pixels of each cell, (n_cells,), by view of a subdomain."""
 
 
 def find_held(subdomain: Subdomain, counts: CellCounts) -> NDArray[np.bool_]:

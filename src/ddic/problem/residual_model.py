@@ -30,6 +30,19 @@ from ddic.solvers.correction_size import CorrectionSize, Tolerances, measure_cor
 
 Array = NDArray[np.float64]
 
+ByView = tuple[Array | None, ...]
+"""F^-1 of the cells of a subdomain, as each of its cameras sees them; None for the identity."""
+
+STIFFNESS = 1e-4
+"""Young's modulus of filled cells, relative to the mean diagonal of M. They pull at the cells beside them: a larger
+value moves these, a smaller one worsens the operators' condition."""
+
+HELD = 1e-8
+"""What the operator of filled cells has on its diagonal beyond their stiffness, relative to the mean diagonal of M: a
+subdomain that is hidden altogether may move as a rigid body, and its operator must not be singular. Forces have nothing
+of it, so that it costs iterations only; a larger value costs more of them, where hundreds of cells are hidden in a row.
+"""
+
 
 @dataclass(frozen=True)
 class Evaluation:
@@ -285,10 +298,6 @@ def _sums_corrected_by_cell(residual: Residual) -> Array:
     return np.array([first.sum(), second.sum()])
 
 
-ByView = tuple[Array | None, ...]
-"""F^-1 of the cells of a subdomain, as each of its cameras sees them; None for the identity."""
-
-
 def find_inverse_deformations(of_subdomain: FrameViews, q: Array) -> ByView:
     """Compute F^-1 of the cells of a subdomain.
 
@@ -334,17 +343,6 @@ def is_deformation_large(team: Team, views: Sequence[FrameViews], q: Sequence[Ar
         n_pixels += int(of_cells.sum())
         n_large += int(of_cells[is_large].sum())
     return bool(team.sum(n_large) > LARGE_SHARE * team.sum(n_pixels))
-
-
-STIFFNESS = 1e-4
-"""Young's modulus of filled cells, relative to the mean diagonal of M. They pull at the cells beside them: a larger
-value moves these, a smaller one worsens the operators' condition."""
-
-HELD = 1e-8
-"""What the operator of filled cells has on its diagonal beyond their stiffness, relative to the mean diagonal of M: a
-subdomain that is hidden altogether may move as a rigid body, and its operator must not be singular. Forces have nothing
-of it, so that it costs iterations only; a larger value costs more of them, where hundreds of cells are hidden in a row.
-"""
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,6 +28,31 @@ unlike images for noisy ones, a smaller one noisy images for unlike ones."""
 TEXTURED = 0.9
 """Share of the pixels in cells of weaker texture than what is called textured: most of the region may be blank."""
 
+SIGNIFICANT = 6.0
+"""Standard deviations beyond which noise alone does not make a cell stand out: it does in one of 10^9."""
+
+LEAST_EXCESS, OF_CONTRAST = 2.0, 10.0
+"""Variance of a cell's residual, relative to the median, from which on it can stand out at all; and by how much more
+when the median is as much as the contrast of the speckle: then it is no noise, and varies like the speckle."""
+
+WEAK_TEXTURE, BLANK_TEXTURE = 0.1, 0.15
+"""Mean |grad f|^2 of a cell relative to a textured one's: what a weaker one is taken for when its residual is judged,
+and below which it may be blank."""
+
+SAME_SPECKLE = 0.4
+"""Correlation coefficient of f and g in a cell, relative to what its contrast and the noise let expect, below which
+another part of the specimen is seen, however large the residual is everywhere. A larger share excludes more."""
+
+UNEXPLAINED = 0.5
+"""Share of the residual's variance that no translation explains from which on another part may be seen."""
+
+CORRELATED = 0.3
+"""Correlation coefficient of f and g from which on a cell of weak texture is seen nevertheless: noise of 400 pixels has
+one of 0.05."""
+
+TINY = 1e-300
+"""What keeps quotients finite."""
+
 
 @dataclass(frozen=True, eq=False)
 class SeenCells:
@@ -214,32 +239,6 @@ def find_typical_cell(cells: SeenCells) -> TypicalCell:
     offset = find_weighted_median(cells.mean_f - gain * cells.mean_g, n)
     return TypicalCell(find_weighted_median(cells.unexplained, n), find_weighted_median(cells.spread_f, n)**2,
                        find_weighted_quantile(cells.texture, n, TEXTURED), gain, offset)
-
-
-SIGNIFICANT = 6.0
-"""Standard deviations beyond which noise alone does not make a cell stand out: it does in one of 10^9."""
-
-LEAST_EXCESS, OF_CONTRAST = 2.0, 10.0
-"""Variance of a cell's residual, relative to the median, from which on it can stand out at all; and by how much more
-when the median is as much as the contrast of the speckle: then it is no noise, and varies like the speckle."""
-
-WEAK_TEXTURE, BLANK_TEXTURE = 0.1, 0.15
-"""Mean |grad f|^2 of a cell relative to a textured one's: what a weaker one is taken for when its residual is judged,
-and below which it may be blank."""
-
-SAME_SPECKLE = 0.4
-"""Correlation coefficient of f and g in a cell, relative to what its contrast and the noise let expect, below which
-another part of the specimen is seen, however large the residual is everywhere. A larger share excludes more."""
-
-UNEXPLAINED = 0.5
-"""Share of the residual's variance that no translation explains from which on another part may be seen."""
-
-CORRELATED = 0.3
-"""Correlation coefficient of f and g from which on a cell of weak texture is seen nevertheless: noise of 400 pixels has
-one of 0.05."""
-
-TINY = 1e-300
-"""What keeps quotients finite."""
 
 
 def find_standing_out(seen: SeenCells, typical: TypicalCell, limit: float) -> NDArray[np.bool_]:

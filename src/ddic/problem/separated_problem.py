@@ -34,6 +34,9 @@ from ddic.separated.separated_regularization import (
     measure_wave_textures,
 )
 
+POWER = {"equilibrium_gap": 4, "tikhonov": 2}
+"""Of the cut-off wavelength, with which its weight grows."""
+
 
 @dataclass(frozen=True, eq=False)
 class SeparatedProblem:
@@ -114,10 +117,6 @@ def prepare_separated_problem(team: Team, inputs: Inputs, clock: PhaseClock) -> 
         size = measure_separated_size(team, inputs, reference, regularization)
     return SeparatedProblem(team, inputs, rectangle, reference, regularization, size, choose_scheme(case),
                             choose_rules(case))
-
-
-POWER = {"equilibrium_gap": 4, "tikhonov": 2}
-"""Of the cut-off wavelength, with which its weight grows."""
 
 
 def choose_own_bands(rectangle: Rectangle, rank: int, n_ranks: int) -> tuple[int, list[range]]:

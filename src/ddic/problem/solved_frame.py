@@ -37,6 +37,21 @@ MOST_MOVING, MOST_SLOW = 0.2, 0.05
 MOST_TIMES = 10
 """Times that slow nodes are iterated alone before the others are taken along again."""
 
+SHARE_OF_NOISE = 0.2
+"""RMS of corrections that do not become smaller, relative to the noise of the field, up to which it counts as found. A
+larger share adds to that noise."""
+
+LARGEST_OF_NOISE = 4.0
+"""The same of the largest correction of a node: nodes at a corner have several times the noise of others."""
+
+MOST_ROUGH = 3
+"""Looks at fields that are roughly found, if each shows something else; from the last of them on, what was excluded
+stays so, unless clearly less is."""
+
+SETTLED, SHRINKING = 5, 0.9
+"""Looks after which nothing else is excluded, and share of the fewest pixels so far below which fewer are nevertheless:
+pixels might come and go for ever."""
+
 
 @dataclass(frozen=True)
 class SolvedFrame:
@@ -214,14 +229,6 @@ def see_solved_frame(problem: WeightedProblem, solved: SolvedFrame, as_read: Res
         raise
 
 
-SHARE_OF_NOISE = 0.2
-"""RMS of corrections that do not become smaller, relative to the noise of the field, up to which it counts as found. A
-larger share adds to that noise."""
-
-LARGEST_OF_NOISE = 4.0
-"""The same of the largest correction of a node: nodes at a corner have several times the noise of others."""
-
-
 def accept_noise(problem: WeightedProblem, used: ResidualModel, solution: Solution) -> Solution:
     """Accept a field whose corrections do not become smaller, if they are far below its noise; collective.
 
@@ -257,15 +264,6 @@ def accept_noise(problem: WeightedProblem, used: ResidualModel, solution: Soluti
     stop = (f"stopped at RMS dq = {last.rms:.1e} px, largest dq = {last.largest:.1e} px, which do not become smaller: "
             f"a residual of {deviation:.1f} grey levels leaves an error of {noise:.1e} px RMS in the field")
     return replace(solution, stop=stop, converged=True)
-
-
-MOST_ROUGH = 3
-"""Looks at fields that are roughly found, if each shows something else; from the last of them on, what was excluded
-stays so, unless clearly less is."""
-
-SETTLED, SHRINKING = 5, 0.9
-"""Looks after which nothing else is excluded, and share of the fewest pixels so far below which fewer are nevertheless:
-pixels might come and go for ever."""
 
 
 class Looks:

@@ -34,12 +34,24 @@ from ddic.problem.residual_model import ResidualModel
 from ddic.problem.seen_cells import BLANK_TEXTURE, CORRELATED, FEWEST_PIXELS, SeenCells, TypicalCell, find_standing_out
 from ddic.problem.views import FrameViews
 
+Array = NDArray[np.float64]
+
 MOST_SPOILT = 0.5
 """Share of a cell's pixels that may be spoilt; of a larger share the rest says little of its nodes."""
 
 LEAST_SHOWN = 0.3
 """Share of a cell's pixels that a frame must show where no mechanics hold its nodes: of a smaller one, pixels that come
 and go with the field hold some of them."""
+
+LEAST_HELD = 0.1
+"""Diagonal of M of a node beside what is excluded, relative to that of a node of the region in the mean, below which
+the cells about it are excluded as well. A larger share loses more of them, a smaller one leaves nodes to noise."""
+
+LARGEST_SHARE = 0.5
+"""Share of the pixels that are shown which may be spoilt; of a larger one nobody knows which part is right."""
+
+START_SHARE = 0.3
+"""The same at a start, which may be wrong itself: with more, nothing is excluded before the first iterations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,13 +201,6 @@ def _search_cells(seen: SeenView, rules: Rules, searched: NDArray[np.int64]) -> 
             yield _SpoiltPart(cell, np.column_stack([columns + box.x0, rows + box.y0]), len(rows) / n_counted)
 
 
-Array = NDArray[np.float64]
-
-LEAST_HELD = 0.1
-"""Diagonal of M of a node beside what is excluded, relative to that of a node of the region in the mean, below which
-the cells about it are excluded as well. A larger share loses more of them, a smaller one leaves nodes to noise."""
-
-
 def exclude_weak_cells(whole: ResidualModel, excluded: Exclusions) -> Exclusions:
     """Exclude also the cells beside that hold one of their nodes by a few pixels only; collective.
 
@@ -257,13 +262,6 @@ def _sum_diagonals(of_subdomain: FrameViews, states: Sequence[NDArray[np.uint8]]
         is_used = ~find_excluded(state)
         np.add.at(total, pad_cells(mesh)[is_used], of_corners[is_used])
     return total
-
-
-LARGEST_SHARE = 0.5
-"""Share of the pixels that are shown which may be spoilt; of a larger one nobody knows which part is right."""
-
-START_SHARE = 0.3
-"""The same at a start, which may be wrong itself: with more, nothing is excluded before the first iterations."""
 
 
 def find_exclusions(whole: ResidualModel, q: Sequence[Array], seen: Sequence[Sequence[SeenCells]],

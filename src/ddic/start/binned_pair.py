@@ -13,6 +13,32 @@ from ddic.mesh.cell_type import Q4
 from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.raster import Raster, rasterize
 
+CELL = 16
+"""Side of the grid's cells, blocks. A larger value gives smoother fields, found more surely."""
+
+LARGEST_COARSE_IMAGE = 1_000_000
+"""Pixels of the finest image of the pyramid: what one rank is asked to hold and correlate. A larger value gives a
+better start later."""
+
+LARGEST_FFT_IMAGE = 500_000
+"""Most blocks of the image in which a rigid translation is sought. A larger value takes longer."""
+
+ENOUGH_FFT_IMAGE = 200_000
+"""Blocks of the image enough for a rigid translation, if ENOUGH_BLOCKS of them show the region. A larger value takes
+longer."""
+
+ENOUGH_BLOCKS = 2000
+"""Blocks of the region enough for a rigid translation: coefficients of unrelated images then stay below 0.11 (2000
+samples, 200 000 translations), far from LEAST_COEFFICIENT. A larger value keeps more blocks of small regions."""
+
+SMALLEST_SIDE = 1.5 * CELL
+"""Least side of the region on the coarsest level, blocks: there the grid is hardly more than an affine map. A larger
+value leaves out coarse levels."""
+
+COARSEST = 64
+"""Largest block, pixels. A level finds displacements of about a block beyond its start; a larger value reaches
+further."""
+
 
 @dataclass(frozen=True)
 class PixelPair:
@@ -97,10 +123,6 @@ def find_active_blocks(coarse: MaskedSource, raster: Raster) -> NDArray[np.uint8
     covered = raster.find_covered(coarse.image.width, coarse.image.height)
     usable = coarse.find_usable(coarse.extent)
     return covered if usable is None else covered & usable
-
-
-CELL = 16
-"""Side of the grid's cells, blocks. A larger value gives smoother fields, found more surely."""
 
 
 @dataclass(frozen=True)
@@ -205,30 +227,6 @@ def _connect(n_rows: int, n_columns: int) -> NDArray[np.int64]:
     corner = rows * nodes_a_row + columns
     below = corner + nodes_a_row
     return np.stack([corner, corner + 1, below + 1, below], axis=1)
-
-
-LARGEST_COARSE_IMAGE = 1_000_000
-"""Pixels of the finest image of the pyramid: what one rank is asked to hold and correlate. A larger value gives a
-better start later."""
-
-LARGEST_FFT_IMAGE = 500_000
-"""Most blocks of the image in which a rigid translation is sought. A larger value takes longer."""
-
-ENOUGH_FFT_IMAGE = 200_000
-"""Blocks of the image enough for a rigid translation, if ENOUGH_BLOCKS of them show the region. A larger value takes
-longer."""
-
-ENOUGH_BLOCKS = 2000
-"""Blocks of the region enough for a rigid translation: coefficients of unrelated images then stay below 0.11 (2000
-samples, 200 000 translations), far from LEAST_COEFFICIENT. A larger value keeps more blocks of small regions."""
-
-SMALLEST_SIDE = 1.5 * CELL
-"""Least side of the region on the coarsest level, blocks: there the grid is hardly more than an affine map. A larger
-value leaves out coarse levels."""
-
-COARSEST = 64
-"""Largest block, pixels. A level finds displacements of about a block beyond its start; a larger value reaches
-further."""
 
 
 def choose_finest_block(n_pixels: int) -> int:

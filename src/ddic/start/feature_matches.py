@@ -47,6 +47,28 @@ FEWEST_MATCHES = 20
 LEAST_SHARE = 0.3
 """Share of all matches that have to agree. On repeated patterns fewer do."""
 
+EXACT = 1e-9
+"""What an affine map may leave of the displacements, pixels, to be taken for all of them: rounding."""
+
+NODES_AT_ONCE = 50_000
+"""Nodes whose neighbours are held at the same time: 100 MB."""
+
+THIN = 0.02
+"""Width of a set of points, times its length, below which they are on a line and tell no affine map. A larger value
+takes a similarity for more of them."""
+
+N_NEIGHBOURS = 12
+"""Neighbours that an affine map is fitted to: twice its unknowns a component, and as many again for wrong ones."""
+
+N_ROUNDS = 15
+"""Rounds of reweighting, which leave the least sum of distances instead of squares: wrong neighbours hardly count."""
+
+RIDGE = 1e-3
+"""Share of the neighbours' spread that holds a gradient which they do not tell."""
+
+SMALLEST = 1e-3
+"""Misfit, pixels, below which a neighbour's weight grows no more."""
+
 
 @dataclass(frozen=True, eq=False)
 class FeatureMatches:
@@ -225,13 +247,6 @@ class MatchedField:
         return values
 
 
-EXACT = 1e-9
-"""What an affine map may leave of the displacements, pixels, to be taken for all of them: rounding."""
-
-NODES_AT_ONCE = 50_000
-"""Nodes whose neighbours are held at the same time: 100 MB."""
-
-
 @dataclass(frozen=True, eq=False)
 class PairField:
     """A displacement at the nodes of a mesh.
@@ -336,11 +351,6 @@ def find_piece_of_nodes(mesh: Mesh) -> NDArray[np.int64]:
     return pieces
 
 
-THIN = 0.02
-"""Width of a set of points, times its length, below which they are on a line and tell no affine map. A larger value
-takes a similarity for more of them."""
-
-
 @dataclass(frozen=True, eq=False)
 class AffineMap:
     """A displacement that is linear in the position.
@@ -403,19 +413,6 @@ def fit_affine_map(points: Array, displacement: Array) -> AffineMap:
     a = float((x * rest[:, 0] + y * rest[:, 1]).sum()) / square
     b = float((x * rest[:, 1] - y * rest[:, 0]).sum()) / square
     return AffineMap(centre, translation, np.array([[a, -b], [b, a]]))
-
-
-N_NEIGHBOURS = 12
-"""Neighbours that an affine map is fitted to: twice its unknowns a component, and as many again for wrong ones."""
-
-N_ROUNDS = 15
-"""Rounds of reweighting, which leave the least sum of distances instead of squares: wrong neighbours hardly count."""
-
-RIDGE = 1e-3
-"""Share of the neighbours' spread that holds a gradient which they do not tell."""
-
-SMALLEST = 1e-3
-"""Misfit, pixels, below which a neighbour's weight grows no more."""
 
 
 def fit_without_itself(points: Array, displacement: Array, neighbours: NDArray[np.int64]) -> Array:

@@ -31,6 +31,17 @@ Array = NDArray[np.float64]
 KnownStart = Sequence[Array] | GivenStart
 """Unknowns of each owned subdomain to start from, or a displacement to go on from."""
 
+SMALLEST_SINGULAR_VALUE = 1e-9
+"""Of what motions do to jumps, relative to the largest, below which jumps do not tell a motion. A larger value refuses
+more meshes."""
+
+ROUNDING = 0.29
+"""Standard deviation of the rounding to whole grey levels: no estimate of an image of integers is below it."""
+
+SMALLEST_SHARE = 1e-4
+"""Share of the range of its grey levels below which no estimate of a camera's noise is, whatever their unit: no camera
+tells ten thousand of them apart. A larger value gives a camera without noise less weight."""
+
 
 @dataclass(frozen=True)
 class FrameStart:
@@ -159,11 +170,6 @@ def _join_motion(reference: ReferenceViews, field: Array, motion: Array) -> Arra
     return kinematics.fit_with_motion(in_image, motion)
 
 
-SMALLEST_SINGULAR_VALUE = 1e-9
-"""Of what motions do to jumps, relative to the largest, below which jumps do not tell a motion. A larger value refuses
-more meshes."""
-
-
 @dataclass(frozen=True)
 class _InterfaceField:
     """What subdomains of one camera say of n unknowns on their interfaces.
@@ -264,14 +270,6 @@ def _mean_of_copies(pieces: Sequence[_InterfaceField]) -> _InterfaceField:
                                                 return_counts=True)
     sums = np.bincount(copy_of.reshape(-1), all_values, len(numbers))
     return _InterfaceField(pieces[0].camera, numbers, sums / counts, all_columns[place])
-
-
-ROUNDING = 0.29
-"""Standard deviation of the rounding to whole grey levels: no estimate of an image of integers is below it."""
-
-SMALLEST_SHARE = 1e-4
-"""Share of the range of its grey levels below which no estimate of a camera's noise is, whatever their unit: no camera
-tells ten thousand of them apart. A larger value gives a camera without noise less weight."""
 
 
 def estimate_noise(team: Team, cameras: Sequence[Camera], views: Sequence[FrameViews],

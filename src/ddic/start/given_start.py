@@ -36,6 +36,10 @@ Array = NDArray[np.float64]
 N_FACETS = 8
 """Edges of the earlier mesh, by their middles, among which the nearest to a point is sought."""
 
+HELD = 1e-9
+"""Stiffness, times the mean of K's diagonal, that holds nodes to the affine map of what is known: where one node of a
+piece is known, nothing else keeps the piece from turning about it. A larger value lets deformation fade sooner."""
+
 
 @dataclass(frozen=True, eq=False)
 class EarlierResult:
@@ -303,11 +307,6 @@ def _measure_distances(mesh: Mesh, points: Array) -> Array:
     share = ((points[:, None] - first) * along).sum(axis=2) / np.maximum((along**2).sum(axis=2), 1e-300)
     feet = first + np.clip(share, 0.0, 1.0)[..., None] * along
     return np.asarray(np.linalg.norm(points[:, None] - feet, axis=2).min(axis=1))
-
-
-HELD = 1e-9
-"""Stiffness, times the mean of K's diagonal, that holds nodes to the affine map of what is known: where one node of a
-piece is known, nothing else keeps the piece from turning about it. A larger value lets deformation fade sooner."""
 
 
 @dataclass(frozen=True, eq=False)

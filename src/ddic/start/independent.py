@@ -41,6 +41,14 @@ from ddic.start.coarse_displacement import LevelMesh
 TOLERANCES = Tolerances(relative=1e-3, rms=1e-2, max_iterations=10, largest=np.inf)
 """Looser than any measurement's, which goes on from there."""
 
+FREE_EDGE = 0.03
+"""Weight of the equilibrium of the cells' edge relative to their inside. Cells at the edge may hold a few pixels only,
+which do not determine all of their nodes; a thousandth of the energy does, and is nothing where there is texture. A
+larger value stiffens the edge."""
+
+SINGULAR_ALONE = 1e-10
+"""Lowest eigenvalue of a usable operator, relative to the mean diagonal of M. A larger value refuses more of them."""
+
 
 @dataclass(frozen=True)
 class IndependentFields:
@@ -129,15 +137,6 @@ def _measure_alone(model: ResidualModel, hessian: sparse.csr_matrix, q: NDArray[
     finally:
         operator.destroy()
     return solution.q[0]
-
-
-FREE_EDGE = 0.03
-"""Weight of the equilibrium of the cells' edge relative to their inside. Cells at the edge may hold a few pixels only,
-which do not determine all of their nodes; a thousandth of the energy does, and is nothing where there is texture. A
-larger value stiffens the edge."""
-
-SINGULAR_ALONE = 1e-10
-"""Lowest eigenvalue of a usable operator, relative to the mean diagonal of M. A larger value refuses more of them."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,6 +36,8 @@ from ddic.start.predicted_error import predict_error
 from ddic.start.pyramid_level import correlate_level
 from ddic.start.rigid_start import RigidStart, find_rigid_start
 
+Array = NDArray[np.float64]
+
 SURE = 0.8
 """Correlation coefficient of a translation from which on nothing else is sought: the region then moves by little else.
 A larger value matches features more often, which takes some tenths of a second."""
@@ -50,6 +52,10 @@ FEWEST_SQUARES = 30
 
 MOST_UNEXPLAINED = 0.02
 """Share of the region that need not be explained there. A larger value overlooks larger parts that move otherwise."""
+
+MARGIN = 0.5
+"""What is seen around the region, times its longer side: it may turn by any angle about its middle, and grow by two
+thirds beside what the translation takes. A larger value finds larger motions, in larger blocks."""
 
 
 @dataclass(frozen=True)
@@ -347,13 +353,6 @@ def _binned_pairs(pair: BinnedPair, sizes: Iterable[int]) -> dict[int, BinnedPai
         finer = BinnedPair(bin_image(finer.reference, ratio), bin_image(finer.deformed, ratio), size)
         pairs[size] = finer
     return pairs
-
-
-Array = NDArray[np.float64]
-
-MARGIN = 0.5
-"""What is seen around the region, times its longer side: it may turn by any angle about its middle, and grow by two
-thirds beside what the translation takes. A larger value finds larger motions, in larger blocks."""
 
 
 @dataclass(frozen=True, eq=False)

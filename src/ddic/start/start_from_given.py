@@ -24,6 +24,8 @@ from ddic.start.multilevel import SURE, Correlated, MultilevelStart, Pyramid, St
 from ddic.start.predicted_error import PredictedError, predict_error
 from ddic.start.rigid_start import FEWEST_BLOCKS, FEWEST_OF_PIECE, LEAST_COEFFICIENT, RigidStart
 
+Array = NDArray[np.float64]
+
 RIGHT_PX = 1.0
 """Error, pixels, up to which a displacement is taken as it is: Gauss-Newton goes on from there. A larger value saves
 searches, and fails where the speckles are small."""
@@ -39,11 +41,18 @@ BETTER = 0.9
 """Largest part of what a given displacement leaves (1 less its correlation coefficient) that another one may leave to
 be taken in its place. A larger value replaces good displacements by coarse ones."""
 
-
 NOTE_IN_REACH = "start: the pyramid goes on from it"
+
 NOTE_OUT_OF_REACH = ("start: neither the given displacement nor a translation is in reach of a level of the pyramid; "
                      "all levels are taken, from the best of them")
+
 NOTE_OF_FEATURES = "start: features match; the given displacement is not used"
+
+AREA_RANGE = (0.2, 5.0)
+"""Least and largest area of a displaced cell, times its own, with which it is drawn: others are torn."""
+
+LARGEST_STRETCH = 10.0
+"""Largest side of a displaced cell's bounding box, times that of the cell, with which it is drawn."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,15 +172,6 @@ def _choose_levels(pyramid: Pyramid, candidates: Sequence[_Candidate]) -> _Choic
         if predicted[number].measure_share_beyond(np.inf) <= OUT_OF_REACH:
             return _Choice([level for level in pyramid.sizes if level <= size], best, in_reach=True)
     return _Choice(pyramid.sizes, best, in_reach=False)
-
-
-Array = NDArray[np.float64]
-
-AREA_RANGE = (0.2, 5.0)
-"""Least and largest area of a displaced cell, times its own, with which it is drawn: others are torn."""
-
-LARGEST_STRETCH = 10.0
-"""Largest side of a displaced cell's bounding box, times that of the cell, with which it is drawn."""
 
 
 @dataclass(frozen=True, eq=False)
