@@ -28,8 +28,8 @@ NOISE = 2.0
 """Of either image, grey levels."""
 
 
-def add_noise(image: Image, seed: int) -> Image:
-    noisy = image + NOISE * np.random.default_rng(seed).standard_normal(image.shape)
+def add_noise(image: Image, seed: int, noise: float = NOISE) -> Image:
+    noisy = image + noise * np.random.default_rng(seed).standard_normal(image.shape)
     return np.clip(np.rint(noisy), 0, 255).astype(np.float32)
 
 
@@ -103,6 +103,20 @@ def test_dirt_on_the_lens_is_not_taken_for_the_specimen_that_bears_its_picture(r
     found = seek(show(g, f), truth)
     # All are where they are put, and none is at the dirt.
     assert found == {}
+
+
+def test_a_cell_that_holds_little_of_the_specimen_is_not_found_where_its_neighbours_are() -> None:
+    # A plain cell, lit otherwise in the deformed image: by twice the noise, which single pixels may have, and all of
+    # them together have not.
+    truth, cell, noise = Translation((3.0, 2.0)), int(np.abs(MESH.centroids - 88.0).sum(axis=1).argmin()), 10.0
+    f, g = np.array(pair_of(truth, SIDE).reference), np.array(pair_of(truth, SIDE).deformed)
+    f[80:96, 80:96], g[82:98, 83:99] = 120, 120 + 2 * noise
+    view = show(add_noise(g, 2, noise), add_noise(f, 1, noise))
+    found = find_cells_beside(view, np.zeros(MESH.n_dofs), EVERY, 2.0 * noise**2)
+    # Squares of 31 px about the cells beside it hold some of its pixels.
+    is_apart = np.abs(MESH.centroids - MESH.centroids[cell]).max(axis=1) > 16.0
+    assert cell not in found
+    assert set(np.flatnonzero(is_apart)) <= set(found)
 
 
 def test_a_cell_that_is_out_of_the_image_is_not_found() -> None:

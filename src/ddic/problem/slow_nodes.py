@@ -1,7 +1,7 @@
 """Nodes that Gauss-Newton has not found yet where it has found all others: these are iterated where they are.
 
-A pass over the pixels is confined to the cells about slow nodes. The forces on the others follow q as the linear theory
-says, b - M (q - q_0): they were small already, and the next pass over all pixels checks them.
+A pass over the pixels is confined to the cells about slow nodes and their neighbours. The forces on the others follow q
+as the linear theory says, b - M (q - q_0): they were small already, and the next pass over all pixels checks them.
 """
 
 from __future__ import annotations
@@ -31,6 +31,10 @@ NOISE_OF_SLOPE = 1.39
 """Variance of the slope of a cubic spline through white noise at its nodes, relative to the noise's per pixel squared:
 the mean of (3 sin w / (2 + cos w))^2 over all frequencies w."""
 
+LEAST_KNOWN = 0.2
+"""Least share of a node's diagonal that is taken for texture: a node that is lost in noise drags its neighbours too. A
+smaller one leaves these, with 0.1, by 0.12 of their standard deviation from where they would come to rest."""
+
 MOST_VISITED = 0.3
 """Share of the pixels that are visited where a few nodes are slow: of more, a pass over all of them tells more."""
 
@@ -44,7 +48,7 @@ class SlowNodes:
     near : ResidualModel
         Of the cells about these nodes.
     rows : list of (n_unknowns,) bool array
-        Unknowns whose forces these cells tell, of each owned subdomain.
+        Unknowns whose forces these cells tell, those of slow nodes and their neighbours, of each owned subdomain.
     q, b : list of (n_unknowns,) array
         Where all pixels were visited last, and the forces there.
     systems : list of LocalSystem
@@ -75,8 +79,8 @@ class SlowNodes:
         return self.near.measure_correction(dq, q, tolerances)
 
 
-def confine_to_slow_nodes(model: ResidualModel, correction: Correction, grey: tuple[GreyState, ...],
-                          systems: list[LocalSystem], tolerances: Tolerances) -> SlowNodes | None:
+def confine_to_slow_nodes(model: ResidualModel, correction: Correction, systems: list[LocalSystem],
+                          tolerances: Tolerances) -> SlowNodes | None:
     """Confine Gauss-Newton to nodes that still move; None where these have too many pixels; collective."""
     subdomains = [of_subdomain.subdomain for of_subdomain in model.views]
     weights = model.weigh_nodes()
@@ -85,8 +89,10 @@ def confine_to_slow_nodes(model: ResidualModel, correction: Correction, grey: tu
     if weights is not None:
         moved = [w * of_nodes for w, of_nodes in zip(weights, moved, strict=True)]
     # Copies of a node may differ by what the linear step left.
-    is_slow = sum_shared_nodes(model.team, subdomains, [(m > tolerances.rms).astype(float)[:, None] for m in moved])
-    slow = [of_nodes[:, 0] > 0 for of_nodes in is_slow]
+    slow = _join_copies(model.team, subdomains, [m > tolerances.largest for m in moved])
+    # What a slow node does to its neighbours is no more linear than what it does itself.
+    slow = _join_copies(model.team, subdomains, [_find_neighbours(*of_subdomain) for of_subdomain
+                                                 in zip(subdomains, slow, strict=True)])
     rows = [_find_unknowns(subdomain, nodes) for subdomain, nodes in zip(subdomains, slow, strict=True)]
     cells = [_find_cells(subdomain, of_rows) for subdomain, of_rows in zip(subdomains, rows, strict=True)]
     n_pixels = [np.sum([view.view.correlation.raster.pixel_counts for view in of_subdomain.views], axis=0)
@@ -96,9 +102,23 @@ def confine_to_slow_nodes(model: ResidualModel, correction: Correction, grey: tu
     if n_visited > MOST_VISITED * n_all:
         return None
     views = [_confine(of_subdomain, chosen) for of_subdomain, chosen in zip(model.views, cells, strict=True)]
-    held = (replace(grey[0], n_pixels=int(n_visited)), *grey[1:])
+    held = (replace(correction.grey[0], n_pixels=int(n_visited)), *correction.grey[1:])
     near = replace(model, views=views, held_grey=held, known=None)
     return SlowNodes(near, rows, correction.q, correction.b, systems)
+
+
+def _join_copies(team: Team, subdomains: Sequence[Subdomain], nodes: Sequence[Flags]) -> list[Flags]:
+    """Nodes of which any copy is among some nodes, (n_nodes,) of each owned subdomain; collective."""
+    n_copies = sum_shared_nodes(team, subdomains, [of_subdomain.astype(float)[:, None] for of_subdomain in nodes])
+    return [of_subdomain[:, 0] > 0 for of_subdomain in n_copies]
+
+
+def _find_neighbours(subdomain: Subdomain, nodes: Flags) -> Flags:
+    """Nodes that share a cell with some nodes, these included, (n_nodes,)."""
+    corners = pad_cells(subdomain.mesh)
+    found = np.array(nodes)
+    found[corners[nodes[corners].any(axis=1)]] = True
+    return found
 
 
 def _find_unknowns(subdomain: Subdomain, nodes: Flags) -> Flags:
@@ -139,7 +159,7 @@ def estimate_node_deviations(model: ResidualModel, systems: Sequence[LocalSystem
     Returns
     -------
     list of (n_nodes,) array
-        Larger one of its components, of each owned subdomain, pixels; inf where there is no more than noise.
+        Larger one of its components, of each owned subdomain, pixels.
     """
     sums = [np.hstack([_take_to_nodes(system, system.hessian.diagonal()), _take_to_nodes(system, system.diagonal),
                        _sum_squared_shapes(of_subdomain)])
@@ -150,9 +170,9 @@ def estimate_node_deviations(model: ResidualModel, systems: Sequence[LocalSystem
         of_hessian, of_operator = total[:, :-1].T.reshape(2, -1, len(total))
         known = of_operator - NOISE_OF_SLOPE * 0.5 * noise * total[:, -1]
         of_noise = np.sqrt(noise * np.maximum(of_hessian, 0.0))
-        found = np.where(known > 0, of_noise / np.where(known > 0, known, 1.0), np.inf)
+        known = np.maximum(known, LEAST_KNOWN * of_operator)
         # What neither pixels nor mechanics hold moves nowhere.
-        deviations.append(np.where(of_operator > 0, found, 0.0).max(axis=0))
+        deviations.append(np.divide(of_noise, known, out=np.zeros_like(known), where=known > 0).max(axis=0))
     return deviations
 
 

@@ -17,7 +17,7 @@ from ddic.problem.cell_errors import find_unmeasured_nodes
 from ddic.problem.match_brightness import ORDER
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.see_frame import SeenFrame, see_frame
-from ddic.problem.slow_nodes import confine_to_slow_nodes, estimate_node_deviations
+from ddic.problem.slow_nodes import SlowNodes, confine_to_slow_nodes, estimate_node_deviations
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.solvers.anderson import AndersonMixing
 from ddic.solvers.correction_size import CorrectionSize, Tolerances
@@ -137,19 +137,23 @@ def solve_further(problem: WeightedProblem, solved: SolvedFrame, progress: Progr
         went_on = run_gauss_newton(model, found.q, problem.solver.step, tolerances, on, Course(pause, mixing))
         return replace(went_on, records=[*found.records, *went_on.records])
 
+    slow: SlowNodes | None = None
+
     def are_few_slow(correction: Correction) -> bool:
-        return correction.size.n_slow <= most_slow
+        nonlocal slow
+        if correction.size.n_slow > most_slow:
+            return False
+        if not roughly:
+            slow = confine_to_slow_nodes(used, correction, systems, tolerances)
+        return roughly or slow is not None
 
     def settle() -> Solution:
         """Slow nodes alone and all nodes in turns, in the end all of them."""
         nonlocal found
         for _ in range(MOST_TIMES):
             found = run(used, are_few_slow)
-            if found.paused is None or roughly:
+            if found.paused is None or slow is None:
                 return found
-            slow = confine_to_slow_nodes(used, found.paused, found.records[-1].cameras, systems, tolerances)
-            if slow is None:
-                break
             mixing.forget()
             found = run(slow, None)
             mixing.forget()

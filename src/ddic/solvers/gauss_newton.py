@@ -135,6 +135,8 @@ class Correction:
     ----------
     q, b, dq : list of (n_unknowns,) array
         Unknowns before it, b there, and the correction itself, of each owned subdomain.
+    grey : tuple of GreyState
+        Statistics of each camera before it.
     size : CorrectionSize
         How large it is.
     """
@@ -142,6 +144,7 @@ class Correction:
     q: list[Array]
     b: list[Array]
     dq: list[Array]
+    grey: tuple[GreyState, ...]
     size: CorrectionSize
 
 
@@ -315,7 +318,7 @@ def _iterate(model: Model, found: Solution, step: LinearStep, tolerances: Tolera
                                        progress.is_local))
         progress.report(records[-1])
         is_small = model.team.on_root(partial(_decide, size, tolerances))
-        correction = Correction(list(current), b, result.dq, size)
+        correction = Correction(list(current), b, result.dq, grey, size)
         if course.mixing is None or is_small:
             current[:] = [q_s + dq for q_s, dq in zip(current, result.dq, strict=True)]
         else:
