@@ -165,6 +165,13 @@ class DeformedSubImage:
             self._spline = self._read(_sizeable(grown.grow(GROWTH), self.source.extent))
         return self._spline
 
+    def read_aside(self, window: Window) -> SplineImage:
+        """Give the spline of a small window, from the one held if that is there: it becomes no larger."""
+        needed = window.clip(self.source.image.width, self.source.image.height)
+        if self._spline is not None and self._spline.window.contains(needed):
+            return self._spline
+        return self._read(_sizeable(window, self.source.extent))
+
     def _read(self, window: Window) -> SplineImage:
         return read_spline(self.source.image, window, self.degree, self.source.find_usable, self.threads,
                            excludes_taps=self.source.excludes_taps)

@@ -98,13 +98,19 @@ class Raster:
         (window.height, window.width) uint8 array
             1 on these pixels, 0 elsewhere.
         """
-        chosen = np.zeros(len(self.first_row), dtype=bool)
-        chosen[cells] = True
-        of_runs = np.repeat(chosen, np.diff(self.row_ptr)) & (self.stops > self.starts)
-        rows = self.rows[of_runs] - window.y0
+        runs, rows, _ = self.find_runs(cells)
+        filled = self.stops[runs] > self.starts[runs]
+        runs, rows = runs[filled], rows[filled]
         drawn = np.zeros((window.height, window.width), dtype=np.uint8)
-        _fill_ones(rows, self.starts[of_runs] - window.x0, self.stops[of_runs] - window.x0, drawn)
+        _fill_ones(rows - window.y0, self.starts[runs] - window.x0, self.stops[runs] - window.x0, drawn)
         return drawn
+
+    def find_runs(self, cells: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """Find the runs of some cells: numbers, image rows and cells of the runs, (n_runs,) each."""
+        n_rows = np.diff(self.row_ptr)[cells]
+        row_of_cell = np.arange(n_rows.sum()) - np.repeat(np.cumsum(n_rows) - n_rows, n_rows)
+        return (np.repeat(self.row_ptr[cells], n_rows) + row_of_cell,
+                np.repeat(self.first_row[cells], n_rows) + row_of_cell, np.repeat(cells, n_rows))
 
     def sum_by_cell(self, image: NDArray[Any], x0: int = 0, y0: int = 0) -> NDArray[Any]:
         """Add up an image over each cell's pixels.
@@ -233,14 +239,11 @@ def list_pixels(raster: Raster, cells: NDArray[np.int64]) -> tuple[NDArray[np.in
     cells : (n,) array of int64
         The cell of each.
     """
-    runs = np.concatenate([np.zeros(0, np.int64), *(np.arange(raster.row_ptr[e], raster.row_ptr[e + 1])
-                                                   for e in cells)])
-    n_rows = np.diff(raster.row_ptr)[cells]
-    cell_of_run = np.repeat(cells, n_rows)
+    runs, row_of_run, cell_of_run = raster.find_runs(cells)
     lengths = (raster.stops[runs] - raster.starts[runs]).astype(np.int64)
     first = np.cumsum(lengths) - lengths
     columns = np.arange(lengths.sum()) + np.repeat(raster.starts[runs] - first, lengths)
-    rows = np.repeat(raster.rows[runs], lengths)
+    rows = np.repeat(row_of_run, lengths)
     return np.stack([columns, rows], axis=1).astype(np.int64), np.repeat(cell_of_run, lengths)
 
 

@@ -30,6 +30,10 @@ from ddic.solvers.gauss_newton import Progress
 MOST_LOOKS = 20
 """Times that a frame is looked at before it is given up."""
 
+CLEAR = 0.7
+"""Share of the cells that a start shows from which on, and if nothing of them is excluded, the frame is looked at only
+where its field is found."""
+
 
 def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[NDArray[np.float64]], listener: Listener,
                 clock: PhaseClock, least_shown: float = 0.0) -> SolvedFrame:
@@ -71,12 +75,19 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[NDArray[
     shown = seen.measure_shown_share()
     if shown < least_shown:
         raise as_collective(ConvergenceError(f"{shown:.0%} of the elements are seen where the start puts them"))
-    model, notes = problem.fit(_use(seen.whole.with_large_gradients(q), seen, q), q)
+    model = seen.whole.with_large_gradients(q)
+    is_regularized = case.regularization is not None
+    if is_regularized:
+        # Most of what is excluded at a start is seen where a field is roughly found: M waits until then.
+        model, notes = problem.fit(model, q)
+        model = _use(model, seen, q)
+    else:
+        model, notes = problem.fit(_use(model, seen, q), q)
     notes = (*of_blur, *notes)
     _tell(listener, notes)
     listener.problem_size(problem.size)
     solved = begin_frame(seen, model, q, notes)
-    looks = Looks(is_regularized=case.regularization is not None)
+    looks = Looks(is_regularized=is_regularized, is_rough=shown < CLEAR or seen.excluded.is_any(whole.team))
     while looks.number < MOST_LOOKS:
         n_notes = len(solved.notes)
         solved = solve_further(problem, solved, Progress(clock, listener.iteration), roughly=looks.is_rough)

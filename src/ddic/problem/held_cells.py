@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
 from typing import Any, Self
 
 import cv2
@@ -224,13 +223,13 @@ def find_cells_beside(view: FrameView, q: Array, cells: NDArray[np.int64], noise
         return {}
     moved = mesh.nodes + view.view.kinematics.displacement(q).reshape(mesh.nodes.shape)
     motions = {cell: _fit_motion(mesh.nodes[corners[cell]], moved[corners[cell]]) for cell in squares}
-    g = view.deformed.get_spline(reduce(Window.union, (_displace_box(motions[cell], square.grow(REACH))
-                                                       for cell, square in squares.items())))
     found = {}
     for cell, square in squares.items():
         f = np.ascontiguousarray(correlation.source.image.read(square), dtype=np.float32)
         is_own = correlation.raster.draw_cells(np.array([cell]), square) > 0
-        affine = _seek(f, _displace(g, motions[cell], square.grow(REACH)), is_own, noise)
+        about = square.grow(REACH)
+        g = view.deformed.read_aside(_displace_box(motions[cell], about))
+        affine = _seek(f, _displace(g, motions[cell], about), is_own, noise)
         if affine is None:
             continue
         put = mesh.nodes[corners[cell]] - [square.x0, square.y0]
