@@ -30,10 +30,6 @@ from ddic.solvers.gauss_newton import Progress
 MOST_LOOKS = 20
 """Times that a frame is looked at before it is given up."""
 
-CLEAR = 0.7
-"""Share of the cells that a start shows from which on, and if nothing of them is excluded, the frame is looked at only
-where its field is found."""
-
 
 def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[NDArray[np.float64]], listener: Listener,
                 clock: PhaseClock, least_shown: float = 0.0) -> SolvedFrame:
@@ -87,7 +83,7 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[NDArray[
     _tell(listener, notes)
     listener.problem_size(problem.size)
     solved = begin_frame(seen, model, q, notes)
-    looks = Looks(is_regularized=is_regularized, is_rough=shown < CLEAR or seen.excluded.is_any(whole.team))
+    looks = Looks(is_regularized=is_regularized)
     while looks.number < MOST_LOOKS:
         n_notes = len(solved.notes)
         solved = solve_further(problem, solved, Progress(clock, listener.iteration), roughly=looks.is_rough)

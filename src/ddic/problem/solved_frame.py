@@ -277,19 +277,17 @@ class Looks:
     ----------
     is_regularized : bool
         Whether mechanics hold nodes beside what is hidden.
-    is_rough : bool
-        Whether the next look is at a field that is roughly found.
 
     Attributes
     ----------
     number : int
         Of the last look.
     is_rough : bool
-        As above.
+        Whether the next one is at a field that is roughly found.
     """
 
-    def __init__(self, *, is_regularized: bool, is_rough: bool) -> None:
-        self.number, self.is_rough, self._is_regularized = 0, is_rough, is_regularized
+    def __init__(self, *, is_regularized: bool) -> None:
+        self.number, self.is_rough, self._is_regularized = 0, True, is_regularized
         self._was_found, self._fewest = False, np.inf
 
     def choose(self, seen: SeenFrame, now: SeenFrame, *, is_paused: bool) -> tuple[SeenFrame, bool]:
