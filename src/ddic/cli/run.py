@@ -92,6 +92,15 @@ def _start(petsc_options: tuple[str, ...], stop: StopRequest) -> Team:
     petsc4py.init(["ddic", *petsc_options])
     # PETSc would end the rank with ten lines; so the line that nobody reads any more is an error like others.
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)
+    # Libraries first, and from here: below ddic's own imports, some thirty calls deep, the interpreter's stack of 16 KiB
+    # is full again and again while they set themselves up, and each time costs a mapping of memory.
+    import h5py
+    import numba
+    import pydantic
+    import scipy.fft
+    import scipy.ndimage
+    import scipy.sparse  # noqa: F401
+
     import ddic.methods.run_case
     import ddic.results.listener
     import ddic.solvers.unused_options
