@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import signal
 import sys
@@ -22,11 +23,15 @@ from ddic.cli.kept_imports import imports_kept
 from ddic.errors import ConvergenceError, InputError
 from ddic.io.input_file import is_readable_file
 from ddic.io.replace_on_exit import remove_unfinished
-from ddic.parallel.abort_all_ranks import INTERRUPTED, prepare_abort
+from ddic.parallel.abort_all_ranks import INTERRUPTED, find_rank, prepare_abort
 from ddic.parallel.stop_request import StopRequest
 
 if TYPE_CHECKING:
     from ddic.parallel.team import Team
+
+ALONE = {"OMPI_MCA_pml": "ob1", "OMPI_MCA_btl": "self"}
+"""Settings of Open MPI for a process without a launcher: it has nobody to talk to, and looking for fast networks takes
+a fifth of a second. Ranks of a job that had them could not reach one another."""
 
 FILE_OPTIONS = ("-options_file", "-options_file_yaml")
 """PETSc's options that name a file of further ones, which it looks for when it starts."""
@@ -89,9 +94,11 @@ def _start(petsc_options: tuple[str, ...], stop: StopRequest) -> Team:
     import cv2
     import petsc4py
 
-    petsc4py.init(["ddic", *petsc_options])
+    with _no_networks_alone():
+        petsc4py.init(["ddic", *petsc_options])
     # PETSc would end the rank with ten lines; so the line that nobody reads any more is an error like others.
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)
+    _import_libraries()
     import ddic.methods.run_case
     import ddic.results.listener
     import ddic.solvers.unused_options
@@ -107,6 +114,31 @@ def _start(petsc_options: tuple[str, ...], stop: StopRequest) -> Team:
         import ddic.cli.console  # noqa: F401
     stop.has_begun = True
     return team
+
+
+def _import_libraries() -> None:
+    """Import what every run needs, from near the bottom of the stack.
+
+    The interpreter's stack grows in pieces of 16 KiB. Below ddic's own imports, some ten deep, libraries set themselves
+    up across the end of a piece, and each call over it maps a new one and gives it back, thousands of times.
+    """
+    for name in ("h5py", "numba", "pydantic", "scipy.sparse", "scipy.ndimage", "scipy.fft"):
+        importlib.import_module(name)
+
+
+@contextmanager
+def _no_networks_alone() -> Iterator[None]:
+    """Start MPI in the block without looking for networks where no launcher has started this process.
+
+    What the environment says already is kept, and no program that is started later finds more in it.
+    """
+    added = {} if find_rank() is not None else {name: value for name, value in ALONE.items() if name not in os.environ}
+    os.environ.update(added)
+    try:
+        yield
+    finally:
+        for name in added:
+            del os.environ[name]
 
 
 def _run_everywhere(team: Team, case_file: Path, petsc_options: tuple[str, ...], *, resume: bool) -> int:

@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 from pathlib import Path
-
-from PIL.BmpImagePlugin import BmpImageFile
-from PIL.JpegImagePlugin import JpegImageFile
-from PIL.PngImagePlugin import PngImageFile
+from typing import TYPE_CHECKING
 
 from ddic.errors import InputError
+
+if TYPE_CHECKING:
+    from PIL.ImageFile import ImageFile
 
 MOST_PIXELS_ALONG = 1_000_000
 """Columns or rows of an image: ten times those of the largest sensors. A larger value believes more headers."""
 
-FORMATS = {
+PNG, JPEG, BMP = b"\x89PNG", b"\xff\xd8\xff", b"BM"
+"""First bytes of the files."""
+
+MOST_PIXELS_OF_A_BYTE = {
     # Deflate makes 1032 bytes of one at most, of 8 pixels each where they are black or white.
-    b"\x89PNG": (PngImageFile, 8 * 1032),
+    PNG: 8 * 1032,
     # A block of 8 x 8 pixels takes a bit at least in the first scan.
-    b"\xff\xd8\xff": (JpegImageFile, 8 * 64),
+    JPEG: 8 * 64,
     # Run lengths: 255 pixels in two bytes.
-    b"BM": (BmpImageFile, 128),
+    BMP: 128,
 }
-"""Reader of each format's header by the file's first bytes, and the most pixels that a byte can hold."""
+"""The most pixels that a byte can hold, by the file's first bytes."""
 
 
 def check_header(path: Path) -> None:
@@ -39,22 +42,32 @@ def check_header(path: Path) -> None:
     """
     with path.open("rb") as stream:
         first = stream.read(4)
-    found = next((known for magic, known in FORMATS.items() if first.startswith(magic)), None)
-    if found is None:
+    magic = next((known for known in MOST_PIXELS_OF_A_BYTE if first.startswith(known)), None)
+    if magic is None:
         return
-    reader, most_pixels = found
     try:
         # Not Image.open, which takes large images for attacks.
-        with reader(str(path)) as header:
+        with _find_reader(magic)(str(path)) as header:
             width, height = header.size
     # Pillow's readers raise anything on a damaged header.
     except Exception as error:
         raise InputError(f"{path}: damaged, or cut short ({error}); copy or save it again") from error
     n_bytes = path.stat().st_size
-    if width * height > most_pixels * n_bytes:
+    if width * height > MOST_PIXELS_OF_A_BYTE[magic] * n_bytes:
         raise InputError(f"{path}: damaged: its header claims {width} x {height} px, which a file of {n_bytes} bytes "
                          "cannot hold; copy or save it again")
     check_claimed_size(path, width, height)
+
+
+def _find_reader(magic: bytes) -> type[ImageFile]:
+    """Reader of a format's header."""
+    # Here, for TIFF files, the usual ones, do without Pillow.
+    from PIL.BmpImagePlugin import BmpImageFile
+    from PIL.JpegImagePlugin import JpegImageFile
+    from PIL.PngImagePlugin import PngImageFile
+
+    readers: dict[bytes, type[ImageFile]] = {PNG: PngImageFile, JPEG: JpegImageFile, BMP: BmpImageFile}
+    return readers[magic]
 
 
 def check_claimed_size(path: Path, width: int, height: int) -> None:

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from ddic.images.camera import CameraMapping
 from ddic.kinematics.discontinuities import Discontinuities, Opening
@@ -83,6 +82,9 @@ def _see_line(line: Array, mesh: Mesh, mapping: CameraMapping) -> list[Array]:
 
 def _is_near(points: Array, mesh: Mesh) -> NDArray[np.bool_]:
     """Whether points lie in a mesh or not far beyond its edge."""
+    # Here, for it brings a tenth of a second of scipy's imports, and few runs come by.
+    from scipy.spatial import cKDTree
+
     corners = mesh.nodes[mesh.connectivity]
     sizes = np.maximum.reduceat(corners, mesh.offsets[:-1]) - np.minimum.reduceat(corners, mesh.offsets[:-1])
     diameter = float(np.linalg.norm(sizes, axis=1).max())

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.spatial import cKDTree
 
 from ddic.mesh.plane import multiply_across
 
@@ -277,6 +276,9 @@ def _multipliers_times_corners(sides: Sides, edges: NDArray[np.int64],
 
 def _corners(sides: Sides, edges: NDArray[np.int64], far: NDArray[np.int64]) -> sparse.csr_matrix:
     """1 where a near node at which the line of near edges ends or bends is one of far nodes, (n_near, n_far)."""
+    # Here, for it brings a tenth of a second of scipy's imports, and few runs come by.
+    from scipy.spatial import cKDTree
+
     lines = _lines(sides.near_nodes, sides.near_edges[edges])
     direction = lines.along / lines.length[:, None]
     # The directions that leave a node add up to nothing on a straight line.

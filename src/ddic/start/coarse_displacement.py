@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from ddic.functionals.corner_weights import weigh_corners
 from ddic.images.grid_field import GridField
@@ -161,8 +160,8 @@ class CutField:
         cells = locate(self.mesh, on_own_side).cells
         is_held = cells >= 0
         values = interpolate_located(self.mesh, self.displacement, place_in_cells(self.mesh, cells, mesh.nodes))
-        nearest = cKDTree(find_points_on_own_side(self.mesh)).query(on_own_side[~is_held])[1]
-        values[~is_held] = self.displacement[nearest]
+        if not is_held.all():
+            values[~is_held] = self._take_nearest(on_own_side[~is_held])
         return values
 
     def at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -182,9 +181,16 @@ class CutField:
         values = interpolate_located(self.mesh, self.displacement, located)
         outside = located.cells < 0
         if outside.any():
-            nearest = cKDTree(find_points_on_own_side(self.mesh)).query(points[outside])[1]
-            values[outside] = self.displacement[nearest]
+            values[outside] = self._take_nearest(points[outside])
         return values
+
+    def _take_nearest(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Displacement of the nearest nodes, (n, 2), of points outside the mesh (n, 2), pixels."""
+        # Here, for it brings a tenth of a second of scipy's imports, and few runs come by.
+        from scipy.spatial import cKDTree
+
+        nearest = cKDTree(find_points_on_own_side(self.mesh)).query(points)[1]
+        return np.asarray(self.displacement[nearest])
 
 
 @dataclass(frozen=True, eq=False)

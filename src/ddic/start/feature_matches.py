@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from ddic.images.sub_image import MaskedSource
 from ddic.mesh.interpolation import locate
@@ -166,6 +165,9 @@ def _match(reference: _Features, deformed: _Features) -> tuple[Array, Array]:
 
 def _find_consistent(points: Array, displacement: Array, pieces: NDArray[np.int64], misfit: float) -> NDArray[np.int64]:
     """Matches that an affine map of their neighbours in the same piece predicts."""
+    # Here, for it brings a tenth of a second of scipy's imports, and few runs come by.
+    from scipy.spatial import cKDTree
+
     kept = []
     for piece in np.unique(pieces):
         own = np.flatnonzero(pieces == piece)
@@ -231,6 +233,9 @@ class MatchedField:
 
     def _interpolate(self, points: Array, on_own_side: Array) -> Array:
         """Displacement of points, each in the piece that a point on its own side lies in."""
+        # Here, for it brings a tenth of a second of scipy's imports, and few runs come by.
+        from scipy.spatial import cKDTree
+
         cells = locate(self.mesh, on_own_side).cells
         nearest = cKDTree(self.matches.points).query(on_own_side)[1]
         pieces = np.where(cells >= 0, self.piece_of_cell[cells], self.matches.pieces[nearest])
@@ -283,6 +288,9 @@ def interpolate_pairs(points: Array, displacement: Array, mesh: Mesh) -> PairFie
     PairField
         At all nodes.
     """
+    # Here, for it brings a tenth of a second of scipy's imports, and few runs come by.
+    from scipy.spatial import cKDTree
+
     piece_of_node = find_piece_of_nodes(mesh)
     cells = locate(mesh, points).cells
     nearest_node = cKDTree(mesh.nodes).query(points)[1]
@@ -301,6 +309,9 @@ def interpolate_pairs(points: Array, displacement: Array, mesh: Mesh) -> PairFie
 
 def _interpolate_rest(points: Array, displacement: Array, of_all: AffineMap, places: Array) -> Array:
     """What an affine map leaves of displacements, at places."""
+    # Here, for it brings a tenth of a second of scipy's imports, and few runs come by.
+    from scipy.spatial import cKDTree
+
     rest = displacement - of_all.at(points)
     values = np.zeros_like(places)
     if np.abs(rest).max() <= EXACT * max(1.0, float(np.abs(displacement).max())):

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.spatial import cKDTree
 
 from ddic.case.schema import StartSection
 from ddic.errors import InputError
@@ -93,6 +92,9 @@ class EarlierResult:
         return values, known
 
     def _find_measured(self, points: Array) -> NDArray[np.bool_]:
+        # Here, for it brings a tenth of a second of scipy's imports, and few runs come by.
+        from scipy.spatial import cKDTree
+
         measured = np.asarray(np.isfinite(self.result.at(points)).all(axis=1))
         nodes = self.result.mesh.nodes[self.result.measured_nodes]
         if self.result.separated is None and not measured.all() and len(nodes):
@@ -300,6 +302,9 @@ def _note_pieces(n_pieces: int, what: str) -> tuple[str, ...]:
 
 def _measure_distances(mesh: Mesh, points: Array) -> Array:
     """Distance of points outside a mesh from its boundary, pixels."""
+    # Here, for it brings a tenth of a second of scipy's imports, and few runs come by.
+    from scipy.spatial import cKDTree
+
     ends = mesh.nodes[find_boundary_facets(mesh)[:, :2]]
     n_facets = min(N_FACETS, len(ends))
     near = cKDTree(ends.mean(axis=1)).query(points, list(range(1, n_facets + 1)))[1]
@@ -345,6 +350,9 @@ def extrapolate(mesh: Mesh, displacement: Array, known: NDArray[np.bool_]) -> Ex
     Extrapolated
         As given where it is known.
     """
+    # Here, for it brings a tenth of a second of scipy's imports, and few runs come by.
+    from scipy.spatial import cKDTree
+
     values = np.where(known[:, None], displacement, 0.0)
     pieces = find_piece_of_nodes(mesh)
     maps: dict[int, AffineMap] = {}
