@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import signal
 import sys
@@ -98,7 +97,6 @@ def _start(petsc_options: tuple[str, ...], stop: StopRequest) -> Team:
         petsc4py.init(["ddic", *petsc_options])
     # PETSc would end the rank with ten lines; so the line that nobody reads any more is an error like others.
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)
-    _import_libraries()
     import ddic.methods.run_case
     import ddic.results.listener
     import ddic.solvers.unused_options
@@ -114,16 +112,6 @@ def _start(petsc_options: tuple[str, ...], stop: StopRequest) -> Team:
         import ddic.cli.console  # noqa: F401
     stop.has_begun = True
     return team
-
-
-def _import_libraries() -> None:
-    """Import what every run needs, from near the bottom of the stack.
-
-    The interpreter's stack grows in pieces of 16 KiB. Below ddic's own imports, some ten deep, libraries set themselves
-    up across the end of a piece, and each call over it maps a new one and gives it back, thousands of times.
-    """
-    for name in ("h5py", "numba", "pydantic", "scipy.sparse", "scipy.ndimage", "scipy.fft"):
-        importlib.import_module(name)
 
 
 @contextmanager

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from ddic.images.sub_image import MaskedSource
 from ddic.images.window import Window
 from ddic.mesh.cut_mesh import CutMesh
 from ddic.mesh.interpolation import interpolate_located, place_in_cells
-from ddic.mesh.plane import multiply_across
+from ddic.mesh.plane import build_tree, multiply_across
 from ddic.start.independent import Images
 
 Array = NDArray[np.float64]
@@ -57,7 +56,7 @@ def evaluate_both_sides(cut: CutMesh, displacement: Array, line: Array, points: 
     # Cell by cell, the part to the right first.
     order = np.lexsort((heights, cut.cell_of[numbers]))
     right, left = numbers[order[n_parts[cut.cell_of[numbers[order]]] == 2]].reshape(-1, 2).T
-    nearest = cKDTree((mesh.centroids[left] + mesh.centroids[right]) / 2).query(points)[1]
+    nearest = build_tree((mesh.centroids[left] + mesh.centroids[right]) / 2).query(points)[1]
     u_left, u_right = (interpolate_located(mesh, displacement, place_in_cells(mesh, cells[nearest], points))
                        for cells in (left, right))
     return u_left, u_right

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+
+from ddic.mesh.plane import build_tree
 
 Array = NDArray[np.float64]
 
@@ -102,7 +103,7 @@ def find_band(points: Array, strain: Array, size: float) -> Band:
 
 def _fit_planes(points: Array, values: Array, radius: float) -> Array:
     """Value at each point of the plane that fits the values about it: edges of a smooth field do not stand out."""
-    pairs = cKDTree(points).query_pairs(radius, output_type="ndarray")
+    pairs = build_tree(points).query_pairs(radius, output_type="ndarray")
     one, other = np.concatenate([pairs, pairs[:, ::-1], np.arange(len(points))[:, None].repeat(2, axis=1)]).T
     away = (points[other] - points[one]) / radius
     basis = np.column_stack([np.ones(len(away)), away])

@@ -30,6 +30,7 @@ from ddic.io.mesh_export import to_meshio, to_pyvista
 from ddic.io.open_hdf5 import open_hdf5
 from ddic.mesh.interpolation import differentiate_shapes_at, interpolate, locate
 from ddic.mesh.mesh import Mesh
+from ddic.mesh.plane import build_tree
 from ddic.mesh.shapes import pad_cells
 from ddic.separated.line_elements import LineElements
 from ddic.separated.separated_field import SeparatedField
@@ -260,11 +261,10 @@ def displacement_at(result: Result, points: NDArray[np.float64]) -> NDArray[np.f
         was linear interpolation between the measured nodes (Delaunay), and the nearest of them outside their hull.
     """
     from scipy.interpolate import LinearNDInterpolator
-    from scipy.spatial import cKDTree
 
     is_measured = result.measured_nodes
     nodes, displacement = result.mesh.nodes[is_measured], result.displacement[is_measured]
-    distance, nearest = cKDTree(nodes).query(points)
+    distance, nearest = build_tree(nodes).query(points)
     values: NDArray[np.float64] = displacement[nearest]
     apart = distance > SAME_NODE_PX
     if apart.any():

@@ -11,6 +11,7 @@ from ddic.images.camera import CameraMapping
 from ddic.kinematics.discontinuities import Discontinuities, Opening
 from ddic.mesh.cell_parts import CellParts, Lines
 from ddic.mesh.mesh import Mesh
+from ddic.mesh.plane import build_tree
 from ddic.mesh.polyline import find_runs, subdivide
 
 Array = NDArray[np.float64]
@@ -82,11 +83,8 @@ def _see_line(line: Array, mesh: Mesh, mapping: CameraMapping) -> list[Array]:
 
 def _is_near(points: Array, mesh: Mesh) -> NDArray[np.bool_]:
     """Whether points lie in a mesh or not far beyond its edge."""
-    # Here, for it brings a tenth of a second of scipy's imports, and few runs come by.
-    from scipy.spatial import cKDTree
-
     corners = mesh.nodes[mesh.connectivity]
     sizes = np.maximum.reduceat(corners, mesh.offsets[:-1]) - np.minimum.reduceat(corners, mesh.offsets[:-1])
     diameter = float(np.linalg.norm(sizes, axis=1).max())
-    distances, _ = cKDTree(mesh.nodes).query(points)
+    distances, _ = build_tree(mesh.nodes).query(points)
     return np.asarray(distances <= REACH * diameter)

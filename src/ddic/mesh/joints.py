@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError, list_first
 from ddic.mesh.mesh import Mesh
+from ddic.mesh.plane import build_tree
 from ddic.mesh.raster import Raster, rasterize
 from ddic.mesh.topology import Facets, find_facets
 
@@ -57,14 +58,11 @@ def check_joints(mesh: Mesh) -> None:
 
 def _find_hanging_nodes(mesh: Mesh, facets: Facets) -> NDArray[np.int64]:
     """Nodes at the mesh's edge inside a side there that is not theirs."""
-    # Here, for it brings a tenth of a second of scipy's imports, and rank 0 alone checks the mesh.
-    from scipy.spatial import cKDTree
-
     sides = facets.nodes[facets.n_cells == 1][:, :2]
     nodes = np.unique(sides)
     first, second = mesh.nodes[sides[:, 0]], mesh.nodes[sides[:, 1]]
     lengths = np.linalg.norm(second - first, axis=1)
-    near = cKDTree(mesh.nodes[nodes]).query_ball_point((first + second) / 2, lengths / 2)
+    near = build_tree(mesh.nodes[nodes]).query_ball_point((first + second) / 2, lengths / 2)
     numbers = np.repeat(np.arange(len(sides)), [len(found) for found in near])
     found = nodes[np.concatenate(near).astype(np.int64)]
     along, off = _measure_place(mesh.nodes[found] - first[numbers], (second - first)[numbers])

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from ddic.mesh.plane import multiply_across
+from ddic.mesh.plane import build_tree, multiply_across
 
 NOTHING = 1e-14
 """Weight below which a master is none: rounding. A larger value drops masters that matter."""
@@ -276,9 +276,6 @@ def _multipliers_times_corners(sides: Sides, edges: NDArray[np.int64],
 
 def _corners(sides: Sides, edges: NDArray[np.int64], far: NDArray[np.int64]) -> sparse.csr_matrix:
     """1 where a near node at which the line of near edges ends or bends is one of far nodes, (n_near, n_far)."""
-    # Here, for it brings a tenth of a second of scipy's imports, and few runs come by.
-    from scipy.spatial import cKDTree
-
     lines = _lines(sides.near_nodes, sides.near_edges[edges])
     direction = lines.along / lines.length[:, None]
     # The directions that leave a node add up to nothing on a straight line.
@@ -286,7 +283,7 @@ def _corners(sides: Sides, edges: NDArray[np.int64], far: NDArray[np.int64]) -> 
     np.add.at(total, sides.near_edges[edges, 0], direction)
     np.add.at(total, sides.near_edges[edges, 1], -direction)
     near = np.flatnonzero(np.linalg.norm(total, axis=1) > STRAIGHT)
-    distance, nearest = cKDTree(sides.far_nodes[far]).query(sides.near_nodes[near])
+    distance, nearest = build_tree(sides.far_nodes[far]).query(sides.near_nodes[near])
     same = distance <= sides.tolerance
     return sparse.csr_matrix((np.ones(int(same.sum())), (near[same], far[nearest[same]])),
                              shape=(len(sides.near_nodes), len(sides.far_nodes)))

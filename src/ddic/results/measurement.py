@@ -16,6 +16,7 @@ from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.io.result_writer import ResultWriter
 from ddic.kinematics.strain import find_inverted_cells
 from ddic.mesh.interpolation import interpolate
+from ddic.mesh.plane import build_tree
 from ddic.parallel.team import Team, require_held
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.cameras import Camera, Frame
@@ -345,10 +346,7 @@ def _find_cells_near_pulled(problem: WeightedProblem, excluded: Exclusions) -> l
     pulled = problem.team.gather_lists(mine)
     if not pulled:
         return [np.zeros(len(of_mesh), dtype=bool) for of_mesh in centroids]
-    # Here, for it brings a tenth of a second of scipy's imports, and few runs come by.
-    from scipy.spatial import cKDTree
-
-    tree = cKDTree(np.concatenate(pulled))
+    tree = build_tree(np.concatenate(pulled))
     return [tree.query(of_mesh)[0] <= wavelength for of_mesh in centroids]
 
 

@@ -18,6 +18,7 @@ from ddic.mesh.cut_mesh import CutMesh, cut_mesh
 from ddic.mesh.interpolation import interpolate_located, locate, place_in_cells
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.own_side import find_points_on_own_side
+from ddic.mesh.plane import build_tree
 from ddic.mesh.topology import find_boundary_nodes
 from ddic.start.binned_pair import locate_block_centre
 from ddic.start.feature_matches import MatchedField
@@ -186,10 +187,7 @@ class CutField:
 
     def _take_nearest(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Displacement of the nearest nodes, (n, 2), of points outside the mesh (n, 2), pixels."""
-        # Here, for it brings a tenth of a second of scipy's imports, and few runs come by.
-        from scipy.spatial import cKDTree
-
-        nearest = cKDTree(find_points_on_own_side(self.mesh)).query(points)[1]
+        nearest = build_tree(find_points_on_own_side(self.mesh)).query(points)[1]
         return np.asarray(self.displacement[nearest])
 
 

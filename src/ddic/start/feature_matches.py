@@ -17,6 +17,7 @@ from ddic.images.sub_image import MaskedSource
 from ddic.mesh.interpolation import locate
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.own_side import find_points_on_own_side
+from ddic.mesh.plane import build_tree
 from ddic.mesh.raster import rasterize
 from ddic.start.binned_pair import BinnedPair, find_active_blocks, scale_mesh
 
@@ -165,9 +166,6 @@ def _match(reference: _Features, deformed: _Features) -> tuple[Array, Array]:
 
 def _find_consistent(points: Array, displacement: Array, pieces: NDArray[np.int64], misfit: float) -> NDArray[np.int64]:
     """Matches that an affine map of their neighbours in the same piece predicts."""
-    # Here, for it brings a tenth of a second of scipy's imports, and few runs come by.
-    from scipy.spatial import cKDTree
-
     kept = []
     for piece in np.unique(pieces):
         own = np.flatnonzero(pieces == piece)
@@ -176,7 +174,7 @@ def _find_consistent(points: Array, displacement: Array, pieces: NDArray[np.int6
             if len(own) <= N_NEIGHBOURS:
                 own = own[:0]
                 break
-            neighbours = cKDTree(points[own]).query(points[own], N_NEIGHBOURS + 1)[1]
+            neighbours = build_tree(points[own]).query(points[own], N_NEIGHBOURS + 1)[1]
             predicted = fit_without_itself(points[own], displacement[own], neighbours)
             own = own[np.linalg.norm(predicted - displacement[own], axis=1) <= misfit]
         kept.append(own)
@@ -233,11 +231,8 @@ class MatchedField:
 
     def _interpolate(self, points: Array, on_own_side: Array) -> Array:
         """Displacement of points, each in the piece that a point on its own side lies in."""
-        # Here, for it brings a tenth of a second of scipy's imports, and few runs come by.
-        from scipy.spatial import cKDTree
-
         cells = locate(self.mesh, on_own_side).cells
-        nearest = cKDTree(self.matches.points).query(on_own_side)[1]
+        nearest = build_tree(self.matches.points).query(on_own_side)[1]
         pieces = np.where(cells >= 0, self.piece_of_cell[cells], self.matches.pieces[nearest])
         # A piece in which nothing was found moves with what is next to it.
         pieces = np.where(np.isin(pieces, self.matches.pieces), pieces, self.matches.pieces[nearest])
@@ -245,7 +240,7 @@ class MatchedField:
         for piece in np.unique(pieces):
             wanted, own = np.flatnonzero(pieces == piece), np.flatnonzero(self.matches.pieces == piece)
             n_neighbours = min(N_NEIGHBOURS, len(own))
-            tree = cKDTree(self.matches.points[own])
+            tree = build_tree(self.matches.points[own])
             near = own[tree.query(points[wanted], list(range(1, n_neighbours + 1)))[1]]
             offsets = self.matches.points[near] - points[wanted, None]
             values[wanted] = fit_robustly(offsets, self.matches.displacement[near])
@@ -288,15 +283,12 @@ def interpolate_pairs(points: Array, displacement: Array, mesh: Mesh) -> PairFie
     PairField
         At all nodes.
     """
-    # Here, for it brings a tenth of a second of scipy's imports, and few runs come by.
-    from scipy.spatial import cKDTree
-
     piece_of_node = find_piece_of_nodes(mesh)
     cells = locate(mesh, points).cells
-    nearest_node = cKDTree(mesh.nodes).query(points)[1]
+    nearest_node = build_tree(mesh.nodes).query(points)[1]
     piece_of_point = np.where(cells >= 0, find_pieces(mesh)[cells], piece_of_node[nearest_node])
     held = np.unique(piece_of_point)
-    nearest_point = cKDTree(points).query(mesh.nodes)[1]
+    nearest_point = build_tree(points).query(mesh.nodes)[1]
     from_piece = np.where(np.isin(piece_of_node, held), piece_of_node, piece_of_point[nearest_point])
     values = np.empty((mesh.n_nodes, 2))
     for piece in held:
@@ -309,14 +301,11 @@ def interpolate_pairs(points: Array, displacement: Array, mesh: Mesh) -> PairFie
 
 def _interpolate_rest(points: Array, displacement: Array, of_all: AffineMap, places: Array) -> Array:
     """What an affine map leaves of displacements, at places."""
-    # Here, for it brings a tenth of a second of scipy's imports, and few runs come by.
-    from scipy.spatial import cKDTree
-
     rest = displacement - of_all.at(points)
     values = np.zeros_like(places)
     if np.abs(rest).max() <= EXACT * max(1.0, float(np.abs(displacement).max())):
         return values
-    tree, n_neighbours = cKDTree(points), min(N_NEIGHBOURS, len(points))
+    tree, n_neighbours = build_tree(points), min(N_NEIGHBOURS, len(points))
     for first in range(0, len(places), NODES_AT_ONCE):
         some = slice(first, first + NODES_AT_ONCE)
         near = tree.query(places[some], list(range(1, n_neighbours + 1)))[1]

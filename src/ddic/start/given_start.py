@@ -23,6 +23,7 @@ from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.interpolation import locate
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.own_side import find_points_on_own_side
+from ddic.mesh.plane import build_tree
 from ddic.mesh.topology import find_boundary_facets
 from ddic.problem.cameras import Camera
 from ddic.problem.start_points import StartPoints, check_start_points, load_start_points, require_points_inside
@@ -92,13 +93,10 @@ class EarlierResult:
         return values, known
 
     def _find_measured(self, points: Array) -> NDArray[np.bool_]:
-        # Here, for it brings a tenth of a second of scipy's imports, and few runs come by.
-        from scipy.spatial import cKDTree
-
         measured = np.asarray(np.isfinite(self.result.at(points)).all(axis=1))
         nodes = self.result.mesh.nodes[self.result.measured_nodes]
         if self.result.separated is None and not measured.all() and len(nodes):
-            measured[~measured] = cKDTree(nodes).query(points[~measured])[0] <= SAME_NODE_PX
+            measured[~measured] = build_tree(nodes).query(points[~measured])[0] <= SAME_NODE_PX
         return measured
 
     def find_outside(self, points: Array) -> NDArray[np.bool_]:
@@ -302,12 +300,9 @@ def _note_pieces(n_pieces: int, what: str) -> tuple[str, ...]:
 
 def _measure_distances(mesh: Mesh, points: Array) -> Array:
     """Distance of points outside a mesh from its boundary, pixels."""
-    # Here, for it brings a tenth of a second of scipy's imports, and few runs come by.
-    from scipy.spatial import cKDTree
-
     ends = mesh.nodes[find_boundary_facets(mesh)[:, :2]]
     n_facets = min(N_FACETS, len(ends))
-    near = cKDTree(ends.mean(axis=1)).query(points, list(range(1, n_facets + 1)))[1]
+    near = build_tree(ends.mean(axis=1)).query(points, list(range(1, n_facets + 1)))[1]
     first, along = ends[near, 0], ends[near, 1] - ends[near, 0]
     share = ((points[:, None] - first) * along).sum(axis=2) / np.maximum((along**2).sum(axis=2), 1e-300)
     feet = first + np.clip(share, 0.0, 1.0)[..., None] * along
@@ -350,9 +345,6 @@ def extrapolate(mesh: Mesh, displacement: Array, known: NDArray[np.bool_]) -> Ex
     Extrapolated
         As given where it is known.
     """
-    # Here, for it brings a tenth of a second of scipy's imports, and few runs come by.
-    from scipy.spatial import cKDTree
-
     values = np.where(known[:, None], displacement, 0.0)
     pieces = find_piece_of_nodes(mesh)
     maps: dict[int, AffineMap] = {}
@@ -360,7 +352,7 @@ def extrapolate(mesh: Mesh, displacement: Array, known: NDArray[np.bool_]) -> Ex
         own = known & (pieces == piece)
         maps[int(piece)] = fit_affine_map(mesh.nodes[own], displacement[own])
     places = np.flatnonzero(known)
-    nearest = places[cKDTree(mesh.nodes[known]).query(mesh.nodes)[1]]
+    nearest = places[build_tree(mesh.nodes[known]).query(mesh.nodes)[1]]
     from_piece = np.where(np.isin(pieces, list(maps)), pieces, pieces[nearest])
     background = np.empty_like(values)
     for piece, of_piece in maps.items():
