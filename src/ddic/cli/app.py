@@ -11,7 +11,7 @@ from ddic import __version__
 from ddic.cli.address_space import require_address_space
 from ddic.cli.failed_start import failures_as_lines
 from ddic.cli.finite_options import require_finite_options
-from ddic.cli.idle_threads import let_idle_threads_sleep
+from ddic.cli.idle_threads import prepare_idle_threads
 from ddic.cli.kept_imports import imports_kept
 from ddic.cli.standard_output import output_as_line
 from ddic.cli.usage_as_line import usage_as_line
@@ -108,7 +108,7 @@ class LazyGroup(click.Group):
         """
         with failures_as_lines(passed=CLICKS_OWN), usage_as_line():
             require_address_space()
-            let_idle_threads_sleep()
+            prepare_idle_threads()
             return super().invoke(ctx)
 
     def make_context(self, info_name: str | None, args: list[str], parent: click.Context | None = None,

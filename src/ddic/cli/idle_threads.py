@@ -10,7 +10,7 @@ millisecond. A larger value wakes it faster, which is not seen in a run; what Op
 28, a tenth of a second after each product, in each of the three copies that numpy, scipy and PETSc bring."""
 
 
-def let_idle_threads_sleep() -> None:
+def prepare_idle_threads() -> None:
     """Have OpenBLAS's threads sleep soon after a product, unless the environment says otherwise.
 
     Call it before numpy is imported. As many threads share a product as before, so that no digit changes.

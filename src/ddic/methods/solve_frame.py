@@ -35,8 +35,7 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[NDArray[
                 clock: PhaseClock, least_shown: float = 0.0) -> SolvedFrame:
     """Iterate from a start until neither the field nor what the frame shows of it changes; collective.
 
-    The frame is looked at where the start puts it, where a field is roughly found with what was seen there, and where
-    that is found to the last digit.
+    The frame is looked at where the start puts it, where a field is roughly found, and where it is found.
 
     Parameters
     ----------
@@ -68,18 +67,12 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[NDArray[
     cameras, case = problem.reference.inputs.cameras, problem.reference.inputs.case
     with clock.phase(Phase.RESIDUAL):
         seen, of_blur = see_start(case, cameras, whole, q, problem.slopes)
-    shown = seen.measure_shown_share()
-    if shown < least_shown:
+    if (shown := seen.measure_shown_share()) < least_shown:
         raise as_collective(ConvergenceError(f"{shown:.0%} of the elements are seen where the start puts them"))
-    model = seen.whole.with_large_gradients(q)
-    is_regularized = case.regularization is not None
-    if is_regularized:
-        # Most of what is excluded at a start is seen where a field is roughly found: M waits until then.
-        model, notes = problem.fit(model, q)
-        model = _use(model, seen, q)
-    else:
-        model, notes = problem.fit(_use(model, seen, q), q)
-    notes = (*of_blur, *notes)
+    model, is_regularized = seen.whole.with_large_gradients(q), case.regularization is not None
+    # Most of what is excluded at a start is seen where a field is roughly found: M waits until then.
+    model, notes = problem.fit(model if is_regularized else _use(model, seen, q), q)
+    model, notes = _use(model, seen, q) if is_regularized else model, (*of_blur, *notes)
     _tell(listener, notes)
     listener.problem_size(problem.size)
     solved = begin_frame(seen, model, q, notes)
@@ -98,7 +91,7 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[NDArray[
                 found = accept_noise(problem, solved.used, found)
             if not found.converged:
                 raise as_collective(ConvergenceError(found.stop, solved))
-        # Where the start was far off, other pixels are hidden here: that held the step back, or left a node to nothing.
+        # Where the start was far off, other pixels are hidden here.
         followed = model if model.follows else model.with_large_gradients(found.q)
         model, renewed = problem.fit(_use(followed, seen, solved.field.q), found.q)
         _tell(listener, renewed)
