@@ -31,6 +31,10 @@ NOISE_OF_SLOPE = 1.39
 """Variance of the slope of a cubic spline through white noise at its nodes, relative to the noise's per pixel squared:
 the mean of (3 sin w / (2 + cos w))^2 over all frequencies w."""
 
+LEAST_KNOWN = 0.2
+"""Least share of a node's diagonal that is taken for texture: a node that is lost in noise drags its neighbours too. A
+smaller one leaves these, with 0.1, by 0.12 of their standard deviation from where they would come to rest."""
+
 MOST_VISITED = 0.3
 """Share of the pixels that are visited where a few nodes are slow: of more, a pass over all of them tells more."""
 
@@ -79,6 +83,9 @@ def confine_to_slow_nodes(model: ResidualModel, correction: Correction, systems:
                           tolerances: Tolerances) -> SlowNodes | None:
     """Confine Gauss-Newton to nodes that still move; None where these have too many pixels; collective."""
     subdomains = [of_subdomain.subdomain for of_subdomain in model.views]
+    if model.team.sum(sum(subdomain.n_motion for subdomain in subdomains)):
+        # A camera's motion moves all of its cells, and its force is that of all their pixels.
+        return None
     weights = model.weigh_nodes()
     moved = [measure_node_corrections(*of_subdomain) for of_subdomain
              in zip(subdomains, correction.dq, correction.q, strict=True)]
@@ -155,7 +162,7 @@ def estimate_node_deviations(model: ResidualModel, systems: Sequence[LocalSystem
     Returns
     -------
     list of (n_nodes,) array
-        Larger one of its components, of each owned subdomain, pixels; inf where there is no more than noise.
+        Larger one of its components, of each owned subdomain, pixels.
     """
     sums = [np.hstack([_take_to_nodes(system, system.hessian.diagonal()), _take_to_nodes(system, system.diagonal),
                        _sum_squared_shapes(of_subdomain)])
@@ -166,9 +173,9 @@ def estimate_node_deviations(model: ResidualModel, systems: Sequence[LocalSystem
         of_hessian, of_operator = total[:, :-1].T.reshape(2, -1, len(total))
         known = of_operator - NOISE_OF_SLOPE * 0.5 * noise * total[:, -1]
         of_noise = np.sqrt(noise * np.maximum(of_hessian, 0.0))
-        found = np.where(known > 0, of_noise / np.where(known > 0, known, 1.0), np.inf)
+        known = np.maximum(known, LEAST_KNOWN * of_operator)
         # What neither pixels nor mechanics hold moves nowhere.
-        deviations.append(np.where(of_operator > 0, found, 0.0).max(axis=0))
+        deviations.append(np.divide(of_noise, known, out=np.zeros_like(known), where=known > 0).max(axis=0))
     return deviations
 
 
