@@ -112,7 +112,7 @@ def test_the_step_holds_what_was_chosen() -> None:
         for kind in ("auto", "dense", "sparse"):
             with PetscStack() as stack:
                 one_level = build_preconditioner(stack, problem, "scaled", kind).context
-                held[kind] = {type(term.inverse) for term in one_level._terms}
+                held[kind] = {type(inverse) for inverse in one_level.inverses}
     assert held == {"auto": {DenseInverse}, "dense": {DenseInverse}, "sparse": {SparseInverse}}
 
 

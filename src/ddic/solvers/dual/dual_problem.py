@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +47,7 @@ class DualProblem:
         """The ranks."""
         return self.exchange.team
 
-    @property
+    @cached_property
     def operator(self) -> DualSchurOperator:
         """S_tot."""
         return DualSchurOperator(self.exchange, self.local_duals)
@@ -73,14 +74,12 @@ class DualProblem:
         b : sequence of (n_unknowns,) arrays
             b_s.
         """
-        total = np.zeros(len(self.exchange.ghosts))
-        for local, free_s, q_s, b_s in zip(self.local_duals, free, q, b, strict=True):
-            n_field = local.operator.n
-            u_s = q_s[:n_field]
-            total += local.jump @ (u_s + free_s)
+        fields = [q_s[:len(free_s)] + free_s for q_s, free_s in zip(q, free, strict=True)]
+        total = self.operator.of_rank.sum_jumps(fields)
+        for local, q_s, b_s in zip(self.local_duals, q, b, strict=True):
             if local.motion is not None:
-                motion = local.motion
-                total[motion.rows] -= motion.columns.T @ u_s + b_s[n_field:] / motion.scale
+                motion, n_field = local.motion, local.operator.n
+                total[motion.rows] -= motion.columns.T @ q_s[:n_field] + b_s[n_field:] / motion.scale
         self.exchange.add_to_owners(total, right)
 
     def correct(self, free: Sequence[NDArray[np.float64]], multipliers: PETSc.Vec) -> list[NDArray[np.float64]]:
@@ -99,8 +98,7 @@ class DualProblem:
             du_s = free_s - A_s^-1 G_s^T v of each owned subdomain, pixels.
         """
         v = self.exchange.fetch_ghosts(multipliers)
-        return [free_s - local.operator.solve(local.jump_transposed @ v)
-                for free_s, local in zip(free, self.local_duals, strict=True)]
+        return [free_s - forced_s for free_s, forced_s in zip(free, self.operator.of_rank.solve_forces(v), strict=True)]
 
     def append_motion(self, du: Sequence[NDArray[np.float64]], multipliers: PETSc.Vec) -> list[NDArray[np.float64]]:
         """Append the corrections of cameras' motions to those of the fields; collective.

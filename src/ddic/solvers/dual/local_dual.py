@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,8 +34,6 @@ class LocalDual:
         Diagonal of D_s, zero for jumps.
     jump : (n ghost rows, n_field) csr_matrix
         G_s.
-    jump_transposed : (n_field, n ghost rows) csr_matrix
-        G_s^T.
     n_jumps : int
         Number of interface unknowns with jumps.
     motion : MotionRows, optional
@@ -48,34 +45,8 @@ class LocalDual:
     trace: sparse.csr_matrix
     compliance: NDArray[np.float64]
     jump: sparse.csr_matrix
-    jump_transposed: sparse.csr_matrix
     n_jumps: int
     motion: MotionRows | None = None
-
-    @cached_property
-    def incidence_transposed(self) -> sparse.csc_matrix:
-        """B_s^T; making the matrix anew takes longer than its product with a vector."""
-        return self.incidence.T
-
-    def apply(self, v: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Apply the subdomain's part of S_tot with one local solve, Eq. 30-31 of [BP17].
-
-        Parameters
-        ----------
-        v : (n ghost rows,) array
-            Multipliers.
-
-        Returns
-        -------
-        (n ghost rows,) array
-            G_s A_s^-1 G_s^T v - H_s v.
-        """
-        y = self.operator.solve(self.jump_transposed @ v)
-        compliant = self.compliance * (self.incidence_transposed @ v)
-        out = np.asarray(self.jump @ y - self.incidence @ compliant)
-        if self.motion is not None:
-            out[self.motion.rows] -= self.motion.block @ v[self.motion.rows]
-        return out
 
     def multiply_schur(self, columns: NDArray[np.float64]) -> NDArray[np.float64]:
         """Multiply by S_s = T_s A_s^-1 T_s^T - D_s, which is not formed.
@@ -162,7 +133,7 @@ def build_local_dual(system: LocalSystem, operator: LocalOperator, ghosts: NDArr
         incidence = sparse.hstack([incidence, signed_incidence(reactions, ghosts)]).tocsr()
         compliance = np.concatenate([compliance, scale**2 * system.eta * weights**2])
     jump = (incidence @ trace).tocsr()
-    return LocalDual(operator, incidence, trace, compliance, jump, jump.T.tocsr(), len(jumps.unknowns))
+    return LocalDual(operator, incidence, trace, compliance, jump, len(jumps.unknowns))
 
 
 def add_motion_rows(local: LocalDual, system: LocalSystem, ghosts: NDArray[np.int64],
@@ -193,7 +164,7 @@ def add_motion_rows(local: LocalDual, system: LocalSystem, ghosts: NDArray[np.in
     motion = MotionRows(rows, system.motion_columns / scale, system.motion_block / np.outer(scale, scale), scale)
     place = _select(rows, len(ghosts)).T
     jump = (local.jump + place @ sparse.csr_matrix(motion.columns.T)).tocsr()
-    return replace(local, jump=jump, jump_transposed=jump.T.tocsr(), motion=motion)
+    return replace(local, jump=jump, motion=motion)
 
 
 def _select(places: NDArray[np.int64], size: int) -> sparse.csr_matrix:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -14,6 +13,7 @@ from scipy import linalg, sparse
 
 from ddic.errors import SingularSubdomainError
 from ddic.solvers.dual.local_dual import LocalDual
+from ddic.solvers.dual.rank_dual import list_places
 from ddic.solvers.dual.sparse_inverse import SINGULAR_INTERFACE
 from ddic.solvers.exchange import Exchange
 
@@ -160,26 +160,6 @@ class LocalPreconditioner:
     assembly: sparse.csr_matrix
     inverse: LocalInverse
 
-    @cached_property
-    def assembly_transposed(self) -> sparse.csc_matrix:
-        """B^T; making the matrix anew takes longer than its product with a vector."""
-        return self.assembly.T
-
-    def apply(self, r: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Apply B S_s^-1 B^T.
-
-        Parameters
-        ----------
-        r : (n ghost rows,) array
-            Residuals.
-
-        Returns
-        -------
-        (n ghost rows,) array
-            B S_s^-1 B^T r.
-        """
-        return np.asarray(self.assembly @ self.inverse.apply(self.assembly_transposed @ r))
-
 
 class DualPreconditioner:
     """Context of PETSc's shell preconditioner: P r = sum_s B_s S_s^-1 B_s^T r, Eq. 37 of [BP17].
@@ -190,11 +170,21 @@ class DualPreconditioner:
         Of interface rows.
     terms : sequence of LocalPreconditioner
         This rank's subdomains.
+
+    Attributes
+    ----------
+    inverses : list of LocalInverse
+        S_s^-1 of each of them.
     """
 
     def __init__(self, exchange: Exchange, terms: Sequence[LocalPreconditioner]) -> None:
         self._exchange = exchange
-        self._terms = terms
+        self.inverses = [term.inverse for term in terms]
+        self._places = list_places([term.assembly.shape[1] for term in terms])
+        # Side by side: to call a product with a small matrix takes longer than to compute it.
+        self._assembly = sparse.hstack([term.assembly for term in terms], format="csr")
+        # Made once: making the matrix takes longer than its product with a vector.
+        self._assembly_transposed = self._assembly.T
 
     def apply(self, _: PETSc.PC | None, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Apply P: PETSc's callback.
@@ -208,10 +198,24 @@ class DualPreconditioner:
         y : PETSc.Vec
             Overwritten by P r.
         """
-        r = self._exchange.fetch_ghosts(x)
-        total = np.zeros_like(r)
-        for term in self._terms:
-            total += term.apply(r)
-        self._exchange.add_to_owners(total, y)
+        self._exchange.add_to_owners(self.apply_own(self._exchange.fetch_ghosts(x)), y)
 
     applyTranspose = apply
+
+    def apply_own(self, r: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Apply the terms of this rank's subdomains; free of communication.
+
+        Parameters
+        ----------
+        r : (n ghost rows,) array
+            Residuals.
+
+        Returns
+        -------
+        (n ghost rows,) array
+            Sum of B_s S_s^-1 B_s^T r.
+        """
+        on_interfaces = self._assembly_transposed @ r
+        solved = [inverse.apply(on_interfaces[place])
+                  for inverse, place in zip(self.inverses, self._places, strict=True)]
+        return np.asarray(self._assembly @ np.concatenate(solved))

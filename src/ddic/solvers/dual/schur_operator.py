@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 from petsc4py import PETSc
 
 from ddic.parallel.team import Team
 from ddic.solvers.dual.local_dual import LocalDual
+from ddic.solvers.dual.rank_dual import RankDual
 from ddic.solvers.dual.shell import Multiplying
 from ddic.solvers.exchange import Exchange
 
@@ -24,11 +24,16 @@ class DualSchurOperator:
         Of interface rows.
     local_duals : sequence of LocalDual
         This rank's subdomains.
+
+    Attributes
+    ----------
+    of_rank : RankDual
+        All of them side by side.
     """
 
     def __init__(self, exchange: Exchange, local_duals: Sequence[LocalDual]) -> None:
         self._exchange = exchange
-        self._local_duals = local_duals
+        self.of_rank = RankDual(local_duals)
 
     @property
     def team(self) -> Team:
@@ -48,10 +53,7 @@ class DualSchurOperator:
             Overwritten by S_tot v.
         """
         v = self._exchange.fetch_ghosts(x)
-        total = np.zeros_like(v)
-        for local in self._local_duals:
-            total += local.apply(v)
-        self._exchange.add_to_owners(total, y)
+        self._exchange.add_to_owners(self.of_rank.apply(v), y)
 
     multTranspose = mult
 
