@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -167,15 +166,12 @@ class _Pairs:
 
 def _pair_nodes(mesh: Mesh, takes: NDArray[np.bool_], gives: NDArray[np.bool_]) -> _Pairs:
     """All pairs of a node that takes and one that gives; takes, gives: (n_nodes,)."""
-    none = np.zeros(0, dtype=np.int64)
-    found = [(none, none, none)]
     # Few take, as a rule: those at edges.
-    at_takers = np.flatnonzero(((mesh.cells >= 0) & takes[mesh.cells]).any(axis=1)) if takes.any() else none
-    for there, here in product(mesh.cells[at_takers].T, repeat=2):
-        chosen = np.flatnonzero((there >= 0) & (here >= 0))
-        chosen = chosen[takes[there[chosen]] & gives[here[chosen]]]
-        found.append((at_takers[chosen], there[chosen], here[chosen]))
-    return _Pairs(*(np.concatenate(arrays) for arrays in zip(*found, strict=True)))
+    at_takers = np.flatnonzero(((mesh.cells >= 0) & takes[mesh.cells]).any(axis=1))
+    cells = mesh.cells[at_takers]
+    taking, giving = ((cells >= 0) & chosen[cells] for chosen in (takes, gives))
+    there, here, number = np.nonzero(taking.T[:, None] & giving.T[None])
+    return _Pairs(at_takers[number], cells[number, there], cells[number, here])
 
 
 def _sum_pairs(mesh: Mesh, pairs: _Pairs, values: Array) -> Array:
