@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.functionals.elasticity import Material, assemble_stiffness, integrate_cell_stiffness
+from ddic.functionals.scale_rows import scale_rows
 from ddic.kinematics.cell_interpolation import interpolate_cells
 from ddic.kinematics.kinematics import Kinematics
 from ddic.mesh.mesh import Mesh
@@ -46,7 +47,7 @@ def controlled_stiffness(kinematics: Kinematics, material: Material, row_weights
         turn = sparse.kron(sparse.identity(kinematics.mesh.n_nodes), rotation, format="csr")
         of_nodes = (turn @ of_nodes @ turn.T).tocsr()
     stiffness = kinematics.project_matrix(of_nodes)
-    return (sparse.diags(row_weights) @ stiffness).tocsr()
+    return scale_rows(stiffness, row_weights)
 
 
 def evaluate_plane_waves(nodes: NDArray[np.float64], wavelength: float) -> NDArray[np.float64]:

@@ -161,9 +161,11 @@ def _system(case: Case, subdomain: Subdomain, hessian: sparse.csr_matrix, gap: _
     weights = interface_weights(subdomain.multiplicity, case.solver.weighting)
     material = build_material(require_held(case.regularization))
     of_field = controlled_stiffness(subdomain.kinematics, material, weights, rotation)
-    # A camera's motion is no displacement of matter, hence in no equilibrium.
-    of_motion = sparse.csr_matrix((of_field.shape[0], subdomain.n_motion))
-    stiffness = sparse.hstack([of_field, of_motion]).tocsr()
+    stiffness = of_field
+    if subdomain.n_motion:
+        # A camera's motion is no displacement of matter, hence in no equilibrium.
+        of_motion = sparse.csr_matrix((of_field.shape[0], subdomain.n_motion))
+        stiffness = sparse.hstack([of_field, of_motion]).tocsr()
     projection = np.where(subdomain.controlled, 1.0, gap.of_edges)
     return LocalSystem(subdomain, hessian, stiffness, weights, gap.eta, projection)
 

@@ -171,7 +171,7 @@ def _measure_nodes(subdomain: Subdomain, correction: tuple[Array, Array], weight
     after = after.reshape(nodes.shape)
     weighted = after * share[:, None]
     moments = [share.sum(), *(share @ nodes), *weighted.sum(axis=0),
-               *((nodes * share[:, None]).T @ nodes)[np.triu_indices(2)], *(weighted.T @ nodes).ravel(),
+               *((nodes * share[:, None]).T @ nodes).take((0, 1, 3)), *(weighted.T @ nodes).ravel(),
                (weighted * after).sum()]
     sums = [change**2 @ share, known**2 @ share, share[known > largest].sum()]
     return np.array([*sums, *moments]), float(change.max())

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.functionals.scale_rows import scale_rows
 from ddic.partition.subdomain import Subdomain
 
 
@@ -44,7 +45,7 @@ class LocalSystem:
         """Kbar_s = P diag(w) T^T K T, (n_field, n_unknowns); None without regularization."""
         if self.stiffness is None or self.projection is None:
             return self.stiffness
-        return (sparse.diags(self.projection) @ self.stiffness).tocsr()
+        return scale_rows(self.stiffness, self.projection)
 
     @cached_property
     def controlled_stiffness_transposed(self) -> sparse.csc_matrix | None:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.functionals.scale_rows import scale_rows
 from ddic.partition.incidence import signed_incidence
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
@@ -128,7 +129,7 @@ def build_local_dual(system: LocalSystem, operator: LocalOperator, ghosts: NDArr
         reactions = subdomain.reactions
         weights = system.row_weights[reactions.unknowns]
         reaction_rows = system.controlled_stiffness[reactions.unknowns]
-        weighted_rows = sparse.diags(scale * system.eta * weights) @ reaction_rows
+        weighted_rows = scale_rows(reaction_rows, scale * system.eta * weights)
         trace = sparse.vstack([trace, weighted_rows]).tocsr()
         incidence = sparse.hstack([incidence, signed_incidence(reactions, ghosts)]).tocsr()
         compliance = np.concatenate([compliance, scale**2 * system.eta * weights**2])
@@ -170,4 +171,4 @@ def add_motion_rows(local: LocalDual, system: LocalSystem, ghosts: NDArray[np.in
 def _select(places: NDArray[np.int64], size: int) -> sparse.csr_matrix:
     """The matrix that takes the entries at some places out of a vector, (n places, size)."""
     n = len(places)
-    return sparse.csr_matrix((np.ones(n), (np.arange(n), places)), shape=(n, size))
+    return sparse.csr_matrix((np.ones(n), places, np.arange(n + 1)), shape=(n, size))
