@@ -88,7 +88,7 @@ def compute_displacement_gradients(mesh: Mesh, q: NDArray[np.float64]) -> NDArra
     gradient = np.empty((mesh.n_cells, mesh.dim, mesh.dim))
     u = q.reshape(mesh.nodes.shape)
     for block in mesh.cell_blocks:
-        by_local = block.type.differentiate_shapes(block.type.centre[None])[0]
+        by_local = block.type.slopes_at_centre
         # du_c / dxi_k (dx_j / dxi_k)^-1: two products of whole arrays are ten times as fast as one of each cell.
         of_u, of_x = (np.tensordot(values[block.nodes], by_local, axes=(1, 0)) for values in (u, mesh.nodes))
         inverse, _ = invert_matrices(of_x)

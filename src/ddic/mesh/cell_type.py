@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
@@ -78,6 +79,11 @@ class CellType:
     def centre(self) -> NDArray[np.float64]:
         """Centre of the reference cell, (dim,)."""
         return np.asarray(self.nodes.mean(axis=0))
+
+    @cached_property
+    def slopes_at_centre(self) -> NDArray[np.float64]:
+        """Derivatives dN_a / dxi_j at the centre, (n_nodes, dim)."""
+        return np.asarray(self.differentiate_shapes(self.centre[None])[0])
 
     def evaluate_shapes(self, local: NDArray[np.float64]) -> NDArray[np.float64]:
         """Evaluate the shape functions.
