@@ -11,6 +11,7 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ValidationError
 
 from ddic.case.frame_files import find_frames, is_pattern, is_series
+from ddic.case.kept_mesh import KeptMesh
 from ddic.case.messages import describe, remove_kinds
 from ddic.case.schema import Case, OutputSection
 from ddic.case.sections import Location, find_section_in
@@ -42,12 +43,15 @@ class LoadedCase:
         The file's content, as it was read.
     stamps : FileStamps
         Of what it names, when that was checked; empty before.
+    kept_mesh : KeptMesh
+        Its mesh, where that was built for the check; only there.
     """
 
     case: Case
     path: Path
     text: str
     stamps: FileStamps = field(default_factory=FileStamps)
+    kept_mesh: KeptMesh = field(default_factory=KeptMesh, compare=False)
 
     @property
     def is_series(self) -> bool:

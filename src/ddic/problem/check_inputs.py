@@ -255,6 +255,7 @@ def check_case(loaded: LoadedCase, count_pixels: PixelCounter | None = None) -> 
             check_texture(case, reference, checked.mesh)
     if reference is None or problems.lines:
         raise InputError(problems.lines)
+    loaded.kept_mesh.keep(case, checked.mesh, checked.tying)
     return describe_inputs(case, reference, checked, not_controlled)
 
 

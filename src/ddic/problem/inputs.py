@@ -128,7 +128,7 @@ def open_inputs(team: Team, loaded: LoadedCase, number: int = 0) -> tuple[Inputs
     opener = open_on_all_ranks(team)
     cameras = open_cameras(case, opener)
     image = cameras[0].reference.image
-    inputs = Inputs(case, cameras, lambda: build_meshes(case, image.width, image.height),
+    inputs = Inputs(case, cameras, lambda: loaded.kept_mesh.take(case) or build_meshes(case, image.width, image.height),
                     case_path=loaded.path, case_text=loaded.text,
                     rectangle=None if case.pgd is None else find_rectangle_of_case(case),
                     n_frames=len(list_deformed(case.images)))
