@@ -8,15 +8,15 @@ from scipy import sparse
 
 from ddic.functionals.elasticity import Material, assemble_stiffness, integrate_cell_stiffness
 from ddic.functionals.scale_rows import scale_rows
-from ddic.kinematics.cell_interpolation import interpolate_cells
+from ddic.kinematics.cell_interpolation import number_cell_dofs
 from ddic.kinematics.kinematics import Kinematics
 from ddic.mesh.mesh import Mesh
 
 PHASES = (0.0, np.pi / 2)
 """Phases of the plane waves, radians: cosine and sine, of which one at least does not vanish on the nodes."""
 
-_CHUNK_CELLS = 2_000
-"""Cells whose stiffness is held at once; a larger value takes more memory."""
+_CHUNK_CELLS = 16_000
+"""Cells whose stiffness is held at once; a larger value takes more memory, a smaller one time."""
 
 
 def controlled_stiffness(kinematics: Kinematics, material: Material, row_weights: NDArray[np.float64],
@@ -179,7 +179,7 @@ def find_edge_weight(eta: float, probe: tuple[float, float], edge_wavelength: fl
 
 def _wave_forces(mesh: Mesh, material: Material, waves: NDArray[np.float64]) -> NDArray[np.float64]:
     """K v, (n_dofs, n_waves), of displacements v, the columns of waves."""
-    cell_dofs = interpolate_cells(mesh).cell_dofs
+    cell_dofs = number_cell_dofs(mesh)
     by_cell = integrate_cell_stiffness(mesh, material) @ waves[cell_dofs]
     columns = [np.bincount(cell_dofs.ravel(), by_cell[..., wave].ravel(), minlength=mesh.n_dofs)
                for wave in range(waves.shape[1])]

@@ -99,6 +99,22 @@ class CellInterpolation:
         return sparse.coo_matrix((cells.ravel(), (rows, columns)), shape=shape).tocsr()
 
 
+def number_cell_dofs(mesh: Mesh) -> NDArray[np.int64]:
+    """Give the displacement components of the nodes of every cell.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Any.
+
+    Returns
+    -------
+    (n_cells, 4 dim) int64 array
+        Node-major; a cell of fewer nodes repeats its first node's.
+    """
+    return (pad_cells(mesh)[:, :, None] * mesh.dim + np.arange(mesh.dim)).reshape(mesh.n_cells, -1)
+
+
 def interpolate_cells(mesh: Mesh) -> CellInterpolation:
     """Prepare the interpolation in the cells of a mesh.
 
@@ -112,12 +128,11 @@ def interpolate_cells(mesh: Mesh) -> CellInterpolation:
     CellInterpolation
         Of its cells.
     """
-    cell_dofs = (pad_cells(mesh)[:, :, None] * mesh.dim + np.arange(mesh.dim)).reshape(mesh.n_cells, -1)
     shapes = np.stack([pad_shapes(block.type) for block in mesh.cell_blocks])
     kinds = np.empty(mesh.n_cells, dtype=np.int64)
     for place, block in enumerate(mesh.cell_blocks):
         kinds[block.cells] = place
-    return CellInterpolation(compute_geometry(mesh), shapes, kinds, cell_dofs, mesh.n_dofs)
+    return CellInterpolation(compute_geometry(mesh), shapes, kinds, number_cell_dofs(mesh), mesh.n_dofs)
 
 
 # Compiled, since products of many small matrices by numpy took a third of a pass over a subdomain of 33,000 px.

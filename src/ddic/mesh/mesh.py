@@ -206,10 +206,10 @@ class Mesh:
         """
         padded = self.cells[cells]
         used = padded >= 0
-        node_ids, local = np.unique(padded[used], return_inverse=True)
+        node_ids, local = _number_used(padded[used], self.n_nodes)
         sets = {name: _restrict(node_ids, members) for name, members in self.node_sets.items()}
         parts = None if self.parts is None else self.parts.restrict(cells)
-        mesh = Mesh(self.nodes[node_ids], local.reshape(-1).astype(np.int64), _offsets(used.sum(axis=1)),
+        mesh = Mesh(self.nodes[node_ids], local, _offsets(used.sum(axis=1)),
                     self.types[cells], sets, self.mapping, parts)
         return mesh, node_ids
 
@@ -254,6 +254,17 @@ def build_mesh(nodes: NDArray[np.float64],
 def _offsets(counts: NDArray[np.int64]) -> NDArray[np.int64]:
     """Where each cell's nodes begin, from their numbers."""
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+
+
+def _number_used(nodes: NDArray[np.int64], n_nodes: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Sorted numbers of the nodes that occur, and the place of each occurrence among them."""
+    if len(nodes) < n_nodes:
+        node_ids, places = np.unique(nodes, return_inverse=True)
+        return node_ids, places.reshape(-1).astype(np.int64)
+    # Marked, which takes time by the whole mesh's nodes, where a sort of this many takes more.
+    is_used = np.zeros(n_nodes, dtype=bool)
+    is_used[nodes] = True
+    return np.flatnonzero(is_used).astype(np.int64), (np.cumsum(is_used) - 1)[nodes]
 
 
 def _restrict(node_ids: NDArray[np.int64], members: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -89,10 +89,15 @@ def compute_shape_gradients(mesh: Mesh, block: CellBlock,
     """
     coordinates = mesh.nodes[block.nodes]
     by_local = block.type.differentiate_shapes(local)
-    # jacobian[e, p, i, j] = dx_i / dxi_j = sum_a x_ai dN_a / dxi_j
-    jacobian = coordinates.transpose(0, 2, 1)[:, None] @ by_local
-    inverse, det = invert_matrices(jacobian)
-    return by_local @ inverse, det
+    n_points, k, dim = by_local.shape
+    # jacobian[e, p, i, j] = dx_i / dxi_j = sum_a x_ai dN_a / dxi_j, one product for all points of a cell.
+    at_all_points = coordinates.transpose(0, 2, 1) @ by_local.transpose(1, 0, 2).reshape(k, n_points * dim)
+    inverse, det = invert_matrices(at_all_points.reshape(-1, dim, n_points, dim).transpose(0, 2, 1, 3))
+    # Not by products of a matrix for each point, which are so small that calling for them takes most of the time.
+    gradients = by_local[..., 0, None] * inverse[:, :, None, 0]
+    for i in range(1, dim):
+        gradients += by_local[..., i, None] * inverse[:, :, None, i]
+    return gradients, det
 
 
 def invert_matrices(matrices: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
