@@ -198,15 +198,23 @@ class Correlation:
         hessians = hessians.reshape(n_cells, 8, 8)
         return hessians if self.inverse_deformations is None else map_hessians(self.inverse_deformations, hessians)
 
-    def assemble_hessian(self) -> sparse.csr_matrix:
+    def assemble_hessian(self, cells: NDArray[np.int64] | None = None) -> sparse.csr_matrix:
         """Assemble M = sum_px N^T grad f grad f^T N over the subdomain's usable pixels.
+
+        Parameters
+        ----------
+        cells : (n,) int64 array, optional
+            Numbers of the cells whose pixels count; by default all of them do.
 
         Returns
         -------
         (n_dofs, n_dofs) csr_matrix
             M, grey levels squared per pixel squared; Eq. 5 of [BP17].
         """
-        return self.interpolation.assemble_matrix(self.compute_cell_hessians())
+        if cells is None:
+            return self.interpolation.assemble_matrix(self.compute_cell_hessians())
+        of_cells = replace(self, order=cells).compute_cell_hessians()[cells]
+        return self.interpolation.assemble_matrix(of_cells, cells)
 
     def compute_residual(self, deformed: DeformedSubImage, q: NDArray[np.float64], *,
                          all_kinds: bool = False) -> Residual:

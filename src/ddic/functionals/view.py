@@ -81,15 +81,20 @@ class View:
         values = self.correlation.reference.values
         return float(values.min()), float(values.max())
 
-    def assemble_hessian(self) -> sparse.csr_matrix:
+    def assemble_hessian(self, cells: NDArray[np.int64] | None = None) -> sparse.csr_matrix:
         """Assemble M of this camera on displacements of nodes in its image, Eq. 5 of [BP17].
+
+        Parameters
+        ----------
+        cells : (n,) int64 array, optional
+            Numbers of the cells whose pixels count; by default all of them do.
 
         Returns
         -------
         (n_dofs, n_dofs) csr_matrix
             M, grey levels squared per pixel squared.
         """
-        return self.correlation.assemble_hessian()
+        return self.correlation.assemble_hessian(cells)
 
     def project(self, hessian: sparse.csr_matrix) -> sparse.csr_matrix:
         """Take M of this camera to the subdomain's unknowns, w T^T M T.

@@ -77,13 +77,16 @@ class CellInterpolation:
         _add_up(np.ascontiguousarray(moments), self.cell_dofs, self.kinds, self.shapes, summed)
         return summed
 
-    def assemble_matrix(self, cells: NDArray[np.float64]) -> sparse.csr_matrix:
+    def assemble_matrix(self, cells: NDArray[np.float64],
+                        numbers: NDArray[np.int64] | None = None) -> sparse.csr_matrix:
         """Assemble cell matrices into one of the whole mesh.
 
         Parameters
         ----------
-        cells : (n_cells, 4 dim, 4 dim) array
+        cells : (n, 4 dim, 4 dim) array
             Matrices between the cells' displacement components, zero for nodes that a cell does not have.
+        numbers : (n,) int64 array, optional
+            Of these cells; by default all of the mesh's.
 
         Returns
         -------
@@ -92,7 +95,8 @@ class CellInterpolation:
         """
         n_cell_dofs = self.cell_dofs.shape[1]
         # As scipy keeps them: it would make copies of others, beside the largest arrays of an assembly.
-        cell_dofs = self.cell_dofs.astype(sparse.get_index_dtype(maxval=self.n_dofs))
+        of_cells = self.cell_dofs if numbers is None else self.cell_dofs[numbers]
+        cell_dofs = of_cells.astype(sparse.get_index_dtype(maxval=self.n_dofs))
         rows = np.repeat(cell_dofs, n_cell_dofs, axis=1).ravel()
         columns = np.tile(cell_dofs, n_cell_dofs).ravel()
         shape = (self.n_dofs, self.n_dofs)

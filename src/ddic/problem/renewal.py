@@ -16,7 +16,7 @@ from scipy import sparse
 
 from ddic.errors import list_first
 from ddic.functionals.moved_gradient import LARGE, measure_deformation
-from ddic.functionals.view import FrameView, View
+from ddic.functionals.view import View
 from ddic.images.blurred import Blur
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
@@ -227,7 +227,7 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
 
     def assemble(number: int) -> sparse.csr_matrix:
         followed = _follow(shown[number], now.inverse_deformations[number])
-        hessian = _assemble_shown(views[number].views, followed, whole[number], rule)
+        hessian = _assemble_shown(views[number], followed, whole[number], rule)
         if filled is not None:
             hessian = sparse.csr_matrix(hessian + filled.assemble_operator(number))
         if rule.is_regularized:
@@ -318,17 +318,27 @@ def _are_pixels_kept(of_subdomain: FrameViews, before: CellCounts, now: CellCoun
     return n_changed <= rule.bound_changes(n_reference)
 
 
-def _assemble_shown(views: Sequence[FrameView], shown: Sequence[View], whole: Sequence[sparse.csr_matrix],
+def _assemble_shown(of_subdomain: FrameViews, shown: Sequence[View], whole: Sequence[sparse.csr_matrix],
                     rule: RenewalRule) -> sparse.csr_matrix:
     """M_s of the pixels shown, with a share of the others' where mechanics fill what these leave."""
     total = None
-    for view, of_shown, of_whole in zip(views, shown, whole, strict=True):
-        hessian = of_shown.assemble_hessian()
-        if rule.is_regularized:
-            hessian = (1.0 - HELD_SHARE) * hessian + HELD_SHARE * of_whole
-        projected = view.view.project(hessian)
+    for view, reference, of_shown, of_whole in zip(of_subdomain.views, of_subdomain.reference.views, shown, whole,
+                                                   strict=True):
+        projected = view.view.project(_assemble_view(of_shown, reference, of_whole, rule))
         total = projected if total is None else total + projected
     return sparse.csr_matrix(total)
+
+
+def _assemble_view(shown: View, reference: View, whole: sparse.csr_matrix, rule: RenewalRule) -> sparse.csr_matrix:
+    """M of one view; whole: that of all pixels of the reference."""
+    if not rule.is_regularized:
+        return shown.assemble_hessian()
+    if rule.blurs or shown.correlation.inverse_deformations is not None:
+        return (1.0 - HELD_SHARE) * shown.assemble_hessian() + HELD_SHARE * whole
+    # As many pixels of a cell are the same ones with the same gradients: most often a few cells of many have others.
+    changed = np.flatnonzero(shown.count_pixels() != reference.count_pixels())
+    change = shown.assemble_hessian(changed) - reference.assemble_hessian(changed)
+    return whole + (1.0 - HELD_SHARE) * change
 
 
 def _hold_shared(of_subdomain: FrameViews, hessian: sparse.csr_matrix, whole: Sequence[sparse.csr_matrix],
