@@ -19,7 +19,7 @@ from ddic.partition.subdomain import Subdomain
 from ddic.solvers.exchange import Exchange
 from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.petsc_stack import PetscStack
-from ddic.solvers.whole_system import without_weights
+from ddic.solvers.whole_system import EquilibriumRows
 
 Array = NDArray[np.float64]
 
@@ -171,7 +171,7 @@ class HeldRotation:
 
 def _compute_forces(team: Team, systems: Sequence[LocalSystem], centre: Array) -> list[Array]:
     """Compute eta Kbar^T Kbar of both translations, a dilation and a turn, (n_unknowns, 4) of each subdomain."""
-    kbars = [without_weights(system) for system in systems]
+    kbars = [EquilibriumRows.of(system).form() for system in systems]
     gaps = [kbar @ _fit_fields(system.subdomain, centre) for system, kbar in zip(systems, kbars, strict=True)]
     complete = _add_up(team, [system.subdomain for system in systems], gaps)
     return [np.asarray(system.eta * (kbar.T @ gap))

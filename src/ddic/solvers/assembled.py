@@ -116,9 +116,9 @@ def _assemble(team: Team, whole: WholeSystem) -> PETSc.Mat:
     """Assemble A of Eq. 11: rows of Kbar are complete before they are squared."""
     rows = ParallelEntries(team, whole.n_owned, whole.n_owned)
     entries = ParallelEntries(team, whole.n_owned, whole.n_owned)
-    for system, kbar, numbers in zip(whole.systems, whole.kbars, whole.numbers, strict=True):
+    for system, of_system, numbers in zip(whole.systems, whole.rows, whole.numbers, strict=True):
         entries.add_sparse(numbers, numbers, system.hessian)
-        rows.add_sparse(numbers, numbers, kbar)
+        rows.add_sparse(numbers, numbers, of_system.form())
     kbar_rows = rows.sum_owned_rows()
     touched, places = np.unique(kbar_rows.indices, return_inverse=True)
     kbar_touched = sparse.csr_matrix((kbar_rows.data, places.reshape(-1), kbar_rows.indptr),

@@ -189,7 +189,6 @@ class _Product:
         """PETSc's callback for D; rows of Kbar on interfaces are squared one by one, for it only preconditions."""
         whole = self._whole
         parts = []
-        for system, kbar in zip(whole.systems, whole.kbars, strict=True):
-            sums_of_squares = np.asarray(kbar.power(2).sum(axis=0)).ravel()
-            parts.append(system.hessian.diagonal() + system.eta * sums_of_squares)
+        for system, rows in zip(whole.systems, whole.rows, strict=True):
+            parts.append(system.hessian.diagonal() + system.eta * rows.sum_squares())
         whole.exchange.add_to_owners(whole.add_up(parts), diagonal)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +41,7 @@ class WholeSystem:
         How many of them this rank owns.
     exchange : Exchange
         Of values by these numbers.
-    kbars : list of (n_unknowns, n_unknowns) csr_matrix
+    rows : list of EquilibriumRows
         Kbar_s whose rows add up to those of Kbar.
     """
 
@@ -50,8 +52,7 @@ class WholeSystem:
             self.numbers, self.n_owned = _number_by_rank(team, [s.subdomain for s in systems])
             self.exchange = stack.keep(Exchange(team, self.n_owned, self.numbers))
             self._places = [np.searchsorted(self.exchange.ghosts, n) for n in self.numbers]
-            self.kbars = [without_weights(system) for system in systems]
-            self._kbars_transposed = [kbar.T for kbar in self.kbars]
+            self.rows = [EquilibriumRows.of(system) for system in systems]
             self._multiplicity = self.sum_over_subdomains([np.ones(len(n)) for n in self.numbers])
             self._objects = stack.pop_all()
 
@@ -133,8 +134,8 @@ class WholeSystem:
         """
         x = self.restrict(here)
         gap = self._find_gap(x)
-        products = [system.hessian @ x_s + system.eta * (kbar_t @ gap_s)
-                    for system, kbar_t, x_s, gap_s in zip(self.systems, self._kbars_transposed, x, gap, strict=True)]
+        products = [system.hessian @ x_s + system.eta * rows.multiply_transposed(gap_s)
+                    for system, rows, x_s, gap_s in zip(self.systems, self.rows, x, gap, strict=True)]
         return self.add_up(products)
 
     def set_right_hand_side(self, right: PETSc.Vec, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]],
@@ -154,9 +155,9 @@ class WholeSystem:
         """
         q_mean = self.restrict(mean)
         gap = self._find_gap(q_mean)
-        parts = [b_s + system.hessian @ (q_s - mean_s) - system.eta * (kbar_t @ gap_s)
-                 for system, kbar_t, b_s, q_s, mean_s, gap_s
-                 in zip(self.systems, self._kbars_transposed, b, q, q_mean, gap, strict=True)]
+        parts = [b_s + system.hessian @ (q_s - mean_s) - system.eta * rows.multiply_transposed(gap_s)
+                 for system, rows, b_s, q_s, mean_s, gap_s
+                 in zip(self.systems, self.rows, b, q, q_mean, gap, strict=True)]
         self.exchange.add_to_owners(self.add_up(parts), right)
 
     def find_corrections(self, solution: PETSc.Vec, q: Sequence[NDArray[np.float64]],
@@ -236,9 +237,9 @@ class WholeSystem:
 
     def _find_gap(self, x: Sequence[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
         """Kbar x on each owned subdomain's unknowns, rows of interfaces complete."""
-        if all(system.controlled_stiffness is None for system in self.systems):
+        if all(system.stiffness is None for system in self.systems):
             return [np.zeros(len(x_s)) for x_s in x]
-        forces = [kbar @ x_s for kbar, x_s in zip(self.kbars, x, strict=True)]
+        forces = [rows.multiply(x_s) for rows, x_s in zip(self.rows, x, strict=True)]
         return self.restrict(self.sum_over_subdomains(forces))
 
 
@@ -272,27 +273,102 @@ def _find_node(subdomain: Subdomain, unknown: int) -> NDArray[np.float64]:
     return np.asarray(nodes[int(np.linalg.norm(column, axis=1).argmax())])
 
 
-def without_weights(system: LocalSystem) -> sparse.csr_matrix:
-    """Give Kbar_s without the weights of interface rows, so that its rows add up over subdomains to Kbar.
+@dataclass(frozen=True)
+class EquilibriumRows:
+    """Kbar_s without the weights of interface rows, so that its rows add up over subdomains to Kbar.
 
     The coupled subdomains minimise (1/m) |sum_s (Kbar_s q_s)_i|^2 at an unknown of m of them: consistent weights
     sqrt(m) make that the row of the whole region, the paper's weight 1 leaves that row over sqrt(m).
+    Products take the system's own stiffness: a matrix of other rows would be as large as M.
 
-    Parameters
+    Attributes
     ----------
-    system : LocalSystem
-        With Kbar_s.
-
-    Returns
-    -------
-    (n_unknowns, n_unknowns) csr_matrix
-        Rows of a camera's motion are zero.
+    stiffness : (n_field, n_unknowns) csr_matrix
+        diag(w) T^T K T.
+    factors : (n_field,) array
+        Of its rows, no unit.
     """
-    subdomain = system.subdomain
-    n = subdomain.n_unknowns
-    if system.controlled_stiffness is None:
-        return sparse.csr_matrix((n, n))
-    kbar = sparse.diags(1.0 / np.sqrt(subdomain.multiplicity)) @ system.controlled_stiffness
-    # A row for every unknown: a camera's motion displaces no matter, hence is in no equilibrium.
-    no_equilibrium = sparse.csr_matrix((subdomain.n_motion, n))
-    return sparse.vstack([kbar, no_equilibrium]).tocsr()
+
+    stiffness: sparse.csr_matrix
+    factors: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, system: LocalSystem) -> EquilibriumRows:
+        """Take those of a system; without regularization, all are empty.
+
+        Parameters
+        ----------
+        system : LocalSystem
+            With Kbar_s.
+
+        Returns
+        -------
+        EquilibriumRows
+            Of its field's unknowns.
+        """
+        subdomain = system.subdomain
+        factors = 1.0 / np.sqrt(subdomain.multiplicity)
+        if system.projection is not None:
+            factors = factors * system.projection
+        if system.stiffness is None:
+            return cls(sparse.csr_matrix((subdomain.n_field, subdomain.n_unknowns)), np.ones(subdomain.n_field))
+        return cls(system.stiffness, factors)
+
+    def multiply(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Compute Kbar_s x.
+
+        Parameters
+        ----------
+        x : (n_unknowns,) array
+            Pixels.
+
+        Returns
+        -------
+        (n_unknowns,) array
+            0 for a camera's motion: it displaces no matter, hence is in no equilibrium.
+        """
+        product = np.zeros(len(x))
+        np.multiply(self.factors, self.stiffness @ x, out=product[:len(self.factors)])
+        return product
+
+    def multiply_transposed(self, gap: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Compute Kbar_s^T times a value of each unknown, those of a camera's motion left out.
+
+        Parameters
+        ----------
+        gap : (n_unknowns,) array
+            Forces.
+
+        Returns
+        -------
+        (n_unknowns,) array
+            The product.
+        """
+        return np.asarray(self._transposed @ (self.factors * gap[:len(self.factors)]))
+
+    def sum_squares(self) -> NDArray[np.float64]:
+        """Sum the squares of each unknown's column: the diagonal of Kbar_s^T Kbar_s.
+
+        Returns
+        -------
+        (n_unknowns,) array
+            Sums.
+        """
+        return np.asarray(self.stiffness.power(2).T @ self.factors**2)
+
+    def form(self) -> sparse.csr_matrix:
+        """Form the matrix, for who needs more than its products.
+
+        Returns
+        -------
+        (n_unknowns, n_unknowns) csr_matrix
+            Rows of a camera's motion are zero.
+        """
+        n_field, n_unknowns = self.stiffness.shape
+        no_equilibrium = sparse.csr_matrix((n_unknowns - n_field, n_unknowns))
+        return sparse.vstack([sparse.diags(self.factors) @ self.stiffness, no_equilibrium]).tocsr()
+
+    @cached_property
+    def _transposed(self) -> sparse.csc_matrix:
+        """The same numbers; making the matrix anew takes longer than its product with a vector."""
+        return self.stiffness.T
