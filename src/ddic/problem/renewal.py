@@ -337,8 +337,17 @@ def _assemble_view(shown: View, reference: View, whole: sparse.csr_matrix, rule:
         return (1.0 - HELD_SHARE) * shown.assemble_hessian() + HELD_SHARE * whole
     # As many pixels of a cell are the same ones with the same gradients: most often a few cells of many have others.
     changed = np.flatnonzero(shown.count_pixels() != reference.count_pixels())
-    change = shown.assemble_hessian(changed) - reference.assemble_hessian(changed)
-    return whole + (1.0 - HELD_SHARE) * change
+    interpolation = shown.correlation.interpolation
+    n_cell_dofs = interpolation.cell_dofs.shape[1]
+    entries = interpolation.assemble_matrix(np.ones((len(changed), n_cell_dofs, n_cell_dofs)), changed)
+    entries.data[:] = 1.0
+    # All cells that these entries sum over: those with a node of a changed one.
+    is_near = np.zeros(interpolation.n_dofs, dtype=bool)
+    is_near[interpolation.cell_dofs[changed]] = True
+    around = np.flatnonzero(is_near[interpolation.cell_dofs].any(axis=1))
+    here = (1.0 - HELD_SHARE) * shown.assemble_hessian(around) + HELD_SHARE * reference.assemble_hessian(around)
+    # In place of the old entries: a change added to these would leave their rounding in what is a millionth of them.
+    return whole - whole.multiply(entries) + here.multiply(entries)
 
 
 def _hold_shared(of_subdomain: FrameViews, hessian: sparse.csr_matrix, whole: Sequence[sparse.csr_matrix],
