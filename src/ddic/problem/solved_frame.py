@@ -303,7 +303,7 @@ class Looks:
         n_excluded = now.excluded.count_pixels(now.whole)
         shrinks = n_excluded < SHRINKING * self._fewest
         self._fewest = min(self._fewest, n_excluded)
-        excluded = now.excluded.keep_pulled(seen.excluded)
+        excluded = now.excluded if self.number < SETTLED else now.excluded.keep_pulled(seen.excluded)
         if (self._was_found or self.number >= MOST_ROUGH) and not shrinks:
             excluded = seen.excluded.join(excluded)
         is_other = (self.number < SETTLED or shrinks) and (
