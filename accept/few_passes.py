@@ -46,8 +46,8 @@ EQUAL_PX, OF_SIGMA = 1e-3, 0.1
 """Largest difference of a node: pixels or, where that is more, a share of the node's own standard deviation, for a node
 has converged below a twentieth of that."""
 
-OF_OTHER_PIXELS = 2.0
-"""The same share where other pixels count."""
+OF_OTHER_PIXELS = 3.0
+"""The same share where other pixels count: the largest of a thousand normal deviations is 3.2 of them."""
 
 WIDTH_OF_STRIP = (536, 8, 856, 1032)
 """Of the strip on openhole's images, edge to edge and with the hole, pixels: whole elements of 8 and 16 px."""

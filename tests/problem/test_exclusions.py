@@ -158,15 +158,6 @@ def test_pulling_other_cells_is_other() -> None:
     assert not held.is_other_than(ALONE, exclusions({5: HELD_OFF}, None, {5: 2.1}))
 
 
-def test_cells_are_pulled_to_where_they_were_seen_first() -> None:
-    # Cell 2 is found no longer, cell 3 is new.
-    before = exclusions(None, None, {1: 2.0, 2: 3.0})
-    now = exclusions(None, None, {1: 4.0, 3: 5.0})
-    (held,), = now.keep_pulled(before).pulled
-    at = {int(cell): float(shown_at[0, 0]) for cell, shown_at in zip(held.cells, held.shown_at, strict=True)}
-    assert at == {1: 2.0, 2: 3.0, 3: 5.0}
-
-
 def test_marks_follow_a_later_look_and_what_is_excluded_does_not() -> None:
     before = exclusions({1: HELD_OFF, 2: SPOILT, 3: BLANK})
     marked = before.with_marks(exclusions({2: HELD_OFF, 3: UNSEEN, 4: HELD_OFF, 5: SPOILT}))

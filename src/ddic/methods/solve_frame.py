@@ -85,7 +85,7 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[NDArray[
         is_paused = found.paused is not None
         with clock.phase(Phase.RESIDUAL):
             now = see_solved_frame(problem, solved, whole if looks.number == 0 else None)
-        seen, is_seen_otherwise = looks.choose(solved.seen, now, is_paused=is_paused)
+        seen, is_seen_otherwise = looks.choose(solved.seen, now, solved.field.q, is_paused=is_paused)
         if not (found.converged or is_paused or is_seen_otherwise):
             if seen.typical[0].is_alike:
                 found = accept_noise(problem, solved.used, found)

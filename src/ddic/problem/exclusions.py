@@ -101,10 +101,12 @@ class Exclusions:
                  for one, two in zip(self.cells, now.cells, strict=True)]
         return replace(self, cells=cells)
 
-    def keep_pulled(self, before: Exclusions) -> Exclusions:
-        """Pull also what was pulled before, to where it was seen then: that holds the field at rest."""
-        pulled = [tuple(then.add(now) for then, now in zip(*of_views, strict=True))
-                  for of_views in zip(before.pulled, self.pulled, strict=True)]
+    def keep_pulled(self, before: Exclusions, model: ResidualModel, q: Sequence[NDArray[np.float64]]) -> Exclusions:
+        """Pull also what was pulled before and is still far from where it was seen."""
+        pulled = [tuple(now.keep(then, view.view, q_s)
+                        for now, then, view in zip(of_views, seen, of_subdomain.views, strict=True))
+                  for of_views, seen, of_subdomain, q_s
+                  in zip(self.pulled, before.pulled, model.views, q, strict=True)]
         return replace(self, pulled=pulled)
 
     def has_held_off(self, team: Team) -> bool:

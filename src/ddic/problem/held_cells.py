@@ -33,6 +33,10 @@ Image = NDArray[np.float32]
 CAPTURED = 1.5
 """Distance up to which grey levels say the way to where a cell is seen, pixels: some third of a speckle."""
 
+RELEASED = 0.75
+"""Distance to where a cell was seen up to which it is let go, pixels: half of what grey levels capture. They know the
+place to a hundredth, where the search knows it to some tenths; at a distance once captured, pulls would come and go."""
+
 REACH = 8
 """Distance in which a cell is sought, pixels: mechanics hold waves of some 8 px off by as much. A larger one takes
 longer, and finds by chance what is elsewhere."""
@@ -56,9 +60,9 @@ LEAST_AGREEMENT = 0.97
 """Share of the pixels that must agree where a cell is found: of clean pairs 0.98 or more do, of squares with a wire
 that stands still or with dirt on the lens, which correlate with themselves, less than 0.95."""
 
-SHOWN = 0.32
-"""Displacement error, pixels, whose residual beyond noise a cell may have where it is found: of clean pairs all have at
-most 0.31 px; most cells that hold little of the specimen, which is found beside them, have more."""
+SHOWN = 0.3
+"""Displacement error, pixels, whose residual beyond noise a cell may have where it is seen: nearly all of clean pairs
+have less; most cells that hold little of the specimen, which is found beside them, have more."""
 
 ENOUGH = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-6)
 """Iterations of the affine motion, and gain of its correlation coefficient below which they end."""
@@ -118,11 +122,18 @@ class HeldCells:
         """No cell is."""
         return cls(np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)))
 
-    def add(self, others: Self) -> Self:
-        """Add those of others that are not among them."""
-        is_new = ~np.isin(others.cells, self.cells)
-        return type(self)(np.concatenate([self.cells, others.cells[is_new]]),
-                          np.concatenate([self.shown_at, others.shown_at[is_new]]))
+    def measure_away(self, view: View, q: Array) -> Array:
+        """Measure how far the corners are seen from where unknowns put them, (n, 4, 2), pixels."""
+        mesh = view.correlation.mesh
+        put = view.kinematics.displacement(q).reshape(mesh.nodes.shape)[pad_cells(mesh)[self.cells]]
+        return np.asarray(self.shown_at - put)
+
+    def keep(self, before: Self, view: View, q: Array) -> Self:
+        """Keep also those of an earlier look that are still far away, seen there, and not among these."""
+        distance = np.linalg.norm(before.measure_away(view, q), axis=2).mean(axis=1)
+        kept = (distance > RELEASED) & ~np.isin(before.cells, self.cells)
+        return type(self)(np.concatenate([self.cells, before.cells[kept]]),
+                          np.concatenate([self.shown_at, before.shown_at[kept]]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,16 +156,14 @@ class PulledView:
 
     def pull(self, q: Array) -> Array:
         """Forces on the subdomain's unknowns, (n_unknowns,)."""
-        correlation, kinematics = self.view.correlation, self.view.kinematics
-        mesh, held = correlation.mesh, self.held
-        u = kinematics.displacement(q).reshape(mesh.nodes.shape)[pad_cells(mesh)[held.cells]]
-        away = held.shown_at - u
+        interpolation, held = self.view.correlation.interpolation, self.held
+        away = held.measure_away(self.view, q)
         distance = np.linalg.norm(away, axis=2).mean(axis=1)
         captured = away * (CAPTURED / np.maximum(distance, CAPTURED))[:, None, None]
-        forces = np.zeros(correlation.interpolation.n_dofs)
-        np.add.at(forces, correlation.interpolation.cell_dofs[held.cells],
+        forces = np.zeros(interpolation.n_dofs)
+        np.add.at(forces, interpolation.cell_dofs[held.cells],
                   np.einsum("cij,cj->ci", self.hessians, captured.reshape(len(held.cells), -1)))
-        return self.view.weight * kinematics.project_vector(forces)
+        return self.view.weight * self.view.kinematics.project_vector(forces)
 
     def keep_others(self, residual: Residual) -> Residual:
         """Keep the residual of the other cells, as if these had no pixels."""

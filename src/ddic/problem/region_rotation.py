@@ -171,7 +171,7 @@ class HeldRotation:
 
 def _compute_forces(team: Team, systems: Sequence[LocalSystem], centre: Array) -> list[Array]:
     """Compute eta Kbar^T Kbar of both translations, a dilation and a turn, (n_unknowns, 4) of each subdomain."""
-    kbars = [EquilibriumRows.of(system).form() for system in systems]
+    kbars = [EquilibriumRows.of(system).assemble() for system in systems]
     gaps = [kbar @ _fit_fields(system.subdomain, centre) for system, kbar in zip(systems, kbars, strict=True)]
     complete = _add_up(team, [system.subdomain for system in systems], gaps)
     return [np.asarray(system.eta * (kbar.T @ gap))

@@ -12,7 +12,7 @@ from ddic.case.schema import Case
 from ddic.functionals.cell_slopes import CellSlopes
 from ddic.problem.cameras import Camera
 from ddic.problem.exclusions import Exclusions
-from ddic.problem.held_cells import AT_END, AT_START, Limits
+from ddic.problem.held_cells import AT_END, AT_START, SHOWN, Limits
 from ddic.problem.match_brightness import choose_correction, match_brightness
 from ddic.problem.match_sharpness import match_sharpness
 from ddic.problem.residual_model import Evaluation, ResidualModel
@@ -28,9 +28,9 @@ from ddic.problem.view_exclusions import Rules, find_exclusions
 
 Array = NDArray[np.float64]
 
-SHOWN_PX, SAME_SPECKLE = 0.3, 0.8
-"""Displacement error whose residual a cell may have that is seen where it is thought to be, pixels, and the correlation
-coefficient of f and g that it has at least: where nothing is seen, nothing stands out."""
+SAME_SPECKLE = 0.8
+"""Least correlation coefficient of f and g of a cell that is seen where it is thought to be: where nothing is seen,
+nothing stands out."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +179,7 @@ def see_start(case: Case, cameras: Sequence[Camera], whole: ResidualModel, q: Se
 def _find_shown_cells(whole: ResidualModel, seen: Sequence[Sequence[SeenCells]],
                       typical: Mapping[int, TypicalCell]) -> list[tuple[NDArray[np.bool_], ...]]:
     """Which cells correlate and do not stand out, (n_cells,), by subdomain and view."""
-    return [tuple((cells.coefficient > SAME_SPECKLE) & ~find_standing_out(cells, typical[view.camera], SHOWN_PX)
+    return [tuple((cells.coefficient > SAME_SPECKLE) & ~find_standing_out(cells, typical[view.camera], SHOWN)
                   for view, cells in zip(of_subdomain.views, of_views, strict=True))
             for of_subdomain, of_views in zip(whole.views, seen, strict=True)]
 

@@ -290,8 +290,9 @@ class Looks:
         self.number, self.is_rough, self._is_regularized = 0, True, is_regularized
         self._was_found, self._fewest = False, np.inf
 
-    def choose(self, seen: SeenFrame, now: SeenFrame, *, is_paused: bool) -> tuple[SeenFrame, bool]:
-        """Choose what to go on with, and tell whether it is other than before; collective."""
+    def choose(self, seen: SeenFrame, now: SeenFrame, q: Sequence[Array], *,
+               is_paused: bool) -> tuple[SeenFrame, bool]:
+        """Choose what to go on with at some unknowns, and tell whether it is other than before; collective."""
         team = now.whole.team
         self.number += 1
         if is_paused and not self._is_regularized:
@@ -303,7 +304,7 @@ class Looks:
         n_excluded = now.excluded.count_pixels(now.whole)
         shrinks = n_excluded < SHRINKING * self._fewest
         self._fewest = min(self._fewest, n_excluded)
-        excluded = now.excluded if self.number < SETTLED else now.excluded.keep_pulled(seen.excluded)
+        excluded = now.excluded.keep_pulled(seen.excluded, now.whole, q)
         if (self._was_found or self.number >= MOST_ROUGH) and not shrinks:
             excluded = seen.excluded.join(excluded)
         is_other = (self.number < SETTLED or shrinks) and (

@@ -118,7 +118,7 @@ def _assemble(team: Team, whole: WholeSystem) -> PETSc.Mat:
     entries = ParallelEntries(team, whole.n_owned, whole.n_owned)
     for system, of_system, numbers in zip(whole.systems, whole.rows, whole.numbers, strict=True):
         entries.add_sparse(numbers, numbers, system.hessian)
-        rows.add_sparse(numbers, numbers, of_system.form())
+        rows.add_sparse(numbers, numbers, of_system.assemble())
     kbar_rows = rows.sum_owned_rows()
     touched, places = np.unique(kbar_rows.indices, return_inverse=True)
     kbar_touched = sparse.csr_matrix((kbar_rows.data, places.reshape(-1), kbar_rows.indptr),

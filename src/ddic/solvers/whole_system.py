@@ -356,7 +356,7 @@ class EquilibriumRows:
         """
         return np.asarray(self.stiffness.power(2).T @ self.factors**2)
 
-    def form(self) -> sparse.csr_matrix:
+    def assemble(self) -> sparse.csr_matrix:
         """Form the matrix, for who needs more than its products.
 
         Returns
