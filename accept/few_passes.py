@@ -49,6 +49,10 @@ has converged below a twentieth of that."""
 OF_OTHER_PIXELS = 3.0
 """The same share where other pixels count: the largest of a thousand normal deviations is 3.2 of them."""
 
+REACH = 1.5
+"""Cut-off wavelengths over which pixels decide on a node: by 1 + (l_c k / 2 pi)^4 mechanics carry what pixels tell as
+exp(-sqrt(2) pi r / l_c), a thousandth of it that far."""
+
 WIDTH_OF_STRIP = (536, 8, 856, 1032)
 """Of the strip on openhole's images, edge to edge and with the hole, pixels: whole elements of 8 and 16 px."""
 
@@ -70,7 +74,7 @@ class PassCase:
     knows_noise : bool
         Whether standard deviations of nodes are estimated, which takes long on large meshes.
     reach : float
-        Distance over which pixels decide on a node, pixels: three elements, or l_c.
+        Distance over which pixels decide on a node, pixels: three elements, or REACH cut-off wavelengths.
     """
 
     what: str
@@ -120,7 +124,7 @@ OPENHOLE: Mapping[str, PassCase] = {
 
 FRACTURE: Mapping[str, PassCase] = {
     f"fracture_{number}{name}": PassCase(f"0 to {number}{words}", most, partial(_describe_fracture, number, cut_off),
-                                         reach=cut_off or 48.0)
+                                         reach=REACH * cut_off if cut_off else 48.0)
     for number, most in ((60, 12), (120, 20))
     for name, words, cut_off in (("", "", None), ("_lc", f", l_c = {FRACTURE_CUT_OFF} px", FRACTURE_CUT_OFF))}
 
