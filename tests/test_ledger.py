@@ -93,13 +93,22 @@ def test_the_ledger_replaces_the_rows_of_a_check(tmp_path: Path) -> None:
 def test_missing_and_missed_rows_are_judged(monkeypatch: pytest.MonkeyPatch,
                                             capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(all_tables, "list_checks", lambda: [("start", "a"), ("start", "b")])
+    monkeypatch.setattr(all_tables, "OPEN", {})
     a, b = (Entry("start", name, "an error", "<= 1 px", "2 px", name == "a", "1234", "2026-01-01", 1.0)
             for name in "ab")
     assert all_tables.judge([a]) == 1
     assert "missing: make accept-start CHECK=b" in capsys.readouterr().out
     assert all_tables.judge([a, b]) == 1
     assert "make accept-start CHECK=b, at 1234" in capsys.readouterr().out
-    assert all_tables.judge([a, Entry(**{**vars(b), "holds": True})]) == 0
+    held = Entry(**{**vars(b), "holds": True})
+    assert all_tables.judge([a, held]) == 0
+    # What is explained passes, for as long as it misses its bound.
+    monkeypatch.setattr(all_tables, "OPEN", {("start", "b"): "the sea is rough"})
+    assert all_tables.judge([a, b]) == 0
+    assert "the sea is rough" in capsys.readouterr().out
+    assert all_tables.judge([a, held]) == 1
+    assert "start b; remove it from accept/open_rows.py" in capsys.readouterr().out
+    assert all_tables.judge([a]) == 1
 
 
 @pytest.mark.parametrize(("printed", "failed", "code", "told"), [
