@@ -4,8 +4,7 @@ Usage: python -m accept.all_tables run|stale|judge [--run] [--jobs N].
 
 run: measure every check that is not in the ledger, or stands there with code that has changed since; then judge. What
 is interrupted goes on where it was. stale: list the checks of which the code has changed; with --run, measure them.
-judge: exit code 1 where a check is missing in the ledger, or a row there does not hold that accept/open_rows.py does not
-explain.
+judge: exit code 1 where a check is missing in the ledger, or a row misses its bound without a reason in open_rows.py.
 """
 
 from __future__ import annotations

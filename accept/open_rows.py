@@ -1,5 +1,6 @@
-"""Checks of which a row misses its bound, known and explained: any other row that does fails CI, and so does one of
-these as soon as all of its rows hold.
+"""Checks of which a row misses its bound, known and explained.
+
+Any other row that does fails CI, and so does one of these as soon as all of its rows hold.
 """
 
 from __future__ import annotations
