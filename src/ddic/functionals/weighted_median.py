@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-
 FEW = 500
 """Values that are sorted as quickly as halved."""
 
