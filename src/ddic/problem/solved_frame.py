@@ -132,7 +132,7 @@ def solve_further(problem: WeightedProblem, solved: SolvedFrame, progress: Progr
     before = solved.solution
     found = replace(before, records=[])
 
-    def run(model: Model, pause: Pause | None) -> Solution:
+    def run(model: Model, pause: Pause | None, mixing: AndersonMixing | None = mixing) -> Solution:
         on = replace(progress, n_before=len(before.records) + len(found.records), is_local=model is not used)
         went_on = run_gauss_newton(model, found.q, problem.solver.step, tolerances, on, Course(pause, mixing))
         return replace(went_on, records=[*found.records, *went_on.records])
@@ -155,10 +155,13 @@ def solve_further(problem: WeightedProblem, solved: SolvedFrame, progress: Progr
             if found.paused is None or slow is None:
                 return found
             mixing.forget()
-            found = run(slow, None)
+            alone = run(slow, None)
             mixing.forget()
-            if not found.converged:
-                return found
+            if not alone.converged:
+                # Not so few: in much noise they drive others, and a front of those moves on by plain steps alone.
+                found = replace(found, records=alone.records)
+                return run(used, None, None)
+            found = alone
         return run(used, None)
 
     try:
