@@ -25,4 +25,5 @@ def test_of_many_it_is_what_sorting_all_finds(n: int, seed: int, share: float) -
     values, weights = generator.integers(0, n, n) / 7.0, generator.integers(0, 257, n).astype(float)
     order = np.argsort(values)
     reached = np.cumsum(weights[order])
-    assert find_weighted_quantile(values, weights, share) == values[order][np.searchsorted(reached, share * reached[-1])]
+    expected = values[order][np.searchsorted(reached, share * reached[-1])]
+    assert find_weighted_quantile(values, weights, share) == expected
