@@ -19,6 +19,7 @@ from ddic.functionals.cut_patch import cut_patch
 from ddic.functionals.spoilt_pixels import find_spoilt_pixels
 from ddic.functionals.view import FrameView
 from ddic.mesh.shapes import pad_cells
+from ddic.parallel.node_sums import sum_shared_nodes
 from ddic.parallel.team import Team
 from ddic.problem.exclusions import BLANK, HELD_OFF, KEPT, SPOILT, UNSEEN, Exclusions, exclude, find_excluded
 from ddic.problem.held_cells import (
@@ -216,40 +217,30 @@ def exclude_weak_cells(whole: ResidualModel, excluded: Exclusions) -> Exclusions
     Exclusions
         With at most one row of cells more.
     """
-    team, views = whole.team, whole.views
+    team, subdomains = whole.team, [of_subdomain.subdomain for of_subdomain in whole.views]
     used = exclude(whole, excluded).views
     diagonals = team.together(lambda: [_sum_diagonals(of_subdomain, states)
                                        for of_subdomain, states in zip(used, excluded.cells, strict=True)])
     totals = team.sum(np.array([sum(d.sum() for d in diagonals), sum((d > 0).sum() for d in diagonals)], dtype=float))
     mean = totals[0] / max(totals[1], 1.0)
-    beside = set(np.concatenate(team.gather_lists(
-        [np.unique(_nodes_of(of_subdomain, _find_lost(of_subdomain, states)))
-         for of_subdomain, states in zip(views, excluded.cells, strict=True)])).tolist())
-    copies = team.gather_lists([
-        (int(number), float(diagonal)) for of_subdomain, of_nodes in zip(views, diagonals, strict=True)
-        for number, diagonal in zip(of_subdomain.subdomain.node_ids, of_nodes, strict=True) if int(number) in beside])
-    held: dict[int, float] = {}
-    for number, diagonal in copies:
-        held[number] = held.get(number, 0.0) + diagonal
-    weak = np.array(sorted(number for number, diagonal in held.items() if diagonal < LEAST_HELD * mean))
+    are_beside = [_find_lost_nodes(*of_subdomain) for of_subdomain in zip(whole.views, excluded.cells, strict=True)]
+    sums = sum_shared_nodes(team, subdomains, [np.column_stack(of_subdomain)
+                                               for of_subdomain in zip(diagonals, are_beside, strict=True)])
     cells = []
-    for of_subdomain, states in zip(views, excluded.cells, strict=True):
-        subdomain = of_subdomain.subdomain
-        is_weak = np.isin(subdomain.node_ids, weak)[pad_cells(subdomain.mesh)].any(axis=1)
+    for subdomain, states, (held, n_beside) in zip(subdomains, excluded.cells, (s.T for s in sums), strict=True):
+        is_weak = ((n_beside > 0) & (held < LEAST_HELD * mean))[pad_cells(subdomain.mesh)].any(axis=1)
         cells.append(tuple(np.where(is_weak & ~find_excluded(state), UNSEEN, state).astype(np.uint8)
                            for state in states))
     return replace(excluded, cells=cells)
 
 
-def _find_lost(of_subdomain: FrameViews, states: Sequence[NDArray[np.uint8]]) -> NDArray[np.bool_]:
-    """Cells that the reference images show and no camera sees: what they leave out holds no node in any frame."""
+def _find_lost_nodes(of_subdomain: FrameViews, states: Sequence[NDArray[np.uint8]]) -> NDArray[np.bool_]:
+    """Nodes of cells that the reference images show and no camera sees: what they leave out holds none in any frame."""
     in_reference = np.sum([view.count_pixels() for view in of_subdomain.reference.views], axis=0)
-    return np.asarray(np.all([find_excluded(state) for state in states], axis=0) & (in_reference > 0))
-
-
-def _nodes_of(of_subdomain: FrameViews, cells: NDArray[np.bool_]) -> NDArray[np.int64]:
-    subdomain = of_subdomain.subdomain
-    return np.asarray(subdomain.node_ids[pad_cells(subdomain.mesh)[cells]]).ravel()
+    are_lost = np.all([find_excluded(state) for state in states], axis=0) & (in_reference > 0)
+    nodes = np.zeros(of_subdomain.subdomain.mesh.n_nodes, dtype=bool)
+    nodes[pad_cells(of_subdomain.subdomain.mesh)[are_lost]] = True
+    return nodes
 
 
 def _sum_diagonals(of_subdomain: FrameViews, states: Sequence[NDArray[np.uint8]]) -> Array:
