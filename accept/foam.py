@@ -265,7 +265,7 @@ def measure_foam_noise(scale: Scale) -> list[Row]:
         f"the predicted standard deviation within {within:.0%}, {SIGMAS:g} standard deviations of that many draws; "
         "ddic's standard deviation of alpha the predicted one within 1 %",
         f"{scatter:.4f} full-resolution px, predicted {predicted:.4f}; alpha's standard deviation off by {off:.1e}",
-        abs(scatter / predicted - 1) <= within and off <= 0.01)]
+        bool(abs(scatter / predicted - 1) <= within and off <= 0.01))]
 
 
 def _add_noise(pair: Pair, folder: Path, name: str, rng: np.random.Generator) -> Pair:
