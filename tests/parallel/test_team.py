@@ -42,6 +42,14 @@ def test_only_the_root_works_and_all_ranks_get_its_result(team: Team) -> None:
 
 
 @pytest.mark.parallel(RANKS)
+def test_the_root_keeps_what_it_gives_and_the_others_get_copies(team: Team) -> None:
+    item = np.arange(3)
+    given = team.on_root(lambda: item)
+    assert (given is item) == team.is_root
+    np.testing.assert_array_equal(given, np.arange(3))
+
+
+@pytest.mark.parallel(RANKS)
 def test_an_error_on_the_root_is_raised_on_all_ranks(team: Team) -> None:
     with pytest.raises(InputError, match="first") as caught:
         team.on_root(lambda: _fail(InputError(["first", "second"])))

@@ -78,12 +78,12 @@ class Team:
         Parameters
         ----------
         work : callable
-            Runs on rank 0 alone; its result is pickled.
+            Runs on rank 0 alone; its result is pickled for the others.
 
         Returns
         -------
         T
-            The result, on all ranks.
+            The result, on all ranks; copies of it on others than rank 0.
 
         Raises
         ------
@@ -210,6 +210,8 @@ class Team:
         Exception
             Where a rank has one, on all ranks.
         """
+        if error is None and self.size == 1:
+            return
         with self.waiting.counted():
             self._meet()
             failed = self.comm.allreduce(self.size if error is None else self.rank, op=MPI.MIN)
@@ -317,11 +319,16 @@ class Team:
         Returns
         -------
         T
-            The item, on all ranks.
+            The item, on all ranks: the very one on the root, copies elsewhere.
         """
-        with self.waiting.counted():
-            self._hear_from(root)
-            result: T = self.comm.bcast(item, root=root)
+        held: Any = item
+        if self.size > 1:
+            with self.waiting.counted():
+                self._hear_from(root)
+                copied = self.comm.bcast(item, root=root)
+            # What pickling leaves out stays on the root.
+            held = item if self.rank == root else copied
+        result: T = held
         return result
 
     def gather_lists(self, items: Iterable[T]) -> list[T]:
@@ -337,6 +344,8 @@ class Team:
         list
             All ranks' items in the order of ranks, on every rank.
         """
+        if self.size == 1:
+            return list(items)
         with self.waiting.counted():
             self._meet()
             gathered = self.comm.allgather(list(items))
@@ -480,7 +489,8 @@ class Team:
 
     def _meet(self) -> None:
         """Wait until every rank has come here: then the operation that follows keeps none waiting."""
-        self.waiting.wait_until(self.comm.Ibarrier().Test)
+        if self.size > 1:
+            self.waiting.wait_until(self.comm.Ibarrier().Test)
 
     def _hear_from(self, root: int) -> None:
         """Wait until one rank has come here, which does not wait for the others."""

@@ -1,0 +1,34 @@
+"""The mesh that the check has built is the one that is measured on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NoReturn
+
+import pytest
+from mpi4py import MPI
+
+from ddic.parallel.team import Team
+from ddic.problem import inputs as inputs_module
+from ddic.problem.check_inputs import load_checked_case
+from ddic.problem.inputs import open_inputs
+from ddic.problem.reference_problem import build_whole_mesh
+from support.cases import write_case, write_images
+
+
+def _build_again(*_: object) -> NoReturn:
+    raise AssertionError("the mesh was built once more")
+
+
+@pytest.mark.parallel([1, 2, 3])
+def test_the_mesh_that_was_checked_is_not_built_again(shared_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    team = Team(MPI.COMM_WORLD)
+    if team.is_root:
+        write_images(shared_path)
+        write_case(shared_path)
+    team.wait_for_all()
+    loaded = team.on_root(lambda: load_checked_case(shared_path / "case.toml", team.size))
+    monkeypatch.setattr(inputs_module, "build_meshes", _build_again)
+    inputs, _ = open_inputs(team, loaded)
+    region = build_whole_mesh(team, inputs)
+    assert (region is not None) == team.is_root
