@@ -57,14 +57,15 @@ def test_block_counts_where_all_its_pixels_do() -> None:
     assert np.argwhere(part == 0).tolist() == [[1, 1]]
 
 
-def test_bands_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("at_once", ["_BAND_PIXELS", "_CACHED_PIXELS"])
+def test_bands_change_nothing(monkeypatch: pytest.MonkeyPatch, at_once: str) -> None:
     rng = np.random.default_rng(1)
     image = source(rng.uniform(0, 255, (41, 33)), rng.random((41, 33)) < 0.95)
-    at_once = bin_image(image, 2)
-    monkeypatch.setattr(binned, "_BAND_PIXELS", 200)
+    whole_bands = bin_image(image, 2)
+    monkeypatch.setattr(binned, at_once, 200)
     in_bands = bin_image(image, 2)
-    np.testing.assert_array_equal(whole(in_bands), whole(at_once))
-    np.testing.assert_array_equal(in_bands.find_usable(in_bands.extent), at_once.find_usable(at_once.extent))
+    np.testing.assert_array_equal(whole(in_bands), whole(whole_bands))
+    np.testing.assert_array_equal(in_bands.find_usable(in_bands.extent), whole_bands.find_usable(whole_bands.extent))
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])

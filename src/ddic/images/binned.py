@@ -16,6 +16,10 @@ from ddic.images.window import Window
 
 _BAND_PIXELS = 1 << 24
 
+_CACHED_PIXELS = 1 << 18
+"""Pixels that are averaged at a time, as floating-point numbers a megabyte. More are written to memory and read again;
+fewer cost calls."""
+
 
 @dataclass(frozen=True)
 class ArraySource:
@@ -152,12 +156,12 @@ def bin_window(source: MaskedSource, factor: int, window: Window) -> Blocks:
     for first in range(0, n_rows if width else 0, at_once):
         band = slice(first, min(first + at_once, n_rows))
         part = Window(window.x0, window.y0 + band.start * factor, window.x1, window.y0 + band.stop * factor)
-        values[band] = _means(_finite(source.image.read(part)), factor)
+        values[band] = _means(source.image.read(part), factor)
         mask = source.find_usable(part)
         if mask is not None:
             anything_excluded = True
             # A mean of ones and zeros: 1 only where all are.
-            usable[band] = _means(mask.astype(np.float32), factor) == 1.0
+            usable[band] = _means(mask, factor) == 1.0
     return Blocks(values, usable if anything_excluded else None)
 
 
@@ -191,6 +195,13 @@ def _finite(pixels: NDArray[Any]) -> NDArray[np.float32]:
     return grey
 
 
-def _means(values: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
-    height, width = values.shape
-    return np.asarray(cv2.resize(values, (width // factor, height // factor), interpolation=cv2.INTER_AREA))
+def _means(pixels: NDArray[Any], factor: int) -> NDArray[np.float32]:
+    """Means over blocks; what is not finite counts as 0."""
+    height, width = pixels.shape
+    at_once = max(_CACHED_PIXELS // (factor * width), 1) * factor
+    means = np.empty((height // factor, width // factor), dtype=np.float32)
+    for first in range(0, height, at_once):
+        of_some = means[first // factor:(first + at_once) // factor]
+        of_some[:] = cv2.resize(_finite(pixels[first:first + at_once]), of_some.shape[::-1],
+                                interpolation=cv2.INTER_AREA)
+    return means
