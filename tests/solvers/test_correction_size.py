@@ -15,6 +15,7 @@ from ddic.parallel.distribution import split_evenly
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.subdomain import Subdomain
+from ddic.solvers import correction_size
 from ddic.solvers.correction_size import (
     KNOWN_PX,
     CorrectionSize,
@@ -88,6 +89,20 @@ def test_no_weight_follows_noise_and_none_is_above_one() -> None:
     weights, = weigh_nodes([np.array([0.0, 0.02, 0.04, np.inf])])
     # A twentieth of 0.02 px is the tolerance of 0.001 px.
     np.testing.assert_allclose(weights, [1.0, 1.0, 0.5, 0.0])
+
+
+def test_nodes_on_a_line_tell_no_gradient_across_it() -> None:
+    along = np.arange(6.0)
+    nodes = np.column_stack([3.0 + 2.0 * along, 40.0 - along])
+    field = np.random.default_rng(4).standard_normal((6, 2))
+    moments = [6.0, *nodes.sum(axis=0), *field.sum(axis=0), *(nodes.T @ nodes).take((0, 1, 3)),
+               *(field.T @ nodes).ravel(), (field**2).sum()]
+    basis = np.column_stack([np.ones(6), along])
+    rest = field - basis @ np.linalg.lstsq(basis, field, rcond=None)[0]
+    assert correction_size._remove_affine_part(np.array(moments)) == pytest.approx((rest**2).sum(), rel=1e-9)
+    at_one_place = np.array([1.0, *nodes[0], *field[0], *np.outer(nodes[0], nodes[0]).take((0, 1, 3)),
+                             *np.outer(field[0], nodes[0]).ravel(), (field[0]**2).sum()])
+    assert correction_size._remove_affine_part(at_one_place) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_motion_of_the_whole_does_not_change_it() -> None:

@@ -21,6 +21,10 @@ KNOWN_PX = 0.02
 """Standard deviation of a node from which on its correction counts less, by KNOWN_PX / deviation, pixels: at a largest
 correction of 0.001 px, a twentieth of the deviation is small. A smaller value adds to the node's noise."""
 
+LEAST_SPREAD = 1e-12
+"""Variance of nodes' places along a line, relative to that across it, up to which it is rounding. A larger value takes
+a gradient for unknown that a narrow strip of nodes tells."""
+
 
 @dataclass(frozen=True)
 class Tolerances:
@@ -184,6 +188,8 @@ def _remove_affine_part(moments: Array) -> float:
     spread = np.array([[xx, xy], [xy, yy]]) - np.outer(sum_x, sum_x) / n
     together = moments[8:12].reshape(2, 2) - np.outer(sum_u, sum_x) / n
     squares = moments[12] - sum_u @ sum_u / n
+    variances, axes = np.linalg.eigh(spread)
     # All nodes on a line, or one node: what cannot be told from a translation is none.
-    explained = np.trace(together @ np.linalg.pinv(spread, rcond=1e-12, hermitian=True) @ together.T)
+    is_wide = variances > LEAST_SPREAD * variances.max()
+    explained = ((together @ axes[:, is_wide])**2 / variances[is_wide]).sum()
     return float(max(squares - explained, 0.0))
