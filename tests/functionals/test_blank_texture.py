@@ -80,6 +80,12 @@ def test_masked_pixels_hold_nothing() -> None:
     assert _of(_speckle(), mask=mask).energy == pytest.approx(_of(_speckle()).energy, rel=1e-12)
 
 
+def test_a_mask_beside_the_pixels_changes_no_noise() -> None:
+    mask = np.zeros((SIDE, SIDE), dtype=bool)
+    mask[:122, :122] = True
+    assert _of(_speckle(), mask=mask).noise == pytest.approx(_of(_speckle()).noise, rel=1e-12)
+
+
 def test_masked_pixels_bring_no_noise_to_their_neighbours() -> None:
     mask = np.ones((SIDE, SIDE), dtype=bool)
     mask[40:60, 40:60] = False

@@ -101,14 +101,17 @@ def estimate_noise_variance(correlation: Correlation) -> float:
     if width < 3 or len(rows) == 0:
         return 0.0
     squares = _squared_details(f, rows)
-    counted = _with_usable_neighbours(f, rows)
     # Runs of the cells' pixels on those rows; the window's outermost pixels have no detail.
     run = raster.rows - f.window.y0 - 1
     kept = np.flatnonzero((run >= 0) & (run < height - 2) & (run % step == 0))
     starts = np.clip(raster.starts[kept] - f.window.x0 - 1, 0, width - 2)
     stops = np.clip(raster.stops[kept] - f.window.x0 - 1, 0, width - 2)
-    total = _sum_runs(squares * counted, run[kept] // step, starts, stops)
-    n_pixels = _sum_runs(counted, run[kept] // step, starts, stops)
+    n_pixels = float((stops - starts).sum())
+    if f.usable is not None:
+        counted = _with_usable_neighbours(f.usable, rows)
+        squares *= counted
+        n_pixels = _sum_runs(counted, run[kept] // step, starts, stops)
+    total = _sum_runs(squares, run[kept] // step, starts, stops)
     return total / n_pixels if n_pixels else 0.0
 
 
@@ -120,11 +123,9 @@ def _squared_details(f: GradientImage, rows: NDArray[np.int64]) -> NDArray[np.fl
     return np.asarray(detail.astype(np.float64) ** 2)
 
 
-def _with_usable_neighbours(f: GradientImage, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _with_usable_neighbours(usable: NDArray[np.uint8], rows: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Which pixels of some rows, without the outermost columns, are excluded neither themselves nor beside one."""
-    if f.usable is None:
-        return np.ones((len(rows), f.values.shape[1] - 2), dtype=bool)
-    column = (f.usable[rows - 1] & f.usable[rows] & f.usable[rows + 1]) > 0
+    column = (usable[rows - 1] & usable[rows] & usable[rows + 1]) > 0
     return np.asarray(column[:, :-2] & column[:, 1:-1] & column[:, 2:])
 
 
