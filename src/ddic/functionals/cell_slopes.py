@@ -33,7 +33,7 @@ class CellSlopes:
         """Pseudo-inverse of each mean, (n_cells, 2, 2): a translation along lines of equal grey is not seen."""
         return np.asarray(np.linalg.pinv(self.mean, rcond=FLAT, hermitian=True))
 
-    @property
+    @cached_property
     def texture(self) -> NDArray[np.float64]:
         """Mean of |grad f|^2, (n_cells,)."""
         return np.asarray(np.trace(self.mean, axis1=1, axis2=2))

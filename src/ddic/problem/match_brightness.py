@@ -21,7 +21,7 @@ from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import list_pixels
 from ddic.parallel.node_sums import sum_shared_nodes
 from ddic.problem.residual_model import ResidualModel
-from ddic.problem.seen_cells import SeenCells, TypicalCell, find_typical_cell
+from ddic.problem.seen_cells import SeenCells, TypicalCell
 
 Array = NDArray[np.float64]
 
@@ -131,8 +131,8 @@ def _even_out(view: FrameView, sums: Array, typical: TypicalCell) -> FrameView:
     return replace(view, view=replace(view.view, correlation=evened))
 
 
-def choose_correction(cells: Mapping[int, SeenCells], least: GreyCorrection = "none",
-                      most: GreyCorrection = "element") -> GreyCorrection:
+def choose_correction(cells: Mapping[int, SeenCells], typical: Mapping[int, TypicalCell],
+                      least: GreyCorrection = "none", most: GreyCorrection = "element") -> GreyCorrection:
     """Choose the simplest correction of grey levels that leaves no more than noise.
 
     Means and standard deviations are compared, which a displacement that is still wrong hardly changes, and medians
@@ -142,6 +142,8 @@ def choose_correction(cells: Mapping[int, SeenCells], least: GreyCorrection = "n
     ----------
     cells : mapping of int to SeenCells
         By camera.
+    typical : mapping of int to TypicalCell
+        What most of them are like.
     least, most : GreyCorrection
         What was chosen before, never less than which is, and the most that can be.
 
@@ -150,13 +152,12 @@ def choose_correction(cells: Mapping[int, SeenCells], least: GreyCorrection = "n
     GreyCorrection
         One for all cameras.
     """
-    wanted = [_choose(of_camera) for of_camera in cells.values() if len(of_camera.n_pixels)]
+    wanted = [_choose(of_camera, typical[camera]) for camera, of_camera in cells.items() if len(of_camera.n_pixels)]
     chosen = max([least, *wanted], key=ORDER.index)
     return min(chosen, most, key=ORDER.index)
 
 
-def _choose(cells: SeenCells) -> GreyCorrection:
-    typical = find_typical_cell(cells)
+def _choose(cells: SeenCells, typical: TypicalCell) -> GreyCorrection:
     n = cells.n_pixels
     change_of_mean = find_weighted_median(cells.mean_f - cells.mean_g, n)
     change_of_spread = find_weighted_median(cells.spread_f - cells.spread_g, n)

@@ -98,8 +98,8 @@ def see_frame(case: Case, whole: ResidualModel, q: Sequence[Array], slopes: Sequ
     slopes = measure_slopes(whole, slopes)
     seen = measure_seen_cells(whole, evaluation, slopes)
     sample = collect_cells(whole, seen)
-    chosen = _choose(case, whole, sample)
     typical = _find_typical_cells(sample)
+    chosen = _choose(case, whole, sample, typical)
     if chosen.correction != whole.correction:
         whole = match_brightness(chosen, seen, typical) if chosen.correction == "element" else chosen
         evaluation = whole.evaluate(q)
@@ -188,10 +188,12 @@ def _find_typical_cells(sample: Mapping[int, SeenCells]) -> dict[int, TypicalCel
     return {camera: find_typical_cell(cells) for camera, cells in sample.items()}
 
 
-def _choose(case: Case, whole: ResidualModel, sample: Mapping[int, SeenCells]) -> ResidualModel:
+def _choose(case: Case, whole: ResidualModel, sample: Mapping[int, SeenCells],
+            typical: Mapping[int, TypicalCell]) -> ResidualModel:
     """The model with the correction of grey levels that the case asks for, or leaves to the pair."""
     if case.correlation.grey_correction != "auto":
         return whole
     # Small cells about a tip do not tell their own.
     has_tips = any(line.tip_functions for line in case.discontinuity)
-    return replace(whole, correction=choose_correction(sample, whole.correction, "global" if has_tips else "element"))
+    chosen = choose_correction(sample, typical, whole.correction, "global" if has_tips else "element")
+    return replace(whole, correction=chosen)
