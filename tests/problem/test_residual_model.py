@@ -176,3 +176,8 @@ def test_subdomains_that_share_a_window_read_it_once_an_iteration() -> None:
     for n_reads, shift in enumerate((0.0, 15.0, -15.0), start=1):
         shared.evaluate([np.full(s.n_unknowns, shift) for s in subdomains])
         assert counted.n_reads == n_reads
+    # One of them alone looks into what all of them hold; where it leaves that, the window grows.
+    alone = ResidualModel(Team.alone(), views[1:2], "none", keeps_windows=True)
+    for n_reads, shift in ((3, -14.0), (4, 15.0), (4, -15.0)):
+        alone.evaluate([np.full(subdomains[1].n_unknowns, shift)])
+        assert counted.n_reads == n_reads

@@ -91,6 +91,8 @@ class ResidualModel:
         Statistics of the cameras that are not computed anew: this model passes over a few cells only.
     known : tuple of list of (n_unknowns,) array and Evaluation, optional
         Unknowns at which the residual is known already, and the residual.
+    keeps_windows : bool
+        Whether the frame's windows that are held stay, since others use them as well; no by default.
     """
 
     team: Team
@@ -105,6 +107,7 @@ class ResidualModel:
     deviations: list[Array] | None = None
     held_grey: tuple[GreyState, ...] | None = None
     known: tuple[list[Array], Evaluation] | None = None
+    keeps_windows: bool = False
 
     def with_large_gradients(self, q: Sequence[Array]) -> ResidualModel:
         """Take the gradient where the displacement puts it, if cells turn or stretch by much; collective.
@@ -145,18 +148,16 @@ class ResidualModel:
         if self.held_grey is not None:
             return Evaluation(residuals, self.held_grey)
         sums = self._sum_by_camera(residuals, lambda residual: residual.sums.values)
-        corrected = None
+        corrected: Sequence[Array | None] = [None] * self.n_cameras
         if self.correction == "element":
-            corrected = self._sum_by_camera(residuals, _sums_corrected_by_cell)
-        grey = []
-        for camera in range(self.n_cameras):
-            of_camera = None if corrected is None else corrected[camera]
-            grey.append(self._grey_state(GreySums(sums[camera]), of_camera))
+            corrected = list(self._sum_by_camera(residuals, _sums_corrected_by_cell))
+        grey = [self._grey_state(GreySums(total), by_cell) for total, by_cell in zip(sums, corrected, strict=True)]
         return Evaluation(residuals, tuple(grey))
 
     def _compute_residuals(self, q: Sequence[Array]) -> list[tuple[Residual, ...]]:
-        # Before any is used: those who share a window would read it once each, larger and larger.
-        read_frame_windows(self.views, q)
+        if not self.keeps_windows:
+            # Before any is used: those who share a window would read it once each, larger and larger.
+            read_frame_windows(self.views, q)
         all_kinds = self.correction != "none"
         residuals = [tuple(view.compute_residual(q_s, all_kinds=all_kinds) for view in of_subdomain.views)
                      for of_subdomain, q_s in zip(self.views, q, strict=True)]
@@ -334,15 +335,15 @@ def is_deformation_large(team: Team, views: Sequence[FrameViews], q: Sequence[Ar
     bool
         The same on all ranks.
     """
-    n_pixels, n_large = 0, 0
+    counts = np.zeros(2)
     for of_subdomain, q_s in zip(views, q, strict=True):
         own = of_subdomain.views[0].view
         # By pixels: cells about a crack's tip are small and many.
         of_cells = own.count_pixels()
         is_large = find_large_gradients(own.correlation.mesh, own.kinematics.displacement(q_s))
-        n_pixels += int(of_cells.sum())
-        n_large += int(of_cells[is_large].sum())
-    return bool(team.sum(n_large) > LARGE_SHARE * team.sum(n_pixels))
+        counts += of_cells[is_large].sum(), of_cells.sum()
+    n_large, n_pixels = team.sum(counts)
+    return bool(n_large > LARGE_SHARE * n_pixels)
 
 
 @dataclass(frozen=True, eq=False)

@@ -84,8 +84,7 @@ class SolvedFrame:
 def begin_frame(seen: SeenFrame, used: ResidualModel, q: Sequence[Array], notes: tuple[str, ...]) -> SolvedFrame:
     """Take a start for a field."""
     # Copies of an unknown may still differ: they are averaged after the first iterations, before anybody looks at them.
-    field = ContinuousField(list(q), 0.0)
-    return SolvedFrame(field, Solution(list(q), []), seen, used, notes, is_evaluated=False)
+    return SolvedFrame(ContinuousField(list(q), 0.0), Solution(list(q), []), seen, used, notes, is_evaluated=False)
 
 
 def solve_further(problem: WeightedProblem, solved: SolvedFrame, progress: Progress, *,

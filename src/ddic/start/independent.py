@@ -106,7 +106,7 @@ def measure_independently(team: Team, views: Sequence[FrameViews], hessians: Seq
         for of_subdomain, hessian, q_s in clock.note_each(list(zip(alone, projected, q, strict=True))):
             threshold = thresholds[of_subdomain.subdomain.camera]
             try:
-                model = ResidualModel(Team.alone(), [of_subdomain], correction, follows=follows)
+                model = ResidualModel(Team.alone(), [of_subdomain], correction, follows=follows, keeps_windows=True)
                 fields.append(_measure_alone(model, hessian, q_s, threshold))
             except (SingularSubdomainError, ConvergenceError):
                 fields.append(q_s)
@@ -132,11 +132,10 @@ def _measure_alone(model: ResidualModel, hessian: sparse.csr_matrix, q: NDArray[
     system = LocalSystem(model.views[0].subdomain, hessian, None, np.zeros(0), 0.0)
     operator = LocalOperator(hessian, smallest_eigenvalue=threshold, where="independent start")
     try:
-        solution = gauss_newton(model, [q], MonolithicStep(system, operator), TOLERANCES,
-                                Progress(PhaseClock(), stay_silent))
+        step = MonolithicStep(system, operator)
+        return gauss_newton(model, [q], step, TOLERANCES, Progress(PhaseClock(), stay_silent)).q[0]
     finally:
         operator.destroy()
-    return solution.q[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,11 +204,11 @@ def correlate_alone(images: Images, cells: LevelMesh, cut_off: float, tolerances
     smallest_eigenvalue = SINGULAR_ALONE * float(system.hessian.diagonal().mean())
     operator = LocalOperator(system.operator, smallest_eigenvalue=smallest_eigenvalue, where=where)
     try:
-        silent = Progress(PhaseClock(), stay_silent)
-        solution = gauss_newton(model, [q], MonolithicStep(system, operator), tolerances, silent)
+        step = MonolithicStep(system, operator)
+        found = gauss_newton(model, [q], step, tolerances, Progress(PhaseClock(), stay_silent)).q[0]
     finally:
         operator.destroy()
-    return kinematics.displacement(solution.q[0])
+    return kinematics.displacement(found)
 
 
 @dataclass(frozen=True)
