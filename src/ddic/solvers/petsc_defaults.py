@@ -22,6 +22,9 @@ DEFAULTS: dict[str, dict[str, str]] = {
         "ksp_type": "preonly",
         "pc_type": "cholesky",
         "mat_cholmod_print": "0",
+        # Operations an entry of the factor from which on it is made by dense blocks: below, of subdomains of some
+        # hundred unknowns, these take longer (at 40, CHOLMOD's own, by a half); beyond, entry by entry takes longer.
+        "mat_cholmod_supernodal_switch": "100",
     },
     COARSE: {
         "ksp_type": "preonly",
