@@ -65,8 +65,10 @@ def find_large_gradients(mesh: Mesh, u: Array) -> NDArray[np.bool_]:
         Whether a cell's norm of F - I is above ``LARGE``, and its displacement is believed.
     """
     gradients = compute_displacement_gradients(mesh, u)
-    believed = _is_believed(np.eye(mesh.dim) + gradients)
-    return np.asarray(believed & (np.linalg.norm(gradients, axis=(1, 2)) > LARGE))
+    is_large = np.asarray(np.linalg.norm(gradients, axis=(1, 2)) > LARGE)
+    if is_large.any():
+        is_large &= _is_believed(np.eye(mesh.dim) + gradients)
+    return is_large
 
 
 def measure_deformation(before: Array | None, now: Array | None) -> float:
