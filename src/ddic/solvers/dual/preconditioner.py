@@ -87,8 +87,10 @@ def _invert_definite(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     pivots = factor[0].diagonal() ** 2
     if (pivots <= SINGULAR_PIVOT * matrix.diagonal()).any():
         raise SingularSubdomainError(SINGULAR_INTERFACE)
-    inverse = linalg.cho_solve(factor, np.eye(len(matrix)))
-    return np.asarray(0.5 * (inverse + inverse.T))
+    # A third of the operations that the columns of the identity would take; only one triangle is written.
+    inverse, _ = linalg.lapack.dpotri(factor[0], lower=True)
+    below = np.tril(inverse, -1)
+    return np.asarray(below + below.T + np.diag(inverse.diagonal()))
 
 
 class LocalInverse(Protocol):
