@@ -108,3 +108,13 @@ def test_a_looser_error_takes_fewer_iterations_and_the_tolerance_is_the_floor() 
     assert exact == floor
     assert exact > fine > coarse > nothing == 0
     assert exact > share > 0
+
+
+@pytest.mark.parallel(RANKS)
+def test_the_error_of_a_solution_that_needs_no_iteration_is_what_it_was() -> None:
+    problem = linear_step(wavelength=64.0)
+    with Decomposed(Team.world(), problem, split(problem.mesh, "metis", 9), "consistent") as cut:
+        step = cut.step(DualSettings("scaled", 1e-12, 3000, recycle=False))
+        found, again = (cut.solve(step, allowed=AllowedError(1e-3)) for _ in range(2))
+    assert found.krylov_iterations > again.krylov_iterations == 0
+    assert again.error == pytest.approx(found.error, rel=1e-9)

@@ -127,10 +127,13 @@ class DualStep:
             return StepResult(free, 0, np.zeros(0), 0.0)
         problem.set_right_hand_side(self._right, free, q, b)
         size = float(self._right.norm())
-        iterations, norms = self._interface.solve(self._right, self._find_stop(size, allowed))
+        stop, error = self._find_stop(size, allowed)
+        iterations, norms = self._interface.solve(self._right, stop)
         multipliers = self._interface.multipliers
         dq = problem.append_motion(problem.correct(free, multipliers), multipliers)
-        return StepResult(dq, iterations, norms / (size or 1.0), self._estimate_error())
+        if iterations > 0 or error is None:
+            error = self._estimate_error()
+        return StepResult(dq, iterations, norms / (size or 1.0), error)
 
     def forget(self) -> None:
         """Forget the last multipliers and the directions that were kept."""
@@ -147,17 +150,18 @@ class DualStep:
         right = system.right_hand_side(b_s[:n], q_s[:n])
         return self._problem.local_duals[s].operator.solve(right)
 
-    def _find_stop(self, size: float, allowed: AllowedError | None) -> float:
-        """Norm of the residual at which GMRES may stop: of the tolerance, or of the displacement error allowed."""
+    def _find_stop(self, size: float, allowed: AllowedError | None) -> tuple[float, float | None]:
+        """Norm of the residual at which GMRES may stop, of the tolerance or of the displacement error allowed.
+
+        And the error before its first iteration, where that was asked for.
+        """
         norm = self._interface.start(self._right)
         finest = self._interface.tolerance * size
         if allowed is None or norm <= finest:
-            return finest
+            return finest, None
         error = self._estimate_error()
-        if not error > 0:
-            return finest
-        share = max(allowed.rms / error, allowed.share)
-        return max(finest, norm * share)
+        share = max(allowed.rms / error, allowed.share) if error > 0 else 0.0
+        return max(finest, norm * share), error
 
     def _estimate_error(self) -> float:
         """RMS over nodes of A_s^-1 G_s^T P (t_tot - S_tot v), pixels: dq's error, as far as P is like S_tot^-1."""
