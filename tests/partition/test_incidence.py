@@ -126,3 +126,12 @@ def test_no_interface_gives_empty_matrices() -> None:
     assert signed_incidence(only.jumps, nothing).shape == (0, 0)
     assert scaled_incidence(only.jumps, np.zeros(0), nothing, nothing).shape == (0, 0)
     assert rows_of(only.jumps).tolist() == copies_of(only.jumps).tolist() == []
+
+
+def test_a_subdomains_matrices_hold_nothing_for_rows_of_others() -> None:
+    # The rows here are those of all subdomains of a rank: an array of their number for each would be their square.
+    s = build_subdomains(NodalRegion(grid_mesh(2, 2, (4.0, 4.0))), np.arange(4), np.zeros(18, dtype=bool))[0]
+    every_row, n_copies = np.arange(100_000), 2 * (4 * 2 + 4)
+    for matrix in (signed_incidence(s.jumps, every_row),
+                   scaled_incidence(s.jumps, np.ones(n_copies), np.arange(n_copies), every_row)):
+        assert max(len(array) for array in (matrix.data, matrix.indices, matrix.indptr)) < 1000

@@ -12,7 +12,7 @@ Entries = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]
 """Of a sparse matrix: numbers of rows, columns, values; each (n_entries,)."""
 
 
-def signed_incidence(interface: Interface, row_index: NDArray[np.int64]) -> sparse.csr_matrix:
+def signed_incidence(interface: Interface, row_index: NDArray[np.int64]) -> sparse.csc_matrix:
     """Build B_s: +1 on the row that a copy opens, -1 on the row that it closes.
 
     Parameters
@@ -24,7 +24,7 @@ def signed_incidence(interface: Interface, row_index: NDArray[np.int64]) -> spar
 
     Returns
     -------
-    (n_rows, n interface unknowns) csr_matrix
+    (n_rows, n interface unknowns) csc_matrix
         B_s, no unit.
     """
     # On a chain of m copies, row k leads from copy k to copy k + 1.
@@ -41,7 +41,7 @@ def signed_incidence(interface: Interface, row_index: NDArray[np.int64]) -> spar
 
 
 def scaled_incidence(interface: Interface, weights: NDArray[np.float64], weight_index: NDArray[np.int64],
-                     row_index: NDArray[np.int64]) -> sparse.csr_matrix:
+                     row_index: NDArray[np.int64]) -> sparse.csc_matrix:
     """Build the columns of (B D^-1 B^T)^-1 B D^-1 that belong to one subdomain.
 
     With D = diag(weights) the transpose sends jumps v to the copies' displacements w of least D-norm with B w = v. On
@@ -61,7 +61,7 @@ def scaled_incidence(interface: Interface, weights: NDArray[np.float64], weight_
 
     Returns
     -------
-    (n_rows, n interface unknowns) csr_matrix
+    (n_rows, n interface unknowns) csc_matrix
         No unit.
     """
     no_entries = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
@@ -90,12 +90,15 @@ def _scaled_entries(interface: Interface, members: NDArray[np.int64], weights: N
     return rows.ravel(), columns, values.ravel()
 
 
-def _build_matrix(interface: Interface, row_index: NDArray[np.int64], entries: Entries) -> sparse.csr_matrix:
-    """From entries by number of row to a matrix of the rows that there are here."""
+def _build_matrix(interface: Interface, row_index: NDArray[np.int64], entries: Entries) -> sparse.csc_matrix:
+    """From entries by number of row to a matrix of the rows that there are here.
+
+    By columns, of which a subdomain has few: rows are those of all subdomains of a rank.
+    """
     rows, columns, values = entries
     places = np.searchsorted(row_index, rows)
     shape = (len(row_index), len(interface.unknowns))
-    return sparse.csr_matrix((values, (places, columns)), shape=shape)
+    return sparse.csc_matrix((values, (places, columns)), shape=shape)
 
 
 def rows_of(interface: Interface) -> NDArray[np.int64]:

@@ -100,8 +100,8 @@ def test_the_preconditioner_inverts_the_operator_on_the_coarse_space() -> None:
     assert ratio <= 1e-6
 
 
-def _side_by_side(matrices: list[sparse.csr_matrix]) -> sparse.csr_matrix:
-    return sparse.hstack(matrices).tocsr()
+def _side_by_side(matrices: list[sparse.csc_matrix]) -> sparse.csc_matrix:
+    return sparse.hstack(matrices, format="csc")
 
 
 @pytest.mark.parallel(RANKS)

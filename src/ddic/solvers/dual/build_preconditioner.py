@@ -121,7 +121,7 @@ def _build_pairs(stack: PetscStack, problem: DualProblem, local_inverse: LocalIn
     return problem.team.together(build)
 
 
-def _scale_assemblies(problem: DualProblem) -> list[sparse.csr_matrix]:
+def _scale_assemblies(problem: DualProblem) -> list[sparse.csc_matrix]:
     """(B D^-1 B^T)^-1 B D^-1 per subdomain, D the copies' stiffness diag A_s (1 for reactions)."""
     chains = []
     for system in problem.systems:
@@ -139,5 +139,5 @@ def _scale_assemblies(problem: DualProblem) -> list[sparse.csr_matrix]:
                 mine[np.searchsorted(copies, interface.first_copy + interface.position)] = values
         weights = exchange.sum_over_ranks(mine)
     rows = problem.exchange.ghosts
-    return [sparse.hstack([scaled_incidence(interface, weights, copies, rows) for interface, _ in pair]).tocsr()
+    return [sparse.hstack([scaled_incidence(interface, weights, copies, rows) for interface, _ in pair], format="csc")
             for pair in chains]

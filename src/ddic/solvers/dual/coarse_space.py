@@ -66,7 +66,7 @@ class CoarsePart:
     ----------
     local : LocalDual
         Its interface operators.
-    assembly : (n ghost rows, n interface unknowns) csr_matrix
+    assembly : (n ghost rows, n interface unknowns) csc_matrix
         E_s, scaled.
     multiply_schur : callable
         From X to S_s X.
@@ -75,7 +75,7 @@ class CoarsePart:
     """
 
     local: LocalDual
-    assembly: sparse.csr_matrix
+    assembly: sparse.csc_matrix
     multiply_schur: SchurProduct
     columns: CoarseColumns
 
@@ -197,7 +197,7 @@ def _assemble_z(team: Team, exchange: Exchange, parts: Sequence[CoarsePart], fir
     entries = ParallelEntries(team, exchange.n_owned, n_owned)
     for part in parts:
         n_columns = part.columns.n_columns
-        touched = np.flatnonzero(np.diff(part.assembly.indptr))
+        touched = np.unique(part.assembly.tocoo().row)
         block = part.assembly[touched] @ part.columns.vectors
         entries.add(exchange.ghosts[touched], first + np.arange(n_columns), block)
         first += n_columns

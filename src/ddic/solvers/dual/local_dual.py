@@ -27,13 +27,13 @@ class LocalDual:
     ----------
     operator : LocalOperator
         A_s factorised, the camera's motion held.
-    incidence : (n ghost rows, n interface unknowns) csr_matrix
+    incidence : (n ghost rows, n interface unknowns) csc_matrix
         B_s.
     trace : (n interface unknowns, n_field) csr_matrix
         T_s.
     compliance : (n interface unknowns,) array
         Diagonal of D_s, zero for jumps.
-    jump : (n ghost rows, n_field) csr_matrix
+    jump : (n ghost rows, n_field) csc_matrix
         G_s.
     n_jumps : int
         Number of interface unknowns with jumps.
@@ -42,10 +42,10 @@ class LocalDual:
     """
 
     operator: LocalOperator
-    incidence: sparse.csr_matrix
+    incidence: sparse.csc_matrix
     trace: sparse.csr_matrix
     compliance: NDArray[np.float64]
-    jump: sparse.csr_matrix
+    jump: sparse.csc_matrix
     n_jumps: int
     motion: MotionRows | None = None
 
@@ -131,10 +131,9 @@ def build_local_dual(system: LocalSystem, operator: LocalOperator, ghosts: NDArr
         reaction_rows = system.controlled_stiffness[reactions.unknowns]
         weighted_rows = scale_rows(reaction_rows, scale * system.eta * weights)
         trace = sparse.vstack([trace, weighted_rows]).tocsr()
-        incidence = sparse.hstack([incidence, signed_incidence(reactions, ghosts)]).tocsr()
+        incidence = sparse.hstack([incidence, signed_incidence(reactions, ghosts)], format="csc")
         compliance = np.concatenate([compliance, scale**2 * system.eta * weights**2])
-    jump = (incidence @ trace).tocsr()
-    return LocalDual(operator, incidence, trace, compliance, jump, len(jumps.unknowns))
+    return LocalDual(operator, incidence, trace, compliance, incidence @ trace, len(jumps.unknowns))
 
 
 def add_motion_rows(local: LocalDual, system: LocalSystem, ghosts: NDArray[np.int64],
@@ -164,7 +163,7 @@ def add_motion_rows(local: LocalDual, system: LocalSystem, ghosts: NDArray[np.in
     rows = np.searchsorted(ghosts, unknowns.rows)
     motion = MotionRows(rows, system.motion_columns / scale, system.motion_block / np.outer(scale, scale), scale)
     place = _select(rows, len(ghosts)).T
-    jump = (local.jump + place @ sparse.csr_matrix(motion.columns.T)).tocsr()
+    jump = (local.jump + place @ sparse.csr_matrix(motion.columns.T)).tocsc()
     return replace(local, jump=jump, motion=motion)
 
 

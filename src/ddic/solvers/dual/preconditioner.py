@@ -153,13 +153,13 @@ class LocalPreconditioner:
 
     Attributes
     ----------
-    assembly : (n ghost rows, n interface unknowns) csr_matrix
+    assembly : (n ghost rows, n interface unknowns) csc_matrix
         B: signed incidence, or its scaled version.
     inverse : LocalInverse
         S_s^-1.
     """
 
-    assembly: sparse.csr_matrix
+    assembly: sparse.csc_matrix
     inverse: LocalInverse
 
 
@@ -184,7 +184,7 @@ class DualPreconditioner:
         self.inverses = [term.inverse for term in terms]
         self._places = list_places([term.assembly.shape[1] for term in terms])
         # Side by side: to call a product with a small matrix takes longer than to compute it.
-        self._assembly = sparse.hstack([term.assembly for term in terms], format="csr")
+        self._assembly = sparse.hstack([term.assembly for term in terms], format="csc").tocsr()
         # Made once: making the matrix takes longer than its product with a vector.
         self._assembly_transposed = self._assembly.T
 

@@ -27,9 +27,9 @@ class RankDual:
     def __init__(self, local_duals: Sequence[LocalDual]) -> None:
         self._local_duals = local_duals
         self._fields = list_places([local.operator.n for local in local_duals])
-        self._jump = sparse.hstack([local.jump for local in local_duals], format="csr")
+        self._jump = sparse.hstack([local.jump for local in local_duals], format="csc").tocsr()
         self._jump_transposed = self._jump.T.tocsr()
-        incidence = sparse.hstack([local.incidence for local in local_duals], format="csr")
+        incidence = sparse.hstack([local.incidence for local in local_duals], format="csc").tocsr()
         compliance = sparse.diags(np.concatenate([local.compliance for local in local_duals]))
         self._compliance = (incidence @ compliance @ incidence.T).tocsr()
 
