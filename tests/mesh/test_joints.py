@@ -7,8 +7,10 @@ import pytest
 
 from ddic.errors import InputError
 from ddic.mesh.cell_type import Q4, T3
-from ddic.mesh.joints import check_joints
+from ddic.mesh.joints import _is_covered_twice, check_joints
 from ddic.mesh.mesh import Mesh, build_mesh
+from ddic.mesh.raster import list_pixels, rasterize
+from ddic.mesh.topology import find_facets
 
 SQUARE = [(10, 10), (30, 10), (50, 10), (10, 30), (30, 30), (50, 30)]
 TWO = [(0, 1, 4, 3), (1, 2, 5, 4)]
@@ -40,3 +42,18 @@ def test_others_are_refused(mesh: Mesh, reason: str) -> None:
         check_joints(mesh)
     # Three cells at a side lie over one another as well, which is no other fault.
     assert len(caught.value.problems) == 1
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_pixels_of_two_cells_are_told_by_the_edge_alone(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    columns, rows = np.meshgrid(np.arange(5), np.arange(4))
+    nodes = 20 + 15.0 * np.stack([columns.ravel(), rows.ravel()], axis=1) + rng.uniform(-3, 3, (20, 2))
+    corners = [(a, a + 1, a + 6, a + 5) for a in range(14) if a % 5 < 4]
+    # From far outside to right inside: a cell of its own, whose nodes no other has.
+    alone = rng.uniform(0, 90, 2) + np.array([(0, 0), (8, 0), (2, 7)])
+    mesh = _build([*nodes, *alone], corners, ((20, 21, 22),))
+    pixels, _ = list_pixels(rasterize(mesh), np.arange(mesh.n_cells))
+    assert _is_covered_twice(mesh, find_facets(mesh)) == (len(np.unique(pixels, axis=0)) < len(pixels))
+    twice = _build([*nodes], [*corners, corners[0]])
+    assert _is_covered_twice(twice, find_facets(twice))

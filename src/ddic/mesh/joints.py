@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ddic.errors import InputError, list_first
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import build_tree
-from ddic.mesh.raster import Raster, rasterize
+from ddic.mesh.raster import Raster, find_crossings, rasterize
 from ddic.mesh.topology import Facets, find_facets
 
 SHARED = 0.05
@@ -40,7 +40,7 @@ def check_joints(mesh: Mesh) -> None:
     too_many = np.unique(facets.side_cells[np.isin(facets.side_facets, crowded)])
     hanging = _find_hanging_nodes(mesh, facets)
     # Three cells at a side overlap, which is said once.
-    overlapping = np.setdiff1d(_find_overlapping_cells(mesh), too_many)
+    overlapping = np.setdiff1d(_find_overlapping_cells(mesh, facets), too_many)
     problems = []
     if len(crowded):
         problems.append(f"{len(crowded)} sides belong to more than two cells (among cells, numbered from 0: "
@@ -79,26 +79,34 @@ def _measure_place(points: NDArray[np.float64],
     return along, off
 
 
-def _find_overlapping_cells(mesh: Mesh) -> NDArray[np.int64]:
+def _find_overlapping_cells(mesh: Mesh, facets: Facets) -> NDArray[np.int64]:
     """Cells of which others hold more than SHARED of the pixels."""
-    raster = rasterize(mesh)
-    if not _has_overlapping_runs(raster):
+    if not _is_covered_twice(mesh, facets):
         return np.zeros(0, np.int64)
+    raster = rasterize(mesh)
     counts, window = raster.pixel_counts, raster.window
     times = _count_cells_of_pixels(raster)
     shared = raster.sum_by_cell((times > 1).astype(np.float64), window.x0, window.y0)
     return np.flatnonzero(shared > SHARED * np.maximum(counts, 1))
 
 
-def _has_overlapping_runs(raster: Raster) -> bool:
-    """Whether a pixel belongs to two cells: told without an image, which takes memory for all pixels."""
-    filled = np.flatnonzero(raster.stops > raster.starts)
-    # Places along all rows, one after the other.
-    row_begins = raster.rows[filled] * (np.int64(raster.stops.max(initial=0)) + 1)
-    starts, stops = row_begins + raster.starts[filled], row_begins + raster.stops[filled]
-    order = np.argsort(starts)
-    # Where runs overlap at all, two that follow each other do.
-    return bool((starts[order[1:]] < stops[order[:-1]]).any())
+def _is_covered_twice(mesh: Mesh, facets: Facets) -> bool:
+    """Whether a pixel belongs to two cells: told by the mesh's edge alone, without all pixels.
+
+    As many cells hold a pixel as sides that a row enters them by lie before it, less those that it leaves them by; of
+    the two sides where cells meet, one is of either kind.
+    """
+    ways = np.where(facets.run_backwards, -1, 1)
+    surplus = np.bincount(facets.side_facets, ways, len(facets.nodes)).astype(np.int64)
+    at_edge = np.repeat(np.arange(len(surplus)), np.abs(surplus))
+    ends = mesh.nodes[facets.nodes[at_edge, :2]]
+    # Cells run positively: sides along +y are the last of them in a row.
+    is_last = (ends[:, 1, 1] > ends[:, 0, 1]) == (surplus[at_edge] > 0)
+    sides, rows, columns = find_crossings(ends)
+    # Where one cell ends and another begins, no pixel is in both.
+    order = np.lexsort((~is_last[sides], columns, rows))
+    n_cells = np.cumsum(np.where(is_last[sides[order]], -1, 1))
+    return bool((n_cells > 1).any())
 
 
 def _count_cells_of_pixels(raster: Raster) -> NDArray[np.int32]:

@@ -164,6 +164,32 @@ def rasterize(mesh: Mesh) -> Raster:
     return Raster(first_row, row_ptr, starts, stops)
 
 
+def find_crossings(ends: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Find where sides of cells cross the rows of an image.
+
+    Parameters
+    ----------
+    ends : (n_sides, 2, 2) array
+        x and y of both ends, pixels.
+
+    Returns
+    -------
+    sides, rows : (n_crossings,) int64 arrays
+        Of each crossing.
+    columns : (n_crossings,) int64 array
+        The first pixel behind it, the very one with which ``rasterize`` begins or ends a run.
+    """
+    falls = ends[:, 0, 1] > ends[:, 1, 1]
+    low, high = np.where(falls[:, None], ends[:, 1], ends[:, 0]), np.where(falls[:, None], ends[:, 0], ends[:, 1])
+    first_row = np.ceil(low[:, 1]).astype(np.int64)
+    n_rows = np.ceil(high[:, 1]).astype(np.int64) - first_row
+    sides = np.repeat(np.arange(len(ends)), n_rows)
+    rows = np.arange(len(sides)) + np.repeat(first_row - (np.cumsum(n_rows) - n_rows), n_rows)
+    (xa, ya), (xb, yb) = low[sides].T, high[sides].T
+    x = xa + (rows - ya) / (yb - ya) * (xb - xa)
+    return sides, rows, np.ceil(np.round(x * SNAP) / SNAP).astype(np.int64)
+
+
 def prepare_kernels() -> None:
     """Call a compiled kernel on nothing: the first of a process takes a tenth of a second, whichever it is."""
     numbers, columns = np.zeros(0, np.int64), np.zeros(0, np.int32)

@@ -24,11 +24,14 @@ class Facets:
         The facet of each side of each cell.
     side_cells : (n_sides,) int64 array
         The cell of each side.
+    run_backwards : (n_sides,) bool array
+        Which sides run through their facet's nodes the other way round.
     """
 
     nodes: NDArray[np.int64]
     side_facets: NDArray[np.int64]
     side_cells: NDArray[np.int64]
+    run_backwards: NDArray[np.bool_]
 
     @cached_property
     def n_cells(self) -> NDArray[np.int64]:
@@ -52,7 +55,7 @@ def find_facets(mesh: Mesh) -> Facets:
     sides, cells = _sides(mesh)
     # A facet is its set of nodes, whatever the order in which a cell runs through them.
     first, numbers = _distinct_rows(np.sort(sides, axis=1), mesh.n_nodes)
-    return Facets(sides[first], numbers, cells)
+    return Facets(sides[first], numbers, cells, sides[:, 0] != sides[first[numbers], 0])
 
 
 def find_boundary_facets(mesh: Mesh) -> NDArray[np.int64]:

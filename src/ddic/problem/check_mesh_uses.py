@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.case.loader import LoadedCase
-from ddic.case.schema import Case
 from ddic.errors import InputError
 from ddic.io.partition_file import read_partition
 from ddic.mesh.control import find_not_controlled_nodes
@@ -64,10 +63,14 @@ def check_mesh_uses(loaded: LoadedCase, checked: CheckedMesh, problems: Problems
     with problems.gathered():
         check_pixels(mesh, checked.pixel_counts, describe_mesh_source(case))
     not_controlled = np.zeros(0, np.int64)
-    with problems.gathered(loaded.path):
-        not_controlled = _find_not_controlled(case, checked)
-    with problems.gathered(loaded.path):
-        check_wavelength(case, mesh)
+    section = case.regularization
+    if section is not None:
+        edge = find_boundary_nodes(mesh)
+        with problems.gathered(loaded.path):
+            boundary = edge if checked.tying is None else checked.tying.boundary
+            not_controlled = find_not_controlled_nodes(mesh, section.not_controlled, section.boxes, boundary)
+        with problems.gathered(loaded.path):
+            _check_wavelength(section.cut_off_wavelength, mesh, edge)
     with problems.gathered(loaded.path):
         check_lines(case, mesh)
     with problems.gathered():
@@ -101,14 +104,6 @@ def check_mesh(loaded: LoadedCase, mesh: Mesh) -> None:
         raise InputError(problems.lines)
 
 
-def _find_not_controlled(case: Case, checked: CheckedMesh) -> NDArray[np.int64]:
-    section = case.regularization
-    if section is None:
-        return np.zeros(0, np.int64)
-    boundary = None if checked.tying is None else checked.tying.boundary
-    return find_not_controlled_nodes(checked.mesh, section.not_controlled, section.boxes, boundary)
-
-
 def _check_subdomains(n_subdomains: int | None, mesh: Mesh) -> None:
     if n_subdomains is not None and n_subdomains > mesh.n_cells:
         raise InputError(f"solver.subdomains = {n_subdomains}: the mesh has only {mesh.n_cells} cells; ask for fewer "
@@ -121,24 +116,10 @@ def _check_blocks(blocks: tuple[int, int] | None, mesh: Mesh) -> None:
                          f"{mesh.n_cells} cells; ask for fewer")
 
 
-def check_wavelength(case: Case, mesh: Mesh) -> None:
-    """Check that the cut-off wavelength is one that the mesh carries.
-
-    Parameters
-    ----------
-    case : Case
-        Says it.
-    mesh : Mesh
-        The whole mesh, pixels.
-
-    Raises
-    ------
-    InputError
-        Where it is shorter than SHORTEST_WAVELENGTH elements or longer than LONGEST_WAVELENGTH, or has no inner node.
-    """
-    wavelength = None if case.regularization is None else case.regularization.cut_off_wavelength
+def _check_wavelength(wavelength: float | None, mesh: Mesh, edge: NDArray[np.int64]) -> None:
+    """Refuse one that the mesh does not carry, and a mesh without inner nodes, which says nothing of any."""
     if wavelength is None:
         return
-    if len(find_boundary_nodes(mesh)) == mesh.n_nodes:
+    if len(edge) == mesh.n_nodes:
         raise InputError(f"regularization.cut_off_wavelength = {wavelength:g}: {NO_INNER_NODE}")
     check_wavelength_fits(wavelength, measure_cell_size(mesh))
