@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from types import TracebackType
-from typing import Protocol, Self
+from typing import TYPE_CHECKING, Protocol, Self
 
 from rich.console import Console
 from rich.progress import (
@@ -28,8 +28,10 @@ from ddic.parallel.phases import REPEATED, Phase
 from ddic.problem.weighted_problem import ProblemSize
 from ddic.results.series_record import SeriesSummary
 from ddic.results.summary import Summary
-from ddic.separated.corrections import CorrectionRecord
 from ddic.solvers.gauss_newton import IterationRecord
+
+if TYPE_CHECKING:
+    from ddic.separated.corrections import CorrectionRecord
 
 _COLUMNS = {"iter": 4, "|dq|/|q|": 8, "RMS dq/px": 9, "max dq/px": 9, "residual": 8, "% range": 7, "Krylov": 6,
             "error/px": 8, "pass/s": 6, "step/s": 6}

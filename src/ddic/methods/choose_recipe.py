@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, TypeAlias
+
 from ddic.methods.dd_dic import Session
-from ddic.methods.pgd_dic import SeparatedSession
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.stop_request import stop_if_asked
 from ddic.parallel.team import Team
@@ -11,7 +12,10 @@ from ddic.problem.cameras import Frame
 from ddic.problem.inputs import Inputs
 from ddic.results.listener import Listener
 
-Recipe = Session | SeparatedSession
+if TYPE_CHECKING:
+    from ddic.methods.pgd_dic import SeparatedSession
+
+Recipe: TypeAlias = "Session | SeparatedSession"
 """A prepared measurement."""
 
 
@@ -46,5 +50,7 @@ def prepare_recipe(team: Team, inputs: Inputs, listener: Listener, clock: PhaseC
     """
     stop_if_asked(team, "before the first iteration")
     if inputs.case.pgd is not None:
+        from ddic.methods.pgd_dic import SeparatedSession
+
         return SeparatedSession(team, inputs, listener, clock)
     return Session(team, inputs, listener, clock, first_frame)

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from ddic.case.schema import Case, DiscontinuitySection
-from ddic.detection.line_of_case import find_line_of_case
 from ddic.errors import ConvergenceError, StoppedError, as_collective
 from ddic.methods.dd_dic import Session
 from ddic.parallel.phases import Phase, PhaseClock
@@ -67,6 +66,8 @@ def find_discontinuity(team: Team, inputs: Inputs, frame: Frame, listener: Liste
     case = inputs.case
     if not is_line_wanted(case):
         return inputs
+    from ddic.detection.line_of_case import find_line_of_case
+
     team.together(lambda: refuse_kinematics(inputs))
     listener.note("detection: continuous elements first")
     continuous = replace(inputs, case=_measure_continuously(case))

@@ -9,11 +9,11 @@ from ddic.methods.choose_recipe import Recipe
 from ddic.methods.dd_dic import Session
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.results.measurement import Measurement
-from ddic.results.separated_measurement import SeparatedMeasurement
+from ddic.results.publishing import Publishable
 from ddic.solvers.noise_floor import estimate_noise_by_steps
 
 
-def estimate_noise_floor(recipe: Recipe, measurement: Measurement | SeparatedMeasurement, clock: PhaseClock) -> float:
+def estimate_noise_floor(recipe: Recipe, measurement: Publishable, clock: PhaseClock) -> float:
     """Estimate what noise of the residual's size leaves in a measured displacement; collective.
 
     The residual is taken to be noise of both images; it also holds what the field cannot follow, and lacks what
@@ -23,7 +23,7 @@ def estimate_noise_floor(recipe: Recipe, measurement: Measurement | SeparatedMea
     ----------
     recipe : Session or SeparatedSession
         That measured.
-    measurement : Measurement or SeparatedMeasurement
+    measurement : Publishable
         What it measured last.
     clock : PhaseClock
         Of the phases.

@@ -6,7 +6,6 @@ from pathlib import Path
 
 from ddic.errors import InputError, as_collective
 from ddic.methods.run_pair import run_pair
-from ddic.methods.run_series import run_series
 from ddic.parallel.team import Team
 from ddic.problem.check_inputs import load_checked_case
 from ddic.results.listener import Listener
@@ -75,5 +74,7 @@ def run_file(team: Team, path: Path, listener: Listener, *, resume: bool = False
                                        "--resume out"))
     with claimed_output(team, loaded.case.output.file):
         if loaded.is_series:
+            from ddic.methods.run_series import run_series
+
             return run_series(team, loaded, listener, resume=resume)
         return run_pair(team, loaded, listener)

@@ -28,7 +28,6 @@ from ddic.problem.check_mesh_uses import CheckedMesh, check_mesh_uses
 from ddic.problem.check_near_mapping import check_near_mapping
 from ddic.problem.check_output import check_output, list_named_files
 from ddic.problem.check_report import CheckReport, describe_inputs
-from ddic.problem.check_separated import check_separated_case
 from ddic.problem.inputs import Problems
 from ddic.problem.mesh_source import build_mesh_anywhere, build_meshes
 from ddic.problem.rectangle import check_number_of_ranks
@@ -243,6 +242,8 @@ def check_case(loaded: LoadedCase, count_pixels: PixelCounter | None = None) -> 
     if case.pgd is not None:
         if reference is None:
             raise InputError(problems.lines)
+        from ddic.problem.check_separated import check_separated_case
+
         return check_separated_case(loaded, reference, problems)
     checked = _check_mesh(loaded, reference, count_pixels or _count_pixels, problems)
     with problems.gathered(_case_of_points(loaded)):

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 from ddic.io import result_schema as schema
 from ddic.io.result_writer import ResultWriter
-from ddic.results.field_uncertainty import list_uncertainty
 from ddic.results.near_attributes import describe_near_field
 
 if TYPE_CHECKING:
@@ -84,6 +83,8 @@ def write_attributes(measurement: Measurement, writer: ResultWriter) -> None:
         writer.write_attributes(schema.CASE, {"half_amplitude_shear_px": half_amplitudes.shear,
                                               "half_amplitude_longitudinal_px": half_amplitudes.longitudinal})
     if measurement.uncertainty is not None:
+        from ddic.results.field_uncertainty import list_uncertainty
+
         writer.write_attributes(schema.UNCERTAINTY, list_uncertainty(measurement.uncertainty))
     for motion in measurement.motions:
         writer.write_attributes(schema.near_group(motion.camera), describe_near_field(measurement, motion))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from ddic.parallel.phases import Phase
 from ddic.problem.weighted_problem import ProblemSize
-from ddic.separated.corrections import CorrectionRecord
 from ddic.solvers.gauss_newton import IterationRecord
+
+if TYPE_CHECKING:
+    from ddic.separated.corrections import CorrectionRecord
 
 
 class Listener(Protocol):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,11 +39,13 @@ from ddic.problem.weighted_problem import ProblemSize, WeightedProblem
 from ddic.results.camera_images import write_residual_images
 from ddic.results.describe_exclusions import describe_exclusions
 from ddic.results.field_pieces import write_pieces
-from ddic.results.field_uncertainty import Uncertainty, describe_uncertainty, estimate_uncertainty
 from ddic.results.histories import write_attributes, write_histories
 from ddic.results.provenance import describe_image
 from ddic.results.setup_motion import SetupMotion, collect_motions, describe_motions, estimate_covariances
 from ddic.solvers.gauss_newton import IterationRecord
+
+if TYPE_CHECKING:
+    from ddic.results.field_uncertainty import Uncertainty
 
 Array = NDArray[np.float64]
 
@@ -295,6 +298,8 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str,
 def _estimate_uncertainty(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation, q: list[Array],
                           unmeasured: list[NDArray[np.bool_]]) -> tuple[Uncertainty | None, tuple[str, ...]]:
     """Standard deviations, and what is said of them; a linear step that fails for them does not lose the field."""
+    from ddic.results.field_uncertainty import describe_uncertainty, estimate_uncertainty
+
     try:
         found = estimate_uncertainty(problem, model, evaluation, q, unmeasured)
     except ConvergenceError as error:

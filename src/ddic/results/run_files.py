@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ddic.errors import ConvergenceError, DdicError, InputError, WriteError, as_collective, is_collective
 from ddic.io.input_file import find_real_path
@@ -18,9 +19,11 @@ from ddic.parallel.team import Team
 from ddic.results.measurement import Measurement
 from ddic.results.phase_times import gather_phase_times
 from ddic.results.publishing import Destination, publish
-from ddic.results.separated_measurement import SeparatedMeasurement
 from ddic.results.summarize import summarize
 from ddic.results.summary import Summary, write_summary
+
+if TYPE_CHECKING:
+    from ddic.results.separated_measurement import SeparatedMeasurement
 
 
 def write_run(measurement: Measurement | SeparatedMeasurement, clock: PhaseClock, file: Path,
@@ -157,6 +160,8 @@ def _write_last_field(team: Team, error: DdicError, destination: Destination, st
     """Write the field that an error brings; says where it is."""
     file = destination.path
     assert file is not None
+    from ddic.results.separated_measurement import SeparatedMeasurement
+
     last = error.last if isinstance(error, ConvergenceError) else None
     if not isinstance(last, Measurement | SeparatedMeasurement):
         remove_failed_field(team, file, start)

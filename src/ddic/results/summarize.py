@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import resource
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ddic.io import result_schema as schema
 from ddic.parallel.phases import PhaseClock
@@ -13,9 +13,11 @@ from ddic.results.histories import list_iterations
 from ddic.results.measurement import Measurement
 from ddic.results.near_attributes import summarize_near_field
 from ddic.results.phase_times import gather_phase_times
-from ddic.results.separated_measurement import SeparatedMeasurement
 from ddic.results.separated_tables import list_corrections
 from ddic.results.summary import Summary
+
+if TYPE_CHECKING:
+    from ddic.results.separated_measurement import SeparatedMeasurement
 
 
 def summarize(measurement: Measurement | SeparatedMeasurement, clock: PhaseClock) -> Summary:
@@ -34,7 +36,7 @@ def summarize(measurement: Measurement | SeparatedMeasurement, clock: PhaseClock
         The same on all ranks.
     """
     shared = _summarize_run(measurement, clock)
-    if isinstance(measurement, SeparatedMeasurement):
+    if not isinstance(measurement, Measurement):
         return _summarize_separated(measurement, shared)
     grey, size, records = measurement.evaluation.grey, measurement.size, measurement.records
     n_pixels = sum(camera.n_pixels for camera in grey)
