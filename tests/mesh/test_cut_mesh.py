@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from ddic.kinematics.strain import compute_displacement_gradients
 from ddic.mesh.cell_parts import place_quadrature_points
 from ddic.mesh.cut_mesh import CutMesh, cut_mesh
 from ddic.mesh.interpolation import interpolate
-from ddic.mesh.mesh import Mesh
+from ddic.mesh.mesh import Mesh, join_meshes
 from ddic.mesh.own_side import find_points_on_own_side
 from ddic.mesh.plane import multiply_across
 from ddic.mesh.polyline import find_nearest_segments, is_inside_polygon, measure_distance
@@ -181,3 +182,21 @@ def test_points_on_a_nodes_own_side_lie_in_its_cells(kind: str) -> None:
     moved = (points != mesh.nodes).any(axis=1)
     assert 0 < moved.sum() <= mesh.n_nodes - MESHES[kind].n_nodes
     np.testing.assert_array_equal(find_points_on_own_side(MESHES[kind]), MESHES[kind].nodes)
+
+
+@pytest.mark.parametrize("lines", [[], [np.array([(0.0, 70.0), (95.0, 84.0)])]], ids=["whole cells", "parts"])
+def test_joined_meshes_are_their_cells_one_after_the_other(lines: list[NDArray[np.float64]]) -> None:
+    whole = MESHES["Q4"] if not lines else cut_mesh(MESHES["Q4"], lines).mesh
+    cells = np.random.default_rng(3).permutation(whole.n_cells)
+    meshes = [whole.create_submesh(part)[0] for part in np.array_split(cells, 3)]
+    joined = join_meshes(meshes)
+    u = [1e-3 * mesh.nodes @ [[3.0, 1.0], [-2.0, 4.0]] + np.sin(mesh.nodes / 30) for mesh in meshes]
+    assert join_meshes(meshes[:1]) is meshes[0]
+    assert (joined.parts is not None) == (len(lines) > 0)
+    np.testing.assert_array_equal(_areas_of_outlines(joined), np.concatenate([_areas_of_outlines(m) for m in meshes]))
+    np.testing.assert_array_equal(joined.centroids, np.concatenate([mesh.centroids for mesh in meshes]))
+    np.testing.assert_array_equal(rasterize(joined).pixel_counts,
+                                  np.concatenate([rasterize(mesh).pixel_counts for mesh in meshes]))
+    gradients = [compute_displacement_gradients(mesh, of_mesh.ravel()) for mesh, of_mesh in zip(meshes, u, strict=True)]
+    np.testing.assert_allclose(compute_displacement_gradients(joined, np.concatenate(u).ravel()),
+                               np.concatenate(gradients), atol=1e-15)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,6 +85,28 @@ class CellParts:
         places = np.arange(offsets[-1]) + np.repeat(self.offsets[kept] - offsets[:-1], counts)
         return CellParts(np.flatnonzero(is_part).astype(np.int64), offsets, self.corners[places],
                          self.first_numbers[kept], self.lines)
+
+
+def join_cell_parts(parts: Sequence[CellParts], first_cells: Sequence[int]) -> CellParts:
+    """Put the parts of several meshes into one list, as ``join_meshes`` does with their cells.
+
+    Parameters
+    ----------
+    parts : sequence of CellParts
+        Of each mesh, cut by the same lines.
+    first_cells : sequence of int
+        Number that the first cell of each takes.
+
+    Returns
+    -------
+    CellParts
+        Those of one mesh after the other.
+    """
+    counts = np.concatenate([np.diff(of_mesh.offsets) for of_mesh in parts])
+    return CellParts(np.concatenate([of_mesh.cells + first for of_mesh, first in zip(parts, first_cells, strict=True)]),
+                     np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+                     np.concatenate([of_mesh.corners for of_mesh in parts]),
+                     np.concatenate([of_mesh.first_numbers for of_mesh in parts]), parts[0].lines)
 
 
 @dataclass(frozen=True, eq=False)

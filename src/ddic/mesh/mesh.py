@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.mesh.cell_parts import CellParts, Outlines, join_parts
+from ddic.mesh.cell_parts import CellParts, Outlines, join_cell_parts, join_parts
 from ddic.mesh.cell_type import CELL_TYPES, CellType
 from ddic.mesh.plane import build_rotation
 
@@ -249,6 +249,32 @@ def build_mesh(nodes: NDArray[np.float64],
         dict(node_sets or {}),
         mapping or Similarity(),
     )
+
+
+def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
+    """Put meshes side by side into one, so that what is the same for each cell or node is done once for all.
+
+    Parameters
+    ----------
+    meshes : sequence of Mesh
+        Of one region: with one mapping, and cut by the same lines, or not at all.
+
+    Returns
+    -------
+    Mesh
+        Nodes and cells of one after the other; what two of them share is there twice. Without node sets.
+    """
+    first, *others = meshes
+    if not others:
+        return first
+    first_nodes = np.cumsum([0, *(mesh.n_nodes for mesh in meshes)])[:-1]
+    first_cells = np.cumsum([0, *(mesh.n_cells for mesh in meshes)])[:-1]
+    parts = [mesh.parts for mesh in meshes if mesh.parts is not None]
+    connectivity = [mesh.connectivity + number for mesh, number in zip(meshes, first_nodes, strict=True)]
+    return Mesh(np.concatenate([mesh.nodes for mesh in meshes]), np.concatenate(connectivity),
+                _offsets(np.concatenate([np.diff(mesh.offsets) for mesh in meshes])),
+                np.concatenate([mesh.types for mesh in meshes]), mapping=first.mapping,
+                parts=join_cell_parts(parts, first_cells.tolist()) if parts else None)
 
 
 def _offsets(counts: NDArray[np.int64]) -> NDArray[np.int64]:

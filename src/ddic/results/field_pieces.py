@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from ddic.functionals.correlation import Residual
 from ddic.io import result_schema as schema
 from ddic.io.result_writer import Piece, PieceSize, ResultWriter, join_pieces
 from ddic.kinematics.strain import compute_strain
-from ddic.mesh.mesh import Mesh
+from ddic.mesh.mesh import Mesh, join_meshes
 from ddic.parallel.stream_to_root import stream_to_root
 from ddic.parallel.team import require_held
 from ddic.results.drawn_mesh import DrawnMesh, draw_mesh
@@ -65,36 +65,50 @@ def write_pieces(measurement: Measurement, writer: ResultWriter | None) -> None:
         require_held(writer).write_pieces(numbers, batch.pieces)
         n_written = numbers.stop
 
-    stream_to_root(team, _join_batches(_make_pieces(measurement, drawn, gradients)), write)
+    stream_to_root(team, _make_batches(measurement, drawn, gradients), write)
 
 
 def _size(mesh: Mesh) -> PieceSize:
     return PieceSize(mesh.n_nodes, mesh.n_cells, len(mesh.connectivity))
 
 
-def _join_batches(pieces: Iterator[Piece]) -> Iterator[_Batch]:
-    """Join pieces up to a size that bounds what rank 0 holds at a time."""
-    waiting: list[Piece] = []
-    for piece in pieces:
-        waiting.append(piece)
-        if sum(len(p.points) for p in waiting) >= BATCH_POINTS:
-            yield _Batch(len(waiting), join_pieces(waiting))
-            waiting = []
-    if waiting:
-        yield _Batch(len(waiting), join_pieces(waiting))
+def _group(counts: Sequence[int]) -> Iterator[range]:
+    """Numbers of pieces that follow each other, up to a size that bounds what rank 0 holds at a time."""
+    first, n_points = 0, 0
+    for number, count in enumerate(counts, start=1):
+        n_points += count
+        if n_points >= BATCH_POINTS or number == len(counts):
+            yield range(first, number)
+            first, n_points = number, 0
 
 
-def _make_pieces(measurement: Measurement, drawn: Sequence[DrawnMesh],
-                 gradients: Sequence[NDArray[np.float64]]) -> Iterator[Piece]:
-    """Pieces of owned subdomains; gradients: of the displacement at their nodes, (n_nodes, 2, 2) each."""
-    for number, (piece, u) in enumerate(zip(drawn, measurement.displacements, strict=True)):
-        mesh = piece.mesh
-        on_cells = {**_cell_data(measurement, number, u), **_cell_deviations(measurement, number)}
-        at_points = piece.interpolate(gradients[number].reshape(-1, 4)).reshape(-1, 2, 2)
-        yield Piece(mesh.nodes, mesh.connectivity, mesh.offsets, mesh.types,
-                    {**_point_data(measurement, piece, u), **describe_nodal_strains(at_points),
-                     **_point_deviations(measurement, piece, number)},
-                    {name: values[piece.cells] for name, values in on_cells.items()})
+def _make_batches(measurement: Measurement, drawn: Sequence[DrawnMesh],
+                  gradients: Sequence[NDArray[np.float64]]) -> Iterator[_Batch]:
+    """Pieces of owned subdomains, joined; gradients: of the displacement at their nodes, (n_nodes, 2, 2) each."""
+    displacements, subdomains = measurement.displacements, measurement.subdomains
+    for numbers in _group([piece.mesh.n_nodes for piece in drawn]):
+        joined = join_pieces([_make_piece(measurement, drawn[number], number, displacements[number])
+                              for number in numbers])
+        # Strains of all at once: for one small piece after the other, numpy's calls take longer than their sums.
+        of_points = np.concatenate([drawn[number].interpolate(gradients[number].reshape(-1, 4)) for number in numbers])
+        meshes = [subdomains[number].mesh for number in numbers]
+        strain = compute_strain(join_meshes(meshes), np.concatenate([displacements[number] for number in numbers]))
+        first_cells = np.cumsum([0, *(mesh.n_cells for mesh in meshes)])
+        cells = np.concatenate([drawn[number].cells + first_cells[k] for k, number in enumerate(numbers)])
+        on_cells = {schema.STRAIN_INFINITESIMAL: convert_to_six_components(strain.infinitesimal[cells]),
+                    schema.STRAIN_GREEN_LAGRANGE: convert_to_six_components(strain.green_lagrange[cells])}
+        at_points = describe_nodal_strains(of_points.reshape(-1, 2, 2))
+        yield _Batch(len(numbers), replace(joined, point_data={**joined.point_data, **at_points},
+                                           cell_data={**joined.cell_data, **on_cells}))
+
+
+def _make_piece(measurement: Measurement, drawn: DrawnMesh, number: int, u: NDArray[np.float64]) -> Piece:
+    """The piece of an owned subdomain, given by its place, without the strains of its field."""
+    mesh = drawn.mesh
+    on_cells = {**_cell_data(measurement, number), **_cell_deviations(measurement, number)}
+    return Piece(mesh.nodes, mesh.connectivity, mesh.offsets, mesh.types,
+                 {**_point_data(measurement, drawn, u), **_point_deviations(measurement, drawn, number)},
+                 {name: values[drawn.cells] for name, values in on_cells.items()})
 
 
 def _point_data(measurement: Measurement, drawn: DrawnMesh, u: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
@@ -133,16 +147,13 @@ def _cell_deviations(measurement: Measurement, number: int) -> dict[str, NDArray
     return dict(zip(schema.SIGMA_CELL_STRAIN, uncertainty.deviations[number].cell_strain.T, strict=True))
 
 
-def _cell_data(measurement: Measurement, number: int, u: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
-    """Fields on the cells of an owned subdomain, given by its place."""
+def _cell_data(measurement: Measurement, number: int) -> dict[str, NDArray[Any]]:
+    """Fields on the cells of an owned subdomain, given by its place, but for strains."""
     subdomain = measurement.subdomains[number]
     own_residual = measurement.evaluation.residuals[number][0]
     errors = measurement.cell_errors[number]
     n_cells = subdomain.mesh.n_cells
-    strain = compute_strain(subdomain.mesh, u)
     data: dict[str, NDArray[Any]] = {
-        schema.STRAIN_INFINITESIMAL: convert_to_six_components(strain.infinitesimal),
-        schema.STRAIN_GREEN_LAGRANGE: convert_to_six_components(strain.green_lagrange),
         schema.RESIDUAL_RMS: _residual_rms(measurement, subdomain.camera, own_residual),
         schema.RESIDUAL_N_PIXELS: own_residual.cell_sums.n_pixels.astype(np.int64),
         schema.EQUIVALENT_ERROR: errors.equivalent,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from ddic.kinematics.strain_measures import (
     compute_von_mises_strain,
     find_principal_strains,
 )
+from ddic.mesh.mesh import join_meshes
 from ddic.parallel.node_sums import sum_shared_nodes
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
@@ -42,8 +42,14 @@ def recover_nodal_gradients(team: Team, subdomains: Sequence[Subdomain], displac
     list of (n_nodes, 2, 2) array
         du_c / dx_j, no unit; one value a node, whatever the partition.
     """
-    return recover_gradients([subdomain.mesh for subdomain in subdomains], displacements,
-                             partial(sum_shared_nodes, team, subdomains))
+    mesh = join_meshes([subdomain.mesh for subdomain in subdomains])
+    ends = np.cumsum([subdomain.mesh.n_nodes for subdomain in subdomains])[:-1]
+
+    def sum_shared(sums: Sequence[Array]) -> list[Array]:
+        return [np.concatenate(sum_shared_nodes(team, subdomains, np.split(sums[0], ends)))]
+
+    gradients, = recover_gradients([mesh], [np.concatenate(displacements)], sum_shared)
+    return np.split(gradients, ends)
 
 
 def describe_nodal_strains(gradients: Array) -> dict[str, NDArray[Any]]:
