@@ -32,6 +32,12 @@ ALONE = {"OMPI_MCA_pml": "ob1", "OMPI_MCA_btl": "self"}
 """Settings of Open MPI for a process without a launcher: it has nobody to talk to, and looking for fast networks takes
 a fifth of a second. Ranks of a job that had them could not reach one another."""
 
+ON_ONE_NODE = {"OMPI_MCA_pml": "ob1"}
+"""Settings of Open MPI for ranks that a launcher has started on one node: they meet in its memory."""
+
+COUNTS = ("OMPI_COMM_WORLD_SIZE", "OMPI_COMM_WORLD_LOCAL_SIZE")
+"""Where Open MPI's launcher says how many ranks there are, and how many of them on this node."""
+
 FILE_OPTIONS = ("-options_file", "-options_file_yaml")
 """PETSc's options that name a file of further ones, which it looks for when it starts."""
 
@@ -93,7 +99,7 @@ def _start(petsc_options: tuple[str, ...], stop: StopRequest) -> Team:
     import cv2
     import petsc4py
 
-    with _no_networks_alone():
+    with _no_needless_networks():
         petsc4py.init(["ddic", *petsc_options])
     # PETSc would end the rank with ten lines; so the line that nobody reads any more is an error like others.
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)
@@ -115,12 +121,15 @@ def _start(petsc_options: tuple[str, ...], stop: StopRequest) -> Team:
 
 
 @contextmanager
-def _no_networks_alone() -> Iterator[None]:
-    """Start MPI in the block without looking for networks where no launcher has started this process.
+def _no_needless_networks() -> Iterator[None]:
+    """Start MPI in the block without looking for networks where all ranks are on this node, or there is no launcher.
 
     What the environment says already is kept, and no program that is started later finds more in it.
     """
-    added = {} if find_rank() is not None else {name: value for name, value in ALONE.items() if name not in os.environ}
+    n_ranks, n_here = map(os.environ.get, COUNTS)
+    on_one_node = ON_ONE_NODE if n_ranks is not None and n_ranks == n_here else {}
+    settings = ALONE if find_rank() is None else on_one_node
+    added = {name: value for name, value in settings.items() if name not in os.environ}
     os.environ.update(added)
     try:
         yield
