@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.kinematics.strain import compute_strain
-from ddic.mesh.mesh import Mesh
+from ddic.mesh.mesh import Mesh, join_meshes
 from ddic.parallel.team import Team
 from ddic.results.summary import FieldRanges
 
@@ -31,7 +31,8 @@ def find_field_ranges(team: Team, fields: Sequence[tuple[Mesh, Array]]) -> Field
     FieldRanges
         Of what was measured, the same on all ranks; nan where nothing was.
     """
-    limits = team.gather_lists([_find_limits(mesh, u) for mesh, u in fields])
+    meshes, displacements = zip(*fields, strict=True)
+    limits = team.gather_lists([_find_limits(join_meshes(meshes), np.concatenate(displacements))])
     # fmin and fmax take the number of a number and nan.
     least = np.fmin.reduce([low for low, _ in limits], axis=0).tolist()
     largest = np.fmax.reduce([high for _, high in limits], axis=0).tolist()
@@ -41,7 +42,7 @@ def find_field_ranges(team: Team, fields: Sequence[tuple[Mesh, Array]]) -> Field
 
 
 def _find_limits(mesh: Mesh, u: Array) -> tuple[Array, Array]:
-    """Least and largest of (u_x, u_y, e_xx, e_yy, e_xy), (5,) each; nan where a mesh was measured nowhere."""
+    """Least and largest of (u_x, u_y, e_xx, e_yy, e_xy), (5,) each; nan where nothing was measured."""
     displacement, strain = u.reshape(-1, mesh.dim), compute_strain(mesh, u).infinitesimal
     return (np.concatenate([np.fmin.reduce(displacement, axis=0), np.fmin.reduce(strain, axis=0)]),
             np.concatenate([np.fmax.reduce(displacement, axis=0), np.fmax.reduce(strain, axis=0)]))
