@@ -15,6 +15,7 @@ from ddic.mesh.control import find_not_controlled_nodes
 from ddic.mesh.mesh import build_mesh
 from ddic.mesh.structured import build_structured_mesh
 from ddic.mesh.topology import (
+    _distinct_rows,
     find_adjacent_cells,
     find_boundary_facets,
     find_boundary_nodes,
@@ -114,3 +115,15 @@ def test_all_bad_names_and_boxes_are_reported_together() -> None:
     assert len(caught.value.problems) == 3
     assert 'regularization.not_controlled: no node set is named "tops"; did you mean "top"?' in str(caught.value)
     assert "regularization.boxes" in caught.value.problems[2]
+
+
+@pytest.mark.parametrize("n_nodes", [5, 300, 70_000, 5_000_000])
+@pytest.mark.parametrize("width", [2, 4])
+def test_facets_are_numbered_in_the_order_of_their_nodes(n_nodes: int, width: int) -> None:
+    rng = np.random.default_rng(width)
+    rows = rng.integers(-1, n_nodes, (400, width))
+    rows = np.concatenate([rows, rows[rng.permutation(400)[:150]]])
+    first, numbers = _distinct_rows(rows, n_nodes)
+    _, expected_first, expected_numbers = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    np.testing.assert_array_equal(first, expected_first)
+    np.testing.assert_array_equal(numbers, expected_numbers.reshape(-1))
