@@ -30,14 +30,21 @@ def grey_levels() -> NDArray[np.float32]:
     return np.round(noise())
 
 
+def missing_here_and_there() -> NDArray[np.float32]:
+    values = grey_levels()
+    values[np.hypot(*np.mgrid[-100:SIDE - 100, -100:SIDE - 100]) < 60] = np.nan
+    return values
+
+
 def extremes() -> NDArray[np.float32]:
     """Values whose bytes are all there are: both zeros, infinities, the smallest numbers, NaN."""
     special = np.array([0.0, -0.0, np.inf, -np.inf, np.nan, 1e-45, -1e38], np.float32)
     return np.resize(special, (SIDE, SIDE))
 
 
-CHUNKS = {"noise": noise, "half missing": half_missing, "grey levels": grey_levels, "extremes": extremes,
-          "constant": lambda: np.zeros((SIDE, SIDE), np.float32), "one pixel": lambda: np.ones((1, 1), np.float32)}
+CHUNKS = {"noise": noise, "half missing": half_missing, "grey levels": grey_levels, "a hole": missing_here_and_there,
+          "extremes": extremes, "constant": lambda: np.zeros((SIDE, SIDE), np.float32),
+          "one pixel": lambda: np.ones((1, 1), np.float32)}
 
 
 @pytest.mark.parametrize("name", CHUNKS)
@@ -58,7 +65,7 @@ def test_a_flipped_byte_does_not_pass() -> None:
         zlib.decompress(bytes(data))
 
 
-@pytest.mark.parametrize("name", ["noise", "half missing", "grey levels", "constant"])
+@pytest.mark.parametrize("name", ["noise", "half missing", "grey levels", "a hole", "constant"])
 def test_chunks_are_no_larger_than_with_the_filters_themselves(tmp_path: Path, name: str) -> None:
     chunk = CHUNKS[name]()
     with h5py.File(tmp_path / "c.h5", "w") as file:

@@ -17,8 +17,8 @@ NOISE_BITS = 7.8
 """Bits per byte above which a plane is stored as it is: compression would gain less than 3 %."""
 
 RUN_BITS = 2.0
-"""Bits per byte below which a plane is searched for repetitions, as all planes are where pixels are missing; else its
-bytes are only coded by their frequency, which on grey levels gains as much in a third of the time."""
+"""Bits per byte below which a plane is searched for repetitions; else its bytes are only coded by their frequency,
+which on grey levels gains as much in a third of the time, and by runs of one byte where pixels are missing."""
 
 SAMPLING = 5
 """One byte in so many is looked at; odd, so that all columns of a chunk are."""
@@ -106,16 +106,18 @@ def pack_chunk(chunk: NDArray[np.float32]) -> bytes:
     """
     planes = np.ascontiguousarray(chunk.astype("<f4", copy=False).reshape(-1).view(np.uint8).reshape(-1, 4).T)
     last = len(planes) - 1
-    repeats = bool(np.isnan(chunk).any())
-    pieces = [_deflated(plane, repeats=repeats, last=k == last) for k, plane in enumerate(planes)]
+    has_runs = bool(np.isnan(chunk).any())
+    pieces = [_deflated(plane, has_runs=has_runs, last=k == last) for k, plane in enumerate(planes)]
     return b"".join([ZLIB_HEADER, *pieces, zlib.adler32(planes.tobytes()).to_bytes(4, "big")])
 
 
-def _deflated(plane: NDArray[np.uint8], *, repeats: bool, last: bool) -> bytes:
-    """A plane of bytes as a piece of a deflate stream; repeats: search it for repetitions; last: end the stream."""
+def _deflated(plane: NDArray[np.uint8], *, has_runs: bool, last: bool) -> bytes:
+    """A plane of bytes as a piece of a deflate stream; has_runs: pixels are missing; last: end the stream."""
     bits = _bits_per_byte(plane[::SAMPLING])
     level = 0 if bits > NOISE_BITS else 1
-    strategy = zlib.Z_DEFAULT_STRATEGY if repeats or bits < RUN_BITS else zlib.Z_HUFFMAN_ONLY
+    otherwise = zlib.Z_DEFAULT_STRATEGY if bits < RUN_BITS else zlib.Z_HUFFMAN_ONLY
+    # All bytes of missing pixels are the same, and other repetitions are chance.
+    strategy = zlib.Z_RLE if has_runs else otherwise
     deflate = zlib.compressobj(level, zlib.DEFLATED, -zlib.MAX_WBITS, zlib.DEF_MEM_LEVEL, strategy)
     # A flushed piece ends on a byte, so that the next one can follow it in the same stream.
     return deflate.compress(plane.tobytes()) + deflate.flush(zlib.Z_FINISH if last else zlib.Z_SYNC_FLUSH)
