@@ -200,3 +200,8 @@ def test_cells_are_drawn_and_summed_by_their_pixels(mesh: Mesh, seed: int) -> No
     cut = [sum(float(image[y - window.y0, x - window.x0]) for x, y in of_cell if x >= inner) for of_cell in pixels]
     if window.width > 2:
         np.testing.assert_allclose(raster.sum_by_cell(image[:, 2:], inner, window.y0), cut, atol=1e-8)
+
+
+def test_pixels_are_counted_once() -> None:
+    raster = rasterize(build_mesh(np.array([[0.0, 0.0], [4.0, 0.0], [0.0, 4.0]]), {T3: np.array([[0, 1, 2]])}))
+    assert raster.pixel_counts is raster.pixel_counts

@@ -9,6 +9,7 @@ the same floating-point number, hence share no pixel and leave none.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numba
@@ -42,7 +43,7 @@ class Raster:
     starts: NDArray[np.int32]
     stops: NDArray[np.int32]
 
-    @property
+    @cached_property
     def pixel_counts(self) -> NDArray[np.int64]:
         """Number of pixels of each cell, (n_cells,)."""
         return self._sum_by_cell(self.stops - self.starts)
