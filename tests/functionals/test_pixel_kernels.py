@@ -124,3 +124,31 @@ def test_local_coordinates_of_distorted_cells(corner: tuple[float, float]) -> No
         found = np.einsum("a,acbd,b->cd", nodal, S, nodal)
         # Rounding of a thousand float64 terms.
         np.testing.assert_allclose(found, np.einsum("p,pcd->cd", values**2, products), rtol=1e-12, atol=1e-6)
+
+
+@pytest.mark.parametrize("height", [1, 14, 20])
+@pytest.mark.parametrize("f_masked", [False, True])
+def test_bands_of_the_residual_image_are_the_image(height: int, f_masked: bool) -> None:
+    mesh, f, g = distorted(4, "mixed"), noise(1), noise(2)
+    rng = np.random.default_rng(3)
+    f_mask = rng.random(f.shape) < 0.7 if f_masked else None
+    part = read_correlation(mesh, source(f, f_mask), 3)
+    deformed = DeformedSubImage(source(g, rng.random(g.shape) < 0.9), 3)
+    q = rng.uniform(-20, 20, mesh.n_dofs)
+    # One cell is torn.
+    q[0] += 1e3
+    correction = np.linspace(0.8, 1.2, mesh.n_cells), np.linspace(-5, 5, mesh.n_cells)
+    bands = part.split_bands(height)
+    assert len(bands) > 1
+    assert np.sort(np.concatenate([band.order for band in bands])).tolist() == list(range(mesh.n_cells))
+    found = np.full(part.reference.values.shape, np.nan, np.float32)
+    for band, image in zip(bands, part.compute_residual_bands(deformed, q, bands, *correction), strict=True):
+        np.copyto(found[part.reference.window.locate(band.window)], image, where=np.isfinite(image))
+    np.testing.assert_array_equal(found, part.compute_residual_image(deformed, q, *correction))
+
+
+def test_bands_are_as_high_as_the_tallest_cell_at_least() -> None:
+    mesh = grid_mesh(3, 4, (10.0, 40.0), origin=(20.0, 20.0), seed=2, jitter=0.0)
+    bands = read_correlation(mesh, source(noise(1, 240, 80)), 3).split_bands(8)
+    assert [len(band.order) for band in bands] == [3, 3, 3, 3]
+    assert all(band.window.height == 40 for band in bands)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -65,6 +66,22 @@ class _DisplacedPixels:
     order: NDArray[np.int64]
     u: NDArray[np.float64]
     g: kernels.DeformedPixels
+
+
+@dataclass(frozen=True)
+class Band:
+    """Cells whose pixels begin in some rows of the image.
+
+    Attributes
+    ----------
+    order : (n,) int64 array
+        Their numbers, in the order of visiting.
+    window : Window
+        Rows of the reference window that hold all their pixels.
+    """
+
+    order: NDArray[np.int64]
+    window: Window
 
 
 @dataclass(frozen=True)
@@ -297,18 +314,63 @@ class Correlation:
         (height, width) float32 array
             On the reference window, grey levels; NaN on pixels that do not count.
         """
+        whole = Band(self.order, self.reference.window)
+        return next(self.compute_residual_bands(deformed, q, [whole], gain, offset))
+
+    def split_bands(self, height: int) -> list[Band]:
+        """Split the cells into bands of rows, whose residual images take little memory one by one.
+
+        Parameters
+        ----------
+        height : int
+            Of the bands, pixels; at least that of the tallest cell is taken. They are counted from the image's top.
+
+        Returns
+        -------
+        list of Band
+            Of all cells, each in one.
+        """
+        first = self.raster.first_row[self.order]
+        last = first + np.diff(self.raster.row_ptr)[self.order]
+        number = first // max(height, int((last - first).max(initial=0)))
+        members = [np.flatnonzero(number == k) for k in np.unique(number)]
+        window = self.reference.window
+        return [Band(self.order[of_band], Window(window.x0, max(int(first[of_band].min()), window.y0),
+                                                 window.x1, min(int(last[of_band].max()), window.y1)))
+                for of_band in members]
+
+    def compute_residual_bands(self, deformed: DeformedSubImage, q: NDArray[np.float64], bands: Iterable[Band],
+                               gain: NDArray[np.float64] | float = 1.0,
+                               offset: NDArray[np.float64] | float = 0.0) -> Iterator[NDArray[np.float32]]:
+        """Compute the same as ``compute_residual_image`` band by band, each when it is asked for.
+
+        Parameters
+        ----------
+        deformed : DeformedSubImage
+            g.
+        q : (n_dofs,) array
+            Nodal displacement, pixels.
+        bands : iterable of Band
+            Of ``split_bands``.
+        gain : float or (n_cells,) array
+            No unit.
+        offset : float or (n_cells,) array
+            Grey levels.
+
+        Returns
+        -------
+        iterator of (height, width) float32 array
+            On the bands' windows, grey levels; NaN on pixels that do not count, or that other bands have.
+        """
         n_cells = self.mesh.n_cells
-        displaced, reference = self._displace_pixels(deformed, q), self._reference_pixels
+        displaced = self._displace_pixels(deformed, q)
         gains = np.array(np.broadcast_to(np.asarray(gain, dtype=float), n_cells))
         offsets = np.array(np.broadcast_to(np.asarray(offset, dtype=float), n_cells))
-        image = np.full(self.reference.values.shape, np.nan, dtype=np.float32)
-
-        def write(place: slice) -> None:
-            cells = self._take_cells(displaced.order[place])
-            kernels.fill_residual_pixels(cells, displaced.u, reference, displaced.g, gains, offsets, image)
-
-        self.threads.run_over(len(displaced.order), FEWEST, write)
-        return image
+        is_visited = np.zeros(n_cells, dtype=bool)
+        is_visited[displaced.order] = True
+        for band in bands:
+            visited = replace(displaced, order=band.order[is_visited[band.order]])
+            yield self._draw_residual(visited, band.window, gains, offsets)
 
     def find_displaced_window(self, q: NDArray[np.float64]) -> Window:
         """Find the window of the deformed image that holds all displaced pixels and their neighbours.
@@ -347,6 +409,19 @@ class Correlation:
         order = self.order[~np.isin(self.order, torn)] if len(torn) else self.order
         g = deformed.get_spline(self.find_displaced_window(q))
         return _DisplacedPixels(order, self.interpolation.monomial_coefficients(q), convert_deformed(g, self.extent))
+
+    def _draw_residual(self, displaced: _DisplacedPixels, window: Window, gains: NDArray[np.float64],
+                       offsets: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Residual on a window that holds all pixels of the cells to visit."""
+        reference = convert_reference(self.reference.restrict(window))
+        image = np.full((window.height, window.width), np.nan, dtype=np.float32)
+
+        def write(place: slice) -> None:
+            cells = self._take_cells(displaced.order[place])
+            kernels.fill_residual_pixels(cells, displaced.u, reference, displaced.g, gains, offsets, image)
+
+        self.threads.run_over(len(displaced.order), FEWEST, write)
+        return image
 
     def _displaced_nodes(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """Nodes x + u, (n_nodes, 2), pixels."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.functionals.cell_slopes import CellSlopes, measure_cell_slopes
-from ddic.functionals.correlation import Correlation, Residual
+from ddic.functionals.correlation import Band, Correlation, Residual
 from ddic.images.sub_image import DeformedSubImage
 from ddic.images.window import Window
 from ddic.kinematics.kinematics import Kinematics
@@ -242,6 +243,26 @@ class FrameView:
             Grey levels on the reference window, nan on pixels that do not count.
         """
         return self.view.correlation.compute_residual_image(self.deformed, self._displacement(q), gain, offset)
+
+    def compute_residual_bands(self, q: NDArray[np.float64], bands: Iterable[Band], gain: Correction = 1.0,
+                               offset: Correction = 0.0) -> Iterator[NDArray[np.float32]]:
+        """Compute the same as ``compute_residual_image`` band by band, each when it is asked for.
+
+        Parameters
+        ----------
+        q : (n_unknowns,) array
+            The subdomain's unknowns.
+        bands : iterable of Band
+            Of the view's correlation.
+        gain, offset : float or (n_cells,) array
+            Of f = gain g + offset; no unit, and grey levels.
+
+        Returns
+        -------
+        iterator of (height, width) array
+            Grey levels on the windows of the bands, nan on pixels that do not count or that other bands have.
+        """
+        return self.view.correlation.compute_residual_bands(self.deformed, self._displacement(q), bands, gain, offset)
 
     def without_hidden(self, q: NDArray[np.float64]) -> View:
         """Leave out the pixels that unknowns hide: outside the deformed image, or on excluded pixels of it.

@@ -3,8 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.functionals.correlation import Band, Residual
+from ddic.functionals.view import FrameView
 from ddic.io.image_chunks import ChunkGrid
 from ddic.io.result_writer import ResultWriter
 from ddic.parallel.team import require_held
@@ -33,19 +39,34 @@ def _write_residual_image(measurement: Measurement, camera: Camera, writer: Resu
     team, image = measurement.team, camera.reference.image
     grid = ChunkGrid(image.width, image.height)
     team.build_on_root(lambda: require_held(writer).create_residual_image(grid))
-    windows = [view.view.correlation.reference.window
-               for of_subdomain in measurement.model.views for view in of_subdomain.views
-               if view.camera == camera.number]
-    chunks = pack_chunks(team, grid, windows, _make_patches(measurement, camera.number))
+    seen = _see_in_bands(measurement, camera.number, grid.shape[0])
+    windows = [band.window for of_view in seen for band in of_view.bands]
+    chunks = pack_chunks(team, grid, windows, _make_patches(measurement, camera.number, seen))
     stream_chunks(team, chunks, lambda chunk: require_held(writer).write_residual_chunk(chunk.number, chunk.data))
 
 
-def _make_patches(measurement: Measurement, camera: int) -> Iterator[Patch]:
-    """A camera's residual on each owned subdomain, computed one by one."""
-    model, evaluation = measurement.whole, measurement.evaluation
-    for of_subdomain, q, residuals in zip(model.views, measurement.q, evaluation.residuals, strict=True):
-        for view, residual in zip(of_subdomain.views, residuals, strict=True):
-            if view.camera == camera:
-                gain, offset = model.find_correction(evaluation, camera, residual)
-                window = view.view.correlation.reference.window
-                yield Patch(window, view.compute_residual_image(q, gain, offset))
+@dataclass(frozen=True)
+class _SeenInBands:
+    """A view of a subdomain with unknowns q, its residual sums, and the bands of rows in which it is drawn."""
+
+    view: FrameView
+    q: NDArray[np.float64]
+    residual: Residual
+    bands: list[Band]
+
+
+def _see_in_bands(measurement: Measurement, camera: int, height: int) -> list[_SeenInBands]:
+    """A camera's views of owned subdomains, in bands: images of whole subdomains are as large as reference images."""
+    return [_SeenInBands(view, q, residual, view.view.correlation.split_bands(height))
+            for of_subdomain, q, residuals in zip(measurement.whole.views, measurement.q,
+                                                  measurement.evaluation.residuals, strict=True)
+            for view, residual in zip(of_subdomain.views, residuals, strict=True) if view.camera == camera]
+
+
+def _make_patches(measurement: Measurement, camera: int, seen: list[_SeenInBands]) -> Iterator[Patch]:
+    """A camera's residual on each band, computed one by one."""
+    for of_view in seen:
+        correction = measurement.whole.find_correction(measurement.evaluation, camera, of_view.residual)
+        images = of_view.view.compute_residual_bands(of_view.q, of_view.bands, *correction)
+        for band, image in zip(of_view.bands, images, strict=True):
+            yield Patch(band.window, image)
