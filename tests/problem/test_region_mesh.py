@@ -83,6 +83,11 @@ def test_every_rank_is_told_the_sizes_and_the_energies_of_waves(tmp_path: Path) 
     assert region_mesh_of(tmp_path).describe(1).probe is None
 
 
+def test_plane_waves_are_measured_once(tmp_path: Path) -> None:
+    found = region_mesh_of(tmp_path, REGULARIZED)
+    assert found.describe(1).probe is found.describe(5).probe is found.probe
+
+
 @pytest.mark.parametrize(("solver", "n_ranks", "n_parts"), [
     ("", 1, 1), ("", 3, 3), ("subdomains = 5", 2, 5), ('method = "monolithic"', 1, 1),
     ('partition = "blocks"\nblocks = [3, 2]', 1, 6), ('partition = "file"\npartition_file = "parts.txt"', 1, 3)])

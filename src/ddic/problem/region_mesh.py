@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,6 +120,15 @@ class RegionMesh:
         """The whole mesh."""
         return self.kinematics.mesh
 
+    @cached_property
+    def probe(self) -> ProbeWaves | None:
+        """Plane waves that say which eta belongs to which wavelength; None where nothing is regularized."""
+        section, mesh = self.inputs.case.regularization, self.mesh
+        if section is None:
+            return None
+        wavelength = section.cut_off_wavelength or float(np.ptp(mesh.nodes, axis=0).min()) / 4
+        return ProbeWaves(wavelength, measure_gap_energies(mesh, build_material(section), self.interior, wavelength))
+
     def describe(self, n_subdomains: int) -> Region:
         """Say what every rank is to know.
 
@@ -132,8 +142,7 @@ class RegionMesh:
         Region
             Sizes, and |K v|^2 of plane waves.
         """
-        probe = _probe_mesh(self.inputs.case.regularization, self.mesh, self.interior)
-        return Region(self.mesh.n_nodes, self.mesh.n_cells, self.kinematics.n_unknowns, n_subdomains, probe,
+        return Region(self.mesh.n_nodes, self.mesh.n_cells, self.kinematics.n_unknowns, n_subdomains, self.probe,
                       self.mesh.mapping)
 
     def cut(self, parts: NDArray[np.int64]) -> tuple[list[Subdomain], NDArray[np.float64]]:
@@ -151,9 +160,8 @@ class RegionMesh:
         costs : (n_subdomains,) array
             Work of each, pixels.
         """
-        is_regularized = self.inputs.case.regularization is not None
         # Also where equilibrium is not imposed: a frame may leave these unknowns to it.
-        has_row = np.full(self.kinematics.n_unknowns, is_regularized)
+        has_row = np.full(self.kinematics.n_unknowns, self.inputs.case.regularization is not None)
         subdomains = build_subdomains(self.kinematics, parts, self.controlled, self.interior, has_row)
         cameras = [int(self.cameras[s.cell_ids[0]]) for s in subdomains]
         n_motion_unknowns = [camera.setup.n_motion_unknowns for camera in self.inputs.cameras]
@@ -340,8 +348,7 @@ def _costs(cameras: Sequence[Camera], mesh: Mesh, measured: Sequence[MeasuredCel
 
 def _only_first_camera(mesh: Mesh, labels: NDArray[np.int64], n_cameras: int, tying: Tying | None) -> NDArray[np.bool_]:
     """Whether the first camera alone measures around each node, (n_nodes,); never at slaves, which are near nodes."""
-    weights = None if tying is None else tying.weights
-    at_nodes = find_cameras_at_nodes(mesh, labels, n_cameras, weights)
+    at_nodes = find_cameras_at_nodes(mesh, labels, n_cameras, None if tying is None else tying.weights)
     only_first = np.zeros(mesh.n_nodes, dtype=bool)
     only_first[:len(at_nodes)] = ~at_nodes[:, 1:].any(axis=1)
     return only_first
@@ -350,18 +357,10 @@ def _only_first_camera(mesh: Mesh, labels: NDArray[np.int64], n_cameras: int, ty
 def _controlled_nodes(section: RegularizationSection | None, mesh: Mesh,
                       boundary: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Whether the equilibrium of each node is controlled, (n_nodes,)."""
-    if section is None:
-        return np.zeros(mesh.n_nodes, dtype=bool)
-    controlled = np.ones(mesh.n_nodes, dtype=bool)
-    controlled[find_not_controlled_nodes(mesh, section.not_controlled, section.boxes, boundary)] = False
+    controlled = np.full(mesh.n_nodes, section is not None)
+    if section is not None:
+        controlled[find_not_controlled_nodes(mesh, section.not_controlled, section.boxes, boundary)] = False
     return controlled
-
-
-def _probe_mesh(section: RegularizationSection | None, mesh: Mesh, interior: NDArray[np.bool_]) -> ProbeWaves | None:
-    if section is None:
-        return None
-    wavelength = section.cut_off_wavelength or float(np.ptp(mesh.nodes, axis=0).min()) / 4
-    return ProbeWaves(wavelength, measure_gap_energies(mesh, build_material(section), interior, wavelength))
 
 
 def _given_parts(solver: SolverSection, mesh: Mesh) -> NDArray[np.int64] | None:
