@@ -9,6 +9,7 @@ from ddic.kinematics.cell_interpolation import interpolate_cells
 from ddic.mesh.cell_type import Q4
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.monomials import evaluate_monomials
+from ddic.mesh.shapes import pad_cells
 from support.random_meshes import SEEDS, grid_mesh, grid_meshes
 
 
@@ -49,6 +50,19 @@ def test_matrices_are_assembled_by_their_cells_dofs(mesh: Mesh, seed: int) -> No
     found = interpolate_cells(mesh).assemble_matrix(cells)
     assert found.shape == expected.shape
     np.testing.assert_allclose(found.toarray(), expected, atol=1e-14)
+
+
+@settings(max_examples=20)
+@given(mesh=grid_meshes(most=3), seed=SEEDS)
+def test_cells_about_a_node_alone_make_its_rows_to_the_last_bit(mesh: Mesh, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    interpolation, cells = interpolate_cells(mesh), rng.normal(size=(mesh.n_cells, 8, 8))
+    node = int(mesh.connectivity[0])
+    about = np.flatnonzero((pad_cells(mesh) == node).any(axis=1))
+    whole, part = interpolation.assemble_matrix(cells), interpolation.assemble_matrix(cells[about], about)
+    assert whole.has_canonical_format
+    np.testing.assert_array_equal(part[2 * node:2 * node + 2].toarray(), whole[2 * node:2 * node + 2].toarray())
+    assert interpolation.assemble_matrix(cells[:0], about[:0]).nnz == 0
 
 
 def test_sizes() -> None:

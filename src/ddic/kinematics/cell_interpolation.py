@@ -93,14 +93,12 @@ class CellInterpolation:
         (n_dofs, n_dofs) csr_matrix
             Their sum.
         """
-        n_cell_dofs = self.cell_dofs.shape[1]
-        # As scipy keeps them: it would make copies of others, beside the largest arrays of an assembly.
         of_cells = self.cell_dofs if numbers is None else self.cell_dofs[numbers]
-        cell_dofs = of_cells.astype(sparse.get_index_dtype(maxval=self.n_dofs))
-        rows = np.repeat(cell_dofs, n_cell_dofs, axis=1).ravel()
-        columns = np.tile(cell_dofs, n_cell_dofs).ravel()
-        shape = (self.n_dofs, self.n_dofs)
-        return sparse.coo_matrix((cells.ravel(), (rows, columns)), shape=shape).tocsr()
+        corners = np.ascontiguousarray(of_cells[:, ::self.dim] // self.dim)
+        # As scipy keeps them: it would make copies of others.
+        numbers_like = np.empty(0, sparse.get_index_dtype(maxval=cells.size))
+        parts = _assemble(np.ascontiguousarray(cells), corners, self.n_dofs // self.dim, numbers_like)
+        return sparse.csr_matrix(parts, shape=(self.n_dofs, self.n_dofs))
 
 
 def number_cell_dofs(mesh: Mesh) -> NDArray[np.int64]:
@@ -168,3 +166,89 @@ def _add_up(moments, cell_dofs, kinds, shapes, summed):  # type: ignore[no-untyp
                 for m in range(n_monomials):
                     value += of_kind[a, m] * moments[e, i, m]
                 summed[cell_dofs[e, a * dim + i]] += value
+
+
+# Node by node: scipy's way from single entries would hold, and sort, four times as many as are left.
+
+
+@numba.njit(nogil=True)
+def _list_cells_of_nodes(corners, n_nodes):  # type: ignore[no-untyped-def]
+    """Cells about node i, rising: cells_of[cell_ptr[i]:cell_ptr[i + 1]], as often as i is a corner of each."""
+    n_cells, n_corners = corners.shape
+    cell_ptr = np.zeros(n_nodes + 1, np.int64)
+    for e in range(n_cells):
+        for a in range(n_corners):
+            cell_ptr[corners[e, a] + 1] += 1
+    cell_ptr = np.cumsum(cell_ptr)
+    free, cells_of = cell_ptr[:-1].copy(), np.empty(n_cells * n_corners, np.int64)
+    for e in range(n_cells):
+        for a in range(n_corners):
+            cells_of[free[corners[e, a]]] = e
+            free[corners[e, a]] += 1
+    return cell_ptr, cells_of
+
+
+@numba.njit(nogil=True)
+def _find_neighbours(corners, cell_ptr, cells_of):  # type: ignore[no-untyped-def]
+    """Nodes that share a cell with node i, itself too, rising: neighbours[pair_ptr[i]:pair_ptr[i + 1]]."""
+    n_nodes, n_corners = len(cell_ptr) - 1, corners.shape[1]
+    pair_ptr = np.zeros(n_nodes + 1, np.int64)
+    neighbours = np.empty(len(cells_of) * n_corners, np.int64)
+    for i in range(n_nodes):
+        begin = end = pair_ptr[i]
+        for k in range(cell_ptr[i], cell_ptr[i + 1]):
+            for a in range(n_corners):
+                j, place = corners[cells_of[k], a], end
+                while place > begin and neighbours[place - 1] > j:
+                    place -= 1
+                if place > begin and neighbours[place - 1] == j:
+                    continue
+                for later in range(end, place, -1):
+                    neighbours[later] = neighbours[later - 1]
+                neighbours[place] = j
+                end += 1
+        pair_ptr[i + 1] = end
+    return pair_ptr, neighbours[:pair_ptr[-1]].copy()
+
+
+@numba.njit(nogil=True)
+def _number_entries(pair_ptr, neighbours, dim, indptr, indices):  # type: ignore[no-untyped-def]
+    """Write where rows begin, and their columns: the dim rows of node i have the entries from dim^2 pair_ptr[i] on."""
+    for i in range(len(pair_ptr) - 1):
+        first, n_beside = pair_ptr[i], pair_ptr[i + 1] - pair_ptr[i]
+        for d in range(dim):
+            row = dim * (dim * first + d * n_beside)
+            indptr[i * dim + d + 1] = row + dim * n_beside
+            for k in range(n_beside):
+                for c in range(dim):
+                    indices[row + k * dim + c] = neighbours[first + k] * dim + c
+
+
+@numba.njit(nogil=True)
+def _add_corner(matrix, a, to, dim, beside, first, data):  # type: ignore[no-untyped-def]
+    """Add the rows of a cell's corner a to those of its node: nodes beside it, entries from ``first`` on."""
+    for b in range(len(to)):
+        place = np.searchsorted(beside, to[b])
+        for d in range(dim):
+            row = first + dim * (d * len(beside) + place)
+            for c in range(dim):
+                data[row + c] += matrix[a * dim + d, b * dim + c]
+
+
+@numba.njit(cache=True, nogil=True)
+def _assemble(cells, corners, n_nodes, numbers_like):  # type: ignore[no-untyped-def]
+    """Data, column numbers and row pointers of the sum of cell matrices (n, 4 dim, 4 dim) between corners (n, 4)."""
+    dim = cells.shape[1] // corners.shape[1]
+    cell_ptr, cells_of = _list_cells_of_nodes(corners, n_nodes)
+    pair_ptr, neighbours = _find_neighbours(corners, cell_ptr, cells_of)
+    data = np.zeros(dim * dim * len(neighbours))
+    indices = np.empty(len(data), numbers_like.dtype)
+    indptr = np.zeros(n_nodes * dim + 1, numbers_like.dtype)
+    _number_entries(pair_ptr, neighbours, dim, indptr, indices)
+    # Cell by cell, so that every entry has the same sum whichever cells there are besides those about it.
+    for e in range(len(cells)):
+        for a in range(corners.shape[1]):
+            i = corners[e, a]
+            beside = neighbours[pair_ptr[i]:pair_ptr[i + 1]]
+            _add_corner(cells[e], a, corners[e], dim, beside, dim * dim * pair_ptr[i], data)
+    return data, indices, indptr
