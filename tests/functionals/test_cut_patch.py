@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ddic.functionals.cut_patch import cut_patch
+from ddic.functionals.cut_patch import cut_patches
 from ddic.functionals.read_correlation import read_correlation
+from ddic.functionals.view import FrameView, View
+from ddic.images.sub_image import DeformedSubImage
+from ddic.kinematics.nodal import NodalKinematics
 from ddic.mesh.cell_type import T3
 from ddic.mesh.mesh import build_mesh
 from support.pictures import source
@@ -16,12 +19,17 @@ MESH = build_mesh(NODES, [(T3, np.array([[0, 1, 2], [1, 3, 2]]))])
 
 def test_a_patch_holds_the_cells_pixels_of_both_images() -> None:
     f = np.random.default_rng(2).uniform(20, 200, (30, 40))
-    correlation = read_correlation(MESH, source(f), 3)
-    window = correlation.reference.window
-    residual = np.random.default_rng(3).normal(size=(window.height, window.width)).astype(np.float32)
+    g = np.random.default_rng(3).uniform(20, 200, (30, 40))
     hidden = (9, 9)
-    residual[hidden[1] - window.y0, hidden[0] - window.x0] = np.nan
-    box, patch = cut_patch(correlation, residual, 0, (1.1, -3.0))
+    is_shown = np.ones(f.shape, dtype=bool)
+    is_shown[hidden[1], hidden[0]] = False
+    correlation = read_correlation(MESH, source(f, is_shown), 3)
+    view = FrameView(View(correlation, NodalKinematics(MESH, np.arange(MESH.n_dofs))), DeformedSubImage(source(g), 3))
+    q = np.random.default_rng(4).uniform(-2, 2, MESH.n_dofs)
+    patches = list(cut_patches(view, q, np.array([1, 0]), (1.1, -3.0)))
+    assert [cell for cell, _, _ in patches] == [1, 0]
+    assert list(cut_patches(view, q, np.zeros(0, np.int64), (1.1, -3.0))) == []
+    _, box, patch = patches[1]
     # Pixel centres left of all three sides of the first triangle.
     x, y = np.meshgrid(np.arange(box.x0, box.x1), np.arange(box.y0, box.y1))
     own = np.ones(x.shape, dtype=bool)
@@ -30,8 +38,11 @@ def test_a_patch_holds_the_cells_pixels_of_both_images() -> None:
     assert own.any(axis=0).all()
     assert own.any(axis=1).all()
     assert own.sum() == correlation.raster.pixel_counts[0]
-    np.testing.assert_array_equal(patch.counts, own & ((x != hidden[0]) | (y != hidden[1])))
-    # Images are held in float32: 200 grey levels to 1e-5.
-    np.testing.assert_allclose(patch.f, f[y, x], atol=2e-5)
+    window, residual = correlation.reference.window, view.compute_residual_image(q)
     r = residual[y - window.y0, x - window.x0]
+    # What is excluded takes its neighbours along, whose slopes are taken from it.
+    np.testing.assert_array_equal(patch.counts, own & np.isfinite(r))
+    assert 0 < patch.counts.sum() < own.sum()
+    # Images are held in float32: 200 grey levels to 1e-5.
+    np.testing.assert_allclose(patch.f[patch.counts], f[y, x][patch.counts], atol=2e-5)
     np.testing.assert_allclose(patch.g[patch.counts], (1.1 * (f[y, x] - r) - 3.0)[patch.counts], atol=5e-5)

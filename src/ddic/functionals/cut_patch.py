@@ -1,47 +1,56 @@
-"""The box of pixels about a cell, cut out of both images."""
+"""Boxes of pixels about cells, cut out of both images."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.functionals.correlation import Correlation
+from ddic.functionals.correlation import Band, Correlation
 from ddic.functionals.spoilt_pixels import CellPatch
+from ddic.functionals.view import FrameView
 from ddic.images.window import Window
 
 
-def cut_patch(correlation: Correlation, residual: NDArray[np.float32], cell: int,
-              correction: tuple[float, float]) -> tuple[Window, CellPatch]:
-    """Cut out the box about a cell's pixels.
+def cut_patches(view: FrameView, q: NDArray[np.float64], cells: NDArray[np.int64],
+                correction: tuple[float, float]) -> Iterator[tuple[int, Window, CellPatch]]:
+    """Cut out the boxes about the pixels of some cells; the residual of no other pixel is computed.
 
     Parameters
     ----------
-    correlation : Correlation
-        The reference image, and the cell's pixels.
-    residual : (height, width) array
-        f - g on the reference window, grey levels; NaN on pixels that do not count.
-    cell : int
-        Its number; it holds pixels.
+    view : FrameView
+        Both images, and the cells' pixels.
+    q : (n_unknowns,) array
+        The subdomain's unknowns.
+    cells : (n,) int64 array
+        Their numbers; they hold pixels.
     correction : (gain, offset)
         Of g, no unit and grey levels.
 
     Returns
     -------
-    box : Window
-        Where the box lies in the image.
-    patch : CellPatch
-        What is in it.
+    iterator of (int, Window, CellPatch)
+        Number of each cell, where its box lies in the image, and what is in it.
     """
-    box, own = _find_own_pixels(correlation, cell)
-    image = correlation.reference
-    inside = image.window.locate(box)
-    r = residual[inside].astype(np.float64)
-    f = image.values[inside].astype(np.float64)
+    correlation = view.view.correlation
+    boxes = [_find_own_pixels(correlation, cell) for cell in cells.tolist()]
+    bands = [Band(cells[k:k + 1], box) for k, (box, _) in enumerate(boxes)]
+    residuals = view.compute_residual_bands(q, bands) if bands else iter(())
+    for cell, (box, own), residual in zip(cells.tolist(), boxes, residuals, strict=True):
+        yield cell, box, _cut_patch(correlation, (box, own), residual, correction)
+
+
+def _cut_patch(correlation: Correlation, place: tuple[Window, NDArray[np.bool_]], residual: NDArray[np.float32],
+               correction: tuple[float, float]) -> CellPatch:
+    """What is in a box, of which some pixels are the cell's; residual: f - g there, NaN on what does not count."""
+    box, own = place
+    image = correlation.reference.restrict(box)
+    r, f = residual.astype(np.float64), image.values.astype(np.float64)
     counts = own & np.isfinite(r)
     gain, offset = correction
     g = np.where(counts, gain * (f - r) + offset, 0.0)
-    energy = image.by_x[inside].astype(np.float64)**2 + image.by_y[inside].astype(np.float64)**2
-    return box, CellPatch(counts, f, g, energy)
+    return CellPatch(counts, f, g, image.by_x.astype(np.float64)**2 + image.by_y.astype(np.float64)**2)
 
 
 def _find_own_pixels(correlation: Correlation, cell: int) -> tuple[Window, NDArray[np.bool_]]:

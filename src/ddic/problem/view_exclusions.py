@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError, as_collective
-from ddic.functionals.cut_patch import cut_patch
+from ddic.functionals.cut_patch import cut_patches
 from ddic.functionals.spoilt_pixels import find_spoilt_pixels
 from ddic.functionals.view import FrameView
 from ddic.mesh.shapes import pad_cells
@@ -185,14 +185,9 @@ class _SpoiltPart:
 
 def _search_cells(seen: SeenView, rules: Rules, searched: NDArray[np.int64]) -> Iterator[_SpoiltPart]:
     """Spoilt pixels of those cells that have some."""
-    if not len(searched):
-        return
-    correlation = seen.view.view.correlation
-    residual = seen.view.compute_residual_image(seen.q)
-    # That of all cells, where each has none of its own.
+    # The correction of all cells, where each has none of its own.
     correction = seen.typical.gain, seen.typical.offset
-    for cell in searched.tolist():
-        box, patch = cut_patch(correlation, residual, cell, correction)
+    for cell, box, patch in cut_patches(seen.view, seen.q, searched, correction):
         n_counted = int(patch.counts.sum())
         if n_counted < FEWEST_PIXELS:
             continue
