@@ -164,3 +164,14 @@ def test_a_node_without_a_value_leaves_those_beside_it_theirs() -> None:
         assert np.isfinite(of_point).all() == is_known
         if is_known:
             np.testing.assert_allclose(of_point, 0.1 * points + (1.0, -2.0), atol=1e-12)
+
+
+def test_a_cell_with_a_node_twice_holds_no_point_and_spoils_no_other() -> None:
+    # As in a damaged result file.
+    whole = build_structured_mesh((0.0, 0.0, 32.0, 16.0), 16.0, "Q4")
+    connectivity = whole.connectivity.copy()
+    connectivity[5] = connectivity[4]
+    damaged = Mesh(whole.nodes, connectivity, whole.offsets, whole.types)
+    found = locate(damaged, np.array([[8.0, 8.0], [30.0, 14.0]]))
+    assert found.cells[0] == 0
+    assert found.cells[1] in (-1, 1)

@@ -257,7 +257,8 @@ def _fill_buckets(begin, end, columns, rows):  # type: ignore[no-untyped-def]
     return first, cells
 
 
-@numba.njit(cache=True)
+# A damaged result may hold an edge between two nodes at one place: 0 / 0 is nan, and its cell holds no point.
+@numba.njit(cache=True, error_model="numpy")
 def _depth(x, y, e, polygons):  # type: ignore[no-untyped-def]
     """Least signed distance of a point from the lines through a convex cell's edges, positive inside."""
     nodes = polygons.nodes
