@@ -11,7 +11,7 @@ AWAKE = 2e-4
 """Seconds that a rank looks again and again before it sleeps between two looks. A larger value takes more of the
 processor, a smaller one makes ranks that arrive together wait for one another's sleep."""
 
-SLEPT_SHARE = 0.05
+SLEPT_SHARE = 0.2
 """Time between two looks over that waited so far: by as much a wait may become longer."""
 
 LONGEST_SLEEP = 2e-3
