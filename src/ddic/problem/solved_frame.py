@@ -128,6 +128,7 @@ def solve_further(problem: WeightedProblem, solved: SolvedFrame, progress: Progr
     tolerances = replace(tolerances, max_iterations=tolerances.max_iterations - n_spent)
     most_slow = (MOST_MOVING if roughly else MOST_SLOW) * problem.reference.region.n_nodes
     mixing = _prepare_mixing(problem)
+    excludes = problem.reference.inputs.case.correlation.spoilt_pixels == "exclude"
     before = solved.solution
     found = replace(before, records=[])
 
@@ -156,11 +157,14 @@ def solve_further(problem: WeightedProblem, solved: SolvedFrame, progress: Progr
             mixing.forget()
             alone = run(slow, None)
             mixing.forget()
-            if not alone.converged:
+            if not alone.converged and not excludes:
                 # Not so few: in much noise they drive others, and a front of those moves on by plain steps alone.
                 found = replace(found, records=alone.records)
                 return run(used, None, None)
             found = alone
+            if not found.converged:
+                # A look at the frame may tell what drives them.
+                return found
         return run(used, None)
 
     try:
