@@ -6,5 +6,21 @@ Any other row that does fails CI, and so does one of these as soon as all of its
 from __future__ import annotations
 
 OPEN: dict[tuple[str, str], str] = {
+    ("clean", "whole_commands"):
+        "three looks at the frame, checks of the mesh, ranges and strains at nodes, which a354d27 does without, take "
+        "what is saved elsewhere; that commit leaves a node of the tension pair 0.58 px off, this one none by 0.016 px",
+    ("clean", "pyvale"):
+        "beside the default search: of 5.7 CPU s imports take 1.0, the first touch of four images of 57 MB 0.8, passes "
+        "over the pixels 2.1, the linear step 0.9",
+    ("clean", "series"):
+        "of 0.35 CPU s a frame three passes over the pixels take 0.08, files 0.07, looks 0.05, reading 0.04",
+    ("clean", "tension"):
+        "a dark hole: four cells at its edge are excluded otherwise, and 8 of 110,568 nodes beside them differ by up "
+        "to 0.006 px, as much as they are off the truth; standard deviations are not estimated there",
+    ("near-far", "foam_noise"):
+        "one of five noisy draws of the near pair alone, whose pyramid fails, ends up to 10 px off at some nodes",
+    ("xdic", "bolted"):
+        "iterations are fewer; slow nodes alone made the 24 iterations of continuous elements as cheap as 3, and the "
+        "start with enrichment on every level takes 0.5 s",
 }
 """Why, by table and check; the figures themselves are in the ledger."""
