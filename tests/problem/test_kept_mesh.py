@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import pickle
 from pathlib import Path
 from typing import NoReturn
 
 import pytest
 from mpi4py import MPI
 
+import ddic
+from ddic.case.loader import load_case
 from ddic.parallel.team import Team
 from ddic.problem import inputs as inputs_module
 from ddic.problem.check_inputs import load_checked_case
@@ -32,3 +35,24 @@ def test_the_mesh_that_was_checked_is_not_built_again(shared_path: Path, monkeyp
     inputs, _ = open_inputs(team, loaded)
     region = build_whole_mesh(team, inputs)
     assert (region is not None) == team.is_root
+
+
+def test_a_mesh_is_taken_once_by_its_own_case(tmp_path: Path) -> None:
+    path = write_case(tmp_path)
+    loaded, other = load_case(path), load_case(path)
+    mesh = ddic.structured_mesh((0, 0, 32, 32), 16)
+    kept = loaded.kept_mesh
+    assert kept.take(loaded.case) is None
+    kept.keep(loaded.case, mesh, None)
+    # As a case with other settings, which may ask for another mesh.
+    assert kept.take(other.case) is None
+    assert kept.take(loaded.case) == (mesh, None)
+    assert kept.take(loaded.case) is None
+
+
+def test_other_ranks_get_no_mesh(tmp_path: Path) -> None:
+    path = write_case(tmp_path)
+    loaded = load_case(path)
+    loaded.kept_mesh.keep(loaded.case, ddic.structured_mesh((0, 0, 32, 32), 16), None)
+    sent = pickle.loads(pickle.dumps(loaded))
+    assert sent.kept_mesh.take(sent.case) is None

@@ -11,7 +11,6 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ValidationError
 
 from ddic.case.frame_files import find_frames, is_pattern, is_series
-from ddic.case.kept_mesh import KeptMesh
 from ddic.case.messages import describe, remove_kinds
 from ddic.case.schema import Case, OutputSection
 from ddic.case.sections import Location, find_section_in
@@ -19,6 +18,8 @@ from ddic.errors import InputError
 from ddic.io.file_stamps import FileStamps
 from ddic.io.input_file import find_real_path, is_readable_file
 from ddic.io.toml_file import parse_toml, read_text
+from ddic.mesh.mesh import Mesh
+from ddic.partition.ties import Tying
 
 DETECT = "detect"
 """In place of discontinuities: one line, found by itself."""
@@ -27,6 +28,52 @@ MOST_REPAIRS = 5
 """Times that bad keys are taken out of a case to see what else is wrong: some show only when others are gone."""
 
 Model = TypeVar("Model", bound=BaseModel)
+
+
+@dataclass
+class KeptMesh:
+    """What was built of a case when it was checked: the measurement needs the same and takes it, once.
+
+    It stays on the rank that checked: pickled, as other ranks get a case, it is empty.
+    """
+
+    _case: Case | None = None
+    _built: tuple[Mesh, Tying | None] | None = None
+
+    def keep(self, case: Case, mesh: Mesh, tying: Tying | None) -> None:
+        """Keep the mesh of a case, in place of any other.
+
+        Parameters
+        ----------
+        case : Case
+            That it was built of.
+        mesh : Mesh
+            The whole mesh, pixels.
+        tying : Tying or None
+            How near fields' own meshes are tied in it; None where there are none.
+        """
+        self._case, self._built = case, (mesh, tying)
+
+    def take(self, case: Case) -> tuple[Mesh, Tying | None] | None:
+        """Give the mesh of a case away, so that its memory is the taker's.
+
+        Parameters
+        ----------
+        case : Case
+            That is measured.
+
+        Returns
+        -------
+        tuple of Mesh and Tying or None
+            As ``build_meshes`` would build it; None where no mesh of this very case is kept.
+        """
+        if self._case is not case:
+            return None
+        built, self._case, self._built = self._built, None, None
+        return built
+
+    def __reduce__(self) -> tuple[type[KeptMesh], tuple[()]]:
+        return KeptMesh, ()
 
 
 @dataclass(frozen=True)

@@ -130,8 +130,7 @@ class HeldCells:
 
     def keep(self, before: Self, view: View, q: Array) -> Self:
         """Keep also those of an earlier look that are still far away, seen there, and not among these."""
-        distance = np.linalg.norm(before.measure_away(view, q), axis=2).mean(axis=1)
-        kept = (distance > RELEASED) & ~np.isin(before.cells, self.cells)
+        kept = (measure_distance(before.measure_away(view, q)) > RELEASED) & ~np.isin(before.cells, self.cells)
         return type(self)(np.concatenate([self.cells, before.cells[kept]]),
                           np.concatenate([self.shown_at, before.shown_at[kept]]))
 
@@ -158,7 +157,7 @@ class PulledView:
         """Forces on the subdomain's unknowns, (n_unknowns,)."""
         interpolation, held = self.view.correlation.interpolation, self.held
         away = held.measure_away(self.view, q)
-        distance = np.linalg.norm(away, axis=2).mean(axis=1)
+        distance = measure_distance(away)
         captured = away * (CAPTURED / np.maximum(distance, CAPTURED))[:, None, None]
         forces = np.zeros(interpolation.n_dofs)
         np.add.at(forces, interpolation.cell_dofs[held.cells],
@@ -247,9 +246,9 @@ def find_cells_beside(view: FrameView, q: Array, cells: NDArray[np.int64], noise
     return found
 
 
-def measure_distance(away: Array) -> float:
-    """Mean distance of corners, (4, 2), pixels."""
-    return float(np.linalg.norm(away, axis=1).mean())
+def measure_distance(away: Array) -> Array:
+    """Mean distance of the corners of cells, (..., 4, 2), pixels; (...)."""
+    return np.asarray(np.linalg.norm(away, axis=-1).mean(axis=-1))
 
 
 def _seek(f: Image, g: Image, is_own: NDArray[np.bool_], noise: float) -> Array | None:

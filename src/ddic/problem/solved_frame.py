@@ -157,14 +157,15 @@ def solve_further(problem: WeightedProblem, solved: SolvedFrame, progress: Progr
             mixing.forget()
             alone = run(slow, None)
             mixing.forget()
-            if not alone.converged and not excludes:
+            if alone.converged:
+                found = alone
+            elif excludes:
+                # A look at the frame may tell what drives them.
+                return alone
+            else:
                 # Not so few: in much noise they drive others, and a front of those moves on by plain steps alone.
                 found = replace(found, records=alone.records)
                 return run(used, None, None)
-            found = alone
-            if not found.converged:
-                # A look at the frame may tell what drives them.
-                return found
         return run(used, None)
 
     try:

@@ -12,6 +12,7 @@ from petsc4py import PETSc
 from scipy import sparse
 
 from ddic.errors import SingularSubdomainError, as_collective
+from ddic.functionals.scale_rows import scale_rows
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.solvers.exchange import Exchange
@@ -366,7 +367,7 @@ class EquilibriumRows:
         """
         n_field, n_unknowns = self.stiffness.shape
         no_equilibrium = sparse.csr_matrix((n_unknowns - n_field, n_unknowns))
-        return sparse.vstack([sparse.diags(self.factors) @ self.stiffness, no_equilibrium]).tocsr()
+        return sparse.vstack([scale_rows(self.stiffness, self.factors), no_equilibrium]).tocsr()
 
     @cached_property
     def _transposed(self) -> sparse.csc_matrix:

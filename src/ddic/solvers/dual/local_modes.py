@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
 
+from ddic.functionals.scale_rows import scale_rows
 from ddic.kinematics.kinematics import Kinematics
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
@@ -75,7 +76,7 @@ def _soften(system: LocalSystem) -> sparse.csr_matrix:
         return system.operator
     weights = np.ones(system.controlled_stiffness.shape[0])
     weights[system.subdomain.reactions.unknowns] = np.sqrt(SOFTENING)
-    softened = (sparse.diags(weights) @ system.controlled_stiffness).tocsr()
+    softened = scale_rows(system.controlled_stiffness, weights)
     return replace(system, stiffness=softened, projection=None).operator
 
 
