@@ -104,7 +104,7 @@ def _stop(slurm: Slurm, launcher: str, case: Path) -> Row:
                 f"{said.split(';')[0]}; last field {'kept and marked' if is_kept else 'lost'}; "
                 f"{len(rubbish)} temporary files left")
     return Row(f"walltime signal, {launcher}", "clean stop: exit code 3, last field kept, before the limit of 3 min",
-               measured, is_kept and state["ExitCode"] == "3:0" and not rubbish)
+               measured, is_kept and state["ExitCode"] == "3:0" and not rubbish, judged_small=False)
 
 
 def _is_readable(kept: Path) -> bool:

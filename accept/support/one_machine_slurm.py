@@ -17,7 +17,10 @@ from pathlib import Path
 from bench.support.runs import NotHereError
 
 PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "srun", "setpriv")
-"""Debian: apt-get install --no-install-recommends slurm-wlm munge."""
+"""Those of Debian's slurm-wlm and munge."""
+
+INSTALL = "apt-get install --no-install-recommends slurm-wlm munge libpmix-dev"
+"""Without libpmix-dev, Slurm's PMIx plugin finds no library, and ``srun`` starts no rank."""
 
 LIMIT_S = 30.0
 """Seconds for a daemon to come up, or to end."""
@@ -155,13 +158,13 @@ def one_machine_slurm() -> Iterator[Slurm]:
     Raises
     ------
     NotHereError
-        Where Slurm is not installed.
+        Where Slurm or its PMIx library is not installed.
     RuntimeError
         Where a daemon does not come up, with its log.
     """
     absent = [name for name in PROGRAMS if _find(name) is None]
     if absent:
-        raise NotHereError(f"no {', '.join(absent)}: apt-get install --no-install-recommends slurm-wlm munge")
+        raise NotHereError(f"no {', '.join(absent)}: {INSTALL}")
     with ExitStack() as ends:
         # A socket's path may be 107 characters long: not below a test's own folder.
         folder = Path(ends.enter_context(tempfile.TemporaryDirectory(prefix="ddic-slurm-", dir="/tmp",
@@ -176,6 +179,10 @@ def one_machine_slurm() -> Iterator[Slurm]:
         ends.enter_context(_daemon(folder, "slurmctld", "-D", "-i"))
         ends.enter_context(_daemon(folder, "slurmd", "-D"))
         _wait_until(lambda: _is_idle(slurm), f"an idle node; {_tails(folder)}", LIMIT_S)
+        try:
+            slurm.ask("srun", "--ntasks=1", "--mpi=pmix", "true")
+        except RuntimeError as error:
+            raise NotHereError(f"srun starts no rank ({INSTALL}): {error}") from error
         ends.callback(_cancel_all, slurm)
         yield slurm
 
