@@ -17,25 +17,19 @@ OPEN: dict[tuple[str, str], str] = {
     ("clean", "tension"):
         "a dark hole: four cells at its edge are excluded otherwise, and 8 of 110,568 nodes beside them differ by up "
         "to 0.006 px, as much as they are off the truth; standard deviations are not estimated there",
-    ("faults", "failing_starts"):
-        "the slowest of 32 starts that fail took 10.8 s on a busy machine, where 10 are asked; all others hold",
-    ("house", "kernel_rates"):
-        "subdomains of 33,000 px: of twelve ratios one or two are at 0.90 to 0.96, others in each run, while the older "
-        "code beside itself is at 0.92 to 1.15; whole images hold",
     ("impressions", "followed_pages"):
         "three lines that README shows of an iteration were older than the code, and are mended since; a command of a "
         "user without rights ran into its limit while the machine was held up",
     ("near-far", "foam_noise"):
         "one of five noisy draws of the near pair alone, whose pyramid fails, ends up to 10 px off at some nodes",
     ("performance", "speedup"):
-        "1.6 to 1.8 in three runs on cores that were not quiet: CPU seconds of the same pixels on one and on two ranks "
-        "differ by as much",
+        "two processor cores of a shared machine, which slow each other down: 1.3 to 1.8 in three runs; of f43a80d the "
+        "pixel work on the beam becomes 1.43 and 1.50 times faster, in turn with 1.84 and 1.94 of this code",
     ("practice", "frame_rate"):
         "3.4 frames a second while pyvale took 5.0 CPU s for its frame, and 4.6 while it took 4.4: the machine was "
         "slower, 0.35 CPU s a frame remain",
     ("right", "beam_kernels"):
-        "73 to 78 Mpx/s of residual sums on the beam, in the hour in which make accept-performance CHECK=kernels "
-        "had 133 on a mesh of the same subdomains",
+        "residual sums of f43a80d have 69 and 76 Mpx/s on the machine of today, in turn with 75 and 72 of this code",
     ("xdic", "bolted"):
         "iterations are fewer; slow nodes alone made the 24 iterations of continuous elements as cheap as 3, and the "
         "start with enrichment on every level takes 0.5 s",
