@@ -14,7 +14,7 @@ SIZE ?= 22000
 
 .PHONY: help setup demo test test-programs test-slurm test-hosts lint docs bench bench-iterations bench-interface bench-paper bench-peers bench-before bench-big bench-scaling \
 	bench-threads accept accept-stale accept-judge accept-core accept-solver accept-performance accept-near-far accept-house accept-right accept-xdic accept-start accept-pgd \
-	accept-impressions accept-practice accept-faults accept-clean trials smoke clean
+	accept-impressions accept-practice accept-faults accept-clean accept-trust trials smoke clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -132,6 +132,9 @@ accept-faults: setup ## measure the table of faults: bad inputs, damaged files, 
 
 accept-clean: $(BENCH_STAMP) ## measure the table of clean pairs: what they pay for what spoils others (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.clean $(CHECK)
+
+accept-trust: setup ## measure the table of numbers that hold or are nan where something is off: lines (CHECK=NAME: one check)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.trust $(CHECK)
 
 trials: setup ## try bad inputs and damaged files (ARGS="--sample 40": some; ARGS=mesh.file: those of a name)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.trials --jobs $(JOBS) $(ARGS)

@@ -4,7 +4,8 @@ Usage: python -m accept.all_tables run|stale|judge [--run] [--jobs N].
 
 run: measure every check that is not in the ledger, or stands there with code that has changed since; then judge. What
 is interrupted goes on where it was. stale: list the checks of which the code has changed; with --run, measure them.
-judge: exit code 1 where a check is missing in the ledger, or a row misses its bound without a reason in open_rows.py.
+judge: count the checks that stand there with code that has changed since; exit code 1 where a check is missing in the
+ledger, or a row misses its bound without a reason in open_rows.py.
 """
 
 from __future__ import annotations
@@ -110,7 +111,7 @@ def list_stale(entries: Sequence[Entry]) -> list[Stale]:
 
 
 def judge(entries: Sequence[Entry]) -> int:
-    """Print what is missing in the ledger, and what does not hold there without being known to.
+    """Print what is missing in the ledger, how much is older than its code, and what does not hold unless it is known.
 
     Parameters
     ----------
@@ -122,7 +123,8 @@ def judge(entries: Sequence[Entry]) -> int:
     int
         Exit code: 1 where there is any, or a check holds that ``open_rows.py`` still lists.
     """
-    missing, missed = list_missing(entries), [entry for entry in entries if not entry.holds]
+    missing, stale = list_missing(entries), list_stale(entries)
+    missed = [entry for entry in entries if not entry.holds]
     are_missed = {(entry.table, entry.check) for entry in missed}
     closed = [check for check in OPEN if check not in are_missed and check not in missing]
     for table, name in missing:
@@ -137,7 +139,7 @@ def judge(entries: Sequence[Entry]) -> int:
         print(f"holds: {table} {name}; remove it from accept/open_rows.py")
     n_held = len(entries) - len(missed)
     print(f"accept/ledger.json: {n_held} of {len(entries)} rows hold, {len(missing)} checks are missing, "
-          f"{len(are_missed & set(OPEN))} are known to miss a bound")
+          f"{len(stale)} are older than their code, {len(are_missed & set(OPEN))} are known to miss a bound")
     return 1 if missing or closed or are_missed - set(OPEN) else 0
 
 

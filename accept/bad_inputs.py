@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import random
 from collections.abc import Sequence
+from pathlib import Path
 
 from accept.table import Scale
 from accept.trials.command_trials import list_command_trials
-from accept.trials.file_trials import list_file_trials
+from accept.trials.file_trials import list_file_trials, list_large_images, list_uncoded_images
+from accept.trials.good_case import make_good_folder
 from accept.trials.mutants import DAMAGED, list_mutants
+from accept.trials.result_trials import list_result_trials
 from accept.trials.schema_trials import list_schema_trials
 from accept.trials.trial import ON_CASE, Trial
-from accept.trials.try_all import Verdict, try_all, try_apart
-from accept.trials.watched_worker import LIMIT_S
+from accept.trials.try_all import Verdict, try_all, try_apart, try_one
+from accept.trials.watched_worker import LIMIT_S, Ended, Worker
 from bench.support.rows import Row, append_result
 
 FEWEST_KINDS, N_MUTANTS = 450, 300
 EVERY_APART = 60
 """Of so many kinds on case files one is tried once more, each command a process of its own, on one and two ranks."""
+
+LONGEST, MOST_MIB = 10.0, 1024
+"""Seconds and memory that a command may take to refuse a large image: decoding it took 28 s and 2.7 GiB."""
 
 SMOKE_KINDS, SMOKE_MUTANTS, SMOKE_APART = 12, 1, 1
 SEED = 18
@@ -31,9 +37,9 @@ def list_bad_inputs() -> list[Trial]:
     Returns
     -------
     list of Trial
-        Of the schema's keys, of files, of command lines.
+        Of the schema's keys, of files, of results, of command lines.
     """
-    return [*list_schema_trials(), *list_file_trials(), *list_command_trials()]
+    return [*list_schema_trials(), *list_file_trials(), *list_result_trials(), *list_command_trials()]
 
 
 def choose_sample(trials: Sequence[Trial], n_chosen: int) -> list[Trial]:
@@ -101,6 +107,44 @@ def measure_mutants(scale: Scale) -> list[Row]:
     bound = f"no crash, no traceback, no hang over {LIMIT_S:g} s, memory below 2 GiB"
     return [_row(f"{n_mutants} damaged files: {kind}", bound, verdicts[first:first + n_mutants])
             for kind, first in zip(DAMAGED, range(0, len(mutants), n_mutants), strict=True)]
+
+
+def measure_unusual_images(scale: Scale) -> list[Row]:
+    """Give images to ``ddic`` that are intact, and too large, blank or without a codec.
+
+    Parameters
+    ----------
+    scale : Scale
+        A smoke run does the same, and judges neither times nor memory.
+
+    Returns
+    -------
+    list of Row
+        How large ones are refused, by which time and memory; what is said of the codec.
+    """
+    large, ended = _watch(list_large_images(), scale.folder("trials"))
+    cost = ", ".join(f"{one.seconds:.1f} s and {one.peak / 2**20:.0f} MiB" for one in ended)
+    what = f"{' and '.join(one.trial.name for one in large)}, a mesh all over them"
+    within = all(one.seconds <= LONGEST and 0 < one.peak <= MOST_MIB * 2**20 for one in ended)
+    uncoded, said = _watch(list_uncoded_images(), scale.folder("trials"))
+    lines = [line for one in said for line in one.stderr.splitlines()]
+    is_named = all("ZSTD" in line and "damaged" not in line for line in lines) and len(lines) == len(said)
+    return [_row(f"{what}: ddic check and run", "exit code 2, one line an image, nothing written", large),
+            Row(f"{what}: each command", f"<= {LONGEST:g} s, <= {MOST_MIB} MiB", cost, within, judged_small=False),
+            _row(f"{uncoded[0].trial.name}: ddic check, run, info", "exit code 2, one line, nothing written", uncoded),
+            Row(f"{uncoded[0].trial.name}: what they say", "each names ZSTD, and none calls the file damaged",
+                f"{len(lines)} lines: {lines[-1] if lines else 'none'}", is_named)]
+
+
+def _watch(trials: Sequence[Trial], folder: Path) -> tuple[list[Verdict], list[Ended]]:
+    """What came of trials one after the other, and how each command ended."""
+    good, ended = make_good_folder(folder / "good"), []
+    with Worker() as worker:
+        def run(inside: Path, arguments: Sequence[str], trial: Trial) -> Ended:
+            ended.append(worker.run(inside, arguments, trial.environment))
+            return ended[-1]
+
+        return [try_one(trial, good, folder / "place_watched", run) for trial in trials], ended
 
 
 def _row(check: str, bound: str, verdicts: Sequence[Verdict], enough: bool = True) -> Row:

@@ -6,11 +6,11 @@ import shutil
 import subprocess
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from accept.support.launcher_lines import drop_launcher_lines
+from accept.support.small_disk import small_disk
 from accept.table import Scale
 from bench.support.rows import Row
 from bench.support.runs import NotHereError, ddic, ddic_command, environment, images
@@ -55,11 +55,10 @@ class Job:
     def start(self, n_ranks: int, limit_kib: int | None) -> tuple[int, list[str], float]:
         """Run it; exit code, ddic's lines on standard error, seconds."""
         command = [ddic_command(), *self.words]
-        if limit_kib is not None:
-            # Of the ranks alone: the launcher has files of its own.
-            command = ["bash", "-c", f'ulimit -f {limit_kib}; exec "$0" "$@"', *command]
         if n_ranks > 1:
             command = ["mpiexec", "-n", str(n_ranks), *command]
+        if limit_kib is not None:
+            command = ["bash", "-c", f'ulimit -f {limit_kib}; exec "$0" "$@"', *command]
         began = time.perf_counter()
         done = subprocess.run(["timeout", "-k", "5", str(HANGS), *command], env=environment(), text=True,
                               capture_output=True, check=False)
@@ -84,7 +83,7 @@ def measure_full_disks(scale: Scale) -> list[Row]:
     (folder / "limited").mkdir(parents=True)
     rows = [_measure_limits(folder, scale)]
     try:
-        with _mounted(folder / "disk"):
+        with small_disk(folder / "disk", DISK_KIB):
             rows.append(_measure_disks(folder, scale))
     except NotHereError as error:
         rows.append(Row("a full disk", "measured", f"not measured: {error}", False, judged_small=False))
@@ -214,20 +213,3 @@ def _judge(what: str, trials: Sequence[Sequence[str]]) -> Row:
     return Row(f"{what}: run at {N_SIZES} sizes on 1 and 2 ranks, six other commands at 2",
                f"exit code 1, one line, within {LONGEST:g} s, the older files intact, nothing left but "
                "frames that a series has finished, from which it is resumed", found, not wrong)
-
-
-@contextmanager
-def _mounted(folder: Path) -> Iterator[None]:
-    """A small disk in memory; NotHereError where this user may not have one."""
-    folder.mkdir()
-    try:
-        done = subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={DISK_KIB}k", "tmpfs", str(folder)], text=True,
-                              capture_output=True, check=False)
-    except OSError as error:
-        raise NotHereError(f"there is no mount here ({error})") from error
-    if done.returncode:
-        raise NotHereError(f"no disk can be mounted ({done.stderr.strip()})")
-    try:
-        yield
-    finally:
-        subprocess.run(["umount", str(folder)], check=True)

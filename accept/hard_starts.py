@@ -34,9 +34,11 @@ RIGHT_PX = 0.3
 """Largest error of a node, pixels, of a field that counts as right."""
 
 N_RANDOM, FEWEST_RIGHT = 300, 299
-RANDOM_SIDE, RANDOM_REGION, RANDOM_ELEMENT = 900, 180, 20
-"""Sides of the images, of the region in their middle, and of the elements, two of the largest speckles wide; pixels."""
+RANDOM_SIDE, RANDOM_REGION, RANDOM_ELEMENT = 900, 180, 16
+"""Sides of the images, of the region in their middle, and of the elements, those of the documentation; pixels."""
 LARGEST_DISPLACEMENT, LARGEST_GRADIENT = 0.4, 0.15
+GRADIENT_STEP = 6
+"""Distance of the points of the region at which gradients are taken, pixels: a fiftieth of the shortest wave."""
 TORN = 60.0
 
 
@@ -154,9 +156,10 @@ def measure_random(scale: Scale) -> list[Row]:
     n_right, wrong, refused = 0, [], []
     low, high = (RANDOM_SIDE - RANDOM_REGION) / 2, (RANDOM_SIDE + RANDOM_REGION) / 2
     mesh = ddic.structured_mesh((low, low, high, high), RANDOM_ELEMENT)
-    for seed in range(n_fields):
+    gradients = LARGEST_GRADIENT * np.arange(1, n_fields + 1) / n_fields
+    for seed, gradient in enumerate(gradients):
         random = np.random.default_rng(seed)
-        deformation = _make_random(random)
+        deformation = make_random(random, float(gradient))
         camera = Camera((RANDOM_SIDE, RANDOM_SIDE), noise=random.uniform(0, 4), bits=int(random.choice([8, 16])),
                         speckle=random.uniform(3, 8) / 4.8, seed=seed)
         found = measure_deformed(render_deformed(deformation, camera), mesh, deformation)
@@ -169,33 +172,53 @@ def measure_random(scale: Scale) -> list[Row]:
         else:
             n_right += 1
     told = f"{n_right} right; not converged: {refused or 'none'}; wrong: {', '.join(wrong) or 'none'}"
-    return [Row(f"{n_fields} random smooth fields: displacement to {LARGEST_DISPLACEMENT:.0%} of the image, gradient "
-                f"to {LARGEST_GRADIENT:.0%}, 8 and 16 bit, noise of 0 to 4 grey levels, speckle of 3 to 8 px",
+    return [Row(f"{n_fields} random smooth fields: displacement to {LARGEST_DISPLACEMENT:.0%} of the image, largest "
+                f"gradient {gradients[0]:.3%} to {gradients[-1]:.0%} in equal steps, 8 and 16 bit, noise of 0 to 4 "
+                f"grey levels, speckle of 3 to 8 px, {RANDOM_ELEMENT}-px elements",
                 f"{FEWEST_RIGHT} of {N_RANDOM} right; none converged with a node off by more than {RIGHT_PX} px", told,
                 n_right >= FEWEST_RIGHT * n_fields / N_RANDOM and not wrong)]
 
 
-def _make_random(random: np.random.Generator) -> Deformation:
-    """A translation, a gradient and three waves; rotations are among the gradients."""
+def make_random(random: np.random.Generator, largest: float) -> Deformation:
+    """Make a translation, a gradient and three waves; rotations are among the gradients.
+
+    Parameters
+    ----------
+    random : Generator
+        Draws it.
+    largest : float
+        Largest spectral norm of du_i/dx_j in the region.
+
+    Returns
+    -------
+    Deformation
+        Of the whole image.
+    """
     angle, share = random.uniform(0, 2 * np.pi), random.uniform()
     translation = share * LARGEST_DISPLACEMENT * RANDOM_SIDE * np.array([np.cos(angle), np.sin(angle)])
     # Room for the region's own displacement, so that it stays in the image.
     translation *= 1 - 0.15 * RANDOM_REGION / (LARGEST_DISPLACEMENT * RANDOM_SIDE)
     gradient = random.uniform(-1, 1, (2, 2))
     waves = [(random.uniform(-1, 1, 2), random.uniform(-1, 1, 2), random.uniform(0, 2 * np.pi)) for _ in range(3)]
-    total = np.linalg.norm(gradient, 2) + sum(float(np.linalg.norm(d) * np.linalg.norm(k)) for d, k, _ in waves)
-    factor = random.uniform() * LARGEST_GRADIENT / total
     centre = np.full(2, RANDOM_SIDE / 2)
     # Waves of 300 px and longer.
     number = 2 * np.pi / 300
 
-    def displacement(points: Array) -> Array:
-        u = translation + factor * (points - centre) @ gradient.T
+    def shape(points: Array) -> Array:
+        u = (points - centre) @ gradient.T
         for direction, k, phase in waves:
-            u = u + factor / number * np.sin(number * (points - centre) @ k + phase)[:, None] * direction
+            u = u + np.sin(number * (points - centre) @ k + phase)[:, None] * direction / number
         return np.asarray(u)
 
-    return Deformation(displacement)
+    factor = largest / measure_largest_gradient(Deformation(shape))
+    return Deformation(lambda points: translation + factor * shape(points))
+
+
+def measure_largest_gradient(deformation: Deformation) -> float:
+    """Largest spectral norm of du_i/dx_j in the region of random fields."""
+    along = (RANDOM_SIDE - RANDOM_REGION) / 2 + np.arange(0.0, RANDOM_REGION + 1, GRADIENT_STEP)
+    points = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
+    return float(np.linalg.norm(deformation.gradient(points), 2, axis=(1, 2)).max())
 
 
 def measure_small_elements(scale: Scale) -> list[Row]:

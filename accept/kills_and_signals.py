@@ -27,6 +27,12 @@ SIGNALS = (signal.SIGKILL, *STOPPING, *ENDING)
 
 STARTING, COMPUTING, WRITING = MOMENTS = ("the first two seconds", "computing", "writing")
 
+MOST_LATE = 0.25
+"""Share of the signals but SIGKILL after which a run may end as if there had been none, since it was past its last
+iteration."""
+MOST_BEFORE = 0.05
+"""Share of them that may end it before it has learnt what they mean."""
+
 _SEED = 18
 _POLL = 0.002
 
@@ -45,6 +51,15 @@ class _Trial:
         return f"{self.number.name} to rank {self.rank} of {self.n_ranks}, {self.moment}, {self.delay:.2f} s"
 
 
+@dataclass(frozen=True)
+class _Outcome:
+    """What became of a trial: the job, whether the rank ran when it was signalled, whether a new result is there."""
+
+    ended: Ended
+    was_reached: bool
+    is_measured: bool
+
+
 def measure_kills_and_signals(scale: Scale) -> list[Row]:
     """Kill or signal runs over an older result at random times.
 
@@ -56,7 +71,7 @@ def measure_kills_and_signals(scale: Scale) -> list[Row]:
     Returns
     -------
     list of Row
-        One row.
+        Faults, and how often a signal came too late or too early to be obeyed.
     """
     folder = scale.folder("kills_and_signals")
     prepare_case(folder)
@@ -64,12 +79,16 @@ def measure_kills_and_signals(scale: Scale) -> list[Row]:
     older = _measure_older(folder)
     draw = random.Random(_SEED)
     faults, slowest, codes, n_dirty = list[str](), 0.0, Counter[str](), 0
+    signalled: list[int] = []
     for number in range(N_SMOKE_TRIALS if scale.smoke else N_TRIALS):
         trial = _draw(draw, MOMENTS[number % len(MOMENTS)])
-        ended = _try(trial, folder)
+        outcome = _try(trial, folder)
+        ended = outcome.ended
         slowest = max(slowest, ended.seconds)
         codes[f"{trial.number.name} {ended.code}"] += 1
-        found = _judge(trial, ended, folder, older)
+        if outcome.was_reached and trial.number != signal.SIGKILL:
+            signalled.append(ended.code)
+        found = _judge(trial, outcome, folder, older)
         if list_hidden(folder):
             n_dirty += 1
             found += _run_again(folder)
@@ -80,10 +99,22 @@ def measure_kills_and_signals(scale: Scale) -> list[Row]:
     told = ", ".join(f"{name}: {count}" for name, count in sorted(codes.items()))
     what = f"{sum(codes.values())} kills and signals, a third each in {', '.join(MOMENTS)}, alone and on 1-4 ranks"
     return [Row(what,
-                f"all processes gone within {LONGEST:g} s, result whole or absent, the older one intact, exit codes as "
-                "documented, one line; the next run leaves the folder clean",
+                f"all processes gone within {LONGEST:g} s, result whole or absent, the older one intact, one line; "
+                "exit codes 3 (stopped), 130 (ended), 137 (killed), 0 where a new result is there, the signal's own "
+                "before ddic has begun; the next run leaves the folder clean",
                 f"slowest {slowest:.1f} s; {len(faults)} faults{'; '.join(['', *faults[:3]])}; {n_dirty} left "
-                f"something for the next run to remove; codes {told}", not faults)]
+                f"something for the next run to remove; codes {told}", not faults), _count_obeyed(signalled)]
+
+
+def _count_obeyed(codes: list[int]) -> Row:
+    """How many of the signals but SIGKILL that reached a rank were obeyed, by the exit codes that followed."""
+    n_late, n_obeyed = codes.count(0), sum(code in (3, 130) for code in codes)
+    n_before = len(codes) - n_late - n_obeyed
+    return Row(f"signals but SIGKILL that reach a rank: {len(codes)}",
+               f"at most {MOST_LATE:.0%} change nothing (exit code 0), at most {MOST_BEFORE:.0%} end it before it "
+               "knows them (128 and the signal), all others are obeyed (3 or 130)",
+               f"{n_late} change nothing, {n_before} end it before, {n_obeyed} are obeyed",
+               n_late <= MOST_LATE * len(codes) and n_before <= MOST_BEFORE * len(codes), judged_small=False)
 
 
 def _draw(draw: random.Random, moment: str) -> _Trial:
@@ -107,8 +138,9 @@ def _measure_older(folder: Path) -> bytes:
     return (folder / "result.vtkhdf").read_bytes()
 
 
-def _try(trial: _Trial, folder: Path) -> Ended:
+def _try(trial: _Trial, folder: Path) -> _Outcome:
     """Run, and signal one rank."""
+    was_reached = False
     with Job(trial.n_ranks, [*DDIC, "run", "case.toml"], folder) as job:
         while job.is_running() and not _has_come(trial, job, folder):
             time.sleep(_POLL)
@@ -116,8 +148,9 @@ def _try(trial: _Trial, folder: Path) -> Ended:
         ranks = job.list_ranks()
         if trial.rank < len(ranks):
             with suppress(psutil.NoSuchProcess):
+                was_reached = ranks[trial.rank].status() != psutil.STATUS_ZOMBIE
                 ranks[trial.rank].send_signal(trial.number)
-        return job.wait()
+        return _Outcome(job.wait(), was_reached, (folder / "result.json").is_file())
 
 
 def _has_come(trial: _Trial, job: Job, folder: Path) -> bool:
@@ -134,23 +167,29 @@ def _has_come(trial: _Trial, job: Job, folder: Path) -> bool:
         return False
 
 
-def _judge(trial: _Trial, ended: Ended, folder: Path, older: bytes) -> list[str]:
+def _judge(trial: _Trial, outcome: _Outcome, folder: Path, older: bytes) -> list[str]:
     """What is wrong after a trial."""
-    faults = []
+    faults, ended = [], outcome.ended
     if ended.seconds > LONGEST:
         faults.append(f"gone after {ended.seconds:.1f} s")
-    if ended.code not in _list_codes(trial):
+    if ended.code not in _list_codes(trial, outcome):
         faults.append(f"exit code {ended.code}")
     if len(ended.lines) > 1 or any("Traceback" in line for line in ended.lines):
         faults.append(f"{len(ended.lines)} lines, the first: {ended.lines[0][:80]}")
     return [*faults, *_judge_results(folder, older, ended.code)]
 
 
-def _list_codes(trial: _Trial) -> tuple[int, ...]:
-    """Exit codes that are documented: 0 where the run was over, and the system's own before ddic has begun."""
-    of_system = {128 + trial.number, -trial.number}
-    ended = () if trial.number == signal.SIGKILL else (3,) if trial.number in STOPPING else (130,)
-    return (0, *ended, *(of_system if trial.number == signal.SIGKILL or trial.moment == STARTING else ()))
+def _list_codes(trial: _Trial, outcome: _Outcome) -> tuple[int, ...]:
+    """Exit codes that are documented: 0 where the run came to its end, and the system's own before ddic has begun."""
+    if not outcome.was_reached:
+        return (0,)
+    of_system = (128 + trial.number, -trial.number)
+    if trial.number == signal.SIGKILL:
+        obeyed: tuple[int, ...] = of_system
+    else:
+        of_ddic = 3 if trial.number in STOPPING else 130
+        obeyed = (of_ddic, *of_system) if trial.moment == STARTING else (of_ddic,)
+    return (0, *obeyed) if outcome.is_measured else obeyed
 
 
 def _judge_results(folder: Path, older: bytes, code: int) -> list[str]:

@@ -32,6 +32,9 @@ default)."""
 GREY = 128
 """Grey level of a part without texture."""
 
+DEFAULTS_OF = "c99c72f"
+"""Commit whose fields are recorded by defaults: what is excluded, corrected and spread over edges is chosen there."""
+
 MASKS_KEPT_APART = "c7c6601"
 """Commit from which on what lies under a mask reaches no pixel that counts: fields beside masks were off by up to
 3e-3 px before."""

@@ -1,4 +1,4 @@
-"""Rules of the source that a reader feels: short recipes, few parameters, collective calls in one place."""
+"""Rules of the source that a reader feels: modules of one chapter's length, collective calls in one place."""
 
 from __future__ import annotations
 
@@ -16,19 +16,14 @@ from bench.support.rows import Row
 from bench.support.runs import ROOT
 
 SOURCE = ROOT / "src" / "ddic"
-MOST_LINES, MOST_IMPORTS = 120, 12
-"""Of a recipe: lines, and imports from ddic."""
-
-MOST_PARAMETERS = 6
-"""Of a function; kernels and the command line may have more."""
+MOST_CODE_LINES, LONG_BY_NATURE = 400, ("pixel_kernels", "schema")
+"""Of a module: lines of code; and modules that are one list or one kernel from end to end."""
 
 RAW_COMM = re.compile(r"\b_?comm\.\w+\(")
 """A call of a communicator's own method."""
 
 LOOKS_AT_FRAMES, MORE_CODE_AT = ("problem", "methods", "start"), "f43a80d"
 """Packages that look at frames, and the commit that they were last too large at."""
-
-FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 
 
 def measure_source(scale: Scale) -> list[Row]:
@@ -45,15 +40,14 @@ def measure_source(scale: Scale) -> list[Row]:
         One for each rule.
     """
     del scale
-    recipes = [found for path in sorted((SOURCE / "methods").glob("*.py")) for found in _long_recipe(path)]
     files = sorted(SOURCE.rglob("*.py"))
-    many = [found for path in files for found in _many_parameters(path)]
+    sizes = {path: count_code_lines(path.read_text(encoding="utf-8")) for path in files
+             if path.stem not in LONG_BY_NATURE}
+    largest = max(sizes, key=lambda path: sizes[path])
     raw = [found for path in files if "parallel" not in path.parts for found in _raw_calls(path)]
     return [
-        Row("recipes: files of methods/", f"at most {MOST_LINES} lines and {MOST_IMPORTS} imports from ddic each",
-            _listed(recipes), not recipes),
-        Row("functions of src/ but kernels and the command line", f"at most {MOST_PARAMETERS} parameters",
-            _listed(many), not many),
+        Row(f"largest module of src/ but {' and '.join(LONG_BY_NATURE)}", f"at most {MOST_CODE_LINES} lines of code",
+            f"{largest.relative_to(SOURCE)}: {sizes[largest]}", sizes[largest] <= MOST_CODE_LINES),
         Row("calls of a communicator outside parallel/", "none", _listed(raw), not raw),
     ]
 
@@ -113,30 +107,6 @@ def count_code_lines(text: str) -> int:
 def _is_bare_text(node: ast.AST) -> TypeGuard[ast.Expr]:
     """Docstrings, and texts that describe what stands above them."""
     return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
-
-
-def _long_recipe(path: Path) -> Iterator[str]:
-    text = path.read_text(encoding="utf-8")
-    n_lines = len(text.splitlines())
-    imports = [node for node in ast.walk(ast.parse(text))
-               if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("ddic")]
-    if n_lines > MOST_LINES or len(imports) > MOST_IMPORTS:
-        yield f"{path.name} has {n_lines} lines, {len(imports)} imports"
-
-
-def _many_parameters(path: Path) -> Iterator[str]:
-    # A readable kernel takes what the compiled one takes, which it explains.
-    if "cli" in path.parts or "kernels" in path.stem:
-        return
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if not isinstance(node, FUNCTIONS):
-            continue
-        if any("njit" in ast.unparse(decorator) for decorator in node.decorator_list):
-            continue
-        arguments = node.args.posonlyargs + node.args.args + node.args.kwonlyargs
-        count = sum(argument.arg not in ("self", "cls") for argument in arguments)
-        if count > MOST_PARAMETERS:
-            yield f"{path.relative_to(SOURCE)}:{node.name} has {count}"
 
 
 def _raw_calls(path: Path) -> Iterator[str]:

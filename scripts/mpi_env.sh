@@ -19,4 +19,8 @@ export OMPI_MCA_mpi_yield_when_idle="${OMPI_MCA_mpi_yield_when_idle:-1}"
 export PRTE_MCA_rmaps_default_mapping_policy="${PRTE_MCA_rmaps_default_mapping_policy:-:oversubscribe}"
 export PRTE_MCA_hwloc_default_binding_policy="${PRTE_MCA_hwloc_default_binding_policy:-none}"
 
+# What mpirun has to tell its ranks goes through memory of its own. By default PMIx maps files of megabytes in $TMPDIR,
+# and where these are refused (a full /tmp, ulimit -f) mpirun waits for ever before it starts a rank.
+export PMIX_MCA_gds="${PMIX_MCA_gds:-hash}"
+
 export MPIEXEC="${MPIEXEC:-mpiexec}"

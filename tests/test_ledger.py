@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from accept import all_tables, ledger, smoke, table
+from accept.all_tables import Stale
 from accept.documents import measure_equations
 from accept.ledger import Entry, forget_all_but, keep_rows, read_ledger
 from accept.near_far import measure_dual
@@ -93,6 +94,7 @@ def test_the_ledger_replaces_the_rows_of_a_check(tmp_path: Path) -> None:
 def test_missing_and_missed_rows_are_judged(monkeypatch: pytest.MonkeyPatch,
                                             capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(all_tables, "list_checks", lambda: [("start", "a"), ("start", "b")])
+    monkeypatch.setattr(all_tables, "list_stale", lambda _: [])
     monkeypatch.setattr(all_tables, "OPEN", {})
     a, b = (Entry("start", name, "an error", "<= 1 px", "2 px", name == "a", "1234", "2026-01-01", 1.0)
             for name in "ab")
@@ -109,6 +111,16 @@ def test_missing_and_missed_rows_are_judged(monkeypatch: pytest.MonkeyPatch,
     assert all_tables.judge([a, held]) == 1
     assert "start b; remove it from accept/open_rows.py" in capsys.readouterr().out
     assert all_tables.judge([a]) == 1
+
+
+def test_rows_of_other_code_than_the_last_commit_s_are_counted(monkeypatch: pytest.MonkeyPatch,
+                                                               capsys: pytest.CaptureFixture[str]) -> None:
+    a = Entry("start", "a", "an error", "<= 1 px", "0.5 px", True, "1234", "2026-01-01", 1.0)
+    monkeypatch.setattr(all_tables, "list_checks", lambda: [("start", "a")])
+    monkeypatch.setattr(all_tables, "OPEN", {})
+    monkeypatch.setattr(all_tables, "list_stale", lambda _: [Stale(("start", "a"), a, ["src/ddic/errors.py"])])
+    assert all_tables.judge([a]) == 0
+    assert "1 are older than their code" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(("printed", "failed", "code", "told"), [

@@ -67,14 +67,14 @@ def render_crack(crack: Crack, size: int, noise: float, seed: int = 0) -> tuple[
     noise : float
         Standard deviation, grey levels of 256.
     seed : int
-        Of the noise.
+        Of the speckle and the noise.
 
     Returns
     -------
     reference, deformed : (size, size) uint16 array
         In the gap between the faces, the deformed image shows anything.
     """
-    texture, random = SpeckleTexture(3), np.random.default_rng(seed)
+    texture, random = SpeckleTexture(3 + seed), np.random.default_rng(seed)
     y, x = np.mgrid[0:size, 0:size].astype(float)
     points = np.column_stack([x.ravel(), y.ravel()])
     origins = points

@@ -21,7 +21,7 @@ GOOD: Mapping[str, tuple[str, ...]] = {
 }
 """Arguments with which a command succeeds; a command that is not here is tried without any."""
 
-BAD_WORDS = ("", "nan", "-inf", "1e308", "-1", "0", "2x", "a\tb", "9" * 5000, "a" * 300)
+BAD_WORDS = ("", "nan", "-inf", "1e308", "-1", "0", "2x", "a\tb", "9" * 5000, "a" * 300, "10x" + "9" * 20)
 BAD_FILES = ("missing.odd", ".", "mask.png", "points.csv", CASE_FILE, "earlier.pair.residual.vtkhdf", NAME, "")
 NO_UTF8 = "\udcff"
 """A byte that is no UTF-8, as Python has it among a command's arguments."""

@@ -1,4 +1,4 @@
-"""Kinds of bad files: images, masks, meshes, partitions, mappings, points, results, in every place that takes them."""
+"""Kinds of bad files: images, masks, meshes, partitions, mappings, points, in every place that takes them."""
 
 from __future__ import annotations
 
@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import h5py
 import meshio
 import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
 from accept.trials.good_case import NEAR, OF_MESH_FILE, PAIR, REGULARIZED, SIDE
-from accept.trials.trial import CASE_FILE, Expected, Keys, Trial, change
+from accept.trials.trial import CASE_FILE, ON_CASE, Expected, Keys, Trial, change
 
 Pixels = NDArray[Any]
 Write = Callable[[Path], None]
@@ -24,6 +23,9 @@ WriteImage = Callable[[Path, Pixels], None]
 """Writes a good image in another form."""
 
 Change = Callable[[Pixels], Pixels]
+
+LARGE_PNG, LARGE_TIFF = 30_000, 100_000
+"""Sides of large images, pixels."""
 
 
 def list_file_trials() -> list[Trial]:
@@ -34,7 +36,40 @@ def list_file_trials() -> list[Trial]:
     list of Trial
         By kind of file.
     """
-    return [*_list_images(), *_list_meshes(), *_list_texts(), *_list_results(), *_list_case_files()]
+    return [*_list_images(), *_list_meshes(), *_list_texts(), *_list_case_files()]
+
+
+def list_large_images() -> list[Trial]:
+    """List pairs of large images with meshes all over them.
+
+    Returns
+    -------
+    list of Trial
+        A PNG, which can only be decoded whole, and a TIFF of zeros, which shows nothing wherever it is looked at.
+    """
+    return [_large_pair("a PNG of 30,000 x 30,000", LARGE_PNG),
+            _large_pair("a sparse TIFF of 100,000 x 100,000", LARGE_TIFF)]
+
+
+def _large_pair(name: str, side: int) -> Trial:
+    mesh = {"structured": {"region": [100, 100, side - 100, side - 100], "element_size": side // 10}}
+    case = {**PAIR, "images": {"reference": "odd.tif", "deformed": "odd_2.tif"}, "mesh": mesh}
+    edits = tuple(partial(_write_image, "reference.tif", IMAGES[name][0], file) for file in ("odd.tif", "odd_2.tif"))
+    return Trial(name, case, edits, expected="refused", n_mistakes=len(edits))
+
+
+def list_uncoded_images() -> list[Trial]:
+    """List images that are intact, and whose codec is not installed with ddic.
+
+    Returns
+    -------
+    list of Trial
+        One.
+    """
+    name = "an intact TIFF of zstandard"
+    edit = partial(_write_image, "reference.tif", IMAGES[name][0], "odd.tif")
+    return [Trial(name, change(PAIR, ("images", "reference"), "odd.tif"), (edit,), (*ON_CASE, ("info", "odd.tif")),
+                  expected="refused")]
 
 
 def _bytes(content: bytes) -> Write:
@@ -90,6 +125,52 @@ def _claiming_tiff(path: Path, pixels: Pixels) -> None:
     path.write_bytes(content)
 
 
+def _large_png(path: Path, pixels: Pixels) -> None:
+    """A whole PNG of LARGE_PNG x LARGE_PNG pixels, of 1000 rows again and again; compressing all would take seconds."""
+    n_bands = LARGE_PNG // 1000
+    band = np.zeros((1000, 1 + LARGE_PNG), np.uint8)
+    band[:, 1:] = np.tile(pixels, (1000 // SIDE + 1, LARGE_PNG // SIDE + 1))[:1000, :LARGE_PNG]
+    deflate, checksum = zlib.compressobj(1, wbits=-zlib.MAX_WBITS), 1
+    rows = band.tobytes()
+    packed = deflate.compress(rows) + deflate.flush(zlib.Z_FULL_FLUSH)
+    for _ in range(n_bands):
+        checksum = zlib.adler32(rows, checksum)
+    header = LARGE_PNG.to_bytes(4, "big") * 2 + bytes([8, 0, 0, 0, 0])
+    parts = [b"\x78\x01", *[packed] * n_bands, deflate.flush() + checksum.to_bytes(4, "big")]
+    chunks = [(b"IHDR", header), *((b"IDAT", part) for part in parts), (b"IEND", b"")]
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(
+        len(content).to_bytes(4, "big") + kind + content + zlib.crc32(kind + content).to_bytes(4, "big")
+        for kind, content in chunks))
+
+
+def _sparse_tiff(path: Path, pixels: Pixels) -> None:
+    """10 GB of zeros, LARGE_TIFF x LARGE_TIFF pixels, which take no room on the disk."""
+    side = LARGE_TIFF
+    tifffile.imwrite(path, pixels, bigtiff=True)
+    with tifffile.TiffFile(path, mode="r+b") as tiff:
+        tags = tiff.pages[0].tags
+        for name in ("ImageWidth", "ImageLength", "RowsPerStrip"):
+            tags[name].overwrite(side)
+        tags["StripByteCounts"].overwrite(side * side)
+    with path.open("r+b") as stream:
+        stream.truncate(path.stat().st_size + side * side)
+
+
+def _zstandard_tiff(path: Path, pixels: Pixels) -> None:
+    """An intact TIFF that is compressed by zstandard, in one block that is kept as it is."""
+    content = pixels.tobytes()
+    # First bytes of a frame, what its header holds, the size of all, then that of the last block, of kind 0.
+    frame = b"\x28\xb5\x2f\xfd\xa0" + len(content).to_bytes(4, "little") + (1 + 8 * len(content)).to_bytes(3, "little")
+    tifffile.imwrite(path, pixels, rowsperstrip=len(pixels))
+    with tifffile.TiffFile(path, mode="r+b") as tiff:
+        tags = tiff.pages[0].tags
+        tags["Compression"].overwrite(50000)
+        tags["StripOffsets"].overwrite(path.stat().st_size)
+        tags["StripByteCounts"].overwrite(len(frame) + len(content))
+    with path.open("ab") as stream:
+        stream.write(frame + content)
+
+
 def _with_infinite(pixels: Pixels) -> Pixels:
     changed = pixels.astype(np.float32)
     changed[50, 50] = np.inf
@@ -128,6 +209,9 @@ IMAGES: Mapping[str, tuple[WriteImage, Expected]] = {
     "a header of 4e9 x 4e9, TIFF": (_claiming_tiff, "refused"),
     "a TIFF's first bytes": (_content(b"II*\x00"), "refused"),
     "a TIFF whose pages go in a circle": (_content(b"II*\x00\x08\0\0\0\0\0\x08\0\0\0"), "refused"),
+    "a PNG of 30,000 x 30,000": (_large_png, "refused"),
+    "a sparse TIFF of 100,000 x 100,000": (_sparse_tiff, "refused"),
+    "an intact TIFF of zstandard": (_zstandard_tiff, "refused"),
     "nothing but zeros": (_content(bytes(9000)), "refused"),
     "a mesh": (_content(b"$MeshFormat\n2.2 0 8\n$EndMeshFormat\n"), "refused"),
     "an archive": (_content(b"PK\x03\x04" + bytes(3000)), "refused"),
@@ -158,15 +242,15 @@ def _list_images() -> Iterator[Trial]:
         for name, (write, expected) in IMAGES.items():
             # What a mask or a picture at rest shows may be any grey levels, of one page of them.
             may_be = keys[-1] in MASKS and name.startswith(("of ", "in ", "with ", "signed"))
-            edits = (partial(_write_image, str(GOOD_IMAGES.get(keys, "mask.png")), write),)
+            edits = (partial(_write_image, str(GOOD_IMAGES.get(keys, "mask.png")), write, "odd.tif"),)
             yield Trial(f"{'.'.join(keys)} is {name}", change(case, keys, "odd.tif"), edits,
                         expected="may fail" if may_be else expected, n_mistakes=OF_SIZE)
 
 
-def _write_image(good: str, write: WriteImage, folder: Path) -> None:
+def _write_image(good: str, write: WriteImage, file: str, folder: Path) -> None:
     pixels = cv2.imread(str(folder / good), cv2.IMREAD_UNCHANGED)
     assert pixels is not None
-    write(folder / "odd.tif", pixels)
+    write(folder / file, pixels)
 
 
 def _write(name: str, write: Write, folder: Path) -> None:
@@ -291,53 +375,6 @@ def _change_line(number: int, new: str | None, folder: Path) -> None:
     place = of_keys[number % len(of_keys)]
     lines[place] = "" if new is None else f"{lines[place].partition('=')[0]} = {new}"
     (folder / "odd.toml").write_text("\n".join(lines), encoding="utf-8")
-
-
-RESULTS: Mapping[str, Expected] = {"removed": "refused or measured", "emptied": "refused or measured",
-                                   "made words": "refused or measured", "made nan": "refused or measured",
-                                   "halved": "refused or measured", "made one number": "refused or measured"}
-NEEDED = ("VTKHDF", "VTKHDF/Points", "VTKHDF/Types", "VTKHDF/Offsets", "VTKHDF/Connectivity", "VTKHDF/NumberOfPoints",
-          "VTKHDF/NumberOfCells", "VTKHDF/NumberOfConnectivityIds", "VTKHDF/PointData", "VTKHDF/PointData/displacement",
-          "VTKHDF/PointData/GlobalNodeId", "VTKHDF/CellData", "VTKHDF/CellData/GlobalCellId",
-          "VTKHDF/CellData/SubdomainId", "VTKHDF/CellData/residual_rms", "VTKHDF/CellData/excluded", "case", "units",
-          "time", "provenance", "history", "history/gauss_newton", "residual_image", "residual_image/residual")
-"""Groups and datasets of a result, which one after the other are damaged."""
-
-
-def _list_results() -> Iterator[Trial]:
-    case = change(PAIR, ("start", "from_result"), "odd.vtkhdf")
-    commands = (("check", CASE_FILE), ("run", CASE_FILE), ("info", "odd.vtkhdf"),
-                ("export", "odd.vtkhdf", "--csv", "table.csv"), ("probe", "odd.vtkhdf", "--point", "40,40"))
-    for place in NEEDED:
-        for name, expected in RESULTS.items():
-            yield Trial(f"{place} of a result {name}", case, (partial(_damage, place, name),), commands, expected)
-    for name, write in (("an image", _tiff(NO_SPECKLE)), ("text", _text("no")), ("empty", _bytes(b"")),
-                        ("HDF5's first bytes", _bytes(b"\x89HDF\r\n\x1a\n"))):
-        yield Trial(f"start.from_result is {name}", case, (partial(_write, "odd.vtkhdf", write),), expected="refused")
-    for file in ("earlier.pair.residual.vtkhdf", "mask.png", CASE_FILE):
-        yield Trial(f"start.from_result = {file}", change(PAIR, ("start", "from_result"), file), expected="refused")
-    of_frame = change(PAIR, ("start",), {"from_result": "earlier.series.vtkhdf", "frame": 9})
-    yield Trial("start.frame that is none of the series", of_frame, expected="refused")
-
-
-def _damage(place: str, name: str, folder: Path) -> None:
-    target = folder / "odd.vtkhdf"
-    target.write_bytes((folder / "earlier.pair.vtkhdf").read_bytes())
-    with h5py.File(target, "r+") as file:
-        item = file[place]
-        old = item[...] if isinstance(item, h5py.Dataset) else None
-        if name == "made nan" and old is not None and old.dtype.kind == "f":
-            item[...] = np.nan
-            return
-        del file[place]
-        if name == "emptied":
-            file.create_group(place) if old is None else file.create_dataset(place, data=old[:0])
-        elif name == "made words":
-            file[place] = ["a", "b"]
-        elif name == "made one number":
-            file[place] = 1.0
-        elif name == "halved" and old is not None:
-            file[place] = old[:len(old) // 2]
 
 
 CASES: Mapping[str, bytes] = {

@@ -14,6 +14,8 @@ ddic=/path/to/ddic/.venv/bin/ddic
 case_file=/path/to/measurement/case.toml
 
 export OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
+# Else mpirun waits for ever where files in $TMPDIR are refused: a full /tmp, ulimit -f.
+export PMIX_MCA_gds="${PMIX_MCA_gds:-hash}"
 
 log="ddic-$$.log"
 # mpirun passes SIGUSR1 on to all ranks, which stop after the iteration at hand; the exit code stays ddic's.

@@ -25,6 +25,8 @@ ranks=$(wc -l <"$machines")
 
 cd "${PBS_O_WORKDIR:-.}" || exit 1
 export OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
+# Else mpirun waits for ever where files in $TMPDIR are refused: a full /tmp, ulimit -f.
+export PMIX_MCA_gds="${PMIX_MCA_gds:-hash}"
 
 # PBS keeps a job's output to itself until the end; here it can be read while it grows.
 log="ddic-${PBS_JOBID:-$$}.log"

@@ -23,6 +23,8 @@ case_file=/path/to/measurement/case.toml
 # Or: sbatch --export=ALL,DDIC_LAUNCH="srun --mpi=pmix" job.sh
 read -ra launch <<<"${DDIC_LAUNCH:-mpirun}"
 export OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
+# Else mpirun waits for ever where files in $TMPDIR are refused: a full /tmp, ulimit -f.
+export PMIX_MCA_gds="${PMIX_MCA_gds:-hash}"
 # A rank that cannot start ends the job: srun would leave the others waiting for it.
 export SLURM_KILL_BAD_EXIT=1
 

@@ -290,6 +290,14 @@ def test_sessions(pair: Pair, mesh: ddic.Mesh) -> None:
     assert "session: it is closed" in told(lambda: session.n_factorized)
 
 
+@pytest.mark.parametrize(("read", "what"), [
+    (ddic.load_case, "case file"), (ddic.load_probes, "file of probes"), (ddic.open, "result"),
+    (ddic.open_series, "result"), (ddic.choose_regularization, "case")])
+@pytest.mark.parametrize("given", [None, 3])
+def test_no_name_of_a_file(read: Callable[[Any], object], what: str, given: object) -> None:
+    assert told(lambda: read(given)) == f"{what}: {type(given).__name__} given, the name of a file expected"
+
+
 def test_results(pair: Pair, mesh: ddic.Mesh, tmp_path: Path) -> None:
     assert "no such result file" in told(lambda: ddic.open("no_such.vtkhdf"))
     assert "no such result file" in told(lambda: ddic.open(tmp_path))

@@ -71,6 +71,24 @@ def test_images_of_the_user_stay_as_they_are(pair: Pair, mesh: ddic.Mesh) -> Non
     deformed[0, 0] = 0
 
 
+@pytest.mark.parametrize("wrap", [np.asarray, ddic.Image, lambda image: np.ma.masked_array(image, mask=False)],
+                         ids=["array", "Image", "masked array"])
+def test_what_is_written_into_an_image_after_prepare_changes_nothing(pair: Pair, mesh: ddic.Mesh,
+                                                                     measured: ddic.Result, wrap: Any) -> None:
+    reference = pair[0].copy()
+    with ddic.prepare(wrap(reference), mesh) as session:
+        reference[:] = reference[::-1]
+        assert np.array_equal(session.measure(pair[1]).displacement, measured.displacement)
+
+
+def test_a_mesh_that_waits_for_its_line_is_kept_as_it_was(pair: Pair, mesh: ddic.Mesh) -> None:
+    given, options = copy.deepcopy(mesh), {"discontinuity": "detect"}
+    with ddic.prepare(pair[0], given, options=options) as session:
+        given.nodes[:] += 3
+        result = session.measure(pair[1])
+    assert np.array_equal(result.mesh.nodes, mesh.nodes)
+
+
 def test_files(files: tuple[Path, Path], mesh: ddic.Mesh, measured: ddic.Result) -> None:
     for given in (files, tuple(map(str, files)), (ddic.Image(files[0]), files[1])):
         assert np.array_equal(ddic.measure(given, mesh).displacement, measured.displacement)
@@ -100,6 +118,22 @@ def test_nan_under_a_mask_and_in_a_masked_array(pair: Pair, mesh: ddic.Mesh, use
     by_array = ddic.measure([np.ma.masked_invalid(image) for image in spoiled], mesh, options=REGULARIZED)
     assert largest_error(by_mask) < WITHIN
     assert np.array_equal(by_mask.displacement, by_array.displacement)
+
+
+def test_a_mask_wider_than_elements_needs_no_regularization(pair: Pair, mesh: ddic.Mesh, case_file: Path) -> None:
+    used = np.ones(pair[0].shape, dtype=bool)
+    used[35:105, 55:125] = False
+    tifffile.imwrite(case_file.with_name("mask.tif"), used.astype(np.uint8))
+    text = case_file.read_text(encoding="utf-8").replace("[mesh", 'reference_mask = "mask.tif"\n[mesh', 1)
+    case_file.write_text(text.replace("[solver]\nsubdomains = 4\n", ""), encoding="utf-8")
+    with ddic.prepare(ddic.Image(pair[0], used), mesh) as session:
+        results = [session.measure(pair[1]), session.measure(pair[1])]
+    results += [ddic.measure(case_file), ddic.measure((np.ma.masked_array(pair[0], mask=~used), pair[1]), mesh)]
+    # 3 x 3 cells of 20 px lie under the mask whole; 2 x 2 nodes have no others.
+    for result in results:
+        assert np.isnan(result.displacement).any(axis=1).sum() == 4
+        assert np.nanmax(np.abs(result.displacement - move(result.mesh.nodes))) < 2 * WITHIN
+        assert np.allclose(result.displacement, results[0].displacement, rtol=0, atol=1e-9, equal_nan=True)
 
 
 def test_saturated_pixels_of_the_reference_image_count_in_no_image(pair: Pair, mesh: ddic.Mesh) -> None:

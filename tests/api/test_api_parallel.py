@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import ddic
 from ddic.errors import is_collective
-from support.small_pair import REGULARIZED, TIGHT, WITHIN, largest_error
+from support.small_pair import REGULARIZED, TIGHT, WITHIN, largest_error, move
 
 Pair = tuple[NDArray[np.uint8], NDArray[np.uint8]]
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -145,3 +145,14 @@ def test_own_kinematics_of_the_examples_by_every_method(name: str) -> None:
         found = measure({"method": method, "subdomains": 4, "tolerance": 1e-12}, MPI.COMM_WORLD)
         differences[method] = np.abs(found - alone).max()
     assert max(differences.values()) < 1e-9, differences
+
+
+@pytest.mark.parallel([2])
+def test_a_masked_image_without_regularization_is_prepared_on_all_ranks(pair: Pair, mesh: ddic.Mesh) -> None:
+    used = np.ones(pair[0].shape, dtype=bool)
+    used[35:105, 55:125] = False
+    with ddic.prepare(ddic.Image(pair[0], used), mesh, options={"solver": {"subdomains": 4}}) as session:
+        result = session.measure(pair[1])
+    assert same_on_all_ranks(result.displacement)
+    assert np.isnan(result.displacement).any(axis=1).sum() == 4
+    assert np.nanmax(np.abs(result.displacement - move(result.mesh.nodes))) < 2 * WITHIN

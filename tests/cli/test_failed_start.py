@@ -114,6 +114,21 @@ def test_too_little_address_space_is_refused(folder: Path, mebibytes: int) -> No
     assert lines[0].startswith(f"the address space of a process is limited to {mebibytes} MiB (ulimit -v)")
 
 
+MPI_ENVIRONMENT = Path(__file__).parents[2] / "scripts" / "mpi_env.sh"
+
+
+def test_a_limit_of_file_sizes_keeps_no_launcher_waiting(folder: Path) -> None:
+    # PMIx would map a file of 4 MiB before the first rank starts, and wait for ever where it cannot.
+    script = '. "$1"; shift; ulimit -f 8; exec timeout -k 5 "$@"'
+    command = ["bash", "-c", script, "sh", str(MPI_ENVIRONMENT), str(SECONDS_TO_END), "mpiexec", "-n", "2", *DDIC,
+               "run", str(folder / "case.toml")]
+    clean = {name: value for name, value in os.environ.items() if not name.startswith(("OMPI_", "PMIX_"))}
+    done = subprocess.run(command, env=clean, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False,
+                          timeout=2 * SECONDS_TO_END)
+    assert done.returncode == 1
+    assert "result.vtkhdf could not be read or written: File too large" in done.stderr
+
+
 def test_no_folder_for_kernels_is_said_in_a_line(monkeypatch: pytest.MonkeyPatch,
                                                  capsys: pytest.CaptureFixture[str]) -> None:
     # As where neither the sources' folder nor the user's may be written to.

@@ -12,9 +12,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import ddic
+from ddic.cli import surroundings
 from ddic.cli.app import main
 from ddic.cli.petsc_error import describe_petsc_error
 from ddic.io import decoded_file
+from support.cases import write_case, write_images
 
 FULL = Path("/dev/full")
 
@@ -27,6 +30,71 @@ def test_a_full_standard_output_is_said_in_a_line() -> None:
     assert done.returncode == 1
     assert done.stderr.splitlines() == ["standard output cannot be written (No space left on device); make room, or "
                                         "print elsewhere"]
+
+
+CLOSED = ("sh", "-c", 'exec "$@" >&- 2>&- <&-', "sh")
+"""Runs a command whose standard streams are closed."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("case")
+    write_images(made)
+    write_case(made)
+    return made
+
+
+@pytest.mark.parametrize("command", ["check", "run"])
+def test_a_pipe_that_nobody_reads_ends_a_command_without_a_trace(folder: Path, command: str) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = subprocess.run([sys.executable, "-m", "ddic", command, str(folder / "case.toml")], stdout=writing,
+                          stderr=subprocess.PIPE, text=True, check=False, timeout=60)
+    os.close(writing)
+    # PETSc's own end is code 59 and ten lines; Rich's was taken for an interruption, 130.
+    assert done.returncode == 1
+    said = "standard output, or a file, could not be read or written: Broken pipe"
+    assert done.stderr.splitlines() == ([said] if command == "run" else [])
+
+
+@pytest.mark.parametrize("command", ["check", "run"])
+def test_closed_streams_change_nothing_but_what_is_seen(folder: Path, command: str) -> None:
+    done = subprocess.run([*CLOSED, sys.executable, "-m", "ddic", command, str(folder / "case.toml")], check=False,
+                          timeout=60)
+    assert done.returncode == 0
+    if command == "run":
+        # Nothing that is printed is written into a file that has taken the number of a closed stream.
+        assert ddic.open(folder / "result.vtkhdf").converged
+
+
+def test_a_working_directory_that_was_deleted_is_said_in_a_line(tmp_path: Path) -> None:
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    script = 'cd "$1" && rmdir "$1" && shift && exec "$@"'
+    done = subprocess.run(["sh", "-c", script, "sh", str(gone), sys.executable, "-m", "ddic", "check", "case.toml"],
+                          capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 2
+    assert done.stderr.splitlines() == ["the working directory cannot be found (No such file or directory): it was "
+                                        "deleted or closed; change to another one"]
+
+
+def test_a_clock_that_python_cannot_read_is_said_in_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    def read() -> float:
+        raise OverflowError("timestamp too large to convert to C _PyTime_t")
+
+    monkeypatch.setattr(surroundings.time, "time", read)
+    done = CliRunner().invoke(main, ["info", "r.vtkhdf"])
+    assert done.exit_code == 1
+    assert done.stderr.splitlines() == ["the system's clock stands before 1678 or after 2261, of which Python cannot "
+                                        "tell the time: set it right (date)"]
+
+
+@pytest.mark.parametrize("size", ["10x99999999999999999999", "1000001x10", "10x" + "9" * 5000])
+def test_a_size_that_no_image_has_is_refused(size: str, tmp_path: Path) -> None:
+    done = CliRunner().invoke(main, ["synth", "translation", "--size", size, "--output", str(tmp_path / "made")])
+    assert done.exit_code == 2
+    assert "images have 1000000 columns and rows at most" in done.stderr
+    assert not (tmp_path / "made").exists()
 
 
 def test_a_name_that_is_no_text_can_be_printed(tmp_path: Path) -> None:

@@ -110,7 +110,8 @@ def test_commands_print_and_write(tmp_path: Path) -> None:
     table = CliRunner().invoke(opening, [str(path)])
     assert table.exit_code == 0, table.output
     rows = np.genfromtxt(tmp_path / "slid.opening.csv", delimiter=",", names=True)
-    assert rows.dtype.names == ("line", "distance_px", "x_px", "y_px", "tangential_px", "normal_px")
+    assert rows.dtype.names == ("line", "distance_px", "x_px", "y_px", "tangential_px", "normal_px", "excluded",
+                                "doubtful")
     assert len(rows) > 120
     # Left is -y of a line along +x: it stays behind by the slip. 8 bit on 8-px elements.
     assert abs(rows["tangential_px"].mean() + 0.4) < 0.02

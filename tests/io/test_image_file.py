@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import struct
 import warnings
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.images.window import Window
+from ddic.io import image_header
 from ddic.io.image_file import compute_sha256, open_image
 
 WIDTH, HEIGHT = 83, 61
@@ -196,6 +198,34 @@ def test_missing_foreign_and_cut_files_are_input_errors(tmp_path: Path) -> None:
     for name in ("missing.tif", "text.png", "cut.png", "header.tif"):
         with pytest.raises(InputError, match=name):
             open_image(tmp_path / name)
+
+
+@pytest.mark.parametrize("ending", ["png", "tif"])
+def test_what_can_only_be_decoded_whole_has_a_limit(tmp_path: Path, ending: str,
+                                                    monkeypatch: pytest.MonkeyPatch) -> None:
+    # OpenCV compresses TIFF by LZW.
+    cv2.imwrite(str(tmp_path / f"a.{ending}"), pattern("uint8"))
+    monkeypatch.setattr(image_header, "MOST_PIXELS_DECODED", WIDTH * HEIGHT)
+    assert open_image(tmp_path / f"a.{ending}").width == WIDTH
+    monkeypatch.setattr(image_header, "MOST_PIXELS_DECODED", WIDTH * HEIGHT - 1)
+    with pytest.raises(InputError, match=r"can only be decoded whole.*save it as uncompressed TIFF"):
+        open_image(tmp_path / f"a.{ending}")
+
+
+@pytest.mark.parametrize(("number", "name"), [(50000, "ZSTD"), (34926, "ZSTD_DEPRECATED"), (34712, "JPEG2000"),
+                                              (50002, "JPEGXL")])
+def test_an_intact_file_without_a_codec_is_not_called_damaged(tmp_path: Path, number: int, name: str) -> None:
+    # tifffile finds that the codec lacks a package only when it decodes; of others OpenCV makes black.
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, pattern("uint8"), compression="zlib")
+    content = bytearray(path.read_bytes())
+    # Tag 259, a short.
+    at = content.index(struct.pack("<HHI", 259, 3, 1)) + 8
+    content[at:at + 2] = struct.pack("<H", number)
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=rf"no codec is installed for the compression of this TIFF \({name}\).*"
+                       "install imagecodecs"):
+        open_image(path)
 
 
 @pytest.mark.parametrize("keywords", [{}, {"compression": "zlib", "rowsperstrip": 7}])

@@ -33,6 +33,22 @@ def test_the_band_is_two_standard_deviations_wide(result: ddic.Result) -> None:
     assert at_begin.mean() == pytest.approx(result.displacement[node, 0], abs=BAND * sigma)
 
 
+def test_the_band_of_a_regularized_displacement_counts_its_bias(result: ddic.Result) -> None:
+    bias = np.zeros((result.mesh.n_nodes, 3))
+    bias[:, 0] = 0.3
+    biased = replace(result, point_data={**result.point_data, "regularization_bias": bias})
+    above, below = draw_line(biased, (10.0, 70.0, 150.0, 70.0)).axes
+    node = int(np.flatnonzero((result.mesh.nodes == [10.0, 70.0]).all(axis=1))[0])
+    widths = []
+    for axes, k in ((above, 0), (above, 1), (below, 0)):
+        vertices = axes.collections[k].get_paths()[0].vertices
+        widths.append(np.ptp(vertices[np.isclose(vertices[:, 0], 0.0), 1]) / (2 * BAND))
+    # Strains are told without it.
+    expected = [np.hypot(result.point_data["sigma_u"][node], 0.3), result.point_data["sigma_v"][node],
+                result.point_data["sigma_exx"][node]]
+    np.testing.assert_allclose(widths, expected, rtol=1e-9)
+
+
 def test_there_is_no_band_without_standard_deviations(result: ddic.Result) -> None:
     without = replace(result, point_data={name: values for name, values in result.point_data.items()
                                           if not name.startswith("sigma")})

@@ -4,6 +4,7 @@ import dataclasses
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import h5py
 import meshio
@@ -244,6 +245,42 @@ def test_a_result_that_is_not_of_one_piece_is_refused_in_a_line(tmp_path: Path, 
     assert len(refused.value.problems) == 1
     assert str(path) in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(("place", "damage", "said"), [
+    ("VTKHDF/Points", np.zeros_like, "cells are flat, crossed or not convex"),
+    ("VTKHDF/PointData/displacement", lambda old: old[:, :2], "rows of 3 numbers expected"),
+    ("VTKHDF/CellData/SubdomainId", lambda old: old[:, None], "rows of 1 numbers expected"),
+    ("VTKHDF/CellData/SubdomainId", lambda old: old + 1000, "fewer than cells"),
+    ("history/krylov/0000", lambda old: np.full(len(old), b"word"), "history/krylov/0000: an array of"),
+    ("history/krylov/0000", lambda old: 1.0, "history/krylov/0000: an array of float64, shape ()"),
+    ("history/gauss_newton/residual_std_grey", lambda old: old[:1], "columns of different lengths"),
+    ("residual_image/residual", lambda old: old[0], "rows of numbers expected")])
+def test_arrays_of_other_shapes_are_told_when_they_are_read(tmp_path: Path, write_result: Write, place: str,
+                                                            damage: Callable[[Any], Any], said: str) -> None:
+    # Each was a traceback in plot, info, report, export, or a run that started from it.
+    path = write_result(tmp_path / "r.vtkhdf")
+    with h5py.File(path, "r+") as file:
+        old = file[place][...]
+        del file[place]
+        file[place] = damage(old)
+    told = CliRunner().invoke(info, [str(path)])
+    assert told.exit_code == 2
+    assert len(told.stderr.splitlines()) == 1
+    assert said in told.stderr
+
+
+@pytest.mark.parametrize(("group", "name", "value"), [
+    ("case", "half_amplitude_shear_px", "a b"), ("case", "half_amplitude_shear_px", 1e308),
+    ("case", "json", "[1, 2]"), ("case", "json", '{"regularization": "a"}'), ("units", "pixel_size", "a"),
+    ("time", "deformed", np.arange(3.0)), ("provenance", "reference_path", np.arange(3.0))])
+def test_attributes_of_another_kind_are_told_when_they_are_read(tmp_path: Path, write_result: Write, group: str,
+                                                                name: str, value: object) -> None:
+    path = write_result(tmp_path / "r.vtkhdf")
+    with h5py.File(path, "r+") as file:
+        file.require_group(group).attrs[name] = value
+    with pytest.raises(InputError, match="not a readable ddic result file"):
+        read_result(path)
 
 
 def test_a_damaged_residual_image_is_an_input_error(tmp_path: Path, write_result: Write) -> None:

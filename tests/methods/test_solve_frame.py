@@ -190,6 +190,18 @@ def test_a_blurred_frame_is_met_by_a_blurred_reference() -> None:
     assert errors[2.5] <= 3 * errors[0.0]
 
 
+@pytest.mark.parametrize("options", [{}, REGULARIZED], ids=["plain", "regularized"])
+def test_a_frame_so_blurred_that_noise_hides_every_place_is_no_result(options: Options) -> None:
+    with pytest.raises(ddic.ConvergenceError, match=r"noise alone moves nodes of .* by more than 0.15 px") as found:
+        ddic.measure(blur(6.0).pair, MESH, options=options)
+    last = found.value.result
+    assert last is not None
+    assert not last.converged
+    assert (last.fields["doubtful"] != 0).mean() >= 0.95
+    # The field that was called converged: noise moves it by whole pixels.
+    assert off(last).max() > 0.5
+
+
 @pytest.mark.parametrize(("change_of_grey", "expected"), [
     (None, "none"), (lambda g: 0.8 * g + 15.0, "global"),
     (lambda g: g * (0.8 + 0.3 * np.arange(SIDE) / SIDE) + 20.0 * (np.arange(SIDE) / SIDE)[:, None], "element")])

@@ -43,23 +43,23 @@ def test_one_subdomain_is_the_whole_mesh() -> None:
 
 
 def test_metis_refuses_more_subdomains_than_cells() -> None:
-    with pytest.raises(InputError, match=r"solver.subdomains: 7 asked for, but the mesh has only 6 cells"):
+    with pytest.raises(InputError, match=r"mesh: 6 cells for 7 subdomains.*start fewer ranks"):
         split_by_metis(grid_mesh(3, 2, (4.0, 4.0)), 7)
 
 
 @settings(max_examples=40)
 @given(mesh=grid_meshes(), data=st.data())
-def test_metis_numbers_every_subdomain_or_refuses(mesh: Mesh, data: st.DataObject) -> None:
+def test_metis_numbers_every_subdomain(mesh: Mesh, data: st.DataObject) -> None:
     n = data.draw(st.integers(1, mesh.n_cells))
-    try:
-        parts = split_by_metis(mesh, n)
-    except InputError:
-        # METIS leaves some empty only where there are few cells for each.
-        parts = None
-    if parts is None:
-        assert n > mesh.n_cells / 4
-    else:
-        assert np.unique(parts).tolist() == list(range(n))
+    assert np.unique(split_by_metis(mesh, n)).tolist() == list(range(n))
+
+
+@pytest.mark.parametrize("n", [23, 30, 36])
+def test_few_cells_for_each_subdomain_leave_none_empty(n: int) -> None:
+    """METIS alone gives cells to 13, 16 and 16 of them."""
+    counts = np.bincount(split_by_metis(grid_mesh(6, 6, (10.0, 10.0)), n), minlength=n)
+    assert counts.min() == 1
+    assert counts.max() <= 4
 
 
 @pytest.mark.parametrize("cells", ["Q4", "T3"])
@@ -82,9 +82,4 @@ def test_blocks_without_cells_are_dropped() -> None:
 
 
 def test_renumbering_closes_gaps_and_keeps_the_order() -> None:
-    assert renumber(np.array([7, 2, 7, 5]), 3).tolist() == [2, 0, 2, 1]
-
-
-def test_missing_subdomains_are_an_error() -> None:
-    with pytest.raises(InputError, match="only 2 of 3 subdomains got cells"):
-        renumber(np.array([0, 2, 2]), 3)
+    assert renumber(np.array([7, 2, 7, 5])).tolist() == [2, 0, 2, 1]

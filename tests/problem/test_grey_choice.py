@@ -51,6 +51,15 @@ def test_a_gain_and_offset_of_all_cells_is_global_whatever_their_means() -> None
     assert _choose({0: cells}) == "global"
 
 
+def test_inverted_contrast_is_global() -> None:
+    # 255 - f: neither means nor spreads need differ, and their offsets from a positive gain would look like light.
+    means = np.linspace(60.0, 195.0, 100)
+    cells = make_seen(mean_f=means, mean_g=255.0 - means, spread_g=-40.0)
+    assert _choose({0: cells}) == "global"
+    typical = find_typical_cell(cells)
+    assert (typical.gain, typical.offset) == pytest.approx((-1.0, 255.0))
+
+
 @pytest.mark.parametrize(("share", "expected"), [(0.5, "none"), (2.0, "element")])
 def test_a_reflection_on_few_cells_counts_from_a_share_of_the_pixels(share: float, expected: str) -> None:
     n = 10_000

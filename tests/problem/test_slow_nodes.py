@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 import ddic
 from ddic.functionals.grey_statistics import GreyCorrection, GreyState
+from ddic.images.spline_noise import NOISE_OF_SLOPE
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.slow_nodes import (
     LEAST_KNOWN,
     MOST_VISITED,
-    NOISE_OF_SLOPE,
     SlowNodes,
     confine_to_slow_nodes,
     estimate_node_deviations,
@@ -225,12 +225,12 @@ def test_slow_nodes_that_run_away_alone_are_found_with_all_others(monkeypatch: p
 def test_the_noise_of_a_spline_s_slope() -> None:
     frequencies = np.linspace(0.0, np.pi, 20001)
     squared = (3 * np.sin(frequencies) / (2 + np.cos(frequencies)))**2
-    assert pytest.approx(squared.mean(), rel=3e-3) == NOISE_OF_SLOPE
+    assert pytest.approx(squared.mean(), rel=3e-3) == NOISE_OF_SLOPE[3]
     # So it is of an image of white noise.
     image = source((128.0 + 10.0 * np.random.default_rng(0).standard_normal((192, 192))).astype(np.float32))
     model = split_model(Team.alone(), image, image, MESH, (1, 1))
     slopes = np.mean(model.views[0].views[0].view.measure_slopes().texture)
-    assert slopes == pytest.approx(2 * NOISE_OF_SLOPE * 100.0, rel=0.03)
+    assert slopes == pytest.approx(2 * NOISE_OF_SLOPE[3] * 100.0, rel=0.03)
 
 
 @pytest.mark.parallel([1, 2, 3])
@@ -243,7 +243,7 @@ def test_a_textured_node_has_the_deviation_that_its_diagonal_says() -> None:
     np.testing.assert_allclose(whole, np.sqrt(noise / diagonal.min(axis=1)), rtol=0.025)
     inner = ((MESH.nodes > 24) & (MESH.nodes < 168)).all(axis=1)
     # A shape function squared is 1/9 in the mean over each of four cells of 256 pixels.
-    known = diagonal[inner] - NOISE_OF_SLOPE * 0.5 * noise * 4 * 256 / 9
+    known = diagonal[inner] - NOISE_OF_SLOPE[3] * 0.5 * noise * 4 * 256 / 9
     np.testing.assert_allclose(whole[inner], (np.sqrt(noise * diagonal[inner]) / known).max(axis=1), rtol=1e-3)
     # Copies of a node know what their subdomains know together.
     model = build(Team.world())

@@ -136,14 +136,20 @@ def _cut(ending: str, share: float) -> Callable[[Path], None]:
     return write
 
 
-def _mask_all(folder: Path) -> None:
-    tifffile.imwrite(folder / "m.tif", np.zeros((64, 64), np.uint8))
-    (folder / "case.toml").write_text(CASE + 'reference_mask = "m.tif"\n' + GRID)
+def _mask_all_but(side: int, key: str = "reference_mask") -> Callable[[Path], None]:
+    def write(folder: Path) -> None:
+        mask = np.zeros((64, 64), np.uint8)
+        mask[20:20 + side, 30:30 + side] = 1
+        tifffile.imwrite(folder / "m.tif", mask)
+        (folder / "case.toml").write_text(f'{CASE}{key} = "m.tif"\n{GRID}')
+
+    return write
 
 
 def _mask_the_mesh(folder: Path) -> None:
     mask = np.ones((64, 64), np.uint8)
     mask[7:58, 7:58] = 0
+    mask[30, 30:33] = 1
     tifffile.imwrite(folder / "m.tif", mask)
     (folder / "case.toml").write_text(CASE + 'reference_mask = "m.tif"\n' + GRID)
 
@@ -167,8 +173,10 @@ FILES: dict[str, tuple[Callable[[Path], None], str]] = {
     "JPEG cut short": (_cut(".jpg", 0.7), "cut short"),
     "PNG cut short": (_cut(".png", 0.7), "cut short"),
     "BMP cut short": (_cut(".bmp", 0.7), "cut short"),
-    "masked": (_mask_all, "the mask is 0 everywhere"),
-    "mesh masked": (_mask_the_mesh, "every pixel of the mesh is left out"),
+    "masked but for 9 x 9 px": (_mask_all_but(9), "the mask leaves 81 px"),
+    "deformed image masked but for 4 x 4 px": (_mask_all_but(4, "deformed_mask"), "the mask leaves 16 px"),
+    "masked": (_mask_all_but(0), "the mask leaves 0 px"),
+    "mesh masked": (_mask_the_mesh, "images.exclude_saturated: 3 px of the mesh are left"),
     "blank": (lambda folder: tifffile.imwrite(folder / "f.tif", np.full((64, 64), 9, np.uint16)), "one grey level, 9"),
     "large": (lambda folder: tifffile.imwrite(folder / "f.tif", (GREY * 1e30).astype(np.float32)),
               "rounding hides them"),

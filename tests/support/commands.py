@@ -23,6 +23,7 @@ _ENVIRONMENT = {
     "OMPI_MCA_rmaps_base_oversubscribe": "1",
     "OMPI_MCA_hwloc_base_binding_policy": "none",
     "OMPI_MCA_mpi_yield_when_idle": "1",
+    "PMIX_MCA_gds": "hash",
     "PYTHONUNBUFFERED": "1",
 }
 DDIC = (sys.executable, "-m", "ddic")

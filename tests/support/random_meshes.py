@@ -99,7 +99,7 @@ def random_partition(mesh: Mesh, kind: str, n_subdomains: int, seed: int) -> NDA
     if kind == "blocks":
         return split_by_blocks(mesh, (n, 2))
     labels = np.random.default_rng(seed).integers(0, n, mesh.n_cells)
-    return renumber(labels, 1)
+    return renumber(labels)
 
 
 PARTITIONS = st.sampled_from(["metis", "blocks", "labels"])

@@ -12,6 +12,7 @@ from ddic.case.loader import LoadedCase
 from ddic.case.resolution import list_element_sizes, list_wavelengths, set_resolution
 from ddic.case.schema import Case
 from ddic.errors import InputError
+from ddic.io.input_file import as_path
 from ddic.mesh.quality import measure_cell_size
 from ddic.methods.detect import find_discontinuity
 from ddic.methods.sweep_candidates import measure_candidates
@@ -67,8 +68,8 @@ def choose_regularization(case: str | Path | Case | LoadedCase, *, wavelengths: 
 
 
 def _load(source: str | Path | Case | LoadedCase, n_ranks: int) -> LoadedCase:
-    if isinstance(source, str | Path):
-        return load_checked_case(Path(source), n_ranks)
+    if not isinstance(source, Case | LoadedCase):
+        return load_checked_case(as_path(source, "case"), n_ranks)
     loaded = LoadedCase(source, Path("case"), "") if isinstance(source, Case) else source
     check_loaded_case(loaded, n_ranks)
     return loaded

@@ -48,7 +48,7 @@ ImageLike = Image | NDArray[Any] | str | Path
 """An image, its grey levels (height, width), or its file."""
 
 
-def open_given_image(team: Team, given: ImageLike, name: str) -> MaskedSource:
+def open_given_image(team: Team, given: ImageLike, name: str, *, keeps: bool = False) -> MaskedSource:
     """Open an image that the user gave; collective.
 
     Parameters
@@ -59,6 +59,8 @@ def open_given_image(team: Team, given: ImageLike, name: str) -> MaskedSource:
         What the user gave.
     name : str
         What messages call it.
+    keeps : bool
+        Whether it is read after the call that it was given to: an array, which the user may write into, is copied.
 
     Returns
     -------
@@ -75,7 +77,7 @@ def open_given_image(team: Team, given: ImageLike, name: str) -> MaskedSource:
     if isinstance(pixels, str | Path):
         source = open_on_all_ranks(team)(Path(pixels))
         return team.together(lambda: _leave_pixels_out(image, source, name))
-    in_memory = team.together(lambda: _hold_array(pixels, name))
+    in_memory = team.together(lambda: _hold_array(pixels, name, keeps=keeps))
     masked = team.together(lambda: _leave_pixels_out(image, in_memory, name))
     _refuse_other_pixels(team, in_memory, name)
     return masked
@@ -110,7 +112,7 @@ def check_same_size(image: MaskedSource, reference: MaskedSource, name: str) -> 
                          f"{wanted.height} px; give images of one size")
 
 
-def _hold_array(pixels: Any, name: str) -> ArraySource:
+def _hold_array(pixels: Any, name: str, *, keeps: bool) -> ArraySource:
     values = _as_array(lambda: np.asarray(pixels), name)
     if values.ndim != 2:
         raise InputError(f"{name}: an array of shape {values.shape}, (height, width) expected; convert colours to grey "
@@ -121,7 +123,8 @@ def _hold_array(pixels: Any, name: str) -> ArraySource:
     if not (is_integer or np.issubdtype(values.dtype, np.floating)):
         raise InputError(f"{name}: an array of {values.dtype}, grey levels of an integer or float type expected")
     # Files bring the other byte order at times, which compiled kernels do not read.
-    native = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("="))
+    convert = np.array if keeps else np.asarray
+    native = convert(values, dtype=values.dtype.newbyteorder("="), order="C")
     saturation = float(np.iinfo(native.dtype).max) if is_integer else None
     return ArraySource(Path(name), native, saturation)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -22,11 +23,12 @@ from ddic.errors import ConvergenceError, DdicError, InputError
 from ddic.images.camera import identity
 from ddic.images.grey_levels import find_saturation
 from ddic.images.sub_image import MaskedSource
+from ddic.io.input_file import as_path
 from ddic.io.result_reader import Result
 from ddic.mesh.mesh import Mesh
 from ddic.methods.choose_recipe import Recipe, prepare_recipe
 from ddic.methods.dd_dic import Session as DecomposedSession
-from ddic.methods.detect import find_discontinuity, is_line_wanted
+from ddic.methods.detect import find_discontinuity, is_line_wanted, measure_on_lines
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team, require_held
 from ddic.problem.cameras import Camera, Frame, make_setup
@@ -152,16 +154,25 @@ class Session:
 
     def _measure_converged(self, frame: Frame, start: Any, output: Path | None) -> Result:
         if self._recipe is not None:
-            return self._publish(self._recipe.measure(frame, start), output)
+            return self._measure_on_lines(self._recipe, frame, start, output)
         clock = PhaseClock(waiting=self._team.waiting)
         found = find_discontinuity(self._team, self._inputs, frame, Silence(), clock)
         recipe = self._prepare(found)
         if found.case.discontinuity:
-            self._recipe = recipe
-            return self._publish(recipe.measure(frame, start), output)
+            self._inputs = found
+            return self._measure_on_lines(recipe, frame, start, output)
         # Nothing jumps yet: the line is looked for again in the next image.
         with recipe:
             return self._publish(recipe.measure(frame, start), output)
+
+    def _measure_on_lines(self, recipe: Recipe, frame: Frame, start: Any, output: Path | None) -> Result:
+        """Measure a frame; where lines are off they are kept as it corrects them."""
+        # Kept where measuring fails, too.
+        self._recipe = recipe
+        clock = PhaseClock(waiting=self._team.waiting)
+        self._recipe, self._inputs, measurement = measure_on_lines(
+            recipe, self._inputs, frame, start, self._prepare, Silence(), clock)
+        return self._publish(measurement, output)
 
     def _publish(self, measurement: Measurement | SeparatedMeasurement, output: Path | None) -> Result:
         self._last = measurement.unknowns
@@ -213,9 +224,7 @@ class Session:
 
     def _check_output(self, output: str | Path, frame: Frame) -> Path:
         """Check before measuring that a result can be written; returns its path."""
-        if not isinstance(output, str | Path):
-            raise InputError(f"output: {type(output).__name__} given, the name of a file expected")
-        path = Path(output)
+        path = as_path(output, "output")
         check_output_file(path)
         images = [image.image.path for image in (*(camera.reference for camera in self._inputs.cameras), *frame)]
         of_case = [self._inputs.case_path] if self._inputs.case_text else []
@@ -280,7 +289,7 @@ def prepare(source: ImageLike | Case | LoadedCase, mesh: Mesh | meshio.Mesh | tu
     Parameters
     ----------
     source : Image, (height, width) array, str, Path, Case or LoadedCase
-        The reference image; or a case, or a case file whose name ends in .toml.
+        The reference image, of which an array is copied; or a case, or a case file whose name ends in .toml.
     mesh : Mesh, meshio.Mesh or tuple of arrays, optional
         With an image: pixels; as a tuple (nodes (n_nodes, 2), cells (n_cells, 3 or 4)). Beside ``pgd`` the options'
         ``mesh.structured`` may stand for it.
@@ -310,15 +319,20 @@ def _prepare(source: ImageLike | Case | LoadedCase, mesh: Mesh | meshio.Mesh | t
 
     # What the ranks were given is looked at by all together: it may be wrong on one of them alone.
     chosen, loaded, given = team.together(lambda: _look(team, mesh, options))
-    reference = open_given_image(team, source, "reference image")
+    # Of more frames than one some are measured after this call, by when the user may have written into arrays.
+    keeps = n_frames > 1
+    reference = open_given_image(team, source, "reference image", keeps=keeps)
     camera = Camera(0, reference, make_setup(identity(), reference, "none"), loaded.case.images.noise)
     if loaded.case.pgd is not None:
         rectangle = team.together(lambda: _choose_rectangle(chosen, loaded, given, reference))
         return Session(team, Inputs(loaded.case, (camera,), _build_no_mesh, rectangle=rectangle))
+    if keeps and is_line_wanted(loaded.case):
+        # The first frame says where the line is, and the mesh waits for it.
+        given = copy.deepcopy(given)
 
     def build() -> tuple[Mesh, None]:
         whole = accept_mesh(require_held(given), "mesh", reference.image.width, reference.image.height)
-        check_mesh(loaded, whole)
+        check_mesh(loaded, whole, team.size)
         return whole, None
 
     return Session(team, Inputs(loaded.case, (camera,), build, check_kinematics(chosen.kinematics), n_frames=n_frames))

@@ -16,7 +16,7 @@ from ddic.case.schema import Case, OutputSection
 from ddic.case.sections import Location, find_section_in
 from ddic.errors import InputError
 from ddic.io.file_stamps import FileStamps
-from ddic.io.input_file import find_real_path, is_readable_file
+from ddic.io.input_file import as_path, find_real_path, is_readable_file
 from ddic.io.toml_file import parse_toml, read_text
 from ddic.mesh.mesh import Mesh
 from ddic.partition.ties import Tying
@@ -141,7 +141,7 @@ def load_case(path: Path | str) -> LoadedCase:
         With one line per problem (unreadable file, syntax, unknown or missing key, wrong type, impossible value),
         each with the file, the key, the value and what is expected.
     """
-    path = Path(path)
+    path = as_path(path, "case file")
     text = read_text(path, "case file", "check the path")
     place = path.resolve()
     _require_text_name(place)

@@ -14,6 +14,7 @@ from ddic.cli.finite_options import require_finite_options
 from ddic.cli.idle_threads import prepare_idle_threads
 from ddic.cli.kept_imports import imports_kept
 from ddic.cli.standard_output import output_as_line
+from ddic.cli.surroundings import require_clock, require_working_folder
 from ddic.cli.usage_as_line import usage_as_line
 
 COMMANDS = {
@@ -108,6 +109,8 @@ class LazyGroup(click.Group):
         """
         with failures_as_lines(passed=CLICKS_OWN), usage_as_line():
             require_address_space()
+            require_clock()
+            require_working_folder()
             prepare_idle_threads()
             return super().invoke(ctx)
 

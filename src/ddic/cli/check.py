@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ddic.cli.errors_as_lines import errors_as_lines
+from ddic.cli.standard_output import take_closed_pipes_as_errors
 from ddic.cli.warned import warnings_as_lines
 from ddic.errors import InputError
 
@@ -35,6 +36,7 @@ def check(case_file: Path, drawing: Path | None) -> None:
     from ddic.problem.check_inputs import check_case_file
     from ddic.problem.check_output import list_inputs
 
+    take_closed_pipes_as_errors()
     with errors_as_lines(drawing), warnings_as_lines():
         if drawing is not None:
             _check_drawing(drawing)
@@ -105,6 +107,7 @@ def _lines(report: CheckReport) -> list[tuple[str, str]]:
         ("unknowns", f"{report.n_dofs}, {report.n_controlled_dofs} of them mechanically controlled"),
         ("regularization", regularization),
         ("pixels per element", f"{report.pixels_min} at least, {report.pixels_mean:.1f} on average"),
+        ("MPI ranks", f"{report.most_ranks} at most"),
         ("result", str(report.output)),
         ("verdict", "ready to run"),
     ]

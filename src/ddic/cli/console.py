@@ -57,6 +57,14 @@ LONG = 1.0
 later."""
 
 
+class _Lines(Console):
+    """What is printed; a closed pipe fails like a full disk, where Rich would end the program."""
+
+    def on_broken_pipe(self) -> None:
+        """Raise the error that Rich has caught."""
+        raise  # noqa: PLE0704
+
+
 class _Bar(Protocol):
     """What shows the phases."""
 
@@ -71,7 +79,7 @@ class RunConsole:
     """Rank 0's listener; use it in a ``with`` statement."""
 
     def __init__(self) -> None:
-        self._console = Console(highlight=False, soft_wrap=True)
+        self._console = _Lines(highlight=False, soft_wrap=True)
         terminal = is_on_terminal()
         self._bar: _Bar = _ProgressBar(self._console) if terminal else _PhaseLines(self._console)
         self._range = 1.0

@@ -6,11 +6,13 @@ import sys
 
 from ddic.cli.failed_start import failures_as_lines
 from ddic.cli.kept_imports import imports_kept
+from ddic.cli.surroundings import open_closed_streams
 from ddic.parallel.stop_request import StopRequest
 
 
 def main() -> None:
     """Run the command line."""
+    open_closed_streams()
     stop = StopRequest()
     if sys.argv[1:2] == ["run"]:
         # Before the imports of a second or two, in which a rank that a signal ends would leave the others waiting.

@@ -7,6 +7,7 @@ import re
 import sys
 import traceback
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import click
@@ -42,7 +43,9 @@ def show_failure(team: Team, error: BaseException, petsc_options: Sequence[str] 
     lines, code = _describe(error, petsc_options)
     if team.is_root or not everywhere:
         where = "" if team.size == 1 or everywhere else f"rank {team.rank}: "
-        sys.stdout.flush()
+        with suppress(OSError):
+            # It may be what failed.
+            sys.stdout.flush()
         click.echo("\n".join(f"{where}{line}" for line in lines), err=True)
         sys.stderr.flush()
     if team.size > 1 and not everywhere:

@@ -21,8 +21,9 @@ def opening(file: Path, frame: int | None, output: Path | None) -> None:
     """Write the opening of a result's discontinuities, pixel by pixel along them, as a CSV table.
 
     A row is a place on a line: number of the line, distance from its first vertex, x, y, tangential and normal opening,
-    pixels. Openings are the displacement of the left side less that of the right one; left is -y where the line runs
-    along +x. A positive normal opening parts the sides.
+    pixels; and whether the cell of either side is excluded (as the cell field says, 0 for no) or doubtful (1). Openings
+    are nan where it is excluded. They are the displacement of the left side less that of the right one; left is -y
+    where the line runs along +x. A positive normal opening parts the sides.
     The figure is drawn by ddic plot --kind opening.
     """
     # Imported here because HDF5 is not needed by --help.
@@ -42,13 +43,15 @@ def opening(file: Path, frame: int | None, output: Path | None) -> None:
         found = measure_openings(result)
         with replaced_on_exit(target) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
             table = csv.writer(stream)
-            table.writerow(["line", "distance_px", "x_px", "y_px", "tangential_px", "normal_px"])
+            table.writerow(["line", "distance_px", "x_px", "y_px", "tangential_px", "normal_px", "excluded",
+                            "doubtful"])
             for number, of_line in enumerate(found, start=1):
-                columns = (of_line.distance, *of_line.points.T, of_line.tangential, of_line.normal)
+                columns = (of_line.distance, *of_line.points.T, of_line.tangential, of_line.normal, of_line.excluded,
+                           of_line.doubtful)
                 table.writerows([number, *(f"{value:.6g}" for value in row)] for row in np.column_stack(columns))
     for number, of_line in enumerate(found, start=1):
         click.echo(f"line {number}: {len(of_line.points)} places, normal opening {_range(of_line.normal)}, tangential "
-                   f"{_range(of_line.tangential)} px")
+                   f"{_range(of_line.tangential)} px{_count_excluded(of_line.normal)}")
     click.echo(target)
 
 
@@ -57,4 +60,13 @@ def _range(values: object) -> str:
     import numpy as np
 
     numbers = np.asarray(values)
+    numbers = numbers[np.isfinite(numbers)]
     return "none" if not numbers.size else f"{numbers.min():.3f} to {numbers.max():.3f}"
+
+
+def _count_excluded(values: object) -> str:
+    """Say how many openings are nan, where any is."""
+    import numpy as np
+
+    n_excluded = int(np.isnan(np.asarray(values)).sum())
+    return f"; {n_excluded} places beside excluded cells, nan" if n_excluded else ""

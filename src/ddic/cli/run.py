@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import sys
 import warnings
 from collections.abc import Iterator
@@ -19,6 +18,7 @@ from ddic.cli.address_space import prepare_workspaces
 from ddic.cli.failed_job import abort_quietly, show_failure
 from ddic.cli.failed_start import failures_as_lines
 from ddic.cli.kept_imports import imports_kept
+from ddic.cli.standard_output import take_closed_pipes_as_errors
 from ddic.errors import ConvergenceError, InputError
 from ddic.io.input_file import is_readable_file
 from ddic.io.replace_on_exit import remove_unfinished
@@ -101,8 +101,7 @@ def _start(petsc_options: tuple[str, ...], stop: StopRequest) -> Team:
 
     with _no_needless_networks():
         petsc4py.init(["ddic", *petsc_options])
-    # PETSc would end the rank with ten lines; so the line that nobody reads any more is an error like others.
-    signal.signal(signal.SIGPIPE, signal.SIG_IGN)
+    take_closed_pipes_as_errors()
     import ddic.methods.run_case
     import ddic.results.listener
     import ddic.solvers.unused_options

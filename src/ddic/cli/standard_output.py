@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -39,6 +40,14 @@ def output_as_line() -> Iterator[None]:
         _require_written()
         raise
     _require_written()
+
+
+def take_closed_pipes_as_errors() -> None:
+    """Have a line that nobody reads any more be an error like others; call it where PETSc has begun.
+
+    PETSc would end the process with ten lines.
+    """
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)
 
 
 def is_of_output(error: BaseException) -> bool:

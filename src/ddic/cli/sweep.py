@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ddic.cli.failed_job import abort_quietly, show_failure
+from ddic.cli.standard_output import take_closed_pipes_as_errors
 from ddic.errors import InputError, is_disk_failure
 
 if TYPE_CHECKING:
@@ -37,6 +38,7 @@ def sweep(case_file: Path, lengths: str | None, elements: str | None, output: Pa
     from ddic.parallel.team import Team
 
     team = Team.world()
+    take_closed_pipes_as_errors()
     folder = case_file.parent if output is None else output
     try:
         chosen = team.together(lambda: (_parse(lengths, "--lengths"), _parse(elements, "--elements")))

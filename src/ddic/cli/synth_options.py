@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 import click
 
 from ddic.errors import InputError, WriteError, is_disk_failure
+from ddic.io.image_header import MOST_PIXELS_ALONG
 
 if TYPE_CHECKING:
     from ddic.io.replace_on_exit import NewFiles
@@ -59,6 +60,9 @@ def parse_size(_context: click.Context, _option: click.Parameter, text: str | No
     match = re.fullmatch(r"([1-9]\d*)[xX]([1-9]\d*)", text)
     if match is None:
         raise click.BadParameter(f"{text!r} is not WIDTHxHEIGHT in pixels, for instance 640x480")
+    # Not int() first: Python takes no more than 4300 digits.
+    if max(map(len, match.groups())) > len(str(MOST_PIXELS_ALONG)) or max(map(int, match.groups())) > MOST_PIXELS_ALONG:
+        raise click.BadParameter(f"images have {MOST_PIXELS_ALONG} columns and rows at most")
     return int(match[1]), int(match[2])
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ddic.cli.errors_as_lines import errors_as_lines
+from ddic.cli.standard_output import take_closed_pipes_as_errors
 from ddic.errors import InputError
 
 if TYPE_CHECKING:
@@ -63,6 +64,7 @@ def uncertainty(case_file: Path, sizes: str, displacements: int, noise: float, o
         with made_folder(folder), replaced_together() as files:
             _write(found, files.begin(table))
             save_figure(draw_uncertainty(found.sizes, found.deviation, BASES), figure, files=files)
+    take_closed_pipes_as_errors()
     for line_of_table in _list(found):
         click.echo(line_of_table)
     click.echo(table)

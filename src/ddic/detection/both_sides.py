@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -11,6 +13,7 @@ from ddic.images.window import Window
 from ddic.mesh.cut_mesh import CutMesh
 from ddic.mesh.interpolation import interpolate_located, place_in_cells
 from ddic.mesh.plane import build_tree, multiply_across
+from ddic.mesh.polyline import find_nearest_segments
 from ddic.start.independent import Images
 
 Array = NDArray[np.float64]
@@ -22,44 +25,64 @@ HALO = 30
 """Pixels about a window after which a cubic spline's coefficients are those of the whole image."""
 
 
-def evaluate_both_sides(cut: CutMesh, displacement: Array, line: Array, points: Array) -> tuple[Array, Array]:
-    """Evaluate the displacement of the sides of a straight line, each also beyond the line.
+def evaluate_both_sides(cut: CutMesh, displacement: Array, line: Array, points: Array,
+                        others: Sequence[Array] = ()) -> tuple[Array, Array]:
+    """Evaluate the displacement of the sides of a line, each also beyond the line.
 
     Parameters
     ----------
     cut : CutMesh
-        A mesh that the line cuts.
+        A mesh that the line cuts, perhaps among others.
     displacement : (n_nodes, 2) array
         Of its nodes, pixels.
-    line : (2, 2) array
+    line : (n_vertices, 2) array
         Pixels.
     points : (n, 2) array
         Pixels near the line.
+    others : sequence of (n_vertices, 2) array
+        Other lines, pixels.
 
     Returns
     -------
     left, right : (n, 2) array
-        By the shape functions of the nearest cut cell, pixels; left is where the cross product with the line's
-        direction is positive.
+        By the shape functions of the nearest cell that this line alone cuts, pixels; nan where another line lies
+        between; left is where the cross product
+        with the line's direction is positive.
 
     Raises
     ------
     ValueError
-        Where no line cuts the mesh.
+        Where the line cuts no cell.
     """
     mesh = cut.mesh
-    if mesh.parts is None:
-        raise ValueError("no line cuts the mesh")
-    numbers = mesh.parts.cells
-    heights = multiply_across(line[1] - line[0], mesh.centroids[numbers] - line[0])
+    numbers = np.zeros(0, np.int64) if mesh.parts is None else mesh.parts.cells
     n_parts = np.bincount(cut.cell_of[numbers], minlength=int(cut.cell_of.max()) + 1)
+    numbers = numbers[n_parts[cut.cell_of[numbers]] == 2]
+    centres = mesh.centroids[numbers]
+    heights = measure_heights(centres, line)
     # Cell by cell, the part to the right first.
     order = np.lexsort((heights, cut.cell_of[numbers]))
-    right, left = numbers[order[n_parts[cut.cell_of[numbers[order]]] == 2]].reshape(-1, 2).T
-    nearest = build_tree((mesh.centroids[left] + mesh.centroids[right]) / 2).query(points)[1]
+    pairs, low, high = numbers[order].reshape(-1, 2), heights[order][::2], heights[order][1::2]
+    # Of cells that another line cuts, both parts lie on one side of this one, or farther from it.
+    is_own = (low < 0) & (high > 0)
+    if not is_own.any():
+        raise ValueError("the line cuts no cell of the mesh")
+    right, left = pairs[is_own].T
+    middles = centres[order].reshape(-1, 2, 2).mean(axis=1)[is_own]
+    nearest = build_tree(middles).query(points)[1]
     u_left, u_right = (interpolate_located(mesh, displacement, place_in_cells(mesh, cells[nearest], points))
                        for cells in (left, right))
+    for other in others:
+        is_beyond = measure_heights(points, other) * measure_heights(middles, other)[nearest] <= 0
+        u_left[is_beyond] = u_right[is_beyond] = np.nan
     return u_left, u_right
+
+
+def measure_heights(points: Array, line: Array) -> Array:
+    """Measure how far points lie to the left of the nearest segment of a polyline, (n,), pixels."""
+    segments, _ = find_nearest_segments(points, line)
+    along = np.diff(line, axis=0)[segments]
+    return np.asarray(multiply_across(along, points - line[segments]) / np.linalg.norm(along, axis=1))
 
 
 def compute_residuals(images: Images, pixels: NDArray[np.int64], displacement: Array,

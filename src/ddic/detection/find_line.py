@@ -17,7 +17,7 @@ from ddic.kinematics.strain import compute_strain
 from ddic.mesh.interpolation import interpolate_located, place_in_cells
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_cell_size
-from ddic.start.coarse_displacement import cut_level
+from ddic.start.coarse_displacement import CutField, cut_level
 from ddic.start.independent import Images, correlate_alone
 
 Array = NDArray[np.float64]
@@ -29,6 +29,13 @@ jumps."""
 LEAST_GAIN = 3.0
 """How often a line must lower the sum of squared residuals by what its unknowns would lower it by chance. A larger one
 misses small jumps, a smaller one takes what elements do not resolve for a line."""
+
+UNCERTAIN = 0.2
+"""Standard deviation of the place of a band of strain, elements: of what a Radon transform may be off."""
+
+SETTLED = 0.11
+"""Pixels: a line that moves by no more has been found: two of the finer steps of its search, within which noise lets it
+waver."""
 
 OUTLIERS = 5.0
 """Standard deviations by which chance may exceed its mean."""
@@ -75,7 +82,8 @@ def find_line(images: Images, mesh: Mesh, displacement: Array, opening: Opening)
         return Detection(None, f"detection: no line; no band of strain stands out (score {band.score:.1f}, "
                                f"{LEAST_SCORE:g} asked for)")
     try:
-        refined = refine_line(images, mesh, displacement, band.line, opening)
+        refined = refine_line(images, mesh, CutField(mesh, displacement), Discontinuities((band.line,), (opening,)), 0,
+                              UNCERTAIN * measure_cell_size(mesh), SETTLED)
         before, after = _compare_residuals(images, mesh, displacement, refined)
     except (ConvergenceError, SingularSubdomainError, FactorizationError) as error:
         return Detection(None, f"detection: no line; where strain stands out (score {band.score:.1f}) no line could be "

@@ -1,4 +1,4 @@
-"""A straight line moved and turned until its sides' pixels fit the images best [RHR08]."""
+"""A line moved, turned and bent until its sides' pixels fit the images best [RHR08]."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from numpy.typing import NDArray
 from ddic.detection.both_sides import compute_residuals, evaluate_both_sides
 from ddic.errors import ConvergenceError
 from ddic.functionals.line_band import BAND
-from ddic.kinematics.discontinuities import Discontinuities, Opening
+from ddic.kinematics.discontinuities import Discontinuities
+from ddic.mesh.cut_mesh import CutMesh
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import multiply_across
-from ddic.mesh.polyline import measure_distance
+from ddic.mesh.polyline import find_nearest_segments, measure_distance
 from ddic.mesh.quality import measure_cell_size
 from ddic.mesh.raster import list_pixels, rasterize
 from ddic.solvers.correction_size import Tolerances
-from ddic.start.coarse_displacement import LevelMesh, cut_level
+from ddic.start.coarse_displacement import CutField, LevelMesh, cut_level
 from ddic.start.independent import Images, correlate_alone
 
 Array = NDArray[np.float64]
@@ -25,25 +26,33 @@ Array = NDArray[np.float64]
 REACH = 3.5
 """Distance from the line, elements, up to which cells are measured with it. A larger one costs more."""
 
-SEARCHED = 0.6
-"""Distance, elements, by which a line's ends may move at a time: of what a Radon transform may be off."""
+SEARCHED = 3.0
+"""Distance, in standard deviations of a line's place, by which its vertices may move at a time."""
 
 STEPS = (0.5, 0.05)
-"""Steps of the search for a line's ends, pixels, one after the other."""
+"""Steps of the search for the places of vertices, pixels, one after the other."""
 
 CUT_OFF = 4.0
 """Cut-off wavelength along the strip, elements."""
 
 N_BINS = 256
-"""Pieces along the line in which pixels are sorted by their height: a line that turns by a pixel from end to end is
+"""Pieces along a segment in which pixels are sorted by their height: a line that turns by a pixel from end to end is
 off by 1/512 px in them."""
-
-MOVED = 0.11
-"""Pixels: a line whose ends move by no more has been found: two of the search's finer steps, within which noise lets it
-waver."""
 
 MOST_MOVES = 8
 """Times that a line is moved; three or four are usual."""
+
+TELLING = (0.05, 0.95)
+"""Shares of what the sides differ by, along the line, between which a move counts: where they do not part, as ahead of
+a tip, pixels say nothing of the line's place."""
+
+BELIEVED = 5.0
+"""Standard deviations of the residual up to which it counts: what is larger with either side's displacement, as in the
+gap of an open crack, says nothing of the side."""
+
+LEAST_DEVIATION = 0.01
+"""Standard deviation of the residual relative to what the sides differ by, at least: images that move by whole pixels
+leave none."""
 
 TOLERANCES = Tolerances(relative=1e-12, rms=0.003, max_iterations=50, largest=np.inf)
 """Of Gauss-Newton for a line that is still moved: a hundredth of the jumps that can be found."""
@@ -55,7 +64,7 @@ class RefinedLine:
 
     Attributes
     ----------
-    line : (2, 2) array
+    line : (n_vertices, 2) array
         Pixels.
     cells : LevelMesh
         The cells about it, cut.
@@ -63,15 +72,38 @@ class RefinedLine:
         Of their nodes, pixels.
     n_moves : int
         How often it was moved.
+    best : (n_vertices, 2) array
+        Where pixels say that it lies with this displacement, hardly elsewhere, pixels.
     """
 
     line: Array
     cells: LevelMesh
     displacement: Array
     n_moves: int
+    best: Array
 
 
-def refine_line(images: Images, mesh: Mesh, displacement: Array, line: Array, opening: Opening) -> RefinedLine:
+@dataclass(frozen=True, eq=False)
+class Move:
+    """Where the pixels about a line say that it lies.
+
+    Attributes
+    ----------
+    line : (n_vertices, 2) array
+        There, pixels.
+    distance : float
+        Largest move where the sides part, pixels.
+    gain : float
+        Fall of the sum of squared residuals, in variances of the residual: noise makes 20 of it.
+    """
+
+    line: Array
+    distance: float
+    gain: float
+
+
+def refine_line(images: Images, mesh: Mesh, start: CutField, among: Discontinuities, number: int,
+                uncertainty: float, settled: float) -> RefinedLine:
     """Move a line until its sides' pixels fit best, each side's displacement being measured with the line where it is.
 
     Parameters
@@ -79,13 +111,18 @@ def refine_line(images: Images, mesh: Mesh, displacement: Array, line: Array, op
     images : Images
         The pair.
     mesh : Mesh
-        The region, pixels.
-    displacement : (n_nodes, 2) array
-        Of a continuous field, from which sides start, pixels.
-    line : (2, 2) array
-        Where it may be, pixels.
-    opening : Opening
-        In which directions the displacement may jump.
+        The region, not cut, pixels.
+    start : CutField
+        From which the sides start, continuous or not.
+    among : Discontinuities
+        Where the line may be, and the others, which stay; pixels.
+    number : int
+        Of the line among them.
+    uncertainty : float
+        Standard deviation of its place, pixels: how far it moves where pixels say nothing, and a third of how far it
+        may at a time.
+    settled : float
+        Pixels: a line that moves by no more has been found.
 
     Returns
     -------
@@ -101,16 +138,17 @@ def refine_line(images: Images, mesh: Mesh, displacement: Array, line: Array, op
     """
     size = measure_cell_size(mesh)
     for n_moves in range(MOST_MOVES):
-        strip, nodes = mesh.create_submesh(find_strip(mesh, line, REACH * size))
-        cells = cut_level(strip, Discontinuities((line,), (opening,)), images.active, images.degree)
+        line = among.lines[number]
+        strip, _ = mesh.create_submesh(find_strip(mesh, line, REACH * size))
+        cells = cut_level(strip, among, images.active, images.degree)
         if cells.mesh.parts is None:
             raise ConvergenceError("the line left the mesh")
-        start = displacement[nodes][cells.cut.node_of]
-        u = correlate_alone(images, cells, CUT_OFF * size, TOLERANCES, [start.ravel()], "the strip along a line")
-        moved, distance = _move_line(images, cells, u, line, SEARCHED * size)
-        if distance <= MOVED:
-            return RefinedLine(line, cells, u, n_moves)
-        line = moved
+        u = correlate_alone(images, cells, CUT_OFF * size, TOLERANCES,
+                            [start.interpolate_at_nodes(cells.mesh).ravel()], "the strip along a line")
+        move = find_move(images, cells.cut, u.reshape(cells.mesh.nodes.shape), among, number, uncertainty)
+        if move.distance <= settled:
+            return RefinedLine(line, cells, u, n_moves, move.line)
+        among = among.with_line(number, move.line)
     raise ConvergenceError(f"the line was still moving after {MOST_MOVES} rounds")
 
 
@@ -121,7 +159,7 @@ def find_strip(mesh: Mesh, line: Array, reach: float) -> NDArray[np.int64]:
     ----------
     mesh : Mesh
         Pixels.
-    line : (2, 2) array
+    line : (n_vertices, 2) array
         Pixels.
     reach : float
         Distance of their centres, pixels.
@@ -134,55 +172,168 @@ def find_strip(mesh: Mesh, line: Array, reach: float) -> NDArray[np.int64]:
     return np.flatnonzero(measure_distance(mesh.centroids, line) <= reach).astype(np.int64)
 
 
-def _move_line(images: Images, cells: LevelMesh, displacement: Array, line: Array, reach: float) -> tuple[Array, float]:
-    """The line by which the pixels within reach are told best to which side they belong, and how far its ends moved."""
-    pixels, _ = list_pixels(rasterize(cells.mesh), np.arange(cells.mesh.n_cells))
+def find_move(images: Images, cut: CutMesh, displacement: Array, among: Discontinuities, number: int,
+              uncertainty: float) -> Move:
+    """Find the line by which the pixels about it are told best to which side they belong.
+
+    What a pixel costs on the left beyond what it costs on the right, left^2 - right^2 of the residuals with either
+    side's displacement, is summed above the line; that sum jumps from pixel to pixel, and is searched for its least
+    value, not differentiated.
+
+    Parameters
+    ----------
+    images : Images
+        The pair.
+    cut : CutMesh
+        Cells that the line cuts, among others.
+    displacement : (n_nodes, 2) array
+        Of their nodes, pixels; nan where it is not known.
+    among : Discontinuities
+        Where the line is, and the others, pixels.
+    number : int
+        Of the line among them.
+    uncertainty : float
+        Standard deviation of its place, pixels.
+
+    Returns
+    -------
+    Move
+        From there.
+
+    Raises
+    ------
+    ConvergenceError
+        Where no pixel about the line counts.
+    """
+    line, reach = among.lines[number], SEARCHED * uncertainty
+    size = measure_cell_size(cut.mesh)
+    about, _ = cut.mesh.create_submesh(find_strip(cut.mesh, line, reach + 2 * size))
+    pixels, _ = list_pixels(rasterize(about), np.arange(about.n_cells))
     points = pixels.astype(np.float64)
     near = measure_distance(points, line) <= reach + BAND[images.degree]
     pixels, points = pixels[near], points[near]
-    u = displacement.reshape(cells.mesh.nodes.shape)
-    is_left = multiply_across(line[1] - line[0], points - line[0]) > 0
-    on_left, on_right = evaluate_both_sides(cells.cut, u, line, points)
-    left = compute_residuals(images, pixels, on_left, is_left)
-    right = compute_residuals(images, pixels, on_right, ~is_left)
-    # What a pixel costs on the left beyond what it costs on the right.
-    cost = left**2 - right**2
-    counted = np.isfinite(cost)
+    segments, _ = find_nearest_segments(points, line)
+    along = np.diff(line, axis=0)
+    lengths = np.linalg.norm(along, axis=1)
+    from_start = points - line[segments]
+    shares = (from_start * along[segments]).sum(axis=1) / lengths[segments] ** 2
+    heights = multiply_across(along[segments], from_start) / lengths[segments]
+    on_left, on_right = evaluate_both_sides(cut, displacement, line, points,
+                                            (*among.lines[:number], *among.lines[number + 1:]))
+    left = compute_residuals(images, pixels, on_left, heights > 0)
+    right = compute_residuals(images, pixels, on_right, heights <= 0)
+    counted = np.isfinite(left) & np.isfinite(right)
     if not counted.any():
         raise ConvergenceError("no pixel about the line counts")
-    along = line[1] - line[0]
-    length = float(np.linalg.norm(along))
-    shares = ((points[counted] - line[0]) @ along) / length**2
-    heights = multiply_across(along, points[counted] - line[0]) / length
-    first, last = float(shares.min()), float(shares.max())
-    costs = _tabulate(cost[counted], (shares - first) / (last - first), heights, reach)
-    ends = _search_on_grids(costs, reach)
-    normal = np.array([-along[1], along[0]]) / length
-    at_line_ends = ends[0] + (ends[1] - ends[0]) * (np.array([0.0, 1.0]) - first) / (last - first)
-    return line + at_line_ends[:, None] * normal, float(np.abs(ends).max())
+    own = np.where(heights > 0, left, right)[counted]
+    difference = (left - right) ** 2
+    variance = max((float(np.median(np.abs(own))) / 0.6745) ** 2,
+                   LEAST_DEVIATION**2 * float(difference[counted].mean()), 1e-300)
+    most = BELIEVED**2 * variance
+    cost = np.minimum(left**2, most) - np.minimum(right**2, most)
+    tables = []
+    for k in range(len(along)):
+        mine = counted & (segments == k)
+        tables.append(_Segment.tabulate(cost[mine], difference[mine], shares[mine], heights[mine],
+                                        (reach, k == 0, k == len(along) - 1)))
+    found = _search_on_grids(tables, reach, variance / uncertainty**2)
+    gain = _sum_costs(tables, np.zeros(len(found))) - _sum_costs(tables, found)
+    return Move(_move_vertices(line, tables, found), _measure_distance_moved(tables, found),
+                gain / variance)
 
 
-def _tabulate(cost: Array, places: Array, heights: Array, reach: float) -> Array:
-    """Costs of the pixels above a height, (N_BINS along the line, n_heights), which are STEPS[-1] apart from -reach."""
-    n_heights = int(np.ceil(2 * reach / STEPS[-1])) + 1
-    within, _, _ = np.histogram2d(places, heights, bins=(N_BINS, n_heights), weights=cost,
-                                  range=((0.0, 1.0), (-reach, -reach + n_heights * STEPS[-1])))
-    above = heights >= -reach + n_heights * STEPS[-1]
-    beyond = np.histogram(places[above], N_BINS, (0.0, 1.0), weights=cost[above])[0]
-    return np.asarray(np.cumsum(within[:, ::-1], axis=1)[:, ::-1] + beyond[:, None])
+@dataclass(frozen=True, eq=False)
+class _Segment:
+    """Costs of the pixels above heights, (N_BINS along a segment, n_heights), STEPS[-1] apart from -reach.
+
+    And the squares of what its sides differ by, (N_BINS,), between its first and last place, in lengths of the segment.
+    """
+
+    costs: Array
+    differences: Array
+    places: tuple[float, float]
+    reach: float
+
+    @classmethod
+    def tabulate(cls, cost: Array, difference: Array, shares: Array, heights: Array,
+                 limits: tuple[float, bool, bool]) -> _Segment:
+        """From pixels; at the ends of the line it begins and ends where they do."""
+        reach, is_first, is_last = limits
+        first = float(shares.min()) if is_first and len(shares) else 0.0
+        last = float(shares.max()) if is_last and len(shares) else 1.0
+        bins = np.clip((shares - first) / max(last - first, 1e-12), 0.0, 1.0)
+        n_heights = int(np.ceil(2 * reach / STEPS[-1])) + 1
+        top = -reach + n_heights * STEPS[-1]
+        within, _, _ = np.histogram2d(bins, np.maximum(heights, -reach), bins=(N_BINS, n_heights), weights=cost,
+                                      range=((0.0, 1.0), (-reach, top)))
+        above = heights >= top
+        beyond = np.histogram(bins[above], N_BINS, (0.0, 1.0), weights=cost[above])[0]
+        costs = np.cumsum(within[:, ::-1], axis=1)[:, ::-1] + beyond[:, None]
+        return cls(costs, np.histogram(bins, N_BINS, (0.0, 1.0), weights=difference)[0], (first, last), reach)
+
+    @property
+    def bins(self) -> Array:
+        """Where the pieces lie, from 0 to 1."""
+        return np.asarray((np.arange(N_BINS) + 0.5) / N_BINS)
+
+    def sum_costs(self, ones: Array, others: Array) -> Array:
+        """What the segment costs from any height at its beginning to any at its end, (n_ones, n_others)."""
+        total = np.zeros((len(ones), len(others)))
+        for costs, place in zip(self.costs, self.bins, strict=True):
+            at = np.rint((ones[:, None] * (1 - place) + others * place + self.reach) / STEPS[-1]).astype(np.int64)
+            total += costs[np.clip(at, 0, len(costs) - 1)]
+        return total
 
 
-def _search_on_grids(costs: Array, reach: float) -> Array:
-    """Heights of both ends at which the line costs least, on a coarse grid and then on a fine one about it."""
-    places = (np.arange(N_BINS) + 0.5) / N_BINS
-    best, around = np.zeros(2), reach
+def _sum_costs(segments: list[_Segment], heights: Array) -> float:
+    """What a line with its ends and bends at heights costs."""
+    return float(sum(segment.sum_costs(ones, others)[0, 0] for segment, ones, others
+                     in zip(segments, heights[:-1, None], heights[1:, None], strict=True)))
+
+
+def _search_on_grids(segments: list[_Segment], reach: float, stiffness: float) -> Array:
+    """Heights of the ends and bends at which the line costs least, on a coarse grid and then on a fine one about it.
+
+    Segments meet at bends: the least sum is found from one to the next.
+    """
+    best, around = np.zeros(len(segments) + 1), reach
     for step in STEPS:
-        heights = np.arange(-around, around + step / 2, step)
-        one, other = (axis.ravel() for axis in np.meshgrid(best[0] + heights, best[1] + heights, indexing="ij"))
-        total = np.zeros(len(one))
-        for k, place in enumerate(places):
-            at = np.rint((one + (other - one) * place + reach) / STEPS[-1]).astype(np.int64)
-            total += costs[k, np.clip(at, 0, costs.shape[1] - 1)]
-        least = int(total.argmin())
-        best, around = np.array([one[least], other[least]]), 2 * step
+        grid = np.arange(-around, around + step / 2, step)
+        grids = best[:, None] + grid
+        of_places = stiffness * grids**2
+        least, came_from = of_places[0], []
+        for segment, ones, others, of_place in zip(segments, grids[:-1], grids[1:], of_places[1:], strict=True):
+            totals = least[:, None] + segment.sum_costs(ones, others)
+            came_from.append(totals.argmin(axis=0))
+            least = totals.min(axis=0) + of_place
+        chosen = [int(least.argmin())]
+        for origins in reversed(came_from):
+            chosen.append(int(origins[chosen[-1]]))
+        best, around = grids[np.arange(len(grids)), chosen[::-1]], 2 * step
     return best
+
+
+def _move_vertices(line: Array, segments: list[_Segment], heights: Array) -> Array:
+    """The line with its ends and bends at heights, which at its ends are those of its first and last pixels."""
+    along = np.diff(line, axis=0)
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    normals = np.column_stack([-along[:, 1], along[:, 0]])
+    moved = line.copy()
+    for vertex, segment, place in ((0, 0, 0.0), (-1, -1, 1.0)):
+        first, last = segments[segment].places
+        one, other = heights[:2] if vertex == 0 else heights[-2:]
+        moved[vertex] += (one + (other - one) * (place - first) / max(last - first, 1e-12)) * normals[segment]
+    mean = (normals[:-1] + normals[1:]) / 2
+    # A segment is as far off as its bend along its own normal.
+    moved[1:-1] += heights[1:-1, None] * mean / np.maximum((mean**2).sum(axis=1), 0.1)[:, None]
+    return moved
+
+
+def _measure_distance_moved(segments: list[_Segment], heights: Array) -> float:
+    """Largest height where the sides part."""
+    differences = np.concatenate([segment.differences for segment in segments])
+    shares = np.cumsum(differences) / max(float(differences.sum()), 1e-300)
+    at = np.concatenate([one + (other - one) * segment.bins for segment, one, other
+                         in zip(segments, heights[:-1], heights[1:], strict=True)])
+    tells = (shares >= TELLING[0]) & (shares <= TELLING[1])
+    return float(np.abs(at[tells]).max(initial=0.0))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ddic.fracture.lines_of_result import get_line, get_lines
 from ddic.io.result_reader import Result
+from ddic.io.result_schema import DOUBTFUL, EXCLUDED, EXCLUDED_STATES
 from ddic.mesh.interpolation import locate
 
 Array = NDArray[np.float64]
@@ -37,13 +38,21 @@ class Opening:
     tangential : (n,) array
         Slip along the line, pixels.
     normal : (n,) array
-        How far the sides part, pixels; negative where they would overlap.
+        How far the sides part, pixels; negative where they would overlap. Both are nan where the cell of either side is
+        excluded: its displacement is that of its neighbours.
+    excluded : (n,) uint8 array
+        Why the cell of either side is, as the result's cell field says: 0 where neither is, or 4 where one is used
+        though mechanics hold it off.
+    doubtful : (n,) bool array
+        Whether the cell of either side is marked doubtful.
     """
 
     distance: Array
     points: Array
     tangential: Array
     normal: Array
+    excluded: NDArray[np.uint8]
+    doubtful: NDArray[np.bool_]
 
 
 def measure_opening(result: Result, line: int = 1) -> Opening:
@@ -80,10 +89,15 @@ def measure_opening(result: Result, line: int = 1) -> Opening:
         begin += length
     at, tangent = np.concatenate(points), np.concatenate(tangents)
     to_left = np.column_stack([tangent[:, 1], -tangent[:, 0]])
-    apart = result.at(at + BESIDE * to_left) - result.at(at - BESIDE * to_left)
-    inside = np.isfinite(apart).all(axis=1) & ~_find_uncut_bends(result, vertices, at, to_left)
-    return Opening(np.concatenate(distances)[inside], at[inside], (apart * tangent).sum(axis=1)[inside],
-                   (apart * to_left).sum(axis=1)[inside])
+    sides = at + BESIDE * to_left, at - BESIDE * to_left
+    cells = np.stack([locate(result.mesh, side).cells for side in sides])
+    apart = result.at(sides[0]) - result.at(sides[1])
+    inside = (cells >= 0).all(axis=0) & ~_find_uncut_bends(result, vertices, at, to_left)
+    cells, apart, tangent, to_left = cells[:, inside], apart[inside], tangent[inside], to_left[inside]
+    excluded = _look_up(result, EXCLUDED, cells)
+    apart[np.isin(excluded, EXCLUDED_STATES)] = np.nan
+    return Opening(np.concatenate(distances)[inside], at[inside], (apart * tangent).sum(axis=1),
+                   (apart * to_left).sum(axis=1), excluded, _look_up(result, DOUBTFUL, cells) > 0)
 
 
 def measure_openings(result: Result) -> list[Opening]:
@@ -106,6 +120,15 @@ def measure_openings(result: Result) -> list[Opening]:
     """
     n_lines = max(len(get_lines(result)), 1)
     return [measure_opening(result, number) for number in range(1, n_lines + 1)]
+
+
+def _look_up(result: Result, name: str, cells: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """State of the cells of both sides, (2, n), by a cell field; of either where the other is as it should be, (n,)."""
+    if name not in result.cell_data:
+        return np.zeros(cells.shape[1], dtype=np.uint8)
+    left, right = np.asarray(result.cell_data[name], dtype=np.uint8)[cells]
+    # Excluded cells have the smaller numbers of those that are not 0.
+    return np.where((left == 0) | ((right > 0) & (right < left)), right, left)
 
 
 def _find_uncut_bends(result: Result, vertices: Array, at: Array, to_left: Array) -> NDArray[np.bool_]:

@@ -283,15 +283,43 @@ class Correlation:
         (n_dofs,) array
             b, grey levels squared per pixel; Eq. 5 of [BP17].
         """
+        return self.interpolation.assemble_vector(self._correct_moments(residual, gain, offset))
+
+    def compute_cell_forces(self, cells: NDArray[np.int64], residual: Residual,
+                            gain: NDArray[np.float64] | float = 1.0,
+                            offset: NDArray[np.float64] | float = 0.0) -> NDArray[np.float64]:
+        """Sum N^T grad f (f - gain g(x + u) - offset) over the pixels of some cells.
+
+        Parameters
+        ----------
+        cells : (n,) array of int64
+            Their numbers.
+        residual : Residual
+            With all kinds of moments where gain is not 1 or offset not 0.
+        gain : float or (n_cells,) array
+            No unit.
+        offset : float or (n_cells,) array
+            Grey levels.
+
+        Returns
+        -------
+        (n, 8) array
+            b_e, node-major, grey levels squared per pixel.
+        """
+        return self.interpolation.take_to_corners(cells, self._correct_moments(residual, gain, offset)[cells])
+
+    def _correct_moments(self, residual: Residual, gain: NDArray[np.float64] | float,
+                         offset: NDArray[np.float64] | float) -> NDArray[np.float64]:
+        """Moments of f - gain g(x + u) - offset against grad f, moved where it is asked for, (n_cells, 2, 4)."""
         moments = residual.moments
         if self.inverse_deformations is not None:
             moments = map_moments(self.inverse_deformations, moments)
         of_r, of_g, of_one = moments[:, 0], moments[:, 1], moments[:, 2]
         if np.all(np.equal(gain, 1.0)) and not np.any(offset):
-            return self.interpolation.assemble_vector(of_r)
+            return of_r
         excess = np.broadcast_to(np.asarray(gain) - 1.0, len(moments))[:, None, None]
         shift = np.broadcast_to(np.asarray(offset), len(moments))[:, None, None]
-        return self.interpolation.assemble_vector(of_r - excess * of_g - shift * of_one)
+        return np.asarray(of_r - excess * of_g - shift * of_one)
 
     def compute_residual_image(self, deformed: DeformedSubImage, q: NDArray[np.float64],
                                gain: NDArray[np.float64] | float = 1.0,

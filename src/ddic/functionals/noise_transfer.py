@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
 
 from ddic.functionals.correlation import Correlation
 from ddic.functionals.view import View
@@ -93,6 +93,9 @@ def _choose_sample(correlation: Correlation) -> Window:
 
 def _correlate(values: Array) -> Array:
     """Sums of products of values at distances up to REACH, without wrapping around."""
+    # It imports scipy.special, a tenth of a second, and few runs need it.
+    from scipy import fft
+
     shape = [fft.next_fast_len(n + REACH, real=True) for n in values.shape]
     spectrum = fft.rfft2(values, s=shape)
     whole = fft.irfft2(np.abs(spectrum) ** 2, s=shape)
@@ -127,6 +130,7 @@ def build_transfer(sums: Array, degree: int) -> TransferTable:
     return TransferTable(values)
 
 
+@cache
 def build_white_transfer(degree: int) -> TransferTable:
     """Tabulate the variance of interpolated values over that of pixels, which is what the residual shows.
 
@@ -145,7 +149,8 @@ def build_white_transfer(degree: int) -> TransferTable:
     return build_transfer(white, degree)
 
 
-def find_cell_transfer(table: TransferTable, view: View, q: Array) -> Array:
+def find_cell_transfer(table: TransferTable, view: View, q: Array,
+                       cells: NDArray[np.int64] | slice = slice(None)) -> Array:
     """Average the noise transfer over the shifts that a displacement gives the pixels of each cell.
 
     Parameters
@@ -156,14 +161,16 @@ def find_cell_transfer(table: TransferTable, view: View, q: Array) -> Array:
         Its cells.
     q : (n_unknowns,) array
         The subdomain's unknowns.
+    cells : (n,) array of int64, optional
+        Numbers of those that are wanted; all by default.
 
     Returns
     -------
-    (n_cells, 2) array
+    (n, 2) array
         To b along x and along y, no unit.
     """
     mesh = view.correlation.mesh
-    at_corners = view.kinematics.displacement(q).reshape(mesh.nodes.shape)[pad_cells(mesh)]
+    at_corners = view.kinematics.displacement(q).reshape(mesh.nodes.shape)[pad_cells(mesh)[cells]]
     middle = at_corners.mean(axis=1, keepdims=True)
     found = [table.find((middle + place * (at_corners - middle)).reshape(-1, 2)) for place in PLACES]
     return np.asarray(np.mean(found, axis=0).reshape(*at_corners.shape).mean(axis=1))

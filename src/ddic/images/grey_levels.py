@@ -19,6 +19,10 @@ CAMERA_BITS = (8, 10, 12, 14)
 BAND_PIXELS = 1 << 20
 """Pixels of a band: more make fewer reads, and take more memory."""
 
+MOST_LOOKED_AT = 1 << 28
+"""Pixels, evenly spread, that are searched for a second grey level: those of any camera, a second of reading. A larger
+value takes longer for a blank image of more."""
+
 NOISES = (1e-7, 1.0)
 """Least and largest standard deviation of noise over the span of grey levels: of two cameras whose noises differ by
 more, one counts for nothing beside rounding. Pictures of 10 bits in files of 16 have noise of 5e-6. Wider limits refuse
@@ -182,7 +186,8 @@ def check_varied(source: ImageSource) -> None:
         Where it does not; it says the level, or how large or small levels are.
     """
     lowest, highest = _find_range(source)
-    if source.saturation is not None and highest > lowest:
+    if source.saturation is not None and (highest > lowest or source.width * source.height > MOST_LOOKED_AT):
+        # Of a larger image the pixels that were not looked at may differ; those of the mesh are looked at later.
         return
     if not highest > lowest:
         level = f"one grey level, {highest:g}, everywhere" if np.isfinite(highest) else "no finite grey level"
@@ -195,7 +200,8 @@ def check_varied(source: ImageSource) -> None:
 def _find_range(source: ImageSource) -> tuple[float, float]:
     """Lowest and highest finite level; of an integer image two of its levels, where it has two."""
     lowest, highest = np.inf, -np.inf
-    for rows in _bands(source):
+    whole = Window(0, 0, source.width, source.height)
+    for rows in _bands(source) if source.saturation is None else list_spread_bands(whole):
         band = source.read(rows)
         values = band if source.saturation is not None else band[np.isfinite(band)]
         if values.size:
@@ -260,6 +266,25 @@ class _HighestLevel:
             if in_upper_bits and self.highest == level << n_unused:
                 return float(level << n_unused)
         return largest
+
+
+def list_spread_bands(window: Window) -> Iterator[Window]:
+    """List bands of a window, all of them or as many, evenly spread, as hold MOST_LOOKED_AT pixels.
+
+    Parameters
+    ----------
+    window : Window
+        Of an image.
+
+    Yields
+    ------
+    Window
+        Whole rows of it, from top to bottom.
+    """
+    n_rows = max(1, BAND_PIXELS // window.width)
+    step = n_rows * max(1, -(-window.n_pixels // MOST_LOOKED_AT))
+    for y in range(window.y0, window.y1, step):
+        yield Window(window.x0, y, window.x1, min(y + n_rows, window.y1))
 
 
 def _bands(source: ImageSource) -> Iterator[Window]:

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
 from ddic.mesh.cell_type import CELL_TYPES
+from ddic.mesh.mesh import Mesh
+from ddic.mesh.quality import measure_shape_quality
 
 if TYPE_CHECKING:
     from ddic.io.result_reader import Result
@@ -22,6 +24,10 @@ READ_ERRORS = (OSError, RuntimeError, KeyError, ValueError, IndexError, TypeErro
 
 LARGEST_PX = 1e7
 """Coordinate or displacement beyond which a number is damage: no image is as large."""
+
+_ANY_COMPONENTS = (1, schema.VECTOR, schema.SYMMETRIC_TENSOR)
+_COMPONENTS = {field.name: (field.n_components,) for field in schema.list_all_fields()} | {"Points": (schema.VECTOR,)}
+"""Numbers that a row of a field may have, by name; of other fields any."""
 
 MOST_DEFLATED = 1100
 """Bytes that a byte of a compressed dataset can stand for: deflate's limit is 1032."""
@@ -153,12 +159,15 @@ def require_sound_fields(fields: Mapping[str, NDArray[Any]], n_rows: int) -> Non
         With the field.
     """
     for name, values in fields.items():
-        if values.dtype.kind not in "iuf" or values.ndim not in (1, 2) or len(values) != n_rows:
-            raise ValueError(f"{name}: an array of {values.dtype}, shape {values.shape}; {n_rows} rows expected")
+        counts = _COMPONENTS.get(name, _ANY_COMPONENTS)
+        shapes = [(n_rows,) if count == 1 else (n_rows, count) for count in counts]
+        if values.dtype.kind not in "iuf" or values.shape not in shapes:
+            raise ValueError(f"{name}: an array of {values.dtype}, shape {values.shape}; {n_rows} rows of "
+                             f"{' or '.join(map(str, counts))} numbers expected")
 
 
 def require_sound_ids(point_data: Mapping[str, NDArray[Any]], cell_data: Mapping[str, NDArray[Any]]) -> None:
-    """Refuse numbers of nodes and cells that are none.
+    """Refuse numbers of nodes, cells, subdomains and cameras that are none.
 
     Parameters
     ----------
@@ -174,14 +183,18 @@ def require_sound_ids(point_data: Mapping[str, NDArray[Any]], cell_data: Mapping
     for name, numbers in ((schema.GLOBAL_NODE_ID, nodes), (schema.GLOBAL_CELL_ID, cells)):
         if numbers.ndim != 1 or numbers.dtype.kind not in "iu" or _least(numbers) < 0:
             raise ValueError(f"{name}: numbers from 0 on expected")
+    for name in (schema.SUBDOMAIN_ID, schema.CAMERA):
+        numbers = cell_data.get(name, cells)
+        if numbers.dtype.kind not in "iu" or _least(numbers) < 0 or (name in cell_data and numbers.max() >= len(cells)):
+            raise ValueError(f"{name}: numbers from 0 on expected, fewer than cells")
 
 
-def require_sound_values(nodes: NDArray[np.float64], displacement: NDArray[np.float64]) -> None:
+def require_sound_values(mesh: Mesh, displacement: NDArray[np.float64]) -> None:
     """Refuse places and displacements that no measurement has.
 
     Parameters
     ----------
-    nodes : (n_nodes, 2) array
+    mesh : Mesh
         Pixels.
     displacement : (n_nodes, 2) array
         Pixels, nan where it was not measured.
@@ -191,35 +204,13 @@ def require_sound_values(nodes: NDArray[np.float64], displacement: NDArray[np.fl
     ValueError
         With what is wrong.
     """
-    if nodes.ndim != 2 or nodes.shape[1] != 2 or displacement.shape != nodes.shape:
-        raise ValueError("Points and displacement are not vectors")
-    if not (np.abs(nodes) <= LARGEST_PX).all():
+    if not (np.abs(mesh.nodes) <= LARGEST_PX).all():
         raise ValueError("Points: nodes lie in no image")
     if (np.abs(displacement) > LARGEST_PX).any():
         raise ValueError("displacement: larger than any image")
-
-
-def require_sound_attributes(attributes: Mapping[str, Mapping[str, Any]]) -> None:
-    """Refuse attributes that others read as numbers or as a case and that are none.
-
-    Parameters
-    ----------
-    attributes : mapping
-        Of groups.
-
-    Raises
-    ------
-    ValueError, TypeError, KeyError
-        Where they are something else.
-    """
-    case = json.loads(str(attributes.get(schema.CASE, {}).get("json", "{}")))
-    for section in case.get("discontinuity", ()):
-        np.array(section["vertices"], dtype=float).reshape(-1, 2)
-    numbers = ((schema.UNITS, "pixel_size"), (schema.TIME, "reference"), (schema.TIME, "deformed"),
-               (schema.CASE, schema.NOISE_FLOOR))
-    for group, name in numbers:
-        if name in attributes.get(group, {}):
-            float(attributes[group][name])
+    n_shapeless = int((measure_shape_quality(mesh) <= 0.0).sum())
+    if n_shapeless:
+        raise ValueError(f"Points: {n_shapeless} cells are flat, crossed or not convex")
 
 
 def require_known_displacement(result: Result) -> None:

@@ -19,7 +19,7 @@ from ddic.images.window import Window
 from ddic.io.decoded_file import decode_whole, is_jpeg, read_decoded, read_decoded_format
 from ddic.io.input_file import require_file
 from ddic.io.pixel_format import PixelFormat
-from ddic.io.tiff_file import can_decode, is_tiff, read_tiff, read_tiff_format
+from ddic.io.tiff_file import can_decode, describe_other_compression, is_tiff, read_tiff, read_tiff_format
 
 T = TypeVar("T")
 
@@ -196,13 +196,17 @@ def compute_sha256(path: Path | str) -> str:
 
 def _explained(path: Path, tiff: bool, decode: Callable[[Path], T]) -> T:
     """What ``decode`` makes of a file; where it fails on a TIFF, the error says what to do about it."""
+    other = describe_other_compression(path) if tiff else None
+    if other is not None:
+        raise InputError(f"{path}: no codec is installed for the compression of this TIFF ({other}); save it again as "
+                         "uncompressed TIFF, or install imagecodecs")
     try:
         return decode(path)
     except InputError as error:
         if not tiff:
             raise
-        raise InputError(f"{path}: TIFF with a compression that cannot be decoded here; "
-                         "save it again as uncompressed TIFF, or install imagecodecs") from error
+        raise InputError(f"{path}: TIFF that is cut short, or that cannot be decoded here; save it again as "
+                         "uncompressed TIFF, or install imagecodecs") from error
 
 
 def _warn_of_what_is_dropped(path: Path, layout: PixelFormat) -> None:

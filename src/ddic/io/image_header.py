@@ -16,6 +16,10 @@ MOST_PIXELS_ALONG = 1_000_000
 PNG, JPEG, BMP = b"\x89PNG", b"\xff\xd8\xff", b"BM"
 """First bytes of the files."""
 
+MOST_PIXELS_DECODED = 1 << 28
+"""Pixels of an image that can only be decoded whole, 16,384 x 16,384: it takes seconds, and a byte or more of memory a
+pixel. A larger value makes every look at a larger image as slow as that."""
+
 MOST_PIXELS_OF_A_BYTE = {
     # Deflate makes 1032 bytes of one at most, of 8 pixels each where they are black or white.
     PNG: 8 * 1032,
@@ -57,6 +61,7 @@ def check_header(path: Path) -> None:
         raise InputError(f"{path}: damaged: its header claims {width} x {height} px, which a file of {n_bytes} bytes "
                          "cannot hold; copy or save it again")
     check_claimed_size(path, width, height)
+    check_decoded_size(path, width, height)
 
 
 def _find_reader(magic: bytes) -> type[ImageFile]:
@@ -68,6 +73,27 @@ def _find_reader(magic: bytes) -> type[ImageFile]:
 
     readers: dict[bytes, type[ImageFile]] = {PNG: PngImageFile, JPEG: JpegImageFile, BMP: BmpImageFile}
     return readers[magic]
+
+
+def check_decoded_size(path: Path, width: int, height: int) -> None:
+    """Refuse an image that would have to be decoded whole to read any part of it, and is too large for that.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    width, height : int
+        Pixels, as its header says.
+
+    Raises
+    ------
+    InputError
+        Where it has more than MOST_PIXELS_DECODED.
+    """
+    if width * height > MOST_PIXELS_DECODED:
+        raise InputError(f"{path}: {width} x {height} px in a format that can only be decoded whole, which goes for "
+                         f"{MOST_PIXELS_DECODED >> 20} Mi pixels at most; save it as uncompressed TIFF, of which only "
+                         "what is needed is read")
 
 
 def check_claimed_size(path: Path, width: int, height: int) -> None:

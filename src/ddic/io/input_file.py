@@ -9,6 +9,31 @@ from pathlib import Path
 from ddic.errors import InputError
 
 
+def as_path(name: object, what: str) -> Path:
+    """Take the name of a file that Python code gives.
+
+    Parameters
+    ----------
+    name : object
+        A str or a Path.
+    what : str
+        What it should name, for the message.
+
+    Returns
+    -------
+    Path
+        The same.
+
+    Raises
+    ------
+    InputError
+        Where it is anything else.
+    """
+    if not isinstance(name, str | Path):
+        raise InputError(f"{what}: {type(name).__name__} given, the name of a file expected")
+    return Path(name)
+
+
 def require_file(path: Path, what: str) -> None:
     """Refuse a path that leads to no file.
 

@@ -19,13 +19,13 @@ from ddic.io.damaged_result import (
     READ_ERRORS,
     describe_damage,
     read_array,
-    require_sound_attributes,
     require_sound_fields,
     require_sound_ids,
     require_sound_pieces,
     require_sound_values,
 )
-from ddic.io.input_file import require_file
+from ddic.io.damaged_tables import require_sound_attributes, require_sound_products, require_sound_tables
+from ddic.io.input_file import as_path, require_file
 from ddic.io.mesh_export import to_meshio, to_pyvista
 from ddic.io.open_hdf5 import open_hdf5
 from ddic.mesh.interpolation import differentiate_shapes_at, interpolate, locate
@@ -228,9 +228,7 @@ def opened_result(path: Path | str) -> Iterator[tuple[Path, Any]]:
     InputError
         Where it is missing, foreign, of a newer major schema, or damaged where it is read inside.
     """
-    if not isinstance(path, str | Path):
-        raise InputError(f"result: {type(path).__name__} given, the name of a file expected")
-    path = Path(path)
+    path = as_path(path, "result")
     require_file(path, "result file")
     try:
         with open_hdf5(path) as file:
@@ -362,9 +360,12 @@ def read_open_file(path: Path, file: Any) -> Result:
     at_nodes = {name: values[merged.points] for name, values in point_data.items()}
     on_cells = {name: values[merged.cells] for name, values in cell_data.items()}
     displacement = np.ascontiguousarray(at_nodes[schema.DISPLACEMENT][:, :2])
-    require_sound_values(merged.mesh.nodes, displacement)
+    require_sound_values(merged.mesh, displacement)
     attributes = {name: dict(file[name].attrs) for name in file if schema.has_attributes(name)}
     require_sound_attributes(attributes)
+    tables = {group: _arrays(file, group) for group in (schema.GAUSS_NEWTON, schema.KRYLOV, schema.CORRECTIONS,
+                                                        schema.PHASES)}
+    require_sound_tables(tables)
     result = Result(
         path=path,
         mesh=merged.mesh,
@@ -372,14 +373,14 @@ def read_open_file(path: Path, file: Any) -> Result:
         point_data=at_nodes,
         cell_data=on_cells,
         subdomain_ids=on_cells[schema.SUBDOMAIN_ID].astype(np.int64),
-        gauss_newton=_arrays(file, schema.GAUSS_NEWTON),
-        krylov=tuple(_arrays(file, schema.KRYLOV).values()),
+        gauss_newton=tables[schema.GAUSS_NEWTON],
+        krylov=tuple(tables[schema.KRYLOV].values()),
         attributes=attributes,
         flipped=flipped,
-        corrections=_arrays(file, schema.CORRECTIONS),
+        corrections=tables[schema.CORRECTIONS],
         separated=_read_separated(file),
         failure=str(file.attrs.get(schema.FAILURE, "")),
-        phases=_arrays(file, schema.PHASES),
+        phases=tables[schema.PHASES],
     )
     if path == Path():
         # What is computed at first use may also be put in place, whatever the class is frozen for.
@@ -392,6 +393,7 @@ def _read_separated(file: Any) -> SeparatedField | None:
     data = _arrays(file, schema.SEPARATED)
     if not data:
         return None
+    require_sound_products(data)
     along_x, along_y = LineElements(data["nodes_x"]), LineElements(data["nodes_y"])
     return SeparatedField(along_x, along_y, data["amplitudes"], data["x"], data["y"])
 
@@ -400,7 +402,10 @@ def _read_residual_image(file: Any) -> NDArray[np.float32] | None:
     """The first residual image of an open file; None if there is none."""
     if schema.RESIDUAL_IMAGE not in file:
         return None
-    return read_array(file[schema.RESIDUAL_IMAGE][schema.RESIDUAL]).astype(np.float32, copy=False)
+    image = read_array(file[schema.RESIDUAL_IMAGE][schema.RESIDUAL])
+    if image.ndim != 2 or image.dtype.kind != "f" or not image.size:
+        raise ValueError(f"{schema.RESIDUAL}: an array of {image.dtype}, shape {image.shape}; rows of numbers expected")
+    return image.astype(np.float32, copy=False)
 
 
 @dataclass(frozen=True)

@@ -63,6 +63,10 @@ SIGMA_NODAL_STRAIN = ("sigma_exx", "sigma_eyy", "sigma_exy")
 SIGMA_CELL_STRAIN = ("cell_sigma_exx", "cell_sigma_eyy", "cell_sigma_exy")
 REGULARIZATION_BIAS = "regularization_bias"
 
+EXCLUDED_STATES = (1, 2, 3)
+"""Values of the field ``excluded`` of cells none of whose pixels counts; 4 marks one that is used though mechanics hold
+it off."""
+
 VECTOR, SYMMETRIC_TENSOR = 3, 6
 AXES_OF_IMAGE, AXES_OF_MESH_FILE = "image", "mesh file"
 TENSOR_COMPONENTS = ("XX", "YY", "ZZ", "XY", "YZ", "XZ")
@@ -207,6 +211,18 @@ def uncertainty_cell_fields() -> tuple[FieldSpec, ...]:
     return tuple(FieldSpec(name, 1, np.float64, "1", "standard deviation that the images' noise leaves in the "
                            f"infinitesimal strain {component} at the cell's centre")
                  for name, component in zip(SIGMA_CELL_STRAIN, ("xx", "yy", "xy"), strict=True))
+
+
+def list_all_fields() -> tuple[FieldSpec, ...]:
+    """List all fields that a result may have.
+
+    Returns
+    -------
+    tuple of FieldSpec
+        At the nodes and on the cells.
+    """
+    return (*point_fields("px"), *nodal_strain_fields(), *cell_fields(2), *uncertainty_point_fields(regularized=True),
+            *uncertainty_cell_fields())
 
 
 def describe_separated(field: SeparatedField) -> dict[str, tuple[NDArray[np.float64], str, str]]:

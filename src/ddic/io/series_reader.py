@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
-from ddic.io.damaged_result import READ_ERRORS
+from ddic.io.damaged_result import READ_ERRORS, read_array
+from ddic.io.damaged_tables import require_sound_frames
 from ddic.io.input_file import is_readable_file
 from ddic.io.open_hdf5 import open_hdf5
 from ddic.io.result_reader import Result, opened_result, read_open_file, read_result
@@ -147,7 +148,9 @@ def _read_contents(path: Path, file: Any) -> SeriesResult:
         return SeriesResult(path, np.array([time]), np.array([1]), ({"number": 1, "time": time, "converged": True},))
     series = file[schema.SERIES]
     records = tuple(json.loads(text) for text in series["records"].asstr()[...])
-    return SeriesResult(path, file[schema.STEPS]["Values"][...], series.attrs["numbers"].astype(np.int64), records)
+    times, numbers = read_array(file[schema.STEPS]["Values"]), np.asarray(series.attrs["numbers"]).astype(np.int64)
+    require_sound_frames(times, numbers, records)
+    return SeriesResult(path, times, numbers, records)
 
 
 def _extract(file: Any, step: int, number: int, frame: Any) -> None:

@@ -7,8 +7,8 @@ import logging
 import lzma
 import struct
 import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ddic.errors import InputError
 from ddic.images.window import Window
 from ddic.io.grey import to_grey
-from ddic.io.image_header import check_claimed_size
+from ddic.io.image_header import check_claimed_size, check_decoded_size
 from ddic.io.pixel_format import PixelFormat
 
 # tifffile tells of damage by its log, beside what it raises; what matters of it is checked here.
@@ -31,6 +31,8 @@ FULL_SCALE = 257
 """Levels of 16 bits in one of 8."""
 WHOLE_BITS = (1, 8, 16, 32, 64)
 """Bits of a pixel that tifffile reads by itself."""
+OF_OPENCV = (1, 2, 3, 4, 5, 6, 7, 8, 32771, 32773, 32809, 32946, 34676, 34677)
+"""Compressions that OpenCV's copy of libtiff has; of some others it makes black pixels without a word."""
 GREY, INVERTED_GREY, COLOUR, PALETTE = 1, 0, 2, 3
 # What tifffile and its codecs let through on damaged files: they have no common base class.
 DECODING_ERRORS = (tifffile.TiffFileError, zlib.error, lzma.LZMAError, struct.error, ValueError, LookupError,
@@ -106,7 +108,7 @@ def can_decode(path: Path) -> bool:
     with _opened(path) as (_, page):
         try:
             if page.compression != 1:
-                tifffile.TIFF.DECOMPRESSORS[page.compression]
+                _require_codec(tifffile.TIFF.DECOMPRESSORS[page.compression])
             if page.predictor != 1:
                 tifffile.TIFF.UNPREDICTORS[page.predictor]
             if page.bitspersample not in WHOLE_BITS:
@@ -115,6 +117,36 @@ def can_decode(path: Path) -> bool:
         except (KeyError, ImportError):
             return False
         return True
+
+
+def _require_codec(decompress: Callable[..., Any]) -> None:
+    """Raise ImportError where a codec lacks a package, for which some look only when they decode."""
+    with suppress(*(kind for kind in DECODING_ERRORS if kind is not ImportError)):
+        decompress(b"")
+
+
+def describe_other_compression(path: Path) -> str | None:
+    """Name the compression of the first page, which is to be decoded whole, where OpenCV has no codec for it.
+
+    Parameters
+    ----------
+    path : Path
+        A TIFF file.
+
+    Returns
+    -------
+    str or None
+        As TIFF names it, or its number; None where OpenCV decodes it.
+
+    Raises
+    ------
+    InputError
+        Where it is too large to be decoded whole.
+    """
+    with _opened(path) as (_, page):
+        check_decoded_size(path, int(page.imagewidth), int(page.imagelength))
+        known = int(page.compression) in OF_OPENCV
+        return None if known else str(getattr(page.compression, "name", page.compression))
 
 
 def read_tiff(path: Path, layout: PixelFormat, window: Window) -> NDArray[Any]:

@@ -77,6 +77,24 @@ class CellInterpolation:
         _add_up(np.ascontiguousarray(moments), self.cell_dofs, self.kinds, self.shapes, summed)
         return summed
 
+    def take_to_corners(self, cells: NDArray[np.int64], moments: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Take sums of some cells over pixels, of a vector times the monomials, to the corners of each.
+
+        Parameters
+        ----------
+        cells : (n,) array of int64
+            Their numbers.
+        moments : (n, dim, 4 monomials) array
+            Sums of each.
+
+        Returns
+        -------
+        (n, 4 dim) array
+            Sums over the cell's pixels of the vector times N_a, node-major; zero for nodes that a cell does not have.
+        """
+        of_corners = np.einsum("eam,eim->eai", self.shapes[self.kinds[cells]], moments)
+        return np.asarray(of_corners.reshape(len(moments), -1))
+
     def assemble_matrix(self, cells: NDArray[np.float64],
                         numbers: NDArray[np.int64] | None = None) -> sparse.csr_matrix:
         """Assemble cell matrices into one of the whole mesh.

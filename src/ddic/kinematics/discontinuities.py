@@ -34,6 +34,10 @@ class Discontinuities:
         """Number of lines."""
         return len(self.lines)
 
+    def with_line(self, number: int, line: Array) -> Discontinuities:
+        """Give the same lines but for one, which lies elsewhere: (n_vertices, 2), pixels."""
+        return Discontinuities((*self.lines[:number], line, *self.lines[number + 1:]), self.openings)
+
     def scale(self, origin: float | Array, factor: float) -> Discontinuities:
         """Give the lines in coarser pixels.
 

@@ -1,12 +1,15 @@
-"""A discontinuity found in the images: a continuous measurement, a Radon transform of its strain, a line refined."""
+"""Discontinuities that the images correct: a line found in a continuous field, and lines that were given, refined."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
-from ddic.case.schema import Case, DiscontinuitySection
-from ddic.errors import ConvergenceError, StoppedError, as_collective
+from ddic.case.schema import Case, DiscontinuitySection, GaussNewtonSection, RegularizationSection
+from ddic.errors import ConvergenceError, SingularSubdomainError, StoppedError, as_collective, is_collective
+from ddic.mesh.quality import measure_cell_size
+from ddic.methods.choose_recipe import Recipe
 from ddic.methods.dd_dic import Session
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team, require_held
@@ -14,11 +17,19 @@ from ddic.problem.cameras import Frame
 from ddic.problem.cut_region import refuse_kinematics
 from ddic.problem.inputs import Inputs
 from ddic.results.listener import Listener, WithoutNotes
+from ddic.results.measurement import Measurement
 from ddic.results.whole_field import gather_displacement
+
+if TYPE_CHECKING:
+    from ddic.results.separated_measurement import SeparatedMeasurement
 
 RMS_PX, LARGEST_PX = 0.01, 1.0
 """Correction at which the continuous measurement is exact enough to look for a line in it: its elements on the line
 waver by more."""
+
+ROUGH_CUT_OFF = 4.0
+"""Cut-off wavelength, elements, of a field in which lines are refined where they are so far off that none is found with
+them: what is on the wrong side of one drags its nodes along without mechanics."""
 
 
 def is_line_wanted(case: Case) -> bool:
@@ -92,7 +103,102 @@ def find_discontinuity(team: Team, inputs: Inputs, frame: Frame, listener: Liste
 
 def _measure_continuously(case: Case) -> Case:
     """The case without discontinuities, to a looser tolerance."""
-    section = case.gauss_newton
-    loose = {"rms_tolerance": max(section.rms_tolerance, RMS_PX),
-             "largest_tolerance": max(section.largest_tolerance, LARGEST_PX)}
-    return case.model_copy(update={"discontinuity": (), "gauss_newton": section.model_copy(update=loose)})
+    return case.model_copy(update={"discontinuity": (), "gauss_newton": _loosen(case.gauss_newton)})
+
+
+def _loosen(section: GaussNewtonSection) -> GaussNewtonSection:
+    """Tolerances of a field in which lines are sought."""
+    return section.model_copy(update={"rms_tolerance": max(section.rms_tolerance, RMS_PX),
+                                      "largest_tolerance": max(section.largest_tolerance, LARGEST_PX)})
+
+
+def measure_on_lines(recipe: Recipe, inputs: Inputs, frame: Frame, start: Any, prepare: Callable[[Inputs], Recipe],
+                     listener: Listener, clock: PhaseClock
+                     ) -> tuple[Recipe, Inputs, Measurement | SeparatedMeasurement]:
+    """Measure a frame, and once more where the residual says that lines are off their places; collective.
+
+    Parameters
+    ----------
+    recipe : Recipe
+        Prepared with the lines as they are given.
+    inputs : Inputs
+        That it was prepared from.
+    frame : Frame
+        The deformed images.
+    start : KnownStart or None
+        As ``Session.measure`` takes it.
+    prepare : callable
+        Makes a recipe of inputs with other lines.
+    listener : Listener
+        Told what happens.
+    clock : PhaseClock
+        Of the phases.
+
+    Returns
+    -------
+    recipe : Recipe
+        The same, or another one, with refined lines: the first one is closed then.
+    inputs : Inputs
+        That it was prepared from.
+    measurement : Measurement or SeparatedMeasurement
+        With it.
+
+    Raises
+    ------
+    InputError, SingularSubdomainError, ConvergenceError
+        On all ranks.
+    """
+    if not isinstance(recipe, Session) or not _may_be_off(inputs.case):
+        return recipe, inputs, recipe.measure(frame, start)
+    try:
+        measurement = recipe.measure(frame, start)
+        refined = _refine_lines(inputs, measurement, frame, clock)
+    except (SingularSubdomainError, ConvergenceError) as error:
+        if isinstance(error, StoppedError) or not is_collective(error):
+            raise
+        refined = _refine_lines_roughly(recipe.problem.team, inputs, frame, listener, clock)
+        if refined is inputs:
+            raise
+    if refined is inputs:
+        return recipe, inputs, measurement
+    for note in refined.notes[len(inputs.notes):]:
+        listener.note(note)
+    recipe.close()
+    again = prepare(refined)
+    return again, refined, again.measure(frame, start)
+
+
+def _may_be_off(case: Case) -> bool:
+    return any(section.vertices is not None and section.uncertainty > 0 for section in case.discontinuity)
+
+
+def _refine_lines(inputs: Inputs, measurement: Measurement, frame: Frame, clock: PhaseClock) -> Inputs:
+    """Inputs with refined lines; the same ones where all are in their places; collective."""
+    from ddic.detection.line_of_case import refine_lines_of_case
+
+    team = measurement.team
+    with clock.phase(Phase.START):
+        displacement = gather_displacement(measurement)
+        found = team.on_root(lambda: refine_lines_of_case(inputs, frame, require_held(displacement)))
+    if not found.is_any:
+        return inputs
+    return replace(inputs, case=inputs.case.model_copy(update={"discontinuity": found.sections}),
+                   notes=(*inputs.notes, *found.notes))
+
+
+def _refine_lines_roughly(team: Team, inputs: Inputs, frame: Frame, listener: Listener, clock: PhaseClock) -> Inputs:
+    """The same where no field is found with the lines as they are: from one that mechanics hold; collective."""
+    listener.note("no field is found with the discontinuities where they are given; whether they are off is looked for")
+    case = inputs.case
+    size = team.on_root(lambda: measure_cell_size(inputs.build_mesh()[0]))
+    held = case.regularization or RegularizationSection(cut_off_wavelength=ROUGH_CUT_OFF * size)
+    correlation = case.correlation.model_copy(update={"spoilt_pixels": "keep"})
+    rough = case.model_copy(update={"correlation": correlation, "regularization": held,
+                                    "gauss_newton": _loosen(case.gauss_newton)})
+    try:
+        with Session(team, replace(inputs, case=rough), WithoutNotes(listener), clock, frame) as session:
+            return _refine_lines(inputs, session.measure(frame), frame, clock)
+    except (SingularSubdomainError, ConvergenceError) as error:
+        if isinstance(error, StoppedError) or not is_collective(error):
+            raise
+        return inputs

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import math
-
 from ddic.errors import ConvergenceError, is_collective
 from ddic.methods.choose_recipe import Recipe
 from ddic.methods.dd_dic import Session
 from ddic.parallel.phases import Phase, PhaseClock
+from ddic.problem.force_noise import measure_force_noise
 from ddic.results.measurement import Measurement
 from ddic.results.publishing import Publishable
-from ddic.solvers.noise_floor import estimate_noise_by_steps
+from ddic.solvers.noise_floor import estimate_response
 
 
 def estimate_noise_floor(recipe: Recipe, measurement: Publishable, clock: PhaseClock) -> float:
     """Estimate what noise of the residual's size leaves in a measured displacement; collective.
 
-    The residual is taken to be noise of both images; it also holds what the field cannot follow, and lacks what
-    interpolation averages out. With several cameras the noise is the one that weighs them.
+    The residual is taken to be noise, as strong as it acts on displacements; it also holds what the field cannot
+    follow. With several cameras the noise is the one that weighs them.
 
     Parameters
     ----------
@@ -36,12 +35,16 @@ def estimate_noise_floor(recipe: Recipe, measurement: Publishable, clock: PhaseC
     if not isinstance(recipe, Session) or not isinstance(measurement, Measurement):
         return float("nan")
     problem = recipe.problem
-    sigma = problem.noise[0] if problem.noise else measurement.evaluation.grey[0].residual_std / math.sqrt(2.0)
     with clock.phase(Phase.FINISH):
         try:
             counted = [~is_unmeasured for is_unmeasured in measurement.unmeasured]
-            return estimate_noise_by_steps(problem.team, problem.solver.assembly.systems, problem.solver.step, sigma,
-                                           counted)
+            response = estimate_response(problem.team, problem.solver.assembly.systems, problem.solver.step, counted)
+            if problem.noise:
+                return problem.noise[0] * response.rms_per_grey
+            noise = measure_force_noise(measurement.model, measurement.evaluation, measurement.q,
+                                        response.n_determined,
+                                        is_regularized=problem.solver.assembly.eta > 0)
+            return noise.sigma * response.rms_per_grey
         except ConvergenceError as error:
             # What was measured stands without it; what this rank alone raises must end the job.
             if not is_collective(error):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ddic.case.loader import LoadedCase
 from ddic.errors import DdicError
 from ddic.methods.choose_recipe import prepare_recipe
-from ddic.methods.detect import find_discontinuity
+from ddic.methods.detect import find_discontinuity, measure_on_lines
 from ddic.methods.noise_floors import estimate_noise_floor
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
@@ -46,9 +46,14 @@ def run_pair(team: Team, loaded: LoadedCase, listener: Listener) -> Summary:
             with clock.phase(Phase.MESH):
                 inputs, frame = open_inputs(team, loaded)
             inputs = find_discontinuity(team, inputs, frame, listener, clock)
-            with prepare_recipe(team, inputs, listener, clock, frame) as recipe:
-                measurement = recipe.measure(frame)
+            recipe = prepare_recipe(team, inputs, listener, clock, frame)
+            try:
+                recipe, inputs, measurement = measure_on_lines(
+                    recipe, inputs, frame, None, lambda refined: prepare_recipe(team, refined, listener, clock, frame),
+                    listener, clock)
                 noise_floor = estimate_noise_floor(recipe, measurement, clock)
+            finally:
+                recipe.close()
     except DdicError as error:
         keep_failed_run(team, error, Destination(output.file, output.flip_y), start, clock)
         raise

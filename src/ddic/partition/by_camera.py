@@ -129,7 +129,7 @@ def keep_cameras_apart(parts: NDArray[np.int64], labels: NDArray[np.int64]) -> N
     """
     n_parts = int(parts.max()) + 1
     by_camera_and_part = labels * n_parts + parts
-    return renumber(by_camera_and_part, 0)
+    return renumber(by_camera_and_part)
 
 
 def add_motions(subdomains: Sequence[Subdomain], cameras: Sequence[int], n_motion_unknowns: Sequence[int],

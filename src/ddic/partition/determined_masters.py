@@ -47,7 +47,7 @@ def keep_masters_determined(mesh: Mesh, tying: Tying, parts: NDArray[np.int64]) 
     while True:
         waiting = [int(s) for s in np.unique(parts[cells]) if int(s) not in determined]
         if not waiting:
-            return renumber(parts, 0)
+            return renumber(parts)
         mine = parts[cells] == waiting[0]
         if _are_determined(tying, slaves[mine]):
             determined.add(waiting[0])

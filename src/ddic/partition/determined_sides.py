@@ -102,7 +102,7 @@ def keep_sides_determined(sides: CutSides, cameras: NDArray[np.int64],
     _, clusters = connected_components(joined, directed=False)
     n_subdomains = int(parts.max()) + 1
     votes = np.bincount(clusters * n_subdomains + parts, minlength=(clusters.max() + 1) * n_subdomains)
-    return renumber(votes.reshape(-1, n_subdomains).argmax(axis=1)[clusters], 0)
+    return renumber(votes.reshape(-1, n_subdomains).argmax(axis=1)[clusters])
 
 
 def _find_needs(sides: CutSides) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:

@@ -25,7 +25,7 @@ MOST_BISECTED = 8
 
 
 def split_by_metis(mesh: Mesh, n_subdomains: int, weights: NDArray[np.float64] | None = None) -> NDArray[np.int64]:
-    """Split by METIS on the graph of cells that share a facet.
+    """Split by METIS on the graph of cells that share a facet; what it leaves empty gets a cell of the largest part.
 
     Parameters
     ----------
@@ -44,13 +44,13 @@ def split_by_metis(mesh: Mesh, n_subdomains: int, weights: NDArray[np.float64] |
     Raises
     ------
     InputError
-        Where a subdomain would be empty.
+        Where there are fewer cells than subdomains.
     """
     if n_subdomains == 1:
         return np.zeros(mesh.n_cells, dtype=np.int64)
     if n_subdomains > mesh.n_cells:
-        raise InputError(f"solver.subdomains: {n_subdomains} asked for, but the mesh has only "
-                         f"{mesh.n_cells} cells; ask for fewer")
+        raise InputError(f"mesh: {mesh.n_cells} cells for {n_subdomains} subdomains, one a rank at least; start fewer "
+                         "ranks, use smaller elements, or ask for fewer subdomains (solver.subdomains)")
     indptr, indices = find_adjacent_cells(mesh)
     _, parts = pymetis.part_graph(
         n_subdomains,
@@ -59,7 +59,7 @@ def split_by_metis(mesh: Mesh, n_subdomains: int, weights: NDArray[np.float64] |
         options=pymetis.Options(seed=1, ncuts=N_CUTS, niter=N_PASSES),
         vweights=None if weights is None else _whole_weights(weights).tolist(),
     )
-    return renumber(np.asarray(parts, dtype=np.int64), n_subdomains)
+    return _fill_empty(np.asarray(parts, dtype=np.int64), n_subdomains, (indptr, indices))
 
 
 def split_by_blocks(mesh: Mesh, blocks: tuple[int, ...]) -> NDArray[np.int64]:
@@ -85,33 +85,42 @@ def split_by_blocks(mesh: Mesh, blocks: tuple[int, ...]) -> NDArray[np.int64]:
     number = np.zeros(mesh.n_cells, dtype=np.int64)
     for axis in reversed(range(mesh.dim)):
         number = number * counts[axis] + place[:, axis]
-    return _number_without_gaps(number)
+    return renumber(number)
 
 
-def renumber(parts: NDArray[np.int64], n_expected: int) -> NDArray[np.int64]:
+def renumber(parts: NDArray[np.int64]) -> NDArray[np.int64]:
     """Number the subdomains 0, 1, ... without gaps.
 
     Parameters
     ----------
     parts : (n_cells,) int64 array
         Subdomain of each cell.
-    n_expected : int
-        How many there should be at least.
 
     Returns
     -------
     (n_cells,) int64 array
         Subdomain of each cell, in the old order.
-
-    Raises
-    ------
-    InputError
-        Where there are fewer than expected.
     """
-    n_present = len(np.unique(parts))
-    if n_present < n_expected:
-        raise InputError(f"solver.subdomains: only {n_present} of {n_expected} subdomains got cells; ask for fewer")
-    return _number_without_gaps(parts)
+    _, places = np.unique(parts, return_inverse=True)
+    return np.asarray(places, dtype=np.int64).reshape(-1)
+
+
+def _fill_empty(parts: NDArray[np.int64], n_subdomains: int,
+                adjacent: tuple[NDArray[np.int64], NDArray[np.int64]]) -> NDArray[np.int64]:
+    """Give each subdomain without cells that cell of the largest one which has fewest neighbours there.
+
+    METIS leaves some empty where there are few cells for each.
+    """
+    indptr, indices = adjacent
+    filled, counts = parts.copy(), np.bincount(parts, minlength=n_subdomains)
+    for empty in np.flatnonzero(counts == 0):
+        largest = int(counts.argmax())
+        cells = np.flatnonzero(filled == largest)
+        n_beside = [int((filled[indices[indptr[cell]:indptr[cell + 1]]] == largest).sum()) for cell in cells]
+        filled[cells[int(np.argmin(n_beside))]] = empty
+        counts[largest] -= 1
+        counts[empty] = 1
+    return filled
 
 
 def _whole_weights(weights: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -120,9 +129,3 @@ def _whole_weights(weights: NDArray[np.float64]) -> NDArray[np.int64]:
     if unit <= 0:
         return np.ones(len(weights), np.int64)
     return np.asarray(np.maximum(np.rint(weights / unit), 1), dtype=np.int64)
-
-
-def _number_without_gaps(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The place of each number among the distinct ones, in order."""
-    _, places = np.unique(numbers, return_inverse=True)
-    return np.asarray(places, dtype=np.int64).reshape(-1)

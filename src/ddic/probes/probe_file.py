@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ddic.errors import InputError
+from ddic.io.input_file import as_path
 from ddic.io.toml_file import parse_toml, read_text
 from ddic.probes.probe_kinds import KINDS, Extensometer, LineProbe, PointProbe, Probe, StrainGauge
 
@@ -44,7 +45,7 @@ def load_probes(path: Path | str) -> list[Probe]:
     InputError
         With the file, the key and what is expected.
     """
-    path = Path(path)
+    path = as_path(path, "file of probes")
     data = parse_toml(read_text(path, "file of probes", "check the path"), path)
     try:
         probes = [_build_probe(kind, name, keys) for kind, named in data.items()

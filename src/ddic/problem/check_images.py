@@ -12,10 +12,12 @@ from ddic.case.schema import Case, ImagesSection, NearSection
 from ddic.errors import InputError
 from ddic.images.binned import ArraySource
 from ddic.images.grey_levels import (
+    MOST_LOOKED_AT,
     check_finite,
     check_noise,
     check_varied,
     find_saturation,
+    list_spread_bands,
     measure_grey_levels,
     read_all,
 )
@@ -34,6 +36,10 @@ from ddic.problem.region_mesh import build_material
 
 LEAST_SIDE = 8
 """Pixels along each side of an image, of which a spline and a few elements need some."""
+
+LEAST_LEFT = 100
+"""Pixels that masks have to leave, or half of a mesh of hardly more: a square of two speckles a side. With fewer, half
+of all runs come to no field, for other places of the image match as well."""
 
 LARGEST_PROBE = 1000
 """Side of the part of the image whose texture is measured, pixels, in the middle of the mesh. A larger value takes
@@ -109,9 +115,9 @@ def _check_image(path: Path, mask_path: Path | None, problems: Problems) -> Imag
         return None
     with problems.gathered():
         mask = None if mask_path is None else read_mask(mask_path, source.width, source.height)
-        if mask is not None and not mask.any():
-            raise InputError(f"{mask_path}: the mask is 0 everywhere, so that no pixel of {path} is used; it has to be "
-                             "more than 0 where pixels are to be used")
+        if mask is not None and _leaves_too_few(mask):
+            raise InputError(f"{mask_path}: the mask leaves {np.count_nonzero(mask)} px of {path} to measure by; it "
+                             "has to be more than 0 where pixels are to be used")
         check_finite(source, mask)
     return source
 
@@ -123,6 +129,11 @@ def _hold_large_enough(path: Path) -> ImageSource:
         raise InputError(f"{path}: the image is {source.width}x{source.height} px: too small to measure on; give "
                          f"one of {LEAST_SIDE}x{LEAST_SIDE} px at least")
     return source
+
+
+def _leaves_too_few(is_used: NDArray[np.bool_]) -> bool:
+    """Whether next to nothing is left of an image, or of the box about a mesh."""
+    return int(np.count_nonzero(is_used)) < min(LEAST_LEFT, is_used.size / 2)
 
 
 def _check_same_size(reference: ImageSource, deformed: ImageSource) -> None:
@@ -147,16 +158,17 @@ def check_texture(case: Case, reference: ImageSource, mesh: Mesh) -> None:
     Raises
     ------
     InputError
-        Where every pixel of the mesh is masked or saturated, where those that are left have one grey level, or where
-        regularization.eta stands for a wavelength beyond what the mesh carries.
+        Where next to every pixel of the mesh is masked or saturated, where those that are left have one grey level, or
+        where regularization.eta stands for a wavelength beyond what the mesh carries.
     """
     images = case.images
     window = _find_window(mesh, reference)
     if images.reference_mask is not None or images.exclude_saturated:
         usable = _find_usable(case, reference, mesh, window)
-        if not usable.any():
-            raise InputError("images.reference_mask, images.exclude_saturated: every pixel of the mesh is left out; "
-                             "correct the mask (more than 0 where pixels are used), or images.saturation")
+        if _leaves_too_few(usable):
+            raise InputError(f"images.reference_mask, images.exclude_saturated: {np.count_nonzero(usable)} px of the "
+                             "mesh are left to measure by; correct the mask (more than 0 where pixels are used), or "
+                             "images.saturation")
     else:
         usable = None
     _refuse_blank(reference, window, usable)
@@ -188,17 +200,18 @@ def _find_usable(case: Case, reference: ImageSource, mesh: Mesh, window: Window)
 
 
 def _refuse_blank(reference: ImageSource, window: Window, usable: NDArray[np.bool_] | None) -> None:
-    """Refuse a region of one grey level; read row by row only as far as there is one."""
+    """Refuse a region of one grey level; read only as far as there is one, and a large region in bands of it."""
     level = None
-    for y in range(window.y0, window.y1):
-        row = reference.read(Window(window.x0, y, window.x1, y + 1))[0]
-        values = row if usable is None else row[usable[y - window.y0]]
+    for rows in list_spread_bands(window):
+        band = reference.read(rows)
+        values = band if usable is None else band[usable[rows.y0 - window.y0:rows.y1 - window.y0]]
         if values.size and level is None:
-            level = values[0]
+            level = values.flat[0]
         if values.size and (values != level).any():
             return
-    raise InputError(f"{reference.path}: the image shows one grey level, {level:g}, in the whole mesh: there is "
-                     "nothing to measure by; place the mesh where there is texture")
+    where = "the whole mesh" if window.n_pixels <= MOST_LOOKED_AT else "all of the mesh that was looked at"
+    raise InputError(f"{reference.path}: the image shows one grey level, {level:g}, in {where}: there is nothing to "
+                     "measure by; place the mesh where there is texture")
 
 
 def _shrink(window: Window) -> Window:

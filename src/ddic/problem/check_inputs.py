@@ -24,7 +24,7 @@ from ddic.mesh.raster import rasterize
 from ddic.partition.ties import Tying
 from ddic.problem.cameras import assign_cells, collect_cells, open_cameras, open_in_headers
 from ddic.problem.check_images import check_decodable, check_images, check_texture
-from ddic.problem.check_mesh_uses import CheckedMesh, check_mesh_uses
+from ddic.problem.check_mesh_uses import CheckedMesh, check_mesh_uses, check_most_ranks
 from ddic.problem.check_near_mapping import check_near_mapping
 from ddic.problem.check_output import check_output, list_named_files
 from ddic.problem.check_report import CheckReport, describe_inputs
@@ -166,6 +166,8 @@ def _check(loaded: LoadedCase, of_keys: Sequence[str], n_ranks: int | None) -> C
     problems.require_none()
     if report is None:
         raise TypeError("inputs without problems have a report")
+    if n_ranks is not None and loaded.case.pgd is None:
+        check_most_ranks(loaded, report.most_ranks, n_ranks)
     return report
 
 

@@ -1,4 +1,4 @@
-"""Whether what refers to the mesh fits it: pixels, node sets, wavelength, partition."""
+"""Whether what refers to the mesh fits it: pixels, node sets, wavelength, partition, ranks."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.case.loader import LoadedCase
+from ddic.case.schema import Case
 from ddic.errors import InputError
 from ddic.io.partition_file import read_partition
 from ddic.mesh.control import find_not_controlled_nodes
@@ -16,6 +17,7 @@ from ddic.mesh.quality import measure_cell_size
 from ddic.mesh.raster import rasterize
 from ddic.mesh.repair import check_pixels
 from ddic.mesh.topology import find_boundary_nodes
+from ddic.partition.split import split_by_blocks
 from ddic.partition.ties import Tying
 from ddic.problem.cut_region import check_lines
 from ddic.problem.inputs import Problems
@@ -83,7 +85,63 @@ def check_mesh_uses(loaded: LoadedCase, checked: CheckedMesh, problems: Problems
     return not_controlled
 
 
-def check_mesh(loaded: LoadedCase, mesh: Mesh) -> None:
+def count_most_ranks(case: Case, mesh: Mesh) -> int:
+    """Count the subdomains that a case can have at most, of which every rank needs one.
+
+    Parameters
+    ----------
+    case : Case
+        Its solver and partition, found fit.
+    mesh : Mesh
+        The whole mesh.
+
+    Returns
+    -------
+    int
+        One for a cell where the case leaves their number open.
+    """
+    solver = case.solver
+    if solver.method == "monolithic":
+        return 1
+    if solver.partition_file is not None:
+        return int(read_partition(solver.partition_file, mesh.n_cells).max()) + 1
+    if solver.blocks is not None:
+        # Blocks without cells are dropped; those with cells of several cameras become several.
+        return solver.blocks[0] * solver.blocks[1] if case.near else int(split_by_blocks(mesh, solver.blocks).max()) + 1
+    return solver.subdomains or mesh.n_cells
+
+
+def check_most_ranks(loaded: LoadedCase, most: int, n_ranks: int) -> None:
+    """Refuse more ranks than the mesh can have subdomains.
+
+    Parameters
+    ----------
+    loaded : LoadedCase
+        The case.
+    most : int
+        What ``count_most_ranks`` says of it.
+    n_ranks : int
+        MPI ranks that were started.
+
+    Raises
+    ------
+    InputError
+        With what can be changed: only keys that the case gives.
+    """
+    if n_ranks <= most:
+        return
+    solver = loaded.case.solver
+    if solver.partition_file is not None:
+        what, remedy = f"{solver.partition_file}: {most} subdomains", "divide the mesh further there"
+    elif solver.blocks is not None:
+        what, remedy = f"{loaded.path}: solver.blocks: {most} blocks with cells", "ask for more of them"
+    else:
+        what, remedy = f"{loaded.path}: {most} cells of the mesh", "use smaller elements"
+    raise InputError(f"{what} for {n_ranks} MPI ranks, but every rank needs at least one; start at most {most} ranks "
+                     f"or {remedy}")
+
+
+def check_mesh(loaded: LoadedCase, mesh: Mesh, n_ranks: int) -> None:
     """Check what a case with one camera asks of a mesh.
 
     Parameters
@@ -92,16 +150,19 @@ def check_mesh(loaded: LoadedCase, mesh: Mesh) -> None:
         The case.
     mesh : Mesh
         The whole mesh, pixels.
+    n_ranks : int
+        MPI ranks that were started.
 
     Raises
     ------
     InputError
-        With a line for each problem: cells without pixels, node sets, cut-off wavelength, partition.
+        With a line for each problem: cells without pixels, node sets, cut-off wavelength, partition, ranks.
     """
     problems = Problems()
     check_mesh_uses(loaded, CheckedMesh(mesh, None, rasterize(mesh).pixel_counts), problems)
     if problems.lines:
         raise InputError(problems.lines)
+    check_most_ranks(loaded, count_most_ranks(loaded.case, mesh), n_ranks)
 
 
 def _check_subdomains(n_subdomains: int | None, mesh: Mesh) -> None:

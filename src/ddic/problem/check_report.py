@@ -14,7 +14,7 @@ from ddic.images.source import ImageSource
 from ddic.mesh.cell_type import CELL_TYPES
 from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.mesh import Mesh
-from ddic.problem.check_mesh_uses import CheckedMesh
+from ddic.problem.check_mesh_uses import CheckedMesh, count_most_ranks
 from ddic.problem.cut_region import describe_cut, list_discontinuities
 from ddic.problem.weighted_problem import describe_cut_off
 
@@ -51,6 +51,8 @@ class CheckReport:
         How much of the mesh they cut, where there are any.
     half_amplitudes : HalfAmplitudes or None
         Waves that the cut-off wavelength halves, pixels; None without one.
+    most_ranks : int
+        MPI ranks that can share the work, unless subdomains without texture join others.
     """
 
     image_size: tuple[int, int]
@@ -66,6 +68,7 @@ class CheckReport:
     output: Path
     discontinuities: str | None
     half_amplitudes: HalfAmplitudes | None
+    most_ranks: int
 
 
 def describe_inputs(case: Case, reference: ImageSource, checked: CheckedMesh,
@@ -107,6 +110,7 @@ def describe_inputs(case: Case, reference: ImageSource, checked: CheckedMesh,
         output=case.output.file,
         discontinuities=_describe_discontinuities(case, mesh),
         half_amplitudes=describe_cut_off(case.regularization),
+        most_ranks=count_most_ranks(case, mesh),
     )
 
 

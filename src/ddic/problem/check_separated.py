@@ -15,6 +15,7 @@ from ddic.problem.rectangle import (
     find_rectangle_of_case,
 )
 from ddic.problem.weighted_problem import describe_cut_off
+from ddic.separated.band_sums import N_BANDS
 
 
 def check_separated_case(loaded: LoadedCase, reference: ImageSource, problems: Problems) -> CheckReport:
@@ -74,5 +75,6 @@ def _describe(case: Case, reference: ImageSource, rectangle: Rectangle) -> Check
         output=case.output.file,
         discontinuities=None,
         half_amplitudes=describe_cut_off(section),
+        most_ranks=N_BANDS,
     )
 

@@ -13,7 +13,7 @@ from ddic.errors import InputError
 from ddic.functionals.corner_weights import weigh_corners
 from ddic.kinematics.discontinuities import Discontinuities
 from ddic.kinematics.enriched import EnrichedRegion, enrich
-from ddic.kinematics.tip_functions import enrich_at_tips, find_bends_at_tips, find_tips
+from ddic.kinematics.tip_functions import TipPatch, enrich_at_tips, find_bends_at_tips, find_tips
 from ddic.mesh.cut_mesh import CutMesh, cut_mesh, is_cut_by
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_areas
@@ -144,8 +144,7 @@ def cut_region(inputs: Inputs, mesh: Mesh, labels: NDArray[np.int64]) -> CutRegi
     if not discontinuities.n_lines:
         return None
     check_lines(inputs.case, mesh)
-    patch = find_tips(mesh, discontinuities.lines, list_tip_functions(inputs.case))
-    cut = cut_mesh(mesh, discontinuities.lines, None if patch is None else patch.small.nodes)
+    cut, patch = cut_by_lines(inputs.case, mesh)
     around_tips = () if patch is None else tuple(tip.cells for tip in patch.tips)
     while True:
         measured = collect_cells(inputs.cameras, cut.mesh, labels[cut.cell_of])
@@ -158,6 +157,13 @@ def cut_region(inputs: Inputs, mesh: Mesh, labels: NDArray[np.int64]) -> CutRegi
     if patch is None:
         return CutRegion(mesh, sides, labels, sides.kinematics, cut.cell_of)
     return CutRegion(mesh, sides, labels, *enrich_at_tips(cut, sides.kinematics, patch))
+
+
+def cut_by_lines(case: Case, mesh: Mesh) -> tuple[CutMesh, TipPatch | None]:
+    """Cut a mesh by the case's lines; beside it, small cells about tips, whose nodes these are kept clear of too."""
+    lines = list_discontinuities(case).lines
+    patch = find_tips(mesh, lines, list_tip_functions(case))
+    return cut_mesh(mesh, lines, None if patch is None else patch.small.nodes), patch
 
 
 def list_tip_functions(case: Case) -> list[bool]:

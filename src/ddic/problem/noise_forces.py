@@ -1,6 +1,6 @@
 """The noise of the images, and what it does to b: right-hand sides that have its covariance.
 
-The noise is given, or that of images at rest, or that of the residual.
+The noise is given, or that of images at rest, which count as white, or the residual as it is.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from ddic.io.image_file import hold_image
 from ddic.mesh.covered_areas import measure_covered_areas
 from ddic.parallel.team import Team, require_held
 from ddic.partition.subdomain import Subdomain
+from ddic.problem.force_noise import ForceNoise
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.solvers.noise_samples import FEWEST_SAMPLES, MOST_SAMPLES, SampledCells, prepare_samples
@@ -38,6 +39,11 @@ from ddic.solvers.noise_samples import FEWEST_SAMPLES, MOST_SAMPLES, SampledCell
 Array = NDArray[np.float64]
 
 GIVEN, OF_REST, OF_RESIDUAL = "given", "of the images at rest", "estimated from the residual"
+
+
+FEW_PIXELS = 64.0
+"""Pixels of a cell whose residual tells half of its own noise, the mean over all cells the other half: the mean square
+of so many is known to 18 %."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +57,8 @@ class NoiseForces:
     n_samples : int
         How many may be generated: all of them have the covariance of b.
     transfer : float
-        Mean over all cells and both directions: how much of the deformed images' noise reaches b, no unit.
+        How much of the deformed images' noise reaches b, mean over all cells and both directions; of the residual,
+        its excess. No unit.
     """
 
     views: list[list[tuple[View, SampledCells]]]
@@ -102,23 +109,68 @@ def prepare_noise_forces(model: ResidualModel, evaluation: Evaluation, q: Sequen
         Of all of them.
     """
     team, tables = model.team, _tabulate_by_camera(model, case.correlation.spline_degree)
-    n_samples = FEWEST_SAMPLES if case.regularization is None else MOST_SAMPLES
-    places = place_cells(team, [of_subdomain.subdomain for of_subdomain in model.views])
-
     transfers = team.together(lambda: [[find_cell_transfer(tables[view.camera], view.view, q_s)
                                         for view in of_subdomain.views]
                                        for of_subdomain, q_s in zip(model.views, q, strict=True)])
     covariances = team.together(lambda: [
-        [_compute_covariances(model, view, q_s, noise[view.camera], _find_gain(model, evaluation, view, residual) * c)
+        [_weigh_noise(_compute_hessians(model, view, q_s), noise[view.camera],
+                      _find_gain(model, evaluation, view, residual) * c)
          for view, residual, c in zip(of_subdomain.views, residuals, of_views, strict=True)]
         for of_subdomain, residuals, of_views, q_s
         in zip(model.views, evaluation.residuals, transfers, q, strict=True)])
+    total, n_values = team.ordered_sum([np.array([sum(c.sum() for c in of_views), sum(c.size for c in of_views)])
+                                        for of_views in transfers])
+    return _sample(model, covariances, case, float(total / n_values))
+
+
+def prepare_residual_forces(model: ResidualModel, evaluation: Evaluation, q: Sequence[Array], noise: ForceNoise,
+                            case: Case) -> NoiseForces:
+    """Find the covariance of b that the residual of one camera makes, white or not, v_e M_e cell by cell; collective.
+
+    v_e is the variance of the cell's own residual times what its forces have more than those of independent pixels.
+    Cells of few pixels, which tell little of their own noise, have that of all of them.
+
+    Parameters
+    ----------
+    model : ResidualModel
+        The pixels that count.
+    evaluation : Evaluation
+        At the field.
+    q : sequence of (n_unknowns,) array
+        The field of each owned subdomain.
+    noise : ForceNoise
+        How strongly the residual acts.
+    case : Case
+        Says whether there is a regularization.
+
+    Returns
+    -------
+    NoiseForces
+        Of all of them.
+    """
+    factor = noise.excess * noise.amplification**2
+
+    def multiply() -> list[list[Array]]:
+        covariances = []
+        for of_subdomain, residuals, q_s in zip(model.views, evaluation.residuals, q, strict=True):
+            own, residual = of_subdomain.views[0], residuals[0]
+            _, squares = residual.cell_sums.sum_residual(*model.find_correction(evaluation, own.camera, residual))
+            n = residual.cell_sums.n_pixels
+            variances = (squares + FEW_PIXELS * noise.variance) / (n + FEW_PIXELS)
+            covariances.append([factor * variances[:, None, None] * _compute_hessians(model, own, q_s)])
+        return covariances
+
+    return _sample(model, model.team.together(multiply), case, noise.excess)
+
+
+def _sample(model: ResidualModel, covariances: Sequence[Sequence[Array]], case: Case, transfer: float) -> NoiseForces:
+    """Right-hand sides whose covariance is given cell by cell, for each owned subdomain and view; collective."""
+    n_samples = FEWEST_SAMPLES if case.regularization is None else MOST_SAMPLES
+    places = place_cells(model.team, [of_subdomain.subdomain for of_subdomain in model.views])
     views = [[(view.view, prepare_samples(of_view, of_subdomain.subdomain.cell_ids, of_cells, view.camera, n_samples))
               for view, of_view in zip(of_subdomain.views, of_views, strict=True)]
              for of_subdomain, of_views, of_cells in zip(model.views, covariances, places, strict=True)]
-    total, n_values = team.ordered_sum([np.array([sum(c.sum() for c in of_views), sum(c.size for c in of_views)])
-                                        for of_views in transfers])
-    return NoiseForces(views, n_samples, float(total / n_values))
+    return NoiseForces(views, n_samples, transfer)
 
 
 def find_white_transfer(model: ResidualModel, q: Sequence[Array], degree: int) -> list[list[Array]]:
@@ -187,14 +239,18 @@ def _find_gain(model: ResidualModel, evaluation: Evaluation, view: FrameView, re
     return np.asarray(np.atleast_1d(gain)[:, None] ** 2)
 
 
-def _compute_covariances(model: ResidualModel, frame_view: FrameView, q: Array, sigma: float,
-                         transfer: Array) -> Array:
-    """Covariance of the forces of each cell, (n_cells, n, n); transfer: of g's noise to both components."""
+def _compute_hessians(model: ResidualModel, frame_view: FrameView, q: Array) -> Array:
+    """M of each cell, (n_cells, n, n), of the pixels that are shown."""
     correlation = frame_view.without_hidden(q).correlation
     hessians = correlation.compute_cell_hessians()
     if model.follows:
         inverse = frame_view.view.with_moved_gradient(q).correlation.inverse_deformations
         hessians = map_hessians(require_held(inverse), hessians)
+    return hessians
+
+
+def _weigh_noise(hessians: Array, sigma: float, transfer: Array) -> Array:
+    """Covariance of the forces of each cell, (n_cells, n, n); transfer: of g's noise to both components."""
     n = hessians.shape[1]
     scale = np.tile(np.sqrt(transfer), n // transfer.shape[1])
     return np.asarray(sigma**2 * hessians * (1.0 + scale[:, :, None] * scale[:, None, :]))

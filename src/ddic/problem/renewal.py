@@ -367,6 +367,45 @@ def _hold_shared(of_subdomain: FrameViews, hessian: sparse.csr_matrix, whole: Se
     return sparse.csr_matrix(hessian + sparse.diags(HELD_SHARE * diagonal * is_shared))
 
 
+def describe_lost_pixels(team: Team, views: Sequence[FrameViews], counts: Sequence[CellCounts]) -> str:
+    """Say how many nodes a frame has taken most pixels from, where operators are singular; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    views : sequence of FrameViews
+        Owned subdomains.
+    counts : sequence of tuple of (n_cells,) array
+        Pixels of their cells that count in the frame, by view.
+
+    Returns
+    -------
+    str
+        A reason with remedies, on all ranks; empty where no node has lost LOST_SHARE of its pixels.
+    """
+    n_lost = np.zeros(2)
+    for of_subdomain, now in zip(views, counts, strict=True):
+        subdomain = of_subdomain.subdomain
+        before = sum_pixels(subdomain, tuple(view.count_pixels() for view in of_subdomain.reference.views))
+        lost = find_displaced_nodes(subdomain, sum_pixels(subdomain, now) < (1.0 - LOST_SHARE) * before)
+        parts = subdomain.mesh.parts
+        of_line = np.zeros(len(lost), dtype=bool)
+        if parts is not None:
+            nodes = subdomain.mesh.cells[parts.cells]
+            of_line[nodes[nodes >= 0]] = True
+        n_lost += np.sum([lost / subdomain.node_multiplicity, lost * of_line / subdomain.node_multiplicity], axis=1)
+    n_nodes, n_beside = np.rint(team.sum(n_lost)).astype(int).tolist()
+    if not n_nodes:
+        return ""
+    told = (f"{n_nodes} nodes have lost more than {LOST_SHARE:.0%} of the pixels that hold them, which this frame "
+            "hides, or shows as something else than the reference image does")
+    if n_beside:
+        told += (f"; {n_beside} of them stand beside a discontinuity: its line may be off its place, correct "
+                 "discontinuity.vertices")
+    return f"{told}; mask what is not the specimen, or give regularization.cut_off_wavelength"
+
+
 def find_held(subdomain: Subdomain, counts: CellCounts) -> NDArray[np.bool_]:
     """Find the unknowns that pixels hold: those that displace a node of a cell with pixels.
 

@@ -112,7 +112,8 @@ def see_frame(case: Case, whole: ResidualModel, q: Sequence[Array], slopes: Sequ
     if case.correlation.spoilt_pixels == "keep":
         excluded = Exclusions.nothing(whole.views)
     else:
-        rules = Rules(limits, whole.correction == "element", case.regularization is not None)
+        rules = Rules(limits, whole.correction == "element", case.regularization is not None,
+                      tuple(line.uncertainty for line in case.discontinuity if line.vertices is not None))
         excluded = find_exclusions(whole, q, seen, corrected, rules, judged)
     return SeenFrame(whole, evaluation, typical, excluded, is_shown)
 

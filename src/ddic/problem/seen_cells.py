@@ -47,8 +47,8 @@ UNEXPLAINED = 0.5
 """Share of the residual's variance that no translation explains from which on another part may be seen."""
 
 CORRELATED = 0.3
-"""Correlation coefficient of f and g from which on a cell of weak texture is seen nevertheless: noise of 400 pixels has
-one of 0.05."""
+"""Correlation coefficient of f and g from which on a cell of weak texture is seen nevertheless, and below whose
+negative contrast is inverted: noise of 400 pixels has one of 0.05."""
 
 TINY = 1e-300
 """What keeps quotients finite."""
@@ -71,7 +71,7 @@ class SeenCells:
     mean_f, mean_g : array
         Grey levels.
     spread_f, spread_g : array
-        Standard deviations, grey levels.
+        Standard deviations, grey levels; that of g is negative where its dark and bright have changed places.
     coefficient : array
         Correlation coefficient of f and g(x + u); without its sign where gains are fitted, which may be negative.
     """
@@ -170,6 +170,7 @@ def _measure(residual: Residual, slopes: CellSlopes, correction: tuple[Array, Ar
     spread_g = np.sqrt(np.maximum(gg / safe - mean_g**2, 0.0))
     covariance = (rg + gg) / safe - mean_f * mean_g
     coefficient = covariance / np.maximum(spread_f * spread_g, 1e-300)
+    spread_g = np.where(coefficient < -CORRELATED, -spread_g, spread_g)
     unexplained = np.maximum(variance - _explain(residual, slopes, correction), 0.0)
     return SeenCells(n, variance, unexplained, slopes.texture, mean_f, mean_g, spread_f, spread_g, coefficient)
 
@@ -233,7 +234,7 @@ def find_typical_cell(cells: SeenCells) -> TypicalCell:
     n = cells.n_pixels
     if not len(n):
         return TypicalCell(0.0, 0.0, 0.0, 1.0, 0.0)
-    gain, varies = 1.0, cells.spread_g > 0
+    gain, varies = 1.0, cells.spread_g != 0
     if varies.any():
         gain = find_weighted_median(cells.spread_f[varies] / cells.spread_g[varies], n[varies])
     offset = find_weighted_median(cells.mean_f - gain * cells.mean_g, n)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.functionals.grey_statistics import GreyState
+from ddic.images.spline_noise import NOISE_OF_SLOPE
 from ddic.mesh.shapes import pad_cells
 from ddic.parallel.node_sums import sum_shared_nodes
 from ddic.parallel.team import Team
@@ -26,10 +27,6 @@ from ddic.solvers.local_system import LocalSystem
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-
-NOISE_OF_SLOPE = 1.39
-"""Variance of the slope of a cubic spline through white noise at its nodes, relative to the noise's per pixel squared:
-the mean of (3 sin w / (2 + cos w))^2 over all frequencies w."""
 
 LEAST_KNOWN = 0.2
 """Least share of a node's diagonal that is taken for texture: a node that is lost in noise drags its neighbours too. A
@@ -144,7 +141,8 @@ def _confine(of_subdomain: FrameViews, cells: Flags) -> FrameViews:
     return replace(of_subdomain, views=views)
 
 
-def estimate_node_deviations(model: ResidualModel, systems: Sequence[LocalSystem], noise: float) -> list[Array]:
+def estimate_node_deviations(model: ResidualModel, systems: Sequence[LocalSystem], noise: float, *,
+                             by_pixels_alone: bool = False) -> list[Array]:
     """Estimate the standard deviation of each node's displacement; collective.
 
     From diagonals: sqrt(noise M_ii) / A_ii is what noise leaves if all other unknowns hold still, less than if they do
@@ -158,20 +156,26 @@ def estimate_node_deviations(model: ResidualModel, systems: Sequence[LocalSystem
         Of owned subdomains.
     noise : float
         Variance of the residual that the noise of both images makes, grey levels squared.
+    by_pixels_alone : bool
+        Whether mechanics hold nothing: they may hold a field of weak texture in a wrong place.
 
     Returns
     -------
     list of (n_nodes,) array
         Larger one of its components, of each owned subdomain, pixels.
     """
-    sums = [np.hstack([_take_to_nodes(system, system.hessian.diagonal()), _take_to_nodes(system, system.diagonal),
-                       _sum_squared_shapes(of_subdomain)])
-            for system, of_subdomain in zip(systems, model.views, strict=True)]
+    sums = []
+    for system, of_subdomain in zip(systems, model.views, strict=True):
+        hessian = system.hessian.diagonal()
+        operator = hessian if by_pixels_alone else system.diagonal
+        sums.append(np.hstack([_take_to_nodes(system, hessian), _take_to_nodes(system, operator),
+                               _sum_squared_shapes(of_subdomain)]))
     totals = sum_shared_nodes(model.team, [system.subdomain for system in systems], sums)
     deviations = []
-    for total in totals:
+    for total, of_subdomain in zip(totals, model.views, strict=True):
+        of_slope = NOISE_OF_SLOPE[of_subdomain.views[0].deformed.degree]
         of_hessian, of_operator = total[:, :-1].T.reshape(2, -1, len(total))
-        known = of_operator - NOISE_OF_SLOPE * 0.5 * noise * total[:, -1]
+        known = of_operator - of_slope * 0.5 * noise * total[:, -1]
         of_noise = np.sqrt(noise * np.maximum(of_hessian, 0.0))
         known = np.maximum(known, LEAST_KNOWN * of_operator)
         # What neither pixels nor mechanics hold moves nowhere.

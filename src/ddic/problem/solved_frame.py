@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError
 from ddic.problem.cell_errors import find_unmeasured_nodes
+from ddic.problem.force_noise import measure_force_noise
 from ddic.problem.match_brightness import ORDER
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.see_frame import SeenFrame, see_frame
@@ -23,7 +24,7 @@ from ddic.solvers.anderson import AndersonMixing
 from ddic.solvers.correction_size import CorrectionSize, Tolerances
 from ddic.solvers.dual.continuity import ContinuousField, average_copies
 from ddic.solvers.gauss_newton import PATIENCE, Correction, Course, Model, Pause, Progress, Solution, run_gauss_newton
-from ddic.solvers.noise_floor import estimate_noise_by_steps
+from ddic.solvers.noise_floor import estimate_response
 
 Array = NDArray[np.float64]
 
@@ -267,8 +268,10 @@ def accept_noise(problem: WeightedProblem, used: ResidualModel, solution: Soluti
     deviation = evaluation.grey[0].residual_std
     # Of a vector, as corrections are; the residual has the noise of both images.
     counted = [~is_unmeasured for is_unmeasured in find_unmeasured_nodes(problem, evaluation)]
-    noise = np.sqrt(2.0) * estimate_noise_by_steps(problem.team, problem.solver.assembly.systems, problem.solver.step,
-                                                   deviation / np.sqrt(2.0), counted)
+    response = estimate_response(problem.team, problem.solver.assembly.systems, problem.solver.step, counted)
+    of_forces = measure_force_noise(used, evaluation, solution.q, response.n_determined,
+                                    is_regularized=problem.solver.assembly.eta > 0)
+    noise = np.sqrt(2.0) * of_forces.sigma * response.rms_per_grey
     last = solution.records[-1].size
     if not (last.rms <= SHARE_OF_NOISE * noise and last.largest <= LARGEST_OF_NOISE * noise):
         return solution

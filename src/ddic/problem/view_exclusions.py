@@ -18,6 +18,8 @@ from ddic.errors import ConvergenceError, as_collective
 from ddic.functionals.cut_patch import cut_patches
 from ddic.functionals.spoilt_pixels import find_spoilt_pixels
 from ddic.functionals.view import FrameView
+from ddic.images.window import Window
+from ddic.mesh.polyline import measure_distance as measure_distance_from_line
 from ddic.mesh.shapes import pad_cells
 from ddic.parallel.node_sums import sum_shared_nodes
 from ddic.parallel.team import Team
@@ -93,11 +95,14 @@ class Rules:
         Whether each cell has a gain and an offset of its own.
     is_regularized : bool
         Whether mechanics hold what pixels do not.
+    uncertainty : tuple of float
+        How far each discontinuity may be from where it is thought to be, pixels.
     """
 
     limits: Limits
     own_brightness: bool
     is_regularized: bool
+    uncertainty: tuple[float, ...] = ()
 
 
 def find_view_exclusions(seen: SeenView, rules: Rules) -> tuple[NDArray[np.uint8], NDArray[np.int64], HeldCells]:
@@ -130,8 +135,7 @@ def find_view_exclusions(seen: SeenView, rules: Rules) -> tuple[NDArray[np.uint8
     spots = [np.zeros((0, 2), dtype=np.int64)]
     for part in _search_cells(seen, rules, np.setdiff1d(suspicious, beside)):
         if part.share <= MOST_SPOILT:
-            if states[part.cell] == SPOILT:
-                states[part.cell] = KEPT
+            states[part.cell] = KEPT
             spots.append(part.pixels)
         else:
             # A cell that does not stand out is as good as the field can follow it.
@@ -170,13 +174,19 @@ def _judge_by_pixels(seen: SeenView, rules: Rules) -> NDArray[np.uint8]:
         is_blank = seen.judged == BLANK
     states[is_blank] = BLANK
     least = 0.0 if rules.is_regularized else LEAST_SHOWN
-    states[(cells.n_pixels == 0) | (cells.n_pixels < least * seen.view.view.count_pixels())] = UNSEEN
+    n_in_reference = seen.view.view.count_pixels()
+    is_unseen = (cells.n_pixels == 0) | (cells.n_pixels < least * n_in_reference)
+    parts = seen.view.view.correlation.mesh.parts
+    if parts is not None:
+        # Of what lies wholly in the band of a line the frame hides nothing: it follows its neighbours.
+        is_unseen[parts.cells] &= n_in_reference[parts.cells] > 0
+    states[is_unseen] = UNSEEN
     return states
 
 
 @dataclass(frozen=True, eq=False)
 class _SpoiltPart:
-    """Spoilt pixels of a cell, (n, 2) columns and rows, and their share of those that count."""
+    """Spoilt pixels of a cell, (n, 2) columns and rows, and their share of those that are judged."""
 
     cell: int
     pixels: NDArray[np.int64]
@@ -184,17 +194,34 @@ class _SpoiltPart:
 
 
 def _search_cells(seen: SeenView, rules: Rules, searched: NDArray[np.int64]) -> Iterator[_SpoiltPart]:
-    """Spoilt pixels of those cells that have some."""
+    """Spoilt pixels of those cells that have some, or that a line may cross elsewhere than it is thought to."""
     # The correction of all cells, where each has none of its own.
     correction = seen.typical.gain, seen.typical.offset
     for cell, box, patch in cut_patches(seen.view, seen.q, searched, correction):
-        n_counted = int(patch.counts.sum())
-        if n_counted < FEWEST_PIXELS:
-            continue
-        spoilt = find_spoilt_pixels(patch, seen.typical.noise, rules.limits.pixel, own_brightness=rules.own_brightness)
-        if spoilt.any():
+        of_lines = patch.counts & _find_uncertain_pixels(seen, rules, box)
+        judged = patch.counts & ~of_lines
+        n_judged = int(judged.sum())
+        spoilt = np.zeros(judged.shape, dtype=bool)
+        if n_judged >= FEWEST_PIXELS:
+            spoilt = find_spoilt_pixels(replace(patch, counts=judged), seen.typical.noise, rules.limits.pixel,
+                                        own_brightness=rules.own_brightness)
+        if spoilt.any() or of_lines.any():
             rows, columns = np.nonzero(spoilt)
-            yield _SpoiltPart(cell, np.column_stack([columns + box.x0, rows + box.y0]), len(rows) / n_counted)
+            yield _SpoiltPart(cell, np.column_stack([columns + box.x0, rows + box.y0]), len(rows) / max(n_judged, 1))
+
+
+def _find_uncertain_pixels(seen: SeenView, rules: Rules, box: Window) -> NDArray[np.bool_]:
+    """Pixels of a box that may lie beyond a line: those within its uncertainty."""
+    correlation = seen.view.view.correlation
+    uncertain = np.zeros((box.height, box.width), dtype=bool)
+    if correlation.mesh.parts is None:
+        return uncertain
+    y, x = np.mgrid[box.y0:box.y1, box.x0:box.x1]
+    points = np.column_stack([x.ravel(), y.ravel()]).astype(np.float64)
+    for line, uncertainty in zip(correlation.mesh.parts.lines.polylines, rules.uncertainty, strict=True):
+        if uncertainty > 0:
+            uncertain |= (measure_distance_from_line(points, line) <= uncertainty).reshape(uncertain.shape)
+    return uncertain
 
 
 def exclude_weak_cells(whole: ResidualModel, excluded: Exclusions) -> Exclusions:

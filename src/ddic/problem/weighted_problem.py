@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.case.schema import RegularizationSection
+from ddic.errors import SingularSubdomainError, as_collective, is_collective
 from ddic.functionals.cell_slopes import CellSlopes
 from ddic.functionals.half_amplitude import HalfAmplitudes, find_half_amplitudes
 from ddic.functionals.view import FrameView
@@ -29,10 +30,19 @@ from ddic.problem.region_rotation import (
     fit_rigid_motion,
     measure_turn,
 )
-from ddic.problem.renewal import AssembledFrom, RenewalRule, find_renewal
+from ddic.problem.renewal import (
+    AssembledFrom,
+    CellCounts,
+    RenewalRule,
+    describe_lost_pixels,
+    find_free_unknowns,
+    find_held,
+    find_renewal,
+)
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.views import FrameViews, ReferenceViews, open_frame_views
 from ddic.solvers.correction_size import Tolerances
+from ddic.solvers.singularity import describe_lost
 
 
 class WeightedProblem:
@@ -51,7 +61,7 @@ class WeightedProblem:
         Of the phases.
     factorize_now : bool
         Whether to factorise what is known without a frame; where the first frame is at hand, it may ask for other
-        operators.
+        operators. What the reference images alone leave singular waits for a frame all the same.
 
     Attributes
     ----------
@@ -90,12 +100,21 @@ class WeightedProblem:
             self._weigh([1.0])
         elif None not in given:
             self.set_noise([noise for noise in given if noise is not None])
-        if factorize_now and self._solver is not None:
+        if factorize_now and self._solver is not None and not self._has_free_unknowns():
             try:
                 self._solver.set_up()
             except BaseException:
                 self.destroy()
                 raise
+
+    def _has_free_unknowns(self) -> bool:
+        """Whether neither a pixel nor mechanics hold some unknowns: a frame fills the cells of these; collective."""
+        reference = self.reference
+        if reference.inputs.case.regularization is not None:
+            return False
+        unseen = [~find_held(subdomain, counts) for subdomain, counts
+                  in zip(reference.subdomains, self._assembled_from.by_view, strict=True)]
+        return bool(find_free_unknowns(self.team, reference.subdomains, unseen))
 
     @property
     def is_set_up(self) -> bool:
@@ -304,7 +323,10 @@ class WeightedProblem:
                                    self.solver.assembly)
         if renewal.notes or not self.solver.is_set_up:
             self.n_assembled += sum(system is not None for system in renewal.systems)
-            self.solver.renew(renewal.systems)
+            try:
+                self.solver.renew(renewal.systems)
+            except SingularSubdomainError as error:
+                raise self._explain(error, model.views, renewal.assembled_from.by_view) from error
             # Not before: where the factorisation fails, the next frame asks for it again.
             self._assembled_from = renewal.assembled_from
             self._is_changed |= bool(renewal.notes)
@@ -314,6 +336,14 @@ class WeightedProblem:
         if self._size is None:
             self._size = measure_problem_size(self.team, self.reference, self.solver)
         return replace(model, filled=renewal.filled), renewal.notes
+
+    def _explain(self, error: SingularSubdomainError, views: Sequence[FrameViews],
+                 counts: Sequence[CellCounts]) -> SingularSubdomainError:
+        """The error with what a frame has to do with it; collective where it is."""
+        if not is_collective(error):
+            return error
+        reason = describe_lost_pixels(self.team, views, counts)
+        return as_collective(SingularSubdomainError(describe_lost(str(error), reason))) if reason else error
 
     def begin_anew(self) -> None:
         """Forget earlier frames: what the next one comes to depends on its images and its start alone; collective.

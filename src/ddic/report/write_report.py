@@ -12,6 +12,7 @@ import jinja2
 import numpy as np
 
 from ddic.io import result_schema as schema
+from ddic.io.input_file import as_path
 from ddic.io.replace_on_exit import replaced_on_exit
 from ddic.io.result_reader import Result
 from ddic.report.gathered import Gathered, gather_all
@@ -43,7 +44,7 @@ def write_report(result: Result, path: Path | str, image: Path | None = None) ->
     InputError
         Where the folder cannot be written to, or the image is missing.
     """
-    path = Path(path)
+    path = as_path(path, "report")
     gathered = gather_all(result, image)
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
                                      lstrip_blocks=True)

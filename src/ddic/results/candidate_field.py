@@ -11,7 +11,7 @@ from ddic.problem.weighted_problem import WeightedProblem
 from ddic.results.measurement import Measurement
 from ddic.results.publishing import gather
 from ddic.solvers.degrees_of_freedom import estimate_degrees_of_freedom
-from ddic.solvers.noise_floor import estimate_noise_by_steps
+from ddic.solvers.noise_floor import estimate_response
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ def collect_candidate_field(problem: WeightedProblem, measurement: Measurement) 
     systems, step = problem.solver.assembly.systems, problem.solver.step
     freedom = estimate_degrees_of_freedom(team, systems, step)
     counted = [~is_unmeasured for is_unmeasured in measurement.unmeasured]
-    noise = estimate_noise_by_steps(team, systems, step, state.residual_std / np.sqrt(2.0), counted)
+    noise = state.residual_std / np.sqrt(2.0) * estimate_response(team, systems, step, counted).rms_per_grey
     result = gather(measurement)
     # A gain and an offset of each element follow noise as well.
     n_grey = 2 * result.mesh.n_cells if measurement.grey_correction == "element" else 0

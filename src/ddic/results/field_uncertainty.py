@@ -14,17 +14,30 @@ from ddic.kinematics.strain_measures import compute_infinitesimal
 from ddic.parallel.node_sums import sum_shared_nodes
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.noise_forces import ImageNoise, NoiseForces, find_image_noise, prepare_noise_forces
+from ddic.problem.force_noise import ForceNoise, measure_force_noise
+from ddic.problem.noise_forces import (
+    OF_RESIDUAL,
+    ImageNoise,
+    NoiseForces,
+    find_image_noise,
+    prepare_noise_forces,
+    prepare_residual_forces,
+)
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.results.nodal_strain import recover_nodal_gradients
 from ddic.solvers.linear_step import AllowedError, LinearStep
+from ddic.solvers.noise_floor import estimate_response
 
 Array = NDArray[np.float64]
 
 ENOUGH = AllowedError(0.0, 0.1)
 """Share of each displacement that an iterative linear step may leave. With a cut-off wavelength of 7 elements it leaves
 up to 6 % of a standard deviation at a few nodes, half of it up to 2 %; a larger share iterates less."""
+
+N_TERMS = 8
+"""Solutions for the bias of regularization: what is smoothed to a share h comes out as h - h^(N_TERMS + 1). More of
+them amplify the noise of waves shorter than l_c."""
 
 TINY = 1e-6
 """A noise, grey levels, below any that images have: those without noise are divided by it."""
@@ -67,6 +80,8 @@ class Uncertainty:
         Of each owned subdomain.
     bias : list of (n_nodes, 2) array or None
         Estimated displacement less the true one, as far as regularization makes the difference, pixels; None without.
+    force_noise : ForceNoise or None
+        How strongly the residual acts on displacements, where it tells the noise; None where the noise is given.
     """
 
     noise: ImageNoise
@@ -75,6 +90,7 @@ class Uncertainty:
     transfer: float
     deviations: list[FieldDeviations]
     bias: list[Array] | None
+    force_noise: ForceNoise | None = None
 
 
 def estimate_uncertainty(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation,
@@ -105,16 +121,23 @@ def estimate_uncertainty(problem: WeightedProblem, model: ResidualModel, evaluat
         On all ranks, where a linear step does not converge.
     """
     team, subdomains, step = problem.team, problem.reference.subdomains, problem.solver.step
+    case, is_regularized = problem.reference.inputs.case, problem.solver.assembly.eta > 0
     noise = find_image_noise(problem, model, evaluation, q)
-    forces = prepare_noise_forces(model, evaluation, q, noise.sigma, problem.reference.inputs.case)
+    bias = solve_for_bias(model, subdomains, step, q) if is_regularized else None
+    of_forces: ForceNoise | None = None
+    if problem.noise or noise.origin != OF_RESIDUAL:
+        forces = prepare_noise_forces(model, evaluation, q, noise.sigma, case)
+    else:
+        response = estimate_response(team, problem.solver.assembly.systems, step, [~nodes for nodes in unmeasured])
+        of_forces = measure_force_noise(model, evaluation, q, response.n_determined,
+                                        is_regularized=is_regularized, bias=bias)
+        forces = prepare_residual_forces(model, evaluation, q, of_forces, case)
     # Solutions of about a pixel, as steps expect.
     scale = float(np.sqrt(problem.solver.assembly.mean_diagonal)) / max(noise.sigma[0], TINY)
     deviations = estimate_deviations(team, subdomains, step, forces, scale, unmeasured)
-    bias = None
-    if problem.solver.assembly.eta > 0:
-        bias = estimate_bias(model, subdomains, step, q, unmeasured)
     rms = _measure_rms(team, subdomains, deviations)
-    return Uncertainty(noise, rms, forces.n_samples, forces.transfer, deviations, bias)
+    at_nodes = None if bias is None else _displace(team, subdomains, bias, unmeasured)
+    return Uncertainty(noise, rms, forces.n_samples, forces.transfer, deviations, at_nodes, of_forces)
 
 
 def describe_uncertainty(uncertainty: Uncertainty) -> tuple[str, ...]:
@@ -130,9 +153,10 @@ def describe_uncertainty(uncertainty: Uncertainty) -> tuple[str, ...]:
     tuple of str
         A line.
     """
-    noise = uncertainty.noise
-    return (f"uncertainty: noise of {noise.sigma[0]:.2f} grey levels ({noise.origin}) leaves a standard deviation of "
-            f"{uncertainty.rms:.2g} px in each component (RMS over nodes)",)
+    noise, of_forces = uncertainty.noise, uncertainty.force_noise
+    strength = "" if of_forces is None else f", acting {of_forces.excess:.2f} times as strongly as if it were white"
+    return (f"uncertainty: noise of {noise.sigma[0]:.2f} grey levels ({noise.origin}{strength}) leaves a standard "
+            f"deviation of {uncertainty.rms:.2g} px in each component (RMS over nodes)",)
 
 
 def list_uncertainty(uncertainty: Uncertainty) -> dict[str, Any]:
@@ -148,9 +172,12 @@ def list_uncertainty(uncertainty: Uncertainty) -> dict[str, Any]:
     dict
         Attributes of the result file, by name.
     """
-    noise = uncertainty.noise
-    return {"noise_grey": noise.sigma[0], "noise_origin": noise.origin, "noise_transfer": uncertainty.transfer,
+    noise, of_forces = uncertainty.noise, uncertainty.force_noise
+    told = {"noise_grey": noise.sigma[0], "noise_origin": noise.origin, "noise_transfer": uncertainty.transfer,
             "displacement_rms_px": uncertainty.rms, "n_samples": uncertainty.n_samples}
+    if of_forces is None:
+        return told
+    return {**told, "force_excess": of_forces.excess, "texture_share": of_forces.texture}
 
 
 def estimate_deviations(team: Team, subdomains: Sequence[Subdomain], step: LinearStep, forces: NoiseForces,
@@ -195,12 +222,13 @@ def estimate_deviations(team: Team, subdomains: Sequence[Subdomain], step: Linea
             for of_subdomain in squares]
 
 
-def estimate_bias(model: ResidualModel, subdomains: Sequence[Subdomain], step: LinearStep,
-                  q: Sequence[Array], unmeasured: Sequence[NDArray[np.bool_]]) -> list[Array]:
-    """Estimate what regularization has added to a field: -A^-1 eta Kbar^T Kbar q; collective.
+def solve_for_bias(model: ResidualModel, subdomains: Sequence[Subdomain], step: LinearStep,
+                   q: Sequence[Array]) -> list[Array]:
+    """Estimate what regularization has added to a field; collective.
 
-    Were q the true field, its measurement would be A^-1 M q without noise. The measured field stands in for it, so what
-    regularization has smoothed away altogether does not show.
+    Of a true field q the images of no noise tell A^-1 M q, which is off by -H q, H = A^-1 eta Kbar^T Kbar. The measured
+    field, less the bias as far as it is known, stands in for the true one: N_TERMS terms of
+    -(H + H^2 + ...) times the measured field.
 
     Parameters
     ----------
@@ -212,16 +240,19 @@ def estimate_bias(model: ResidualModel, subdomains: Sequence[Subdomain], step: L
         Solves with A.
     q : sequence of (n_unknowns,) array
         The measured field.
-    unmeasured : sequence of (n_nodes,) bool array
-        Nodes of each that have nan.
 
     Returns
     -------
-    list of (n_nodes, 2) array
-        Of each owned subdomain, pixels.
+    list of (n_unknowns,) array
+        Estimated field less the true one, of each owned subdomain, pixels.
     """
-    b = [np.zeros(s.n_unknowns) for s in subdomains] if model.rotation is None else model.rotation.compute_forces(q)
-    return _displace(model.team, subdomains, step.solve(q, b).dq, unmeasured)
+    bias = [np.zeros(s.n_unknowns) for s in subdomains]
+    for _ in range(N_TERMS):
+        less_bias = [q_s - bias_s for q_s, bias_s in zip(q, bias, strict=True)]
+        b = ([np.zeros(s.n_unknowns) for s in subdomains] if model.rotation is None
+             else model.rotation.compute_forces(less_bias))
+        bias = step.solve(less_bias, b).dq
+    return bias
 
 
 def _measure_rms(team: Team, subdomains: Sequence[Subdomain], deviations: Sequence[FieldDeviations]) -> float:

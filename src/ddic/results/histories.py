@@ -74,7 +74,7 @@ def write_attributes(measurement: Measurement, writer: ResultWriter) -> None:
     images = inputs.case.images
     writer.write_attributes(schema.CASE, {
         "path": str(inputs.case_path), "toml": inputs.case_text, "json": inputs.asked_case.model_dump_json(),
-        "eta": measurement.size.eta, "largest_jump_px": measurement.largest_jump,
+        "eta": measurement.size.eta, "largest_jump_px": measurement.largest_jump, "notes": "\n".join(inputs.notes),
     })
     writer.write_attributes(schema.TIME, {"reference": images.reference_time, "deformed": images.deformed_time})
     writer.write_attributes(schema.UNITS, {"pixel_size": images.pixel_size or 1.0, "length_unit": images.length_unit})

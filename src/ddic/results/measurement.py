@@ -24,6 +24,7 @@ from ddic.problem.cameras import Camera, Frame
 from ddic.problem.cell_errors import (
     CellErrors,
     describe_doubtful_cells,
+    describe_lost_field,
     find_cell_errors,
     find_noisy_cells,
     find_unmeasured_nodes,
@@ -34,6 +35,7 @@ from ddic.problem.inputs import Inputs
 from ddic.problem.linear_solver import compute_cut_off_wavelength
 from ddic.problem.region_mesh import Region
 from ddic.problem.residual_model import Evaluation, ResidualModel
+from ddic.problem.slow_nodes import estimate_node_deviations
 from ddic.problem.solved_frame import SolvedFrame
 from ddic.problem.weighted_problem import ProblemSize, WeightedProblem
 from ddic.results.camera_images import write_residual_images
@@ -256,7 +258,7 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str,
     ------
     ConvergenceError
         On all ranks, where the field leaves no pixel of a camera; with the measurement, where a field that converged
-        turns cells inside out.
+        turns cells inside out, or where a blurred frame leaves hardly a cell that noise does not move too far.
     """
     team, inputs = problem.team, problem.reference.inputs
     subdomains = problem.reference.subdomains
@@ -270,7 +272,7 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str,
         motions = describe_motions(inputs.cameras, collect_motions(team, inputs.cameras, subdomains, field.q), spread)
     is_known = solved.is_evaluated and not excluded.is_any(team)
     evaluation = solved.seen.evaluation if is_known else model.evaluate(field.q)
-    cell_errors = _judge_cells(problem, model, evaluation)
+    cell_errors, lost = _judge_cells(problem, model, evaluation)
     are_led_astray = _find_cells_near_pulled(problem, excluded)
     cell_errors = [replace(of_cells, doubtful=of_cells.doubtful | is_led)
                    for of_cells, is_led in zip(cell_errors, are_led_astray, strict=True)]
@@ -290,8 +292,9 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str,
                               solved.seen.measure_shown_share(), uncertainty)
     are_used = [~find_excluded(of_views[0]) for of_views in excluded.cells]
     inverted = describe_inverted_cells(team, measurement.subdomains, measurement.displacements, are_used)
-    if inverted and not failure:
-        raise as_collective(ConvergenceError(inverted, replace(measurement, failure=inverted)))
+    found = lost or inverted
+    if found and not failure:
+        raise as_collective(ConvergenceError(found, replace(measurement, failure=found)))
     return measurement
 
 
@@ -318,25 +321,31 @@ def _describe_correction(case: Case, model: ResidualModel) -> tuple[str, ...]:
     return (f"grey levels: {whose[model.correction]}, chosen from the pair (correlation.grey_correction)",)
 
 
-def _judge_cells(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation) -> list[CellErrors]:
-    """What the residual says about the cells of each owned subdomain; collective."""
+def _judge_cells(problem: WeightedProblem, model: ResidualModel,
+                 evaluation: Evaluation) -> tuple[list[CellErrors], str]:
+    """What the residual says about the cells of each owned subdomain, and why none is believed; collective."""
     team = problem.team
     owned = list(zip(model.views, evaluation.residuals, _take_hessians(problem, model), strict=True))
     errors = find_cell_errors(team, team.together(lambda: [
         measure_cell_residuals(of_subdomain.views[0].view, hessian, of_views[0])
         for of_subdomain, of_views, hessian in owned]))
-    if model.blurs:
-        # Little contrast is left, and the residual of a wrong place may be as small as that of the right one.
-        are_noisy = [find_noisy_cells(of_subdomain.views[0].view, hessian,
-                                      evaluation.grey[of_subdomain.subdomain.camera].residual_std)
-                     for of_subdomain, _, hessian in owned]
+    lost = ""
+    if model.blurs or problem.reference.inputs.case.regularization is None:
+        # Where little contrast is left, the residual of a wrong place may be as small as that of the right one.
+        noise = evaluation.grey[0].residual_std ** 2
+        deviations = estimate_node_deviations(model, problem.solver.assembly.systems, noise, by_pixels_alone=True)
+        are_noisy = [find_noisy_cells(of_subdomain.subdomain.mesh, of_nodes)
+                     for of_subdomain, of_nodes in zip(model.views, deviations, strict=True)]
         errors = [replace(of_cells, doubtful=of_cells.doubtful | is_noisy)
                   for of_cells, is_noisy in zip(errors, are_noisy, strict=True)]
+        if model.blurs:
+            are_shown = [of_views[0].cell_sums.n_pixels > 0 for of_views in evaluation.residuals]
+            lost = describe_lost_field(team, are_noisy, are_shown)
     # What is left of a cell that is mostly hidden says little of it, whatever its residual.
     are_hidden = [of_views[0].cell_sums.n_pixels < LEAST_USED * of_subdomain.reference.own.count_pixels()
                   for of_subdomain, of_views in zip(model.views, evaluation.residuals, strict=True)]
     return [replace(of_cells, doubtful=of_cells.doubtful | is_hidden)
-            for of_cells, is_hidden in zip(errors, are_hidden, strict=True)]
+            for of_cells, is_hidden in zip(errors, are_hidden, strict=True)], lost
 
 
 def _find_cells_near_pulled(problem: WeightedProblem, excluded: Exclusions) -> list[NDArray[np.bool_]]:

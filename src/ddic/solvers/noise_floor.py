@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,8 +58,24 @@ def estimate_noise_rms(system: LocalSystem, operator: LocalOperator, sigma: floa
     return float(sigma * np.sqrt(2.0 * trace / components.sum()))
 
 
-def estimate_noise_by_steps(team: Team, systems: Sequence[LocalSystem], step: LinearStep, sigma: float,
-                            counted: Sequence[NDArray[np.bool_]] | None = None) -> float:
+@dataclass(frozen=True)
+class NoiseResponse:
+    """How a field answers white noise of the images.
+
+    Attributes
+    ----------
+    rms_per_grey : float
+        RMS of a component at a node, pixels, for noise of both images of one grey level.
+    n_determined : float
+        tr(A^-1 M): how many unknowns the images determine.
+    """
+
+    rms_per_grey: float
+    n_determined: float
+
+
+def estimate_response(team: Team, systems: Sequence[LocalSystem], step: LinearStep,
+                      counted: Sequence[NDArray[np.bool_]] | None = None) -> NoiseResponse:
     """Estimate the same over all nodes of a problem in subdomains, by linear steps of any kind; collective.
 
     Parameters
@@ -69,15 +86,13 @@ def estimate_noise_by_steps(team: Team, systems: Sequence[LocalSystem], step: Li
         Of owned subdomains.
     step : LinearStep
         Solves with A.
-    sigma : float
-        Standard deviation of the camera noise of both images, grey levels; with several cameras the first one's.
     counted : sequence of (n_nodes,) bool array, optional
         Which nodes of each subdomain count; all of them by default.
 
     Returns
     -------
-    float
-        RMS over these nodes' components, every node counted once, pixels.
+    NoiseResponse
+        Every node counted once; with several cameras of noise of the first one.
 
     Raises
     ------
@@ -85,23 +100,27 @@ def estimate_noise_by_steps(team: Team, systems: Sequence[LocalSystem], step: Li
         On all ranks, where a linear step does not converge.
     """
     at_rest = [np.zeros(system.subdomain.n_unknowns) for system in systems]
-    # Of nodes, a share in each subdomain that has them.
-    shares = [1.0 / system.subdomain.node_multiplicity for system in systems]
+    chosen = [np.ones(system.subdomain.mesh.n_nodes) for system in systems]
     if counted is not None:
-        shares = [share * chosen for share, chosen in zip(shares, counted, strict=True)]
+        chosen = [of_nodes.astype(np.float64) for of_nodes in counted]
+    # Of nodes, a share in each subdomain that has them.
+    shares = [of_nodes / system.subdomain.node_multiplicity for system, of_nodes in zip(systems, chosen, strict=True)]
     # Solutions of about a pixel: steps start from their last one.
     (scale,) = team.ordered_sum([np.array([system.hessian.diagonal().max(initial=0.0)]) for system in systems])
     (n_components,) = team.ordered_sum([np.array([system.subdomain.mesh.dim * share.sum()])
                                         for system, share in zip(systems, shares, strict=True)])
+    n_components = max(n_components, 1.0)
     traces = []
-    for probe in range(int(np.clip(_SIGNS_BY_STEPS // max(n_components, 1), 1, _MOST_BY_STEPS))):
+    for probe in range(int(np.clip(_SIGNS_BY_STEPS // n_components, 1, _MOST_BY_STEPS))):
         b = [scale * _project_signs(system.subdomain, share, probe)
              for system, share in zip(systems, shares, strict=True)]
         y = [y_s / scale for y_s in step.solve(at_rest, b, _ENOUGH).dq]
-        (trace,) = team.ordered_sum([np.array([y_s @ (system.hessian @ y_s)])
-                                     for y_s, system in zip(y, systems, strict=True)])
-        traces.append(trace)
-    return float(sigma * np.sqrt(2.0 * np.mean(traces) / max(n_components, 1)))
+        forces = [system.hessian @ y_s for system, y_s in zip(systems, y, strict=True)]
+        traces.append(team.ordered_sum([
+            np.array([y_s @ of_y, _project_signs(system.subdomain, of_nodes, probe) @ of_y])
+            for system, of_nodes, y_s, of_y in zip(systems, chosen, y, forces, strict=True)]))
+    of_covariance, of_determined = np.mean(traces, axis=0)
+    return NoiseResponse(float(np.sqrt(2.0 * of_covariance / n_components)), float(of_determined))
 
 
 def _project_signs(subdomain: Subdomain, shares: NDArray[np.float64], probe: int) -> NDArray[np.float64]:

@@ -40,6 +40,9 @@ def bound_lowest_eigenvalue(factor: PETSc.Mat, probe: PETSc.Vec) -> float:
         return float(bound)
 
 
+_SINGULAR = ": the operator is singular"
+
+
 def describe_singular(where: str) -> str:
     """Write the message that an operator is singular.
 
@@ -53,6 +56,11 @@ def describe_singular(where: str) -> str:
     str
         With causes and remedies.
     """
-    return (f"{where}: the operator is singular, which means that the reference image has too little texture "
+    return (f"{where}{_SINGULAR}, which means that the reference image has too little texture "
             "there, or too few pixels that are neither masked nor mapped outside the deformed image; use larger "
             "elements, leave the blank part out of the mesh, or give a longer regularization.cut_off_wavelength")
+
+
+def describe_lost(message: str, reason: str) -> str:
+    """Give such a message another reason: not the reference image, but what a frame shows of it."""
+    return f"{message.partition(_SINGULAR)[0]}{_SINGULAR}: {reason}"

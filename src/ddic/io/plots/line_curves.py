@@ -30,6 +30,8 @@ STRAIN_COLUMNS = {"xx": 0, "yy": 1, "xy": 3}
 def draw_line(result: Result, ends: Sequence[float], unit: LengthUnit = PIXELS) -> Figure:
     """Draw the displacement and the strain at nodes along a straight line, with bands of two standard deviations.
 
+    Those of the displacement count the bias of the regularization, 2 sqrt(sigma^2 + bias^2).
+
     Parameters
     ----------
     result : Result
@@ -62,10 +64,15 @@ def draw_line(result: Result, ends: Sequence[float], unit: LengthUnit = PIXELS) 
     figure = Figure(figsize=(7.0, 6.5 if has_strain else 3.8), layout="tight")
     above = figure.add_subplot(2 if has_strain else 1, 1, 1)
     deviations = _read_along(result, schema.SIGMA_DISPLACEMENT, points)
+    title = "Along the line" if deviations is None else f"Along the line, with {BAND:g} standard deviations"
+    if deviations is not None and schema.REGULARIZATION_BIAS in result.point_data:
+        bias = interpolate(result.mesh, result.point_data[schema.REGULARIZATION_BIAS][:, :2], points)
+        deviations = np.hypot(deviations, bias)
+        title += ", of $u$ of noise and bias"
     _draw_bands(above, distance, displacement,
                 None if deviations is None else unit.size * deviations, ("$u_x$", "$u_y$"))
     above.set_ylabel(f"displacement [{unit.name}]")
-    above.set_title("Along the line" if deviations is None else f"Along the line, with {BAND:g} standard deviations")
+    above.set_title(title)
     if has_strain:
         strain = result.point_data[schema.NODAL_INFINITESIMAL][:, list(STRAIN_COLUMNS.values())]
         below = figure.add_subplot(2, 1, 2, sharex=above)
