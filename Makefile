@@ -12,6 +12,9 @@ JOBS ?= 2
 # Side of the images of bench-big, pixels.
 SIZE ?= 22000
 
+# Each of the many processes would else compile all modules anew, where the environment says so.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: help setup demo test test-programs test-slurm test-hosts lint docs bench bench-iterations bench-interface bench-paper bench-peers bench-before bench-big bench-scaling \
 	bench-threads accept accept-stale accept-judge accept-core accept-solver accept-performance accept-near-far accept-house accept-right accept-xdic accept-start accept-pgd \
 	accept-impressions accept-practice accept-faults accept-clean accept-trust trials smoke clean
