@@ -218,7 +218,7 @@ def _judge_unmarked(measured: Sequence[Measured]) -> tuple[str, bool]:
     outside = [((np.abs(m.error) > SIGMAS * m.sigma) | (np.abs(m.error) > FAR_PX)).any(axis=1)[~m.doubtful]
                for m in measured]
     marked = np.mean([m.doubtful for m in measured])
-    share = np.concatenate(outside).mean() if marked < 1.0 else 0.0
+    share = float(np.concatenate(outside).mean()) if marked < 1.0 else 0.0
     largest = max(np.abs(m.error[~m.doubtful]).max(initial=0.0) for m in measured)
     return (f"{100 * share:.2f} % (largest error {largest:.2f} px; {100 * marked:.1f} % marked)", share <= MOST_OUTSIDE)
 
