@@ -1,7 +1,8 @@
 """A tip moved along its line until Williams' series about it fits the images best.
 
 The series' coefficients and the place of the tip are found together by Gauss-Newton on the residual: integrated digital
-image correlation. Elements would not tell: with tip functions some pixels beside the tip, they leave hardly more of it.
+image correlation. Elements would not tell: with tip functions some pixels beside the tip, they leave hardly
+more of it.
 """
 
 from __future__ import annotations
@@ -59,7 +60,15 @@ SAME_TIP, MOST_MOVES = 0.05, 20
 
 @dataclass(frozen=True)
 class TipMove:
-    """How far ahead of where it is given a tip lies, and the standard deviation of that, pixels."""
+    """Where the pixels about a tip say that it lies.
+
+    Attributes
+    ----------
+    ahead : float
+        Of where it is given, along its line, pixels.
+    deviation : float
+        Standard deviation of that by noise, pixels.
+    """
 
     ahead: float
     deviation: float

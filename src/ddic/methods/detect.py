@@ -149,28 +149,83 @@ def measure_on_lines(recipe: Recipe, inputs: Inputs, frame: Frame, start: Any, p
     InputError, SingularSubdomainError, ConvergenceError
         On all ranks.
     """
-    if not isinstance(recipe, Session) or not _may_be_off(inputs.case):
+    if not isinstance(recipe, Session):
         return recipe, inputs, recipe.measure(frame, start)
+    measured = measure_and_look(lambda: recipe.measure(frame, start), recipe.problem.team, inputs, frame, listener,
+                                clock)
+    if isinstance(measured, Measurement):
+        return recipe, inputs, measured
+    recipe.close()
+    again = prepare(measured)
+    return again, measured, again.measure(frame, start)
+
+
+def measure_and_look(measure: Callable[[], Measurement], team: Team, inputs: Inputs, frame: Frame, listener: Listener,
+                     clock: PhaseClock) -> Measurement | Inputs:
+    """Measure a frame, and look whether lines are off their places; collective.
+
+    Parameters
+    ----------
+    measure : callable
+        Measures it.
+    team : Team
+        All ranks.
+    inputs : Inputs
+        From which that was prepared.
+    frame : Frame
+        The deformed images.
+    listener : Listener
+        Told how lines were refined.
+    clock : PhaseClock
+        Of the phases.
+
+    Returns
+    -------
+    Measurement or Inputs
+        What was measured; or inputs with refined lines, with which the frame is to be measured again.
+
+    Raises
+    ------
+    InputError, SingularSubdomainError, ConvergenceError
+        On all ranks.
+    """
+    if not _may_be_off(inputs.case):
+        return measure()
     try:
-        measurement = recipe.measure(frame, start)
+        measurement = measure()
         found = _refine_lines(inputs, measurement, frame, clock)
     except (SingularSubdomainError, ConvergenceError) as error:
         if isinstance(error, StoppedError) or not is_collective(error):
             raise
-        roughly = _refine_lines_roughly(recipe.problem.team, inputs, frame, listener, clock)
+        roughly = _refine_lines_roughly(team, inputs, frame, listener, clock)
         if roughly is None or not roughly.is_any:
             _tell(listener, () if roughly is None else roughly.notes)
             raise
         found = roughly
     _tell(listener, found.notes)
     if not found.is_any:
-        of_result = replace(measurement.inputs, notes=(*measurement.inputs.notes, *found.notes))
-        return recipe, inputs, replace(measurement, inputs=of_result, notes=(*measurement.notes, *found.notes))
-    refined = replace(inputs, case=inputs.case.model_copy(update={"discontinuity": found.sections}),
-                      notes=(*inputs.notes, *found.notes))
-    recipe.close()
-    again = prepare(refined)
-    return again, refined, again.measure(frame, start)
+        return add_notes(measurement, found.notes)
+    return replace(inputs, case=inputs.case.model_copy(update={"discontinuity": found.sections}),
+                   notes=(*inputs.notes, *found.notes))
+
+
+def add_notes(measurement: Measurement, notes: Sequence[str]) -> Measurement:
+    """Add notes to those of a measurement and of its result.
+
+    Parameters
+    ----------
+    measurement : Measurement
+        Of a frame.
+    notes : sequence of str
+        What the user should know.
+
+    Returns
+    -------
+    Measurement
+        With them.
+    """
+    of_result = replace(measurement.inputs, notes=(*measurement.inputs.notes, *notes))
+    return replace(measurement, inputs=of_result, notes=(*measurement.notes, *notes))
 
 
 def _may_be_off(case: Case) -> bool:
