@@ -67,7 +67,7 @@ def measure_crack(scale: Scale) -> list[Row]:
 
 def _compare_tip_functions(crack: Crack, size: int, noise: float, pair: tuple[NDArray[Any], NDArray[Any]]) -> Row:
     """The field about the tip, measured with a line up to the tip with tip functions and without."""
-    points = _place_points(crack)
+    points = place_about_tip(crack)
     errors = {}
     for tip_functions in (False, True):
         line = {"vertices": [(crack.tip - 2 * size * crack.along).tolist(), crack.tip.tolist()],
@@ -81,8 +81,19 @@ def _compare_tip_functions(crack: Crack, size: int, noise: float, pair: tuple[ND
                f"{errors[True]:.4f} px, {errors[False]:.4f} px", errors[False] >= TIMES_LESS * errors[True])
 
 
-def _place_points(crack: Crack) -> NDArray[np.float64]:
-    """Random points about the tip, beyond the band along the crack, (n, 2)."""
+def place_about_tip(crack: Crack) -> NDArray[np.float64]:
+    """Place random points within NEAR_TIP of the tip, beyond the band along the crack.
+
+    Parameters
+    ----------
+    crack : Crack
+        The crack.
+
+    Returns
+    -------
+    (n, 2) array
+        Pixels.
+    """
     offsets = np.random.default_rng(0).uniform(-NEAR_TIP, NEAR_TIP, (8000, 2))
     height = offsets @ np.array([-crack.along[1], crack.along[0]])
     kept = (np.linalg.norm(offsets, axis=1) <= NEAR_TIP) & (np.abs(height) > BESIDE)

@@ -1,4 +1,4 @@
-"""A crack whose line is given off its place: openings, K_I and the line that its residual refines."""
+"""A crack whose line, or tip, is given off its place: openings, K_I, and the line and tip that its residual refines."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import ddic
+from accept.crack import NEAR_TIP as ABOUT_TIP
+from accept.crack import place_about_tip
 from accept.support.cracked_pair import Crack, render_crack
 from accept.support.opened_pair import MARGIN, mesh_inside
 from accept.support.settings import MONOLITHIC, describe_settings
@@ -30,12 +32,18 @@ OFFSETS, TURNS, SEEDS, CUT_OFF = (0.0, 1.0, 2.0, 3.0, 5.0), (0.5, 1.0), (0, 1, 2
 
 SMOKE_CASES = ((2.0, 0.0), (0.0, 1.0))
 
+TIP_OFFSETS, SMOKE_TIP_OFFSETS = (-5.0, -2.0, 0.0, 2.0, 5.0), (-5.0,)
+"""How far the end of a line with tip functions is off along the line, ahead where positive, pixels."""
+
 NEAR_TIP, NEAR_EDGE = 3 * ELEMENT, ELEMENT
 """Pixels from the tip and from the mesh's edge within which openings are not judged: elements at the tip do not hold
 the root of the distance, and are 0.15 px off with the line in its place; nodes at the edge have more noise."""
 
 OPENING_PX, FACTOR, LINE_PX, LINE_DEGREES = 0.1, 0.02, 0.5, 0.1
 """Largest errors of openings, K_I, and the refined line's place and direction."""
+
+TIP_PX, ABOUT_TIP_PX = 1.0, 0.02
+"""Largest error of the refined tip's place, and RMS error about the tip: 0.025 px with l_c where it stays 5 px off."""
 
 
 @dataclass(frozen=True)
@@ -139,3 +147,48 @@ def _judge(crack: Crack, result: ddic.Result) -> _Found:
     degrees = float(np.rad2deg(np.arctan2(along[1], along[0]) - crack.angle))
     return _Found(float(np.nanmax(errors)), float(np.isnan(errors).mean()),
                   tip.opening_factor / crack.opening_factor - 1, float(np.abs(heights[judged]).max()), degrees)
+
+
+def measure_tip_off(scale: Scale) -> list[Row]:
+    """Measure a crack in mode I with tip functions and its tip displaced, with and without regularization.
+
+    Parameters
+    ----------
+    scale : Scale
+        A smoke run takes a small image, one seed and one place.
+
+    Returns
+    -------
+    list of Row
+        One for each place.
+    """
+    size = SMOKE_SIZE if scale.smoke else SIZE
+    crack = _place_crack(size)
+    pairs = [render_crack(crack, size, NOISE, seed) for seed in (SEEDS[:1] if scale.smoke else SEEDS)]
+    return [_measure_tip_place(crack, size, pairs, off) for off in (SMOKE_TIP_OFFSETS if scale.smoke else TIP_OFFSETS)]
+
+
+def _measure_tip_place(crack: Crack, size: int, pairs: list[tuple[NDArray[Any], NDArray[Any]]], off: float) -> Row:
+    line = {"vertices": [(crack.tip - 2 * size * crack.along).tolist(), (crack.tip + off * crack.along).tolist()],
+            "tip_functions": True}
+    points = place_about_tip(crack)
+    found = []
+    for cut_off in (None, CUT_OFF):
+        regularization = {} if cut_off is None else {"regularization": {"cut_off_wavelength": cut_off}}
+        for pair in pairs:
+            result = ddic.measure(pair, mesh_inside(size, ELEMENT),
+                                  options={**MONOLITHIC, **regularization, "discontinuity": [line]})
+            factor = ddic.find_crack_tip(result).opening_factor / crack.opening_factor - 1
+            away = float(np.linalg.norm(get_line(result, 1)[-1] - crack.tip))
+            rms = float(np.sqrt(np.mean((result.at(points) - crack.displacement(points)) ** 2)))
+            found.append((abs(factor), away, rms))
+            append_result("accept_trust_runs", {"check": "tip_off", "off_px": off, "cut_off": cut_off or 0.0,
+                                                "factor_off": factor, "tip_px": away, "about_tip_px": rms})
+    factor_off, tip_px, about_tip_px = np.max(found, axis=0)
+    return Row(f"crack in mode I with tip functions, {OPENING:g} px open, {size} x {size} px, {ELEMENT}-px elements, "
+               f"noise of {NOISE:g} grey levels, {describe_settings(MONOLITHIC)}, without l_c and with {CUT_OFF:g} px, "
+               f"{len(pairs)} seeds, end of the line {off:+g} px ahead of the tip: K_I; end of the line after it was "
+               f"refined; RMS error within {ABOUT_TIP:g} px of the tip",
+               f"{FACTOR:.0%}; within {TIP_PX:g} px; {ABOUT_TIP_PX:g} px",
+               f"{factor_off:.2%}; {tip_px:.2f} px; {about_tip_px:.4f} px",
+               bool(factor_off <= FACTOR and tip_px <= TIP_PX and about_tip_px <= ABOUT_TIP_PX))

@@ -5,11 +5,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from accept.line_off import measure_line_off
+from accept.line_off import measure_line_off, measure_tip_off
 from accept.stated_errors import CHECKS as OF_ERRORS
 from accept.table import Check, run_table
 
-CHECKS: dict[str, Check] = {"line_off": measure_line_off, **OF_ERRORS}
+CHECKS: dict[str, Check] = {"line_off": measure_line_off, "tip_off": measure_tip_off, **OF_ERRORS}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

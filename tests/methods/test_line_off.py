@@ -1,4 +1,4 @@
-"""A line that is given beside its place is refined by the residual, or told."""
+"""A line or a tip that is given beside its place is refined by the residual, or told."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from click.testing import CliRunner
 from numpy.typing import NDArray
 
 import ddic
+from accept.support.cracked_pair import Crack, render_crack
 from ddic.cli.run import run
 from ddic.errors import SingularSubdomainError
 
@@ -22,6 +23,7 @@ TANGENT, NORMAL = np.array([np.cos(ANGLE), np.sin(ANGLE)]), np.array([-np.sin(AN
 FOOT = np.array([130.3, 127.6])
 SIDE = 256
 MESH = ddic.structured_mesh((16, 16, 240, 240), 16)
+CRACK = Crack(tip=np.array([140.3, 120.7]), opening_factor=0.25)
 
 
 @cache
@@ -98,3 +100,53 @@ def test_the_log_says_how_far_the_line_was_moved(tmp_path: Path) -> None:
     assert moved is not None
     np.testing.assert_allclose(float(moved[1]), 2.0, atol=0.5)
     assert np.abs((line_of(ddic.open(tmp_path / "result.vtkhdf")) - FOOT) @ NORMAL).max() < 0.5
+
+
+@cache
+def cracked_pair() -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
+    return render_crack(CRACK, SIDE, noise=1.0)
+
+
+def up_to(ahead: float, beside: float = 0.0, **keys: object) -> dict[str, object]:
+    """The crack's line up to its tip, which is off along it and across it."""
+    end = CRACK.tip + ahead * CRACK.along + beside * np.array([-CRACK.along[1], CRACK.along[0]])
+    vertices = [(end - 400 * CRACK.along).tolist(), end.tolist()]
+    return {"discontinuity": [{"vertices": vertices, "tip_functions": True, **keys}]}
+
+
+@pytest.mark.parallel([1, 2])
+@pytest.mark.parametrize(("ahead", "beside", "cut_off"), [(-5.0, 0.0, 80.0), (4.0, 0.0, None), (-4.0, 2.5, None)])
+def test_a_tip_that_is_off_is_refined_with_its_line(ahead: float, beside: float, cut_off: float | None) -> None:
+    held = {} if cut_off is None else {"regularization": {"cut_off_wavelength": cut_off}}
+    with ddic.prepare(cracked_pair()[0], MESH, options={**up_to(ahead, beside), **held}) as session:
+        result = session.measure(cracked_pair()[1])
+        again = session.measure(cracked_pair()[1])
+    end = line_of(result)[1]
+    # Four standard deviations of what noise makes of the tip's place; a line is refined to half a pixel.
+    assert abs((end - CRACK.tip) @ CRACK.along) < 0.6
+    assert abs((end - CRACK.tip) @ np.array([-CRACK.along[1], CRACK.along[0]])) < 0.5
+    notes = str(result.attributes["case"]["notes"])
+    assert notes.count("its tip was off") == 1
+    assert notes.count("its line was off") == (beside > 0)
+    np.testing.assert_array_equal(line_of(again), line_of(result))
+
+
+def test_a_tip_in_its_place_stays_and_is_measured_with_once() -> None:
+    asked = up_to(0.3)
+    with ddic.prepare(cracked_pair()[0], MESH, options=asked) as session:
+        result = session.measure(cracked_pair()[1])
+        assert session.n_factorized == 1
+    np.testing.assert_array_equal(line_of(result), asked["discontinuity"][0]["vertices"])  # type: ignore[index]
+
+
+def test_without_tip_functions_a_line_may_go_on_beyond_the_tip() -> None:
+    asked = up_to(30.0, tip_functions=False)
+    result = ddic.measure(cracked_pair(), MESH, options=asked)
+    np.testing.assert_array_equal(line_of(result), asked["discontinuity"][0]["vertices"])  # type: ignore[index]
+
+
+def test_a_tip_that_is_farther_off_than_it_may_be_stays_and_is_told() -> None:
+    asked = up_to(-8.0, uncertainty=2.0)
+    result = ddic.measure(cracked_pair(), MESH, options=asked)
+    np.testing.assert_array_equal(line_of(result), asked["discontinuity"][0]["vertices"])  # type: ignore[index]
+    assert "would move its tip by +" in str(result.attributes["case"]["notes"])

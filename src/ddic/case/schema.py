@@ -420,8 +420,9 @@ class DiscontinuitySection(Section):
         default=3.0,
         description=(
             "How far from its place the line that is given may be. Pixels as near to it are not taken for something "
-            "else than the specimen, and where the residual says that the line is off by more than half a pixel it is "
-            "refined and the pair measured again; the log and the result say by how much. 0 takes the line as given."
+            "else than the specimen, and where the residual says that the line is off by more than half a pixel, or "
+            "its tip with tip_functions by more than one along it, they are refined and the image measured again; the "
+            "log and the result say by how much. 0 takes the line as given."
         ),
         json_schema_extra={"unit": "px"},
     )

@@ -1,4 +1,4 @@
-"""The line that a case asks for, looked for in its images; and the lines that it gives, refined by their residual."""
+"""The line that a case asks for, looked for in its images; and the lines and tips that it gives, refined."""
 
 from __future__ import annotations
 
@@ -8,16 +8,20 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.case.schema import DiscontinuitySection
+from ddic.case.schema import Case, DiscontinuitySection
 from ddic.detection.find_line import Detection, find_line
 from ddic.detection.refine_line import SEARCHED, find_move, refine_line
+from ddic.detection.refine_tip import find_tip_move
 from ddic.errors import ConvergenceError, FactorizationError, SingularSubdomainError
+from ddic.fracture.williams_series import find_kolosov_constant
+from ddic.functionals.elasticity import Material
 from ddic.kinematics.discontinuities import Discontinuities
+from ddic.kinematics.tip_functions import Tip, find_tips
 from ddic.mesh.cut_mesh import CutMesh
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.polyline import measure_distance
 from ddic.problem.cameras import Frame
-from ddic.problem.cut_region import cut_by_lines, list_discontinuities
+from ddic.problem.cut_region import cut_by_lines, list_discontinuities, list_tip_functions
 from ddic.problem.inputs import Inputs
 from ddic.start.coarse_displacement import CutField
 from ddic.start.given_start import extrapolate
@@ -32,6 +36,10 @@ is refined has been found when it moves by no more. In the gap of an open crack 
 LEAST_GAIN = 1000.0
 """Fall of the sum of squared residuals, in variances of the residual, from which on a line is moved: noise makes 20,
 and a torn edge that no straight line follows 600. A larger one leaves lines that hardly open where they are."""
+
+TIP_OFF, CERTAIN = 1.0, 5.0
+"""Pixels, and standard deviations of what noise makes of its place, from which on a tip is moved along its line: a
+Poisson's ratio that is wrong by 0.15 moves it by 0.7 px, and the field about it is no better for less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +83,9 @@ def find_line_of_case(inputs: Inputs, frame: Frame, displacement: Array) -> Dete
 
 
 def refine_lines_of_case(inputs: Inputs, frame: Frame, displacement: Array) -> Refinement:
-    """Refine the lines that a case gives, those that the residual says are off; on one rank.
+    """Refine the lines that a case gives, and tips with tip functions along them, where the residual says they are off.
 
-    A line that is in its place costs a look at the pixels about it.
+    On one rank. A line that is in its place costs a look at the pixels about it.
 
     Parameters
     ----------
@@ -98,30 +106,68 @@ def refine_lines_of_case(inputs: Inputs, frame: Frame, displacement: Array) -> R
     cut, _ = cut_by_lines(inputs.case, mesh)
     # Nodes of small cells about tips come last.
     field = CutField(cut.mesh, _fill(cut.mesh, displacement[:cut.mesh.n_nodes]))
-    sections, notes, among = list(inputs.case.discontinuity), [], given
+    sections, among = list(inputs.case.discontinuity), given
+    notes: list[str] = []
     for number, section in enumerate(sections):
         of_line = number, section.uncertainty
-        if not (section.uncertainty > 0 and _is_off(images, cut, field, given, of_line)):
-            continue
-        line = among.lines[number]
-        try:
-            found = refine_line(images, mesh, field, among, number, section.uncertainty, SETTLED).best
-        except (ConvergenceError, SingularSubdomainError, FactorizationError) as error:
-            notes.append(f"discontinuity, entry {number + 1}: the residual says that its line is off, but where it "
-                         f"belongs is not found: {error}; correct discontinuity.vertices")
-            continue
-        moved = _measure_move(mesh, line, found)
-        if moved > SEARCHED * section.uncertainty:
-            notes.append(f"discontinuity, entry {number + 1}: the residual would move its line by {moved:.1f} px, more "
-                         f"than {SEARCHED:g} times discontinuity.uncertainty = {section.uncertainty:g} px: it stays; "
-                         "look at its place, or raise that")
-            continue
-        among = among.with_line(number, found)
-        sections[number] = section.model_copy(update={"vertices": tuple(map(tuple, found.tolist()))})
-        notes.append(f"discontinuity, entry {number + 1}: its line was off, and was refined by the residual: moved by "
-                     f"up to {moved:.2f} px, turned by {_describe_turns(line, found)} degrees; now "
-                     f"{_describe_vertices(found)} px")
+        if section.uncertainty > 0 and _is_off(images, cut, field, given, of_line):
+            among, note = _refine(images, mesh, field, among, of_line)
+            notes.append(f"discontinuity, entry {number + 1}: {note}")
+    tips = find_tips(mesh, among.lines, list_tip_functions(inputs.case))
+    for tip in () if tips is None else tips.tips:
+        if (uncertainty := sections[tip.line].uncertainty) > 0:
+            among, found_tip = _refine_tip(inputs.case, images, mesh, field, among, (tip, uncertainty))
+            notes += [f"discontinuity, entry {tip.line + 1}: {note}" for note in found_tip]
+    sections = [section if among.lines[number] is given.lines[number]
+                else section.model_copy(update={"vertices": tuple(map(tuple, among.lines[number].tolist()))})
+                for number, section in enumerate(sections)]
     return Refinement(tuple(sections), tuple(notes), sections != list(inputs.case.discontinuity))
+
+
+def _refine(images: Images, mesh: Mesh, field: CutField, among: Discontinuities,
+            of_line: tuple[int, float]) -> tuple[Discontinuities, str]:
+    """A line, of some number and uncertainty, where it fits the images best, and what is to be told of it."""
+    number, uncertainty = of_line
+    line = among.lines[number]
+    try:
+        found = refine_line(images, mesh, field, among, number, uncertainty, SETTLED).best
+    except (ConvergenceError, SingularSubdomainError, FactorizationError) as error:
+        return among, ("the residual says that its line is off, but where it belongs is not found: "
+                       f"{error}; correct discontinuity.vertices")
+    moved = _measure_move(mesh, line, found)
+    if moved > SEARCHED * uncertainty:
+        return among, _describe_limit("line", f"{moved:.1f}", uncertainty)
+    return among.with_line(number, found), (
+        f"its line was off, and was refined by the residual: moved by up to {moved:.2f} px, turned by "
+        f"{_describe_turns(line, found)} degrees; now {_describe_vertices(found)} px")
+
+
+def _refine_tip(case: Case, images: Images, mesh: Mesh, field: CutField, among: Discontinuities,
+                of_tip: tuple[Tip, float]) -> tuple[Discontinuities, list[str]]:
+    """A tip, of some uncertainty, where Williams' series fits the images best, and what is to be told if it was off."""
+    tip, uncertainty = of_tip
+    elastic = case.regularization or Material()
+    kappa = find_kolosov_constant(elastic.poisson_ratio, elastic.plane)
+    try:
+        move = find_tip_move(images, mesh, field, tip, among.lines, uncertainty, kappa)
+    except ConvergenceError:
+        # No room, or no crack as the series has it: nothing is known of the tip's place.
+        return among, []
+    if abs(move.ahead) <= max(TIP_OFF, CERTAIN * move.deviation):
+        return among, []
+    if abs(move.ahead) > SEARCHED * uncertainty:
+        return among, [_describe_limit("tip", f"{move.ahead:+.1f}", uncertainty)]
+    line = among.lines[tip.line].copy()
+    line[tip.vertex] = tip.position + move.ahead * tip.ahead
+    x, y = line[tip.vertex]
+    return among.with_line(tip.line, line), [
+        f"its tip was off, and was refined by the residual: moved by {move.ahead:+.2f} px along the line, ahead where "
+        f"positive; now ({x:.2f}, {y:.2f}) px"]
+
+
+def _describe_limit(what: str, moved: str, uncertainty: float) -> str:
+    return (f"the residual would move its {what} by {moved} px, more than {SEARCHED:g} times discontinuity.uncertainty "
+            f"= {uncertainty:g} px: it stays; look at its place, or raise that")
 
 
 def _is_off(images: Images, cut: CutMesh, field: CutField, given: Discontinuities,

@@ -21,6 +21,7 @@ from ddic.results.measurement import Measurement
 from ddic.results.whole_field import gather_displacement
 
 if TYPE_CHECKING:
+    from ddic.detection.line_of_case import Refinement
     from ddic.results.separated_measurement import SeparatedMeasurement
 
 RMS_PX, LARGEST_PX = 0.01, 1.0
@@ -148,46 +149,109 @@ def measure_on_lines(recipe: Recipe, inputs: Inputs, frame: Frame, start: Any, p
     InputError, SingularSubdomainError, ConvergenceError
         On all ranks.
     """
-    if not isinstance(recipe, Session) or not _may_be_off(inputs.case):
+    if not isinstance(recipe, Session):
         return recipe, inputs, recipe.measure(frame, start)
+    measured = measure_and_look(lambda: recipe.measure(frame, start), recipe.problem.team, inputs, frame, listener,
+                                clock)
+    if isinstance(measured, Measurement):
+        return recipe, inputs, measured
+    recipe.close()
+    again = prepare(measured)
+    return again, measured, again.measure(frame, start)
+
+
+def measure_and_look(measure: Callable[[], Measurement], team: Team, inputs: Inputs, frame: Frame, listener: Listener,
+                     clock: PhaseClock) -> Measurement | Inputs:
+    """Measure a frame, and look whether lines are off their places; collective.
+
+    Parameters
+    ----------
+    measure : callable
+        Measures it.
+    team : Team
+        All ranks.
+    inputs : Inputs
+        From which that was prepared.
+    frame : Frame
+        The deformed images.
+    listener : Listener
+        Told how lines were refined.
+    clock : PhaseClock
+        Of the phases.
+
+    Returns
+    -------
+    Measurement or Inputs
+        What was measured; or inputs with refined lines, with which the frame is to be measured again.
+
+    Raises
+    ------
+    InputError, SingularSubdomainError, ConvergenceError
+        On all ranks.
+    """
+    if not _may_be_off(inputs.case):
+        return measure()
     try:
-        measurement = recipe.measure(frame, start)
-        refined = _refine_lines(inputs, measurement, frame, clock)
+        measurement = measure()
+        found = _refine_lines(inputs, measurement, frame, clock)
     except (SingularSubdomainError, ConvergenceError) as error:
         if isinstance(error, StoppedError) or not is_collective(error):
             raise
-        refined = _refine_lines_roughly(recipe.problem.team, inputs, frame, listener, clock)
-        if refined is inputs:
+        roughly = _refine_lines_roughly(team, inputs, frame, listener, clock)
+        if roughly is None or not roughly.is_any:
+            _tell(listener, () if roughly is None else roughly.notes)
             raise
-    if refined is inputs:
-        return recipe, inputs, measurement
-    for note in refined.notes[len(inputs.notes):]:
-        listener.note(note)
-    recipe.close()
-    again = prepare(refined)
-    return again, refined, again.measure(frame, start)
+        found = roughly
+    _tell(listener, found.notes)
+    if not found.is_any:
+        return add_notes(measurement, found.notes)
+    return replace(inputs, case=inputs.case.model_copy(update={"discontinuity": found.sections}),
+                   notes=(*inputs.notes, *found.notes))
+
+
+def add_notes(measurement: Measurement, notes: Sequence[str]) -> Measurement:
+    """Add notes to those of a measurement and of its result.
+
+    Parameters
+    ----------
+    measurement : Measurement
+        Of a frame.
+    notes : sequence of str
+        What the user should know.
+
+    Returns
+    -------
+    Measurement
+        With them.
+    """
+    of_result = replace(measurement.inputs, notes=(*measurement.inputs.notes, *notes))
+    return replace(measurement, inputs=of_result, notes=(*measurement.notes, *notes))
 
 
 def _may_be_off(case: Case) -> bool:
     return any(section.vertices is not None and section.uncertainty > 0 for section in case.discontinuity)
 
 
-def _refine_lines(inputs: Inputs, measurement: Measurement, frame: Frame, clock: PhaseClock) -> Inputs:
-    """Inputs with refined lines; the same ones where all are in their places; collective."""
+def _tell(listener: Listener, notes: Sequence[str]) -> None:
+    for note in notes:
+        listener.note(note)
+
+
+def _refine_lines(inputs: Inputs, measurement: Measurement, frame: Frame, clock: PhaseClock) -> Refinement:
+    """Lines and tips where the residual says that they lie; collective."""
     from ddic.detection.line_of_case import refine_lines_of_case
 
-    team = measurement.team
     with clock.phase(Phase.START):
         displacement = gather_displacement(measurement)
-        found = team.on_root(lambda: refine_lines_of_case(inputs, frame, require_held(displacement)))
-    if not found.is_any:
-        return inputs
-    return replace(inputs, case=inputs.case.model_copy(update={"discontinuity": found.sections}),
-                   notes=(*inputs.notes, *found.notes))
+        return measurement.team.on_root(lambda: refine_lines_of_case(inputs, frame, require_held(displacement)))
 
 
-def _refine_lines_roughly(team: Team, inputs: Inputs, frame: Frame, listener: Listener, clock: PhaseClock) -> Inputs:
-    """The same where no field is found with the lines as they are: from one that mechanics hold; collective."""
+def _refine_lines_roughly(team: Team, inputs: Inputs, frame: Frame, listener: Listener,
+                          clock: PhaseClock) -> Refinement | None:
+    """The same where no field is found with the lines as they are: from one that mechanics hold; collective.
+
+    None where there is no such field either.
+    """
     listener.note("no field is found with the discontinuities where they are given; whether they are off is looked for")
     case = inputs.case
     size = team.on_root(lambda: measure_cell_size(inputs.build_mesh()[0]))
@@ -201,4 +265,4 @@ def _refine_lines_roughly(team: Team, inputs: Inputs, frame: Frame, listener: Li
     except (SingularSubdomainError, ConvergenceError) as error:
         if isinstance(error, StoppedError) or not is_collective(error):
             raise
-        return inputs
+        return None

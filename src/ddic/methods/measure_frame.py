@@ -10,9 +10,11 @@ from ddic.case.frame_files import list_times
 from ddic.errors import DdicError, is_collective
 from ddic.io.background_writer import BackgroundWriter
 from ddic.io.series_folder import SeriesFolder
-from ddic.methods.frame_starts import choose_known_start, measure_from
-from ddic.methods.reference_session import ReferenceSession
+from ddic.methods.detect import add_notes, measure_and_look
+from ddic.methods.frame_starts import SEARCH, KnownFrameStart, choose_known_start, measure_from
+from ddic.methods.reference_session import ReferenceSession, place_lines
 from ddic.parallel.team import Team
+from ddic.problem.cameras import Frame
 from ddic.problem.inputs import inputs_kept
 from ddic.results.frame_states import MeasuredState
 from ddic.results.measurement import Measurement
@@ -30,14 +32,19 @@ class MeasuredFrame:
         What is told of it.
     result : Measurement or DdicError
         Its field, or why it could not be measured.
+    session : ReferenceSession
+        That measured it: another one than was asked where lines were refined, which the caller has to close then.
     """
 
     record: FrameRecord
     result: Measurement | DdicError
+    session: ReferenceSession
 
 
 def measure_frame(session: ReferenceSession, number: int, states: Sequence[MeasuredState]) -> MeasuredFrame:
-    """Measure a frame; collective. What cannot be measured is told.
+    """Measure a frame, once more where its residual says that lines are off; collective.
+
+    What cannot be measured is told.
 
     Parameters
     ----------
@@ -56,22 +63,48 @@ def measure_frame(session: ReferenceSession, number: int, states: Sequence[Measu
     images, opener = session.images, session.images.opener
     case = opener.inputs.case
     record = FrameRecord(number, opener.describe(number), list_times(case)[number - 1], converged=False,
-                         reference=session.frame)
+                         reference=session.frame, lines=session.lines)
     began = time.perf_counter()
     try:
         with inputs_kept(images.team, opener.choose_stamps(number)):
             frame = opener.open(number)
             known = choose_known_start(case.series.start, states, record.time)
-            measurement, start = measure_from(session.session, frame, known, images.listener)
+            session, measurement, start = _measure_on_lines(session, frame, known)
     except DdicError as error:
         if not is_collective(error):
             raise
-        return MeasuredFrame(replace(record, failure=str(error)), error)
+        return MeasuredFrame(replace(record, failure=str(error)), error, session)
     deviation = measurement.evaluation.grey[0].residual_std
     record = replace(record, converged=True, iterations=measurement.n_iterations, started_from=start,
+                     lines=session.lines,
                      residual_std_grey=deviation, noise_floor_px=session.estimate_noise_floor(measurement),
                      notes=measurement.notes, seconds=float(images.team.maximum(time.perf_counter() - began)))
-    return MeasuredFrame(record, measurement)
+    return MeasuredFrame(record, measurement, session)
+
+
+def _measure_on_lines(session: ReferenceSession, frame: Frame, known: KnownFrameStart | None
+                      ) -> tuple[ReferenceSession, Measurement, str]:
+    """Measure a frame with a session, or with one of lines that it refines; and where it started; collective."""
+    images, start = session.images, SEARCH
+    inputs = place_lines(images.opener.inputs, session.lines)
+
+    def measure() -> Measurement:
+        nonlocal start
+        measurement, start = measure_from(session.session, frame, known, images.listener)
+        return measurement
+
+    measured = measure_and_look(measure, images.team, inputs, frame, images.listener, images.clock)
+    if isinstance(measured, Measurement):
+        return session, measured, start
+    lines = tuple(section.vertices or () for section in measured.case.discontinuity)
+    refined = ReferenceSession.prepare(images, lines, frame)
+    try:
+        measurement, start = measure_from(refined.session, frame, None, images.listener)
+    except DdicError:
+        refined.close()
+        raise
+    # They are of this frame alone: a series that is resumed knows the lines, not how they were found.
+    return refined, add_notes(measurement, measured.notes[len(inputs.notes):]), start
 
 
 def keep_frame(team: Team, frame: MeasuredFrame, folder: SeriesFolder,

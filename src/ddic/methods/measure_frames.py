@@ -7,7 +7,6 @@ from dataclasses import replace
 
 from ddic.io.background_writer import BackgroundWriter
 from ddic.io.read_ahead import ReadAhead
-from ddic.methods.dd_dic import Session
 from ddic.methods.frames_so_far import FramesSoFar
 from ddic.methods.measure_frame import keep_frame
 from ddic.methods.reference_session import ReferenceSession
@@ -65,11 +64,12 @@ def measure_frames(images: SeriesImages, wanted: FramesToMeasure) -> list[FrameR
 def _begin(images: SeriesImages, wanted: FramesToMeasure) -> FramesSoFar:
     """Prepare the session that an earlier run was at, or a new one; collective."""
     measured = [record for record in wanted.before if record.converged]
-    first_frame = None if measured else images.opener.first
-    session = ReferenceSession(images, Session(images.team, images.opener.inputs, images.listener, images.clock,
-                                               first_frame))
+    lines = measured[-1].lines if measured else ()
+    session = ReferenceSession.prepare(images, lines, None if measured else images.opener.first)
     problem = session.session.problem
-    states = collect_states(problem, [wanted.states[record.number] for record in measured[-N_STATES:]])
+    # Fields on a mesh that other lines cut do not help.
+    known = [record.number for record in measured[-N_STATES:] if record.lines == lines]
+    states = collect_states(problem, [wanted.states[number] for number in known])
     so_far = FramesSoFar(session, wanted.before, states)
     if not states or not measured[-1].reference:
         return so_far

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Self
 
 from ddic.methods.dd_dic import Session
 from ddic.methods.noise_floors import NoiseFloor
+from ddic.problem.cameras import Frame
+from ddic.problem.inputs import Inputs
 from ddic.problem.reference_problem import update_reference
 from ddic.results.frame_states import MeasuredState
 from ddic.results.measurement import Measurement
 from ddic.results.series_images import SeriesImages
-from ddic.results.series_record import FrameRecord
+from ddic.results.series_record import FrameRecord, Vertices
 
 
 class ReferenceSession:
@@ -28,12 +31,41 @@ class ReferenceSession:
         Whose image is the reference image; 0, by default, for the first one.
     noise_floor : float, optional
         RMS displacement that noise leaves in the field of that frame, pixels.
+    lines : tuple of tuple of (x, y), optional
+        Vertices of the discontinuities that it was prepared with, pixels; those of the case by default.
     """
 
-    def __init__(self, images: SeriesImages, session: Session, frame: int = 0, noise_floor: float = 0.0) -> None:
-        self.images, self.session, self.frame = images, session, frame
+    def __init__(self, images: SeriesImages, session: Session, frame: int = 0, noise_floor: float = 0.0,
+                 lines: tuple[Vertices, ...] = ()) -> None:
+        self.images, self.session, self.frame, self.lines = images, session, frame, lines
         self._noise_floor = noise_floor
         self._added = NoiseFloor(session, images.clock)
+
+    @classmethod
+    def prepare(cls, images: SeriesImages, lines: tuple[Vertices, ...], first_frame: Frame | None = None) -> Self:
+        """Prepare the session of the first reference image; collective.
+
+        Parameters
+        ----------
+        images : SeriesImages
+            Of the series.
+        lines : tuple of tuple of (x, y)
+            Vertices of the discontinuities as a frame has refined them, pixels; empty for those of the case.
+        first_frame : Frame, optional
+            Where it is known already.
+
+        Returns
+        -------
+        ReferenceSession
+            The caller's to close.
+
+        Raises
+        ------
+        InputError, SingularSubdomainError, FactorizationError
+            On all ranks.
+        """
+        inputs = place_lines(images.opener.inputs, lines)
+        return cls(images, Session(images.team, inputs, images.listener, images.clock, first_frame), lines=lines)
 
     def __enter__(self) -> Self:
         return self
@@ -96,10 +128,12 @@ class ReferenceSession:
         Returns
         -------
         list of MeasuredState
-            The same.
+            The same; none where other lines cut the mesh.
         """
         if other is self:
             return list(states)
+        if other.lines != self.lines:
+            return []
         before, now = other.session.problem.reference, self.session.problem.reference
         fields = [state.gather(self.images.team, before.subdomains, before.region.n_nodes) for state in states]
         return [state.restrict(field, now.subdomains) for state, field in zip(states, fields, strict=True)]
@@ -107,3 +141,25 @@ class ReferenceSession:
     def close(self) -> None:
         """Free PETSc's objects."""
         self.session.close()
+
+
+def place_lines(inputs: Inputs, lines: tuple[Vertices, ...]) -> Inputs:
+    """Put the discontinuities of a case where a frame has refined them.
+
+    Parameters
+    ----------
+    inputs : Inputs
+        Of the series.
+    lines : tuple of tuple of (x, y)
+        Vertices of all of them, pixels; empty where they stay.
+
+    Returns
+    -------
+    Inputs
+        With them.
+    """
+    if not lines:
+        return inputs
+    sections = tuple(section.model_copy(update={"vertices": vertices})
+                     for section, vertices in zip(inputs.case.discontinuity, lines, strict=True))
+    return replace(inputs, case=inputs.case.model_copy(update={"discontinuity": sections}))

@@ -47,7 +47,7 @@ def measure_with_updates(so_far: FramesSoFar, number: int) -> tuple[MeasuredFram
             if _is_better(again.record, frame.record):
                 return again, updated
             updated.close()
-    return frame, session
+    return frame, frame.session
 
 
 def _update(so_far: FramesSoFar, last: FrameRecord | None) -> ReferenceSession | None:

@@ -11,6 +11,8 @@ from typing import Any
 from ddic.io.json_file import convert_to_json, write_json
 from ddic.io.replace_on_exit import NewFiles
 
+Vertices = tuple[tuple[float, float], ...]
+
 
 @dataclass(frozen=True)
 class FrameRecord:
@@ -42,6 +44,9 @@ class FrameRecord:
         Why it was not measured; empty where it was.
     notes : sequence of str
         What the user should know.
+    lines : tuple of tuple of (x, y)
+        Vertices of the discontinuities that it was measured with where the residual of this frame or an earlier one has
+        refined them, pixels; empty where they are those of the case.
     """
 
     number: int
@@ -56,6 +61,7 @@ class FrameRecord:
     reference: int = 0
     failure: str = ""
     notes: Sequence[str] = field(default_factory=tuple)
+    lines: tuple[Vertices, ...] = ()
 
     def as_json(self) -> str:
         """Write it as JSON, with null for what is not finite.
@@ -83,6 +89,7 @@ class FrameRecord:
         """
         values: dict[str, Any] = json.loads(text)
         finite: dict[str, Any] = {name: float("nan") if value is None else value for name, value in values.items()}
+        finite["lines"] = tuple(tuple((x, y) for x, y in line) for line in values.get("lines", ()))
         return cls(**finite)
 
     def describe(self) -> str:

@@ -1,0 +1,218 @@
+"""A tip moved along its line until Williams' series about it fits the images best.
+
+The series' coefficients and the place of the tip are found together by Gauss-Newton on the residual: integrated digital
+image correlation. Elements would not tell: with tip functions some pixels beside the tip, they leave hardly
+more of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.detection.both_sides import compute_residuals
+from ddic.errors import ConvergenceError
+from ddic.fracture.williams_series import evaluate_williams_series
+from ddic.functionals.line_band import BAND
+from ddic.images.window import Window
+from ddic.kinematics.tip_functions import Tip
+from ddic.mesh.mesh import Mesh
+from ddic.mesh.polyline import measure_distance
+from ddic.mesh.quality import measure_cell_size
+from ddic.mesh.topology import find_boundary_nodes
+from ddic.start.coarse_displacement import CutField
+from ddic.start.independent import Images
+
+Array = NDArray[np.float64]
+
+ORDERS = np.array([1, 3, 4, 5, 6, 7])
+"""n of the terms r^(n/2) of the series, of which the first ones are the stress intensity factors. Those of a rigid
+motion and of constant strain, n = 0 and 2, are among the affine terms."""
+
+N_AFFINE = 6
+"""Affine terms, which take up what the camera adds too: it may come nearer and turn."""
+
+_FIRST = np.array([N_AFFINE, N_AFFINE + len(ORDERS)])
+"""Places of the coefficients of r^(1/2), of the opening mode and of the sliding one."""
+
+SINGULAR = np.array([-1])
+"""n of the term by which the first one changes where the tip moves: more singular than any crack."""
+
+ROOM = 0.9
+"""Share of the distance to the next edge, bend or other line up to which the series is fitted: it holds no farther."""
+
+LARGEST_ELEMENTS, LARGEST_PX, LEAST_PX = 4.0, 100.0, 24.0
+"""Radius up to which the series is fitted. A larger one tells more, takes longer, and depends more on what the specimen
+is; with a smaller one than the last, pixels, no tip is looked for."""
+
+INNER = 3.0
+"""Pixels about the tip that do not count: there, materials do not stretch as the series does."""
+
+BELIEVED = 5.0
+"""Standard deviations of the residual beyond which a pixel does not count."""
+
+SAME_TIP, MOST_MOVES = 0.05, 20
+"""Pixels: a tip that moves by no more has been found; times that it is moved, two to five are usual."""
+
+
+@dataclass(frozen=True)
+class TipMove:
+    """Where the pixels about a tip say that it lies.
+
+    Attributes
+    ----------
+    ahead : float
+        Of where it is given, along its line, pixels.
+    deviation : float
+        Standard deviation of that by noise, pixels.
+    """
+
+    ahead: float
+    deviation: float
+
+
+def find_tip_move(images: Images, mesh: Mesh, start: CutField, tip: Tip, lines: Sequence[Array],
+                  uncertainty: float, kappa: float) -> TipMove:
+    """Find how far a tip is off along its line.
+
+    Parameters
+    ----------
+    images : Images
+        The pair.
+    mesh : Mesh
+        The region, not cut, pixels.
+    start : CutField
+        From which the series starts, pixels.
+    tip : Tip
+        Where it is given.
+    lines : sequence of (n_vertices, 2) array
+        All lines, pixels.
+    uncertainty : float
+        Standard deviation of its place, pixels: it stays where pixels say nothing.
+    kappa : float
+        Kolosov's constant.
+
+    Returns
+    -------
+    TipMove
+        From there.
+
+    Raises
+    ------
+    ConvergenceError
+        Where there is no room for the series, or no tip is found.
+    """
+    radius = _choose_radius(mesh, tip, lines)
+    disk = _Disk.list_pixels(images, tip, radius, kappa)
+    coefficients, ahead = disk.fit(start, min(measure_cell_size(mesh), radius / 2)), 0.0
+    for _ in range(MOST_MOVES):
+        step, variance = disk.correct(coefficients, ahead, uncertainty)
+        coefficients = coefficients + step.of_terms
+        ahead += float(np.clip(step.ahead, -uncertainty, uncertainty))
+        if abs(ahead) > radius / 2:
+            break
+        if abs(step.ahead) <= SAME_TIP:
+            return TipMove(ahead, float(np.sqrt(variance * step.inverse)))
+    raise ConvergenceError("about the tip, Williams' series does not fit the images")
+
+
+def _choose_radius(mesh: Mesh, tip: Tip, lines: Sequence[Array]) -> float:
+    """Radius of the disk about a tip in which its series holds, pixels."""
+    edge = mesh.nodes[find_boundary_nodes(mesh)]
+    last, before = (0, 1) if tip.vertex == 0 else (-1, -2)
+    line, others = lines[tip.line], (*lines[:tip.line], *lines[tip.line + 1:])
+    room = [np.linalg.norm(edge - tip.position, axis=1).min(), np.linalg.norm(line[last] - line[before]),
+            *(measure_distance(tip.position[None], other)[0] for other in others)]
+    radius = min(ROOM * float(min(room)), LARGEST_ELEMENTS * measure_cell_size(mesh), LARGEST_PX)
+    if radius < LEAST_PX:
+        raise ConvergenceError("there is no room for Williams' series about the tip")
+    return radius
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """Correction of the terms' coefficients and of the tip's place, and the latter's entry of the normal inverse."""
+
+    of_terms: Array
+    ahead: float
+    inverse: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Disk:
+    """Pixels about a tip as it is given, beside its line and what is ahead of it.
+
+    Where they lie in the crack's frame, and the gradient of f there, both (n, 2) and along its axes, which are rows.
+    """
+
+    images: Images
+    pixels: NDArray[np.int64]
+    local: Array
+    gradient: Array
+    axes: Array
+    radius: float
+    kappa: float
+
+    @classmethod
+    def list_pixels(cls, images: Images, tip: Tip, radius: float, kappa: float) -> _Disk:
+        axes = np.stack([tip.ahead, [-tip.ahead[1], tip.ahead[0]]])
+        low, high = np.floor(tip.position - radius).astype(int), np.ceil(tip.position + radius).astype(int) + 1
+        extent = images.reference.extent
+        window = Window(*low.tolist(), *high.tolist()).grow(1).clip(extent.x1, extent.y1)
+        f = images.reference.image.read(window).astype(np.float64)
+        rows, columns = np.indices(f.shape)
+        pixels = np.column_stack([columns.ravel() + window.x0, rows.ravel() + window.y0])
+        local = (pixels - tip.position) @ axes.T
+        gradient = np.stack(np.gradient(f)[::-1], axis=-1).reshape(-1, 2) @ axes.T
+        kept = (np.hypot(*local.T) <= radius) & (np.abs(local[:, 1]) > BAND[images.degree])
+        return cls(images, pixels[kept], local[kept], gradient[kept], axes, radius, kappa)
+
+    def fit(self, start: CutField, beyond: float) -> Array:
+        """Coefficients by which the affine terms and the first ones follow a field beyond a distance from the tip."""
+        u = start.at(self.pixels.astype(np.float64)) @ self.axes.T
+        counted = np.isfinite(u).all(axis=1) & (np.hypot(*self.local.T) >= beyond)
+        coefficients = np.zeros(N_AFFINE + 2 * len(ORDERS))
+        used = [*range(N_AFFINE), *_FIRST]
+        terms = self.evaluate_terms(coefficients, 0.0)[0][counted][:, :, used]
+        coefficients[used] = np.linalg.lstsq(terms.reshape(-1, len(used)), u[counted].ravel(), rcond=None)[0]
+        return coefficients
+
+    def evaluate_terms(self, coefficients: Array, ahead: float) -> tuple[Array, Array]:
+        """Displacements of a unit of each term, (n, 2, n_terms), and what a move of the tip changes, (n, 2, 1).
+
+        Both in the crack's frame, with lengths in the series over the radius.
+        """
+        places = (self.local - (ahead, 0.0)) / self.radius
+        powers = np.column_stack([np.ones(len(places)), places])
+        affine = (powers[:, None, :, None] * np.eye(2)[:, None, :]).reshape(-1, 2, N_AFFINE)
+        # What turns and stretches all about the tip does so with what the crack adds.
+        stretch = np.eye(2) + coefficients[2:N_AFFINE].reshape(2, 2).T / self.radius
+        series = stretch @ evaluate_williams_series(places, ORDERS, self.kappa)
+        singular = stretch @ evaluate_williams_series(places, SINGULAR, self.kappa)
+        # d/dx of r^(1/2) is half of r^(-1/2); those of the other terms are among the terms.
+        of_move = -singular @ coefficients[_FIRST] / (2 * self.radius)
+        return np.concatenate([affine, series], axis=2), of_move[:, :, None]
+
+    def correct(self, coefficients: Array, ahead: float, uncertainty: float) -> tuple[_Step, float]:
+        """One step of Gauss-Newton from coefficients and a place of the tip, and the variance of the residual."""
+        terms, of_move = self.evaluate_terms(coefficients, ahead)
+        residual = compute_residuals(self.images, self.pixels, terms @ coefficients @ self.axes)
+        counted = np.isfinite(residual) & (np.hypot(self.local[:, 0] - ahead, self.local[:, 1]) > INNER)
+        if counted.sum() < LEAST_PX**2:
+            raise ConvergenceError("too few pixels about the tip count")
+        variance = max((float(np.median(np.abs(residual[counted]))) / 0.6745) ** 2, 1e-300)
+        counted &= residual**2 <= BELIEVED**2 * variance
+        columns = np.concatenate([terms, of_move], axis=2)[counted]
+        matrix = np.einsum("ni,nij->nj", self.gradient[counted], columns)
+        normal, right = matrix.T @ matrix, matrix.T @ residual[counted]
+        normal[-1, -1] += variance / uncertainty**2
+        right[-1] -= variance / uncertainty**2 * ahead
+        try:
+            inverse = np.linalg.inv(normal)
+        except np.linalg.LinAlgError as error:
+            raise ConvergenceError("pixels about the tip do not determine Williams' series") from error
+        step = inverse @ right
+        return _Step(step[:-1], float(step[-1]), float(inverse[-1, -1])), variance
