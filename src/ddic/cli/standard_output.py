@@ -35,7 +35,7 @@ def output_as_line() -> Iterator[None]:
     except OSError as error:
         if not is_of_output(error):
             raise
-        _end(error)
+        _end_at_output(error)
     except SystemExit:
         _require_written()
         raise
@@ -70,10 +70,10 @@ def _require_written() -> None:
     try:
         sys.stdout.flush()
     except OSError as error:
-        _end(error)
+        _end_at_output(error)
 
 
-def _end(error: OSError) -> None:
+def _end_at_output(error: OSError) -> None:
     # Else Python tries once more on its way out, and says so in lines of its own.
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     if error.errno != errno.EPIPE:

@@ -15,7 +15,7 @@ from ddic.mesh.mesh import Mesh
 PHASES = (0.0, np.pi / 2)
 """Phases of the plane waves, radians: cosine and sine, of which one at least does not vanish on the nodes."""
 
-_CHUNK_CELLS = 16_000
+_GAP_CHUNK_CELLS = 16_000
 """Cells whose stiffness is held at once; a larger value takes more memory, a smaller one time."""
 
 
@@ -98,8 +98,8 @@ def measure_gap_energies(mesh: Mesh, material: Material, interior_nodes: NDArray
     """
     waves = evaluate_plane_waves(mesh.nodes, wavelength)
     forces = np.zeros_like(waves)
-    for begin in range(0, mesh.n_cells, _CHUNK_CELLS):
-        cells = np.arange(begin, min(begin + _CHUNK_CELLS, mesh.n_cells))
+    for begin in range(0, mesh.n_cells, _GAP_CHUNK_CELLS):
+        cells = np.arange(begin, min(begin + _GAP_CHUNK_CELLS, mesh.n_cells))
         part, node_ids = mesh.create_submesh(cells)
         dofs = (node_ids[:, None] * mesh.dim + np.arange(mesh.dim)).ravel()
         forces[dofs] += _wave_forces(part, material, waves[dofs])

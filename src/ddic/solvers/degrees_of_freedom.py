@@ -15,7 +15,7 @@ N_PROBES = 4
 """Random vectors. Their mean is off by sqrt(2 / (N_PROBES trace)) of the trace: 3 % of 500; four times as many halve
 it, for four times the solves."""
 
-_ENOUGH = AllowedError(0.0, 0.01)
+_ENOUGH_FOR_TRACE = AllowedError(0.0, 0.01)
 """Share of a vector's solution that its linear step may leave: below what the random signs leave."""
 
 
@@ -53,7 +53,7 @@ def estimate_degrees_of_freedom(team: Team, systems: Sequence[LocalSystem], step
         signs = _draw_signs(n_unknowns, probe)
         own = [signs[system.subdomain.numbers] for system in systems]
         b = [scale * z / system.subdomain.all_multiplicity for z, system in zip(own, systems, strict=True)]
-        y = [y_s / scale for y_s in step.solve(at_rest, b, _ENOUGH).dq]
+        y = [y_s / scale for y_s in step.solve(at_rest, b, _ENOUGH_FOR_TRACE).dq]
         (trace,) = team.ordered_sum([np.array([z @ (system.hessian @ y_s)])
                                      for z, y_s, system in zip(own, y, systems, strict=True)])
         traces.append(float(trace))

@@ -189,13 +189,13 @@ def load_near_far_truth(path: Path) -> NearFarTruth:
     near = read_record(path).get("near")
     if not isinstance(near, dict):
         raise InputError(f"{path}: near: is missing; {_REMEDY}")
-    mapping = _rebuild(path, near, "mapping", CameraMapping)
-    motion = _rebuild(path, near, "motion", SetUpMotion)
-    size = _rebuild(path, near, "image", lambda width, height, **_rest: (int(width), int(height)))
+    mapping = _rebuild_near(path, near, "mapping", CameraMapping)
+    motion = _rebuild_near(path, near, "motion", SetUpMotion)
+    size = _rebuild_near(path, near, "image", lambda width, height, **_rest: (int(width), int(height)))
     return NearFarTruth(field, mapping, motion, size)
 
 
-def _rebuild(path: Path, near: dict[str, Any], key: str, kind: Callable[..., Built]) -> Built:
+def _rebuild_near(path: Path, near: dict[str, Any], key: str, kind: Callable[..., Built]) -> Built:
     """Make an object of the values under a key of the near part; path: for errors."""
     values = near.get(key)
     if not isinstance(values, dict):

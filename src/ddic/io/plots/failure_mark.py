@@ -12,13 +12,13 @@ from ddic.io.result_reader import Result
 
 WORDS = "not converged"
 
-COLOUR = "#b00020"
+FAILURE_COLOUR = "#b00020"
 """Dark red, which has a contrast of 7 to 1 with white: it is read in print without colours too."""
 
-POINTS = 12.0
+MARK_POINTS = 12.0
 """Size of the mark's type; a larger value takes more of the page."""
 
-LINE_INCHES = 0.24
+MARK_INCHES = 0.24
 """Height of a line of the mark."""
 
 EDGE_INCHES = 0.1
@@ -42,8 +42,8 @@ def draw_failures(figure: Figure, shown: Sequence[Result]) -> None:
         return
     text = WORDS if len(shown) == 1 else f"{', '.join(result.path.name for result in failed)}: {WORDS}"
     width, height = figure.get_size_inches()
-    lines = format_title(text, width - 2 * EDGE_INCHES, POINTS)
-    room = EDGE_INCHES + LINE_INCHES * (lines.count("\n") + 1)
+    lines = format_title(text, width - 2 * EDGE_INCHES, MARK_POINTS)
+    room = EDGE_INCHES + MARK_INCHES * (lines.count("\n") + 1)
     make_room_above(figure, room)
-    figure.text(0.5, 1.0 - EDGE_INCHES / (height + room), lines, ha="center", va="top", fontsize=POINTS,
-                fontweight="bold", color=COLOUR, linespacing=LINE_INCHES * POINTS_AN_INCH / POINTS / 1.2)
+    figure.text(0.5, 1.0 - EDGE_INCHES / (height + room), lines, ha="center", va="top", fontsize=MARK_POINTS,
+                fontweight="bold", color=FAILURE_COLOUR, linespacing=MARK_INCHES * POINTS_AN_INCH / MARK_POINTS / 1.2)

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 
 from ddic.io.plots.page_room import make_room_above
 
-POINTS = 11.0
+CAPTION_POINTS = 11.0
 """Size of the caption's type."""
 
 ROOM_INCHES = 0.34
@@ -43,5 +43,5 @@ def draw_caption(figure: Figure, text: str) -> None:
     """
     make_room_above(figure, ROOM_INCHES)
     height = figure.get_size_inches()[1]
-    figure.text(0.5, 1.0 - 0.5 * ROOM_INCHES / height, text, ha="center", va="center", fontsize=POINTS,
+    figure.text(0.5, 1.0 - 0.5 * ROOM_INCHES / height, text, ha="center", va="center", fontsize=CAPTION_POINTS,
                 fontweight="bold")

@@ -15,7 +15,7 @@ N_BINS = 120
 WIDEST = 6.0
 """Standard deviations to either side of 0 that are shown of residuals."""
 
-COLOURS = ("tab:blue", "tab:orange")
+HISTOGRAM_COLOURS = ("tab:blue", "tab:orange")
 
 
 def draw_residual_histogram(residual: NDArray[np.float32]) -> Figure:
@@ -70,7 +70,7 @@ def draw_grey_histogram(images: Mapping[str, NDArray[Any]]) -> Figure:
     # Bins of whole grey levels: others would hold now one level, now two.
     width = max(1.0, np.ceil((high - low + 1.0) / N_BINS)) if high - low > 1.0 else (high - low or 1.0) / N_BINS
     edges = np.arange(low - 0.5 * min(width, 1.0), high + width, width)
-    for (name, pixels), colour in zip(finite.items(), COLOURS, strict=False):
+    for (name, pixels), colour in zip(finite.items(), HISTOGRAM_COLOURS, strict=False):
         density = np.histogram(pixels, edges)[0] / pixels.size / width
         axes.stairs(density, edges, color=colour, linewidth=1.4, label=name)
     axes.set_xlabel("grey level")

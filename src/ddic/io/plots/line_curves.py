@@ -23,7 +23,7 @@ N_POINTS = 400
 BAND = 2.0
 """Standard deviations on either side: 95 % of normal errors."""
 
-COLOURS = ("tab:blue", "tab:orange", "tab:green")
+LINE_COLOURS = ("tab:blue", "tab:orange", "tab:green")
 STRAIN_COLUMNS = {"xx": 0, "yy": 1, "xy": 3}
 
 
@@ -94,10 +94,10 @@ def _read_along(result: Result, names: Sequence[str], points: Array) -> Array | 
 def _draw_bands(axes: Axes, distance: Array, values: Array, deviations: Array | None, labels: Sequence[str]) -> None:
     """Curves of the columns of values (n, k), each with its band."""
     for k, label in enumerate(labels):
-        axes.plot(distance, values[:, k], color=COLOURS[k], linewidth=1.4, label=label)
+        axes.plot(distance, values[:, k], color=LINE_COLOURS[k], linewidth=1.4, label=label)
         if deviations is not None:
             margin = BAND * deviations[:, k]
-            axes.fill_between(distance, values[:, k] - margin, values[:, k] + margin, color=COLOURS[k], alpha=0.25,
+            axes.fill_between(distance, values[:, k] - margin, values[:, k] + margin, color=LINE_COLOURS[k], alpha=0.25,
                               linewidth=0.0)
     axes.grid(alpha=0.25)
     axes.legend(fontsize="small")

@@ -13,7 +13,7 @@ from ddic.io.plots.length_unit import PIXELS, LengthUnit
 
 Array = NDArray[np.float64]
 
-STYLES = ("-", "--", "-.", ":")
+OPENING_STYLES = ("-", "--", "-.", ":")
 
 
 def draw_opening(curves: Mapping[str, tuple[Array, Array, Array]], unit: LengthUnit = PIXELS) -> Figure:
@@ -33,7 +33,7 @@ def draw_opening(curves: Mapping[str, tuple[Array, Array, Array]], unit: LengthU
     """
     figure = Figure(figsize=(7.0, 4.5), layout="tight")
     axes = figure.add_subplot()
-    for style, (label, (distance, tangential, normal)) in zip(cycle(STYLES), curves.items(), strict=False):
+    for style, (label, (distance, tangential, normal)) in zip(cycle(OPENING_STYLES), curves.items(), strict=False):
         prefix = "" if len(curves) == 1 else f"{label}, "
         axes.plot(distance, normal, style, color="tab:blue", linewidth=1.4, label=f"{prefix}normal")
         axes.plot(distance, tangential, style, color="tab:orange", linewidth=1.4, label=f"{prefix}tangential")

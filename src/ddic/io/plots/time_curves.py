@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 from numpy.typing import NDArray
 
-from ddic.io.plots.failure_mark import COLOUR as FAILURE_COLOUR
+from ddic.io.plots.failure_mark import FAILURE_COLOUR
 from ddic.io.plots.length_unit import PIXELS, LengthUnit
 from ddic.io.plots.page_text import format_title
 from ddic.io.series_history import SeriesHistory
