@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ddic.images.blurred import SMALLEST
+from ddic.images.binned import SMALLEST
 from ddic.images.sub_image import MaskedSource
 from ddic.problem.cameras import Camera
 from ddic.problem.match_sharpness import UNLIKE, match_sharpness

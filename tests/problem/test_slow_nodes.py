@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 import ddic
 from ddic.functionals.grey_statistics import GreyCorrection, GreyState
-from ddic.images.spline_noise import NOISE_OF_SLOPE
+from ddic.images.noise import NOISE_OF_SLOPE
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.residual_model import ResidualModel

@@ -19,8 +19,8 @@ from accept.support.browser import find_browser, probe_page, show_page
 from ddic.case.schema import AcquisitionSection
 from ddic.cli.report import report
 from ddic.errors import ConvergenceError
-from ddic.images.blurred import BLUR_NOTE
-from ddic.images.feature_size import measure_feature_size
+from ddic.images.binned import BLUR_NOTE
+from ddic.images.grey_levels import measure_feature_size
 from ddic.io.image_file import open_image
 from ddic.io.plots.page_text import find_clipped_texts
 from ddic.io.result_reader import read_result

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from ddic.images.grid_field import build_uniform_field
+from ddic.images.rigid import build_uniform_field
 from ddic.kinematics.discontinuities import Discontinuities
 from ddic.mesh.structured import build_structured_mesh
 from ddic.start.binned_pair import BinnedPair, choose_block_sizes

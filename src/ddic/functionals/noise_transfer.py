@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ddic.functionals.correlation import Correlation
 from ddic.functionals.view import View
-from ddic.images.spline_noise import REACH, correlate_interpolation
+from ddic.images.noise import REACH, correlate_interpolation
 from ddic.images.window import Window
 from ddic.mesh.shapes import pad_cells
 

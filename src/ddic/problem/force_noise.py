@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from ddic.functionals.correlation import Residual
 from ddic.functionals.noise_transfer import build_white_transfer, find_cell_transfer
 from ddic.functionals.view import FrameView
-from ddic.images.spline_noise import NOISE_OF_SLOPE
+from ddic.images.noise import NOISE_OF_SLOPE
 from ddic.problem.residual_model import Evaluation, ResidualModel
 
 Array = NDArray[np.float64]

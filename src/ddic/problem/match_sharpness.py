@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.functionals.view import FrameView
-from ddic.images.blurred import BLUR_NOTE, Blur, BlurredSource
+from ddic.images.binned import BLUR_NOTE, Blur, BlurredSource
 from ddic.images.sub_image import MaskedSource, read_reference
 from ddic.mesh.plane import build_rotation
 from ddic.parallel.team import Team

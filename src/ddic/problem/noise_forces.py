@@ -24,8 +24,7 @@ from ddic.functionals.noise_transfer import (
     find_cell_transfer,
 )
 from ddic.functionals.view import FrameView, View
-from ddic.images.rest_noise import BLOCK, estimate_rest_noise
-from ddic.images.spline_noise import REACH
+from ddic.images.noise import BLOCK, REACH, estimate_rest_noise
 from ddic.images.window import Window
 from ddic.io.image_file import hold_image
 from ddic.mesh.covered_areas import measure_covered_areas

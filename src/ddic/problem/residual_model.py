@@ -18,7 +18,7 @@ from ddic.functionals.correlation import Residual
 from ddic.functionals.elasticity import Material, integrate_cell_stiffness
 from ddic.functionals.grey_statistics import GreyCorrection, GreyState, GreySums
 from ddic.functionals.moved_gradient import LARGE_SHARE, compute_inverse_deformations, find_large_gradients
-from ddic.images.blurred import Blur
+from ddic.images.binned import Blur
 from ddic.kinematics.cell_interpolation import interpolate_cells
 from ddic.mesh.plane import build_rotation
 from ddic.parallel.team import Team

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.functionals.grey_statistics import GreyState
-from ddic.images.spline_noise import NOISE_OF_SLOPE
+from ddic.images.noise import NOISE_OF_SLOPE
 from ddic.mesh.shapes import pad_cells
 from ddic.parallel.node_sums import sum_shared_nodes
 from ddic.parallel.team import Team

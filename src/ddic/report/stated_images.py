@@ -6,9 +6,8 @@ import math
 
 import numpy as np
 
-from ddic.images.blurred import BLUR_NOTE
-from ddic.images.feature_size import measure_feature_size
-from ddic.images.grey_levels import measure_grey_levels
+from ddic.images.binned import BLUR_NOTE
+from ddic.images.grey_levels import measure_feature_size, measure_grey_levels
 from ddic.io import result_schema as schema
 from ddic.io.image_file import ImageFile
 from ddic.report.gathered import Gathered

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.functionals.corner_weights import weigh_corners
-from ddic.images.grid_field import GridField
+from ddic.images.rigid import GridField
 from ddic.kinematics.discontinuities import Discontinuities
 from ddic.kinematics.enriched import enrich
 from ddic.kinematics.kinematics import RegionKinematics

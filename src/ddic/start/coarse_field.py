@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ddic.case.schema import Case, StartSection
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.images.binned import bin_rows, join_blocks
-from ddic.images.grid_field import build_uniform_field
+from ddic.images.rigid import build_uniform_field
 from ddic.images.sub_image import MaskedSource
 from ddic.kinematics.seen_lines import see_discontinuities
 from ddic.mesh.mesh import Mesh

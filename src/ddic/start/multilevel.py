@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from ddic.errors import ConvergenceError, SingularSubdomainError
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.images.binned import bin_image, bin_window, join_blocks
-from ddic.images.grid_field import build_uniform_field
-from ddic.images.rigid import RigidShift
+from ddic.images.rigid import RigidShift, build_uniform_field
 from ddic.images.window import Window
 from ddic.kinematics.discontinuities import Discontinuities
 from ddic.mesh.cut_mesh import cut_mesh

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.images.grid_field import GridField
+from ddic.images.rigid import GridField
 from ddic.io.result_reader import displacement_at
 from ddic.parallel.team import require_held
 from ddic.problem.cameras import Frame, MeasuredCells
