@@ -9,7 +9,7 @@ from ddic.kinematics.camera_kinematics import CameraSetup, see_mesh
 from ddic.kinematics.discontinuities import Discontinuities
 from ddic.kinematics.seen_lines import see_discontinuities
 from ddic.mesh.cut_mesh import cut_mesh
-from ddic.mesh.polyline import measure_distance
+from ddic.mesh.plane import measure_distance
 from ddic.mesh.raster import rasterize
 from ddic.mesh.structured import build_structured_mesh
 

@@ -18,10 +18,9 @@ from ddic.kinematics.tip_functions import (
     find_bends_at_tips,
     find_tips,
 )
-from ddic.mesh.cut_mesh import cut_mesh
+from ddic.mesh.cut_mesh import cut_mesh, find_points_on_own_side
 from ddic.mesh.interpolation import interpolate
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.own_side import find_points_on_own_side
 from ddic.mesh.quality import measure_cell_size
 from ddic.mesh.raster import rasterize
 from ddic.mesh.structured import build_structured_mesh

@@ -9,8 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from ddic.functionals.view import View
-from ddic.mesh.mesh import Mesh
-from ddic.mesh.shapes import pad_cells
+from ddic.mesh.mesh import Mesh, pad_cells
 from ddic.mesh.structured import build_structured_mesh
 from ddic.parallel.team import Team
 from ddic.problem.exclusions import HELD_OFF, SPOILT, Exclusions, exclude, pull_held_cells

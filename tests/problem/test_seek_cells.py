@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ddic.functionals.view import FrameView
 from ddic.images.sub_image import MaskedSource
-from ddic.mesh.shapes import pad_cells
+from ddic.mesh.mesh import pad_cells
 from ddic.parallel.team import Team
 from ddic.problem.held_cells import REACH, find_cells_beside
 from ddic.synth.fields import Affine, DisplacementField, Translation

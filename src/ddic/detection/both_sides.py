@@ -12,8 +12,7 @@ from ddic.images.sub_image import MaskedSource
 from ddic.images.window import Window
 from ddic.mesh.cut_mesh import CutMesh
 from ddic.mesh.interpolation import interpolate_located, place_in_cells
-from ddic.mesh.plane import build_tree, multiply_across
-from ddic.mesh.polyline import find_nearest_segments
+from ddic.mesh.plane import build_tree, find_nearest_segments, multiply_across
 from ddic.start.independent import Images
 
 Array = NDArray[np.float64]

@@ -19,7 +19,7 @@ from ddic.kinematics.discontinuities import Discontinuities
 from ddic.kinematics.tip_functions import Tip, find_tips
 from ddic.mesh.cut_mesh import CutMesh
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.polyline import measure_distance
+from ddic.mesh.plane import measure_distance
 from ddic.problem.cameras import Frame
 from ddic.problem.cut_region import cut_by_lines, list_discontinuities, list_tip_functions
 from ddic.problem.inputs import Inputs

@@ -13,8 +13,7 @@ from ddic.functionals.line_band import BAND
 from ddic.kinematics.discontinuities import Discontinuities
 from ddic.mesh.cut_mesh import CutMesh
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.plane import multiply_across
-from ddic.mesh.polyline import find_nearest_segments, measure_distance
+from ddic.mesh.plane import find_nearest_segments, measure_distance, multiply_across
 from ddic.mesh.quality import measure_cell_size
 from ddic.mesh.raster import list_pixels, rasterize
 from ddic.solvers.correction_size import Tolerances

@@ -20,7 +20,7 @@ from ddic.functionals.line_band import BAND
 from ddic.images.window import Window
 from ddic.kinematics.tip_functions import Tip
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.polyline import measure_distance
+from ddic.mesh.plane import measure_distance
 from ddic.mesh.quality import measure_cell_size
 from ddic.mesh.topology import find_boundary_nodes
 from ddic.start.coarse_displacement import CutField

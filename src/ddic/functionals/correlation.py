@@ -20,9 +20,8 @@ from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.images.threads import ONE_THREAD, Threads
 from ddic.images.window import Window
 from ddic.kinematics.cell_interpolation import CellInterpolation
-from ddic.mesh.mesh import Mesh
+from ddic.mesh.mesh import Mesh, pad_cells
 from ddic.mesh.raster import Raster
-from ddic.mesh.shapes import pad_cells
 
 FEWEST = 128
 """Cells of a thread's slice, some 0.2 ms: handing it over and the kernel's scratch arrays cost a tenth of that.

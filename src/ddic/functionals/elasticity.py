@@ -11,10 +11,9 @@ from scipy import sparse
 
 from ddic.kinematics.cell_interpolation import interpolate_cells
 from ddic.mesh.cell_parts import CellParts, place_quadrature_points
+from ddic.mesh.cell_type import N_MONOMIALS
 from ddic.mesh.interpolation import differentiate_shapes_at
-from ddic.mesh.mesh import Mesh
-from ddic.mesh.monomials import N_MONOMIALS
-from ddic.mesh.shapes import compute_shape_gradients
+from ddic.mesh.mesh import Mesh, compute_shape_gradients
 
 _CHUNK_CELLS = 2_000
 """Cells whose products of gradients are held at once: few enough for a processor's cache, in which they take half the

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.polyline import is_inside_polygon, measure_distance
+from ddic.mesh.plane import is_inside_polygon, measure_distance
 from ddic.mesh.raster import Raster, find_common_pixels, list_pixels, rasterize
 
 BAND = {3: 2.0, 5: 3.0}

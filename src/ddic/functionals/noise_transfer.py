@@ -12,7 +12,7 @@ from ddic.functionals.correlation import Correlation
 from ddic.functionals.view import View
 from ddic.images.noise import REACH, correlate_interpolation
 from ddic.images.window import Window
-from ddic.mesh.shapes import pad_cells
+from ddic.mesh.mesh import pad_cells
 
 Array = NDArray[np.float64]
 

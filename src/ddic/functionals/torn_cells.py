@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.mesh.mesh import Mesh
-from ddic.mesh.shapes import pad_cells
+from ddic.mesh.mesh import Mesh, pad_cells
 
 TORN_SIZES, TORN_PIXELS = 4.0, 32.0
 """Sizes of a cell, and pixels beside these, by which displacements of its nodes must differ for it to be torn. No

@@ -29,9 +29,8 @@ from ddic.io.input_file import as_path, require_file
 from ddic.io.mesh_export import to_meshio, to_pyvista
 from ddic.io.open_hdf5 import open_hdf5
 from ddic.mesh.interpolation import differentiate_shapes_at, interpolate, locate
-from ddic.mesh.mesh import Mesh
+from ddic.mesh.mesh import Mesh, pad_cells
 from ddic.mesh.plane import build_tree
-from ddic.mesh.shapes import pad_cells
 from ddic.separated.line_elements import LineElements
 from ddic.separated.separated_field import SeparatedField
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from ddic.io import result_schema as schema
 from ddic.io.result_reader import Result
 from ddic.io.series_reader import SeriesResult
-from ddic.mesh.covered_areas import measure_covered_areas
 from ddic.mesh.mesh import Mesh
+from ddic.mesh.quality import measure_covered_areas
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from ddic.kinematics.linear import LinearRegion
 from ddic.kinematics.nodal import NodalKinematics, component_numbers
 from ddic.mesh.cut_mesh import CutMesh
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.polyline import find_nearest_segments, measure_distance
+from ddic.mesh.plane import find_nearest_segments, measure_distance
 
 Array = NDArray[np.float64]
 

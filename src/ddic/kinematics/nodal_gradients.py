@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.kinematics.sums_around_nodes import SumsAroundNodes, sum_around_nodes
-from ddic.mesh.covered_areas import measure_covered_areas
-from ddic.mesh.mesh import Mesh
-from ddic.mesh.shapes import invert_matrices
+from ddic.mesh.mesh import Mesh, invert_matrices
+from ddic.mesh.quality import measure_covered_areas
 
 Array = NDArray[np.float64]
 SumShared = Callable[[Sequence[Array]], list[Array]]

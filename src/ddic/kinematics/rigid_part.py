@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.mesh.corners import list_corners
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import build_rotation, multiply_across
+from ddic.mesh.topology import list_corners
 
 Array = NDArray[np.float64]
 

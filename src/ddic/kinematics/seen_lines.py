@@ -11,8 +11,7 @@ from ddic.images.camera import CameraMapping
 from ddic.kinematics.discontinuities import Discontinuities, Opening
 from ddic.mesh.cell_parts import CellParts, Lines
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.plane import build_tree
-from ddic.mesh.polyline import find_runs, subdivide
+from ddic.mesh.plane import build_tree, find_runs, subdivide
 
 Array = NDArray[np.float64]
 

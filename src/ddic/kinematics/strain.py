@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.mesh.interpolation import differentiate_shapes_at
-from ddic.mesh.mesh import Mesh
-from ddic.mesh.shapes import invert_matrices, pad_cells
+from ddic.mesh.mesh import Mesh, invert_matrices, pad_cells
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.kinematics.strain import compute_displacement_gradients
-from ddic.mesh.covered_areas import measure_covered_areas
 from ddic.mesh.mesh import Mesh
+from ddic.mesh.quality import measure_covered_areas
 
 Array = NDArray[np.float64]
 

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import InputError, list_first
+from ddic.mesh.interpolation import find_cells_with_points
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.point_in_mesh import find_cells_with_points
 from ddic.mesh.topology import Facets, find_facets
 from ddic.partition.contact import COVERED, Contact, FarSide, NearSide
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import InputError
+from ddic.mesh.interpolation import is_inside_outline
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.mortar import Mortar, Overlaps, Sides, find_overlaps, integrate_mortar
-from ddic.mesh.point_in_mesh import is_inside_outline
 from ddic.mesh.topology import find_boundary_facets, find_facets
 
 TOLERANCE = 1e-6

@@ -11,12 +11,11 @@ from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case
 from ddic.errors import InputError
 from ddic.io.partition_file import read_partition
-from ddic.mesh.control import find_not_controlled_nodes
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_cell_size
 from ddic.mesh.raster import rasterize
 from ddic.mesh.repair import check_pixels
-from ddic.mesh.topology import find_boundary_nodes
+from ddic.mesh.topology import find_boundary_nodes, find_not_controlled_nodes
 from ddic.partition.split import split_by_blocks
 from ddic.partition.ties import Tying
 from ddic.problem.cut_region import check_lines

@@ -12,10 +12,9 @@ from ddic.case.schema import Case, MappingSection, MeshSection, StructuredSectio
 from ddic.errors import InputError
 from ddic.io.mask_file import read_mask
 from ddic.io.mesh_file import read_mesh
-from ddic.mesh.joints import check_joints
-from ddic.mesh.mask_outline import OutlinedHole, find_mask_holes
+from ddic.mesh.holes import OutlinedHole, find_mask_holes
 from ddic.mesh.mesh import Mesh, Similarity
-from ddic.mesh.repair import check_inside, repair
+from ddic.mesh.repair import check_inside, check_joints, repair
 from ddic.mesh.structured import build_structured_mesh, count_cells
 from ddic.parallel.node_memory import read_available_memory
 from ddic.partition.ties import Tying, tie_meshes

@@ -27,7 +27,7 @@ from ddic.functionals.view import FrameView, View
 from ddic.images.noise import BLOCK, REACH, estimate_rest_noise
 from ddic.images.window import Window
 from ddic.io.image_file import hold_image
-from ddic.mesh.covered_areas import measure_covered_areas
+from ddic.mesh.quality import measure_covered_areas
 from ddic.parallel.team import Team, require_held
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.force_noise import ForceNoise

@@ -17,10 +17,9 @@ from ddic.io.partition_file import read_partition
 from ddic.kinematics.kinematics import RegionKinematics
 from ddic.kinematics.nodal import NodalRegion
 from ddic.kinematics.tied import TiedRegion
-from ddic.mesh.control import find_not_controlled_nodes
 from ddic.mesh.mesh import Mesh, Similarity
 from ddic.mesh.raster import rasterize
-from ddic.mesh.topology import find_boundary_nodes
+from ddic.mesh.topology import find_boundary_nodes, find_not_controlled_nodes
 from ddic.parallel.distribution import scatter_subdomains
 from ddic.parallel.team import Team, require_held
 from ddic.partition.build_subdomains import build_subdomains

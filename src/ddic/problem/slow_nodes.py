@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ddic.functionals.grey_statistics import GreyState
 from ddic.images.noise import NOISE_OF_SLOPE
-from ddic.mesh.shapes import pad_cells
+from ddic.mesh.mesh import pad_cells
 from ddic.parallel.node_sums import sum_shared_nodes
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain

@@ -19,8 +19,8 @@ from ddic.functionals.cut_patch import cut_patches
 from ddic.functionals.spoilt_pixels import find_spoilt_pixels
 from ddic.functionals.view import FrameView
 from ddic.images.window import Window
-from ddic.mesh.polyline import measure_distance as measure_distance_from_line
-from ddic.mesh.shapes import pad_cells
+from ddic.mesh.mesh import pad_cells
+from ddic.mesh.plane import measure_distance as measure_distance_from_line
 from ddic.parallel.node_sums import sum_shared_nodes
 from ddic.parallel.team import Team
 from ddic.problem.exclusions import BLANK, HELD_OFF, KEPT, SPOILT, UNSEEN, Exclusions, exclude, find_excluded

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from ddic.mesh.shapes import pad_cells
+from ddic.mesh.mesh import pad_cells
 from ddic.parallel.team import Team
 from ddic.problem.exclusions import BLANK, HELD_OFF, SPOILT, UNSEEN, Exclusions
 from ddic.problem.views import FrameViews

@@ -10,8 +10,7 @@ from scipy import sparse
 
 from ddic.mesh.cell_type import T3
 from ddic.mesh.interpolation import evaluate_shapes_at
-from ddic.mesh.mesh import Mesh
-from ddic.mesh.shapes import pad_cells
+from ddic.mesh.mesh import Mesh, pad_cells
 from ddic.partition.subdomain import Subdomain
 
 
