@@ -29,7 +29,7 @@ from ddic.io.plots.residual import draw_residual
 from ddic.io.plots.strain_map import StrainChoice, draw_strain
 from ddic.io.result_reader import Result, read_result
 from ddic.io.result_schema import CAMERA
-from ddic.kinematics.rigid_part import count_folded_cells
+from ddic.kinematics.strain import count_folded_cells
 
 Array = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ from scipy.sparse.linalg import splu
 from ddic.case.loader import load_case
 from ddic.functionals.read_correlation import read_correlations
 from ddic.io.result_reader import Result
-from ddic.kinematics.camera_kinematics import see_mesh
+from ddic.kinematics.camera import see_mesh
 from ddic.parallel.team import Team
 from ddic.problem.cameras import Camera
 from ddic.problem.inputs import open_inputs

@@ -16,7 +16,7 @@ from ddic.functionals.view import FrameView, View
 from ddic.images.binned import ArraySource
 from ddic.images.camera import CameraMapping, identity, similarity
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
-from ddic.kinematics.camera_kinematics import CameraKinematics, CameraSetup, MotionKind, place_before_camera
+from ddic.kinematics.camera import CameraKinematics, CameraSetup, MotionKind, place_before_camera
 from ddic.kinematics.kinematics import Kinematics
 from ddic.kinematics.nodal import NodalKinematics
 from support.random_meshes import grid_mesh

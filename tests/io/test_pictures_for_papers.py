@@ -31,7 +31,7 @@ from ddic.io.plots.residual import draw_residual
 from ddic.io.plots.strain_map import StrainChoice, draw_strain
 from ddic.io.result_reader import Result, read_result
 from ddic.io.result_schema import NODAL_INFINITESIMAL
-from ddic.kinematics.rigid_part import count_folded_cells
+from ddic.kinematics.strain import count_folded_cells
 from ddic.mesh.structured import build_structured_mesh
 from support.cases import write_case, write_images
 

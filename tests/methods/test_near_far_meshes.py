@@ -12,7 +12,7 @@ from mpi4py import MPI
 from ddic.case.loader import load_case
 from ddic.errors import InputError
 from ddic.io.result_reader import read_result
-from ddic.kinematics.tied import TiedKinematics
+from ddic.kinematics.linear import TiedKinematics
 from ddic.methods.run_case import run_case
 from ddic.parallel.team import Team
 from ddic.partition.by_camera import find_cameras_at_nodes

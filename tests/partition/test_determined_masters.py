@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from ddic.errors import InputError
-from ddic.kinematics.tied import TiedRegion
+from ddic.kinematics.linear import TiedRegion
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import build_structured_mesh
 from ddic.partition.build_subdomains import build_subdomains

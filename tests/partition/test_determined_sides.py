@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from ddic.functionals.corner_weights import weigh_corners
-from ddic.kinematics.discontinuities import Opening
-from ddic.kinematics.enriched import enrich
+from ddic.kinematics.enriched import Opening, enrich
 from ddic.mesh.cut_mesh import CutMesh, cut_mesh
 from ddic.mesh.structured import build_structured_mesh
 from ddic.partition.build_subdomains import build_subdomains

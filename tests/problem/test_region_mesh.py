@@ -12,9 +12,8 @@ from ddic.case.loader import load_case
 from ddic.errors import InputError
 from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import measure_gap_energies
-from ddic.kinematics.linear import LinearRegion
+from ddic.kinematics.linear import LinearRegion, TiedRegion
 from ddic.kinematics.nodal import NodalRegion
-from ddic.kinematics.tied import TiedRegion
 from ddic.mesh.topology import find_boundary_nodes
 from ddic.parallel.team import Team
 from ddic.partition.cost import estimate_cell_costs

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from ddic.functionals.read_correlation import read_correlation
 from ddic.functionals.view import View
 from ddic.kinematics.nodal_gradients import recover_gradients
-from ddic.kinematics.strain import compute_strain
-from ddic.kinematics.strain_measures import compute_infinitesimal
+from ddic.kinematics.strain import compute_infinitesimal, compute_strain
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.problem.noise_forces import NoiseForces, place_cells

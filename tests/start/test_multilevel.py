@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ddic.images.rigid import build_uniform_field
-from ddic.kinematics.discontinuities import Discontinuities
+from ddic.kinematics.enriched import Discontinuities
 from ddic.mesh.structured import build_structured_mesh
 from ddic.start.binned_pair import BinnedPair, choose_block_sizes
 from ddic.start.multilevel import SURE, MultilevelStart, Stages, find_multilevel_start

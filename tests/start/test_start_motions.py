@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from ddic.errors import InputError, is_collective
-from ddic.kinematics.camera_kinematics import MotionKind
+from ddic.kinematics.camera import MotionKind
 from ddic.parallel.team import Team
 from ddic.partition.by_camera import find_cameras_at_nodes
 from ddic.partition.subdomain import Interface, Subdomain

@@ -9,7 +9,7 @@ from scipy import ndimage, sparse
 from ddic.functionals.read_correlation import read_correlation
 from ddic.images.camera import CameraMapping
 from ddic.images.sub_image import MaskedSource
-from ddic.kinematics.camera_kinematics import CameraSetup, MotionKind
+from ddic.kinematics.camera import CameraSetup, MotionKind
 from ddic.mesh.mesh import Mesh
 from ddic.problem.cameras import Camera
 from support.pictures import source

@@ -27,7 +27,7 @@ from ddic.case.schema import (
 from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import controlled_stiffness
 from ddic.images.camera import identity
-from ddic.kinematics.camera_kinematics import CameraSetup, MotionKind
+from ddic.kinematics.camera import CameraSetup, MotionKind
 from ddic.kinematics.nodal import NodalKinematics
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import build_structured_mesh

@@ -12,7 +12,7 @@ from ddic.detection.refine_line import CUT_OFF, REACH, TOLERANCES, RefinedLine, 
 from ddic.detection.strain_band import compute_tresca_strain, find_band
 from ddic.errors import ConvergenceError, FactorizationError, SingularSubdomainError
 from ddic.functionals.line_band import list_pixels_outside
-from ddic.kinematics.discontinuities import Discontinuities, Opening
+from ddic.kinematics.enriched import Discontinuities, Opening
 from ddic.kinematics.strain import compute_strain
 from ddic.mesh.interpolation import interpolate_located, place_in_cells
 from ddic.mesh.mesh import Mesh

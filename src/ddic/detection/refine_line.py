@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ddic.detection.both_sides import compute_residuals, evaluate_both_sides
 from ddic.errors import ConvergenceError
 from ddic.functionals.line_band import BAND
-from ddic.kinematics.discontinuities import Discontinuities
+from ddic.kinematics.enriched import Discontinuities
 from ddic.mesh.cut_mesh import CutMesh
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import find_nearest_segments, measure_distance, multiply_across

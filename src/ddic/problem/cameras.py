@@ -18,7 +18,7 @@ from ddic.images.source import ImageSource
 from ddic.images.sub_image import MaskedSource
 from ddic.io.image_file import open_decoded, open_image
 from ddic.io.mapping_file import read_mapping_file
-from ddic.kinematics.camera_kinematics import CameraSetup, MotionKind, see_mesh
+from ddic.kinematics.camera import CameraSetup, MotionKind, see_mesh
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.shared_image import open_once_a_node
 from ddic.parallel.team import Team

@@ -15,8 +15,8 @@ from ddic.functionals.elasticity import Material
 from ddic.functionals.equilibrium_gap import measure_gap_energies
 from ddic.io.partition_file import read_partition
 from ddic.kinematics.kinematics import RegionKinematics
+from ddic.kinematics.linear import TiedRegion
 from ddic.kinematics.nodal import NodalRegion
-from ddic.kinematics.tied import TiedRegion
 from ddic.mesh.mesh import Mesh, Similarity
 from ddic.mesh.raster import rasterize
 from ddic.mesh.topology import find_boundary_nodes, find_not_controlled_nodes

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.kinematics.strain import compute_displacement_gradients
-from ddic.kinematics.strain_measures import compute_infinitesimal
+from ddic.kinematics.strain import compute_displacement_gradients, compute_infinitesimal
 from ddic.parallel.node_sums import sum_shared_nodes
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ddic.io import result_schema as schema
 from ddic.kinematics.nodal_gradients import recover_gradients
-from ddic.kinematics.strain_measures import (
+from ddic.kinematics.strain import (
     compute_green_lagrange,
     compute_hencky,
     compute_infinitesimal,

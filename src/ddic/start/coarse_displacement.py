@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from ddic.functionals.corner_weights import weigh_corners
 from ddic.images.rigid import GridField
-from ddic.kinematics.discontinuities import Discontinuities
-from ddic.kinematics.enriched import enrich
+from ddic.kinematics.enriched import Discontinuities, enrich
 from ddic.kinematics.kinematics import RegionKinematics
 from ddic.kinematics.nodal import NodalRegion
 from ddic.mesh.cell_parts import Lines

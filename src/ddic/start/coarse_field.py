@@ -14,7 +14,7 @@ from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.images.binned import bin_rows, join_blocks
 from ddic.images.rigid import build_uniform_field
 from ddic.images.sub_image import MaskedSource
-from ddic.kinematics.seen_lines import see_discontinuities
+from ddic.kinematics.camera import see_discontinuities
 from ddic.mesh.cut_mesh import find_points_on_own_side
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.team import Team, require_held

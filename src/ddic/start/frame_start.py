@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ddic.errors import InputError, as_collective, list_first
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.functionals.view import FrameView
-from ddic.kinematics.camera_kinematics import CameraKinematics
+from ddic.kinematics.camera import CameraKinematics
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team, require_held
 from ddic.partition.subdomain import Subdomain

@@ -18,7 +18,7 @@ from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.images.binned import bin_image, bin_window, join_blocks
 from ddic.images.rigid import RigidShift, build_uniform_field
 from ddic.images.window import Window
-from ddic.kinematics.discontinuities import Discontinuities
+from ddic.kinematics.enriched import Discontinuities
 from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.mesh import Mesh
 from ddic.start.binned_pair import (

@@ -8,7 +8,7 @@ import numpy as np
 
 from ddic.errors import SingularSubdomainError
 from ddic.functionals.grey_statistics import GreyCorrection
-from ddic.kinematics.discontinuities import Discontinuities
+from ddic.kinematics.enriched import Discontinuities
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
 from ddic.solvers.correction_size import Tolerances

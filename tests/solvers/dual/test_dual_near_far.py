@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-from ddic.kinematics.camera_kinematics import MotionKind
+from ddic.kinematics.camera import MotionKind
 from ddic.parallel.team import Team
 from ddic.solvers.dual.dual_step import DualStep
 from ddic.solvers.dual.motion_preconditioner import MotionPreconditioner

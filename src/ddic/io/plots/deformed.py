@@ -27,7 +27,7 @@ from ddic.io.plots.canvas import (
 )
 from ddic.io.plots.length_unit import PIXELS, LengthUnit
 from ddic.io.result_reader import Result
-from ddic.kinematics.rigid_part import count_folded_cells, find_largest_gradient, project_rigid_motion_out
+from ddic.kinematics.strain import count_folded_cells, find_largest_gradient, project_rigid_motion_out
 from ddic.mesh.mesh import Mesh
 
 VISIBLE_SHARE = 0.05

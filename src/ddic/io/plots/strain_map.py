@@ -17,7 +17,7 @@ from ddic.io.plots.length_unit import PIXELS, LengthUnit
 from ddic.io.plots.nodal_map import Values, draw_values
 from ddic.io.plots.preview import Preview
 from ddic.io.result_reader import Result
-from ddic.kinematics.strain_measures import compute_hencky, compute_von_mises_strain, find_principal_strains
+from ddic.kinematics.strain import compute_hencky, compute_von_mises_strain, find_principal_strains
 
 Measure = Literal["infinitesimal", "green-lagrange", "hencky"]
 MEASURES: tuple[Measure, ...] = ("infinitesimal", "green-lagrange", "hencky")
