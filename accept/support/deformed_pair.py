@@ -13,7 +13,7 @@ from scipy.sparse.linalg import splu
 
 import ddic
 from accept.support.opened_pair import picture
-from ddic.functionals.read_correlation import read_correlation
+from ddic.functionals.correlation import read_correlation
 from ddic.images.binned import ArraySource
 from ddic.images.sub_image import MaskedSource
 from ddic.kinematics.strain import compute_strain

@@ -17,7 +17,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from ddic.case.loader import load_case
-from ddic.functionals.read_correlation import read_correlations
+from ddic.functionals.correlation import read_correlations
 from ddic.io.result_reader import Result
 from ddic.kinematics.camera import see_mesh
 from ddic.parallel.team import Team

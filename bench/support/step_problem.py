@@ -17,7 +17,7 @@ from scipy import sparse
 
 from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case, RegularizationSection, SolverSection
-from ddic.functionals.equilibrium_gap import controlled_stiffness
+from ddic.functionals.regularization import controlled_stiffness
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from ddic.functionals import equilibrium_gap
-from ddic.functionals.elasticity import Material, assemble_stiffness
-from ddic.functionals.equilibrium_gap import (
+from ddic.functionals.correlation import read_correlation
+from ddic.functionals.regularization import (
+    Material,
+    assemble_stiffness,
     controlled_stiffness,
     evaluate_plane_waves,
     find_cut_off_weight,
@@ -19,7 +21,6 @@ from ddic.functionals.equilibrium_gap import (
     measure_gap_energies,
     measure_texture_energies,
 )
-from ddic.functionals.read_correlation import read_correlation
 from ddic.images.sub_image import MaskedSource
 from ddic.kinematics.nodal import NodalKinematics, NodalRegion
 from ddic.mesh.mesh import Mesh

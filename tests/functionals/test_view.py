@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ddic.functionals.read_correlation import read_correlation
+from ddic.functionals.correlation import read_correlation
 from ddic.functionals.view import FrameView, View
 from ddic.images.binned import ArraySource
 from ddic.images.camera import CameraMapping, identity, similarity

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ddic.functionals.corner_weights import weigh_corners
-from ddic.functionals.elasticity import Material, assemble_stiffness
+from ddic.functionals.line_band import weigh_corners
+from ddic.functionals.regularization import Material, assemble_stiffness
 from ddic.kinematics.enriched import EnrichedRegion, enrich
 from ddic.kinematics.tip_functions import (
     N_FUNCTIONS,

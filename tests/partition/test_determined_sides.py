@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from ddic.functionals.corner_weights import weigh_corners
+from ddic.functionals.line_band import weigh_corners
 from ddic.kinematics.enriched import Opening, enrich
 from ddic.mesh.cut_mesh import CutMesh, cut_mesh
 from ddic.mesh.structured import build_structured_mesh

@@ -10,8 +10,7 @@ from scipy import sparse
 
 from ddic.case.loader import load_case
 from ddic.errors import InputError
-from ddic.functionals.elasticity import Material
-from ddic.functionals.equilibrium_gap import measure_gap_energies
+from ddic.functionals.regularization import Material, measure_gap_energies
 from ddic.kinematics.linear import LinearRegion, TiedRegion
 from ddic.kinematics.nodal import NodalRegion
 from ddic.mesh.topology import find_boundary_nodes

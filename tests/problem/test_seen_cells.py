@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ddic.functionals.cell_slopes import CellSlopes
 from ddic.functionals.grey_statistics import GreyCorrection
+from ddic.functionals.view import CellSlopes
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.seen_cells import FEWEST_PIXELS, SeenCells, collect_cells, find_typical_cell, measure_seen_cells
 from ddic.synth.fields import Translation

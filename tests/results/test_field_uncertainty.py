@@ -9,7 +9,7 @@ import pytest
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from ddic.functionals.read_correlation import read_correlation
+from ddic.functionals.correlation import read_correlation
 from ddic.functionals.view import View
 from ddic.kinematics.nodal_gradients import recover_gradients
 from ddic.kinematics.strain import compute_infinitesimal, compute_strain

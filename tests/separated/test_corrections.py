@@ -9,8 +9,7 @@ import pytest
 
 import ddic
 from ddic.errors import ConvergenceError
-from ddic.functionals.elasticity import Material
-from ddic.functionals.equilibrium_gap import find_cut_off_weight, find_edge_weight
+from ddic.functionals.regularization import Material, find_cut_off_weight, find_edge_weight
 from ddic.images.sub_image import DeformedSubImage
 from ddic.separated.corrections import (
     CorrectionRecord,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ddic.functionals.read_correlation import read_correlation
+from ddic.functionals.correlation import read_correlation
 from ddic.images.spline import PADDING
 from ddic.images.sub_image import GROWTH, DeformedSubImage
 from ddic.images.window import Window

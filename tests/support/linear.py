@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, sparse
 
-from ddic.functionals.elasticity import Material
-from ddic.functionals.equilibrium_gap import controlled_stiffness
-from ddic.functionals.read_correlation import read_correlation
+from ddic.functionals.correlation import read_correlation
+from ddic.functionals.regularization import Material, controlled_stiffness
 from ddic.images.sub_image import MaskedSource
 from ddic.kinematics.kinematics import RegionKinematics
 from ddic.kinematics.nodal import NodalKinematics, NodalRegion

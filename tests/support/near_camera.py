@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, sparse
 
-from ddic.functionals.read_correlation import read_correlation
+from ddic.functionals.correlation import read_correlation
 from ddic.images.camera import CameraMapping
 from ddic.images.sub_image import MaskedSource
 from ddic.kinematics.camera import CameraSetup, MotionKind

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.functionals.elasticity import Material
+from ddic.functionals.regularization import Material
 from ddic.images.sub_image import DeformedSubImage, read_reference
 from ddic.images.window import Window
 from ddic.separated.band_sums import SerialSums, divide_rows

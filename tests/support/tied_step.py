@@ -24,8 +24,7 @@ from ddic.case.schema import (
     SolverSection,
     StructuredSection,
 )
-from ddic.functionals.elasticity import Material
-from ddic.functionals.equilibrium_gap import controlled_stiffness
+from ddic.functionals.regularization import Material, controlled_stiffness
 from ddic.images.camera import identity
 from ddic.kinematics.camera import CameraSetup, MotionKind
 from ddic.kinematics.nodal import NodalKinematics

@@ -14,7 +14,7 @@ from ddic.detection.refine_line import SEARCHED, find_move, refine_line
 from ddic.detection.refine_tip import find_tip_move
 from ddic.errors import ConvergenceError, FactorizationError, SingularSubdomainError
 from ddic.fracture.williams_series import find_kolosov_constant
-from ddic.functionals.elasticity import Material
+from ddic.functionals.regularization import Material
 from ddic.kinematics.enriched import Discontinuities
 from ddic.kinematics.tip_functions import Tip, find_tips
 from ddic.mesh.cut_mesh import CutMesh

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ddic.errors import ConvergenceError, InputError
 from ddic.fracture.lines_of_result import get_line
 from ddic.fracture.williams_series import evaluate_williams_series, find_kolosov_constant
-from ddic.functionals.weighted_median import find_weighted_median
+from ddic.functionals.grey_statistics import find_weighted_median
 from ddic.io.result_reader import Result
 from ddic.mesh.interpolation import interpolate_located, place_in_cells
 from ddic.mesh.quality import measure_areas

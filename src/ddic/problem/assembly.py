@@ -11,7 +11,7 @@ from scipy import sparse
 
 from ddic.case.schema import Case, RegularizationSection
 from ddic.errors import InputError, as_collective
-from ddic.functionals.equilibrium_gap import (
+from ddic.functionals.regularization import (
     controlled_stiffness,
     find_cut_off_weight,
     find_edge_weight,

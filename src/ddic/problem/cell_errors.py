@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.functionals.correlation import Residual
+from ddic.functionals.grey_statistics import find_weighted_median
 from ddic.functionals.view import View
-from ddic.functionals.weighted_median import find_weighted_median
 from ddic.mesh.mesh import Mesh, pad_cells
 from ddic.parallel.team import Team
 from ddic.problem.renewal import find_displaced_nodes, find_free_unknowns, find_held

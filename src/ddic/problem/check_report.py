@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.case.schema import Case
-from ddic.functionals.half_amplitude import HalfAmplitudes
+from ddic.functionals.regularization import HalfAmplitudes
 from ddic.images.source import ImageSource
 from ddic.mesh.cell_type import CELL_TYPES
 from ddic.mesh.cut_mesh import cut_mesh

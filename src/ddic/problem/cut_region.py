@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ddic.case.schema import Case
 from ddic.errors import InputError
-from ddic.functionals.corner_weights import weigh_corners
+from ddic.functionals.line_band import weigh_corners
 from ddic.kinematics.enriched import Discontinuities, EnrichedRegion, enrich
 from ddic.kinematics.tip_functions import TipPatch, enrich_at_tips, find_bends_at_tips, find_tips
 from ddic.mesh.cut_mesh import CutMesh, cut_mesh, is_cut_by

@@ -13,9 +13,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.functionals.grey_statistics import GreyCorrection
+from ddic.functionals.grey_statistics import GreyCorrection, find_weighted_median
 from ddic.functionals.view import FrameView
-from ddic.functionals.weighted_median import find_weighted_median
 from ddic.mesh.interpolation import interpolate_located, place_in_cells
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import list_pixels

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from ddic.case.schema import Case
 from ddic.errors import InputError, as_collective
-from ddic.functionals.correlation import Residual
-from ddic.functionals.moved_gradient import map_hessians
+from ddic.functionals.correlation import Residual, map_hessians
 from ddic.functionals.noise_transfer import (
     TransferTable,
     build_transfer,

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.errors import InputError, list_first
-from ddic.functionals.read_correlation import restrict_to_cells
-from ddic.functionals.texture_strength import Texture, find_blank_subdomains, measure_texture
+from ddic.functionals.correlation import restrict_to_cells
+from ddic.functionals.texture import Texture, find_blank_subdomains, measure_texture
 from ddic.mesh.topology import find_adjacent_cells
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team, require_held

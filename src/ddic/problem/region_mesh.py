@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from ddic.case.schema import RegularizationSection, SolverSection
 from ddic.errors import InputError
-from ddic.functionals.elasticity import Material
-from ddic.functionals.equilibrium_gap import measure_gap_energies
+from ddic.functionals.regularization import Material, measure_gap_energies
 from ddic.io.partition_file import read_partition
 from ddic.kinematics.kinematics import RegionKinematics
 from ddic.kinematics.linear import TiedRegion

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.errors import list_first
-from ddic.functionals.moved_gradient import LARGE, measure_deformation
+from ddic.functionals.correlation import LARGE, measure_deformation
 from ddic.functionals.view import View
 from ddic.images.binned import Blur
 from ddic.parallel.team import Team

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.case.schema import Case
-from ddic.functionals.cell_slopes import CellSlopes
+from ddic.functionals.view import CellSlopes
 from ddic.problem.cameras import Camera
 from ddic.problem.exclusions import Exclusions
 from ddic.problem.held_cells import AT_END, AT_START, SHOWN, Limits

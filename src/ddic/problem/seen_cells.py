@@ -8,9 +8,9 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.functionals.cell_slopes import CellSlopes
 from ddic.functionals.correlation import Residual
-from ddic.functionals.weighted_median import find_weighted_median, find_weighted_quantile
+from ddic.functionals.grey_statistics import find_weighted_median, find_weighted_quantile
+from ddic.functionals.view import CellSlopes
 from ddic.problem.residual_model import Evaluation, ResidualModel
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ import numpy as np
 
 from ddic.case.schema import Case, PgdSection, RegularizationSection
 from ddic.errors import InputError
-from ddic.functionals.equilibrium_gap import find_edge_weight
+from ddic.functionals.regularization import find_edge_weight
 from ddic.images.sub_image import DeformedSubImage, read_reference
 from ddic.images.window import Window
 from ddic.parallel.phases import Phase, PhaseClock

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError, as_collective
-from ddic.functionals.cut_patch import cut_patches
-from ddic.functionals.spoilt_pixels import find_spoilt_pixels
+from ddic.functionals.spoilt_pixels import cut_patches, find_spoilt_pixels
 from ddic.functionals.view import FrameView
 from ddic.images.window import Window
 from ddic.mesh.mesh import pad_cells

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.case.schema import Case
-from ddic.functionals.correlation import Correlation
-from ddic.functionals.read_correlation import read_correlations
+from ddic.functionals.correlation import Correlation, read_correlations
 from ddic.functionals.view import FrameView, View
 from ddic.images.sub_image import DeformedSubImage
 from ddic.images.threads import Threads

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from ddic.case.schema import RegularizationSection
 from ddic.errors import SingularSubdomainError, as_collective, is_collective
-from ddic.functionals.cell_slopes import CellSlopes
-from ddic.functionals.half_amplitude import HalfAmplitudes, find_half_amplitudes
-from ddic.functionals.view import FrameView
+from ddic.functionals.regularization import HalfAmplitudes, find_half_amplitudes
+from ddic.functionals.view import CellSlopes, FrameView
 from ddic.mesh.plane import build_rotation
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team

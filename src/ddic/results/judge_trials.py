@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError
-from ddic.functionals.elasticity import Material
-from ddic.functionals.field_roughness import measure_gap
+from ddic.functionals.regularization import Material
+from ddic.functionals.texture import measure_gap
 from ddic.io.result_reader import Result
 from ddic.results.candidate_field import CandidateField
 from ddic.results.sweep_trials import Candidate, Trial

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ddic.functionals.half_amplitude import HalfAmplitudes
+from ddic.functionals.regularization import HalfAmplitudes
 from ddic.io.json_file import write_json
 from ddic.io.replace_on_exit import NewFiles
 from ddic.parallel.phases import Phase

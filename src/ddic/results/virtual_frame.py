@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.functionals.elasticity import Material
 from ddic.functionals.noise_transfer import build_white_transfer
+from ddic.functionals.regularization import Material
 from ddic.images.binned import ArraySource
 from ddic.images.spline import read_gradient
 from ddic.images.sub_image import MaskedSource

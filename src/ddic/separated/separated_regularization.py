@@ -9,8 +9,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.functionals.elasticity import Material
-from ddic.functionals.equilibrium_gap import PHASES, find_cut_off_weight
+from ddic.functionals.regularization import PHASES, Material, find_cut_off_weight
 from ddic.separated.diagonals import multiply, multiply_matrices, pad_diagonals, transpose
 from ddic.separated.line_elements import LineElements
 

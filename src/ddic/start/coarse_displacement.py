@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.functionals.corner_weights import weigh_corners
+from ddic.functionals.line_band import weigh_corners
 from ddic.images.rigid import GridField
 from ddic.kinematics.enriched import Discontinuities, enrich
 from ddic.kinematics.kinematics import RegionKinematics

@@ -13,7 +13,7 @@ from scipy import sparse
 
 from ddic.case.schema import StartSection
 from ddic.errors import InputError
-from ddic.functionals.elasticity import Material, assemble_stiffness
+from ddic.functionals.regularization import Material, assemble_stiffness
 from ddic.io.damaged_result import require_known_displacement
 from ddic.io.frame_of_series import read_frame_or_last
 from ddic.io.result_reader import SAME_NODE_PX, Result, evaluate_on_sides

@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.errors import ConvergenceError, SingularSubdomainError
-from ddic.functionals.elasticity import Material
-from ddic.functionals.equilibrium_gap import (
+from ddic.functionals.correlation import read_correlation
+from ddic.functionals.grey_statistics import GreyCorrection
+from ddic.functionals.regularization import (
+    Material,
     controlled_stiffness,
     find_cut_off_weight,
     measure_gap_energies,
     measure_texture_energies,
 )
-from ddic.functionals.grey_statistics import GreyCorrection
-from ddic.functionals.read_correlation import read_correlation
 from ddic.functionals.view import FrameView, View
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.parallel.phases import PhaseClock
