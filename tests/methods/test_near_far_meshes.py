@@ -15,7 +15,7 @@ from ddic.io.result_reader import read_result
 from ddic.kinematics.linear import TiedKinematics
 from ddic.methods.run_case import run_case
 from ddic.parallel.team import Team
-from ddic.partition.by_camera import find_cameras_at_nodes
+from ddic.partition.split import find_cameras_at_nodes
 from ddic.problem.cameras import assign_cells, open_cameras, open_in_headers
 from ddic.problem.check_inputs import check_inputs
 from ddic.problem.inputs import Inputs

@@ -15,7 +15,7 @@ from ddic.kinematics.linear import LinearRegion, TiedRegion
 from ddic.kinematics.nodal import NodalRegion
 from ddic.mesh.topology import find_boundary_nodes
 from ddic.parallel.team import Team
-from ddic.partition.cost import estimate_cell_costs
+from ddic.partition.split import estimate_cell_costs
 from ddic.problem.cameras import open_cameras, open_in_headers
 from ddic.problem.inputs import Inputs
 from ddic.problem.mesh_source import build_meshes

@@ -22,7 +22,7 @@ from ddic.kinematics.camera import CameraSetup, MotionKind, see_mesh
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.shared_image import open_once_a_node
 from ddic.parallel.team import Team
-from ddic.partition.by_camera import assign_cameras
+from ddic.partition.split import assign_cameras
 from ddic.partition.ties import Tying
 
 Opener = Callable[[Path], ImageSource]

@@ -16,7 +16,7 @@ from ddic.kinematics.tip_functions import TipPatch, enrich_at_tips, find_bends_a
 from ddic.mesh.cut_mesh import CutMesh, cut_mesh, is_cut_by
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_areas
-from ddic.partition.determined_sides import CutSides, keep_cameras_determined
+from ddic.partition.determined import CutSides, keep_cameras_determined
 from ddic.problem.cameras import MeasuredCells, collect_cells
 from ddic.problem.inputs import Inputs
 

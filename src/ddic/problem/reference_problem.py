@@ -20,7 +20,7 @@ from ddic.functionals.texture import Texture, find_blank_subdomains, measure_tex
 from ddic.mesh.topology import find_adjacent_cells
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team, require_held
-from ddic.partition.merge import find_connected_pieces, merge_blank
+from ddic.partition.split import find_connected_pieces, merge_blank
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.assembly import Hessians, assemble_hessians
 from ddic.problem.cameras import Frame

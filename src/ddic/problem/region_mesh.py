@@ -22,11 +22,17 @@ from ddic.mesh.topology import find_boundary_nodes, find_not_controlled_nodes
 from ddic.parallel.distribution import scatter_subdomains
 from ddic.parallel.team import Team, require_held
 from ddic.partition.build_subdomains import build_subdomains
-from ddic.partition.by_camera import add_motions, find_cameras_at_nodes, keep_cameras_apart, split_by_camera
-from ddic.partition.cost import estimate_cell_costs, sum_costs
-from ddic.partition.determined_masters import keep_masters_determined
-from ddic.partition.determined_sides import keep_sides_determined
-from ddic.partition.split import split_by_blocks, split_by_metis
+from ddic.partition.determined import keep_masters_determined, keep_sides_determined
+from ddic.partition.split import (
+    add_motions,
+    estimate_cell_costs,
+    find_cameras_at_nodes,
+    keep_cameras_apart,
+    split_by_blocks,
+    split_by_camera,
+    split_by_metis,
+    sum_costs,
+)
 from ddic.partition.subdomain import Subdomain
 from ddic.partition.ties import Tying
 from ddic.problem.cameras import Camera, MeasuredCells, assign_cells, collect_cells

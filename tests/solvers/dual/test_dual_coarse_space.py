@@ -7,7 +7,7 @@ import pytest
 from scipy import linalg, sparse
 
 from ddic.parallel.team import Team
-from ddic.partition.incidence import scaled_incidence
+from ddic.partition.subdomain import scaled_incidence
 from ddic.solvers.dual.coarse_space import CoarsePart, CoarseSpace, build_coarse_columns
 from ddic.solvers.dual.dual_step import DualSettings
 from ddic.solvers.dual.local_modes import _soften, find_low_energy_modes

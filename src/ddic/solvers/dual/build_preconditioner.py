@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from ddic.parallel.phases import PhaseClock
-from ddic.partition.incidence import copies_of, scaled_incidence
+from ddic.partition.subdomain import copies_of, scaled_incidence
 from ddic.solvers.dual.coarse_space import CoarseColumns, CoarsePart, CoarseSpace, build_coarse_columns
 from ddic.solvers.dual.dual_problem import DualProblem
 from ddic.solvers.dual.local_inverse import LocalInverseKind, SchurPair, build_schur_pair

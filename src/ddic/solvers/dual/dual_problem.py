@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from ddic.parallel.team import Team
-from ddic.partition.incidence import rows_of
-from ddic.partition.subdomain import Subdomain
+from ddic.partition.subdomain import Subdomain, rows_of
 from ddic.solvers.dual.local_dual import LocalDual, add_motion_rows, build_local_dual
 from ddic.solvers.dual.motion_preconditioner import sum_motion_scales
 from ddic.solvers.dual.schur_operator import DualSchurOperator

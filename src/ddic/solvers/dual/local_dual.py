@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.functionals.scale_rows import scale_rows
-from ddic.partition.incidence import signed_incidence
+from ddic.partition.subdomain import signed_incidence
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
 
