@@ -10,12 +10,12 @@ import pytest
 from mpi4py import MPI
 
 from ddic.parallel import node_memory
-from ddic.parallel.node_memory import measure_available_memory, read_available_memory
+from ddic.parallel.node import measure_available_memory, read_available_memory
 from ddic.parallel.team import Team
 
 LIMITED = """
 import resource
-from ddic.parallel.node_memory import measure_available_memory
+from ddic.parallel.node import measure_available_memory
 from ddic.parallel.team import Team
 resource.setrlimit(resource.RLIMIT_AS, ({limit}, {limit}))
 print(measure_available_memory(Team.alone()))

@@ -20,7 +20,7 @@ from ddic.io.image_file import open_decoded, open_image
 from ddic.io.mapping_file import read_mapping_file
 from ddic.kinematics.camera import CameraSetup, MotionKind, see_mesh
 from ddic.mesh.mesh import Mesh
-from ddic.parallel.shared_image import open_once_a_node
+from ddic.parallel.node import open_once_a_node
 from ddic.parallel.team import Team
 from ddic.partition.split import assign_cameras
 from ddic.partition.ties import Tying

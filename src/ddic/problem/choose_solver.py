@@ -9,7 +9,7 @@ from math import ceil
 from ddic.case.schema import SolverSection
 from ddic.io.partition_file import read_partition
 from ddic.mesh.quality import measure_cell_size
-from ddic.parallel.node_memory import measure_available_memory
+from ddic.parallel.node import measure_available_memory
 from ddic.parallel.team import Team, require_held
 from ddic.problem.inputs import Inputs, SolverChoice
 from ddic.problem.linear_solver import compute_cut_off_wavelength

@@ -18,7 +18,7 @@ from ddic.functionals.view import FrameView
 from ddic.mesh.interpolation import interpolate_located, place_in_cells
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import list_pixels
-from ddic.parallel.node_sums import sum_shared_nodes
+from ddic.parallel.distribution import sum_shared_nodes
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.seen_cells import SeenCells, TypicalCell
 

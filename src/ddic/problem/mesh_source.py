@@ -16,7 +16,7 @@ from ddic.mesh.holes import OutlinedHole, find_mask_holes
 from ddic.mesh.mesh import Mesh, Similarity
 from ddic.mesh.repair import check_inside, check_joints, repair
 from ddic.mesh.structured import build_structured_mesh, count_cells
-from ddic.parallel.node_memory import read_available_memory
+from ddic.parallel.node import read_available_memory
 from ddic.partition.ties import Tying, tie_meshes
 
 BYTES_PER_CELL = 520

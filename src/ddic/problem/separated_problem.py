@@ -11,9 +11,9 @@ from ddic.errors import InputError
 from ddic.functionals.regularization import find_edge_weight
 from ddic.images.sub_image import DeformedSubImage, read_reference
 from ddic.images.window import Window
+from ddic.parallel.distribution import TeamSums
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team, require_held
-from ddic.parallel.team_sums import TeamSums
 from ddic.problem.cameras import Frame
 from ddic.problem.inputs import Inputs
 from ddic.problem.rectangle import Rectangle, choose_controlled_lines

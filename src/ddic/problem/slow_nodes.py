@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ddic.functionals.grey_statistics import GreyState
 from ddic.images.noise import NOISE_OF_SLOPE
 from ddic.mesh.mesh import pad_cells
-from ddic.parallel.node_sums import sum_shared_nodes
+from ddic.parallel.distribution import sum_shared_nodes
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.renewal import find_displaced_nodes

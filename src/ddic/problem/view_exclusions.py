@@ -20,7 +20,7 @@ from ddic.functionals.view import FrameView
 from ddic.images.window import Window
 from ddic.mesh.mesh import pad_cells
 from ddic.mesh.plane import measure_distance as measure_distance_from_line
-from ddic.parallel.node_sums import sum_shared_nodes
+from ddic.parallel.distribution import sum_shared_nodes
 from ddic.parallel.team import Team
 from ddic.problem.exclusions import BLANK, HELD_OFF, KEPT, SPOILT, UNSEEN, Exclusions, exclude, find_excluded
 from ddic.problem.held_cells import (

@@ -14,7 +14,7 @@ from ddic.io import result_schema as schema
 from ddic.io.result_writer import Piece, PieceSize, ResultWriter, join_pieces
 from ddic.kinematics.strain import compute_strain
 from ddic.mesh.mesh import Mesh, join_meshes
-from ddic.parallel.stream_to_root import stream_to_root
+from ddic.parallel.distribution import stream_to_root
 from ddic.parallel.team import require_held
 from ddic.results.drawn_mesh import DrawnMesh, draw_mesh
 from ddic.results.nodal_strain import convert_to_six_components, describe_nodal_strains, recover_nodal_gradients

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.kinematics.strain import compute_displacement_gradients, compute_infinitesimal
-from ddic.parallel.node_sums import sum_shared_nodes
+from ddic.parallel.distribution import sum_shared_nodes
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.force_noise import ForceNoise, measure_force_noise

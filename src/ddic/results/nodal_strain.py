@@ -18,7 +18,7 @@ from ddic.kinematics.strain import (
     find_principal_strains,
 )
 from ddic.mesh.mesh import join_meshes
-from ddic.parallel.node_sums import sum_shared_nodes
+from ddic.parallel.distribution import sum_shared_nodes
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ddic.images.window import Window
 from ddic.io.image_chunks import ChunkGrid, pack_chunk
-from ddic.parallel.stream_to_root import stream_to_root
+from ddic.parallel.distribution import stream_to_root
 from ddic.parallel.team import Team
 
 CHUNKS_A_MESSAGE = 16
