@@ -13,7 +13,7 @@ from petsc4py import PETSc
 
 from ddic.cli.app import main
 from ddic.solvers import factor_packages
-from ddic.solvers.factor_failure import MISSING_PACKAGE
+from ddic.solvers.local_operator import MISSING_PACKAGE
 
 MATRICES = ("seqaij", "mpiaij", "seqsbaij", "mpisbaij")
 FACTORS = (1, 2)

@@ -27,8 +27,8 @@ from ddic.parallel.team import Team
 from ddic.problem.weighted_problem import ProblemSize
 from ddic.separated.corrections import CorrectionRecord
 from ddic.solvers.dual.coarse_space import CoarseSpace
+from ddic.solvers.dual.local_dual import RankDual
 from ddic.solvers.dual.preconditioner import DualPreconditioner
-from ddic.solvers.dual.rank_dual import RankDual
 from ddic.solvers.exchange import Exchange
 from ddic.solvers.gauss_newton import IterationRecord
 

@@ -35,7 +35,7 @@ from ddic.problem.views import FrameViews, ReferenceViews, open_frame_views, rea
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
 from ddic.solvers.linear_step import StepResult
 from ddic.solvers.local_operator import LocalOperator
-from ddic.solvers.monolithic import MonolithicStep
+from ddic.solvers.local_system import MonolithicStep
 
 ALONE = Team(MPI.COMM_SELF)
 """This rank without the others."""

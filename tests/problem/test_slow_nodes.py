@@ -25,8 +25,7 @@ from ddic.problem.slow_nodes import (
 from ddic.solvers.correction_size import Tolerances
 from ddic.solvers.gauss_newton import Correction, Progress, run_gauss_newton, stay_silent
 from ddic.solvers.local_operator import LocalOperator
-from ddic.solvers.local_system import LocalSystem
-from ddic.solvers.monolithic import MonolithicStep
+from ddic.solvers.local_system import LocalSystem, MonolithicStep
 from ddic.synth.fields import Translation
 from support.pictures import pair_of, source, square_mesh
 from support.split_model import split_model, systems_of

@@ -18,7 +18,7 @@ from ddic.partition.build_subdomains import build_subdomains
 from ddic.problem.noise_forces import NoiseForces, place_cells
 from ddic.results.field_uncertainty import FieldDeviations, estimate_deviations
 from ddic.solvers.dual.dual_step import DualSettings
-from ddic.solvers.noise_samples import FEWEST_SAMPLES, MOST_SAMPLES, prepare_samples
+from ddic.solvers.probing import FEWEST_SAMPLES, MOST_SAMPLES, prepare_samples
 from support.linear import Decomposed, StepProblem, dense, linear_step, split
 
 Array = NDArray[np.float64]

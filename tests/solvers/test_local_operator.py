@@ -11,8 +11,7 @@ from scipy import sparse
 
 from ddic.errors import FactorizationError, SingularSubdomainError
 from ddic.solvers import factor_packages
-from ddic.solvers.factor_failure import MISSING_PACKAGE, OUT_OF_MEMORY, ZERO_PIVOT, describe_failure
-from ddic.solvers.local_operator import LocalOperator
+from ddic.solvers.local_operator import MISSING_PACKAGE, OUT_OF_MEMORY, ZERO_PIVOT, LocalOperator, describe_failure
 
 N = 40
 

@@ -11,8 +11,8 @@ from scipy import sparse
 from ddic.errors import FactorizationError
 from ddic.parallel.team import Team
 from ddic.solvers import parallel_entries, petsc_integers
-from ddic.solvers.parallel_entries import ParallelEntries
-from ddic.solvers.petsc_integers import check_petsc_size, to_petsc_integers
+from ddic.solvers.assembled import ParallelEntries
+from ddic.solvers.petsc import check_petsc_size, to_petsc_integers
 
 RANKS = (1, 2, 3, 4)
 N_ROWS, N_COLUMNS, N_BLOCKS = 7, 5, 9

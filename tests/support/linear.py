@@ -29,8 +29,7 @@ from ddic.solvers.dual.local_dual import LocalDual
 from ddic.solvers.exchange import Exchange
 from ddic.solvers.linear_step import AllowedError, LinearStep, StepResult
 from ddic.solvers.local_operator import LocalOperator
-from ddic.solvers.local_system import LocalSystem
-from ddic.solvers.monolithic import MonolithicStep
+from ddic.solvers.local_system import LocalSystem, MonolithicStep
 from support.pictures import source
 
 CELL = 8.0

@@ -104,7 +104,7 @@ def _start(petsc_options: tuple[str, ...], stop: StopRequest) -> Team:
     take_closed_pipes_as_errors()
     import ddic.methods.run_case
     import ddic.results.listener
-    import ddic.solvers.unused_options
+    import ddic.solvers.petsc
     from ddic.mesh.raster import prepare_kernels
     from ddic.parallel.team import Team
 
@@ -159,7 +159,7 @@ def _run_everywhere(team: Team, case_file: Path, petsc_options: tuple[str, ...],
 
 def _warn_of_unused_options(team: Team, petsc_options: tuple[str, ...]) -> None:
     """Tell once which options of PETSc changed nothing; collective."""
-    from ddic.solvers.unused_options import list_unused_options
+    from ddic.solvers.petsc import list_unused_options
 
     for option in list_unused_options(team, petsc_options):
         if team.is_root:

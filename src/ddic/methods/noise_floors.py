@@ -9,7 +9,7 @@ from ddic.parallel.phases import Phase, PhaseClock
 from ddic.problem.force_noise import measure_force_noise
 from ddic.results.measurement import Measurement
 from ddic.results.publishing import Publishable
-from ddic.solvers.noise_floor import estimate_response
+from ddic.solvers.probing import estimate_response
 
 
 def estimate_noise_floor(recipe: Recipe, measurement: Publishable, clock: PhaseClock) -> float:

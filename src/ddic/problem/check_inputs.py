@@ -32,7 +32,7 @@ from ddic.problem.inputs import Problems
 from ddic.problem.mesh_source import build_mesh_anywhere, build_meshes
 from ddic.problem.rectangle import check_number_of_ranks
 from ddic.problem.start_points import StartPoints, check_start_points, load_start_points, require_points_inside
-from ddic.solvers.factor_packages import require_packages
+from ddic.solvers.petsc import require_packages
 
 PixelCounter = Callable[[Mesh, Tying | None], NDArray[np.int64]]
 """Gives the number of pixels of each cell of a mesh, (n_cells,); raises InputError where an image is unfit."""

@@ -14,8 +14,7 @@ from ddic.parallel.team import Team, require_held
 from ddic.problem.inputs import Inputs, SolverChoice
 from ddic.problem.linear_solver import compute_cut_off_wavelength
 from ddic.problem.region_mesh import RegionMesh
-from ddic.solvers.factor_packages import is_mumps_missing
-from ddic.solvers.petsc_defaults import ASSEMBLED, COARSE
+from ddic.solvers.petsc import ASSEMBLED, COARSE, is_mumps_missing
 from ddic.solvers.step_costs import Candidate, StepCosts, StepTask, predict_costs
 
 STEPS_OF_FRAME = 5

@@ -32,7 +32,7 @@ from ddic.partition.subdomain import Subdomain
 from ddic.problem.force_noise import ForceNoise
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.weighted_problem import WeightedProblem
-from ddic.solvers.noise_samples import FEWEST_SAMPLES, MOST_SAMPLES, SampledCells, prepare_samples
+from ddic.solvers.probing import FEWEST_SAMPLES, MOST_SAMPLES, SampledCells, prepare_samples
 
 Array = NDArray[np.float64]
 

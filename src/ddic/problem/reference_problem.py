@@ -28,7 +28,7 @@ from ddic.problem.choose_solver import choose_solver
 from ddic.problem.inputs import Inputs, UpdatedReference
 from ddic.problem.region_mesh import Region, RegionMesh, build_region_mesh, scatter_region, split_region
 from ddic.problem.views import ReferenceViews, read_reference_views
-from ddic.solvers.factor_packages import describe_missing_packages
+from ddic.solvers.petsc import describe_missing_packages
 
 Array = NDArray[np.float64]
 

@@ -20,11 +20,20 @@ from ddic.problem.residual_model import ResidualModel
 from ddic.problem.see_frame import SeenFrame, see_frame
 from ddic.problem.slow_nodes import SlowNodes, confine_to_slow_nodes, estimate_node_deviations
 from ddic.problem.weighted_problem import WeightedProblem
-from ddic.solvers.anderson import AndersonMixing
 from ddic.solvers.correction_size import CorrectionSize, Tolerances
 from ddic.solvers.dual.continuity import ContinuousField, average_copies
-from ddic.solvers.gauss_newton import PATIENCE, Correction, Course, Model, Pause, Progress, Solution, run_gauss_newton
-from ddic.solvers.noise_floor import estimate_response
+from ddic.solvers.gauss_newton import (
+    PATIENCE,
+    AndersonMixing,
+    Correction,
+    Course,
+    Model,
+    Pause,
+    Progress,
+    Solution,
+    run_gauss_newton,
+)
+from ddic.solvers.probing import estimate_response
 
 Array = NDArray[np.float64]
 

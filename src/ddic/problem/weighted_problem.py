@@ -41,7 +41,7 @@ from ddic.problem.renewal import (
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.views import FrameViews, ReferenceViews, open_frame_views
 from ddic.solvers.correction_size import Tolerances
-from ddic.solvers.singularity import describe_lost
+from ddic.solvers.local_operator import describe_lost
 
 
 class WeightedProblem:

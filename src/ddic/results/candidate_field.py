@@ -10,8 +10,7 @@ from ddic.io.result_reader import Result
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.results.measurement import Measurement
 from ddic.results.publishing import gather
-from ddic.solvers.degrees_of_freedom import estimate_degrees_of_freedom
-from ddic.solvers.noise_floor import estimate_response
+from ddic.solvers.probing import estimate_degrees_of_freedom, estimate_response
 
 
 @dataclass(frozen=True, eq=False)

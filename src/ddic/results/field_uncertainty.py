@@ -26,7 +26,7 @@ from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.results.nodal_strain import recover_nodal_gradients
 from ddic.solvers.linear_step import AllowedError, LinearStep
-from ddic.solvers.noise_floor import estimate_response
+from ddic.solvers.probing import estimate_response
 
 Array = NDArray[np.float64]
 

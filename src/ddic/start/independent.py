@@ -34,8 +34,7 @@ from ddic.problem.views import FrameViews, ReferenceViews
 from ddic.solvers.correction_size import Tolerances
 from ddic.solvers.gauss_newton import Progress, gauss_newton, stay_silent
 from ddic.solvers.local_operator import LocalOperator
-from ddic.solvers.local_system import LocalSystem
-from ddic.solvers.monolithic import MonolithicStep
+from ddic.solvers.local_system import LocalSystem, MonolithicStep
 from ddic.start.coarse_displacement import LevelMesh
 
 TOLERANCES = Tolerances(relative=1e-3, rms=1e-2, max_iterations=10, largest=np.inf)
