@@ -16,11 +16,9 @@ from accept.support.separated_pair import Pair, list_pixels, measure_rms, store
 from accept.table import Scale
 from bench.support.rows import RESULTS, Row, append_result
 from ddic.parallel.team import require_held
-from ddic.synth.digitise import Digitiser
 from ddic.synth.fields import Sinusoidal
-from ddic.synth.picture import Picture
-from ddic.synth.render import Scene, render_pair
-from ddic.synth.speckle_texture import SpeckleTexture
+from ddic.synth.render import Digitiser, Picture, Scene, render_pair
+from ddic.synth.speckle import SpeckleTexture
 
 SIZE, SMOKE_SIZE = 1024, 256
 """Side of the images, pixels."""

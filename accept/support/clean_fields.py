@@ -10,7 +10,7 @@ from scipy.special import erf
 
 from ddic.fracture.williams_series import evaluate_williams_series, find_kolosov_constant
 from ddic.mesh.plane import build_rotation
-from ddic.synth.kirsch import Kirsch
+from ddic.synth.fields import Kirsch
 
 Array = NDArray[np.float64]
 Motion = Callable[[Array], Array]

@@ -25,7 +25,7 @@ from ddic.problem.region_mesh import RegionMesh, build_region_mesh
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.views import open_frame_views
 from ddic.problem.weighted_problem import WeightedProblem
-from ddic.synth.near_far_truth import load_near_far_truth
+from ddic.synth.truth import load_near_far_truth
 
 OFF = 1e-2
 """Distance of the beginning from the exact solution, far px: that of a start."""

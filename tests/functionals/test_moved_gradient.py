@@ -16,7 +16,7 @@ from ddic.functionals.correlation import (
 )
 from ddic.images.sub_image import DeformedSubImage
 from ddic.mesh.structured import build_structured_mesh
-from ddic.synth.speckle_texture import SpeckleTexture
+from ddic.synth.speckle import SpeckleTexture
 from support.pictures import source
 
 SIDE = 160

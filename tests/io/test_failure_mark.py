@@ -31,7 +31,7 @@ from ddic.io.plots.residual import draw_residual
 from ddic.io.plots.strain_map import StrainChoice, draw_strain
 from ddic.io.result_reader import Result, read_result
 from ddic.io.result_schema import CAMERA, FAILURE, STATUS
-from ddic.separated.separated_field import SeparatedField
+from ddic.separated.field import SeparatedField
 from support.separated import lines
 
 Write = Callable[..., Path]

@@ -21,7 +21,7 @@ from ddic.problem.check_inputs import check_inputs
 from ddic.problem.inputs import Inputs
 from ddic.problem.mesh_source import build_meshes
 from ddic.problem.region_mesh import build_region_mesh, split_region
-from ddic.synth.speckle_texture import SpeckleTexture
+from ddic.synth.speckle import SpeckleTexture
 from support.cases import Ears
 
 RATIO, OFFSET = 3.0, (-160.0, -130.0)

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from ddic.separated import direction_update
-from ddic.separated.direction_update import renew_functions
+from ddic.separated.field import SeparatedField, build_zero_field, scale_modes
 from ddic.separated.pixel_bands import FramePixels
-from ddic.separated.rank_one import build_directions, find_rank_one
-from ddic.separated.separated_field import SeparatedField, build_zero_field, scale_modes
+from ddic.separated.rank_one import build_directions, find_rank_one, renew_functions
 from ddic.separated.separated_regularization import SeparatedOperator
 from ddic.synth.fields import Translation
 from support.cases import WAVES

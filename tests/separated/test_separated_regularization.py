@@ -8,7 +8,7 @@ import pytest
 from ddic.functionals.regularization import Material, assemble_stiffness, evaluate_plane_waves, measure_gap_energies
 from ddic.mesh.structured import build_structured_mesh
 from ddic.mesh.topology import find_boundary_nodes
-from ddic.separated.line_elements import LineElements
+from ddic.separated.field import LineElements
 from ddic.separated.separated_regularization import (
     ControlledLines,
     build_equilibrium_gap,

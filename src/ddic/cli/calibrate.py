@@ -13,7 +13,7 @@ from ddic.cli.warned import warnings_as_lines
 
 if TYPE_CHECKING:
     from ddic.calibration.camera_models import Kind
-    from ddic.calibration.near_calibration import Calibration
+    from ddic.calibration.near import Calibration
 
 Lines = list[tuple[str, str]]
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from ddic.io.plots.strain_map import StrainChoice
     from ddic.io.result_reader import Result
     from ddic.io.series_reader import SeriesResult
-    from ddic.separated.separated_field import SeparatedField
+    from ddic.separated.field import SeparatedField
 
 KINDS = ("partition", "deformed", "displacement", "strain", "residual", "signed-residual", "difference", "krylov",
          "opening", "near-far", "modes", "corrections", "line")

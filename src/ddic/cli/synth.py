@@ -10,8 +10,7 @@ from ddic.cli.synth_near_far import near_far
 from ddic.cli.synth_options import ImageOptions, add_image_options, write_images
 
 if TYPE_CHECKING:
-    from ddic.synth.fields import DisplacementField
-    from ddic.synth.hole import Hole
+    from ddic.synth.fields import DisplacementField, Hole
 
 Pair = tuple[float, float]
 _pair_options = add_image_options("512x512", "reference.tif, deformed.tif and truth.json")
@@ -92,8 +91,7 @@ def sinusoidal(offset: Pair, amplitude: Pair, wavelength_x: Pair, wavelength_y: 
 def kirsch(center: Pair | None, radius: float | None, strain: float, poisson_ratio: float,
            translation: Pair, draw_hole: bool, **image: Unpack[ImageOptions]) -> None:
     """Pull a plate with a circular hole along y (Kirsch's solution)."""
-    from ddic.synth.hole import Hole
-    from ddic.synth.kirsch import Kirsch
+    from ddic.synth.fields import Hole, Kirsch
 
     center = center or _middle(image)
     radius = min(image["size"]) / 10 if radius is None else radius
@@ -125,10 +123,8 @@ def _middle(image: ImageOptions) -> Pair:
 
 def _generate(field: DisplacementField, hole: Hole | None, image: ImageOptions) -> None:
     """Write the two images and the truth."""
-    from ddic.synth.digitise import Digitiser
-    from ddic.synth.picture import Picture
-    from ddic.synth.render import Scene, write_pair
-    from ddic.synth.speckle_texture import SpeckleTexture
+    from ddic.synth.render import Digitiser, Picture, Scene, write_pair
+    from ddic.synth.speckle import SpeckleTexture
     from ddic.synth.truth import describe_pair
 
     width, height = image["size"]

@@ -10,7 +10,7 @@ from ddic.cli.synth_options import ImageOptions, Size, add_image_options, parse_
 
 if TYPE_CHECKING:
     from ddic.synth.near_far_scene import NearFarScene
-    from ddic.synth.picture import Picture
+    from ddic.synth.render import Picture
 
 Pair = tuple[float, float]
 _FILES = "far_reference.tif, far_deformed.tif, near_reference.tif, near_deformed.tif and truth.json"
@@ -54,8 +54,7 @@ def near_far(ratio: float, near_center: Pair | None, near_angle: float, tilt: Pa
     The far images show coarse speckles of about 5 far px; the near ones the same and fine ones of about 5 near px.
     The specimen's frame is the far reference image.
     """
-    from ddic.synth.hole import Hole
-    from ddic.synth.kirsch import Kirsch
+    from ddic.synth.fields import Hole, Kirsch
     from ddic.synth.near_far_scene import (
         NearCamera,
         SetUpMotion,
@@ -63,7 +62,7 @@ def near_far(ratio: float, near_center: Pair | None, near_angle: float, tilt: Pa
         build_near_mapping,
         place_beside_hole,
     )
-    from ddic.synth.two_scale_texture import two_scale_texture
+    from ddic.synth.speckle import two_scale_texture
 
     far = _picture(image, size_far, noise_far)
     near = _picture(image, size_near, noise_near)
@@ -79,8 +78,7 @@ def near_far(ratio: float, near_center: Pair | None, near_angle: float, tilt: Pa
 
 def _picture(image: ImageOptions, size: Size | None, noise: float | None) -> Picture:
     """A camera's picture; size, noise: its own, or None for those of both cameras."""
-    from ddic.synth.digitise import Digitiser
-    from ddic.synth.picture import Picture
+    from ddic.synth.render import Digitiser, Picture
 
     width, height = size or image["size"]
     level = image["noise"] if noise is None else noise
@@ -91,7 +89,7 @@ def _picture(image: ImageOptions, size: Size | None, noise: float | None) -> Pic
 def _write(image: ImageOptions, scene: NearFarScene) -> None:
     """Write the images and the truth."""
     from ddic.synth.near_far_scene import FAR_FILES, NEAR_FILES, write_near_far
-    from ddic.synth.near_far_truth import describe_near_far
+    from ddic.synth.truth import describe_near_far
 
     folder = image["output"]
     write_images(folder, [*FAR_FILES, *NEAR_FILES], describe_near_far(scene),

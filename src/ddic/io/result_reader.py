@@ -31,8 +31,7 @@ from ddic.io.open_hdf5 import open_hdf5
 from ddic.mesh.interpolation import differentiate_shapes_at, interpolate, locate
 from ddic.mesh.mesh import Mesh, pad_cells
 from ddic.mesh.plane import build_tree
-from ddic.separated.line_elements import LineElements
-from ddic.separated.separated_field import SeparatedField
+from ddic.separated.field import LineElements, SeparatedField
 
 GRID = ("NumberOfPoints", "NumberOfCells", "NumberOfConnectivityIds", "Offsets", "Connectivity", "Types")
 

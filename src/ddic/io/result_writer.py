@@ -21,7 +21,7 @@ from ddic.io.replace_on_exit import NewFiles, replaced_together
 from ddic.io.residual_sidecar import write_sidecar
 from ddic.io.result_reader import Result, read_open_file
 from ddic.io.result_schema import FieldSpec
-from ddic.separated.separated_field import SeparatedField
+from ddic.separated.field import SeparatedField
 
 CHUNK_CACHE_BYTES = 64 << 20
 

@@ -15,7 +15,7 @@ from ddic.mesh.structured import build_structured_mesh, count_cells
 from ddic.mesh.topology import BOUNDARY
 from ddic.problem.mesh_source import NO_INNER_NODE, check_wavelength_fits
 from ddic.separated.band_sums import N_BANDS
-from ddic.separated.line_elements import LineElements
+from ddic.separated.field import LineElements
 from ddic.separated.separated_regularization import ControlledLines
 
 SMALLEST_ELEMENT = 1.0

@@ -20,8 +20,7 @@ from ddic.problem.rectangle import Rectangle, choose_controlled_lines
 from ddic.problem.region_mesh import build_material
 from ddic.problem.weighted_problem import ProblemSize, describe_cut_off
 from ddic.separated.band_sums import divide_rows
-from ddic.separated.corrections import Regularization, Scheme, StoppingRules
-from ddic.separated.noise_gain import OF_GAP, OF_TIKHONOV
+from ddic.separated.corrections import OF_GAP, OF_TIKHONOV, Regularization, Scheme, StoppingRules
 from ddic.separated.pixel_bands import FramePixels, ReferencePixels, count_usable, cut_bands
 from ddic.separated.separated_regularization import (
     SeparatedOperator,

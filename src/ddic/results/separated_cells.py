@@ -21,9 +21,8 @@ from ddic.parallel.team import Team
 from ddic.problem.cell_errors import CellErrors, CellResiduals, describe_doubtful_cells, find_cell_errors
 from ddic.problem.exclusions import KEPT, UNSEEN
 from ddic.results.nodal_strain import convert_to_six_components, describe_nodal_strains
-from ddic.separated.line_elements import LineElements
+from ddic.separated.field import LineElements, SeparatedField
 from ddic.separated.pixel_bands import ReferencePixels
-from ddic.separated.separated_field import SeparatedField
 
 Array = NDArray[np.float64]
 Rows = tuple[range, NDArray[np.float32]]

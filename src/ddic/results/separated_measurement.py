@@ -22,7 +22,7 @@ from ddic.results.residual_image import Patch, pack_chunks, stream_chunks
 from ddic.results.separated_cells import OutputCells, write_output_cells
 from ddic.results.separated_tables import write_separated_tables
 from ddic.separated.corrections import SeparatedSolution
-from ddic.separated.separated_field import SeparatedField
+from ddic.separated.field import SeparatedField
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.functionals.regularization import PHASES, Material, find_cut_off_weight
-from ddic.separated.diagonals import multiply, multiply_matrices, pad_diagonals, transpose
-from ddic.separated.line_elements import LineElements
+from ddic.separated.field import LineElements, multiply, multiply_matrices, pad_diagonals, transpose
 
 Array = NDArray[np.float64]
 

@@ -13,8 +13,7 @@ from ddic.parallel.team import require_held
 from ddic.problem.cameras import Frame, MeasuredCells
 from ddic.problem.rectangle import Rectangle
 from ddic.problem.separated_problem import SeparatedProblem
-from ddic.separated.line_elements import LineElements
-from ddic.separated.separated_field import SeparatedField, factorize_grid, scale_modes
+from ddic.separated.field import LineElements, SeparatedField, factorize_grid, scale_modes
 from ddic.start.coarse_displacement import KeptResult
 from ddic.start.coarse_field import CoarseSearch, describe_start, prepare_search
 from ddic.start.given_start import EarlierResult, GivenStart

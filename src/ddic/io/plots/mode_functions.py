@@ -7,7 +7,7 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure
 
 from ddic.io.plots.canvas import COLOURS
-from ddic.separated.separated_field import SeparatedField
+from ddic.separated.field import SeparatedField
 
 MOST = 5
 """Modes that are drawn, the largest ones; a larger value crowds the axes."""

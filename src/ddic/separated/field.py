@@ -1,16 +1,334 @@
-"""A displacement as a sum of products of functions of x and of y, Eq. (12) of [PP12]."""
+"""A displacement as a sum of products of functions of x and of y, Eq. (12) of [PP12].
+
+One-dimensional linear elements along a side of a rectangle, and the pixels that lie in them.
+
+Matrices of one-dimensional problems by their diagonals: entry [w + k, i] of (2 w + 1, n) couples i to i + k.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 
-from ddic.separated.diagonals import multiply
-from ddic.separated.line_elements import LineElements
+from ddic.errors import SingularSubdomainError
+from ddic.mesh.raster import SNAP
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class LineElements:
+    """Linear elements between nodes on a line.
+
+    A pixel centre belongs to the element that holds it, its lower end included, its upper end not: those of Q4 on the
+    same lines have the same pixels.
+
+    Attributes
+    ----------
+    nodes : (n_nodes,) array
+        Ascending, pixels.
+    """
+
+    nodes: Array
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of nodes."""
+        return len(self.nodes)
+
+    @property
+    def length(self) -> float:
+        """From the first node to the last, pixels."""
+        return float(self.nodes[-1] - self.nodes[0])
+
+    @cached_property
+    def pixels(self) -> range:
+        """Pixel centres between the first node and the last."""
+        ends = np.round(self.nodes[[0, -1]] * SNAP) / SNAP
+        first, stop = np.ceil(ends).astype(int)
+        return range(int(first), int(stop))
+
+    @cached_property
+    def _elements(self) -> NDArray[np.int64]:
+        """Element of each pixel, (n_pixels,)."""
+        snapped = np.round(self.nodes * SNAP) / SNAP
+        found = np.searchsorted(snapped, np.arange(self.pixels.start, self.pixels.stop), side="right") - 1
+        return np.clip(found, 0, self.n_nodes - 2).astype(np.int64)
+
+    @cached_property
+    def _shares(self) -> Array:
+        """Value of the upper node's function at each pixel, (n_pixels,); the lower one's is what is left to 1."""
+        places = np.arange(self.pixels.start, self.pixels.stop, dtype=float)
+        return np.asarray((places - self.nodes[self._elements]) / np.diff(self.nodes)[self._elements])
+
+    def count_pixels(self) -> NDArray[np.int64]:
+        """Count the pixels of each element.
+
+        Returns
+        -------
+        (n_nodes - 1,) int64 array
+            Along the line.
+        """
+        return np.bincount(self._elements, minlength=self.n_nodes - 1).astype(np.int64)
+
+    def evaluate_at_pixels(self, values: Array) -> Array:
+        """Evaluate functions at pixel centres.
+
+        Parameters
+        ----------
+        values : (..., n_nodes) array
+            At the nodes.
+
+        Returns
+        -------
+        (..., n_pixels) array
+            At the pixels.
+        """
+        lower = values[..., self._elements]
+        return np.asarray(lower + self._shares * (values[..., self._elements + 1] - lower))
+
+    def evaluate(self, values: Array, points: Array) -> Array:
+        """Evaluate functions anywhere.
+
+        Parameters
+        ----------
+        values : (..., n_nodes) array
+            At the nodes.
+        points : (n,) array
+            Pixels; beyond the ends a function keeps the value of the end.
+
+        Returns
+        -------
+        (..., n) array
+            At the points.
+        """
+        places = np.clip(points, self.nodes[0], self.nodes[-1])
+        elements = np.clip(np.searchsorted(self.nodes, places, side="right") - 1, 0, self.n_nodes - 2)
+        shares = (places - self.nodes[elements]) / np.diff(self.nodes)[elements]
+        lower = values[..., elements]
+        return np.asarray(lower + shares * (values[..., elements + 1] - lower))
+
+    def sum_at_nodes(self, of_pixels: Array) -> Array:
+        """Sum per-pixel numbers against the shape functions.
+
+        Parameters
+        ----------
+        of_pixels : (n_pixels,) array
+            Any unit.
+
+        Returns
+        -------
+        (n_nodes,) array
+            N^T of_pixels.
+        """
+        upper = of_pixels * self._shares
+        return self._sum_by_node(of_pixels - upper, 0) + self._sum_by_node(upper, 1)
+
+    def assemble(self, weights: Array) -> Array:
+        """Assemble N^T diag(weights) N.
+
+        Parameters
+        ----------
+        weights : (n_pixels,) array
+            Any unit.
+
+        Returns
+        -------
+        (3, n_nodes) array
+            Its diagonals: entry [1 + k, i] couples node i to node i + k.
+        """
+        upper, lower = self._shares, 1.0 - self._shares
+        bands = np.zeros((3, self.n_nodes))
+        bands[1] = self._sum_by_node(weights * lower**2, 0) + self._sum_by_node(weights * upper**2, 1)
+        coupled = self._sum_by_node(weights * lower * upper, 0)
+        bands[2] = coupled
+        bands[0, 1:] = coupled[:-1]
+        return bands
+
+    def _sum_by_node(self, of_pixels: Array, end: int) -> Array:
+        """Sums over pixels at the lower (0) or upper (1) node of their element, (n_nodes,)."""
+        summed = np.bincount(self._elements + end, weights=of_pixels, minlength=self.n_nodes)
+        return np.asarray(summed, dtype=np.float64)
+
+    @cached_property
+    def mass(self) -> Array:
+        """Integrals of N_i N_j over the line, as diagonals (3, n_nodes), pixels."""
+        h = np.diff(self.nodes)
+        return self._assemble_elements(h / 3.0, h / 6.0, h / 6.0, h / 3.0)
+
+    @cached_property
+    def stiffness(self) -> Array:
+        """Integrals of N_i' N_j', as diagonals (3, n_nodes), 1 / pixels."""
+        inverse = 1.0 / np.diff(self.nodes)
+        return self._assemble_elements(inverse, -inverse, -inverse, inverse)
+
+    @cached_property
+    def mixed(self) -> Array:
+        """Integrals of N_i' N_j, as diagonals (3, n_nodes), no unit."""
+        half = np.full(self.n_nodes - 1, 0.5)
+        return self._assemble_elements(-half, -half, half, half)
+
+    def _assemble_elements(self, lower: Array, above: Array, below: Array, upper: Array) -> Array:
+        """Diagonals from the entries (lower, lower), (lower, upper), (upper, lower), (upper, upper) of elements."""
+        bands = np.zeros((3, self.n_nodes))
+        bands[1, :-1] += lower
+        bands[1, 1:] += upper
+        bands[2, :-1] = above
+        bands[0, 1:] = below
+        return bands
+
+
+def multiply(bands: Array, vectors: Array) -> Array:
+    """Multiply matrices by vectors.
+
+    Parameters
+    ----------
+    bands : (..., 2 w + 1, n) array
+        Matrices.
+    vectors : (..., n) array
+        Vectors, of leading axes that broadcast with the matrices'.
+
+    Returns
+    -------
+    (..., n) array
+        Products.
+    """
+    width, n = bands.shape[-2] // 2, bands.shape[-1]
+    product = bands[..., width, :] * vectors
+    for k in range(1, min(width, n - 1) + 1):
+        product[..., :-k] += bands[..., width + k, :-k] * vectors[..., k:]
+        product[..., k:] += bands[..., width - k, k:] * vectors[..., :-k]
+    return np.asarray(product)
+
+
+def multiply_matrices(left: Array, right: Array) -> Array:
+    """Multiply two matrices.
+
+    Parameters
+    ----------
+    left, right : (2 w + 1, n) array
+        Of one width w or two.
+
+    Returns
+    -------
+    (2 (w + w') + 1, n) array
+        left right.
+    """
+    of_left, of_right, n = len(left) // 2, len(right) // 2, left.shape[1]
+    width = of_left + of_right
+    product = np.zeros((2 * width + 1, n))
+    for k in range(-of_left, of_left + 1):
+        for m in range(-of_right, of_right + 1):
+            rows = np.arange(max(0, -k, -k - m), min(n, n - k, n - k - m))
+            product[width + k + m, rows] += left[of_left + k, rows] * right[of_right + m, rows + k]
+    return product
+
+
+def transpose(bands: Array) -> Array:
+    """Transpose a matrix.
+
+    Parameters
+    ----------
+    bands : (2 w + 1, n) array
+        A matrix.
+
+    Returns
+    -------
+    (2 w + 1, n) array
+        Its transpose.
+    """
+    width, n = len(bands) // 2, bands.shape[1]
+    turned = np.zeros_like(bands)
+    for k in range(-width, width + 1):
+        rows = np.arange(max(0, -k), min(n, n - k))
+        turned[width - k, rows + k] = bands[width + k, rows]
+    return turned
+
+
+def pad_diagonals(bands: Array, width: int) -> Array:
+    """Add empty diagonals.
+
+    Parameters
+    ----------
+    bands : (..., 2 w + 1, n) array
+        Matrices.
+    width : int
+        At least w.
+
+    Returns
+    -------
+    (..., 2 width + 1, n) array
+        The same matrices.
+    """
+    more = width - bands.shape[-2] // 2
+    if not more:
+        return bands
+    return np.pad(bands, [(0, 0)] * (bands.ndim - 2) + [(more, more), (0, 0)])
+
+
+def solve_coupled(blocks: Array, right: Array, what: str) -> Array:
+    """Solve a symmetric positive definite system of several coupled functions along one direction.
+
+    Parameters
+    ----------
+    blocks : (m, m, 2 w + 1, n) array
+        Of functions c and d, the matrix that couples them.
+    right : (m, n) array
+        Right-hand sides.
+    what : str
+        Names the system in the message.
+
+    Returns
+    -------
+    (m, n) array
+        The functions at the nodes.
+
+    Raises
+    ------
+    SingularSubdomainError
+        Where the matrix is not positive definite.
+    """
+    m, width, n = len(blocks), blocks.shape[2] // 2, blocks.shape[3]
+    # Function c of node i has the number m i + c; upper form of LAPACK.
+    reach = m * width + m - 1
+    upper = np.zeros((reach + 1, n, m))
+    for k in range(width + 1):
+        for c in range(m):
+            for d in range(c if k == 0 else 0, m):
+                upper[reach - (m * k + d - c), k:, d] = blocks[c, d, width + k, :n - k]
+    try:
+        solution = linalg.solveh_banded(upper.reshape(reach + 1, n * m), right.T.ravel(), overwrite_ab=True,
+                                        check_finite=False)
+    except linalg.LinAlgError as error:
+        raise SingularSubdomainError(f"{what}: the images do not determine its functions; use larger elements, or "
+                                     "[regularization]") from error
+    return np.ascontiguousarray(solution.reshape(n, m).T)
+
+
+def add_up(bands: Sequence[Array]) -> Array:
+    """Add matrices of different widths.
+
+    Parameters
+    ----------
+    bands : sequence of (..., 2 w + 1, n) array
+        At least one.
+
+    Returns
+    -------
+    (..., 2 w + 1, n) array
+        Their sum, as wide as the widest.
+    """
+    width = max(matrix.shape[-2] // 2 for matrix in bands)
+    total = pad_diagonals(bands[0], width)
+    for matrix in bands[1:]:
+        total = total + pad_diagonals(matrix, width)
+    return total
+
 
 _TINY = 1e-300
 """A norm below any that is not 0."""
