@@ -215,7 +215,7 @@ def _compare(pair: Pair, side: int) -> dict[str, float]:
 
 def save_comparison(sides: tuple[int, ...], found: dict[str, list[dict[str, float]]]) -> None:
     """Draw times and differences by size of the region, as Fig. 17 of [PP12], to bench/results/pgd_against_dual.png."""
-    from ddic.io.plots.canvas import save_figure
+    from ddic.plots.canvas import save_figure
 
     RESULTS.mkdir(parents=True, exist_ok=True)
     save_figure(draw_comparison(sides, found), RESULTS / "pgd_against_dual.png")

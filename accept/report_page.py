@@ -12,8 +12,8 @@ from accept.support.browser import WIDTH, ShownPage, find_browser, show_page
 from accept.table import Scale
 from bench.support.rows import Row
 from bench.support.runs import NotHereError, ddic, ddic_run, images
-from ddic.io.plots.page_text import POINTS_AN_INCH, find_clipped_texts
 from ddic.io.result_reader import read_result
+from ddic.plots.canvas import POINTS_AN_INCH, find_clipped_texts
 from ddic.report.gathered import gather_all
 from ddic.report.report_pictures import DPI, draw_report_figures
 from ddic.report.worst_places import find_worst_places

@@ -25,8 +25,8 @@ MOST_ADDRESSES = 6 << 30
 """Bytes of address space: what asks for more fails in this process and does not fill the machine."""
 
 PR_SET_PDEATHSIG = 1
-IMPORTED_LATER = ("ddic.problem.check_inputs", "ddic.io.plots.strain_map", "ddic.report.write_report",
-                  "ddic.methods.run_case", "ddic.io.plots.canvas")
+IMPORTED_LATER = ("ddic.problem.check_inputs", "ddic.plots.maps", "ddic.report.write_report",
+                  "ddic.methods.run_case", "ddic.plots.canvas")
 """What commands import when they are called: no command's time holds it."""
 
 STDOUT, STDERR = "stdout", "stderr"

@@ -9,8 +9,7 @@ import pytest
 
 from ddic.errors import InputError
 from ddic.io import background_writer
-from ddic.io.background_writer import BackgroundWriter
-from ddic.io.read_ahead import ReadAhead
+from ddic.io.series_folder import BackgroundWriter, ReadAhead
 
 
 def test_files_are_whole_and_none_is_lost(tmp_path: Path) -> None:

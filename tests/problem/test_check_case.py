@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from ddic.case.loader import load_case
 from ddic.cli.check import check
 from ddic.errors import InputError
-from ddic.io.partition_file import read_partition
+from ddic.io.text_files import read_partition
 from ddic.problem.check_inputs import check_case
 from ddic.problem.check_report import CheckReport
 from ddic.problem.mesh_source import build_mesh

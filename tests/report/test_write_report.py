@@ -22,8 +22,8 @@ from ddic.errors import ConvergenceError
 from ddic.images.binned import BLUR_NOTE
 from ddic.images.grey_levels import measure_feature_size
 from ddic.io.image_file import open_image
-from ddic.io.plots.page_text import find_clipped_texts
 from ddic.io.result_reader import read_result
+from ddic.plots.canvas import find_clipped_texts
 from ddic.report.gathered import gather_all
 from ddic.report.report_pictures import draw_report_figures
 from ddic.report.stated_images import OF_SETUP

@@ -16,7 +16,7 @@ from ddic.images.binned import ArraySource
 from ddic.images.grey_levels import check_finite, find_saturation
 from ddic.images.source import ImageSource
 from ddic.images.sub_image import MaskedSource
-from ddic.io.mask_file import read_mask
+from ddic.io.image_file import read_mask
 from ddic.parallel.team import Team
 from ddic.problem.cameras import open_on_all_ranks
 

@@ -15,9 +15,8 @@ from ddic.case.messages import describe, remove_kinds
 from ddic.case.schema import Case, OutputSection
 from ddic.case.sections import Location, find_section_in
 from ddic.errors import InputError
-from ddic.io.file_stamps import FileStamps
-from ddic.io.input_file import as_path, find_real_path, is_readable_file
-from ddic.io.toml_file import parse_toml, read_text
+from ddic.io.input_file import FileStamps, as_path, find_real_path, is_readable_file
+from ddic.io.text_files import parse_toml, read_text
 from ddic.mesh.mesh import Mesh
 from ddic.partition.ties import Tying
 

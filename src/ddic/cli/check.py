@@ -63,9 +63,9 @@ def _check_drawing(drawing: Path) -> None:
 def _draw(case: Case, drawing: Path) -> None:
     """Draw the mesh of a case that was found fit."""
     from ddic.io.image_file import open_image
-    from ddic.io.plots.canvas import save_figure
-    from ddic.io.plots.mesh_preview import draw_mesh_preview
-    from ddic.io.plots.preview import read_preview
+    from ddic.plots.canvas import save_figure
+    from ddic.plots.maps import read_preview
+    from ddic.plots.partition import draw_mesh_preview
     from ddic.problem.cut_region import list_discontinuities
 
     reference = open_image(case.images.reference)

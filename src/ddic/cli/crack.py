@@ -33,7 +33,7 @@ def crack(file: Path, frame: int | None, line: int, tip: tuple[float, float] | N
     """Find the tip of a crack on the straight end of its line, K_I, K_II and T, by a fit of Williams' series."""
     # Imported here because HDF5 is not needed by --help.
     from ddic.fracture.crack_tip import Ring, find_crack_tip
-    from ddic.io.frame_of_series import read_frame
+    from ddic.io.series_reader import read_frame
 
     with errors_as_lines():
         with warnings_as_lines():

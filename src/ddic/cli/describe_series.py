@@ -30,7 +30,7 @@ def describe_frames(series: SeriesResult) -> list[tuple[str, str]]:
         Names and values.
     """
     # Imported here because HDF5 is not needed by --help.
-    from ddic.io.series_displacement import find_displacement_range
+    from ddic.io.series_reader import find_displacement_range
 
     times = [float(record["time"]) for record in series.records]
     n_failed = len(series.records) - len(series)

@@ -22,7 +22,7 @@ def export(file: Path, frame: int | None, table: Path | None) -> None:
     """Write all fields of a result as two CSV tables, a row for each node and for each cell, units in the headers."""
     # Imported here because HDF5 is not needed by --help.
     from ddic.case.own_outputs import CELLS, NODES, require_own_output
-    from ddic.io.frame_of_series import read_frame
+    from ddic.io.series_reader import read_frame
     from ddic.probes.field_tables import list_field_tables, write_field_tables
 
     of_frame = "" if frame is None else f".frame_{frame}"

@@ -45,9 +45,8 @@ def _format(lines: Lines) -> list[str]:
 def _describe(file: Path, frame: int | None) -> list[str]:
     # Imported here because HDF5 and OpenCV are not needed by --help.
     """What a file holds, in lines."""
-    from ddic.io.frame_of_series import read_frame
     from ddic.io.input_file import require_file
-    from ddic.io.series_reader import is_series_file, read_series
+    from ddic.io.series_reader import is_series_file, read_frame, read_series
 
     require_file(file, "file")
     if not _is_hdf5(file):

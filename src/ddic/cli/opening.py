@@ -31,8 +31,8 @@ def opening(file: Path, frame: int | None, output: Path | None) -> None:
 
     from ddic.case.own_outputs import OPENINGS, require_own_output
     from ddic.fracture.line_opening import measure_openings
-    from ddic.io.frame_of_series import read_frame
     from ddic.io.replace_on_exit import replaced_on_exit
+    from ddic.io.series_reader import read_frame
 
     of_frame = "" if frame is None else f".frame_{frame}"
     target = file.parent / f"{file.stem}{of_frame}.opening.csv" if output is None else output

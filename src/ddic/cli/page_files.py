@@ -69,7 +69,7 @@ def choose_ending(asked: str | None, *, animate: bool) -> str:
     InputError
         Where the one that is asked for does not fit, or there is no program for it.
     """
-    from ddic.io.plots.animation import require_writer
+    from ddic.plots.series import require_writer
 
     fitting = MOVING if animate else FORMATS
     if asked is not None and asked not in fitting:

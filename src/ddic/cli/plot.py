@@ -19,11 +19,10 @@ from ddic.errors import InputError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from ddic.io.plots.length_unit import LengthUnit
-    from ddic.io.plots.preview import Preview
-    from ddic.io.plots.strain_map import StrainChoice
     from ddic.io.result_reader import Result
     from ddic.io.series_reader import SeriesResult
+    from ddic.plots.canvas import LengthUnit
+    from ddic.plots.maps import Preview, StrainChoice
     from ddic.separated.field import SeparatedField
 
 KINDS = ("partition", "deformed", "displacement", "strain", "residual", "signed-residual", "difference", "krylov",
@@ -101,11 +100,10 @@ def plot(file: Path, kind: str, frame: int | None, animate: bool, fps: float,
     Of a series: curves over time, a frame by its number (FILE.frame_N.KIND.png), or an animation (FILE.KIND.gif).
     """
     # Imported here because matplotlib is not needed by --help.
-    from ddic.io.frame_of_series import read_frame
-    from ddic.io.made_folder import made_folder
-    from ddic.io.plots.length_unit import find_length_unit
-    from ddic.io.plots.strain_map import StrainChoice
-    from ddic.io.series_reader import is_series_file, read_series
+    from ddic.io.replace_on_exit import made_folder
+    from ddic.io.series_reader import is_series_file, read_frame, read_series
+    from ddic.plots.canvas import find_length_unit
+    from ddic.plots.maps import StrainChoice
 
     folder = file.parent if output is None else output
     with errors_as_lines(folder):
@@ -135,16 +133,15 @@ def plot(file: Path, kind: str, frame: int | None, animate: bool, fps: float,
 
 def _read_other(path: Path, frame: int | None) -> Result:
     """The result that is compared with: of a series the same frame."""
-    from ddic.io.frame_of_series import read_frame
-    from ddic.io.series_reader import is_series_file
+    from ddic.io.series_reader import is_series_file, read_frame
 
     return read_frame(path, frame if is_series_file(path) else None)
 
 
 def _caption(file: Path, frame: int | None) -> tuple[list[str], str]:
     """What names and pages of a frame hold beside those of a pair."""
-    from ddic.io.plots.frame_caption import format_caption
     from ddic.io.series_reader import read_series
+    from ddic.plots.canvas import format_caption
 
     if frame is None:
         return [], ""
@@ -155,10 +152,8 @@ def _caption(file: Path, frame: int | None) -> tuple[list[str], str]:
 def _plot_one(kinds: list[str], drawing: _Drawing, pages: PageFiles, caption: tuple[list[str], str]) -> None:
     """Pictures of one result."""
     from ddic.case.own_outputs import PICTURE, require_own_output
-    from ddic.io.plots.canvas import save_figure
-    from ddic.io.plots.failure_mark import draw_failures
-    from ddic.io.plots.frame_caption import draw_caption
     from ddic.io.replace_on_exit import replaced_together
+    from ddic.plots.canvas import draw_caption, draw_failures, save_figure
 
     words, line = caption
     targets = [pages.to_path(*words, name) for name in kinds]
@@ -178,7 +173,7 @@ def _plot_one(kinds: list[str], drawing: _Drawing, pages: PageFiles, caption: tu
 def _animate(series: SeriesResult, kind: str, drawing: _Drawing, pages: PageFiles, fps: float) -> None:
     """An animation of one kind."""
     from ddic.case.own_outputs import PICTURE, require_own_output
-    from ddic.io.plots.animation import write_animation
+    from ddic.plots.series import write_animation
 
     target = pages.to_path(kind)
     require_own_output(target, PICTURE, drawing.files)
@@ -241,7 +236,7 @@ def _has_curves(result: Result) -> bool:
 def _reference(result: Result, image: Path | None) -> Preview | None:
     """The image that is drawn below; None where it is no longer there."""
     from ddic.io.image_file import open_image
-    from ddic.io.plots.preview import read_preview
+    from ddic.plots.maps import read_preview
 
     if image is None:
         named = str(result.attributes.get("provenance", {}).get("reference_path", ""))
@@ -256,16 +251,12 @@ def _reference(result: Result, image: Path | None) -> Preview | None:
 
 def _figure(kind: str, drawing: _Drawing) -> Figure:
     """One figure, by its kind; a difference is asked for only where there is another result."""
-    from ddic.io.plots.camera_fields import draw_near_far
-    from ddic.io.plots.correction_curves import draw_corrections
-    from ddic.io.plots.deformed import draw_deformed
-    from ddic.io.plots.difference import draw_difference
-    from ddic.io.plots.line_curves import draw_line
-    from ddic.io.plots.mode_functions import draw_modes
-    from ddic.io.plots.nodal_map import draw_displacement
-    from ddic.io.plots.partition import draw_partition
-    from ddic.io.plots.residual import draw_residual
-    from ddic.io.plots.strain_map import draw_strain
+    from ddic.plots.cameras import draw_near_far
+    from ddic.plots.curves import draw_corrections, draw_line, draw_modes
+    from ddic.plots.deformed import draw_deformed
+    from ddic.plots.maps import draw_difference, draw_displacement, draw_strain
+    from ddic.plots.partition import draw_partition
+    from ddic.plots.residual import draw_residual
 
     result, preview, component = drawing.result, drawing.preview, drawing.component
     unit, scale = drawing.unit, drawing.scale
@@ -306,7 +297,7 @@ def _get_separated(result: Result) -> SeparatedField:
 
 def _draw_krylov(result: Result, other: Result | None) -> Figure:
     """Convergence of one result or two."""
-    from ddic.io.plots.krylov import draw_krylov
+    from ddic.plots.curves import draw_krylov
 
     results = [one for one in (result, other) if one is not None and _has_curves(one)]
     return draw_krylov({_label(one, results): one.krylov for one in results})
@@ -315,7 +306,7 @@ def _draw_krylov(result: Result, other: Result | None) -> Figure:
 def _draw_opening(result: Result, unit: LengthUnit) -> Figure:
     """Opening of all lines."""
     from ddic.fracture.line_opening import measure_openings
-    from ddic.io.plots.opening_curves import draw_opening
+    from ddic.plots.curves import draw_opening
 
     found = measure_openings(result)
     return draw_opening({f"line {number}": (unit.size * of_line.distance, unit.size * of_line.tangential,

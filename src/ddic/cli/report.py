@@ -25,7 +25,7 @@ def report(file: Path, image: Path | None, frame: int | None, output: Path | Non
     """
     # Imported here because matplotlib is not needed by --help.
     from ddic.case.own_outputs import PAGE, require_own_output
-    from ddic.io.frame_of_series import read_frame_or_last
+    from ddic.io.series_reader import read_frame_or_last
     from ddic.report.write_report import write_report
 
     target = file.parent / f"{file.stem}.report.html" if output is None else output

@@ -85,10 +85,9 @@ def _try_all(team: Team, case_file: Path, lengths: list[float] | None, elements:
 
 def _write(found: Sweep, folder: Path, stem: str) -> list[str]:
     """Write table and figure; returns the lines that say what was found and where it is."""
-    from ddic.io.made_folder import made_folder
-    from ddic.io.plots.canvas import save_figure
-    from ddic.io.plots.sweep_curves import draw_sweep
-    from ddic.io.replace_on_exit import replaced_together
+    from ddic.io.replace_on_exit import made_folder, replaced_together
+    from ddic.plots.canvas import save_figure
+    from ddic.plots.sweep import draw_sweep
     from ddic.results.sweep_table import collect_by_size, list_failures, write_sweep
 
     table, figure = _list_outputs(folder, stem)

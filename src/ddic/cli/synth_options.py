@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 import click
 
 from ddic.errors import InputError, WriteError, is_disk_failure
-from ddic.io.image_header import MOST_PIXELS_ALONG
+from ddic.io.image_formats import MOST_PIXELS_ALONG
 
 if TYPE_CHECKING:
     from ddic.io.replace_on_exit import NewFiles
@@ -128,9 +128,8 @@ def write_images(folder: Path, names: Sequence[str], record: dict[str, Any],
     WriteError
         Where the disk does not take the files.
     """
-    from ddic.io.json_file import write_json
-    from ddic.io.made_folder import made_folder
-    from ddic.io.replace_on_exit import replaced_together
+    from ddic.io.replace_on_exit import made_folder, replaced_together
+    from ddic.io.text_files import write_json
 
     truth = folder / "truth.json"
     paths = [*(folder / name for name in names), truth]
@@ -151,7 +150,7 @@ def write_images(folder: Path, names: Sequence[str], record: dict[str, Any],
 def _require_free(paths: Sequence[Path], record: dict[str, Any]) -> None:
     """Raise InputError where a file is there, unless all are of an earlier command like this one, and no case's."""
     from ddic.case.own_outputs import require_no_input
-    from ddic.io.json_file import convert_to_json
+    from ddic.io.text_files import convert_to_json
 
     taken = [path for path in paths if os.path.lexists(path)]
     if not taken:

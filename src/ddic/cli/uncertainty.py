@@ -39,10 +39,9 @@ def uncertainty(case_file: Path, sizes: str, displacements: int, noise: float, o
     from ddic.case.own_outputs import PICTURE, UNCERTAINTY, require_own_output
     from ddic.images.window import Window
     from ddic.io.image_file import open_image
-    from ddic.io.made_folder import made_folder
-    from ddic.io.plots.canvas import save_figure
-    from ddic.io.plots.uncertainty_curves import draw_uncertainty
-    from ddic.io.replace_on_exit import replaced_together
+    from ddic.io.replace_on_exit import made_folder, replaced_together
+    from ddic.plots.canvas import save_figure
+    from ddic.plots.curves import draw_uncertainty
     from ddic.problem.check_output import list_inputs
 
     folder = case_file.parent if output is None else output

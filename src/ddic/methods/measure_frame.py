@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 
 from ddic.case.frame_files import list_times
 from ddic.errors import DdicError, is_collective
-from ddic.io.background_writer import BackgroundWriter
-from ddic.io.series_folder import SeriesFolder
+from ddic.io.series_folder import BackgroundWriter, SeriesFolder
 from ddic.methods.detect import add_notes, measure_and_look
 from ddic.methods.frame_starts import SEARCH, KnownFrameStart, choose_known_start, measure_from
 from ddic.methods.reference_session import ReferenceSession, place_lines

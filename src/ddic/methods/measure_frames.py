@@ -5,8 +5,7 @@ from __future__ import annotations
 from contextlib import ExitStack
 from dataclasses import replace
 
-from ddic.io.background_writer import BackgroundWriter
-from ddic.io.read_ahead import ReadAhead
+from ddic.io.series_folder import BackgroundWriter, ReadAhead
 from ddic.methods.frames_so_far import FramesSoFar
 from ddic.methods.measure_frame import keep_frame
 from ddic.methods.reference_session import ReferenceSession

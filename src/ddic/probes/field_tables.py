@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.io import result_schema as schema
-from ddic.io.plots.length_unit import find_length_unit
 from ddic.io.replace_on_exit import replaced_together
 from ddic.io.result_reader import Result
+from ddic.plots.canvas import find_length_unit
 
 VECTOR_NAMES = ("x", "y")
 TENSOR_NAMES = {"xx": 0, "yy": 1, "xy": 3}

@@ -10,7 +10,7 @@ from typing import Any
 
 from ddic.errors import InputError
 from ddic.io.input_file import as_path
-from ddic.io.toml_file import parse_toml, read_text
+from ddic.io.text_files import parse_toml, read_text
 from ddic.probes.probe_kinds import KINDS, Extensometer, LineProbe, PointProbe, Probe, StrainGauge
 
 CLASSES: dict[str, type[Probe]] = {name: kind for kind, name in KINDS.items()}

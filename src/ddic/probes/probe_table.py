@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.io import result_schema as schema
-from ddic.io.plots.length_unit import LengthUnit, find_length_unit
 from ddic.io.replace_on_exit import replaced_on_exit
 from ddic.io.result_reader import Result
+from ddic.plots.canvas import LengthUnit, find_length_unit
 from ddic.probes.metrology import Metrology, estimate_metrology
 from ddic.probes.probe_kinds import KINDS, LineProbe, PointProbe, Probe
 from ddic.probes.read_probe import Measure, Reading, measure_probe

@@ -24,9 +24,8 @@ from ddic.images.grey_levels import (
 from ddic.images.source import ImageSource
 from ddic.images.sub_image import MaskedSource
 from ddic.images.window import Window
-from ddic.io.image_file import ImageFile, hold_image
-from ddic.io.mask_file import read_mask
-from ddic.io.tiff_file import can_decode, is_tiff, read_tiff_format
+from ddic.io.image_file import ImageFile, hold_image, read_mask
+from ddic.io.image_formats import can_decode, is_tiff, read_tiff_format
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_cell_size
 from ddic.mesh.raster import rasterize

@@ -17,8 +17,8 @@ from ddic.case.unused_keys import list_unused_keys
 from ddic.errors import InputError
 from ddic.images.source import ImageSource
 from ddic.io.damaged_result import require_known_displacement
-from ddic.io.file_stamps import FileStamps
-from ddic.io.frame_of_series import read_frame_or_last
+from ddic.io.input_file import FileStamps
+from ddic.io.series_reader import read_frame_or_last
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
 from ddic.partition.ties import Tying

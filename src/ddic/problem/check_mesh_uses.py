@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case
 from ddic.errors import InputError
-from ddic.io.partition_file import read_partition
+from ddic.io.text_files import read_partition
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_cell_size
 from ddic.mesh.raster import rasterize

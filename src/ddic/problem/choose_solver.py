@@ -7,7 +7,7 @@ from dataclasses import replace
 from math import ceil
 
 from ddic.case.schema import SolverSection
-from ddic.io.partition_file import read_partition
+from ddic.io.text_files import read_partition
 from ddic.mesh.quality import measure_cell_size
 from ddic.parallel.node import measure_available_memory
 from ddic.parallel.team import Team, require_held

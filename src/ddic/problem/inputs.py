@@ -19,7 +19,7 @@ from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case
 from ddic.errors import DdicError, InputError, as_collective, is_collective
 from ddic.images.source import ImageSource
-from ddic.io.file_stamps import FileStamps
+from ddic.io.input_file import FileStamps
 from ddic.kinematics.kinematics import RegionKinematics
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.repair import check_inside

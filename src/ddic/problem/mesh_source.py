@@ -10,7 +10,7 @@ import numpy as np
 
 from ddic.case.schema import Case, MappingSection, MeshSection, StructuredSection
 from ddic.errors import InputError
-from ddic.io.mask_file import read_mask
+from ddic.io.image_file import read_mask
 from ddic.io.mesh_file import read_mesh
 from ddic.mesh.holes import OutlinedHole, find_mask_holes
 from ddic.mesh.mesh import Mesh, Similarity

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ddic.case.schema import RegularizationSection, SolverSection
 from ddic.errors import InputError
 from ddic.functionals.regularization import Material, measure_gap_energies
-from ddic.io.partition_file import read_partition
+from ddic.io.text_files import read_partition
 from ddic.kinematics.kinematics import RegionKinematics
 from ddic.kinematics.linear import TiedRegion
 from ddic.kinematics.nodal import NodalRegion

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ddic.case.schema import StartSection
 from ddic.errors import InputError
-from ddic.io.point_table import read_point_table
+from ddic.io.text_files import read_point_table
 from ddic.mesh.interpolation import locate
 from ddic.mesh.mesh import Mesh
 

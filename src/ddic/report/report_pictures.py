@@ -12,19 +12,20 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ddic.io import result_schema as schema
-from ddic.io.plots.correction_curves import draw_corrections
-from ddic.io.plots.deformed import draw_deformed
-from ddic.io.plots.failure_mark import draw_failures
-from ddic.io.plots.histograms import draw_grey_histogram, draw_residual_histogram
-from ddic.io.plots.iteration_curves import draw_iterations
-from ddic.io.plots.krylov import draw_krylov
-from ddic.io.plots.length_unit import find_length_unit
-from ddic.io.plots.marked_places import draw_marks
-from ddic.io.plots.nodal_map import draw_displacement
-from ddic.io.plots.preview import Preview, read_preview
-from ddic.io.plots.residual import draw_residual
-from ddic.io.plots.strain_map import StrainChoice, draw_strain, pick_number, pick_tensors
 from ddic.io.result_reader import Result
+from ddic.plots.canvas import draw_failures, draw_marks, find_length_unit
+from ddic.plots.curves import draw_corrections, draw_iterations, draw_krylov
+from ddic.plots.deformed import draw_deformed
+from ddic.plots.maps import (
+    Preview,
+    StrainChoice,
+    draw_displacement,
+    draw_strain,
+    pick_number,
+    pick_tensors,
+    read_preview,
+)
+from ddic.plots.residual import draw_grey_histogram, draw_residual, draw_residual_histogram
 from ddic.report.gathered import Gathered
 from ddic.report.worst_places import WorstPlace
 

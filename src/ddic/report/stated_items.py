@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from ddic.io import result_schema as schema
-from ddic.io.plots.length_unit import find_length_unit
 from ddic.mesh.quality import measure_covered_areas
+from ddic.plots.canvas import find_length_unit
 from ddic.probes.displacement_chain import find_chain
 from ddic.probes.metrology import Metrology, estimate_metrology
 from ddic.probes.probe_kinds import PointProbe

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ddic.functionals.correlation import Band, Residual
 from ddic.functionals.view import FrameView
-from ddic.io.image_chunks import ChunkGrid
+from ddic.io.hdf5_stream import ChunkGrid
 from ddic.io.result_writer import ResultWriter
 from ddic.parallel.team import require_held
 from ddic.problem.cameras import Camera

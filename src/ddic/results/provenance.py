@@ -17,7 +17,7 @@ import petsc4py.PETSc
 from ddic.images.source import ImageSource
 from ddic.images.window import Window
 from ddic.io.image_file import compute_sha256
-from ddic.io.source_tree import find_source_commit
+from ddic.io.input_file import find_source_commit
 from ddic.version import __version__
 
 _LIBRARIES = ("numpy", "scipy", "numba", "h5py", "mpi4py", "petsc4py")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.images.window import Window
-from ddic.io.image_chunks import ChunkGrid, pack_chunk
+from ddic.io.hdf5_stream import ChunkGrid, pack_chunk
 from ddic.parallel.distribution import stream_to_root
 from ddic.parallel.team import Team
 

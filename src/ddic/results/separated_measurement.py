@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.images.window import Window
 from ddic.io import result_schema as schema
-from ddic.io.image_chunks import ChunkGrid
+from ddic.io.hdf5_stream import ChunkGrid
 from ddic.io.result_writer import ResultWriter
 from ddic.parallel.team import Team, require_held
 from ddic.problem.cameras import Camera, Frame

@@ -8,9 +8,8 @@ import numpy as np
 
 from ddic.errors import ConvergenceError, DdicError, is_collective
 from ddic.io import result_schema as schema
-from ddic.io.background_writer import BackgroundWriter
 from ddic.io.result_writer import ResultWriter
-from ddic.io.series_folder import SeriesFolder
+from ddic.io.series_folder import BackgroundWriter, SeriesFolder
 from ddic.parallel.team import Team, require_held
 from ddic.results.frame_states import MeasuredState
 from ddic.results.measurement import Measurement

@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ddic.io.json_file import convert_to_json, write_json
 from ddic.io.replace_on_exit import NewFiles
+from ddic.io.text_files import convert_to_json, write_json
 
 Vertices = tuple[tuple[float, float], ...]
 

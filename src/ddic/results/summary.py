@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from ddic.functionals.regularization import HalfAmplitudes
-from ddic.io.json_file import write_json
 from ddic.io.replace_on_exit import NewFiles
+from ddic.io.text_files import write_json
 from ddic.parallel.phases import Phase
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.io.plots.sweep_curves import SweptElements
 from ddic.io.replace_on_exit import NewFiles, begin_files
+from ddic.plots.sweep import SweptElements
 from ddic.results.sweep_trials import Sweep, Trial
 
 COLUMNS = ("element size [px]", "l_c [px]", "residual [grey levels]", "gap [1/px]", "degrees of freedom",

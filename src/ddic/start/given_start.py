@@ -15,9 +15,9 @@ from ddic.case.schema import StartSection
 from ddic.errors import InputError
 from ddic.functionals.regularization import Material, assemble_stiffness
 from ddic.io.damaged_result import require_known_displacement
-from ddic.io.frame_of_series import read_frame_or_last
 from ddic.io.result_reader import SAME_NODE_PX, Result, evaluate_on_sides
 from ddic.io.result_schema import near_group
+from ddic.io.series_reader import read_frame_or_last
 from ddic.kinematics.enriched import Discontinuities
 from ddic.mesh.cut_mesh import cut_mesh, find_points_on_own_side
 from ddic.mesh.interpolation import locate

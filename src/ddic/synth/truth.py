@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.images.camera import CameraMapping
-from ddic.io.json_file import write_json
+from ddic.io.text_files import write_json
 from ddic.synth.fields import Affine, Bending, DisplacementField, Kirsch, Sinusoidal, Sum, Translation
 from ddic.synth.near_far_scene import NearFarScene, SetUpMotion
 from ddic.synth.render import Picture, Scene

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from ddic.io.plots.canvas import COLOURS
+from ddic.plots.canvas import COLOURS
 
 Array = NDArray[np.float64]
 

@@ -11,10 +11,15 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ddic.errors import InputError
-from ddic.io.plots.canvas import (
+from ddic.io.result_reader import Result
+from ddic.kinematics.strain import count_folded_cells, find_largest_gradient, project_rigid_motion_out
+from ddic.mesh.mesh import Mesh
+from ddic.plots.canvas import (
     MOST_SHARP_CELLS,
+    PIXELS,
     Bounds,
     Component,
+    LengthUnit,
     Limits,
     add_colour_bar,
     choose_limits,
@@ -25,10 +30,6 @@ from ddic.io.plots.canvas import (
     make_image_figure,
     pick_component,
 )
-from ddic.io.plots.length_unit import PIXELS, LengthUnit
-from ddic.io.result_reader import Result
-from ddic.kinematics.strain import count_folded_cells, find_largest_gradient, project_rigid_motion_out
-from ddic.mesh.mesh import Mesh
 
 VISIBLE_SHARE = 0.05
 """Largest displacement that is drawn, relative to the mesh, where cells bear it; a larger value exaggerates more."""

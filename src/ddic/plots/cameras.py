@@ -12,11 +12,17 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from ddic.io.plots.canvas import (
+from ddic.io.result_reader import Result
+from ddic.io.result_schema import CAMERA, near_group
+from ddic.mesh.mesh import Mesh
+from ddic.mesh.topology import find_boundary_facets
+from ddic.plots.canvas import (
     COLOURS,
+    PIXELS,
     WIDTH_INCHES,
     Bounds,
     Component,
+    LengthUnit,
     add_colour_bar,
     choose_limits,
     draw_nodal_colours,
@@ -27,11 +33,6 @@ from ddic.io.plots.canvas import (
     pick_component,
     set_bounds,
 )
-from ddic.io.plots.length_unit import PIXELS, LengthUnit
-from ddic.io.result_reader import Result
-from ddic.io.result_schema import CAMERA, near_group
-from ddic.mesh.mesh import Mesh
-from ddic.mesh.topology import find_boundary_facets
 
 OUTLINE = "white"
 

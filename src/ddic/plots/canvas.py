@@ -1,25 +1,180 @@
-"""What the figures share: axes in image coordinates, colour bars, saving."""
+"""What the figures share: axes in image coordinates, colour bars, saving.
+
+Texts on a page: titles that fit, and which texts do not.
+
+Room on a page above what is on it already.
+
+Units of lengths in figures: pixels, or the case's length unit where the size of a pixel is known.
+
+Which frame of a series a page shows, above all that is on it.
+
+A mark on pictures of fields that did not converge, so that none is taken for a result.
+
+Numbered marks on a picture.
+"""
 
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection, TriMesh
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
+from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
+from matplotlib.transforms import Bbox, BboxBase
 from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
-from ddic.io.plots.length_unit import PIXELS, LengthUnit
-from ddic.io.plots.page_text import format_title
+from ddic.errors import InputError
+from ddic.io import result_schema as schema
 from ddic.io.replace_on_exit import NewFiles, begin_files
+from ddic.io.result_reader import Result
 from ddic.mesh.mesh import Mesh
+
+POINTS_AN_INCH = 72.0
+
+CHARACTER = 0.62
+"""Mean width of a character of a title relative to its size; a larger value breaks lines earlier."""
+
+ROUNDING_DOTS = 1.0
+"""Dots by which a text may reach beyond the page: its box is rounded outwards."""
+
+
+def format_title(text: str, width: float, size: float) -> str:
+    """Break a title into lines that fit.
+
+    Parameters
+    ----------
+    text : str
+        Plain, or with TeX that has no blank in it.
+    width : float
+        Inches.
+    size : float
+        Of its type, points.
+
+    Returns
+    -------
+    str
+        Lines.
+    """
+    n_characters = max(8, int(width * POINTS_AN_INCH / (CHARACTER * size)))
+    return "\n".join(textwrap.wrap(text, n_characters, break_on_hyphens=False))
+
+
+def find_clipped_texts(figure: Figure) -> list[str]:
+    """Find the texts that the edge of the page cuts: titles, labels, numbers at ticks and of legends.
+
+    Parameters
+    ----------
+    figure : Figure
+        The page.
+
+    Returns
+    -------
+    list of str
+        Those texts.
+    """
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    renderer = canvas.get_renderer()
+    axes_of_ticks = [axis for axes in figure.findobj(Axes) for axis in (axes.xaxis, axes.yaxis) if axes.axison]
+    # Numbers of ticks beyond the limits are made but not drawn: an axis knows which ones are.
+    of_ticks = {id(label) for axis in axes_of_ticks for label in axis.get_ticklabels(which="both")}
+    boxes: list[tuple[str, Bbox | None]]
+    boxes = [(text.get_text(), text.get_window_extent(renderer)) for text in figure.findobj(Text)
+             if text.get_visible() and text.get_text().strip() and id(text) not in of_ticks]
+    boxes += [(f"axis {axis.get_label_text()}", axis.get_tightbbox(renderer)) for axis in axes_of_ticks]
+    return [text for text, box in boxes if box is not None and not _holds(figure.bbox, box)]
+
+
+def _holds(page: BboxBase, box: BboxBase) -> bool:
+    """Whether a box lies on the page."""
+    return bool(box.x0 >= page.x0 - ROUNDING_DOTS and box.y0 >= page.y0 - ROUNDING_DOTS
+                and box.x1 <= page.x1 + ROUNDING_DOTS and box.y1 <= page.y1 + ROUNDING_DOTS)
+
+
+def make_room_above(figure: Figure, room: float) -> None:
+    """Let a page grow above what is on it, which keeps its size.
+
+    Parameters
+    ----------
+    figure : Figure
+        The page.
+    room : float
+        Inches.
+    """
+    width, height = figure.get_size_inches()
+    share = float(height / (height + room))
+    layout = figure.get_layout_engine()
+    if layout is not None:
+        layout.set(rect=(0.0, 0.0, 1.0, share))  # type: ignore[call-arg]  # that of the engines on which axes are packed
+        if figure.get_suptitle():
+            figure.suptitle(figure.get_suptitle(), y=0.98 * share)
+    else:
+        for axes in figure.axes:
+            x, y, w, h = axes.get_position(original=True).bounds
+            axes.set_position((x, y * share, w, h * share))
+    figure.set_size_inches(width, height + room)
+
+
+@dataclass(frozen=True)
+class LengthUnit:
+    """A unit of lengths.
+
+    Attributes
+    ----------
+    size : float
+        Of a pixel, in this unit.
+    name : str
+        As labels have it.
+    """
+
+    size: float = 1.0
+    name: str = "px"
+
+
+PIXELS = LengthUnit()
+
+
+def find_length_unit(result: Result, asked: str | None = None) -> LengthUnit:
+    """Find the unit in which a result is drawn.
+
+    Parameters
+    ----------
+    result : Result
+        With or without the size of a pixel.
+    asked : str, optional
+        ``px`` or ``physical``; where it is left out, physical if the size of a pixel is known.
+
+    Returns
+    -------
+    LengthUnit
+        For axes and displacements.
+
+    Raises
+    ------
+    InputError
+        Where the case's unit is asked for and the result has none.
+    """
+    known = schema.DISPLACEMENT_PHYSICAL in result.point_data
+    if asked == "physical" and not known:
+        raise InputError(f"{result.path}: --units physical: measured without images.pixel_size; give it in the case "
+                         "and run again, or draw in px")
+    if asked == "px" or not known:
+        return PIXELS
+    units = result.attributes[schema.UNITS]
+    return LengthUnit(float(units["pixel_size"]), str(units["length_unit"]))
+
 
 Component = Literal["x", "y", "magnitude"]
 COMPONENTS: tuple[Component, ...] = ("x", "y", "magnitude")
@@ -399,3 +554,112 @@ def save_figure(figure: Figure, path: Path, dpi: int = DPI, files: NewFiles | No
         dated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
         with begin_files(files) as new:
             figure.savefig(new.begin(path), format=ending.removeprefix("."), dpi=dpi, metadata=dated.get(ending))
+
+
+CAPTION_POINTS = 11.0
+"""Size of the caption's type."""
+
+ROOM_INCHES = 0.34
+"""Height of the caption with what is around it."""
+
+
+def format_caption(number: int, time: float) -> str:
+    """Write which frame it is.
+
+    Parameters
+    ----------
+    number : int
+        From 1.
+    time : float
+        Unit chosen by the user.
+
+    Returns
+    -------
+    str
+        A short line.
+    """
+    return f"frame {number}, time {time:g}"
+
+
+def draw_caption(figure: Figure, text: str) -> None:
+    """Write a line above all that is on a page, which grows by it.
+
+    Parameters
+    ----------
+    figure : Figure
+        The page.
+    text : str
+        Short enough for one line.
+    """
+    make_room_above(figure, ROOM_INCHES)
+    height = figure.get_size_inches()[1]
+    figure.text(0.5, 1.0 - 0.5 * ROOM_INCHES / height, text, ha="center", va="center", fontsize=CAPTION_POINTS,
+                fontweight="bold")
+
+
+WORDS = "not converged"
+
+FAILURE_COLOUR = "#b00020"
+"""Dark red, which has a contrast of 7 to 1 with white: it is read in print without colours too."""
+
+MARK_POINTS = 12.0
+"""Size of the mark's type; a larger value takes more of the page."""
+
+MARK_INCHES = 0.24
+"""Height of a line of the mark."""
+
+EDGE_INCHES = 0.1
+"""Between the mark and the edges of the page."""
+
+
+def draw_failures(figure: Figure, shown: Sequence[Result]) -> None:
+    """Write above all that is on a page that a result did not converge; nothing where all did.
+
+    The page grows by what that takes; what was on it keeps its size.
+
+    Parameters
+    ----------
+    figure : Figure
+        The page.
+    shown : sequence of Result
+        What it shows; failures of several are told by the names of the files.
+    """
+    failed = [result for result in shown if not result.converged]
+    if not failed:
+        return
+    text = WORDS if len(shown) == 1 else f"{', '.join(result.path.name for result in failed)}: {WORDS}"
+    width, height = figure.get_size_inches()
+    lines = format_title(text, width - 2 * EDGE_INCHES, MARK_POINTS)
+    room = EDGE_INCHES + MARK_INCHES * (lines.count("\n") + 1)
+    make_room_above(figure, room)
+    figure.text(0.5, 1.0 - EDGE_INCHES / (height + room), lines, ha="center", va="top", fontsize=MARK_POINTS,
+                fontweight="bold", color=FAILURE_COLOUR, linespacing=MARK_INCHES * POINTS_AN_INCH / MARK_POINTS / 1.2)
+
+
+PLACE_COLOUR = "#00e5ff"
+"""Of marks: seen on the dark and on the bright end of the residual's colours."""
+
+
+def draw_marks(axes: Axes, places: Sequence[tuple[float, float]], size: float = 1.0) -> None:
+    """Draw a circle about each place, with its number.
+
+    Parameters
+    ----------
+    axes : Axes
+        In image coordinates.
+    places : sequence of (x, y)
+        Pixels, numbered from 1.
+    size : float, optional
+        Of a pixel, in the axes' unit.
+    """
+    outline = [withStroke(linewidth=3.0, foreground="black")]
+    right = axes.get_xlim()[1]
+    for number, (x, y) in enumerate(places, start=1):
+        at = (size * x, size * y)
+        axes.plot(*at, "o", markersize=13, markerfacecolor="none", markeredgecolor=PLACE_COLOUR, markeredgewidth=1.8,
+                  path_effects=outline, clip_on=False)
+        # On the left of places near the right edge, so that no number leaves the picture.
+        is_right = at[0] > 0.9 * right
+        axes.annotate(str(number), at, xytext=(-11 if is_right else 11, 0), textcoords="offset points",
+                      color=PLACE_COLOUR, fontsize=11, fontweight="bold", va="center", ha="right" if is_right else "left",
+                      path_effects=outline)

@@ -1,16 +1,30 @@
-"""Windows of TIFF files: only the strips or tiles under the window are read and decoded."""
+"""Windows of TIFF files: only the strips or tiles under the window are read and decoded.
+
+What a file's header says of its pixels.
+
+From the channels of a colour image to grey levels.
+
+Headers of PNG, JPEG and BMP files, checked before memory is taken for what they claim.
+
+What C libraries write straight to standard error, past Python, caught.
+"""
 
 from __future__ import annotations
 
 import importlib
 import logging
 import lzma
+import os
 import struct
+import sys
+import tempfile
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from threading import Lock
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 import tifffile
@@ -18,9 +32,184 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.images.window import Window
-from ddic.io.grey import to_grey
-from ddic.io.image_header import check_claimed_size, check_decoded_size
-from ddic.io.pixel_format import PixelFormat
+
+if TYPE_CHECKING:
+    from PIL.ImageFile import ImageFile
+
+
+@dataclass(frozen=True)
+class PixelFormat:
+    """Size and type of an image's pixels.
+
+    Attributes
+    ----------
+    width, height : int
+        Pixels.
+    dtype : dtype
+        Type of one channel.
+    bits : int
+        Used bits of a channel.
+    n_colours : int
+        1 (grey) or 3.
+    n_channels : int
+        Colours and what comes with them (alpha).
+    n_pages : int
+        Images in the file.
+    inverted : bool
+        Zero is stored for white.
+    is_compressed : bool
+        Pixels are decoded as they are read, so that only reading shows whether they can be.
+    """
+
+    width: int
+    height: int
+    dtype: np.dtype[Any]
+    bits: int
+    n_colours: int
+    n_channels: int
+    n_pages: int = 1
+    inverted: bool = False
+    is_compressed: bool = False
+
+    @property
+    def saturation(self) -> float | None:
+        """Largest value that the integer type holds, None for floats."""
+        if self.dtype.kind == "f":
+            return None
+        return float(2 ** (self.bits - (self.dtype.kind == "i")) - 1)
+
+
+LUMA = (0.299, 0.587, 0.114)
+
+
+def to_grey(channels: NDArray[Any], n_colours: int) -> NDArray[Any]:
+    """Turn the channels of pixels into grey levels.
+
+    Parameters
+    ----------
+    channels : (height, width, n) array
+        Red, green and blue first, or grey first; what follows is dropped.
+    n_colours : int
+        1 keeps the first channel and its type, 3 weighs red, green and blue (ITU-R BT.601) to float32.
+
+    Returns
+    -------
+    (height, width) array
+        Grey levels.
+    """
+    if n_colours == 1:
+        return np.ascontiguousarray(channels[..., 0])
+    grey = np.zeros(channels.shape[:2])
+    for weight, channel in zip(LUMA, range(3), strict=True):
+        grey += weight * channels[..., channel]
+    return grey.astype(np.float32)
+
+
+MOST_PIXELS_ALONG = 1_000_000
+"""Columns or rows of an image: ten times those of the largest sensors. A larger value believes more headers."""
+
+PNG, JPEG, BMP = b"\x89PNG", b"\xff\xd8\xff", b"BM"
+"""First bytes of the files."""
+
+MOST_PIXELS_DECODED = 1 << 28
+"""Pixels of an image that can only be decoded whole, 16,384 x 16,384: it takes seconds, and a byte or more of memory a
+pixel. A larger value makes every look at a larger image as slow as that."""
+
+MOST_PIXELS_OF_A_BYTE = {
+    # Deflate makes 1032 bytes of one at most, of 8 pixels each where they are black or white.
+    PNG: 8 * 1032,
+    # A block of 8 x 8 pixels takes a bit at least in the first scan.
+    JPEG: 8 * 64,
+    # Run lengths: 255 pixels in two bytes.
+    BMP: 128,
+}
+"""The most pixels that a byte can hold, by the file's first bytes."""
+
+
+def check_header(path: Path) -> None:
+    """Check the size that an image claims against the size of its file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        Where the header is damaged, or claims more pixels than the file can hold.
+    """
+    with path.open("rb") as stream:
+        first = stream.read(4)
+    magic = next((known for known in MOST_PIXELS_OF_A_BYTE if first.startswith(known)), None)
+    if magic is None:
+        return
+    try:
+        # Not Image.open, which takes large images for attacks.
+        with _find_reader(magic)(str(path)) as header:
+            width, height = header.size
+    # Pillow's readers raise anything on a damaged header.
+    except Exception as error:
+        raise InputError(f"{path}: damaged, or cut short ({error}); copy or save it again") from error
+    n_bytes = path.stat().st_size
+    if width * height > MOST_PIXELS_OF_A_BYTE[magic] * n_bytes:
+        raise InputError(f"{path}: damaged: its header claims {width} x {height} px, which a file of {n_bytes} bytes "
+                         "cannot hold; copy or save it again")
+    check_claimed_size(path, width, height)
+    check_decoded_size(path, width, height)
+
+
+def _find_reader(magic: bytes) -> type[ImageFile]:
+    """Reader of a format's header."""
+    # Here, for TIFF files, the usual ones, do without Pillow.
+    from PIL.BmpImagePlugin import BmpImageFile
+    from PIL.JpegImagePlugin import JpegImageFile
+    from PIL.PngImagePlugin import PngImageFile
+
+    readers: dict[bytes, type[ImageFile]] = {PNG: PngImageFile, JPEG: JpegImageFile, BMP: BmpImageFile}
+    return readers[magic]
+
+
+def check_decoded_size(path: Path, width: int, height: int) -> None:
+    """Refuse an image that would have to be decoded whole to read any part of it, and is too large for that.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    width, height : int
+        Pixels, as its header says.
+
+    Raises
+    ------
+    InputError
+        Where it has more than MOST_PIXELS_DECODED.
+    """
+    if width * height > MOST_PIXELS_DECODED:
+        raise InputError(f"{path}: {width} x {height} px in a format that can only be decoded whole, which goes for "
+                         f"{MOST_PIXELS_DECODED >> 20} Mi pixels at most; save it as uncompressed TIFF, of which only "
+                         "what is needed is read")
+
+
+def check_claimed_size(path: Path, width: int, height: int) -> None:
+    """Refuse an image of a size that no camera gives.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    width, height : int
+        Pixels, as its header says.
+
+    Raises
+    ------
+    InputError
+        Where a side is longer than MOST_PIXELS_ALONG.
+    """
+    if max(width, height) > MOST_PIXELS_ALONG:
+        raise InputError(f"{path}: its header claims {width} x {height} px; images have {MOST_PIXELS_ALONG} columns "
+                         "and rows at most; copy or save it again, if it is not damaged")
+
 
 # tifffile tells of damage by its log, beside what it raises; what matters of it is checked here.
 logging.getLogger("tifffile").addHandler(logging.NullHandler())
@@ -308,3 +497,44 @@ def _planes(tiff: Any, page: Any, layout: PixelFormat,
               for c in range(layout.n_colours)]
     for parts in zip(*planes, strict=True):
         yield np.concatenate([block for block, _, _ in parts], axis=-1), parts[0][1], parts[0][2]
+
+
+STANDARD_ERROR = 2
+
+_LOCK = Lock()
+
+
+@contextmanager
+def caught_messages() -> Iterator[list[str]]:
+    """Catch the lines that are written to standard error inside.
+
+    Yields
+    ------
+    list of str
+        Empty; filled with the lines, without blank ones, on the way out.
+    """
+    lines: list[str] = []
+    with _LOCK, _open_scratch() as caught:
+        sys.stderr.flush()
+        try:
+            kept = os.dup(STANDARD_ERROR)
+        except OSError:
+            # Closed: nothing is to be seen of it anyway.
+            yield lines
+            return
+        os.dup2(caught.fileno(), STANDARD_ERROR)
+        try:
+            yield lines
+        finally:
+            sys.stderr.flush()
+            os.dup2(kept, STANDARD_ERROR)
+            os.close(kept)
+            caught.seek(0)
+            lines += [line for line in caught.read().decode(errors="replace").splitlines() if line.strip()]
+
+
+def _open_scratch() -> IO[bytes]:
+    """A file of no folder: what is decoded may be all that a full disk has room for."""
+    if hasattr(os, "memfd_create"):
+        return os.fdopen(os.memfd_create("messages"), "w+b")
+    return tempfile.TemporaryFile()
