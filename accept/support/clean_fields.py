@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from ddic.fracture.williams_series import evaluate_williams_series, find_kolosov_constant
+from ddic.fracture.crack_tip import evaluate_williams_series, find_kolosov_constant
 from ddic.mesh.plane import build_rotation
 from ddic.synth.fields import Kirsch
 

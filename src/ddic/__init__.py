@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from ddic.case.schema import Case
     from ddic.errors import ConvergenceError, DdicError, FactorizationError, InputError, SingularSubdomainError
     from ddic.fracture.crack_tip import CrackTip, Ring, find_crack_tip
-    from ddic.fracture.line_opening import Opening, measure_opening
+    from ddic.fracture.opening import Opening, measure_opening
     from ddic.io.result_reader import Result
     from ddic.io.result_reader import read_result as open
     from ddic.io.series_reader import SeriesResult
@@ -32,13 +32,11 @@ if TYPE_CHECKING:
     from ddic.kinematics.nodal import NodalRegion
     from ddic.mesh.mesh import Mesh
     from ddic.mesh.structured import build_structured_mesh as structured_mesh
-    from ddic.probes.field_tables import write_field_tables
     from ddic.probes.metrology import Metrology, estimate_metrology
-    from ddic.probes.probe_file import load_probes
-    from ddic.probes.probe_kinds import Extensometer, LineProbe, PointProbe, StrainGauge
-    from ddic.probes.probe_table import measure_probes, write_probe_table
+    from ddic.probes.probes import Extensometer, LineProbe, PointProbe, StrainGauge, load_probes
     from ddic.probes.read_probe import Reading, measure_probe
-    from ddic.report.write_report import write_report
+    from ddic.probes.tables import measure_probes, write_field_tables, write_probe_table
+    from ddic.report.page import write_report
     from ddic.results.sweep_trials import Candidate, Sweep, Trial
 
 _HOMES = {
@@ -61,8 +59,8 @@ _HOMES = {
     "CrackTip": "fracture.crack_tip",
     "Ring": "fracture.crack_tip",
     "find_crack_tip": "fracture.crack_tip",
-    "Opening": "fracture.line_opening",
-    "measure_opening": "fracture.line_opening",
+    "Opening": "fracture.opening",
+    "measure_opening": "fracture.opening",
     "Result": "io.result_reader",
     "open": "io.result_reader:read_result",
     "SeriesResult": "io.series_reader",
@@ -76,19 +74,19 @@ _HOMES = {
     "Sweep": "results.sweep_trials",
     "Trial": "results.sweep_trials",
     "structured_mesh": "mesh.structured:build_structured_mesh",
-    "Extensometer": "probes.probe_kinds",
-    "LineProbe": "probes.probe_kinds",
-    "PointProbe": "probes.probe_kinds",
-    "StrainGauge": "probes.probe_kinds",
+    "Extensometer": "probes.probes",
+    "LineProbe": "probes.probes",
+    "PointProbe": "probes.probes",
+    "StrainGauge": "probes.probes",
     "Reading": "probes.read_probe",
     "measure_probe": "probes.read_probe",
     "Metrology": "probes.metrology",
     "estimate_metrology": "probes.metrology",
-    "load_probes": "probes.probe_file",
-    "measure_probes": "probes.probe_table",
-    "write_probe_table": "probes.probe_table",
-    "write_field_tables": "probes.field_tables",
-    "write_report": "report.write_report",
+    "load_probes": "probes.probes",
+    "measure_probes": "probes.tables",
+    "write_probe_table": "probes.tables",
+    "write_field_tables": "probes.tables",
+    "write_report": "report.page",
 }
 """Where the public names live: modules are imported at first use, for some bring MPI, PETSc and numba."""
 

@@ -12,8 +12,7 @@ import numpy as np
 from mpi4py import MPI
 from pydantic import ValidationError
 
-from ddic.case.loader import convert_shorthand
-from ddic.case.messages import describe
+from ddic.case.loader import convert_shorthand, describe
 from ddic.case.schema import Case
 from ddic.errors import InputError
 from ddic.kinematics.kinematics import RegionKinematics

@@ -23,7 +23,7 @@ def export(file: Path, frame: int | None, table: Path | None) -> None:
     # Imported here because HDF5 is not needed by --help.
     from ddic.case.own_outputs import CELLS, NODES, require_own_output
     from ddic.io.series_reader import read_frame
-    from ddic.probes.field_tables import list_field_tables, write_field_tables
+    from ddic.probes.tables import list_field_tables, write_field_tables
 
     of_frame = "" if frame is None else f".frame_{frame}"
     target = file.parent / f"{file.stem}{of_frame}.csv" if table is None else table

@@ -105,7 +105,7 @@ def _result_lines(result: Result) -> Lines:
     """Of a result."""
     import numpy as np
 
-    from ddic.fracture.lines_of_result import get_lines
+    from ddic.fracture.opening import get_lines
 
     low, high = np.fmin.reduce(result.displacement), np.fmax.reduce(result.displacement)
     n_unmeasured = int((~result.measured_nodes).sum())

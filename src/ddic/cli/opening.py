@@ -30,7 +30,7 @@ def opening(file: Path, frame: int | None, output: Path | None) -> None:
     import numpy as np
 
     from ddic.case.own_outputs import OPENINGS, require_own_output
-    from ddic.fracture.line_opening import measure_openings
+    from ddic.fracture.opening import measure_openings
     from ddic.io.replace_on_exit import replaced_on_exit
     from ddic.io.series_reader import read_frame
 

@@ -202,7 +202,7 @@ def _check_limits(kind: str, limits: tuple[float, float] | None) -> None:
 
 def _kinds(asked: str, result: Result, other: Result | None) -> list[str]:
     """Figures to draw; raises InputError if the one asked for needs what is not there."""
-    from ddic.fracture.lines_of_result import get_lines
+    from ddic.fracture.opening import get_lines
     from ddic.io.result_schema import CAMERA, NODAL_INFINITESIMAL
 
     lacking = {}
@@ -305,7 +305,7 @@ def _draw_krylov(result: Result, other: Result | None) -> Figure:
 
 def _draw_opening(result: Result, unit: LengthUnit) -> Figure:
     """Opening of all lines."""
-    from ddic.fracture.line_opening import measure_openings
+    from ddic.fracture.opening import measure_openings
     from ddic.plots.curves import draw_opening
 
     found = measure_openings(result)

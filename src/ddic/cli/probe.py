@@ -14,8 +14,8 @@ from ddic.cli.warned import warnings_as_lines
 from ddic.errors import InputError
 
 if TYPE_CHECKING:
-    from ddic.probes.probe_kinds import Probe
-    from ddic.probes.probe_table import ProbeRecord
+    from ddic.probes.probes import Probe
+    from ddic.probes.tables import ProbeRecord
 
 
 @click.command()
@@ -49,8 +49,8 @@ def probe(files: tuple[Path, ...], points: tuple[str, ...], lines: tuple[str, ..
     # Imported here because HDF5 is not needed by --help.
     from ddic.case.own_outputs import PROBES, require_own_output
     from ddic.io.series_reader import read_frames
-    from ddic.probes.probe_file import load_probes
-    from ddic.probes.probe_table import measure_probes, write_probe_table
+    from ddic.probes.probes import load_probes
+    from ddic.probes.tables import measure_probes, write_probe_table
 
     with errors_as_lines(table):
         if table is not None:
@@ -73,7 +73,7 @@ def probe(files: tuple[Path, ...], points: tuple[str, ...], lines: tuple[str, ..
 
 def _parse_probes(given: Mapping[str, Sequence[str]]) -> list[Probe]:
     """Probes of the command line, named by their kind and number."""
-    from ddic.probes.probe_file import parse_probe
+    from ddic.probes.probes import parse_probe
 
     return [parse_probe(kind, f"{kind} {number}", text) for kind, texts in given.items()
             for number, text in enumerate(texts, start=1)]
@@ -85,7 +85,7 @@ def _show(records: Sequence[ProbeRecord]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from ddic.probes.probe_table import average_along
+    from ddic.probes.tables import average_along
 
     unit = records[0].unit
     table = Table(box=SIMPLE_HEAD)

@@ -26,7 +26,7 @@ def report(file: Path, image: Path | None, frame: int | None, output: Path | Non
     # Imported here because matplotlib is not needed by --help.
     from ddic.case.own_outputs import PAGE, require_own_output
     from ddic.io.series_reader import read_frame_or_last
-    from ddic.report.write_report import write_report
+    from ddic.report.page import write_report
 
     target = file.parent / f"{file.stem}.report.html" if output is None else output
     with errors_as_lines(target), warnings_as_lines():

@@ -13,7 +13,7 @@ from ddic.detection.find_line import Detection, find_line
 from ddic.detection.refine_line import SEARCHED, find_move, refine_line
 from ddic.detection.refine_tip import find_tip_move
 from ddic.errors import ConvergenceError, FactorizationError, SingularSubdomainError
-from ddic.fracture.williams_series import find_kolosov_constant
+from ddic.fracture.crack_tip import find_kolosov_constant
 from ddic.functionals.regularization import Material
 from ddic.kinematics.enriched import Discontinuities
 from ddic.kinematics.tip_functions import Tip, find_tips

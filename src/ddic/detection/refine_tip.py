@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ddic.detection.both_sides import compute_residuals
 from ddic.errors import ConvergenceError
-from ddic.fracture.williams_series import evaluate_williams_series
+from ddic.fracture.crack_tip import evaluate_williams_series
 from ddic.functionals.line_band import BAND
 from ddic.images.window import Window
 from ddic.kinematics.tip_functions import Tip

@@ -11,9 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.case.loader import LoadedCase, load_case_leniently
+from ddic.case.loader import LoadedCase, list_unused_keys, load_case_leniently
 from ddic.case.schema import Case
-from ddic.case.unused_keys import list_unused_keys
 from ddic.errors import InputError
 from ddic.images.source import ImageSource
 from ddic.io.damaged_result import require_known_displacement

@@ -2,25 +2,145 @@
 
 The items are those that the International Digital Image Correlation Society's guide (2018) asks of one camera and a
 plane specimen, said for finite elements: an element stands where a subset does. docs/report.md compares them.
+
+How the images were taken, in the words of the case, and what they are like.
+
+Where the residual is worst.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from ddic.images.binned import BLUR_NOTE
+from ddic.images.grey_levels import measure_feature_size, measure_grey_levels
 from ddic.io import result_schema as schema
+from ddic.io.image_file import ImageFile
+from ddic.io.result_reader import Result
 from ddic.mesh.quality import measure_covered_areas
 from ddic.plots.canvas import find_length_unit
 from ddic.probes.displacement_chain import find_chain
 from ddic.probes.metrology import Metrology, estimate_metrology
-from ddic.probes.probe_kinds import PointProbe
-from ddic.report.gathered import Gathered
-from ddic.report.stated_images import list_images, list_setup
-from ddic.report.statement import NOT_RECORDED, Items, Statement
+from ddic.probes.probes import PointProbe
+from ddic.report.statement import NOT_RECORDED, NOT_STATED, Gathered, Items, Statement
+
+N_WINDOWS = 15
+"""Places at which the pattern is looked at, spread over the elements."""
+
+OF_SETUP = (("Specimen", "specimen"), ("Camera", "camera"), ("Lens", "lens"), ("Aperture", "aperture"),
+            ("Stand-off distance", "stand_off_distance"), ("Lighting", "lighting"), ("Exposure time", "exposure"),
+            ("Image acquisition rate", "image_rate"), ("Patterning technique", "patterning"))
+"""What the user alone knows: its name in the report, its key in ``[acquisition]``."""
+
+
+def list_setup(gathered: Gathered) -> Items:
+    """List what the case says of the set-up, in its own words.
+
+    Parameters
+    ----------
+    gathered : Gathered
+        The result and what belongs to it.
+
+    Returns
+    -------
+    list of (str, str)
+        Where the case says nothing, with the key that would.
+    """
+    section, shape = gathered.get_section("images"), _parse_size(gathered)
+    items = [(name, _quote(gathered, key)) for name, key in OF_SETUP]
+    size, unit = section.get("pixel_size"), section.get("length_unit", "px")
+    scale = view = f"{NOT_STATED}: images.pixel_size" if gathered.case else NOT_RECORDED
+    if size:
+        scale = f"{size:g} {unit} per px ({1.0 / size:.4g} px per {unit})"
+        view = " x ".join(f"{size * side:.4g} {unit}" for side in shape) if shape else NOT_RECORDED
+    times = [gathered.get_attribute(schema.TIME, name) for name in ("reference", "deformed")]
+    stamps = NOT_RECORDED if None in times else f"{times[0]:g} (reference), {times[1]:g} (deformed)"
+    return [*items, ("Image scale", scale), ("Field of view", view), ("Times of the images", stamps)]
+
+
+def _quote(gathered: Gathered, key: str) -> str:
+    """Words of the case about the set-up, or that there are none."""
+    missing = f"{NOT_STATED}: acquisition.{key}" if gathered.case else NOT_RECORDED
+    return str(gathered.get_section("acquisition").get(key) or missing)
+
+
+def _parse_size(gathered: Gathered) -> tuple[int, int] | None:
+    """Width and height of the images, pixels."""
+    text = str(gathered.get_attribute(schema.PROVENANCE, "reference_size") or "")
+    parts = text.split("x")
+    return (int(parts[0]), int(parts[1])) if len(parts) == 2 else None
+
+
+def list_images(gathered: Gathered) -> Items:
+    """List sizes, grey levels, features and noise of the images, and what was done to them.
+
+    Parameters
+    ----------
+    gathered : Gathered
+        The result and what belongs to it.
+
+    Returns
+    -------
+    list of (str, str)
+        Measured where the images are still there.
+    """
+    section, shape = gathered.get_section("images"), _parse_size(gathered)
+    levels = [(f"Grey levels, {name}", _describe_levels(gathered.images.get(name)))
+              for name in ("reference", "deformed")]
+    masks = [f"{what} image" for what in ("reference", "deformed") if section.get(f"{what}_mask")]
+    return [("Image size", f"{shape[0]} x {shape[1]} px" if shape else NOT_RECORDED), *levels,
+            ("Feature size of the pattern", _describe_features(gathered)), ("Image noise", _describe_noise(gathered)),
+            ("Masks", " and ".join(masks) or "none" if section else NOT_RECORDED),
+            ("Saturated pixels", "left out" if section.get("exclude_saturated") else "used"),
+            ("Image processing before ddic", _quote(gathered, "processing")),
+            ("Image filtering by ddic", _describe_filtering(gathered))]
+
+
+def _describe_levels(image: ImageFile | None) -> str:
+    if image is None:
+        return f"{NOT_RECORDED}: the image is not there"
+    levels = measure_grey_levels(image)
+    saturated = "none can be" if levels.saturation is None else (
+        f"{100 * levels.n_saturated / (image.width * image.height):.3g} %")
+    return (f"{image.layout.bits} bit, {levels.lowest:g} to {levels.highest:g}, mean {levels.mean:.4g}, "
+            f"RMS gradient {math.sqrt(levels.gradient_energy):.3g} per px; saturated: {saturated}")
+
+
+def _describe_features(gathered: Gathered) -> str:
+    if "reference" not in gathered.images:
+        return f"{NOT_RECORDED}: the image is not there"
+    centres = gathered.result.mesh.centroids
+    shown = centres[np.linspace(0, len(centres) - 1, N_WINDOWS).astype(int)]
+    width = measure_feature_size(gathered.images["reference"], shown)
+    return f"{width:.3g} px (autocorrelation, full width at half maximum)" if math.isfinite(width) else "none found"
+
+
+def _describe_noise(gathered: Gathered) -> str:
+    """Of an image, grey levels."""
+    section, residual = gathered.get_section("images"), gathered.last_residual
+    measured = gathered.get_attribute(schema.UNCERTAINTY, "noise_grey")
+    if measured is not None:
+        return f"{measured:.3g} grey levels ({gathered.get_attribute(schema.UNCERTAINTY, 'noise_origin')})"
+    if section.get("noise"):
+        return f"{section['noise']:g} grey levels (given in the case)"
+    if math.isnan(residual):
+        return NOT_RECORDED
+    rest = ("images.at_rest is measured with output.uncertainty = true alone" if section.get("at_rest") else
+            "no static pair is recorded")
+    return f"{residual / math.sqrt(2.0):.3g} grey levels in each image, were the residual all noise; {rest}"
+
+
+def _describe_filtering(gathered: Gathered) -> str:
+    """The interpolating spline, and the reference image blurred like the frame."""
+    if not gathered.summary:
+        return f"{NOT_RECORDED}: only the summary says whether the reference image was blurred like the deformed one"
+    blurs = [note for note in gathered.summary.get("notes", ()) if note.startswith(BLUR_NOTE)]
+    return "; ".join(["none but the interpolating spline", *blurs])
 
 
 def list_statements(gathered: Gathered) -> list[Statement]:
@@ -204,3 +324,75 @@ def find_field_metrology(gathered: Gathered) -> Metrology:
 
 def _find_mean_level(fields: Sequence[Any]) -> float:
     return float(np.sqrt(np.nanmean(np.square(fields)))) if len(fields) else math.nan
+
+
+N_PLACES = 5
+"""Places that are marked; more crowd the picture."""
+
+APART = 0.08
+"""Least distance of two of them, relative to the diagonal of the mesh: one bad spot is one place."""
+
+EXCLUDED = {1: "excluded: no texture", 2: "excluded: it shows something else than the reference",
+            3: "excluded: too few of its pixels are in both images"}
+
+
+@dataclass(frozen=True)
+class WorstPlace:
+    """A cell with a large residual, the largest about.
+
+    Attributes
+    ----------
+    number : int
+        From 1, the worst.
+    x, y : float
+        Middle of the cell, pixels.
+    residual_rms : float
+        Grey levels.
+    equivalent_error : float
+        Displacement error that would leave this residual, pixels; nan where it is not known.
+    verdict : str
+        Doubtful, excluded, or nothing to complain about.
+    """
+
+    number: int
+    x: float
+    y: float
+    residual_rms: float
+    equivalent_error: float
+    verdict: str
+
+
+def find_worst_places(result: Result) -> list[WorstPlace]:
+    """Find the cells with the largest residual, far from one another.
+
+    Parameters
+    ----------
+    result : Result
+        A measured field.
+
+    Returns
+    -------
+    list of WorstPlace
+        The worst first; at most 5.
+    """
+    if schema.RESIDUAL_RMS not in result.cell_data:
+        return []
+    centres, rms = result.mesh.centroids, result.cell_data[schema.RESIDUAL_RMS]
+    nearest = APART * float(np.linalg.norm(np.ptp(result.mesh.nodes, axis=0)))
+    chosen: list[int] = []
+    for cell in np.argsort(-np.nan_to_num(rms, nan=-1.0), kind="stable"):
+        if len(chosen) == N_PLACES or not np.isfinite(rms[cell]):
+            break
+        if all(np.linalg.norm(centres[cell] - centres[other]) >= nearest for other in chosen):
+            chosen.append(int(cell))
+    return [_describe(result, number, cell) for number, cell in enumerate(chosen, start=1)]
+
+
+def _describe(result: Result, number: int, cell: int) -> WorstPlace:
+    data, (x, y) = result.cell_data, result.mesh.centroids[cell]
+    error = float(data[schema.EQUIVALENT_ERROR][cell]) if schema.EQUIVALENT_ERROR in data else float("nan")
+    excluded = int(data[schema.EXCLUDED][cell]) if schema.EXCLUDED in data else 0
+    doubtful = bool(data[schema.DOUBTFUL][cell]) if schema.DOUBTFUL in data else False
+    verdict = EXCLUDED.get(excluded, "doubtful: the residual is that of a wrong displacement" if doubtful
+                           else "not doubtful")
+    return WorstPlace(number, float(x), float(y), float(data[schema.RESIDUAL_RMS][cell]), error, verdict)
