@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.detection.both_sides import compute_residuals
+from ddic.detection.refine_line import compute_residuals
 from ddic.errors import ConvergenceError
 from ddic.fracture.crack_tip import evaluate_williams_series
 from ddic.functionals.line_band import BAND
