@@ -661,5 +661,5 @@ def draw_marks(axes: Axes, places: Sequence[tuple[float, float]], size: float = 
         # On the left of places near the right edge, so that no number leaves the picture.
         is_right = at[0] > 0.9 * right
         axes.annotate(str(number), at, xytext=(-11 if is_right else 11, 0), textcoords="offset points",
-                      color=PLACE_COLOUR, fontsize=11, fontweight="bold", va="center", ha="right" if is_right else "left",
-                      path_effects=outline)
+                      color=PLACE_COLOUR, fontsize=11, fontweight="bold", va="center",
+                      ha="right" if is_right else "left", path_effects=outline)
