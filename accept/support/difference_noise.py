@@ -18,11 +18,11 @@ from scipy.sparse.linalg import splu
 
 from ddic.case.loader import load_case
 from ddic.functionals.correlation import read_correlations
+from ddic.inputs.cameras import Camera
+from ddic.inputs.inputs import open_inputs
 from ddic.io.result_reader import Result
 from ddic.kinematics.camera import see_mesh
 from ddic.parallel.team import Team
-from ddic.problem.cameras import Camera
-from ddic.problem.inputs import open_inputs
 
 Array = NDArray[np.float64]
 

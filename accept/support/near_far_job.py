@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from accept.support.near_far_oracle import State, solve_saddle_point
 from ddic.case.loader import load_case
+from ddic.inputs.cameras import Frame
+from ddic.inputs.inputs import open_inputs
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.cameras import Frame
-from ddic.problem.inputs import open_inputs
 from ddic.problem.reference_problem import prepare_reference
 from ddic.problem.region_mesh import RegionMesh, build_region_mesh
 from ddic.problem.residual_model import ResidualModel

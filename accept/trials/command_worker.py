@@ -25,7 +25,7 @@ MOST_ADDRESSES = 6 << 30
 """Bytes of address space: what asks for more fails in this process and does not fill the machine."""
 
 PR_SET_PDEATHSIG = 1
-IMPORTED_LATER = ("ddic.problem.check_inputs", "ddic.plots.maps", "ddic.report.page",
+IMPORTED_LATER = ("ddic.check.case", "ddic.plots.maps", "ddic.report.page",
                   "ddic.methods.run_case", "ddic.plots.canvas")
 """What commands import when they are called: no command's time holds it."""
 

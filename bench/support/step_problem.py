@@ -18,11 +18,11 @@ from scipy import sparse
 from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case, RegularizationSection, SolverSection
 from ddic.functionals.regularization import controlled_stiffness
+from ddic.inputs.inputs import open_inputs
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.assembly import Assembly, Hessians, assemble, assemble_hessians
-from ddic.problem.inputs import open_inputs
 from ddic.problem.region_mesh import (
     Region,
     RegionMesh,

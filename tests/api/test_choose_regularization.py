@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 import ddic
 from ddic.cli.sweep import sweep
 from ddic.errors import InputError
+from ddic.inputs.inputs import Inputs
 from ddic.methods import candidate_session, sweep_candidates
 from ddic.methods.dd_dic import Session
 from ddic.parallel.team import Team
-from ddic.problem.inputs import Inputs
 
 SIDE = 200
 

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.parallel.distribution import split_evenly
 from ddic.parallel.team import Team
-from ddic.problem.cell_errors import (
+from ddic.synth.fields import Translation
+from ddic.visibility.cell_errors import (
     CellErrors,
     CellResiduals,
     describe_doubtful_cells,
     find_cell_errors,
     measure_cell_residuals,
 )
-from ddic.synth.fields import Translation
 from support.one_subdomain import model_of
 from support.pictures import pair_of, source, square_mesh
 

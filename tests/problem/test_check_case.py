@@ -11,12 +11,12 @@ import tifffile
 from click.testing import CliRunner
 
 from ddic.case.loader import load_case
+from ddic.check.case import check_case
+from ddic.check.report import CheckReport
 from ddic.cli.check import check
 from ddic.errors import InputError
+from ddic.inputs.mesh_source import build_mesh
 from ddic.io.text_files import read_partition
-from ddic.problem.check_inputs import check_case
-from ddic.problem.check_report import CheckReport
-from ddic.problem.mesh_source import build_mesh
 
 IMAGES = '[images]\nreference = "f.tif"\ndeformed = "g.tif"\n'
 GRID = "[mesh.structured]\nregion = [10, 10, 90, 70]\nelement_size = 10\n"

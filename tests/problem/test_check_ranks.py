@@ -9,10 +9,10 @@ import pytest
 
 from ddic.api.options import make_case
 from ddic.case.loader import LoadedCase, load_case
+from ddic.check.case import check_case_file, check_ranks, load_checked_case
+from ddic.check.mesh import check_mesh
 from ddic.errors import InputError
 from ddic.mesh.structured import build_structured_mesh
-from ddic.problem.check_inputs import check_case_file, check_ranks, load_checked_case
-from ddic.problem.check_mesh_uses import check_mesh
 from support.cases import write_case, write_images
 
 

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from ddic.parallel.team import Team
-from ddic.problem.exclusions import (
+from ddic.problem.held_cells import HeldCells
+from ddic.synth.fields import Translation
+from ddic.visibility.exclusions import (
     BLANK,
     HELD_OFF,
     KEPT,
@@ -16,8 +18,6 @@ from ddic.problem.exclusions import (
     Exclusions,
     exclude,
 )
-from ddic.problem.held_cells import HeldCells
-from ddic.synth.fields import Translation
 from support.one_subdomain import model_of
 from support.pictures import pair_of, source, square_mesh
 

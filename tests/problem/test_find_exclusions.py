@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 import ddic
 from ddic.mesh.cell_type import Q4
 from ddic.mesh.mesh import Mesh, build_mesh
-from ddic.problem.exclusions import KEPT, SPOILT, UNSEEN
+from ddic.visibility.exclusions import KEPT, SPOILT, UNSEEN
 from support.spoilt import FIELD, MESH, SIDE, clean, hide
 
 

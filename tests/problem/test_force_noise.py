@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from ddic.parallel.team import Team
-from ddic.problem.force_noise import ForceNoise, measure_force_noise
 from ddic.problem.residual_model import ResidualModel
 from ddic.synth.fields import Translation
+from ddic.visibility.force_noise import ForceNoise, measure_force_noise
 from support.pictures import pair_of, source, square_mesh
 from support.split_model import split_model
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ddic.functionals.grey_statistics import GreyCorrection
-from ddic.problem.match_brightness import CELL_SHARE, GLOBAL_SHARE, GROSS_SHARE, choose_correction
-from ddic.problem.seen_cells import SeenCells, find_typical_cell
+from ddic.visibility.brightness import CELL_SHARE, GLOBAL_SHARE, GROSS_SHARE, choose_correction
+from ddic.visibility.seen_cells import SeenCells, find_typical_cell
 from support.seen import make_seen
 
 NOISE = 8.0

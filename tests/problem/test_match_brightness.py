@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 import ddic
 from ddic.parallel.team import Team
-from ddic.problem.match_brightness import match_brightness
 from ddic.problem.residual_model import ResidualModel
-from ddic.problem.seen_cells import collect_cells, find_typical_cell, measure_seen_cells
 from ddic.synth.fields import Translation
+from ddic.visibility.brightness import match_brightness
+from ddic.visibility.seen_cells import collect_cells, find_typical_cell, measure_seen_cells
 from support.cases import write_case
 from support.measuring import field_on_one_rank, measure, whole_field
 from support.one_subdomain import model_of

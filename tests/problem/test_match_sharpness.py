@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from ddic.images.binned import SMALLEST
 from ddic.images.sub_image import MaskedSource
-from ddic.problem.cameras import Camera
-from ddic.problem.match_sharpness import UNLIKE, match_sharpness
+from ddic.inputs.cameras import Camera
 from ddic.problem.residual_model import ResidualModel
-from ddic.problem.seen_cells import TypicalCell
 from ddic.synth.fields import Translation
+from ddic.visibility.seen_cells import TypicalCell
+from ddic.visibility.sharpness import UNLIKE, match_sharpness
 from support.one_subdomain import model_of
 from support.pictures import pair_of, source, square_mesh
 

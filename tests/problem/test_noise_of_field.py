@@ -31,7 +31,7 @@ def stop_early(folder: Path, scene: Spoilt, iterations: int, more: str = "") -> 
 def test_the_noise_is_that_of_the_pixels_that_count(tmp_path: Path, scene: Spoilt,
                                                     monkeypatch: pytest.MonkeyPatch) -> None:
     # What converges is not asked; so it is asked after two iterations.
-    monkeypatch.setattr("ddic.problem.solved_frame.PATIENCE", 1)
+    monkeypatch.setattr("ddic.visibility.solved_frame.PATIENCE", 1)
     measured, residual, noise = stop_early(tmp_path, scene, 2)
     # Noise of 2 grey levels in both images, interpolated in one of them.
     assert 2.3 <= residual <= 3.1
@@ -47,7 +47,7 @@ def test_few_iterations_are_no_sign_of_noise(tmp_path: Path) -> None:
 
 
 def test_a_correction_that_is_more_than_noise_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ddic.problem.solved_frame.PATIENCE", 0)
+    monkeypatch.setattr("ddic.visibility.solved_frame.PATIENCE", 0)
     # After one iteration from 2.8 px off.
     with pytest.raises(ConvergenceError, match="did not converge in 1 iterations"):
         stop_early(tmp_path, clean(), 1, AT_REST)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from ddic.case.schema import Case
-from ddic.mesh.structured import build_structured_mesh
-from ddic.problem.rectangle import (
+from ddic.inputs.rectangle import (
     MOST_CELLS,
     OUTPUT_PX,
     Rectangle,
@@ -16,6 +15,7 @@ from ddic.problem.rectangle import (
     choose_output_lines,
     find_rectangle,
 )
+from ddic.mesh.structured import build_structured_mesh
 
 
 def _case(region: tuple[float, float, float, float], size: float, **more: object) -> Case:

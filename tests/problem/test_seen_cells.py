@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.functionals.view import CellSlopes
 from ddic.problem.residual_model import ResidualModel
-from ddic.problem.seen_cells import FEWEST_PIXELS, SeenCells, collect_cells, find_typical_cell, measure_seen_cells
 from ddic.synth.fields import Translation
+from ddic.visibility.seen_cells import FEWEST_PIXELS, SeenCells, collect_cells, find_typical_cell, measure_seen_cells
 from support.one_subdomain import model_of
 from support.pictures import pair_of, source, square_mesh
 from support.seen import make_seen

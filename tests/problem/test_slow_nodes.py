@@ -15,18 +15,18 @@ from ddic.images.noise import NOISE_OF_SLOPE
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.residual_model import ResidualModel
-from ddic.problem.slow_nodes import (
+from ddic.solvers.correction_size import Tolerances
+from ddic.solvers.gauss_newton import Correction, Progress, run_gauss_newton, stay_silent
+from ddic.solvers.local_operator import LocalOperator
+from ddic.solvers.local_system import LocalSystem, MonolithicStep
+from ddic.synth.fields import Translation
+from ddic.visibility.slow_nodes import (
     LEAST_KNOWN,
     MOST_VISITED,
     SlowNodes,
     confine_to_slow_nodes,
     estimate_node_deviations,
 )
-from ddic.solvers.correction_size import Tolerances
-from ddic.solvers.gauss_newton import Correction, Progress, run_gauss_newton, stay_silent
-from ddic.solvers.local_operator import LocalOperator
-from ddic.solvers.local_system import LocalSystem, MonolithicStep
-from ddic.synth.fields import Translation
 from support.pictures import pair_of, source, square_mesh
 from support.split_model import split_model, systems_of
 from support.spoilt import FIELD, blank_half, clean, hide
@@ -188,7 +188,7 @@ def test_a_measurement_that_iterates_slow_nodes_alone_finds_the_same_field(
         name: str, options: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     scene = hide((100, 110, 150, 160)) if name == "across" else blank_half()
     confined = ddic.measure(scene.pair, SPOILT_MESH, options=options)
-    monkeypatch.setattr("ddic.problem.solved_frame.MOST_SLOW", -1.0)
+    monkeypatch.setattr("ddic.visibility.solved_frame.MOST_SLOW", -1.0)
     everywhere = ddic.measure(scene.pair, SPOILT_MESH, options=options)
     n_visited, n_pixels = (np.array(result.gauss_newton["n_pixels"]) for result in (confined, everywhere))
     # The last pass is one over all.
@@ -275,7 +275,7 @@ def test_what_neither_pixels_nor_mechanics_hold_is_known_to_be_nowhere_else() ->
 
 def test_a_clean_pair_has_the_field_of_all_iterations_within_its_noise(monkeypatch: pytest.MonkeyPatch) -> None:
     default = ddic.measure(clean().pair, SPOILT_MESH)
-    monkeypatch.setattr("ddic.problem.solved_frame.MOST_SLOW", -1.0)
+    monkeypatch.setattr("ddic.visibility.solved_frame.MOST_SLOW", -1.0)
     tight = ddic.measure(clean().pair, SPOILT_MESH, options={"gauss_newton": {"rms_tolerance": 1e-9,
                                                                               "tolerance": 1e-13}})
     error = np.linalg.norm(default.displacement - tight.displacement, axis=1)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ddic.problem.exclusions import KEPT
+from ddic.visibility.exclusions import KEPT
 from support.measuring import whole_field
 from support.spoilt import MESH, hide, measure_files
 

@@ -13,9 +13,9 @@ import pytest
 import tifffile
 from click.testing import CliRunner
 
+from ddic.check.case import load_checked_case
 from ddic.cli.app import main
 from ddic.errors import InputError
-from ddic.problem.check_inputs import load_checked_case
 
 CASE = '[images]\nreference = "f.tif"\ndeformed = "g.tif"\n'
 GRID = "[mesh.structured]\nregion = [8, 8, 56, 56]\nelement_size = 8\n"

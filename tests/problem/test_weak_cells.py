@@ -7,10 +7,10 @@ import pytest
 from numpy.typing import NDArray
 
 from ddic.parallel.team import Team
-from ddic.problem.exclusions import KEPT, SPOILT, UNSEEN, Exclusions, exclude
 from ddic.problem.residual_model import ResidualModel
-from ddic.problem.view_exclusions import LEAST_HELD, exclude_weak_cells
 from ddic.synth.fields import Translation
+from ddic.visibility.exclusions import KEPT, SPOILT, UNSEEN, Exclusions, exclude
+from ddic.visibility.view_exclusions import LEAST_HELD, exclude_weak_cells
 from support.pictures import pair_of, source, square_mesh
 from support.split_model import split_model
 

@@ -15,10 +15,10 @@ from ddic.kinematics.nodal_gradients import recover_gradients
 from ddic.kinematics.strain import compute_infinitesimal, compute_strain
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
-from ddic.problem.noise_forces import NoiseForces, place_cells
 from ddic.results.field_uncertainty import FieldDeviations, estimate_deviations
 from ddic.solvers.dual.dual_step import DualSettings
 from ddic.solvers.probing import FEWEST_SAMPLES, MOST_SAMPLES, prepare_samples
+from ddic.visibility.noise_forces import NoiseForces, place_cells
 from support.linear import Decomposed, StepProblem, dense, linear_step, split
 
 Array = NDArray[np.float64]

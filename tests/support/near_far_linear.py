@@ -26,6 +26,7 @@ from ddic.case.schema import (
 )
 from ddic.functionals.regularization import Material, controlled_stiffness
 from ddic.images.camera import identity
+from ddic.inputs.cameras import Camera
 from ddic.kinematics.camera import CameraSetup, MotionKind
 from ddic.kinematics.nodal import NodalKinematics
 from ddic.mesh.mesh import Mesh
@@ -36,7 +37,6 @@ from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.split import add_motions, keep_cameras_apart, split_by_blocks, split_by_camera, split_by_metis
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.assembly import assemble, assemble_hessians
-from ddic.problem.cameras import Camera
 from ddic.problem.linear_solver import LinearSolver
 from ddic.problem.region_mesh import Region
 from ddic.problem.views import read_reference_views

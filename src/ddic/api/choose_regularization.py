@@ -11,16 +11,16 @@ from ddic.case.frame_files import list_deformed
 from ddic.case.loader import LoadedCase
 from ddic.case.resolution import list_element_sizes, list_wavelengths, set_resolution
 from ddic.case.schema import Case
+from ddic.check.case import check_loaded_case, load_checked_case
 from ddic.errors import InputError
+from ddic.inputs.inputs import Inputs, open_inputs
+from ddic.inputs.mesh_source import LONGEST_WAVELENGTH, SHORTEST_WAVELENGTH, build_meshes
 from ddic.io.input_file import as_path
 from ddic.mesh.quality import measure_cell_size
 from ddic.methods.detect import find_discontinuity
 from ddic.methods.sweep_candidates import measure_candidates
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.check_inputs import check_loaded_case, load_checked_case
-from ddic.problem.inputs import Inputs, open_inputs
-from ddic.problem.mesh_source import LONGEST_WAVELENGTH, SHORTEST_WAVELENGTH, build_meshes
 from ddic.results.listener import Silence
 from ddic.results.sweep_trials import Candidate, Sweep
 

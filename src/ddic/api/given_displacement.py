@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import InputError
+from ddic.inputs.cameras import Camera
+from ddic.inputs.start_points import StartPoints, check_start_points
 from ddic.io.result_reader import Result
 from ddic.parallel.team import Team
-from ddic.problem.cameras import Camera
-from ddic.problem.start_points import StartPoints, check_start_points
 from ddic.start.given_start import GivenStart, keep_displacement
 
 StartLike = Result | tuple[Any, Any]

@@ -16,9 +16,9 @@ from ddic.images.binned import ArraySource
 from ddic.images.grey_levels import check_finite, find_saturation
 from ddic.images.source import ImageSource
 from ddic.images.sub_image import MaskedSource
+from ddic.inputs.cameras import open_on_all_ranks
 from ddic.io.image_file import read_mask
 from ddic.parallel.team import Team
-from ddic.problem.cameras import open_on_all_ranks
 
 
 @dataclass(frozen=True, eq=False)

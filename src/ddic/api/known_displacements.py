@@ -17,13 +17,13 @@ from ddic.errors import ConvergenceError, InputError, SingularSubdomainError
 from ddic.images.binned import ArraySource
 from ddic.images.camera import identity
 from ddic.images.sub_image import MaskedSource
+from ddic.inputs.cameras import Camera, make_setup
+from ddic.inputs.inputs import Inputs
+from ddic.inputs.mesh_source import SHORTEST_WAVELENGTH
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import multiply_across
 from ddic.mesh.structured import build_structured_mesh
 from ddic.methods.expected_noise import estimate_nodal_noise
-from ddic.problem.cameras import Camera, make_setup
-from ddic.problem.inputs import Inputs
-from ddic.problem.mesh_source import SHORTEST_WAVELENGTH
 
 Array = NDArray[np.float64]
 

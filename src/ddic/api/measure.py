@@ -19,10 +19,17 @@ from ddic.api.image import ImageLike, check_same_size, open_given_image
 from ddic.api.options import Options, check_kinematics, choose_options, choose_team, make_case
 from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case
+from ddic.check.case import check_loaded_case, check_ranks, load_checked_case
+from ddic.check.mesh import check_mesh
+from ddic.check.output import check_nothing_is_overwritten, check_output_file
 from ddic.errors import ConvergenceError, DdicError, InputError
 from ddic.images.camera import identity
 from ddic.images.grey_levels import find_saturation
 from ddic.images.sub_image import MaskedSource
+from ddic.inputs.cameras import Camera, Frame, make_setup
+from ddic.inputs.inputs import Inputs, open_inputs
+from ddic.inputs.mesh_source import accept_mesh, convert_mapping
+from ddic.inputs.rectangle import Rectangle, check_rectangle, find_rectangle, find_rectangle_of_case
 from ddic.io.input_file import as_path
 from ddic.io.result_reader import Result
 from ddic.mesh.mesh import Mesh
@@ -31,13 +38,6 @@ from ddic.methods.dd_dic import Session as DecomposedSession
 from ddic.methods.detect import find_discontinuity, is_line_wanted, measure_on_lines
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team, require_held
-from ddic.problem.cameras import Camera, Frame, make_setup
-from ddic.problem.check_inputs import check_loaded_case, check_ranks, load_checked_case
-from ddic.problem.check_mesh_uses import check_mesh
-from ddic.problem.check_output import check_nothing_is_overwritten, check_output_file
-from ddic.problem.inputs import Inputs, open_inputs
-from ddic.problem.mesh_source import accept_mesh, convert_mapping
-from ddic.problem.rectangle import Rectangle, check_rectangle, find_rectangle, find_rectangle_of_case
 from ddic.results.listener import Silence
 from ddic.results.measurement import Measurement
 from ddic.results.publishing import Destination, gather, publish

@@ -14,8 +14,8 @@ from ddic.errors import InputError
 
 if TYPE_CHECKING:
     from ddic.case.schema import Case
+    from ddic.check.report import CheckReport
     from ddic.mesh.mesh import Mesh
-    from ddic.problem.check_report import CheckReport
 
 
 ENDINGS = (".png", ".pdf", ".svg")
@@ -33,8 +33,8 @@ def check(case_file: Path, drawing: Path | None) -> None:
     # Imported here because they bring numba, meshio and OpenCV, which --help does not need.
     from ddic.case.loader import load_case
     from ddic.case.own_outputs import PICTURE, require_own_output
-    from ddic.problem.check_inputs import check_case_file
-    from ddic.problem.check_output import list_inputs
+    from ddic.check.case import check_case_file
+    from ddic.check.output import list_inputs
 
     take_closed_pipes_as_errors()
     with errors_as_lines(drawing), warnings_as_lines():
@@ -76,11 +76,11 @@ def _draw(case: Case, drawing: Path) -> None:
 
 def _build_mesh(case: Case, width: int, height: int) -> Mesh:
     """The mesh of a case; that of the result with [pgd], whose elements may be single pixels."""
+    from ddic.inputs.mesh_source import build_meshes
+    from ddic.inputs.rectangle import choose_output_lines, find_rectangle_of_case
     from ddic.mesh.cell_type import Q4
     from ddic.mesh.mesh import build_mesh
     from ddic.mesh.structured import Grid
-    from ddic.problem.mesh_source import build_meshes
-    from ddic.problem.rectangle import choose_output_lines, find_rectangle_of_case
 
     if case.pgd is None:
         return build_meshes(case, width, height)[0]

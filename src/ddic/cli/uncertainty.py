@@ -37,12 +37,12 @@ def uncertainty(case_file: Path, sizes: str, displacements: int, noise: float, o
     from ddic.api.known_displacements import BASES, estimate_uncertainty
     from ddic.case.loader import load_case
     from ddic.case.own_outputs import PICTURE, UNCERTAINTY, require_own_output
+    from ddic.check.output import list_inputs
     from ddic.images.window import Window
     from ddic.io.image_file import open_image
     from ddic.io.replace_on_exit import made_folder, replaced_together
     from ddic.plots.canvas import save_figure
     from ddic.plots.curves import draw_uncertainty
-    from ddic.problem.check_output import list_inputs
 
     folder = case_file.parent if output is None else output
     table, figure = (folder / f"{case_file.stem}.uncertainty.{ending}" for ending in ("csv", "png"))

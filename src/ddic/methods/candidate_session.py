@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from ddic.errors import DdicError, is_collective
+from ddic.inputs.cameras import Frame
+from ddic.inputs.inputs import Inputs
 from ddic.io.result_reader import Result
 from ddic.methods.dd_dic import Session
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.cameras import Frame
-from ddic.problem.inputs import Inputs
 from ddic.results.candidate_field import CandidateField, collect_candidate_field
 from ddic.results.listener import Silence
 from ddic.results.publishing import gather

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Self
 
+from ddic.inputs.cameras import Frame
+from ddic.inputs.inputs import Inputs
 from ddic.methods.solve_frame import solve_frame
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.cameras import Frame
-from ddic.problem.inputs import Inputs
 from ddic.problem.reference_problem import build_whole_mesh, prepare_reference
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.results.last_field import last_field_kept

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError, SingularSubdomainError, is_collective
+from ddic.inputs.cameras import Frame
 from ddic.methods.dd_dic import Session
-from ddic.problem.cameras import Frame
 from ddic.results.frame_states import MeasuredState, extrapolate
 from ddic.results.listener import Listener
 from ddic.results.measurement import Measurement

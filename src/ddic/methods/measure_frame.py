@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 
 from ddic.case.frame_files import list_times
 from ddic.errors import DdicError, is_collective
+from ddic.inputs.cameras import Frame
+from ddic.inputs.inputs import inputs_kept
 from ddic.io.series_folder import BackgroundWriter, SeriesFolder
 from ddic.methods.detect import add_notes, measure_and_look
 from ddic.methods.frame_starts import SEARCH, KnownFrameStart, choose_known_start, measure_from
 from ddic.methods.reference_session import ReferenceSession, place_lines
 from ddic.parallel.team import Team
-from ddic.problem.cameras import Frame
-from ddic.problem.inputs import inputs_kept
 from ddic.results.frame_states import MeasuredState
 from ddic.results.measurement import Measurement
 from ddic.results.series_frames import write_failed_frame, write_frame

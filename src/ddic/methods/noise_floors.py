@@ -6,10 +6,10 @@ from ddic.errors import ConvergenceError, is_collective
 from ddic.methods.choose_recipe import Recipe
 from ddic.methods.dd_dic import Session
 from ddic.parallel.phases import Phase, PhaseClock
-from ddic.problem.force_noise import measure_force_noise
 from ddic.results.measurement import Measurement
 from ddic.results.publishing import Publishable
 from ddic.solvers.probing import estimate_response
+from ddic.visibility.force_noise import measure_force_noise
 
 
 def estimate_noise_floor(recipe: Recipe, measurement: Publishable, clock: PhaseClock) -> float:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ddic.check.case import load_checked_case
 from ddic.errors import InputError, as_collective
 from ddic.methods.run_pair import run_pair
 from ddic.parallel.team import Team
-from ddic.problem.check_inputs import load_checked_case
 from ddic.results.listener import Listener
 from ddic.results.run_files import claimed_output
 from ddic.results.series_record import SeriesSummary

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from ddic.case.loader import LoadedCase
 from ddic.errors import DdicError
+from ddic.inputs.inputs import inputs_kept, open_inputs
 from ddic.methods.choose_recipe import prepare_recipe
 from ddic.methods.detect import find_discontinuity, measure_on_lines
 from ddic.methods.noise_floors import estimate_noise_floor
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.inputs import inputs_kept, open_inputs
 from ddic.results.listener import Listener
 from ddic.results.publishing import Destination
 from ddic.results.run_files import keep_failed_run, remove_failed_field, write_run

@@ -10,10 +10,14 @@ from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError, as_collective
 from ddic.parallel.phases import Phase, PhaseClock
-from ddic.problem.exclusions import exclude, pull_held_cells
 from ddic.problem.residual_model import ResidualModel
-from ddic.problem.see_frame import SeenFrame, see_start
-from ddic.problem.solved_frame import (
+from ddic.problem.views import read_frame_windows
+from ddic.problem.weighted_problem import WeightedProblem
+from ddic.results.listener import Listener
+from ddic.solvers.gauss_newton import Progress
+from ddic.visibility.exclusions import exclude, pull_held_cells
+from ddic.visibility.see_frame import SeenFrame, see_start
+from ddic.visibility.solved_frame import (
     SETTLED,
     Looks,
     SolvedFrame,
@@ -22,10 +26,6 @@ from ddic.problem.solved_frame import (
     see_solved_frame,
     solve_further,
 )
-from ddic.problem.views import read_frame_windows
-from ddic.problem.weighted_problem import WeightedProblem
-from ddic.results.listener import Listener
-from ddic.solvers.gauss_newton import Progress
 
 MOST_LOOKS = 20
 """Times that a frame is looked at before it is given up."""

@@ -7,10 +7,10 @@ from contextlib import ExitStack
 
 import numpy as np
 
+from ddic.inputs.cameras import Frame
+from ddic.inputs.inputs import Inputs
 from ddic.methods.candidate_session import CandidateSession
 from ddic.parallel.team import Team, require_held
-from ddic.problem.cameras import Frame
-from ddic.problem.inputs import Inputs
 from ddic.results.candidate_field import CandidateField
 from ddic.results.judge_trials import draw_points, evaluate_pair, evaluate_virtual
 from ddic.results.predict_errors import correct_predictions, estimate_pair_noise, predict_errors

@@ -17,9 +17,9 @@ from ddic.functionals.regularization import (
     find_edge_weight,
     measure_texture_energies,
 )
+from ddic.inputs.mesh_source import NO_INNER_NODE
 from ddic.parallel.team import Team, require_held
 from ddic.partition.subdomain import Subdomain, interface_weights
-from ddic.problem.mesh_source import NO_INNER_NODE
 from ddic.problem.region_mesh import Region, build_material
 from ddic.problem.views import ReferenceViews
 from ddic.solvers.local_system import LocalSystem

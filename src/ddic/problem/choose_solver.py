@@ -7,11 +7,11 @@ from dataclasses import replace
 from math import ceil
 
 from ddic.case.schema import SolverSection
+from ddic.inputs.inputs import Inputs, SolverChoice
 from ddic.io.text_files import read_partition
 from ddic.mesh.quality import measure_cell_size
 from ddic.parallel.node import measure_available_memory
 from ddic.parallel.team import Team, require_held
-from ddic.problem.inputs import Inputs, SolverChoice
 from ddic.problem.linear_solver import compute_cut_off_wavelength
 from ddic.problem.region_mesh import RegionMesh
 from ddic.solvers.petsc import ASSEMBLED, COARSE, is_mumps_missing

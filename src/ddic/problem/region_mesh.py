@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from ddic.case.schema import RegularizationSection, SolverSection
 from ddic.errors import InputError
 from ddic.functionals.regularization import Material, measure_gap_energies
+from ddic.inputs.cameras import Camera, MeasuredCells, assign_cells, collect_cells
+from ddic.inputs.inputs import Inputs
 from ddic.io.text_files import read_partition
 from ddic.kinematics.kinematics import RegionKinematics
 from ddic.kinematics.linear import TiedRegion
@@ -35,9 +37,7 @@ from ddic.partition.split import (
 )
 from ddic.partition.subdomain import Subdomain
 from ddic.partition.ties import Tying
-from ddic.problem.cameras import Camera, MeasuredCells, assign_cells, collect_cells
 from ddic.problem.cut_region import CutRegion, cut_region, refuse_kinematics
-from ddic.problem.inputs import Inputs
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,12 @@ from ddic.errors import InputError
 from ddic.functionals.regularization import find_edge_weight
 from ddic.images.sub_image import DeformedSubImage, read_reference
 from ddic.images.window import Window
+from ddic.inputs.cameras import Frame
+from ddic.inputs.inputs import Inputs
+from ddic.inputs.rectangle import Rectangle, choose_controlled_lines
 from ddic.parallel.distribution import TeamSums
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team, require_held
-from ddic.problem.cameras import Frame
-from ddic.problem.inputs import Inputs
-from ddic.problem.rectangle import Rectangle, choose_controlled_lines
 from ddic.problem.region_mesh import build_material
 from ddic.problem.weighted_problem import ProblemSize, describe_cut_off
 from ddic.separated.band_sums import divide_rows

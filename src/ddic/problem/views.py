@@ -15,11 +15,11 @@ from ddic.functionals.view import FrameView, View
 from ddic.images.sub_image import DeformedSubImage
 from ddic.images.threads import Threads
 from ddic.images.window import Window
+from ddic.inputs.cameras import Camera, Frame
 from ddic.kinematics.camera import place_before_camera
 from ddic.kinematics.kinematics import Kinematics
 from ddic.mesh.mesh import Mesh
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.cameras import Camera, Frame
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,11 @@ from ddic.case.schema import RegularizationSection
 from ddic.errors import SingularSubdomainError, as_collective, is_collective
 from ddic.functionals.regularization import HalfAmplitudes, find_half_amplitudes
 from ddic.functionals.view import CellSlopes, FrameView
+from ddic.inputs.cameras import Frame
 from ddic.mesh.plane import build_rotation
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.assembly import assemble
-from ddic.problem.cameras import Frame
 from ddic.problem.linear_solver import LinearSolver, compute_cut_off_wavelength
 from ddic.problem.reference_problem import ReferenceProblem
 from ddic.problem.region_mesh import build_material

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from ddic.functionals.correlation import Band, Residual
 from ddic.functionals.view import FrameView
+from ddic.inputs.cameras import Camera
 from ddic.io.hdf5_stream import ChunkGrid
 from ddic.io.result_writer import ResultWriter
 from ddic.parallel.team import require_held
-from ddic.problem.cameras import Camera
 from ddic.results.residual_image import Patch, pack_chunks, stream_chunks
 
 if TYPE_CHECKING:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from ddic.problem.cameras import Frame
-from ddic.problem.rectangle import choose_output_lines
+from ddic.inputs.cameras import Frame
+from ddic.inputs.rectangle import choose_output_lines
 from ddic.problem.separated_problem import SeparatedProblem
 from ddic.results.separated_cells import evaluate_output_cells
 from ddic.results.separated_measurement import SeparatedMeasurement

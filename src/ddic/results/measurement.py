@@ -14,37 +14,37 @@ from scipy import sparse
 from ddic.case.schema import Case
 from ddic.errors import ConvergenceError, as_collective, is_collective, list_first
 from ddic.functionals.grey_statistics import GreyCorrection
+from ddic.inputs.cameras import Camera, Frame
+from ddic.inputs.inputs import Inputs
 from ddic.io.result_writer import ResultWriter
 from ddic.kinematics.strain import find_inverted_cells
 from ddic.mesh.interpolation import interpolate
 from ddic.mesh.plane import build_tree
 from ddic.parallel.team import Team, require_held
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.cameras import Camera, Frame
-from ddic.problem.cell_errors import (
+from ddic.problem.linear_solver import compute_cut_off_wavelength
+from ddic.problem.region_mesh import Region
+from ddic.problem.residual_model import Evaluation, ResidualModel
+from ddic.problem.weighted_problem import ProblemSize, WeightedProblem
+from ddic.results.camera_images import write_residual_images
+from ddic.results.field_pieces import write_pieces
+from ddic.results.histories import write_attributes, write_histories
+from ddic.results.provenance import describe_image
+from ddic.results.setup_motion import SetupMotion, collect_motions, describe_motions, estimate_covariances
+from ddic.solvers.gauss_newton import IterationRecord
+from ddic.visibility.cell_errors import (
     CellErrors,
     describe_doubtful_cells,
+    describe_exclusions,
     describe_lost_field,
     find_cell_errors,
     find_noisy_cells,
     find_unmeasured_nodes,
     measure_cell_residuals,
 )
-from ddic.problem.exclusions import Exclusions, find_excluded
-from ddic.problem.inputs import Inputs
-from ddic.problem.linear_solver import compute_cut_off_wavelength
-from ddic.problem.region_mesh import Region
-from ddic.problem.residual_model import Evaluation, ResidualModel
-from ddic.problem.slow_nodes import estimate_node_deviations
-from ddic.problem.solved_frame import SolvedFrame
-from ddic.problem.weighted_problem import ProblemSize, WeightedProblem
-from ddic.results.camera_images import write_residual_images
-from ddic.results.describe_exclusions import describe_exclusions
-from ddic.results.field_pieces import write_pieces
-from ddic.results.histories import write_attributes, write_histories
-from ddic.results.provenance import describe_image
-from ddic.results.setup_motion import SetupMotion, collect_motions, describe_motions, estimate_covariances
-from ddic.solvers.gauss_newton import IterationRecord
+from ddic.visibility.exclusions import Exclusions, find_excluded
+from ddic.visibility.slow_nodes import estimate_node_deviations
+from ddic.visibility.solved_frame import SolvedFrame
 
 if TYPE_CHECKING:
     from ddic.results.field_uncertainty import Uncertainty

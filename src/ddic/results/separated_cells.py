@@ -18,11 +18,11 @@ from ddic.mesh.cell_type import Q4
 from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.structured import Grid
 from ddic.parallel.team import Team
-from ddic.problem.cell_errors import CellErrors, CellResiduals, describe_doubtful_cells, find_cell_errors
-from ddic.problem.exclusions import KEPT, UNSEEN
 from ddic.results.nodal_strain import convert_to_six_components, describe_nodal_strains
 from ddic.separated.field import LineElements, SeparatedField
 from ddic.separated.pixel_bands import ReferencePixels
+from ddic.visibility.cell_errors import CellErrors, CellResiduals, describe_doubtful_cells, find_cell_errors
+from ddic.visibility.exclusions import KEPT, UNSEEN
 
 Array = NDArray[np.float64]
 Rows = tuple[range, NDArray[np.float32]]

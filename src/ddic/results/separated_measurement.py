@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.images.window import Window
+from ddic.inputs.cameras import Camera, Frame
+from ddic.inputs.inputs import Inputs
 from ddic.io import result_schema as schema
 from ddic.io.hdf5_stream import ChunkGrid
 from ddic.io.result_writer import ResultWriter
 from ddic.parallel.team import Team, require_held
-from ddic.problem.cameras import Camera, Frame
-from ddic.problem.inputs import Inputs
 from ddic.problem.separated_problem import SeparatedProblem
 from ddic.problem.weighted_problem import ProblemSize
 from ddic.results.provenance import describe_image

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ddic.case.loader import LoadedCase
+from ddic.inputs.inputs import FrameOpener, inputs_kept, open_inputs
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.inputs import FrameOpener, inputs_kept, open_inputs
 from ddic.results.listener import Listener
 
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.inputs.cameras import Camera
 from ddic.kinematics.camera import CameraSetup
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.cameras import Camera
 from ddic.solvers.dual.dual_problem import sum_motion_scales
 from ddic.solvers.linear_step import AllowedError, LinearStep
 from ddic.solvers.local_system import LocalSystem

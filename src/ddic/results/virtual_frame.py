@@ -14,9 +14,9 @@ from ddic.functionals.regularization import Material
 from ddic.images.binned import ArraySource
 from ddic.images.spline import read_gradient
 from ddic.images.sub_image import MaskedSource
+from ddic.inputs.cameras import Frame
+from ddic.inputs.inputs import Inputs
 from ddic.parallel.team import Team
-from ddic.problem.cameras import Frame
-from ddic.problem.inputs import Inputs
 from ddic.results.sweep_trials import Trial
 from ddic.results.virtual_truth import VirtualTruth
 

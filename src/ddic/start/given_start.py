@@ -14,6 +14,8 @@ from scipy import sparse
 from ddic.case.schema import StartSection
 from ddic.errors import InputError
 from ddic.functionals.regularization import Material, assemble_stiffness
+from ddic.inputs.cameras import Camera
+from ddic.inputs.start_points import StartPoints, check_start_points, load_start_points, require_points_inside
 from ddic.io.damaged_result import require_known_displacement
 from ddic.io.result_reader import SAME_NODE_PX, Result, evaluate_on_sides
 from ddic.io.result_schema import near_group
@@ -24,8 +26,6 @@ from ddic.mesh.interpolation import locate
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import build_tree
 from ddic.mesh.topology import find_boundary_facets
-from ddic.problem.cameras import Camera
-from ddic.problem.start_points import StartPoints, check_start_points, load_start_points, require_points_inside
 from ddic.solvers.local_operator import LocalOperator
 from ddic.start.coarse_displacement import CutField
 from ddic.start.feature_matches import AffineMap, find_piece_of_nodes, fit_affine_map, interpolate_pairs

@@ -24,13 +24,13 @@ from ddic.images.grey_levels import (
 from ddic.images.source import ImageSource
 from ddic.images.sub_image import MaskedSource
 from ddic.images.window import Window
+from ddic.inputs.inputs import Problems
+from ddic.inputs.mesh_source import check_weight_fits
 from ddic.io.image_file import ImageFile, hold_image, read_mask
 from ddic.io.image_formats import can_decode, is_tiff, read_tiff_format
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_cell_size
 from ddic.mesh.raster import rasterize
-from ddic.problem.inputs import Problems
-from ddic.problem.mesh_source import check_weight_fits
 from ddic.problem.region_mesh import build_material
 
 LEAST_SIDE = 8

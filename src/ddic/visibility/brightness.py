@@ -20,7 +20,7 @@ from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import list_pixels
 from ddic.parallel.distribution import sum_shared_nodes
 from ddic.problem.residual_model import ResidualModel
-from ddic.problem.seen_cells import SeenCells, TypicalCell
+from ddic.visibility.seen_cells import SeenCells, TypicalCell
 
 Array = NDArray[np.float64]
 

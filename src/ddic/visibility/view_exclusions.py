@@ -22,7 +22,6 @@ from ddic.mesh.mesh import pad_cells
 from ddic.mesh.plane import measure_distance as measure_distance_from_line
 from ddic.parallel.distribution import sum_shared_nodes
 from ddic.parallel.team import Team
-from ddic.problem.exclusions import BLANK, HELD_OFF, KEPT, SPOILT, UNSEEN, Exclusions, exclude, find_excluded
 from ddic.problem.held_cells import (
     AT_START,
     CAPTURED,
@@ -33,8 +32,16 @@ from ddic.problem.held_cells import (
     measure_distance,
 )
 from ddic.problem.residual_model import ResidualModel
-from ddic.problem.seen_cells import BLANK_TEXTURE, CORRELATED, FEWEST_PIXELS, SeenCells, TypicalCell, find_standing_out
 from ddic.problem.views import FrameViews
+from ddic.visibility.exclusions import BLANK, HELD_OFF, KEPT, SPOILT, UNSEEN, Exclusions, exclude, find_excluded
+from ddic.visibility.seen_cells import (
+    BLANK_TEXTURE,
+    CORRELATED,
+    FEWEST_PIXELS,
+    SeenCells,
+    TypicalCell,
+    find_standing_out,
+)
 
 Array = NDArray[np.float64]
 

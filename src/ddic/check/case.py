@@ -13,24 +13,24 @@ from numpy.typing import NDArray
 
 from ddic.case.loader import LoadedCase, list_unused_keys, load_case_leniently
 from ddic.case.schema import Case
+from ddic.check.images import check_decodable, check_images, check_texture
+from ddic.check.mesh import CheckedMesh, check_mesh_uses, check_most_ranks
+from ddic.check.near import check_near_mapping
+from ddic.check.output import check_output, list_named_files
+from ddic.check.report import CheckReport, describe_inputs
 from ddic.errors import InputError
 from ddic.images.source import ImageSource
+from ddic.inputs.cameras import assign_cells, collect_cells, open_cameras, open_in_headers
+from ddic.inputs.inputs import Problems
+from ddic.inputs.mesh_source import build_mesh_anywhere, build_meshes
+from ddic.inputs.rectangle import check_number_of_ranks
+from ddic.inputs.start_points import StartPoints, check_start_points, load_start_points, require_points_inside
 from ddic.io.damaged_result import require_known_displacement
 from ddic.io.input_file import FileStamps
 from ddic.io.series_reader import read_frame_or_last
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
 from ddic.partition.ties import Tying
-from ddic.problem.cameras import assign_cells, collect_cells, open_cameras, open_in_headers
-from ddic.problem.check_images import check_decodable, check_images, check_texture
-from ddic.problem.check_mesh_uses import CheckedMesh, check_mesh_uses, check_most_ranks
-from ddic.problem.check_near_mapping import check_near_mapping
-from ddic.problem.check_output import check_output, list_named_files
-from ddic.problem.check_report import CheckReport, describe_inputs
-from ddic.problem.inputs import Problems
-from ddic.problem.mesh_source import build_mesh_anywhere, build_meshes
-from ddic.problem.rectangle import check_number_of_ranks
-from ddic.problem.start_points import StartPoints, check_start_points, load_start_points, require_points_inside
 from ddic.solvers.petsc import require_packages
 
 PixelCounter = Callable[[Mesh, Tying | None], NDArray[np.int64]]
@@ -243,7 +243,7 @@ def check_case(loaded: LoadedCase, count_pixels: PixelCounter | None = None) -> 
     if case.pgd is not None:
         if reference is None:
             raise InputError(problems.lines)
-        from ddic.problem.check_separated import check_separated_case
+        from ddic.check.report import check_separated_case
 
         return check_separated_case(loaded, reference, problems)
     checked = _check_mesh(loaded, reference, count_pixels or _count_pixels, problems)

@@ -1,4 +1,7 @@
-"""What the inputs of a case are."""
+"""What the inputs of a case are.
+
+All inputs of a PGD-DIC case validated without measuring.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +11,25 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case
+from ddic.check.mesh import CheckedMesh, count_most_ranks
+from ddic.errors import InputError
 from ddic.functionals.regularization import HalfAmplitudes
 from ddic.images.source import ImageSource
+from ddic.inputs.inputs import Problems
+from ddic.inputs.rectangle import (
+    Rectangle,
+    check_rectangle,
+    choose_controlled_lines,
+    find_rectangle_of_case,
+)
 from ddic.mesh.cell_type import CELL_TYPES
 from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.mesh import Mesh
-from ddic.problem.check_mesh_uses import CheckedMesh, count_most_ranks
 from ddic.problem.cut_region import describe_cut, list_discontinuities
 from ddic.problem.weighted_problem import describe_cut_off
+from ddic.separated.band_sums import N_BANDS
 
 
 @dataclass(frozen=True)
@@ -136,3 +149,64 @@ def _describe_discontinuities(case: Case, mesh: Mesh) -> str | None:
     if lines:
         return describe_cut(cut_mesh(mesh, lines))
     return "1 line, to be found" if case.discontinuity else None
+
+
+def check_separated_case(loaded: LoadedCase, reference: ImageSource, problems: Problems) -> CheckReport:
+    """Check the rectangle of a case with [pgd] and what refers to it.
+
+    Parameters
+    ----------
+    loaded : LoadedCase
+        The case file.
+    reference : ImageSource
+        The reference image.
+    problems : Problems
+        What was found before.
+
+    Returns
+    -------
+    CheckReport
+        What the inputs are.
+
+    Raises
+    ------
+    InputError
+        With the problems of all inputs, one line each.
+    """
+    rectangle: Rectangle | None = None
+    with problems.gathered(loaded.path):
+        rectangle = find_rectangle_of_case(loaded.case)
+        check_rectangle(loaded.case, rectangle, reference.width, reference.height)
+    problems.require_none()
+    if rectangle is None:
+        raise InputError(problems.lines)
+    return _describe(loaded.case, reference, rectangle)
+
+
+def _describe(case: Case, reference: ImageSource, rectangle: Rectangle) -> CheckReport:
+    n_nodes = rectangle.along_x.n_nodes * rectangle.along_y.n_nodes
+    n_cells = (rectangle.along_x.n_nodes - 1) * (rectangle.along_y.n_nodes - 1)
+    of_x, of_y = (line.count_pixels() for line in (rectangle.along_x, rectangle.along_y))
+    n_controlled = n_nodes
+    section = case.regularization
+    if section is None:
+        n_controlled = 0
+    elif section.operator == "equilibrium_gap":
+        lines = choose_controlled_lines(section, rectangle)
+        n_controlled = int(lines.x.sum()) * int(lines.y.sum())
+    return CheckReport(
+        image_size=(reference.width, reference.height),
+        bits=count_bits(reference),
+        n_nodes=n_nodes,
+        n_cells=n_cells,
+        n_dofs=2 * n_nodes,
+        cell_counts={"Q4": n_cells},
+        node_sets={},
+        pixels_min=int(of_x.min() * of_y.min()),
+        pixels_mean=float(of_x.mean() * of_y.mean()),
+        n_controlled_dofs=2 * n_controlled,
+        output=case.output.file,
+        discontinuities=None,
+        half_amplitudes=describe_cut_off(section),
+        most_ranks=N_BANDS,
+    )

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from ddic.case.schema import Case, RegularizationSection, StructuredSection
 from ddic.errors import InputError
+from ddic.inputs.mesh_source import NO_INNER_NODE, check_wavelength_fits
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.repair import check_inside
 from ddic.mesh.structured import build_structured_mesh, count_cells
 from ddic.mesh.topology import BOUNDARY
-from ddic.problem.mesh_source import NO_INNER_NODE, check_wavelength_fits
 from ddic.separated.band_sums import N_BANDS
 from ddic.separated.field import LineElements
 from ddic.separated.separated_regularization import ControlledLines

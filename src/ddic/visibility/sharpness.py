@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from ddic.functionals.view import FrameView
 from ddic.images.binned import BLUR_NOTE, Blur, BlurredSource
 from ddic.images.sub_image import MaskedSource, read_reference
+from ddic.inputs.cameras import Camera
 from ddic.mesh.plane import build_rotation
 from ddic.parallel.team import Team
-from ddic.problem.cameras import Camera
 from ddic.problem.residual_model import ResidualModel
-from ddic.problem.seen_cells import TypicalCell
+from ddic.visibility.seen_cells import TypicalCell
 
 Array = NDArray[np.float64]
 

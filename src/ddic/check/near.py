@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ddic.errors import InputError
 from ddic.images.source import ImageSource
 from ddic.images.window import Window
-from ddic.problem.cameras import Camera
+from ddic.inputs.cameras import Camera
 
 LEAST_COEFFICIENT = 0.3
 """Correlation of a near reference image with the far one below which it does not show what its mapping says: unrelated

@@ -13,12 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError
-from ddic.problem.cell_errors import find_unmeasured_nodes
-from ddic.problem.force_noise import measure_force_noise
-from ddic.problem.match_brightness import ORDER
 from ddic.problem.residual_model import ResidualModel
-from ddic.problem.see_frame import SeenFrame, see_frame
-from ddic.problem.slow_nodes import SlowNodes, confine_to_slow_nodes, estimate_node_deviations
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.solvers.correction_size import CorrectionSize, Tolerances
 from ddic.solvers.dual.continuity import ContinuousField, average_copies
@@ -34,6 +29,11 @@ from ddic.solvers.gauss_newton import (
     run_gauss_newton,
 )
 from ddic.solvers.probing import estimate_response
+from ddic.visibility.brightness import ORDER
+from ddic.visibility.cell_errors import find_unmeasured_nodes
+from ddic.visibility.force_noise import measure_force_noise
+from ddic.visibility.see_frame import SeenFrame, see_frame
+from ddic.visibility.slow_nodes import SlowNodes, confine_to_slow_nodes, estimate_node_deviations
 
 Array = NDArray[np.float64]
 

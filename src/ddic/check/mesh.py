@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case
 from ddic.errors import InputError
+from ddic.inputs.inputs import Problems
+from ddic.inputs.mesh_source import NO_INNER_NODE, check_wavelength_fits, describe_mesh_source
 from ddic.io.text_files import read_partition
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_cell_size
@@ -19,8 +21,6 @@ from ddic.mesh.topology import find_boundary_nodes, find_not_controlled_nodes
 from ddic.partition.split import split_by_blocks
 from ddic.partition.ties import Tying
 from ddic.problem.cut_region import check_lines
-from ddic.problem.inputs import Problems
-from ddic.problem.mesh_source import NO_INNER_NODE, check_wavelength_fits, describe_mesh_source
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,9 @@ from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case
 from ddic.errors import DdicError, InputError, as_collective, is_collective
 from ddic.images.source import ImageSource
+from ddic.inputs.cameras import Camera, Frame, open_cameras, open_frame, open_on_all_ranks
+from ddic.inputs.mesh_source import build_meshes
+from ddic.inputs.rectangle import Rectangle, find_rectangle_of_case
 from ddic.io.input_file import FileStamps
 from ddic.kinematics.kinematics import RegionKinematics
 from ddic.mesh.mesh import Mesh
@@ -26,9 +29,6 @@ from ddic.mesh.repair import check_inside
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.partition.ties import Tying
-from ddic.problem.cameras import Camera, Frame, open_cameras, open_frame, open_on_all_ranks
-from ddic.problem.mesh_source import build_meshes
-from ddic.problem.rectangle import Rectangle, find_rectangle_of_case
 
 Array = NDArray[np.float64]
 

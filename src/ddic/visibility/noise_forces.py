@@ -29,10 +29,10 @@ from ddic.io.image_file import hold_image
 from ddic.mesh.quality import measure_covered_areas
 from ddic.parallel.team import Team, require_held
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.force_noise import ForceNoise
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.solvers.probing import FEWEST_SAMPLES, MOST_SAMPLES, SampledCells, prepare_samples
+from ddic.visibility.force_noise import ForceNoise
 
 Array = NDArray[np.float64]
 

@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 
 from ddic.case.schema import Case
 from ddic.functionals.view import CellSlopes
-from ddic.problem.cameras import Camera
-from ddic.problem.exclusions import Exclusions
+from ddic.inputs.cameras import Camera
 from ddic.problem.held_cells import AT_END, AT_START, SHOWN, Limits
-from ddic.problem.match_brightness import choose_correction, match_brightness
-from ddic.problem.match_sharpness import match_sharpness
 from ddic.problem.residual_model import Evaluation, ResidualModel
-from ddic.problem.seen_cells import (
+from ddic.visibility.brightness import choose_correction, match_brightness
+from ddic.visibility.exclusions import Exclusions
+from ddic.visibility.seen_cells import (
     SeenCells,
     TypicalCell,
     collect_cells,
@@ -24,7 +23,8 @@ from ddic.problem.seen_cells import (
     find_typical_cell,
     measure_seen_cells,
 )
-from ddic.problem.view_exclusions import Rules, find_exclusions
+from ddic.visibility.sharpness import match_sharpness
+from ddic.visibility.view_exclusions import Rules, find_exclusions
 
 Array = NDArray[np.float64]
 
