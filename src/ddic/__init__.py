@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from ddic.probes.read_probe import Reading, measure_probe
     from ddic.probes.tables import measure_probes, write_field_tables, write_probe_table
     from ddic.report.page import write_report
-    from ddic.results.sweep_trials import Candidate, Sweep, Trial
+    from ddic.results.sweep import Candidate, Sweep, Trial
 
 _HOMES = {
     "choose_regularization": "api.choose_regularization",
@@ -70,9 +70,9 @@ _HOMES = {
     "LinearRegion": "kinematics.linear",
     "NodalRegion": "kinematics.nodal",
     "Mesh": "mesh.mesh",
-    "Candidate": "results.sweep_trials",
-    "Sweep": "results.sweep_trials",
-    "Trial": "results.sweep_trials",
+    "Candidate": "results.sweep",
+    "Sweep": "results.sweep",
+    "Trial": "results.sweep",
     "structured_mesh": "mesh.structured:build_structured_mesh",
     "Extensometer": "probes.probes",
     "LineProbe": "probes.probes",

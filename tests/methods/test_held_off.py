@@ -17,7 +17,7 @@ import ddic
 from ddic.methods.run_case import run_file
 from ddic.parallel.team import Team
 from ddic.results.listener import Silence
-from ddic.results.series_record import SeriesSummary
+from ddic.results.series import SeriesSummary
 from ddic.visibility.exclusions import HELD_OFF, KEPT
 from support.spoilt import digitise
 

@@ -21,7 +21,7 @@ from ddic.methods.run_case import run_case
 from ddic.parallel.distribution import split_evenly
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
-from ddic.results.nodal_strain import describe_nodal_strains, recover_nodal_gradients
+from ddic.results.fields import describe_nodal_strains, recover_nodal_gradients
 from support.cases import WAVES, Ears, write_case, write_images
 
 RANKS = [1, 2, 3, 4]

@@ -22,7 +22,7 @@ from ddic.methods.sweep_candidates import measure_candidates
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.results.listener import Silence
-from ddic.results.sweep_trials import Candidate, Sweep
+from ddic.results.sweep import Candidate, Sweep
 
 N_FRAMES = 3
 """Images that each candidate measures: the case's, and the virtual ones."""

@@ -42,7 +42,7 @@ from ddic.results.listener import Silence
 from ddic.results.measurement import Measurement
 from ddic.results.publishing import Destination, gather, publish
 from ddic.results.run_files import keep_failed_run, remove_failed_field
-from ddic.results.separated_measurement import SeparatedMeasurement
+from ddic.results.separated import SeparatedMeasurement
 from ddic.start.given_start import GivenStart
 
 if TYPE_CHECKING:

@@ -26,7 +26,7 @@ from rich.text import Text
 from ddic.cli.run_share import OF_CORRECTION, OF_ITERATION, RunShare
 from ddic.parallel.phases import REPEATED, Phase
 from ddic.problem.weighted_problem import ProblemSize
-from ddic.results.series_record import SeriesSummary
+from ddic.results.series import SeriesSummary
 from ddic.results.summary import Summary
 from ddic.solvers.gauss_newton import IterationRecord
 

@@ -14,7 +14,7 @@ from ddic.errors import InputError, is_disk_failure
 
 if TYPE_CHECKING:
     from ddic.parallel.team import Team
-    from ddic.results.sweep_trials import Sweep
+    from ddic.results.sweep import Sweep
 
 LOG_WIDTH = 160
 """Characters of a row where nobody watches."""
@@ -88,7 +88,7 @@ def _write(found: Sweep, folder: Path, stem: str) -> list[str]:
     from ddic.io.replace_on_exit import made_folder, replaced_together
     from ddic.plots.canvas import save_figure
     from ddic.plots.sweep import draw_sweep
-    from ddic.results.sweep_table import collect_by_size, list_failures, write_sweep
+    from ddic.results.sweep import collect_by_size, list_failures, write_sweep
 
     table, figure = _list_outputs(folder, stem)
     best = found.best
@@ -127,7 +127,7 @@ def _print_table(found: Sweep) -> None:
     from rich.table import Table
 
     from ddic.cli.console import is_on_terminal
-    from ddic.results.sweep_table import COLUMNS, format_rows
+    from ddic.results.sweep import COLUMNS, format_rows
 
     table = Table(box=None, header_style="bold", pad_edge=False)
     for name in COLUMNS:

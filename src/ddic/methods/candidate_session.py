@@ -9,9 +9,9 @@ from ddic.io.result_reader import Result
 from ddic.methods.dd_dic import Session
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.results.candidate_field import CandidateField, collect_candidate_field
 from ddic.results.listener import Silence
 from ddic.results.publishing import gather
+from ddic.results.sweep_candidates import CandidateField, collect_candidate_field
 from ddic.start.given_start import EarlierResult
 
 

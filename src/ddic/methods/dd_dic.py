@@ -11,9 +11,8 @@ from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.reference_problem import build_whole_mesh, prepare_reference
 from ddic.problem.weighted_problem import WeightedProblem
-from ddic.results.last_field import last_field_kept
 from ddic.results.listener import Listener
-from ddic.results.measurement import Measurement, finish_measurement
+from ddic.results.measurement import Measurement, finish_measurement, last_field_kept
 from ddic.start.coarse_field import prepare_search
 from ddic.start.frame_start import FrameStart, KnownStart, find_start
 

@@ -17,12 +17,11 @@ from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team, require_held
 from ddic.problem.cut_region import refuse_kinematics
 from ddic.results.listener import Listener, WithoutNotes
-from ddic.results.measurement import Measurement
-from ddic.results.whole_field import gather_displacement
+from ddic.results.measurement import Measurement, gather_displacement
 
 if TYPE_CHECKING:
     from ddic.detection.line_of_case import Refinement
-    from ddic.results.separated_measurement import SeparatedMeasurement
+    from ddic.results.separated import SeparatedMeasurement
 
 RMS_PX, LARGEST_PX = 0.01, 1.0
 """Correction at which the continuous measurement is exact enough to look for a line in it: its elements on the line

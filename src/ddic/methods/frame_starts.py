@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from ddic.errors import ConvergenceError, SingularSubdomainError, is_collective
 from ddic.inputs.cameras import Frame
 from ddic.methods.dd_dic import Session
-from ddic.results.frame_states import MeasuredState, extrapolate
 from ddic.results.listener import Listener
 from ddic.results.measurement import Measurement
+from ddic.results.series import MeasuredState, extrapolate
 
 SEARCH = "a search"
 """Name of a start that nothing is known of."""

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ddic.methods.reference_session import ReferenceSession
-from ddic.results.frame_states import N_STATES, MeasuredState
-from ddic.results.series_record import FrameRecord
+from ddic.results.series import N_STATES, FrameRecord, MeasuredState
 
 
 @dataclass(frozen=True)

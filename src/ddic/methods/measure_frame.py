@@ -15,10 +15,8 @@ from ddic.methods.detect import add_notes, measure_and_look
 from ddic.methods.frame_starts import SEARCH, KnownFrameStart, choose_known_start, measure_from
 from ddic.methods.reference_session import ReferenceSession, place_lines
 from ddic.parallel.team import Team
-from ddic.results.frame_states import MeasuredState
 from ddic.results.measurement import Measurement
-from ddic.results.series_frames import write_failed_frame, write_frame
-from ddic.results.series_record import FrameRecord
+from ddic.results.series import FrameRecord, MeasuredState, write_failed_frame, write_frame
 
 
 @dataclass(frozen=True)

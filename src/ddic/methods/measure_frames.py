@@ -11,10 +11,8 @@ from ddic.methods.measure_frame import keep_frame
 from ddic.methods.reference_session import ReferenceSession
 from ddic.methods.reference_updates import measure_with_updates
 from ddic.parallel.stop_request import StopRequest, is_stop_asked
-from ddic.results.frame_states import N_STATES, collect_states
-from ddic.results.frames_to_measure import FramesToMeasure
-from ddic.results.series_images import SeriesImages
-from ddic.results.series_record import FrameRecord
+from ddic.results.series import N_STATES, FrameRecord, collect_states
+from ddic.results.series_images import FramesToMeasure, SeriesImages
 
 
 def measure_frames(images: SeriesImages, wanted: FramesToMeasure) -> list[FrameRecord]:

@@ -8,7 +8,7 @@ from ddic.errors import DdicError, is_collective
 from ddic.methods.frames_so_far import FramesSoFar
 from ddic.methods.measure_frame import MeasuredFrame, measure_frame
 from ddic.methods.reference_session import ReferenceSession
-from ddic.results.series_record import FrameRecord
+from ddic.results.series import FrameRecord
 
 RESIDUAL_GROWTH = 1.5
 """Residual of a frame over that of the first one with the same reference image, from which on ``auto`` updates it: a

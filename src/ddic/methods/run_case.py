@@ -10,7 +10,7 @@ from ddic.methods.run_pair import run_pair
 from ddic.parallel.team import Team
 from ddic.results.listener import Listener
 from ddic.results.run_files import claimed_output
-from ddic.results.series_record import SeriesSummary
+from ddic.results.series import SeriesSummary
 from ddic.results.summary import Summary
 
 

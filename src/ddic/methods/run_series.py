@@ -11,11 +11,9 @@ from ddic.errors import ConvergenceError, StoppedError, as_collective
 from ddic.io.series_folder import SeriesFolder
 from ddic.methods.measure_frames import measure_frames
 from ddic.parallel.team import Team
-from ddic.results.finish_series import describe_origin, finish_series
-from ddic.results.frames_to_measure import list_frames_to_measure
 from ddic.results.listener import Listener
-from ddic.results.series_images import open_series
-from ddic.results.series_record import FrameRecord, SeriesSummary
+from ddic.results.series import FrameRecord, SeriesSummary
+from ddic.results.series_images import describe_origin, finish_series, list_frames_to_measure, open_series
 
 
 def run_series(team: Team, loaded: LoadedCase, listener: Listener, *, resume: bool = False) -> SeriesSummary:

@@ -11,12 +11,17 @@ from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs
 from ddic.methods.candidate_session import CandidateSession
 from ddic.parallel.team import Team, require_held
-from ddic.results.candidate_field import CandidateField
-from ddic.results.judge_trials import draw_points, evaluate_pair, evaluate_virtual
-from ddic.results.predict_errors import correct_predictions, estimate_pair_noise, predict_errors
-from ddic.results.sweep_trials import Candidate, Sweep, choose_trial
-from ddic.results.virtual_frame import VirtualFrames
-from ddic.results.virtual_truth import VirtualTruth
+from ddic.results.sweep import Candidate, Sweep, choose_trial
+from ddic.results.sweep_candidates import (
+    CandidateField,
+    correct_predictions,
+    draw_points,
+    estimate_pair_noise,
+    evaluate_pair,
+    evaluate_virtual,
+    predict_errors,
+)
+from ddic.results.virtual import VirtualFrames, VirtualTruth
 from ddic.start.given_start import keep_displacement
 
 KEPT_PIXELS = 50_000_000

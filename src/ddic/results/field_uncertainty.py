@@ -15,7 +15,7 @@ from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.weighted_problem import WeightedProblem
-from ddic.results.nodal_strain import recover_nodal_gradients
+from ddic.results.fields import recover_nodal_gradients
 from ddic.solvers.linear_step import AllowedError, LinearStep
 from ddic.solvers.probing import estimate_response
 from ddic.visibility.force_noise import ForceNoise, measure_force_noise

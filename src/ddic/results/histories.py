@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from ddic.io import result_schema as schema
 from ddic.io.result_writer import ResultWriter
-from ddic.results.near_attributes import describe_near_field
+from ddic.results.near import describe_near_field
 
 if TYPE_CHECKING:
     from ddic.results.measurement import Measurement

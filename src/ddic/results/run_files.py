@@ -16,13 +16,12 @@ from ddic.io.sidecars import move_result, remove_result
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.results.measurement import Measurement
-from ddic.results.phase_times import gather_phase_times
-from ddic.results.publishing import Destination, publish
+from ddic.results.publishing import Destination, gather_phase_times, publish
 from ddic.results.summarize import summarize
 from ddic.results.summary import Summary, write_summary
 
 if TYPE_CHECKING:
-    from ddic.results.separated_measurement import SeparatedMeasurement
+    from ddic.results.separated import SeparatedMeasurement
 
 
 def write_run(measurement: Measurement | SeparatedMeasurement, clock: PhaseClock, file: Path,
@@ -159,7 +158,7 @@ def _write_last_field(team: Team, error: DdicError, destination: Destination, st
     """Write the field that an error brings; says where it is."""
     file = destination.path
     assert file is not None
-    from ddic.results.separated_measurement import SeparatedMeasurement
+    from ddic.results.separated import SeparatedMeasurement
 
     last = error.last if isinstance(error, ConvergenceError) else None
     if not isinstance(last, Measurement | SeparatedMeasurement):

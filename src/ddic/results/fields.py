@@ -1,4 +1,9 @@
-"""The mesh and the fields of a measurement, piece by piece, streamed through rank 0."""
+"""The mesh and the fields of a measurement, piece by piece, streamed through rank 0.
+
+Strains at the nodes of a measured field, as the result file has them.
+
+The mesh as a result shows it: parts of cut cells as triangles, so that a discontinuity opens.
+"""
 
 from __future__ import annotations
 
@@ -8,19 +13,188 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from ddic.functionals.correlation import Residual
 from ddic.io import result_schema as schema
 from ddic.io.result_writer import Piece, PieceSize, ResultWriter, join_pieces
-from ddic.kinematics.strain import compute_strain
-from ddic.mesh.mesh import Mesh, join_meshes
-from ddic.parallel.distribution import stream_to_root
-from ddic.parallel.team import require_held
-from ddic.results.drawn_mesh import DrawnMesh, draw_mesh
-from ddic.results.nodal_strain import convert_to_six_components, describe_nodal_strains, recover_nodal_gradients
+from ddic.kinematics.nodal_gradients import recover_gradients
+from ddic.kinematics.strain import (
+    compute_green_lagrange,
+    compute_hencky,
+    compute_infinitesimal,
+    compute_strain,
+    compute_von_mises_strain,
+    find_principal_strains,
+)
+from ddic.mesh.cell_type import T3
+from ddic.mesh.interpolation import evaluate_shapes_at
+from ddic.mesh.mesh import Mesh, join_meshes, pad_cells
+from ddic.parallel.distribution import stream_to_root, sum_shared_nodes
+from ddic.parallel.team import Team, require_held
+from ddic.partition.subdomain import Subdomain
 
 if TYPE_CHECKING:
     from ddic.results.measurement import Measurement
+
+
+Array = NDArray[np.float64]
+
+
+def recover_nodal_gradients(team: Team, subdomains: Sequence[Subdomain], displacements: Sequence[Array]) -> list[Array]:
+    """Recover the displacement gradient at the nodes of all subdomains; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    subdomains : sequence of Subdomain
+        This rank's.
+    displacements : sequence of (n_dofs,) array
+        Of their nodes, the same at copies of a node, pixels.
+
+    Returns
+    -------
+    list of (n_nodes, 2, 2) array
+        du_c / dx_j, no unit; one value a node, whatever the partition.
+    """
+    mesh = join_meshes([subdomain.mesh for subdomain in subdomains])
+    ends = np.cumsum([subdomain.mesh.n_nodes for subdomain in subdomains])[:-1]
+
+    def sum_shared(sums: Sequence[Array]) -> list[Array]:
+        return [np.concatenate(sum_shared_nodes(team, subdomains, np.split(sums[0], ends)))]
+
+    gradients, = recover_gradients([mesh], [np.concatenate(displacements)], sum_shared)
+    return np.split(gradients, ends)
+
+
+def describe_nodal_strains(gradients: Array) -> dict[str, NDArray[Any]]:
+    """Compute all strains that the result file has at points.
+
+    Parameters
+    ----------
+    gradients : (n, 2, 2) array
+        du_c / dx_j, no unit.
+
+    Returns
+    -------
+    dict of (n,) or (n, 6) array
+        By name of the field, no unit.
+    """
+    large = compute_green_lagrange(gradients)
+    hencky = compute_hencky(large)
+    first, second = find_principal_strains(hencky).T
+    return {
+        schema.NODAL_INFINITESIMAL: convert_to_six_components(compute_infinitesimal(gradients)),
+        schema.NODAL_GREEN_LAGRANGE: convert_to_six_components(large),
+        schema.NODAL_HENCKY: convert_to_six_components(hencky),
+        schema.NODAL_PRINCIPAL_1: first,
+        schema.NODAL_PRINCIPAL_2: second,
+        schema.NODAL_VON_MISES: compute_von_mises_strain(hencky),
+    }
+
+
+def convert_to_six_components(tensor: Array) -> Array:
+    """Write tensors in the plane as VTK does.
+
+    Parameters
+    ----------
+    tensor : (n, 3) array
+        xx, yy, xy.
+
+    Returns
+    -------
+    (n, 6) array
+        xx, yy, zz, xy, yz, xz.
+    """
+    zero = np.zeros(len(tensor))
+    return np.stack([tensor[:, 0], tensor[:, 1], zero, tensor[:, 2], zero, zero], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnMesh:
+    """Cells and points of a subdomain as they are written.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        Whole cells as they are, each part of a cut one as triangles about its first corner.
+    node_ids : (mesh.n_nodes,) array of int64
+        Numbers of its points over the whole region: those of nodes, then those of parts' corners.
+    cells : (mesh.n_cells,) array of int64
+        The subdomain's cell that each cell is, or is a part of.
+    weights : (mesh.n_nodes, n_nodes) csr_matrix or None
+        Values at the points from those at the subdomain's nodes; None where they are the same.
+    """
+
+    mesh: Mesh
+    node_ids: NDArray[np.int64]
+    cells: NDArray[np.int64]
+    weights: sparse.csr_matrix | None = None
+
+    def interpolate(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Interpolate nodal values at the points.
+
+        Parameters
+        ----------
+        values : (n_nodes, k) array
+            At the subdomain's nodes.
+
+        Returns
+        -------
+        (mesh.n_nodes, k) array
+            At the points.
+        """
+        return values if self.weights is None else np.asarray(self.weights @ values)
+
+
+def draw_mesh(subdomain: Subdomain, n_nodes: int) -> DrawnMesh:
+    """Draw a subdomain's mesh.
+
+    Parameters
+    ----------
+    subdomain : Subdomain
+        Perhaps with parts of cut cells.
+    n_nodes : int
+        Of the whole region's mesh, after which corners of parts are numbered.
+
+    Returns
+    -------
+    DrawnMesh
+        The mesh itself where no cell is cut.
+    """
+    mesh, parts = subdomain.mesh, subdomain.mesh.parts
+    if parts is None or not parts.n_parts:
+        return DrawnMesh(mesh, subdomain.node_ids, np.arange(mesh.n_cells))
+    whole = np.setdiff1d(np.arange(mesh.n_cells), parts.cells)
+    whole_mesh, kept = mesh.create_submesh(whole)
+    n_corners = np.diff(parts.offsets)
+    part_of_corner = np.repeat(np.arange(len(parts.cells)), n_corners)
+    part_of_triangle = np.repeat(np.arange(len(parts.cells)), n_corners - 2)
+    place = np.arange(len(part_of_triangle)) - np.searchsorted(part_of_triangle, part_of_triangle)
+    apex = parts.offsets[part_of_triangle]
+    triangles = np.stack([apex, apex + place + 1, apex + place + 2], axis=1) + len(kept)
+    drawn = Mesh(
+        np.concatenate([whole_mesh.nodes, parts.corners]),
+        np.concatenate([whole_mesh.connectivity, triangles.ravel()]),
+        np.concatenate([whole_mesh.offsets, whole_mesh.offsets[-1] + 3 * np.arange(1, len(triangles) + 1)]),
+        np.concatenate([whole_mesh.types, np.full(len(triangles), T3.vtk, np.uint8)]),
+        mapping=mesh.mapping)
+    numbers = parts.first_numbers[part_of_corner] + np.arange(len(parts.corners)) - parts.offsets[part_of_corner]
+    node_ids = np.concatenate([subdomain.node_ids[kept], n_nodes + numbers])
+    cells = np.concatenate([whole, parts.cells[part_of_triangle]])
+    at_nodes = sparse.csr_matrix((np.ones(len(kept)), (np.arange(len(kept)), kept)), (len(kept), mesh.n_nodes))
+    weights = sparse.vstack([at_nodes, _weigh_corners(mesh, parts.cells[part_of_corner], parts.corners)])
+    return DrawnMesh(drawn, node_ids, cells, weights.tocsr())
+
+
+def _weigh_corners(mesh: Mesh, cells: NDArray[np.int64], corners: NDArray[np.float64]) -> sparse.csr_matrix:
+    """Shape functions of each corner's cell there, (n_corners, n_nodes)."""
+    shapes = evaluate_shapes_at(mesh, cells, corners)
+    rows = np.repeat(np.arange(len(corners)), shapes.shape[1])
+    columns = pad_cells(mesh)[cells].ravel()
+    return sparse.csr_matrix((shapes.ravel(), (rows, columns)), (len(corners), mesh.n_nodes))
+
 
 BATCH_POINTS = 1 << 14
 """Points from which on pieces are sent and written together (about 6 MB); a larger value takes memory on rank 0."""
