@@ -26,7 +26,7 @@ MOST_ADDRESSES = 6 << 30
 
 PR_SET_PDEATHSIG = 1
 IMPORTED_LATER = ("ddic.check.case", "ddic.plots.maps", "ddic.report.page",
-                  "ddic.methods.run_case", "ddic.plots.canvas")
+                  "ddic.methods.run", "ddic.plots.canvas")
 """What commands import when they are called: no command's time holds it."""
 
 STDOUT, STDERR = "stdout", "stderr"

@@ -21,7 +21,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from ddic.methods.run_case import run_case
+from ddic.methods.run import run_case
 from ddic.parallel.phases import Phase
 from ddic.parallel.team import Team
 from ddic.problem.weighted_problem import ProblemSize

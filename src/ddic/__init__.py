@@ -12,11 +12,9 @@ from typing import TYPE_CHECKING, Any
 from ddic.version import __version__
 
 if TYPE_CHECKING:
-    from ddic.api.choose_regularization import choose_regularization
-    from ddic.api.image import Image
-    from ddic.api.known_displacements import Uncertainty, estimate_uncertainty
     from ddic.api.measure import Session, measure, prepare
-    from ddic.api.options import Options
+    from ddic.api.options import Image, Options
+    from ddic.api.studies import Uncertainty, choose_regularization, estimate_uncertainty
     from ddic.api.synthetic import make_synthetic_pair
     from ddic.case.loader import load_case
     from ddic.case.schema import Case
@@ -40,15 +38,15 @@ if TYPE_CHECKING:
     from ddic.results.sweep import Candidate, Sweep, Trial
 
 _HOMES = {
-    "choose_regularization": "api.choose_regularization",
-    "Image": "api.image",
+    "choose_regularization": "api.studies",
+    "Image": "api.options",
     "Options": "api.options",
     "Session": "api.measure",
     "measure": "api.measure",
     "prepare": "api.measure",
     "make_synthetic_pair": "api.synthetic",
-    "Uncertainty": "api.known_displacements",
-    "estimate_uncertainty": "api.known_displacements",
+    "Uncertainty": "api.studies",
+    "estimate_uncertainty": "api.studies",
     "load_case": "case.loader",
     "Case": "case.schema",
     "ConvergenceError": "errors",

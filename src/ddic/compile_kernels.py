@@ -36,7 +36,7 @@ def compile_kernels() -> None:
     petsc4py.init(["ddic"])
     import cv2
 
-    from ddic.methods.run_case import run_case
+    from ddic.methods.run import run_case
     from ddic.parallel.team import Team
     from ddic.results.listener import Silence
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ddic.case.loader import load_case
 from ddic.errors import InputError, is_collective
 from ddic.io.mapping_file import MappingFile, write_mapping
-from ddic.methods.run_case import run_case
+from ddic.methods.run import run_case
 from ddic.parallel.team import Team
 from ddic.results.listener import Silence
 from ddic.results.measurement import Measurement

@@ -17,7 +17,7 @@ from ddic.inputs.inputs import Inputs
 from ddic.inputs.mesh_source import build_meshes
 from ddic.io.result_reader import read_result
 from ddic.kinematics.linear import TiedKinematics
-from ddic.methods.run_case import run_case
+from ddic.methods.run import run_case
 from ddic.parallel.team import Team
 from ddic.partition.split import find_cameras_at_nodes
 from ddic.problem.region_mesh import build_region_mesh, split_region

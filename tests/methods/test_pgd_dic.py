@@ -15,7 +15,7 @@ from ddic.case.loader import load_case
 from ddic.errors import ConvergenceError, InputError, is_collective
 from ddic.inputs.inputs import open_inputs
 from ddic.methods.pgd_dic import SeparatedSession
-from ddic.methods.run_case import run_case
+from ddic.methods.run import run_case
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.results.listener import Silence

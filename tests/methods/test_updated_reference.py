@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ddic.case.loader import load_case
 from ddic.errors import ConvergenceError, InputError
 from ddic.io.series_reader import SeriesResult, read_series
-from ddic.methods.run_case import run_file
+from ddic.methods.run import run_file
 from ddic.parallel.team import Team
 from ddic.results.listener import Silence
 from ddic.results.series import SeriesSummary

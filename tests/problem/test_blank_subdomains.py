@@ -15,7 +15,7 @@ from ddic.case.loader import load_case
 from ddic.errors import InputError, SingularSubdomainError, is_collective
 from ddic.inputs.inputs import open_inputs
 from ddic.io.result_reader import read_result
-from ddic.methods.run_case import run_case
+from ddic.methods.run import run_case
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.reference_problem import build_whole_mesh, prepare_reference

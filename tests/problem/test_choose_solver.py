@@ -17,7 +17,7 @@ from ddic.inputs.mesh_source import build_meshes
 from ddic.io.result_reader import read_result
 from ddic.kinematics.linear import LinearRegion
 from ddic.mesh.mesh import Mesh
-from ddic.methods.run_case import run_case
+from ddic.methods.run import run_case
 from ddic.parallel.team import Team
 from ddic.problem import choose_solver as choosing
 from ddic.problem.choose_solver import weigh_candidates

@@ -12,7 +12,7 @@ from ddic.case.loader import load_case
 from ddic.check.case import load_checked_case
 from ddic.cli.check import check
 from ddic.errors import InputError
-from ddic.methods.run_case import run_pair
+from ddic.methods.run import run_pair
 from ddic.parallel.team import Team
 from ddic.results.listener import Silence
 from ddic.start.given_start import EarlierResult, load_given_start

@@ -102,7 +102,7 @@ def _start(petsc_options: tuple[str, ...], stop: StopRequest) -> Team:
     with _no_needless_networks():
         petsc4py.init(["ddic", *petsc_options])
     take_closed_pipes_as_errors()
-    import ddic.methods.run_case
+    import ddic.methods.run
     import ddic.results.listener
     import ddic.solvers.petsc
     from ddic.mesh.raster import prepare_kernels
@@ -139,7 +139,7 @@ def _no_needless_networks() -> Iterator[None]:
 
 def _run_everywhere(team: Team, case_file: Path, petsc_options: tuple[str, ...], *, resume: bool) -> int:
     """Run on all ranks; an error that only this rank has ends the job."""
-    from ddic.methods.run_case import run_file
+    from ddic.methods.run import run_file
     from ddic.results.listener import Silence
 
     try:

@@ -68,7 +68,7 @@ def _try_all(team: Team, case_file: Path, lengths: list[float] | None, elements:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-    from ddic.api.choose_regularization import choose_regularization
+    from ddic.api.studies import choose_regularization
     from ddic.cli.console import is_on_terminal
 
     columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))

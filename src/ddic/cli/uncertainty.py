@@ -13,7 +13,7 @@ from ddic.cli.standard_output import take_closed_pipes_as_errors
 from ddic.errors import InputError
 
 if TYPE_CHECKING:
-    from ddic.api.known_displacements import Uncertainty
+    from ddic.api.studies import Uncertainty
 
 
 @click.command()
@@ -34,7 +34,7 @@ def uncertainty(case_file: Path, sizes: str, displacements: int, noise: float, o
     CASE.uncertainty.png; of a large image its middle is taken.
     """
     # Imported here because they bring numba, PETSc and matplotlib, which --help does not need.
-    from ddic.api.known_displacements import BASES, estimate_uncertainty
+    from ddic.api.studies import BASES, estimate_uncertainty
     from ddic.case.loader import load_case
     from ddic.case.own_outputs import PICTURE, UNCERTAINTY, require_own_output
     from ddic.check.output import list_inputs
@@ -79,7 +79,7 @@ def _parse_sizes(text: str) -> list[float]:
 
 def _write(found: Uncertainty, path: Path) -> None:
     """A row for each kind, element size, displacement and basis."""
-    from ddic.api.known_displacements import BASES
+    from ddic.api.studies import BASES
 
     with path.open("w", newline="", encoding="utf-8") as stream:
         table = csv.writer(stream)
@@ -93,7 +93,7 @@ def _write(found: Uncertainty, path: Path) -> None:
 
 def _list(found: Uncertainty) -> list[str]:
     """Lines of a table: standard deviations, the largest over displacements."""
-    from ddic.api.known_displacements import BASES
+    from ddic.api.studies import BASES
 
     lines = ["standard deviation of the displacement [px], the largest over displacements",
              f"{'displacements':<16}{'elements':<12}" + "".join(f"{size:>9g} px" for size in found.sizes)]

@@ -11,8 +11,8 @@ from ddic.errors import ConvergenceError, SingularSubdomainError, StoppedError, 
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs
 from ddic.mesh.quality import measure_cell_size
-from ddic.methods.choose_recipe import Recipe
 from ddic.methods.dd_dic import Session
+from ddic.methods.recipe import Recipe
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team, require_held
 from ddic.problem.cut_region import refuse_kinematics

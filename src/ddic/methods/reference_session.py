@@ -10,7 +10,7 @@ from typing import Self
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs
 from ddic.methods.dd_dic import Session
-from ddic.methods.noise_floors import NoiseFloor
+from ddic.methods.recipe import NoiseFloor
 from ddic.problem.reference_problem import update_reference
 from ddic.results.measurement import Measurement
 from ddic.results.series import FrameRecord, MeasuredState, Vertices

@@ -1,15 +1,68 @@
-"""What noise leaves in measured displacements: of a pair, and of the frames of a series."""
+"""The recipe that a case asks for.
+
+What noise leaves in measured displacements: of a pair, and of the frames of a series.
+"""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, TypeAlias
+
 from ddic.errors import ConvergenceError, is_collective
-from ddic.methods.choose_recipe import Recipe
+from ddic.inputs.cameras import Frame
+from ddic.inputs.inputs import Inputs
 from ddic.methods.dd_dic import Session
 from ddic.parallel.phases import Phase, PhaseClock
+from ddic.parallel.stop_request import stop_if_asked
+from ddic.parallel.team import Team
+from ddic.results.listener import Listener
 from ddic.results.measurement import Measurement
 from ddic.results.publishing import Publishable
 from ddic.solvers.probing import estimate_response
 from ddic.visibility.force_noise import measure_force_noise
+
+if TYPE_CHECKING:
+    from ddic.methods.pgd_dic import SeparatedSession
+
+
+Recipe: TypeAlias = "Session | SeparatedSession"
+"""A prepared measurement."""
+
+
+def prepare_recipe(team: Team, inputs: Inputs, listener: Listener, clock: PhaseClock,
+                   first_frame: Frame | None = None) -> Recipe:
+    """Prepare the reference images as the case's method does; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    inputs : Inputs
+        Reference images, mesh and settings.
+    listener : Listener
+        Told what happens.
+    clock : PhaseClock
+        Of the phases.
+    first_frame : Frame, optional
+        Where it is known already.
+
+    Returns
+    -------
+    Session or SeparatedSession
+        PGD-DIC where the case has [pgd].
+
+    Raises
+    ------
+    InputError, SingularSubdomainError, FactorizationError
+        On all ranks.
+    StoppedError
+        On all ranks, where a signal asked one of them to stop.
+    """
+    stop_if_asked(team, "before the first iteration")
+    if inputs.case.pgd is not None:
+        from ddic.methods.pgd_dic import SeparatedSession
+
+        return SeparatedSession(team, inputs, listener, clock)
+    return Session(team, inputs, listener, clock, first_frame)
 
 
 def estimate_noise_floor(recipe: Recipe, measurement: Publishable, clock: PhaseClock) -> float:
