@@ -15,7 +15,7 @@ from click.testing import CliRunner
 import ddic
 from ddic.cli import surroundings
 from ddic.cli.app import main
-from ddic.cli.petsc_error import describe_petsc_error
+from ddic.cli.failures import describe_petsc_error
 from ddic.io import decoded_file
 from support.cases import write_case, write_images
 

@@ -12,8 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ddic
-from ddic.cli.crack import crack
-from ddic.cli.opening import opening
+from ddic.cli.crack import crack, opening
 from ddic.cli.plot import plot
 from ddic.errors import InputError
 from ddic.fracture.crack_tip import evaluate_williams_series, find_kolosov_constant

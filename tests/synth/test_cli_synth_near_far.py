@@ -82,6 +82,6 @@ def test_bad_input_is_one_line_and_exit_2(tmp_path, arguments, message):
 
 
 def test_importing_the_command_loads_no_heavy_library():
-    code = ("import sys, ddic.cli.synth_near_far; "
+    code = ("import sys, ddic.cli.synth; "
             "sys.exit(bool({'numpy', 'numba', 'tifffile', 'ddic.synth.near_far_scene'} & set(sys.modules)))")
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ddic.cli.errors_as_lines import errors_as_lines
-from ddic.cli.warned import warnings_as_lines
+from ddic.cli.failures import errors_as_lines, warnings_as_lines
 
 if TYPE_CHECKING:
     from ddic.calibration.camera_models import Kind

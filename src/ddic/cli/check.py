@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ddic.cli.errors_as_lines import errors_as_lines
-from ddic.cli.standard_output import take_closed_pipes_as_errors
-from ddic.cli.warned import warnings_as_lines
+from ddic.cli.failed_start import take_closed_pipes_as_errors
+from ddic.cli.failures import errors_as_lines, warnings_as_lines
 from ddic.errors import InputError
 
 if TYPE_CHECKING:

@@ -1,4 +1,7 @@
-"""``ddic plot``: figures of a result file."""
+"""``ddic plot``: figures of a result file.
+
+Files of pages that ``ddic plot`` draws: names and formats.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +12,9 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from ddic.cli.errors_as_lines import errors_as_lines
-from ddic.cli.frame_option import add_frame_option
-from ddic.cli.page_files import FORMATS, MOVING, PageFiles, choose_ending
+from ddic.cli.app import add_frame_option
+from ddic.cli.failures import errors_as_lines, warnings_as_lines
 from ddic.cli.plot_series import CURVES, FrameChoice, Look, SharedScale, draw_pages, find_shared_scale, plot_curves
-from ddic.cli.warned import warnings_as_lines
 from ddic.errors import InputError
 
 if TYPE_CHECKING:
@@ -24,6 +25,80 @@ if TYPE_CHECKING:
     from ddic.plots.canvas import LengthUnit
     from ddic.plots.maps import Preview, StrainChoice
     from ddic.separated.field import SeparatedField
+
+
+FORMATS = ("png", "pdf", "svg")
+MOVING = ("gif", "mp4")
+"""Formats of animations."""
+
+
+@dataclass(frozen=True)
+class PageFiles:
+    """Where pages are written.
+
+    Attributes
+    ----------
+    folder : Path
+        Of all of them.
+    stem : str
+        Beginning of their names.
+    ending : str
+        Their format.
+    dpi : int
+        Dots an inch.
+    """
+
+    folder: Path
+    stem: str
+    ending: str
+    dpi: int
+
+    def to_path(self, *words: str) -> Path:
+        """Name a file by what it shows.
+
+        Parameters
+        ----------
+        *words : str
+            Put between the beginning and the ending.
+
+        Returns
+        -------
+        Path
+            In the folder.
+        """
+        return self.folder / ".".join((self.stem, *words, self.ending))
+
+
+def choose_ending(asked: str | None, *, animate: bool) -> str:
+    """Choose a format.
+
+    Parameters
+    ----------
+    asked : str or None
+        By the user.
+    animate : bool
+        Whether it is an animation.
+
+    Returns
+    -------
+    str
+        One of FORMATS, or of MOVING.
+
+    Raises
+    ------
+    InputError
+        Where the one that is asked for does not fit, or there is no program for it.
+    """
+    from ddic.plots.series import require_writer
+
+    fitting = MOVING if animate else FORMATS
+    if asked is not None and asked not in fitting:
+        what = "an animation is" if animate else "without --animate a picture is"
+        raise InputError(f"--format {asked}: {what} one of {', '.join(fitting)}")
+    ending = asked or fitting[0]
+    require_writer(ending)
+    return ending
+
 
 KINDS = ("partition", "deformed", "displacement", "strain", "residual", "signed-residual", "difference", "krylov",
          "opening", "near-far", "modes", "corrections", "line")

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-    from ddic.cli.page_files import PageFiles
+    from ddic.cli.plot import PageFiles
     from ddic.io.result_reader import Result
     from ddic.io.series_reader import SeriesResult
     from ddic.plots.canvas import Component, LengthUnit, Limits

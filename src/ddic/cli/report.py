@@ -6,9 +6,8 @@ from pathlib import Path
 
 import click
 
-from ddic.cli.errors_as_lines import errors_as_lines
-from ddic.cli.frame_option import add_frame_option
-from ddic.cli.warned import warnings_as_lines
+from ddic.cli.app import add_frame_option
+from ddic.cli.failures import errors_as_lines, warnings_as_lines
 
 
 @click.command()

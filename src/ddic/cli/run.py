@@ -14,11 +14,9 @@ from typing import TYPE_CHECKING, TextIO
 
 import click
 
-from ddic.cli.address_space import prepare_workspaces
-from ddic.cli.failed_job import abort_quietly, show_failure
-from ddic.cli.failed_start import failures_as_lines
-from ddic.cli.kept_imports import imports_kept
-from ddic.cli.standard_output import take_closed_pipes_as_errors
+from ddic.cli.failed_start import failures_as_lines, take_closed_pipes_as_errors
+from ddic.cli.failures import abort_quietly, show_failure
+from ddic.cli.surroundings import imports_kept, prepare_workspaces
 from ddic.errors import ConvergenceError, InputError
 from ddic.io.input_file import is_readable_file
 from ddic.io.replace_on_exit import remove_unfinished

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ddic.cli.failed_job import abort_quietly, show_failure
-from ddic.cli.standard_output import take_closed_pipes_as_errors
+from ddic.cli.failed_start import take_closed_pipes_as_errors
+from ddic.cli.failures import abort_quietly, show_failure
 from ddic.errors import InputError, is_disk_failure
 
 if TYPE_CHECKING:
