@@ -42,7 +42,7 @@ def serve(requests: int, answers: int) -> None:
     """
     # Who asks may be killed, and this process hang: neither would end the other.
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-    for name in ("check", "crack", "export", "info", "opening", "plot", "probe", "report", "run", "sweep"):
+    for name in ("check", "crack", "info", "plot", "probe", "report", "run", "sweep"):
         importlib.import_module(f"ddic.cli.{name}")
     for name in IMPORTED_LATER:
         importlib.import_module(name)

@@ -88,13 +88,20 @@ COMMANDS = {
     "calibrate": "Find where a near-field image lies in a far-field one.",
 }
 
+HOMES = {"export": "probe", "opening": "crack"}
+"""Modules of commands that stand in another one's."""
 
 CLICKS_OWN = (click.ClickException, click.exceptions.Exit, click.Abort)
 """What click ends a program with by itself."""
 
 
+def find_home(name: str) -> str:
+    """Find the module of a command, with dots."""
+    return f"ddic.cli.{HOMES.get(name, name)}"
+
+
 class LazyGroup(click.Group):
-    """Commands live in ``ddic.cli.NAME``; listing them imports none."""
+    """Commands live in ``ddic.cli.NAME``, or where ``HOMES`` says; listing them imports none."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """List the commands in the order of a first session.
@@ -129,7 +136,7 @@ class LazyGroup(click.Group):
         if cmd_name not in COMMANDS:
             return None
         with imports_kept():
-            command: click.Command = getattr(importlib.import_module(f"ddic.cli.{cmd_name}"), cmd_name)
+            command: click.Command = getattr(importlib.import_module(find_home(cmd_name)), cmd_name)
         require_finite_options(command)
         return command
 

@@ -32,7 +32,7 @@ def calibrate(far: Path, near: Path, ratio: float, model: Kind, distortion: bool
     The near field must lie in the far image, turned by 5 degrees at most.
     """
     # Imported here because they bring numba, SciPy and OpenCV, which --help does not need.
-    from ddic.calibration import near_calibration
+    from ddic.calibration import near as near_calibration
     from ddic.case.own_outputs import MAPPING, require_own_output
     from ddic.images.grey_levels import check_finite
     from ddic.io.image_file import hold_image

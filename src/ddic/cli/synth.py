@@ -277,7 +277,6 @@ def _write(image: ImageOptions, scene: NearFarScene) -> None:
                  lambda files: write_near_far(folder, scene, files))
 
 
-Pair = tuple[float, float]
 _pair_options = add_image_options("512x512", "reference.tif, deformed.tif and truth.json")
 
 
