@@ -39,6 +39,15 @@ class Stretched(Crack):
         return np.asarray(opened + (opened - self.tip) @ self.gradient.T - points)
 
 
+class NotElastic(Crack):
+    """A crack whose sides part as roots of the distance do, and move nowhere else."""
+
+    def displacement(self, points: Array) -> Array:
+        normal = np.array([-self.along[1], self.along[0]])
+        x, y = (points - self.tip) @ self.along, (points - self.tip) @ normal
+        return np.asarray((0.3 * np.sqrt(np.hypot(x, y)) * np.sin(np.arctan2(y, x) / 2))[:, None] * normal)
+
+
 def turn(degrees: float, stretch: float) -> Array:
     angle = np.deg2rad(degrees)
     return (1 + stretch) * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) - np.eye(2)
@@ -47,6 +56,7 @@ def turn(degrees: float, stretch: float) -> Array:
 CRACKS = {"opening": Crack(tip=TIP, opening_factor=0.25),
           "sliding too": Crack(tip=TIP, opening_factor=0.2, sliding_factor=0.2),
           "turned and stretched": Stretched(tip=TIP, opening_factor=0.25, gradient=turn(3.0, 0.01)),
+          "not elastic": NotElastic(tip=TIP, opening_factor=0.25),
           "closed": Crack(tip=TIP, opening_factor=0.0)}
 
 
@@ -90,6 +100,14 @@ def test_poissons_ratio_matters_little() -> None:
     other = find_kolosov_constant(0.45, "stress")
     move = find_tip_move(render("opening", 1.0), MESH, field_, tip, [line], 3.0, other)
     assert abs(move.ahead - 4.0) < 1.0
+
+
+# The series fitted to it lies 5 px ahead.
+@pytest.mark.parametrize("noise", [0.0, 2.0])
+def test_a_field_that_is_not_elastic_tells_nothing_of_its_tip(noise: float) -> None:
+    field_, tip, line = give("not elastic", 0.0)
+    with pytest.raises(ConvergenceError, match="does not fit"):
+        find_tip_move(render("not elastic", noise), MESH, field_, tip, [line], 3.0, KAPPA)
 
 
 def test_a_crack_that_is_closed_tells_nothing_of_its_tip() -> None:

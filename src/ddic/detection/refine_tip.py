@@ -115,6 +115,8 @@ def find_tip_move(images: Images, mesh: Mesh, start: CutField, tip: Tip, lines: 
         if abs(ahead) > radius / 2:
             break
         if abs(step.ahead) <= SAME_TIP:
+            if not disk.is_as_good(coefficients, ahead, start, measure_cell_size(mesh)):
+                break
             return TipMove(ahead, float(np.sqrt(variance * step.inverse)))
     raise ConvergenceError("about the tip, Williams' series does not fit the images")
 
@@ -195,6 +197,21 @@ class _Disk:
         # d/dx of r^(1/2) is half of r^(-1/2); those of the other terms are among the terms.
         of_move = -singular @ coefficients[_FIRST] / (2 * self.radius)
         return np.concatenate([affine, series], axis=2), of_move[:, :, None]
+
+    def is_as_good(self, coefficients: Array, ahead: float, field: CutField, beyond: float) -> bool:
+        """Whether the series leaves no more residual than a measured field does beyond a distance from the tip.
+
+        That has many more unknowns: a series that is as good is that of the specimen. Of another one, a specimen that
+        is not elastic say, the tip would be moved to where it is nearest to what it is not.
+        """
+        terms, _ = self.evaluate_terms(coefficients, ahead)
+        of_series = compute_residuals(self.images, self.pixels, terms @ coefficients @ self.axes)
+        of_field = compute_residuals(self.images, self.pixels, field.at(self.pixels.astype(np.float64)))
+        counted = np.isfinite(of_series) & np.isfinite(of_field) & (np.hypot(*self.local.T) >= beyond)
+        # What is far off in either says little of the others.
+        most = BELIEVED**2 * float(np.median(of_field[counted] ** 2)) / 0.6745**2
+        series, measured = (np.minimum(residual[counted] ** 2, most).sum() for residual in (of_series, of_field))
+        return bool(series <= measured)
 
     def correct(self, coefficients: Array, ahead: float, uncertainty: float) -> tuple[_Step, float]:
         """One step of Gauss-Newton from coefficients and a place of the tip, and the variance of the residual."""
