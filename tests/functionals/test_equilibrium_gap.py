@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ddic.functionals import equilibrium_gap
+from ddic.functionals import regularization
 from ddic.functionals.correlation import read_correlation
 from ddic.functionals.regularization import (
     Material,
@@ -71,7 +71,7 @@ def test_waves_are_longitudinal_and_shear_with_both_phases() -> None:
 
 
 def test_energies_equal_a_dense_evaluation(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(equilibrium_gap, "_CHUNK_CELLS", 13)  # several batches on a small mesh
+    monkeypatch.setattr(regularization, "_GAP_CHUNK_CELLS", 13)  # several batches on a small mesh
     mesh, wavelength = region(), 60.0
     hessian = read_correlation(mesh, speckle(), 3).assemble_hessian()
     waves, rows = evaluate_plane_waves(mesh.nodes, wavelength), np.repeat(interior(mesh), 2)

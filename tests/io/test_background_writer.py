@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from ddic.errors import InputError
-from ddic.io import background_writer
+from ddic.io import series_folder
 from ddic.io.series_folder import BackgroundWriter, ReadAhead
 
 
@@ -28,7 +28,7 @@ def test_the_program_goes_on_while_a_file_is_written(tmp_path: Path, monkeypatch
         assert may_go_on.wait(timeout=30)
         names.append(path.name)
 
-    monkeypatch.setattr(background_writer, "_write", wait_and_write)
+    monkeypatch.setattr(series_folder, "_write", wait_and_write)
     with BackgroundWriter() as writer:
         writer.write(tmp_path / "one", b"")
         assert names == []

@@ -12,9 +12,9 @@ from mpi4py import MPI
 import ddic
 from ddic.case.loader import load_case
 from ddic.check.case import load_checked_case
+from ddic.inputs import inputs as inputs_module
 from ddic.inputs.inputs import open_inputs
 from ddic.parallel.team import Team
-from ddic.problem import inputs as inputs_module
 from ddic.problem.reference_problem import build_whole_mesh
 from support.cases import write_case, write_images
 

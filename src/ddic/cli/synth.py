@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, Unpack
 import click
 
 from ddic.errors import InputError, WriteError, is_disk_failure
-from ddic.io.image_formats import MOST_PIXELS_ALONG
+from ddic.io.image_header import MOST_PIXELS_ALONG
 
 if TYPE_CHECKING:
     from ddic.io.replace_on_exit import NewFiles

@@ -26,13 +26,13 @@ from ddic.io.image_formats import (
     PixelFormat,
     can_decode,
     caught_messages,
-    check_header,
     describe_other_compression,
     is_tiff,
     read_tiff,
     read_tiff_format,
     to_grey,
 )
+from ddic.io.image_header import check_header
 from ddic.io.input_file import require_file
 
 _JPEG = b"\xff\xd8\xff"

@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 from ddic.io import result_schema as schema
 from ddic.parallel.phases import PhaseClock
-from ddic.results.histories import list_iterations
+from ddic.results.histories import list_corrections, list_iterations
 from ddic.results.measurement import Measurement
 from ddic.results.near import summarize_near_field
 from ddic.results.publishing import gather_phase_times
-from ddic.results.separated import list_corrections
 from ddic.results.summary import Summary, find_field_ranges
 
 if TYPE_CHECKING:
