@@ -10,7 +10,7 @@ from accept.support.ended_job import DDIC, LONGEST, Ended, Job, prepare_case
 from accept.table import Scale
 from bench.support.rows import Row, append_result
 
-MODULES = ("click", "numpy", "petsc4py", "mpi4py", "cv2", "numba", "ddic.methods.run_case", "ddic.solvers.gauss_newton")
+MODULES = ("click", "numpy", "petsc4py", "mpi4py", "cv2", "numba", "ddic.methods.run", "ddic.solvers.gauss_newton")
 """Before MPI begins, with it, and after it."""
 
 SIZES_MIB = (100, 200, 300, 450, 600, 800, 1000, 1020, 1040, 1060, 1300, 2000)

@@ -27,7 +27,7 @@ from bench.support.runs import DATA, ddic_command, ddic_run, mpirun, real_data
 from ddic.images.window import Window
 from ddic.io.image_file import open_image
 from ddic.io.result_reader import Result, read_result
-from ddic.problem.cell_errors import DOUBTFUL_PX
+from ddic.visibility.cell_errors import DOUBTFUL_PX
 
 Array = NDArray[np.float64]
 

@@ -26,7 +26,7 @@ from accept.table import Scale
 from bench.support.rows import Row, append_result
 from ddic.mesh.cell_type import Q4
 from ddic.mesh.mesh import build_mesh
-from ddic.synth.speckle_texture import SpeckleTexture
+from ddic.synth.speckle import SpeckleTexture
 
 Array = NDArray[np.float64]
 

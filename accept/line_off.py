@@ -17,7 +17,7 @@ from accept.support.opened_pair import MARGIN, mesh_inside
 from accept.support.settings import MONOLITHIC, describe_settings
 from accept.table import Scale
 from bench.support.rows import Row, append_result
-from ddic.fracture.lines_of_result import get_line
+from ddic.fracture.opening import get_line
 
 Array = NDArray[np.float64]
 

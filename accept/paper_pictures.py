@@ -17,19 +17,16 @@ from bench.support import runs
 from bench.support.rows import Row
 from bench.support.runs import ROOT, ddic_command, images, mpirun
 from ddic.io.image_file import open_image
-from ddic.io.plots.camera_fields import draw_near_far
-from ddic.io.plots.deformed import choose_amplification, draw_deformed
-from ddic.io.plots.krylov import draw_krylov
-from ddic.io.plots.length_unit import find_length_unit
-from ddic.io.plots.nodal_map import draw_displacement
-from ddic.io.plots.page_text import find_clipped_texts
-from ddic.io.plots.partition import draw_partition
-from ddic.io.plots.preview import Preview, read_preview
-from ddic.io.plots.residual import draw_residual
-from ddic.io.plots.strain_map import StrainChoice, draw_strain
 from ddic.io.result_reader import Result, read_result
 from ddic.io.result_schema import CAMERA
-from ddic.kinematics.rigid_part import count_folded_cells
+from ddic.kinematics.strain import count_folded_cells
+from ddic.plots.cameras import draw_near_far
+from ddic.plots.canvas import find_clipped_texts, find_length_unit
+from ddic.plots.curves import draw_krylov
+from ddic.plots.deformed import choose_amplification, draw_deformed
+from ddic.plots.maps import Preview, StrainChoice, draw_displacement, draw_strain, read_preview
+from ddic.plots.partition import draw_partition
+from ddic.plots.residual import draw_residual
 
 Array = NDArray[np.float64]
 

@@ -16,11 +16,9 @@ from accept.support.separated_pair import Pair, list_pixels, measure_rms, store
 from accept.table import Scale
 from bench.support.rows import RESULTS, Row, append_result
 from ddic.parallel.team import require_held
-from ddic.synth.digitise import Digitiser
 from ddic.synth.fields import Sinusoidal
-from ddic.synth.picture import Picture
-from ddic.synth.render import Scene, render_pair
-from ddic.synth.speckle_texture import SpeckleTexture
+from ddic.synth.render import Digitiser, Picture, Scene, render_pair
+from ddic.synth.speckle import SpeckleTexture
 
 SIZE, SMOKE_SIZE = 1024, 256
 """Side of the images, pixels."""
@@ -217,7 +215,7 @@ def _compare(pair: Pair, side: int) -> dict[str, float]:
 
 def save_comparison(sides: tuple[int, ...], found: dict[str, list[dict[str, float]]]) -> None:
     """Draw times and differences by size of the region, as Fig. 17 of [PP12], to bench/results/pgd_against_dual.png."""
-    from ddic.io.plots.canvas import save_figure
+    from ddic.plots.canvas import save_figure
 
     RESULTS.mkdir(parents=True, exist_ok=True)
     save_figure(draw_comparison(sides, found), RESULTS / "pgd_against_dual.png")

@@ -12,11 +12,11 @@ from accept.support.browser import WIDTH, ShownPage, find_browser, show_page
 from accept.table import Scale
 from bench.support.rows import Row
 from bench.support.runs import NotHereError, ddic, ddic_run, images
-from ddic.io.plots.page_text import POINTS_AN_INCH, find_clipped_texts
 from ddic.io.result_reader import read_result
-from ddic.report.gathered import gather_all
-from ddic.report.report_pictures import DPI, draw_report_figures
-from ddic.report.worst_places import find_worst_places
+from ddic.plots.canvas import POINTS_AN_INCH, find_clipped_texts
+from ddic.report.items import find_worst_places
+from ddic.report.page import DPI, draw_report_figures
+from ddic.report.statement import gather_all
 
 EXPECTED = ("displacement x", "displacement y", "strain xx", "strain yy", "strain xy", "deformed mesh", "residual",
             "iterations", "Krylov iterations", "residual histogram", "grey-level histogram")

@@ -28,15 +28,16 @@ from accept.support.settings import MONOLITHIC, describe_settings
 from accept.table import Check, Scale, run_table
 from bench.support.rows import Row
 from bench.support.runs import ddic_run, images
-from ddic.functionals.elasticity import Material, assemble_stiffness
-from ddic.functionals.equilibrium_gap import (
+from ddic.functionals.correlation import read_correlation
+from ddic.functionals.regularization import (
+    Material,
+    assemble_stiffness,
     evaluate_plane_waves,
     find_cut_off_weight,
+    find_half_amplitudes,
     measure_gap_energies,
     measure_texture_energies,
 )
-from ddic.functionals.half_amplitude import find_half_amplitudes
-from ddic.functionals.read_correlation import read_correlation
 from ddic.images.binned import ArraySource
 from ddic.images.sub_image import MaskedSource
 from ddic.io.result_reader import read_result

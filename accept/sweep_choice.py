@@ -14,8 +14,7 @@ from scipy.special import erf
 import ddic
 from accept.table import Scale
 from bench.support.rows import Row, append_result
-from ddic.synth.fields import Sinusoidal
-from ddic.synth.kirsch import Kirsch
+from ddic.synth.fields import Kirsch, Sinusoidal
 
 Array = NDArray[np.float64]
 Displacement = Callable[[Array], Array]

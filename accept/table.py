@@ -17,7 +17,7 @@ from accept.ledger import keep_rows
 from accept.support.code_of_check import choose, find_code, find_uncommitted
 from bench.support.rows import RESULTS, Row, append_result, show
 from bench.support.runs import DATA, NotHereError
-from ddic.io.source_tree import find_source_commit
+from ddic.io.input_file import find_source_commit
 
 FEWEST_LINES = 12
 """Last lines of an error's traceback that are printed for a check that could not be measured."""

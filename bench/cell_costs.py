@@ -14,7 +14,7 @@ import numpy as np
 
 from bench.support.rows import Row, append_result, main
 from bench.support.runs import DATA, ddic_run, images
-from ddic.partition.cost import NODE_PIXELS
+from ddic.partition.split import NODE_PIXELS
 
 SIZE, MARGIN = 2112, 32
 ELEMENTS = (12, 16, 20, 24, 32, 40)

@@ -8,7 +8,7 @@ processes; repeats alternate between the solvers. Seconds are CPU seconds of the
 the repeats: wall time means little where others compute. A JSON line per run goes to
 bench/results/interface_solvers.jsonl, started afresh without --append, and the table of all its lines to
 interface_solvers.md. At the end the constants of the cost model of solver.method = "auto" are fitted to all lines of
-the file and printed as src/ddic/solvers/cost_constants.py has them; --fit does that alone.
+the file and printed as src/ddic/solvers/step_costs.py has them; --fit does that alone.
 """
 
 from __future__ import annotations

@@ -20,8 +20,7 @@ from bench.support.c_kernel import PRECISIONS, TOLERANCES, compiled, right_hand_
 from bench.support.rows import Row, append_result, main
 from bench.support.runs import DATA
 from bench.support.unstructured_mesh import write_unstructured_mesh
-from ddic.functionals.correlation import Correlation
-from ddic.functionals.read_correlation import read_correlations
+from ddic.functionals.correlation import Correlation, read_correlations
 from ddic.images.binned import ArraySource
 from ddic.images.spline import read_gradient, read_spline
 from ddic.images.sub_image import DeformedSubImage, MaskedSource

@@ -21,7 +21,7 @@ import numpy as np
 
 from bench.support.rows import Row, append_result, main
 from bench.support.runs import DATA, ddic_run, images
-from ddic.functionals.read_correlation import read_correlations
+from ddic.functionals.correlation import read_correlations
 from ddic.images.spline import read_gradient, read_spline
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.images.threads import Threads

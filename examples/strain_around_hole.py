@@ -16,7 +16,7 @@ prints
 import numpy as np
 
 import ddic
-from ddic.synth.kirsch import Kirsch
+from ddic.synth.fields import Kirsch
 
 CENTRE, RADIUS = (199.5, 199.5), 50.0
 plate = Kirsch(center=CENTRE, radius=RADIUS, strain=0.005)

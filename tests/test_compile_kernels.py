@@ -38,7 +38,7 @@ from mpi4py import MPI
 from numba.core.dispatcher import Dispatcher
 from ddic.compile_kernels import compile_kernels
 from ddic.results.listener import Silence
-from ddic.methods.run_case import run_case
+from ddic.methods.run import run_case
 from ddic.parallel.team import Team
 
 

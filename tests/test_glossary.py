@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import re
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -107,8 +106,3 @@ def test_names_of_a_file_keep_to_the_glossary(file: Path) -> None:
 def test_every_noun_is_in_use() -> None:
     used = {name.text for file in FILES for name in public_names(file)}
     assert NOUNS - used == set()
-
-
-def test_no_two_files_have_one_name() -> None:
-    counts = Counter(file.name for file in FILES if file.name not in {"__init__.py", "__main__.py"})
-    assert [name for name, n in counts.items() if n > 1] == []

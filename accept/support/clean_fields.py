@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from ddic.fracture.williams_series import evaluate_williams_series, find_kolosov_constant
+from ddic.fracture.crack_tip import evaluate_williams_series, find_kolosov_constant
 from ddic.mesh.plane import build_rotation
-from ddic.synth.kirsch import Kirsch
+from ddic.synth.fields import Kirsch
 
 Array = NDArray[np.float64]
 Motion = Callable[[Array], Array]

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accept.support.opened_pair import picture
-from ddic.fracture.williams_series import evaluate_williams_series, find_kolosov_constant
-from ddic.synth.speckle_texture import SpeckleTexture
+from ddic.fracture.crack_tip import evaluate_williams_series, find_kolosov_constant
+from ddic.synth.speckle import SpeckleTexture
 
 Array = NDArray[np.float64]
 

@@ -13,13 +13,13 @@ from scipy.sparse.linalg import splu
 
 import ddic
 from accept.support.opened_pair import picture
-from ddic.functionals.read_correlation import read_correlation
+from ddic.functionals.correlation import read_correlation
 from ddic.images.binned import ArraySource
 from ddic.images.sub_image import MaskedSource
 from ddic.kinematics.strain import compute_strain
 from ddic.mesh.plane import build_rotation
-from ddic.synth.inverse import find_reference_points
-from ddic.synth.speckle_texture import SpeckleTexture
+from ddic.synth.render import find_reference_points
+from ddic.synth.speckle import SpeckleTexture
 
 Array = NDArray[np.float64]
 Pair = tuple[NDArray[Any], NDArray[Any]]

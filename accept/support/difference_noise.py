@@ -17,12 +17,12 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from ddic.case.loader import load_case
-from ddic.functionals.read_correlation import read_correlations
+from ddic.functionals.correlation import read_correlations
+from ddic.inputs.cameras import Camera
+from ddic.inputs.inputs import open_inputs
 from ddic.io.result_reader import Result
-from ddic.kinematics.camera_kinematics import see_mesh
+from ddic.kinematics.camera import see_mesh
 from ddic.parallel.team import Team
-from ddic.problem.cameras import Camera
-from ddic.problem.inputs import open_inputs
 
 Array = NDArray[np.float64]
 

@@ -20,11 +20,11 @@ import numpy as np
 from mpi4py import MPI
 
 from ddic.case.loader import load_case
+from ddic.inputs.cameras import Frame
+from ddic.inputs.inputs import Inputs, open_inputs
 from ddic.methods.dd_dic import Session
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.cameras import Frame
-from ddic.problem.inputs import Inputs, open_inputs
 from ddic.problem.views import open_frame_views
 from ddic.results.listener import Silence
 from ddic.results.measurement import Measurement

@@ -16,7 +16,7 @@ from bench.support.runs import ddic_command, ddic_run, images
 from ddic.images.camera import CameraMapping, identity
 from ddic.io.result_reader import Result, read_result
 from ddic.mesh.mesh import Mesh
-from ddic.synth.near_far_truth import NearFarTruth, load_near_far_truth
+from ddic.synth.truth import NearFarTruth, load_near_far_truth
 
 EDGE = 47.5
 """Edge of the far image without elements, far px."""

@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 
 from accept.support.near_far_oracle import State, solve_saddle_point
 from ddic.case.loader import load_case
+from ddic.inputs.cameras import Frame
+from ddic.inputs.inputs import open_inputs
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.cameras import Frame
-from ddic.problem.inputs import open_inputs
 from ddic.problem.reference_problem import prepare_reference
 from ddic.problem.region_mesh import RegionMesh, build_region_mesh
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.views import open_frame_views
 from ddic.problem.weighted_problem import WeightedProblem
-from ddic.synth.near_far_truth import load_near_far_truth
+from ddic.synth.truth import load_near_far_truth
 
 OFF = 1e-2
 """Distance of the beginning from the exact solution, far px: that of a start."""

@@ -14,11 +14,11 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from ddic.case.schema import Case
-from ddic.functionals.elasticity import assemble_stiffness
-from ddic.functionals.read_correlation import read_correlations
+from ddic.functionals.correlation import read_correlations
+from ddic.functionals.regularization import assemble_stiffness
 from ddic.images.sub_image import DeformedSubImage
+from ddic.inputs.cameras import Camera, Frame
 from ddic.mesh.mesh import Mesh
-from ddic.problem.cameras import Camera, Frame
 from ddic.problem.region_mesh import RegionMesh, build_material
 
 Array = NDArray[np.float64]

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accept.support.near_far_case import Fields
-from ddic.io.plots.camera_fields import CellPanel, draw_cell_panels
-from ddic.io.plots.canvas import find_mesh_bounds, save_figure
 from ddic.kinematics.strain import compute_strain
+from ddic.plots.cameras import CellPanel, draw_cell_panels
+from ddic.plots.canvas import find_mesh_bounds, save_figure
 
 AROUND = 0.35
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import ddic
-from ddic.mesh.polyline import is_inside_polygon, measure_distance
-from ddic.synth.speckle_texture import SpeckleTexture
+from ddic.mesh.plane import is_inside_polygon, measure_distance
+from ddic.synth.speckle import SpeckleTexture
 
 Array = NDArray[np.float64]
 

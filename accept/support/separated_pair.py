@@ -12,8 +12,8 @@ from scipy.sparse.linalg import spsolve
 
 import ddic
 from accept.support.cracked_pair import Crack
-from ddic.functionals.elasticity import Material, assemble_stiffness
-from ddic.images.grid_field import GridField
+from ddic.functionals.regularization import Material, assemble_stiffness
+from ddic.images.rigid import GridField
 
 Array = NDArray[np.float64]
 Pair = tuple[NDArray[Any], NDArray[Any]]

@@ -14,7 +14,7 @@ from scipy.ndimage import uniform_filter1d
 import ddic
 from accept.support.deformed_pair import Camera, Deformation, make_linear, make_rotation, render_deformed
 from ddic.mesh.raster import rasterize
-from ddic.synth.speckle_texture import SpeckleTexture
+from ddic.synth.speckle import SpeckleTexture
 
 Array = NDArray[np.float64]
 

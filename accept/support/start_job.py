@@ -13,10 +13,10 @@ import numpy as np
 from mpi4py import MPI
 
 from ddic.case.loader import load_case
+from ddic.inputs.inputs import open_inputs
 from ddic.methods.dd_dic import Session
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.inputs import open_inputs
 from ddic.results.listener import Silence
 from ddic.results.publishing import gather
 from ddic.synth.truth import load_truth

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
-from ddic.functionals.correlation import Correlation
-from ddic.functionals.read_correlation import read_correlation
+from ddic.functionals.correlation import Correlation, read_correlation
 from ddic.images.binned import ArraySource
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.mesh.mesh import Mesh

@@ -25,8 +25,8 @@ MOST_ADDRESSES = 6 << 30
 """Bytes of address space: what asks for more fails in this process and does not fill the machine."""
 
 PR_SET_PDEATHSIG = 1
-IMPORTED_LATER = ("ddic.problem.check_inputs", "ddic.io.plots.strain_map", "ddic.report.write_report",
-                  "ddic.methods.run_case", "ddic.io.plots.canvas")
+IMPORTED_LATER = ("ddic.check.case", "ddic.plots.maps", "ddic.report.page",
+                  "ddic.methods.run", "ddic.plots.canvas")
 """What commands import when they are called: no command's time holds it."""
 
 STDOUT, STDERR = "stdout", "stderr"
@@ -42,7 +42,7 @@ def serve(requests: int, answers: int) -> None:
     """
     # Who asks may be killed, and this process hang: neither would end the other.
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-    for name in ("check", "crack", "export", "info", "opening", "plot", "probe", "report", "run", "sweep"):
+    for name in ("check", "crack", "info", "plot", "probe", "report", "run", "sweep"):
         importlib.import_module(f"ddic.cli.{name}")
     for name in IMPORTED_LATER:
         importlib.import_module(name)

@@ -12,8 +12,8 @@ from pathlib import Path
 from petsc4py import PETSc
 
 from ddic.cli.app import main
-from ddic.solvers import factor_packages
-from ddic.solvers.factor_failure import MISSING_PACKAGE
+from ddic.solvers import petsc
+from ddic.solvers.local_operator import MISSING_PACKAGE
 
 MATRICES = ("seqaij", "mpiaij", "seqsbaij", "mpisbaij")
 FACTORS = (1, 2)
@@ -52,9 +52,9 @@ def take_away(*absent: str) -> None:
             for kind in FACTORS:
                 if register(PACKAGES[name].encode(), matrix.encode(), kind, _MAKER):
                     raise RuntimeError(f"{name} cannot be taken away")
-    has_package = factor_packages.has_package
-    hidden = {*absent, *(factor_packages.WITH_CHOLMOD if "suitesparse" in absent else ())}
-    factor_packages.has_package = lambda name: name not in hidden and has_package(name)
+    has_package = petsc.has_package
+    hidden = {*absent, *(petsc.WITH_CHOLMOD if "suitesparse" in absent else ())}
+    petsc.has_package = lambda name: name not in hidden and has_package(name)
 
 
 if __name__ == "__main__":

@@ -9,8 +9,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from bench.support.tiled_texture import CELL
-from ddic.solvers.cost_constants import LARGEST_ARRAYS, CostConstants, Factor, Growth
-from ddic.solvers.step_costs import find_shared_boundary
+from ddic.solvers.step_costs import LARGEST_ARRAYS, CostConstants, Factor, Growth, find_shared_boundary
 
 Record = dict[str, Any]
 OF_RUN = ("n", "cut_off_wavelength", "n_ranks", "per_subdomain")

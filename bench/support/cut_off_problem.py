@@ -15,7 +15,7 @@ from scipy import sparse
 
 from bench.support.step_problem import ALONE, Vector, prepare_step, weighted_stiffness
 from ddic.case.schema import Case, RegularizationSection
-from ddic.functionals.equilibrium_gap import (
+from ddic.functionals.regularization import (
     controlled_stiffness,
     find_cut_off_weight,
     measure_gap_energies,

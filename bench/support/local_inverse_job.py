@@ -21,7 +21,7 @@ from bench.support.step_problem import factorize, prepare_step
 from ddic.case.schema import Case
 from ddic.parallel.team import Team
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
-from ddic.solvers.dual.local_inverse import LocalInverseKind
+from ddic.solvers.dual.preconditioner import LocalInverseKind
 
 TEAM = Team(MPI.COMM_WORLD)
 PAGE = resource.getpagesize()

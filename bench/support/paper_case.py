@@ -12,11 +12,9 @@ from pathlib import Path
 from bench.support.paper_field import OpenHoleBeam
 from bench.support.paper_mesh import write_gmsh_mesh
 from bench.support.runs import DATA, images, source_version
-from ddic.synth.digitise import Digitiser
 from ddic.synth.fields import DisplacementField
-from ddic.synth.picture import Picture
-from ddic.synth.render import Scene, write_pair
-from ddic.synth.speckle_texture import SpeckleTexture
+from ddic.synth.render import Digitiser, Picture, Scene, write_pair
+from ddic.synth.speckle import SpeckleTexture
 from ddic.synth.truth import load_truth
 
 WIDTH, HEIGHT = 6576, 4384

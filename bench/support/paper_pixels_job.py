@@ -22,11 +22,11 @@ from ddic.case.loader import load_case
 from ddic.images.spline import HALO, PADDING
 from ddic.images.sub_image import read_reference
 from ddic.images.window import merge_windows
+from ddic.inputs.cameras import Frame
+from ddic.inputs.inputs import Inputs, open_inputs
 from ddic.io.result_reader import read_result
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.cameras import Frame
-from ddic.problem.inputs import Inputs, open_inputs
 from ddic.problem.region_mesh import build_region_mesh, scatter_region, split_region
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.views import open_frame_views, read_frame_windows, read_reference_views

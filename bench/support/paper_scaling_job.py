@@ -21,14 +21,14 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from ddic.methods.run_case import run_case
+from ddic.methods.run import run_case
 from ddic.parallel.phases import Phase
 from ddic.parallel.team import Team
 from ddic.problem.weighted_problem import ProblemSize
 from ddic.separated.corrections import CorrectionRecord
 from ddic.solvers.dual.coarse_space import CoarseSpace
+from ddic.solvers.dual.local_dual import RankDual
 from ddic.solvers.dual.preconditioner import DualPreconditioner
-from ddic.solvers.dual.rank_dual import RankDual
 from ddic.solvers.exchange import Exchange
 from ddic.solvers.gauss_newton import IterationRecord
 

@@ -11,13 +11,12 @@ import cv2
 from mpi4py import MPI
 
 from ddic.case.loader import LoadedCase, load_case
+from ddic.inputs.inputs import open_inputs
 from ddic.methods.dd_dic import Session
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.inputs import open_inputs
 from ddic.results.listener import Silence
-from ddic.results.phase_times import gather_phase_times
-from ddic.results.publishing import Destination, publish
+from ddic.results.publishing import Destination, gather_phase_times, publish
 
 
 def measure_seconds(team: Team, loaded: LoadedCase) -> tuple[float, dict[str, float], int]:

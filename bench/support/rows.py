@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from bench.support.runs import ROOT
-from ddic.io.source_tree import find_source_commit
+from ddic.io.input_file import find_source_commit
 
 RESULTS = ROOT / "bench" / "results"
 """JSON lines of all that was measured; not part of the repository."""

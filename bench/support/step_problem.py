@@ -17,12 +17,12 @@ from scipy import sparse
 
 from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case, RegularizationSection, SolverSection
-from ddic.functionals.equilibrium_gap import controlled_stiffness
+from ddic.functionals.regularization import controlled_stiffness
+from ddic.inputs.inputs import open_inputs
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.assembly import Assembly, Hessians, assemble, assemble_hessians
-from ddic.problem.inputs import open_inputs
 from ddic.problem.region_mesh import (
     Region,
     RegionMesh,
@@ -35,7 +35,7 @@ from ddic.problem.views import FrameViews, ReferenceViews, open_frame_views, rea
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
 from ddic.solvers.linear_step import StepResult
 from ddic.solvers.local_operator import LocalOperator
-from ddic.solvers.monolithic import MonolithicStep
+from ddic.solvers.local_system import MonolithicStep
 
 ALONE = Team(MPI.COMM_SELF)
 """This rank without the others."""

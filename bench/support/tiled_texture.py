@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from ddic.functionals.elasticity import Material
-from ddic.functionals.equilibrium_gap import (
+from ddic.functionals.regularization import (
+    Material,
     controlled_stiffness,
     find_cut_off_weight,
     measure_gap_energies,

@@ -7,7 +7,7 @@ import numpy as np
 
 from ddic.io.mapping_file import read_mapping
 from ddic.io.result_reader import read_result
-from ddic.synth.near_far_truth import load_near_far_truth
+from ddic.synth.truth import load_near_far_truth
 
 
 def main(folder: Path) -> None:

@@ -12,17 +12,15 @@ from typing import TYPE_CHECKING, Any
 from ddic.version import __version__
 
 if TYPE_CHECKING:
-    from ddic.api.choose_regularization import choose_regularization
-    from ddic.api.image import Image
-    from ddic.api.known_displacements import Uncertainty, estimate_uncertainty
     from ddic.api.measure import Session, measure, prepare
-    from ddic.api.options import Options
+    from ddic.api.options import Image, Options
+    from ddic.api.studies import Uncertainty, choose_regularization, estimate_uncertainty
     from ddic.api.synthetic import make_synthetic_pair
     from ddic.case.loader import load_case
     from ddic.case.schema import Case
     from ddic.errors import ConvergenceError, DdicError, FactorizationError, InputError, SingularSubdomainError
     from ddic.fracture.crack_tip import CrackTip, Ring, find_crack_tip
-    from ddic.fracture.line_opening import Opening, measure_opening
+    from ddic.fracture.opening import Opening, measure_opening
     from ddic.io.result_reader import Result
     from ddic.io.result_reader import read_result as open
     from ddic.io.series_reader import SeriesResult
@@ -32,25 +30,23 @@ if TYPE_CHECKING:
     from ddic.kinematics.nodal import NodalRegion
     from ddic.mesh.mesh import Mesh
     from ddic.mesh.structured import build_structured_mesh as structured_mesh
-    from ddic.probes.field_tables import write_field_tables
     from ddic.probes.metrology import Metrology, estimate_metrology
-    from ddic.probes.probe_file import load_probes
-    from ddic.probes.probe_kinds import Extensometer, LineProbe, PointProbe, StrainGauge
-    from ddic.probes.probe_table import measure_probes, write_probe_table
+    from ddic.probes.probes import Extensometer, LineProbe, PointProbe, StrainGauge, load_probes
     from ddic.probes.read_probe import Reading, measure_probe
-    from ddic.report.write_report import write_report
-    from ddic.results.sweep_trials import Candidate, Sweep, Trial
+    from ddic.probes.tables import measure_probes, write_field_tables, write_probe_table
+    from ddic.report.page import write_report
+    from ddic.results.sweep import Candidate, Sweep, Trial
 
 _HOMES = {
-    "choose_regularization": "api.choose_regularization",
-    "Image": "api.image",
+    "choose_regularization": "api.studies",
+    "Image": "api.options",
     "Options": "api.options",
     "Session": "api.measure",
     "measure": "api.measure",
     "prepare": "api.measure",
     "make_synthetic_pair": "api.synthetic",
-    "Uncertainty": "api.known_displacements",
-    "estimate_uncertainty": "api.known_displacements",
+    "Uncertainty": "api.studies",
+    "estimate_uncertainty": "api.studies",
     "load_case": "case.loader",
     "Case": "case.schema",
     "ConvergenceError": "errors",
@@ -61,8 +57,8 @@ _HOMES = {
     "CrackTip": "fracture.crack_tip",
     "Ring": "fracture.crack_tip",
     "find_crack_tip": "fracture.crack_tip",
-    "Opening": "fracture.line_opening",
-    "measure_opening": "fracture.line_opening",
+    "Opening": "fracture.opening",
+    "measure_opening": "fracture.opening",
     "Result": "io.result_reader",
     "open": "io.result_reader:read_result",
     "SeriesResult": "io.series_reader",
@@ -72,23 +68,23 @@ _HOMES = {
     "LinearRegion": "kinematics.linear",
     "NodalRegion": "kinematics.nodal",
     "Mesh": "mesh.mesh",
-    "Candidate": "results.sweep_trials",
-    "Sweep": "results.sweep_trials",
-    "Trial": "results.sweep_trials",
+    "Candidate": "results.sweep",
+    "Sweep": "results.sweep",
+    "Trial": "results.sweep",
     "structured_mesh": "mesh.structured:build_structured_mesh",
-    "Extensometer": "probes.probe_kinds",
-    "LineProbe": "probes.probe_kinds",
-    "PointProbe": "probes.probe_kinds",
-    "StrainGauge": "probes.probe_kinds",
+    "Extensometer": "probes.probes",
+    "LineProbe": "probes.probes",
+    "PointProbe": "probes.probes",
+    "StrainGauge": "probes.probes",
     "Reading": "probes.read_probe",
     "measure_probe": "probes.read_probe",
     "Metrology": "probes.metrology",
     "estimate_metrology": "probes.metrology",
-    "load_probes": "probes.probe_file",
-    "measure_probes": "probes.probe_table",
-    "write_probe_table": "probes.probe_table",
-    "write_field_tables": "probes.field_tables",
-    "write_report": "report.write_report",
+    "load_probes": "probes.probes",
+    "measure_probes": "probes.tables",
+    "write_probe_table": "probes.tables",
+    "write_field_tables": "probes.tables",
+    "write_report": "report.page",
 }
 """Where the public names live: modules are imported at first use, for some bring MPI, PETSc and numba."""
 

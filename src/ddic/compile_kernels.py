@@ -36,7 +36,7 @@ def compile_kernels() -> None:
     petsc4py.init(["ddic"])
     import cv2
 
-    from ddic.methods.run_case import run_case
+    from ddic.methods.run import run_case
     from ddic.parallel.team import Team
     from ddic.results.listener import Silence
 
@@ -65,11 +65,9 @@ def _write_images(folder: Path, bit_depth: int) -> None:
     import numpy as np
     import tifffile
 
-    from ddic.synth.digitise import Digitiser
     from ddic.synth.fields import Sinusoidal
-    from ddic.synth.picture import Picture
-    from ddic.synth.render import Scene, render_pair
-    from ddic.synth.speckle_texture import SpeckleTexture
+    from ddic.synth.render import Digitiser, Picture, Scene, render_pair
+    from ddic.synth.speckle import SpeckleTexture
 
     field = Sinusoidal((0.3, -0.2), (0.5, 0.4), (256.0, 320.0), (320.0, 256.0))
     pair = render_pair(Scene(SpeckleTexture(3), field), Picture(SIDE, SIDE, Digitiser(bit_depth)))

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 import ddic
 from ddic.case.loader import load_case
+from ddic.check.case import check_case_file
 from ddic.errors import is_collective
-from ddic.problem.check_inputs import check_case_file
 
 Pair = tuple[NDArray[np.uint8], NDArray[np.uint8]]
 NAN = np.where(np.arange(160 * 140).reshape(140, 160) == 60 + 50 * 160, np.nan, 100.0)

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 import ddic
 from ddic.cli.sweep import sweep
 from ddic.errors import InputError
-from ddic.methods import candidate_session, sweep_candidates
+from ddic.inputs.inputs import Inputs
+from ddic.methods import sweep as sweeping
 from ddic.methods.dd_dic import Session
 from ddic.parallel.team import Team
-from ddic.problem.inputs import Inputs
 
 SIDE = 200
 
@@ -93,15 +93,15 @@ def test_impossible_settings_are_refused(wave_case: Path, options: list[str], me
 def test_candidates_that_are_prepared_twice_find_the_same(wave_case: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     settings: dict[str, Any] = {"wavelengths": (60, 120), "element_sizes": (20,)}
     kept = ddic.choose_regularization(wave_case, **settings)
-    monkeypatch.setattr(sweep_candidates, "KEPT_PIXELS", 0)
+    monkeypatch.setattr(sweeping, "KEPT_PIXELS", 0)
     opened: list[Inputs] = []
-    prepared = candidate_session.Session
+    prepared = sweeping.Session
 
     def prepare(team: Team, inputs: Inputs, *others: Any) -> Session:
         opened.append(inputs)
         return prepared(team, inputs, *others)
 
-    monkeypatch.setattr(candidate_session, "Session", prepare)
+    monkeypatch.setattr(sweeping, "Session", prepare)
     again = ddic.choose_regularization(wave_case, **settings)
     # Twice each, and once more for the truth.
     assert len(opened) == 5

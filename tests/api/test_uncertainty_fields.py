@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import ddic
 from ddic.errors import ConvergenceError, InputError, as_collective
-from ddic.methods.run_case import run_case
+from ddic.methods.run import run_case
 from ddic.parallel.team import Team
 from support.cases import Ears, write_case, write_images
 from support.small_pair import SIZE, move

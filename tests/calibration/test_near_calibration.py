@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ddic.calibration.camera_models import Kind
-from ddic.calibration.near_calibration import Calibration, calibrate
+from ddic.calibration.near import Calibration, calibrate
 from ddic.errors import InputError
 from ddic.images.camera import CameraMapping, similarity
 from ddic.io.image_file import open_image

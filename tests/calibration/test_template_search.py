@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ddic.calibration.template_search import correlate_template, prepare_search, sum_window_squares
+from ddic.calibration.near import correlate_template, prepare_search, sum_window_squares
 from ddic.images.camera import CameraMapping
 from support.two_cameras import TILTED, TURNED, UPRIGHT, far_grey, near_grey
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from ddic.case.loader import load_case, parse_case
+from ddic.check.case import check_inputs, check_ranks
 from ddic.errors import InputError
-from ddic.problem.check_inputs import check_inputs, check_ranks
 from support.cases import REGION, case_text, write_case, write_images
 
 NEAR = '[[near]]\nreference = "a.tif"\ndeformed = "b.tif"\nratio = 4\noffset = [0, 0]\n'

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from ddic.case.loader import load_case, load_case_leniently
-from ddic.case.unused_keys import list_unused_keys
+from ddic.case.loader import list_unused_keys, load_case, load_case_leniently
 
 INPUTS = ('[images]\nreference = "f.tif"\ndeformed = "g.tif"\n[mesh.structured]\nregion = [0, 0, 50, 50]\n'
           "element_size = 10\n")

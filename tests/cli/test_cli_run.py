@@ -234,8 +234,8 @@ def test_options_that_are_not_petscs_are_refused(folder: Path) -> None:
 ON_RANK_1 = """
 from mpi4py import MPI
 import ddic.problem.linear_solver as linear_solver, ddic.problem.reference_problem as reference_problem
-import ddic.problem.solved_frame as solved_frame
-import ddic.solvers.dual.schur_operator as schur_operator
+import ddic.visibility.solved_frame as solved_frame
+import ddic.solvers.dual.dual_problem as schur_operator
 from ddic.errors import InputError
 def fail(*arguments, **options):
     raise {error}

@@ -52,7 +52,7 @@ def test_a_folder_that_takes_no_files_is_named(folder: Path, monkeypatch: pytest
         raise PermissionError(13, "Permission denied", "case.sweep.csv")
 
     # Whoever runs this may write everywhere, root for instance.
-    monkeypatch.setattr("ddic.results.sweep_table.write_sweep", refuse)
+    monkeypatch.setattr("ddic.results.sweep.write_sweep", refuse)
     done = sweep(folder, "--lengths", "0", "--elements", "32", "--output", str(folder / "tables"))
     assert done.exit_code == 2
     assert done.stderr.splitlines() == [

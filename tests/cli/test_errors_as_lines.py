@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from ddic.cli.errors_as_lines import errors_as_lines
+from ddic.cli.failures import errors_as_lines
 from ddic.errors import ConvergenceError, InputError
 
 

@@ -53,7 +53,7 @@ def _own_lines(job: Finished) -> list[str]:
 # MPI runs by then: PETSc has begun it. Without mpi4py nothing can be aborted through it.
 @pytest.mark.parametrize(("name", "error", "said"), [
     ("mpi4py", "ImportError('no such library')", "ddic could not start (ImportError: no such library)"),
-    ("ddic.methods.run_case", "MemoryError()", "out of memory: see free -m, and ulimit -v"),
+    ("ddic.methods.run", "MemoryError()", "out of memory: see free -m, and ulimit -v"),
 ])
 def test_a_rank_that_cannot_start_ends_all(folder: Path, name: str, error: str, said: str) -> None:
     job = finished(driven(BROKEN.format(name=name, error=error, ranks=["1"]), folder), 2)
@@ -75,7 +75,7 @@ import os, sys, time
 from pathlib import Path
 class Finder:
     def find_spec(self, name, path=None, target=None):
-        if name == "ddic.methods.run_case" and os.environ["OMPI_COMM_WORLD_RANK"] == "1":
+        if name == "ddic.methods.run" and os.environ["OMPI_COMM_WORLD_RANK"] == "1":
             Path({str(folder.parent / "pid1")!r}).write_text(str(os.getpid()))
             time.sleep(2.0)
 sys.meta_path.insert(0, Finder())

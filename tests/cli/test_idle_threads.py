@@ -2,7 +2,7 @@ import os
 
 import pytest
 
-from ddic.cli.idle_threads import TIMEOUT, prepare_idle_threads
+from ddic.cli.surroundings import TIMEOUT, prepare_idle_threads
 
 NAME = "OPENBLAS_THREAD_TIMEOUT"
 

@@ -15,8 +15,8 @@ from click.testing import CliRunner
 import ddic
 from ddic.cli import surroundings
 from ddic.cli.app import main
-from ddic.cli.petsc_error import describe_petsc_error
-from ddic.io import decoded_file
+from ddic.cli.failures import describe_petsc_error
+from ddic.io import image_file
 from support.cases import write_case, write_images
 
 FULL = Path("/dev/full")
@@ -141,6 +141,6 @@ def test_info_decodes_an_image_once(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         decoded.append(words)
         return imread(*words)
 
-    monkeypatch.setattr(decoded_file.cv2, "imread", count)
+    monkeypatch.setattr(image_file.cv2, "imread", count)
     assert CliRunner().invoke(main, ["info", str(tmp_path / "a.png")]).exit_code == 0
     assert len(decoded) == 1

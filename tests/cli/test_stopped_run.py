@@ -85,7 +85,7 @@ def test_it_goes_on_from_where_it_was_stopped(folder: Path, ranks: int) -> None:
 def test_a_stop_before_the_first_iteration_leaves_no_field(folder: Path) -> None:
     early = """
 import os, signal
-import ddic.methods.run_pair as run_pair
+import ddic.methods.run as run_pair
 ordinary = run_pair.open_inputs
 def open_and_signal(*arguments):
     os.kill(os.getpid(), signal.SIGTERM)

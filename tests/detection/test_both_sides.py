@@ -6,10 +6,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ddic.detection.both_sides import compute_residuals, evaluate_both_sides
+from ddic.detection.refine_line import compute_residuals, evaluate_both_sides
 from ddic.functionals.grey_statistics import GreyCorrection
-from ddic.mesh.cut_mesh import cut_mesh
-from ddic.mesh.own_side import find_points_on_own_side
+from ddic.mesh.cut_mesh import cut_mesh, find_points_on_own_side
 from ddic.mesh.structured import build_structured_mesh
 from ddic.start.independent import Images
 from ddic.synth.fields import Translation

@@ -10,9 +10,8 @@ import pytest
 from accept.support.opened_pair import Opened, render
 from ddic.detection.line_of_case import LEAST_GAIN
 from ddic.detection.refine_line import find_move, refine_line
-from ddic.kinematics.discontinuities import Discontinuities
-from ddic.mesh.cut_mesh import cut_mesh
-from ddic.mesh.own_side import find_points_on_own_side
+from ddic.kinematics.enriched import Discontinuities
+from ddic.mesh.cut_mesh import cut_mesh, find_points_on_own_side
 from ddic.mesh.structured import build_structured_mesh
 from ddic.start.coarse_displacement import CutField
 from ddic.start.independent import Images

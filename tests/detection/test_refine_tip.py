@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from accept.support.cracked_pair import Crack, render_crack
 from ddic.detection.refine_tip import find_tip_move
 from ddic.errors import ConvergenceError
-from ddic.fracture.williams_series import find_kolosov_constant
+from ddic.fracture.crack_tip import find_kolosov_constant
 from ddic.kinematics.tip_functions import Tip, find_tips
-from ddic.mesh.cut_mesh import cut_mesh
-from ddic.mesh.own_side import find_points_on_own_side
+from ddic.mesh.cut_mesh import cut_mesh, find_points_on_own_side
 from ddic.mesh.structured import build_structured_mesh
 from ddic.start.coarse_displacement import CutField
 from ddic.start.independent import Images

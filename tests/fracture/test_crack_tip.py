@@ -12,11 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ddic
-from ddic.cli.crack import crack
-from ddic.cli.opening import opening
+from ddic.cli.crack import crack, opening
 from ddic.cli.plot import plot
 from ddic.errors import InputError
-from ddic.fracture.williams_series import evaluate_williams_series, find_kolosov_constant
+from ddic.fracture.crack_tip import evaluate_williams_series, find_kolosov_constant
 from ddic.io.result_reader import Result
 from ddic.mesh.cell_type import Q4
 from ddic.mesh.mesh import build_mesh

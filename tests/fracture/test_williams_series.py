@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ddic.fracture.williams_series import evaluate_williams_series, find_kolosov_constant
+from ddic.fracture.crack_tip import evaluate_williams_series, find_kolosov_constant
 
 KAPPA = find_kolosov_constant(0.3, "stress")
 ORDERS = np.arange(-1, 8)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ddic.functionals.elasticity import Material, integrate_cell_stiffness
-from ddic.functionals.read_correlation import read_correlation
-from ddic.functionals.texture_strength import Texture, find_blank_subdomains, measure_texture, rigid_modes
+from ddic.functionals.correlation import read_correlation
+from ddic.functionals.regularization import Material, integrate_cell_stiffness
+from ddic.functionals.texture import Texture, find_blank_subdomains, measure_texture, rigid_modes
 from ddic.kinematics.cell_interpolation import interpolate_cells
 from support.cases import WAVES
 from support.pictures import pair_of, source, square_mesh

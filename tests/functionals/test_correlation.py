@@ -10,9 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from ddic.functionals.correlation import Residual
+from ddic.functionals.correlation import Residual, read_correlation
 from ddic.functionals.grey_statistics import GreySums
-from ddic.functionals.read_correlation import read_correlation
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize

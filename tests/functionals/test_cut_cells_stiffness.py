@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ddic.functionals.elasticity import Material, assemble_stiffness
+from ddic.functionals.regularization import Material, assemble_stiffness
 from ddic.kinematics.strain import compute_strain
 from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.structured import build_structured_mesh

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ddic.functionals.cut_patch import cut_patches
-from ddic.functionals.read_correlation import read_correlation
+from ddic.functionals.correlation import read_correlation
+from ddic.functionals.spoilt_pixels import cut_patches
 from ddic.functionals.view import FrameView, View
 from ddic.images.sub_image import DeformedSubImage
 from ddic.kinematics.nodal import NodalKinematics

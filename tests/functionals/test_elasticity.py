@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from ddic.functionals.elasticity import Material, assemble_stiffness
+from ddic.functionals.regularization import Material, assemble_stiffness
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import find_boundary_nodes
 from support.random_meshes import Cells, grid_mesh, grid_meshes

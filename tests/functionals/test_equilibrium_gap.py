@@ -9,9 +9,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ddic.functionals import equilibrium_gap
-from ddic.functionals.elasticity import Material, assemble_stiffness
-from ddic.functionals.equilibrium_gap import (
+from ddic.functionals import regularization
+from ddic.functionals.correlation import read_correlation
+from ddic.functionals.regularization import (
+    Material,
+    assemble_stiffness,
     controlled_stiffness,
     evaluate_plane_waves,
     find_cut_off_weight,
@@ -19,7 +21,6 @@ from ddic.functionals.equilibrium_gap import (
     measure_gap_energies,
     measure_texture_energies,
 )
-from ddic.functionals.read_correlation import read_correlation
 from ddic.images.sub_image import MaskedSource
 from ddic.kinematics.nodal import NodalKinematics, NodalRegion
 from ddic.mesh.mesh import Mesh
@@ -70,7 +71,7 @@ def test_waves_are_longitudinal_and_shear_with_both_phases() -> None:
 
 
 def test_energies_equal_a_dense_evaluation(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(equilibrium_gap, "_CHUNK_CELLS", 13)  # several batches on a small mesh
+    monkeypatch.setattr(regularization, "_GAP_CHUNK_CELLS", 13)  # several batches on a small mesh
     mesh, wavelength = region(), 60.0
     hessian = read_correlation(mesh, speckle(), 3).assemble_hessian()
     waves, rows = evaluate_plane_waves(mesh.nodes, wavelength), np.repeat(interior(mesh), 2)

@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from ddic.functionals.elasticity import Material
-from ddic.functionals.field_roughness import measure_gap
+from ddic.functionals.regularization import Material
+from ddic.functionals.texture import measure_gap
 from ddic.mesh.structured import build_structured_mesh
 
 MATERIAL = Material(0.3)

@@ -9,15 +9,17 @@ from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
 import ddic
-from ddic.functionals.elasticity import Material, assemble_stiffness
-from ddic.functionals.equilibrium_gap import (
+from ddic.functionals.correlation import read_correlation
+from ddic.functionals.regularization import (
+    HalfAmplitudes,
+    Material,
+    assemble_stiffness,
     evaluate_plane_waves,
     find_cut_off_weight,
+    find_half_amplitudes,
     measure_gap_energies,
     measure_texture_energies,
 )
-from ddic.functionals.half_amplitude import HalfAmplitudes, find_half_amplitudes
-from ddic.functionals.read_correlation import read_correlation
 from ddic.mesh.structured import build_structured_mesh
 from ddic.mesh.topology import find_boundary_nodes
 from support.pictures import source

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ddic.functionals.correlation import read_correlation
 from ddic.functionals.line_band import BAND, find_band_pixels
-from ddic.functionals.read_correlation import read_correlation
 from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.polyline import is_inside_polygon, measure_distance
+from ddic.mesh.plane import is_inside_polygon, measure_distance
 from ddic.mesh.raster import rasterize
 from ddic.mesh.structured import build_structured_mesh
 from ddic.synth.fields import Translation

@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ddic.functionals.correlation import Correlation
-from ddic.functionals.moved_gradient import (
+from ddic.functionals.correlation import (
+    Correlation,
     compute_inverse_deformations,
     find_large_gradients,
     map_hessians,
     map_moments,
     measure_deformation,
+    read_correlation,
 )
-from ddic.functionals.read_correlation import read_correlation
 from ddic.images.sub_image import DeformedSubImage
 from ddic.mesh.structured import build_structured_mesh
-from ddic.synth.speckle_texture import SpeckleTexture
+from ddic.synth.speckle import SpeckleTexture
 from support.pictures import source
 
 SIDE = 160

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from ddic.functionals.correlation import read_correlation
 from ddic.functionals.noise_transfer import (
     build_transfer,
     build_white_transfer,
     correlate_slopes,
     find_cell_transfer,
 )
-from ddic.functionals.read_correlation import read_correlation
 from ddic.functionals.view import View
 from ddic.kinematics.nodal import NodalKinematics
 from ddic.mesh.structured import build_structured_mesh

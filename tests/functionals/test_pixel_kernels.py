@@ -8,9 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from ddic.functionals.correlation import Correlation
+from ddic.functionals.correlation import Correlation, read_correlation
 from ddic.functionals.pixel_kernels import BATCH
-from ddic.functionals.read_correlation import read_correlation
 from ddic.images.sub_image import DeformedSubImage
 from ddic.mesh.cell_type import Q4
 from ddic.mesh.mesh import Mesh

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ddic.functionals.correlation import FEWEST
-from ddic.functionals.read_correlation import read_correlations
+from ddic.functionals.correlation import FEWEST, read_correlations
 from ddic.images.spline import _BAND_ROWS
 from ddic.images.sub_image import DeformedSubImage
 from ddic.images.threads import Threads

@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.interpolate import BSpline
 
-from ddic.functionals.correlation import Correlation
-from ddic.functionals.read_correlation import read_correlation
+from ddic.functionals.correlation import Correlation, read_correlation
 from ddic.functionals.readable_kernels import evaluate_b_spline, find_local_coordinates, monomials
-from ddic.images.fill import fill_excluded
+from ddic.images.source import fill_excluded
 from ddic.images.sub_image import DeformedSubImage
 from support.pictures import source
 from support.random_meshes import grid_mesh

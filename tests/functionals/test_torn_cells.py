@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ddic.functionals import pixel_kernels as kernels
-from ddic.functionals.read_correlation import read_correlation
-from ddic.functionals.torn_cells import find_torn_cells
+from ddic.functionals.correlation import find_torn_cells, read_correlation
 from ddic.images.sub_image import DeformedSubImage
 from ddic.mesh.structured import build_structured_mesh
 from ddic.synth.fields import Translation

@@ -11,12 +11,12 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ddic.functionals.read_correlation import read_correlation
+from ddic.functionals.correlation import read_correlation
 from ddic.functionals.view import FrameView, View
 from ddic.images.binned import ArraySource
 from ddic.images.camera import CameraMapping, identity, similarity
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
-from ddic.kinematics.camera_kinematics import CameraKinematics, CameraSetup, MotionKind, place_before_camera
+from ddic.kinematics.camera import CameraKinematics, CameraSetup, MotionKind, place_before_camera
 from ddic.kinematics.kinematics import Kinematics
 from ddic.kinematics.nodal import NodalKinematics
 from support.random_meshes import grid_mesh

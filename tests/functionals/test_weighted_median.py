@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ddic.functionals.weighted_median import FEW, find_weighted_median, find_weighted_quantile
+from ddic.functionals.grey_statistics import FEW, find_weighted_median, find_weighted_quantile
 
 PAIRS = st.lists(st.tuples(st.floats(-5, 5), st.integers(0, 6)), min_size=1)
 

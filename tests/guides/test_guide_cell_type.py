@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 import ddic.mesh.mesh
-import ddic.mesh.shapes
 from support.guides import run_guide
 
 
 def test_cell_type(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (ddic.mesh.mesh, ddic.mesh.shapes):
+    for module in (ddic.mesh.mesh, ddic.mesh.mesh):
         # Put back when the test ends: the guide replaces it.
         monkeypatch.setattr(module, "CELL_TYPES", module.CELL_TYPES)
     guide = run_guide("cell-type")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from ddic.images.blurred import REACH, SMALLEST, Blur, BlurredSource
+from ddic.images.binned import REACH, SMALLEST, Blur, BlurredSource
 from ddic.images.window import Window
 from support.pictures import source
 

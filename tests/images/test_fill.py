@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from ddic.images.fill import fill_excluded, without_cross, without_neighbours
+from ddic.images.source import fill_excluded, without_cross, without_neighbours
 from ddic.images.spline import read_gradient, read_spline
 from ddic.images.window import Window
 from support.pictures import source

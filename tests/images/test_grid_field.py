@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ddic.images.grid_field import GridField, build_uniform_field, fill_absent
+from ddic.images.rigid import GridField, build_uniform_field, fill_absent
 
 
 @given(seed=st.integers(0, 2**32 - 1))

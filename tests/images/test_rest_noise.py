@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ddic.images.binned import ArraySource
-from ddic.images.rest_noise import estimate_rest_noise
+from ddic.images.noise import estimate_rest_noise
 from ddic.images.window import Window
 
 SIGMA = 2.0

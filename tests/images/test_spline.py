@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ddic.functionals.read_correlation import read_correlation
+from ddic.functionals.correlation import read_correlation
 from ddic.images.spline import PADDING, compute_coefficients, read_gradient, read_spline
 from ddic.images.sub_image import DeformedSubImage
 from ddic.images.window import Window

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from ddic.images.spline_noise import REACH, correlate_interpolation
+from ddic.images.noise import REACH, correlate_interpolation
 
 
 @pytest.mark.parametrize("degree", [3, 5])

@@ -8,9 +8,8 @@ from pathlib import Path
 import pytest
 
 from ddic.errors import InputError
-from ddic.io import background_writer
-from ddic.io.background_writer import BackgroundWriter
-from ddic.io.read_ahead import ReadAhead
+from ddic.io import series_folder
+from ddic.io.series_folder import BackgroundWriter, ReadAhead
 
 
 def test_files_are_whole_and_none_is_lost(tmp_path: Path) -> None:
@@ -29,7 +28,7 @@ def test_the_program_goes_on_while_a_file_is_written(tmp_path: Path, monkeypatch
         assert may_go_on.wait(timeout=30)
         names.append(path.name)
 
-    monkeypatch.setattr(background_writer, "_write", wait_and_write)
+    monkeypatch.setattr(series_folder, "_write", wait_and_write)
     with BackgroundWriter() as writer:
         writer.write(tmp_path / "one", b"")
         assert names == []

@@ -16,22 +16,16 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from ddic.cli.plot import plot
-from ddic.io.plots.camera_fields import draw_near_far
-from ddic.io.plots.correction_curves import draw_corrections
-from ddic.io.plots.deformed import draw_deformed
-from ddic.io.plots.difference import draw_difference
-from ddic.io.plots.failure_mark import WORDS, draw_failures
-from ddic.io.plots.krylov import draw_krylov
-from ddic.io.plots.mode_functions import draw_modes
-from ddic.io.plots.nodal_map import draw_displacement
-from ddic.io.plots.opening_curves import draw_opening
-from ddic.io.plots.page_text import find_clipped_texts
-from ddic.io.plots.partition import draw_partition
-from ddic.io.plots.residual import draw_residual
-from ddic.io.plots.strain_map import StrainChoice, draw_strain
 from ddic.io.result_reader import Result, read_result
 from ddic.io.result_schema import CAMERA, FAILURE, STATUS
-from ddic.separated.separated_field import SeparatedField
+from ddic.plots.cameras import draw_near_far
+from ddic.plots.canvas import WORDS, draw_failures, find_clipped_texts
+from ddic.plots.curves import draw_corrections, draw_krylov, draw_modes, draw_opening
+from ddic.plots.deformed import draw_deformed
+from ddic.plots.maps import StrainChoice, draw_difference, draw_displacement, draw_strain
+from ddic.plots.partition import draw_partition
+from ddic.plots.residual import draw_residual
+from ddic.separated.field import SeparatedField
 from support.separated import lines
 
 Write = Callable[..., Path]

@@ -7,10 +7,14 @@ import pytest
 
 import ddic
 from ddic.errors import InputError
-from ddic.io.frame_of_series import is_series_file, read_frame, read_frame_or_last
-from ddic.io.series_displacement import find_displacement_range
-from ddic.io.series_history import gather_history
-from ddic.io.series_reader import read_series
+from ddic.io.series_reader import (
+    find_displacement_range,
+    gather_history,
+    is_series_file,
+    read_frame,
+    read_frame_or_last,
+    read_series,
+)
 from support.series_files import MESH, STRAIN, FrameFile, displace, write_series_file
 
 FRAMES = [FrameFile(0.5), FrameFile(1.0, 0), FrameFile(2.0, 3), FrameFile(3.0), FrameFile(4.0, 0)]
@@ -103,7 +107,7 @@ def test_history_is_that_of_the_fields(series: Path) -> None:
 
 
 def test_mean_strain_counts_areas() -> None:
-    from ddic.io.series_history import _average
+    from ddic.io.series_reader import _average
     from ddic.mesh.cell_type import Q4
     from ddic.mesh.mesh import build_mesh
 

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from ddic.images.window import Window
-from ddic.io.hdf5_stream import new_hdf5
-from ddic.io.image_chunks import ChunkGrid, pack_chunk
+from ddic.io.hdf5_stream import ChunkGrid, new_hdf5, pack_chunk
 from ddic.io.result_schema import sidecar_path
 from ddic.io.result_writer import ResultWriter
 

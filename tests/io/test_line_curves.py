@@ -9,7 +9,7 @@ import pytest
 
 import ddic
 from ddic.errors import InputError
-from ddic.io.plots.line_curves import BAND, draw_line
+from ddic.plots.curves import BAND, draw_line
 from support.small_pair import SIZE, move
 
 

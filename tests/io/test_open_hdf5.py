@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ddic.errors import InputError
-from ddic.io.open_hdf5 import open_hdf5
+from ddic.io.damaged_result import open_hdf5
 from support.commands import ddic
 
 HEAP = b"GCOL"

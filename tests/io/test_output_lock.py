@@ -10,13 +10,12 @@ from pathlib import Path
 import pytest
 
 from ddic.errors import InputError
-from ddic.io.output_lock import held_output
-from ddic.io.replace_on_exit import make_temporary_name
+from ddic.io.replace_on_exit import held_output, make_temporary_name
 
 HOLDS = """
 import sys, time
 from pathlib import Path
-from ddic.io.output_lock import held_output
+from ddic.io.replace_on_exit import held_output
 with held_output(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(60)

@@ -16,23 +16,17 @@ from matplotlib.figure import Figure
 from ddic.cli.check import check
 from ddic.cli.plot import plot
 from ddic.io.image_file import open_image
-from ddic.io.plots.camera_fields import draw_near_far
-from ddic.io.plots.canvas import make_image_figure
-from ddic.io.plots.deformed import choose_amplification, draw_deformed
-from ddic.io.plots.difference import draw_difference
-from ddic.io.plots.krylov import draw_krylov
-from ddic.io.plots.length_unit import LengthUnit
-from ddic.io.plots.mesh_preview import draw_mesh_preview
-from ddic.io.plots.nodal_map import draw_displacement
-from ddic.io.plots.page_text import find_clipped_texts, format_title
-from ddic.io.plots.partition import PALETTE, choose_colours, draw_partition
-from ddic.io.plots.preview import Preview
-from ddic.io.plots.residual import draw_residual
-from ddic.io.plots.strain_map import StrainChoice, draw_strain
 from ddic.io.result_reader import Result, read_result
 from ddic.io.result_schema import NODAL_INFINITESIMAL
-from ddic.kinematics.rigid_part import count_folded_cells
+from ddic.kinematics.strain import count_folded_cells
 from ddic.mesh.structured import build_structured_mesh
+from ddic.plots.cameras import draw_near_far
+from ddic.plots.canvas import LengthUnit, find_clipped_texts, format_title, make_image_figure
+from ddic.plots.curves import draw_krylov
+from ddic.plots.deformed import choose_amplification, draw_deformed
+from ddic.plots.maps import Preview, StrainChoice, draw_difference, draw_displacement, draw_strain
+from ddic.plots.partition import PALETTE, choose_colours, draw_mesh_preview, draw_partition
+from ddic.plots.residual import draw_residual
 from support.cases import write_case, write_images
 
 Write = Callable[..., Path]
@@ -237,7 +231,7 @@ def test_check_draws_the_mesh(tmp_path: Path) -> None:
 
 def test_the_preview_shows_cells_sets_and_lines(tmp_path: Path) -> None:
     tifffile.imwrite(tmp_path / "f.tif", np.zeros((100, 120), np.uint8))
-    from ddic.io.plots.preview import read_preview
+    from ddic.plots.maps import read_preview
 
     mesh = build_structured_mesh((10, 10, 90, 90), 20)
     line = np.array([[0.0, 40.0], [100.0, 50.0]])

@@ -12,16 +12,15 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from ddic.io.image_file import open_image
-from ddic.io.plots.camera_fields import CellPanel, draw_cell_panels, draw_near_far
-from ddic.io.plots.canvas import make_triangulation
-from ddic.io.plots.deformed import choose_amplification, draw_deformed
-from ddic.io.plots.difference import draw_difference
-from ddic.io.plots.krylov import draw_krylov
-from ddic.io.plots.partition import draw_partition
-from ddic.io.plots.preview import read_preview
-from ddic.io.plots.residual import draw_residual
 from ddic.io.result_reader import Result, read_result
 from ddic.mesh.mesh import Mesh
+from ddic.plots.cameras import CellPanel, draw_cell_panels, draw_near_far
+from ddic.plots.canvas import make_triangulation
+from ddic.plots.curves import draw_krylov
+from ddic.plots.deformed import choose_amplification, draw_deformed
+from ddic.plots.maps import draw_difference, read_preview
+from ddic.plots.partition import draw_partition
+from ddic.plots.residual import draw_residual
 
 Write = Callable[..., Path]
 

@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 
 from ddic.cli.plot import plot
 from ddic.errors import InputError
-from ddic.io.plots.camera_fields import draw_near_far
-from ddic.io.plots.deformed import choose_amplification, draw_deformed
-from ddic.io.plots.difference import draw_difference
-from ddic.io.plots.length_unit import PIXELS
-from ddic.io.plots.nodal_map import Values, draw_displacement, draw_values
 from ddic.io.result_reader import Result, read_result
 from ddic.io.result_schema import CAMERA
+from ddic.plots.cameras import draw_near_far
+from ddic.plots.canvas import PIXELS
+from ddic.plots.deformed import choose_amplification, draw_deformed
+from ddic.plots.maps import Values, draw_difference, draw_displacement, draw_values
 
 Write = Callable[..., Path]
 

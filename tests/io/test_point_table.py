@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ddic.errors import InputError
-from ddic.io.point_table import read_point_table
+from ddic.io.text_files import read_point_table
 
 
 def _write(folder: Path, text: str) -> Path:

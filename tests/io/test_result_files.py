@@ -9,9 +9,9 @@ from pathlib import Path
 import h5py
 import pytest
 
-from ddic.io.result_files import move_result, remove_result
 from ddic.io.result_reader import read_result
 from ddic.io.result_schema import earlier_path, not_converged_path, summary_path
+from ddic.io.sidecars import move_result, remove_result
 
 Write = Callable[..., Path]
 

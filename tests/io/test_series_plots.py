@@ -12,20 +12,16 @@ import pytest
 from click.testing import CliRunner, Result
 from PIL import Image
 
-from ddic.cli.crack import crack
-from ddic.cli.export import export
+from ddic.cli.crack import crack, opening
 from ddic.cli.info import info
-from ddic.cli.opening import opening
 from ddic.cli.plot import plot
 from ddic.cli.plot_series import Look, find_shared_scale
-from ddic.io.plots.deformed import draw_deformed
-from ddic.io.plots.frame_caption import draw_caption
-from ddic.io.plots.length_unit import PIXELS, LengthUnit
-from ddic.io.plots.page_text import find_clipped_texts
-from ddic.io.plots.strain_map import StrainChoice, draw_strain
-from ddic.io.plots.time_curves import draw_time_curves
-from ddic.io.series_history import gather_history
-from ddic.io.series_reader import read_series
+from ddic.cli.probe import export
+from ddic.io.series_reader import gather_history, read_series
+from ddic.plots.canvas import PIXELS, LengthUnit, draw_caption, find_clipped_texts
+from ddic.plots.deformed import draw_deformed
+from ddic.plots.maps import StrainChoice, draw_strain
+from ddic.plots.series import draw_time_curves
 from support.series_files import STRAIN, FrameFile, write_series_file
 
 FRAMES = [FrameFile(0.5), FrameFile(1.0, 0), FrameFile(2.0, 3), FrameFile(3.0)]

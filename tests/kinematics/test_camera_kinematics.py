@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from ddic.images.camera import CameraMapping, identity, similarity
-from ddic.kinematics.camera_kinematics import CameraKinematics, CameraSetup, MotionKind, place_before_camera, see_mesh
+from ddic.kinematics.camera import CameraKinematics, CameraSetup, MotionKind, place_before_camera, see_mesh
 from ddic.kinematics.nodal import NodalKinematics
 from support.random_meshes import grid_mesh
 

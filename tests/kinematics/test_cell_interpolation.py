@@ -6,10 +6,8 @@ import numpy as np
 from hypothesis import given, settings
 
 from ddic.kinematics.cell_interpolation import interpolate_cells
-from ddic.mesh.cell_type import Q4
-from ddic.mesh.mesh import Mesh
-from ddic.mesh.monomials import evaluate_monomials
-from ddic.mesh.shapes import pad_cells
+from ddic.mesh.cell_type import Q4, evaluate_monomials
+from ddic.mesh.mesh import Mesh, pad_cells
 from support.random_meshes import SEEDS, grid_mesh, grid_meshes
 
 

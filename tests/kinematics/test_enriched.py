@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ddic.functionals.corner_weights import weigh_corners
-from ddic.kinematics.discontinuities import Opening
-from ddic.kinematics.enriched import LEAST_SHARE, EnrichedRegion, enrich
+from ddic.functionals.line_band import weigh_corners
+from ddic.kinematics.enriched import LEAST_SHARE, EnrichedRegion, Opening, enrich
 from ddic.mesh.cut_mesh import CutMesh, cut_mesh
 from ddic.mesh.structured import build_structured_mesh
 

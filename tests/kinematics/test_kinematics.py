@@ -13,11 +13,10 @@ from scipy import sparse
 
 from ddic.errors import InputError
 from ddic.images.camera import CameraMapping
-from ddic.kinematics.camera_kinematics import CameraSetup, MotionKind, place_before_camera
+from ddic.kinematics.camera import CameraSetup, MotionKind, place_before_camera
 from ddic.kinematics.kinematics import Kinematics, RegionKinematics
-from ddic.kinematics.linear import LinearRegion
+from ddic.kinematics.linear import LinearRegion, TiedKinematics, TiedRegion
 from ddic.kinematics.nodal import NodalKinematics, NodalRegion
-from ddic.kinematics.tied import TiedKinematics, TiedRegion
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import build_structured_mesh
 from ddic.mesh.topology import find_boundary_nodes

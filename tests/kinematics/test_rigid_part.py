@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ddic.kinematics.rigid_part import count_folded_cells, find_largest_gradient, project_rigid_motion_out
+from ddic.kinematics.strain import count_folded_cells, find_largest_gradient, project_rigid_motion_out
 from support.random_meshes import grid_mesh
 
 MESH = grid_mesh(8, 6, (10.0, 9.0), origin=(100.0, 50.0), cells="mixed", jitter=0.15, seed=2)

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from ddic.images.camera import CameraMapping, similarity
-from ddic.kinematics.camera_kinematics import CameraSetup, see_mesh
-from ddic.kinematics.discontinuities import Discontinuities
-from ddic.kinematics.seen_lines import see_discontinuities
+from ddic.kinematics.camera import CameraSetup, see_discontinuities, see_mesh
+from ddic.kinematics.enriched import Discontinuities
 from ddic.mesh.cut_mesh import cut_mesh
-from ddic.mesh.polyline import measure_distance
+from ddic.mesh.plane import measure_distance
 from ddic.mesh.raster import rasterize
 from ddic.mesh.structured import build_structured_mesh
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import logm, sqrtm
 
-from ddic.kinematics.strain_measures import (
+from ddic.kinematics.strain import (
     compute_green_lagrange,
     compute_hencky,
     compute_infinitesimal,

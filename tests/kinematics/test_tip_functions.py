@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ddic.functionals.corner_weights import weigh_corners
-from ddic.functionals.elasticity import Material, assemble_stiffness
+from ddic.functionals.line_band import weigh_corners
+from ddic.functionals.regularization import Material, assemble_stiffness
 from ddic.kinematics.enriched import EnrichedRegion, enrich
 from ddic.kinematics.tip_functions import (
     N_FUNCTIONS,
@@ -18,10 +18,9 @@ from ddic.kinematics.tip_functions import (
     find_bends_at_tips,
     find_tips,
 )
-from ddic.mesh.cut_mesh import cut_mesh
+from ddic.mesh.cut_mesh import cut_mesh, find_points_on_own_side
 from ddic.mesh.interpolation import interpolate
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.own_side import find_points_on_own_side
 from ddic.mesh.quality import measure_cell_size
 from ddic.mesh.raster import rasterize
 from ddic.mesh.structured import build_structured_mesh

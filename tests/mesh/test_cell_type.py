@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ddic.mesh.cell_type import CELL_TYPES, Q4, T3, CellType
-from ddic.mesh.mesh import build_mesh
-from ddic.mesh.monomials import N_MONOMIALS
+from ddic.mesh.cell_type import CELL_TYPES, N_MONOMIALS, Q4, T3, CellType
+from ddic.mesh.mesh import build_mesh, compute_shape_gradients
 from ddic.mesh.quality import measure_areas
-from ddic.mesh.shapes import compute_shape_gradients
 
 EVERY = pytest.mark.parametrize("kind", CELL_TYPES.values(), ids=lambda kind: kind.name)
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ddic.mesh.covered_areas import measure_covered_areas
 from ddic.mesh.cut_mesh import cut_mesh
-from ddic.mesh.quality import measure_areas
+from ddic.mesh.quality import measure_areas, measure_covered_areas
 from ddic.mesh.structured import build_structured_mesh
 
 # Squares of 10 px, and a line that cuts a corner of 8 x 8 px and cells beside it.

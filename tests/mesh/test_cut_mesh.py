@@ -12,12 +12,10 @@ from scipy.sparse.csgraph import connected_components
 
 from ddic.kinematics.strain import compute_displacement_gradients
 from ddic.mesh.cell_parts import place_quadrature_points
-from ddic.mesh.cut_mesh import CutMesh, cut_mesh
+from ddic.mesh.cut_mesh import CutMesh, cut_mesh, find_points_on_own_side
 from ddic.mesh.interpolation import interpolate
 from ddic.mesh.mesh import Mesh, join_meshes
-from ddic.mesh.own_side import find_points_on_own_side
-from ddic.mesh.plane import multiply_across
-from ddic.mesh.polyline import find_nearest_segments, is_inside_polygon, measure_distance
+from ddic.mesh.plane import find_nearest_segments, is_inside_polygon, measure_distance, multiply_across
 from ddic.mesh.quality import measure_areas
 from ddic.mesh.raster import rasterize
 from ddic.mesh.structured import build_structured_mesh

@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from ddic.mesh.cell_type import Q4
-from ddic.mesh.interpolation import interpolate, interpolate_located, locate
+from ddic.mesh.interpolation import interpolate, interpolate_located, is_inside_outline, locate
 from ddic.mesh.mesh import Mesh, build_mesh
-from ddic.mesh.point_in_mesh import is_inside_outline
 from ddic.mesh.structured import build_structured_mesh
 from support.random_meshes import SEEDS, delaunay_meshes, grid_mesh, grid_meshes
 

@@ -7,9 +7,9 @@ import pytest
 
 from ddic.errors import InputError
 from ddic.mesh.cell_type import Q4, T3
-from ddic.mesh.joints import _is_covered_twice, check_joints
 from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.raster import list_pixels, rasterize
+from ddic.mesh.repair import _is_covered_twice, check_joints
 from ddic.mesh.topology import find_facets
 
 SQUARE = [(10, 10), (30, 10), (50, 10), (10, 30), (30, 30), (50, 30)]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ddic.mesh.mask_outline import find_mask_holes
+from ddic.mesh.holes import find_mask_holes
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_areas, measure_shape_quality
 from ddic.mesh.structured import build_structured_mesh

@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, settings
 
-from ddic.mesh.cell_type import T3
-from ddic.mesh.mesh import Mesh
-from ddic.mesh.monomials import differentiate_monomials, evaluate_monomials
+from ddic.mesh.cell_type import T3, differentiate_monomials, evaluate_monomials
+from ddic.mesh.mesh import Mesh, compute_geometry, compute_shape_gradients, pad_cells, pad_shapes
 from ddic.mesh.quality import measure_areas
-from ddic.mesh.shapes import compute_geometry, compute_shape_gradients, pad_cells, pad_shapes
 from support.random_meshes import grid_mesh, grid_meshes
 
 

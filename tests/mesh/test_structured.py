@@ -13,8 +13,7 @@ from ddic.errors import InputError
 from ddic.mesh.cell_type import Q4, T3
 from ddic.mesh.quality import measure_areas, measure_shape_quality
 from ddic.mesh.repair import repair
-from ddic.mesh.snapping import SMALLEST_SINE
-from ddic.mesh.structured import build_structured_mesh
+from ddic.mesh.structured import SMALLEST_SINE, build_structured_mesh
 from ddic.mesh.topology import find_adjacent_cells, find_boundary_nodes, find_facets
 
 Cell = Literal["Q4", "T3"]

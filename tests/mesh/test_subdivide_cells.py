@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from ddic.mesh.cell_type import Q4, T3
+from ddic.mesh.cut_cells import subdivide_cells
 from ddic.mesh.mesh import build_mesh
 from ddic.mesh.quality import measure_areas
 from ddic.mesh.raster import rasterize
 from ddic.mesh.structured import build_structured_mesh
-from ddic.mesh.subdivide_cells import subdivide_cells
 
 
 @pytest.mark.parametrize("kind", ["Q4", "T3"])

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from ddic.errors import InputError
 from ddic.mesh.cell_type import Q4, T3
-from ddic.mesh.control import find_not_controlled_nodes
 from ddic.mesh.mesh import build_mesh
 from ddic.mesh.structured import build_structured_mesh
 from ddic.mesh.topology import (
@@ -21,6 +20,7 @@ from ddic.mesh.topology import (
     find_boundary_nodes,
     find_facets,
     find_named_facets,
+    find_not_controlled_nodes,
 )
 
 Cell = Literal["Q4", "T3"]

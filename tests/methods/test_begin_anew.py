@@ -11,11 +11,11 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ddic.case.loader import load_case
+from ddic.inputs.cameras import open_frame, open_on_all_ranks
+from ddic.inputs.inputs import open_inputs
 from ddic.methods.dd_dic import Session
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.cameras import open_frame, open_on_all_ranks
-from ddic.problem.inputs import open_inputs
 from ddic.results.listener import Silence
 from ddic.synth.fields import Sinusoidal
 from support.cases import write_case, write_images

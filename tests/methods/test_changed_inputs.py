@@ -10,7 +10,7 @@ import pytest
 import tifffile
 
 from ddic.errors import InputError, is_collective
-from ddic.methods.run_case import run_case, run_file
+from ddic.methods.run import run_case, run_file
 from ddic.parallel.phases import Phase
 from ddic.parallel.team import Team
 from ddic.results.listener import Silence

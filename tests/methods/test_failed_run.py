@@ -14,7 +14,7 @@ from mpi4py import MPI
 import ddic
 from ddic.errors import ConvergenceError, DdicError, InputError, SingularSubdomainError, is_collective
 from ddic.io.result_writer import ResultWriter
-from ddic.methods.run_case import run_case
+from ddic.methods.run import run_case
 from ddic.parallel.team import Team
 from ddic.results.listener import Silence
 from support.cases import Ears, write_case, write_images

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from scipy.special import erf
 
 import ddic
-from ddic.methods.run_case import run_file
+from ddic.methods.run import run_file
 from ddic.parallel.team import Team
-from ddic.problem.exclusions import HELD_OFF, KEPT
 from ddic.results.listener import Silence
-from ddic.results.series_record import SeriesSummary
+from ddic.results.series import SeriesSummary
+from ddic.visibility.exclusions import HELD_OFF, KEPT
 from support.spoilt import digitise
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ import ddic
 from ddic.cli.check import check
 from ddic.cli.run import run
 from ddic.errors import InputError, is_collective
-from ddic.methods.run_case import run_case
+from ddic.methods.run import run_case
 from ddic.parallel.team import Team
 from ddic.synth.fields import Affine, DisplacementField
 from support.cases import Ears

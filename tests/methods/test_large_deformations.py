@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import ddic
 from ddic.kinematics.strain import compute_strain
-from ddic.synth.speckle_texture import SpeckleTexture
+from ddic.synth.speckle import SpeckleTexture
 
 Array = NDArray[np.float64]
 SIDE = 300

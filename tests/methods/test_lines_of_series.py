@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 import ddic
 from accept.support.cracked_pair import Crack, render_crack
 from ddic.io.series_reader import read_series
-from ddic.methods.run_case import run_file
+from ddic.methods.run import run_file
 from ddic.parallel.team import Team
 from ddic.results.listener import Silence
-from ddic.results.series_record import SeriesSummary
+from ddic.results.series import SeriesSummary
 from support.interrupted import assert_equal_results, interrupt
 
 SIDE = 192

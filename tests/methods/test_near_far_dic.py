@@ -13,13 +13,11 @@ from numpy.typing import NDArray
 from ddic.case.loader import load_case
 from ddic.errors import InputError, is_collective
 from ddic.io.mapping_file import MappingFile, write_mapping
-from ddic.methods.run_case import run_case
+from ddic.methods.run import run_case
 from ddic.parallel.team import Team
 from ddic.results.listener import Silence
 from ddic.results.measurement import Measurement
-from ddic.synth.fields import DisplacementField
-from ddic.synth.hole import Hole
-from ddic.synth.kirsch import Kirsch
+from ddic.synth.fields import DisplacementField, Hole, Kirsch
 from ddic.synth.near_far_scene import SetUpMotion
 from support.cases import Ears
 from support.measuring import measure, subdomain_numbers, whole_field

@@ -10,18 +10,18 @@ import tifffile
 from mpi4py import MPI
 
 from ddic.case.loader import load_case
+from ddic.check.case import check_inputs
 from ddic.errors import InputError
+from ddic.inputs.cameras import assign_cells, open_cameras, open_in_headers
+from ddic.inputs.inputs import Inputs
+from ddic.inputs.mesh_source import build_meshes
 from ddic.io.result_reader import read_result
-from ddic.kinematics.tied import TiedKinematics
-from ddic.methods.run_case import run_case
+from ddic.kinematics.linear import TiedKinematics
+from ddic.methods.run import run_case
 from ddic.parallel.team import Team
-from ddic.partition.by_camera import find_cameras_at_nodes
-from ddic.problem.cameras import assign_cells, open_cameras, open_in_headers
-from ddic.problem.check_inputs import check_inputs
-from ddic.problem.inputs import Inputs
-from ddic.problem.mesh_source import build_meshes
+from ddic.partition.split import find_cameras_at_nodes
 from ddic.problem.region_mesh import build_region_mesh, split_region
-from ddic.synth.speckle_texture import SpeckleTexture
+from ddic.synth.speckle import SpeckleTexture
 from support.cases import Ears
 
 RATIO, OFFSET = 3.0, (-160.0, -130.0)

@@ -13,11 +13,11 @@ from mpi4py import MPI
 import ddic
 from ddic.case.loader import load_case
 from ddic.errors import ConvergenceError, InputError, is_collective
+from ddic.inputs.inputs import open_inputs
 from ddic.methods.pgd_dic import SeparatedSession
-from ddic.methods.run_case import run_case
+from ddic.methods.run import run_case
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.inputs import open_inputs
 from ddic.results.listener import Silence
 from support.cases import WAVES, Ears, write_case, write_images
 from support.pictures import rms_error_at

@@ -10,7 +10,7 @@ import pytest
 from mpi4py import MPI
 
 from ddic.errors import ConvergenceError, InputError, is_collective
-from ddic.methods.run_case import run_case
+from ddic.methods.run import run_case
 from ddic.parallel.phases import Phase
 from ddic.parallel.team import Team
 from support.cases import Ears, write_case, write_images

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import ddic
 from ddic.io.series_reader import read_series
-from ddic.methods.run_case import run_file
+from ddic.methods.run import run_file
 from ddic.parallel.team import Team
 from ddic.results.listener import Silence
 

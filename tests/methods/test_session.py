@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from ddic.case.loader import load_case
 from ddic.errors import ConvergenceError, is_collective
+from ddic.inputs.cameras import Frame
+from ddic.inputs.inputs import Inputs, open_inputs
 from ddic.methods.dd_dic import Session
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.cameras import Frame
-from ddic.problem.inputs import Inputs, open_inputs
 from ddic.synth.fields import Affine, DisplacementField, Sinusoidal
 from support.cases import Ears, write_case
 from support.measuring import measure, whole_field

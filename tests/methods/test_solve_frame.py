@@ -13,7 +13,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 import ddic
-from ddic.problem.exclusions import BLANK, HELD_OFF, KEPT, SPOILT, UNSEEN
+from ddic.visibility.exclusions import BLANK, HELD_OFF, KEPT, SPOILT, UNSEEN
 from support.spoilt import FIELD, MESH, SIDE, WITHIN, Spoilt, blank_half, blur, change, clean, hide, measure_files, soil
 
 Options = dict[str, Any]

@@ -14,15 +14,13 @@ from numpy.typing import NDArray
 from ddic.case.loader import load_case
 from ddic.errors import ConvergenceError, InputError
 from ddic.io.series_reader import SeriesResult, read_series
-from ddic.methods.run_case import run_file
+from ddic.methods.run import run_file
 from ddic.parallel.team import Team
 from ddic.results.listener import Silence
-from ddic.results.series_record import SeriesSummary
-from ddic.synth.digitise import Digitiser
+from ddic.results.series import SeriesSummary
 from ddic.synth.fields import Sinusoidal
-from ddic.synth.picture import Picture
-from ddic.synth.render import Scene, render_pair
-from ddic.synth.speckle_texture import SpeckleTexture
+from ddic.synth.render import Digitiser, Picture, Scene, render_pair
+from ddic.synth.speckle import SpeckleTexture
 from support.cases import Ears, write_case, write_images
 from support.interrupted import assert_equal_results, interrupt
 

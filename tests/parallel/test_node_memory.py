@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 from mpi4py import MPI
 
-from ddic.parallel import node_memory
-from ddic.parallel.node_memory import measure_available_memory, read_available_memory
+from ddic.parallel import node
+from ddic.parallel.node import measure_available_memory, read_available_memory
 from ddic.parallel.team import Team
 
 LIMITED = """
 import resource
-from ddic.parallel.node_memory import measure_available_memory
+from ddic.parallel.node import measure_available_memory
 from ddic.parallel.team import Team
 resource.setrlimit(resource.RLIMIT_AS, ({limit}, {limit}))
 print(measure_available_memory(Team.alone()))
@@ -40,7 +40,7 @@ def test_a_limit_of_the_process_counts() -> None:
 
 def test_a_limit_of_the_control_group_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     limit, current, kinds = (tmp_path / name for name in ("max", "current", "stat"))
-    monkeypatch.setattr(node_memory, "_GROUPS", (limit, current, kinds))
+    monkeypatch.setattr(node, "_GROUPS", (limit, current, kinds))
     without = read_available_memory()
     limit.write_text("3000000\n")
     current.write_text("2500000\n")
@@ -54,5 +54,5 @@ def test_a_limit_of_the_control_group_counts(tmp_path: Path, monkeypatch: pytest
 def test_without_what_linux_tells_it_is_the_memory_of_the_machine(tmp_path: Path,
                                                                   monkeypatch: pytest.MonkeyPatch) -> None:
     told = read_available_memory()
-    monkeypatch.setattr(node_memory, "_SYSTEM", tmp_path / "nothing")
+    monkeypatch.setattr(node, "_SYSTEM", tmp_path / "nothing")
     assert read_available_memory() >= told

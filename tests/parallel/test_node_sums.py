@@ -7,8 +7,7 @@ import pytest
 from mpi4py import MPI
 
 from ddic.kinematics.nodal import NodalRegion
-from ddic.parallel.distribution import split_evenly
-from ddic.parallel.node_sums import sum_shared_nodes
+from ddic.parallel.distribution import split_evenly, sum_shared_nodes
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.subdomain import Subdomain

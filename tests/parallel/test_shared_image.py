@@ -16,7 +16,7 @@ from ddic.errors import InputError, is_collective
 from ddic.images.binned import ArraySource
 from ddic.images.window import Window
 from ddic.io.image_file import ImageFile, open_decoded
-from ddic.parallel.shared_image import open_once_a_node
+from ddic.parallel.node import open_once_a_node
 from ddic.parallel.team import Team
 
 RANKS = [1, 2, 3, 4]

@@ -8,7 +8,7 @@ import pytest
 from mpi4py import MPI
 
 from ddic.errors import InputError, is_collective
-from ddic.parallel.stream_to_root import stream_to_root
+from ddic.parallel.distribution import stream_to_root
 from ddic.parallel.team import Team
 
 RANKS = [1, 2, 3, 4]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from ddic.parallel.waiting import Waiting
+from ddic.parallel.team import Waiting
 
 
 def test_a_long_wait_takes_little_of_the_processor() -> None:

@@ -15,7 +15,7 @@ from ddic.kinematics.nodal import NodalRegion
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import build_structured_mesh
 from ddic.partition.build_subdomains import build_subdomains
-from ddic.partition.by_camera import (
+from ddic.partition.split import (
     add_motions,
     assign_cameras,
     find_cameras_at_nodes,

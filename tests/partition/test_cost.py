@@ -7,8 +7,7 @@ import numpy as np
 from ddic.mesh.cell_type import Q4
 from ddic.mesh.mesh import build_mesh
 from ddic.mesh.structured import build_structured_mesh
-from ddic.partition.cost import NODE_PIXELS, estimate_cell_costs, sum_costs
-from ddic.partition.split import split_by_metis
+from ddic.partition.split import NODE_PIXELS, estimate_cell_costs, split_by_metis, sum_costs
 from support.random_meshes import grid_mesh
 
 

@@ -7,13 +7,12 @@ import pytest
 from numpy.typing import NDArray
 
 from ddic.errors import InputError
-from ddic.kinematics.tied import TiedRegion
+from ddic.kinematics.linear import TiedRegion
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import build_structured_mesh
 from ddic.partition.build_subdomains import build_subdomains
-from ddic.partition.by_camera import keep_cameras_apart
-from ddic.partition.determined_masters import LEAST, keep_masters_determined
-from ddic.partition.split import split_by_metis
+from ddic.partition.determined import LEAST, keep_masters_determined
+from ddic.partition.split import keep_cameras_apart, split_by_metis
 from ddic.partition.ties import Tying, tie_meshes
 
 FAR = build_structured_mesh((20, 20, 116, 116), 8)

@@ -12,8 +12,7 @@ from scipy.sparse import csgraph
 from ddic.errors import InputError
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import find_adjacent_cells
-from ddic.partition.merge import find_connected_pieces, merge_blank
-from ddic.partition.split import split_by_blocks
+from ddic.partition.split import find_connected_pieces, merge_blank, split_by_blocks
 from support.random_meshes import PARTITIONS, SEEDS, delaunay_meshes, grid_mesh, grid_meshes, random_partition
 
 MESHES = st.one_of(grid_meshes(), delaunay_meshes())

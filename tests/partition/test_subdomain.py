@@ -8,8 +8,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ddic.functionals.elasticity import Material
-from ddic.functionals.equilibrium_gap import controlled_stiffness
+from ddic.functionals.regularization import Material, controlled_stiffness
 from ddic.kinematics.nodal import NodalKinematics, NodalRegion
 from ddic.mesh.mesh import Mesh
 from ddic.partition.build_subdomains import build_subdomains

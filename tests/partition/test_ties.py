@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.errors import InputError
-from ddic.functionals.elasticity import Material
-from ddic.functionals.equilibrium_gap import controlled_stiffness
+from ddic.functionals.regularization import Material, controlled_stiffness
+from ddic.kinematics.linear import TiedKinematics, TiedRegion
 from ddic.kinematics.nodal import NodalKinematics, component_numbers
-from ddic.kinematics.tied import TiedKinematics, TiedRegion
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_areas
 from ddic.mesh.structured import build_structured_mesh

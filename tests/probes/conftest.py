@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ddic.io import result_schema as schema
 from ddic.io.result_reader import Result
 from ddic.kinematics.nodal_gradients import recover_gradients
-from ddic.kinematics.strain_measures import compute_green_lagrange, compute_hencky, compute_infinitesimal
+from ddic.kinematics.strain import compute_green_lagrange, compute_hencky, compute_infinitesimal
 from ddic.mesh.structured import build_structured_mesh
 
 Array = NDArray[np.float64]

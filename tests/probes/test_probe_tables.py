@@ -12,13 +12,12 @@ from click.testing import CliRunner
 from numpy.typing import NDArray
 
 import ddic
-from ddic.cli.export import export
-from ddic.cli.probe import probe
+from ddic.cli.probe import export, probe
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
 from ddic.io.result_writer import Piece, PieceSize, ResultWriter
 from ddic.mesh.structured import build_structured_mesh
-from ddic.probes.probe_file import parse_probe
+from ddic.probes.probes import parse_probe
 from probes.conftest import MakeResult
 
 Array = NDArray[np.float64]

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from ddic.case.loader import load_case
 from ddic.errors import InputError, SingularSubdomainError, is_collective
+from ddic.inputs.inputs import open_inputs
 from ddic.io.result_reader import read_result
-from ddic.methods.run_case import run_case
+from ddic.methods.run import run_case
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.inputs import open_inputs
 from ddic.problem.reference_problem import build_whole_mesh, prepare_reference
 from ddic.results.measurement import Measurement
 from ddic.synth.fields import Affine

@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 
 from ddic.case.loader import load_case
+from ddic.inputs.cameras import open_cameras, open_in_headers
+from ddic.inputs.inputs import Inputs, SolverChoice
+from ddic.inputs.mesh_source import build_meshes
 from ddic.io.result_reader import read_result
 from ddic.kinematics.linear import LinearRegion
 from ddic.mesh.mesh import Mesh
-from ddic.methods.run_case import run_case
+from ddic.methods.run import run_case
 from ddic.parallel.team import Team
 from ddic.problem import choose_solver as choosing
-from ddic.problem.cameras import open_cameras, open_in_headers
 from ddic.problem.choose_solver import weigh_candidates
-from ddic.problem.inputs import Inputs, SolverChoice
-from ddic.problem.mesh_source import build_meshes
 from ddic.problem.region_mesh import build_region_mesh
 from support.cases import Ears, largest_difference, write_case, write_images
 from support.measuring import measure, whole_field

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from ddic.functionals.elasticity import Material, integrate_cell_stiffness
+from ddic.functionals.regularization import Material, integrate_cell_stiffness
 from ddic.kinematics.nodal import NodalRegion
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import build_rotation

@@ -9,14 +9,13 @@ import pytest
 from numpy.typing import NDArray
 
 from ddic.functionals.view import View
-from ddic.mesh.mesh import Mesh
-from ddic.mesh.shapes import pad_cells
+from ddic.mesh.mesh import Mesh, pad_cells
 from ddic.mesh.structured import build_structured_mesh
 from ddic.parallel.team import Team
-from ddic.problem.exclusions import HELD_OFF, SPOILT, Exclusions, exclude, pull_held_cells
 from ddic.problem.held_cells import CAPTURED, RELEASED, HeldCells, sum_pulls
 from ddic.problem.residual_model import ResidualModel
 from ddic.synth.fields import Translation
+from ddic.visibility.exclusions import HELD_OFF, SPOILT, Exclusions, exclude, pull_held_cells
 from support.one_subdomain import model_of
 from support.pictures import pair_of, source, square_mesh
 from support.split_model import split_model

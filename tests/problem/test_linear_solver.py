@@ -20,8 +20,7 @@ from ddic.problem.reference_problem import ReferenceProblem
 from ddic.solvers.assembled import AssembledStep
 from ddic.solvers.conjugate_gradient import ConjugateGradientStep
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
-from ddic.solvers.local_system import LocalSystem
-from ddic.solvers.monolithic import MonolithicStep
+from ddic.solvers.local_system import LocalSystem, MonolithicStep
 from support.cases import write_case, write_images
 from support.petsc_objects import count_live_objects
 from support.prepared import assemble_alike, prepare

@@ -10,17 +10,15 @@ from scipy import sparse
 
 from ddic.case.loader import load_case
 from ddic.errors import InputError
-from ddic.functionals.elasticity import Material
-from ddic.functionals.equilibrium_gap import measure_gap_energies
-from ddic.kinematics.linear import LinearRegion
+from ddic.functionals.regularization import Material, measure_gap_energies
+from ddic.inputs.cameras import open_cameras, open_in_headers
+from ddic.inputs.inputs import Inputs
+from ddic.inputs.mesh_source import build_meshes
+from ddic.kinematics.linear import LinearRegion, TiedRegion
 from ddic.kinematics.nodal import NodalRegion
-from ddic.kinematics.tied import TiedRegion
 from ddic.mesh.topology import find_boundary_nodes
 from ddic.parallel.team import Team
-from ddic.partition.cost import estimate_cell_costs
-from ddic.problem.cameras import open_cameras, open_in_headers
-from ddic.problem.inputs import Inputs
-from ddic.problem.mesh_source import build_meshes
+from ddic.partition.split import estimate_cell_costs
 from ddic.problem.region_mesh import RegionMesh, build_region_mesh, scatter_region, split_region
 from support.cases import write_case, write_images
 from support.near_far_cases import case_text as near_far_text

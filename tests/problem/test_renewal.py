@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ddic.functionals.read_correlation import read_correlation
+from ddic.functionals.correlation import read_correlation
 from ddic.functionals.view import FrameView, View
 from ddic.images.sub_image import DeformedSubImage
 from ddic.kinematics.nodal import NodalRegion

@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError, is_collective
+from ddic.functionals.correlation import read_correlation
 from ddic.functionals.grey_statistics import GreyCorrection
-from ddic.functionals.read_correlation import read_correlation
 from ddic.functionals.view import FrameView, View
 from ddic.images.source import ImageSource
 from ddic.images.sub_image import DeformedSubImage, MaskedSource

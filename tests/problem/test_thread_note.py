@@ -14,7 +14,7 @@ from ddic.functionals import correlation
 from ddic.images import spline
 from ddic.images.threads import Threads
 from ddic.io.result_schema import CELL_DATA, POINT_DATA, RESIDUAL_IMAGE
-from ddic.methods.run_case import run_case
+from ddic.methods.run import run_case
 from ddic.parallel.team import Team
 from ddic.problem import views
 from ddic.problem.reference_problem import list_own_cores, note_crowded_cores

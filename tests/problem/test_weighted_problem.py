@@ -9,9 +9,9 @@ import pytest
 
 from ddic.case.loader import load_case
 from ddic.images.sub_image import MaskedSource
+from ddic.inputs.inputs import open_inputs
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.inputs import open_inputs
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.weighted_problem import WeightedProblem
 from support.cases import write_case, write_images

@@ -19,17 +19,14 @@ from accept.support.browser import find_browser, probe_page, show_page
 from ddic.case.schema import AcquisitionSection
 from ddic.cli.report import report
 from ddic.errors import ConvergenceError
-from ddic.images.blurred import BLUR_NOTE
-from ddic.images.feature_size import measure_feature_size
+from ddic.images.binned import BLUR_NOTE
+from ddic.images.grey_levels import measure_feature_size
 from ddic.io.image_file import open_image
-from ddic.io.plots.page_text import find_clipped_texts
 from ddic.io.result_reader import read_result
-from ddic.report.gathered import gather_all
-from ddic.report.report_pictures import draw_report_figures
-from ddic.report.stated_images import OF_SETUP
-from ddic.report.stated_items import list_statements
-from ddic.report.statement import NOT_RECORDED, NOT_STATED
-from ddic.report.worst_places import find_worst_places
+from ddic.plots.canvas import find_clipped_texts
+from ddic.report.items import OF_SETUP, find_worst_places, list_statements
+from ddic.report.page import draw_report_figures
+from ddic.report.statement import NOT_RECORDED, NOT_STATED, gather_all
 from support.commands import ddic as run_command
 
 CASE = """

@@ -9,10 +9,10 @@ import pytest
 
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.team import Team
-from ddic.problem.exclusions import BLANK, HELD_OFF, SPOILT, UNSEEN, Exclusions
 from ddic.problem.residual_model import ResidualModel
-from ddic.results.describe_exclusions import MOST_PLACES, describe_exclusions
 from ddic.synth.fields import Translation
+from ddic.visibility.cell_errors import MOST_PLACES, describe_exclusions
+from ddic.visibility.exclusions import BLANK, HELD_OFF, SPOILT, UNSEEN, Exclusions
 from support.one_subdomain import model_of
 from support.pictures import pair_of, source, square_mesh
 

@@ -8,7 +8,7 @@ from mpi4py import MPI
 
 from ddic.mesh.structured import build_structured_mesh
 from ddic.parallel.team import Team
-from ddic.results.field_ranges import find_field_ranges
+from ddic.results.summary import find_field_ranges
 
 
 @pytest.mark.parallel([1, 2, 3])

@@ -9,17 +9,16 @@ import pytest
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from ddic.functionals.read_correlation import read_correlation
+from ddic.functionals.correlation import read_correlation
 from ddic.functionals.view import View
 from ddic.kinematics.nodal_gradients import recover_gradients
-from ddic.kinematics.strain import compute_strain
-from ddic.kinematics.strain_measures import compute_infinitesimal
+from ddic.kinematics.strain import compute_infinitesimal, compute_strain
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
-from ddic.problem.noise_forces import NoiseForces, place_cells
 from ddic.results.field_uncertainty import FieldDeviations, estimate_deviations
 from ddic.solvers.dual.dual_step import DualSettings
-from ddic.solvers.noise_samples import FEWEST_SAMPLES, MOST_SAMPLES, prepare_samples
+from ddic.solvers.probing import FEWEST_SAMPLES, MOST_SAMPLES, prepare_samples
+from ddic.visibility.noise_forces import NoiseForces, place_cells
 from support.linear import Decomposed, StepProblem, dense, linear_step, split
 
 Array = NDArray[np.float64]

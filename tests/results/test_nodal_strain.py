@@ -17,11 +17,11 @@ from ddic.kinematics.nodal import NodalRegion
 from ddic.kinematics.nodal_gradients import recover_gradients
 from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.structured import build_structured_mesh
-from ddic.methods.run_case import run_case
+from ddic.methods.run import run_case
 from ddic.parallel.distribution import split_evenly
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
-from ddic.results.nodal_strain import describe_nodal_strains, recover_nodal_gradients
+from ddic.results.fields import describe_nodal_strains, recover_nodal_gradients
 from support.cases import WAVES, Ears, write_case, write_images
 
 RANKS = [1, 2, 3, 4]

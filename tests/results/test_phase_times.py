@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
-from ddic.results.phase_times import gather_phase_times
+from ddic.results.publishing import gather_phase_times
 
 RANKS = [1, 2, 3, 4]
 WORK = 0.15

@@ -18,8 +18,7 @@ from ddic.io.result_reader import displacement_at, read_result
 from ddic.io.result_writer import ResultWriter
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.results.phase_times import gather_phase_times
-from ddic.results.publishing import Destination, gather, publish
+from ddic.results.publishing import Destination, gather, gather_phase_times, publish
 from support.cases import WAVES, contents, largest_difference, write_case, write_images
 from support.measuring import measure
 

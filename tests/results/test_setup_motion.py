@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ddic.kinematics.camera_kinematics import MotionKind
+from ddic.kinematics.camera import MotionKind
 from ddic.parallel.team import Team
-from ddic.results.setup_motion import collect_motions, describe_motions, estimate_covariances
+from ddic.results.near import collect_motions, describe_motions, estimate_covariances
 from support.near_far_linear import NearFarCut, NearFarStep, dense_operators, near_far_step
 
 RANKS = [1, 2, 4]

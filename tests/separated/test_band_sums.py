@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ddic.separated.band_sums import N_BANDS, SerialSums, build_tree, divide_rows, join_trees
-from ddic.separated.line_elements import LineElements
+from ddic.separated.field import LineElements
 
 
 @pytest.mark.parametrize("n_bands", [16, 11, 1])

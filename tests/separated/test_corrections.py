@@ -9,21 +9,21 @@ import pytest
 
 import ddic
 from ddic.errors import ConvergenceError
-from ddic.functionals.elasticity import Material
-from ddic.functionals.equilibrium_gap import find_cut_off_weight, find_edge_weight
+from ddic.functionals.regularization import Material, find_cut_off_weight, find_edge_weight
 from ddic.images.sub_image import DeformedSubImage
 from ddic.separated.corrections import (
+    OF_GAP,
     CorrectionRecord,
     Regularization,
     Scheme,
     SeparatedSolution,
     StoppingRules,
     correct_displacement,
+    estimate_noise_gain,
 )
-from ddic.separated.noise_gain import OF_GAP, estimate_noise_gain
+from ddic.separated.field import build_zero_field
 from ddic.separated.pixel_bands import FramePixels
 from ddic.separated.rank_one import build_directions, find_rank_one
-from ddic.separated.separated_field import build_zero_field
 from ddic.separated.separated_regularization import build_plane_waves, measure_wave_gaps, measure_wave_textures
 from ddic.synth.fields import Translation
 from support.cases import WAVES

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ddic.errors import SingularSubdomainError
-from ddic.separated.diagonals import add_up, multiply, multiply_matrices, pad_diagonals, solve_coupled, transpose
+from ddic.separated.field import add_up, multiply, multiply_matrices, pad_diagonals, solve_coupled, transpose
 from support.separated import dense
 
 N = 9

@@ -7,7 +7,7 @@ import pytest
 
 from ddic.mesh.raster import rasterize
 from ddic.mesh.structured import build_structured_mesh
-from ddic.separated.line_elements import LineElements
+from ddic.separated.field import LineElements
 from support.separated import dense
 
 IRREGULAR = LineElements(np.array([2.3, 4.0, 7.5, 12.0, 12.9]))

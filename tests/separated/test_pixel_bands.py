@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ddic.functionals.read_correlation import read_correlation
+from ddic.functionals.correlation import read_correlation
 from ddic.images.spline import PADDING
 from ddic.images.sub_image import GROWTH, DeformedSubImage
 from ddic.images.window import Window
 from ddic.mesh.structured import build_structured_mesh
+from ddic.separated.field import SeparatedField, build_zero_field, scale_modes
 from ddic.separated.pixel_bands import FramePixels
-from ddic.separated.separated_field import SeparatedField, build_zero_field, scale_modes
 from ddic.synth.fields import Translation
 from support.cases import WAVES
 from support.pictures import pair_of, source

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ddic.separated import direction_update
-from ddic.separated.direction_update import renew_functions
+from ddic.separated import rank_one
+from ddic.separated.field import SeparatedField, build_zero_field, scale_modes
 from ddic.separated.pixel_bands import FramePixels
-from ddic.separated.rank_one import build_directions, find_rank_one
-from ddic.separated.separated_field import SeparatedField, build_zero_field, scale_modes
+from ddic.separated.rank_one import build_directions, find_rank_one, renew_functions
 from ddic.separated.separated_regularization import SeparatedOperator
 from ddic.synth.fields import Translation
 from support.cases import WAVES
@@ -89,7 +88,7 @@ def test_gain_is_the_decrease_of_the_model_and_no_neighbour_is_better(regularize
 @pytest.mark.parametrize("along_y", [False, True])
 def test_update_is_the_best_of_all_functions_of_a_direction(along_y: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     # However small they are.
-    monkeypatch.setattr(direction_update, "NEGLECTED", 1e-9)
+    monkeypatch.setattr(rank_one, "NEGLECTED", 1e-9)
     frame = frame_of(WAVES, REGION, SIZE)
     operator = weighted_gap(ALONG_X, ALONG_Y, WEIGHT)
     u = random_field(ALONG_X, ALONG_Y, 2, size=0.5)

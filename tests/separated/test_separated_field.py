@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ddic.separated.separated_field import build_zero_field, factorize_grid
+from ddic.separated.field import build_zero_field, factorize_grid
 from support.separated import dense, lines, random_field
 
 ALONG_X, ALONG_Y = lines((3.0, 5.0, 43.0, 29.0), 4.0)

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ddic.functionals.elasticity import Material, assemble_stiffness
-from ddic.functionals.equilibrium_gap import evaluate_plane_waves, measure_gap_energies
+from ddic.functionals.regularization import Material, assemble_stiffness, evaluate_plane_waves, measure_gap_energies
 from ddic.mesh.structured import build_structured_mesh
 from ddic.mesh.topology import find_boundary_nodes
-from ddic.separated.line_elements import LineElements
+from ddic.separated.field import LineElements
 from ddic.separated.separated_regularization import (
     ControlledLines,
     build_equilibrium_gap,

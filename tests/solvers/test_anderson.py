@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ddic.parallel.distribution import split_evenly
 from ddic.parallel.team import Team
-from ddic.solvers.anderson import DEPTH, LEAST_SHARE, AndersonMixing
+from ddic.solvers.gauss_newton import DEPTH, LEAST_SHARE, AndersonMixing
 
 Array = NDArray[np.float64]
 N = 40

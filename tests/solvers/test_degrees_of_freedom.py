@@ -8,8 +8,8 @@ from mpi4py import MPI
 
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
-from ddic.solvers.degrees_of_freedom import estimate_degrees_of_freedom
 from ddic.solvers.dual.dual_step import DualSettings
+from ddic.solvers.probing import estimate_degrees_of_freedom
 from support.linear import Decomposed, dense, linear_step, split
 
 

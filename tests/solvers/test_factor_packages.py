@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 import ddic
-from ddic.solvers.factor_packages import choose_local_package, describe_missing_packages, has_package, require_packages
+from ddic.solvers.petsc import choose_local_package, describe_missing_packages, has_package, require_packages
 from support.cases import write_case, write_images
 from support.commands import DDIC, Finished, finished
 

@@ -6,7 +6,7 @@ import resource
 
 import numpy as np
 
-import ddic.solvers.petsc_defaults  # noqa: F401  (loads PETSc, and undoes what that does to malloc)
+import ddic.solvers.petsc  # noqa: F401  (loads PETSc, and undoes what that does to malloc)
 
 MIB = 2**20
 

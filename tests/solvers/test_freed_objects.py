@@ -16,8 +16,7 @@ from ddic.solvers.conjugate_gradient import ConjugateGradientStep
 from ddic.solvers.dual.build_preconditioner import Preconditioner
 from ddic.solvers.dual.continuity import average_copies
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
-from ddic.solvers.dual.local_inverse import LocalInverseKind
-from ddic.solvers.dual.sparse_inverse import SparseInverse
+from ddic.solvers.dual.preconditioner import LocalInverseKind, SparseInverse
 from ddic.solvers.linear_step import AllowedError
 from ddic.solvers.local_operator import LocalOperator
 from support.linear import Decomposed, StepProblem, linear_step, split

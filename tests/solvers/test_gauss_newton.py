@@ -16,10 +16,10 @@ from ddic.mesh.mesh import Mesh
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.residual_model import ResidualModel
-from ddic.solvers.anderson import AndersonMixing
 from ddic.solvers.correction_size import CorrectionSize, Tolerances
 from ddic.solvers.gauss_newton import (
     PATIENCE,
+    AndersonMixing,
     Correction,
     Course,
     IterationRecord,
@@ -31,7 +31,7 @@ from ddic.solvers.gauss_newton import (
 )
 from ddic.solvers.linear_step import AllowedError, StepResult
 from ddic.solvers.local_operator import LocalOperator
-from ddic.solvers.monolithic import MonolithicStep
+from ddic.solvers.local_system import MonolithicStep
 from ddic.synth.fields import Affine, DisplacementField, Sinusoidal, Translation
 from support.one_subdomain import measure_alone, model_of, system_of
 from support.pictures import pair_of, rms_error, source, square_mesh

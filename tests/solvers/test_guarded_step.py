@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from ddic.errors import ConvergenceError, as_collective
-from ddic.solvers.guarded_step import GuardedStep
-from ddic.solvers.linear_step import StepResult
+from ddic.solvers.linear_step import GuardedStep, StepResult
 
 
 class Answer:

@@ -10,9 +10,8 @@ from petsc4py import PETSc
 from scipy import sparse
 
 from ddic.errors import FactorizationError, SingularSubdomainError
-from ddic.solvers import factor_packages
-from ddic.solvers.factor_failure import MISSING_PACKAGE, OUT_OF_MEMORY, ZERO_PIVOT, describe_failure
-from ddic.solvers.local_operator import LocalOperator
+from ddic.solvers import petsc
+from ddic.solvers.local_operator import MISSING_PACKAGE, OUT_OF_MEMORY, ZERO_PIVOT, LocalOperator, describe_failure
 
 N = 40
 
@@ -137,15 +136,15 @@ def test_every_failure_has_a_message_of_its_own(number: int, kind: type[Exceptio
     ({"suitesparse", "mumps"}, "cholmod"), ({"cholmod"}, "cholmod"), ({"mumps"}, "mumps"), (set(), "petsc")])
 def test_without_cholmod_another_package_is_taken_and_told(there: set[str], chosen: str, package_option: str,
                                                            monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(factor_packages, "has_package", there.__contains__)
+    monkeypatch.setattr(petsc, "has_package", there.__contains__)
     operator = LocalOperator(_positive_definite(), smallest_eigenvalue=1e-9, where="here")
     assert PETSc.Options().getString(package_option) == chosen
     x = np.random.default_rng(1).normal(size=N)
     np.testing.assert_allclose(operator.solve(_positive_definite() @ x), x, rtol=0, atol=1e-12)
     operator.destroy()
-    notes = factor_packages.describe_missing_packages("monolithic")
+    notes = petsc.describe_missing_packages("monolithic")
     assert len(notes) == (chosen != "cholmod")
     assert all(chosen in note for note in notes)
     # Who asks for a package of their own is told nothing.
     PETSc.Options().setValue(package_option, "another")
-    assert factor_packages.describe_missing_packages("monolithic") == ()
+    assert petsc.describe_missing_packages("monolithic") == ()

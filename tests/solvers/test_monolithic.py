@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ddic.parallel.team import Team
-from ddic.solvers.monolithic import MonolithicStep
+from ddic.solvers.local_system import MonolithicStep
 from support.linear import Decomposed, dense, linear_step
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from ddic.kinematics.camera_kinematics import MotionKind
+from ddic.kinematics.camera import MotionKind
 from ddic.parallel.team import Team
 from support.near_far_linear import NearFarCut, near_far_step, saddle_point_solution
 

@@ -13,7 +13,7 @@ from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.solvers.dual.dual_step import DualSettings
 from ddic.solvers.linear_step import LinearStep
-from ddic.solvers.noise_floor import estimate_response
+from ddic.solvers.probing import estimate_response
 from support.linear import Decomposed, dense, linear_step, split
 
 SIGMA = 2.0

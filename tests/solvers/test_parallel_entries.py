@@ -10,9 +10,9 @@ from scipy import sparse
 
 from ddic.errors import FactorizationError
 from ddic.parallel.team import Team
-from ddic.solvers import parallel_entries, petsc_integers
-from ddic.solvers.parallel_entries import ParallelEntries
-from ddic.solvers.petsc_integers import check_petsc_size, to_petsc_integers
+from ddic.solvers import assembled, petsc
+from ddic.solvers.assembled import ParallelEntries
+from ddic.solvers.petsc import check_petsc_size, to_petsc_integers
 
 RANKS = (1, 2, 3, 4)
 N_ROWS, N_COLUMNS, N_BLOCKS = 7, 5, 9
@@ -43,7 +43,7 @@ def test_blocks_of_all_ranks_add_up(team: Team, chunk: int) -> None:
         for rows, columns, block in _make_blocks(team, rank):
             expected[np.ix_(rows, columns)] += block
     entries = ParallelEntries(team, N_ROWS, N_COLUMNS)
-    with patch.object(parallel_entries, "_CHUNK", chunk):
+    with patch.object(assembled, "_CHUNK", chunk):
         for number, (rows, columns, block) in enumerate(_make_blocks(team, team.rank)):
             if number % 2:
                 entries.add(rows, columns, block)
@@ -83,7 +83,7 @@ def test_ranks_that_need_nothing_are_sent_nothing(team: Team) -> None:
 
 
 def test_numbers_too_large_for_petsc_are_refused() -> None:
-    largest = petsc_integers.LARGEST
+    largest = petsc.LARGEST
     numbers = np.array([0, largest], dtype=np.int64)
     converted = to_petsc_integers(numbers, "unknowns")
     assert converted.tolist() == [0, largest]

@@ -13,7 +13,7 @@ from ddic.mesh.mesh import Mesh
 from ddic.parallel.team import Team
 from ddic.solvers.assembled import AssembledStep
 from ddic.solvers.conjugate_gradient import ConjugateGradientStep
-from ddic.solvers.displacement_size import measure_rms, measure_unit_size
+from ddic.solvers.correction_size import measure_rms, measure_unit_size
 from ddic.solvers.dual.build_preconditioner import Preconditioner
 from ddic.solvers.dual.continuity import average_copies
 from ddic.solvers.dual.dual_step import DualSettings

@@ -13,10 +13,10 @@ from mpi4py import MPI
 from ddic.case.loader import load_case
 from ddic.images.sub_image import MaskedSource
 from ddic.images.window import Window
+from ddic.inputs.cameras import Frame
+from ddic.inputs.inputs import Inputs, open_inputs
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.cameras import Frame
-from ddic.problem.inputs import Inputs, open_inputs
 from ddic.problem.reference_problem import ReferenceProblem, build_whole_mesh, prepare_reference
 from ddic.start.binned_pair import BinnedPair
 from ddic.start.coarse_field import CoarseSearch, fit_coarse_fields, prepare_search

@@ -6,9 +6,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ddic.images.grid_field import build_uniform_field
-from ddic.mesh.cut_mesh import CutMesh, cut_mesh
-from ddic.mesh.own_side import find_points_on_own_side
+from ddic.images.rigid import build_uniform_field
+from ddic.mesh.cut_mesh import CutMesh, cut_mesh, find_points_on_own_side
 from ddic.mesh.structured import build_structured_mesh
 from ddic.start.coarse_displacement import CutField, evaluate_at_nodes
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ddic.functionals.elasticity import Material, assemble_stiffness
+from ddic.functionals.regularization import Material, assemble_stiffness
 from ddic.mesh.cell_type import Q4
-from ddic.mesh.cut_mesh import cut_mesh
+from ddic.mesh.cut_mesh import cut_mesh, find_points_on_own_side
 from ddic.mesh.mesh import Mesh, build_mesh
-from ddic.mesh.own_side import find_points_on_own_side
 from ddic.mesh.structured import build_structured_mesh
 from ddic.start.given_start import extrapolate
 

@@ -12,7 +12,7 @@ from ddic.mesh.structured import build_structured_mesh
 from ddic.start.binned_pair import BinnedPair
 from ddic.start.feature_matches import MatchedField, match_features
 from ddic.start.rigid_start import find_pieces
-from ddic.synth.speckle_texture import SpeckleTexture
+from ddic.synth.speckle import SpeckleTexture
 from support.pictures import source
 
 Array = NDArray[np.float64]

@@ -7,12 +7,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from ddic.images.grid_field import build_uniform_field
-from ddic.kinematics.discontinuities import Discontinuities
+from ddic.images.rigid import build_uniform_field
+from ddic.kinematics.enriched import Discontinuities
 from ddic.mesh.structured import build_structured_mesh
 from ddic.start.binned_pair import BinnedPair, choose_block_sizes
-from ddic.start.multilevel import SURE, MultilevelStart, Stages, find_multilevel_start
-from ddic.start.pyramid_level import correlate_level
+from ddic.start.multilevel import SURE, MultilevelStart, Stages, correlate_level, find_multilevel_start
 from ddic.synth.fields import Affine, DisplacementField, Translation
 from support.pictures import pair_of, rms_error, source, square_mesh
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from ddic.mesh.cell_type import Q4
-from ddic.mesh.cut_mesh import cut_mesh
+from ddic.mesh.cut_mesh import cut_mesh, find_points_on_own_side
 from ddic.mesh.mesh import build_mesh
-from ddic.mesh.own_side import find_points_on_own_side
 from ddic.mesh.structured import build_structured_mesh
 from ddic.start.feature_matches import fit_affine_map, interpolate_pairs
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ddic.images.grid_field import GridField, build_uniform_field
-from ddic.problem.rectangle import Rectangle
+from ddic.images.rigid import GridField, build_uniform_field
+from ddic.inputs.rectangle import Rectangle
 from ddic.start.multilevel import MultilevelStart
 from ddic.start.separated_start import LOSS_PX, factorize_coarse_field
 from support.separated import lines

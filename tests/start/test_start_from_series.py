@@ -9,11 +9,11 @@ import pytest
 from click.testing import CliRunner
 
 from ddic.case.loader import load_case
+from ddic.check.case import load_checked_case
 from ddic.cli.check import check
 from ddic.errors import InputError
-from ddic.methods.run_case import run_pair
+from ddic.methods.run import run_pair
 from ddic.parallel.team import Team
-from ddic.problem.check_inputs import load_checked_case
 from ddic.results.listener import Silence
 from ddic.start.given_start import EarlierResult, load_given_start
 from support.cases import write_case, write_images

@@ -9,9 +9,9 @@ import pytest
 from numpy.typing import NDArray
 
 from ddic.errors import InputError, is_collective
-from ddic.kinematics.camera_kinematics import MotionKind
+from ddic.kinematics.camera import MotionKind
 from ddic.parallel.team import Team
-from ddic.partition.by_camera import find_cameras_at_nodes
+from ddic.partition.split import find_cameras_at_nodes
 from ddic.partition.subdomain import Interface, Subdomain
 from ddic.start.frame_start import start_motions
 from support.near_far_linear import NearFarCut, NearFarStep, near_far_step

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ddic.images.binned import bin_image
-from ddic.images.grid_field import GridField
+from ddic.images.rigid import GridField
 from ddic.images.window import Window
 from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.structured import build_structured_mesh

@@ -8,8 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.partition.incidence import signed_incidence
-from ddic.partition.subdomain import Subdomain
+from ddic.partition.subdomain import Subdomain, signed_incidence
 
 
 def stack_jumps(subdomains: list[Subdomain]) -> NDArray[np.float64]:

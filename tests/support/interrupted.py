@@ -10,7 +10,7 @@ import pytest
 from mpi4py import MPI
 
 from ddic.errors import as_collective
-from ddic.methods.run_case import run_file
+from ddic.methods.run import run_file
 from ddic.parallel.team import Team
 from support.cases import Ears, contents
 

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, sparse
 
-from ddic.functionals.elasticity import Material
-from ddic.functionals.equilibrium_gap import controlled_stiffness
-from ddic.functionals.read_correlation import read_correlation
+from ddic.functionals.correlation import read_correlation
+from ddic.functionals.regularization import Material, controlled_stiffness
 from ddic.images.sub_image import MaskedSource
 from ddic.kinematics.kinematics import RegionKinematics
 from ddic.kinematics.nodal import NodalKinematics, NodalRegion
@@ -30,8 +29,7 @@ from ddic.solvers.dual.local_dual import LocalDual
 from ddic.solvers.exchange import Exchange
 from ddic.solvers.linear_step import AllowedError, LinearStep, StepResult
 from ddic.solvers.local_operator import LocalOperator
-from ddic.solvers.local_system import LocalSystem
-from ddic.solvers.monolithic import MonolithicStep
+from ddic.solvers.local_system import LocalSystem, MonolithicStep
 from support.pictures import source
 
 CELL = 8.0

@@ -11,12 +11,12 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ddic.case.loader import load_case
+from ddic.inputs.inputs import open_inputs
 from ddic.kinematics.kinematics import RegionKinematics
 from ddic.mesh.mesh import Mesh
 from ddic.methods.dd_dic import Session
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.inputs import open_inputs
 from ddic.results.listener import Listener, Silence
 from ddic.results.measurement import Measurement
 

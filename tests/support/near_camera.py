@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, sparse
 
-from ddic.functionals.read_correlation import read_correlation
+from ddic.functionals.correlation import read_correlation
 from ddic.images.camera import CameraMapping
 from ddic.images.sub_image import MaskedSource
-from ddic.kinematics.camera_kinematics import CameraSetup, MotionKind
+from ddic.inputs.cameras import Camera
+from ddic.kinematics.camera import CameraSetup, MotionKind
 from ddic.mesh.mesh import Mesh
-from ddic.problem.cameras import Camera
 from support.pictures import source
 
 RATIO = 3.0  # pixels of a near camera in a pixel of the specimen's frame

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ddic.images.camera import CameraMapping
-from ddic.synth.digitise import Digitiser
-from ddic.synth.fields import Affine, DisplacementField
-from ddic.synth.hole import Hole
+from ddic.synth.fields import Affine, DisplacementField, Hole
 from ddic.synth.near_far_scene import NearCamera, SetUpMotion, build_near_far_scene, build_near_mapping, write_near_far
-from ddic.synth.picture import Picture
-from ddic.synth.two_scale_texture import two_scale_texture
+from ddic.synth.render import Digitiser, Picture
+from ddic.synth.speckle import two_scale_texture
 
 RATIO = 4.0
 WIDTH, HEIGHT = 240, 200

@@ -24,21 +24,19 @@ from ddic.case.schema import (
     SolverSection,
     StructuredSection,
 )
-from ddic.functionals.elasticity import Material
-from ddic.functionals.equilibrium_gap import controlled_stiffness
+from ddic.functionals.regularization import Material, controlled_stiffness
 from ddic.images.camera import identity
-from ddic.kinematics.camera_kinematics import CameraSetup, MotionKind
+from ddic.inputs.cameras import Camera
+from ddic.kinematics.camera import CameraSetup, MotionKind
 from ddic.kinematics.nodal import NodalKinematics
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.distribution import split_evenly
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
-from ddic.partition.by_camera import add_motions, keep_cameras_apart, split_by_camera
-from ddic.partition.split import split_by_blocks, split_by_metis
+from ddic.partition.split import add_motions, keep_cameras_apart, split_by_blocks, split_by_camera, split_by_metis
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.assembly import assemble, assemble_hessians
-from ddic.problem.cameras import Camera
 from ddic.problem.linear_solver import LinearSolver
 from ddic.problem.region_mesh import Region
 from ddic.problem.views import read_reference_views

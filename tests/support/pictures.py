@@ -13,11 +13,9 @@ from ddic.images.binned import ArraySource
 from ddic.images.sub_image import MaskedSource
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import build_structured_mesh
-from ddic.synth.digitise import Digitiser
 from ddic.synth.fields import DisplacementField
-from ddic.synth.picture import Picture
-from ddic.synth.render import ImagePair, Scene, render_pair
-from ddic.synth.speckle_texture import SpeckleTexture
+from ddic.synth.render import Digitiser, ImagePair, Picture, Scene, render_pair
+from ddic.synth.speckle import SpeckleTexture
 
 SATURATION = 255.0
 

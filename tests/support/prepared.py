@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from ddic.case.loader import load_case
+from ddic.inputs.inputs import open_inputs
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.assembly import Assembly, assemble
-from ddic.problem.inputs import open_inputs
 from ddic.problem.reference_problem import ReferenceProblem, build_whole_mesh, prepare_reference
 
 

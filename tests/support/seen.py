@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ddic.problem.seen_cells import SeenCells
+from ddic.visibility.seen_cells import SeenCells
 
 
 def make_seen(n_cells: int = 100, **given: Any) -> SeenCells:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.functionals.elasticity import Material
+from ddic.functionals.regularization import Material
 from ddic.images.sub_image import DeformedSubImage, read_reference
 from ddic.images.window import Window
 from ddic.separated.band_sums import SerialSums, divide_rows
-from ddic.separated.line_elements import LineElements
+from ddic.separated.field import LineElements, SeparatedField, scale_modes
 from ddic.separated.pixel_bands import FramePixels, ReferencePixels, cut_bands
-from ddic.separated.separated_field import SeparatedField, scale_modes
 from ddic.separated.separated_regularization import (
     ControlledLines,
     SeparatedOperator,

@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.io import result_schema as schema
-from ddic.io.image_chunks import ChunkGrid, pack_chunk
+from ddic.io.hdf5_stream import ChunkGrid, pack_chunk
 from ddic.io.join_frames import join_frames
 from ddic.io.replace_on_exit import replaced_together
 from ddic.io.result_writer import Piece, PieceSize, ResultWriter
 from ddic.io.series_folder import SeriesFolder
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import build_structured_mesh
-from ddic.results.series_record import FrameRecord
+from ddic.results.series import FrameRecord
 
 MESH = build_structured_mesh((10.0, 10.0, 50.0, 30.0), 10.0)
 STRAIN = 0.01

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ddic.functionals.correlation import read_correlation
 from ddic.functionals.grey_statistics import GreyCorrection
-from ddic.functionals.read_correlation import read_correlation
 from ddic.functionals.view import FrameView, View
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.kinematics.nodal import NodalRegion

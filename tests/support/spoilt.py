@@ -16,7 +16,7 @@ from ddic.mesh.mesh import Mesh
 from ddic.parallel.team import Team
 from ddic.results.measurement import Measurement
 from ddic.synth.fields import Affine
-from ddic.synth.speckle_texture import SpeckleTexture
+from ddic.synth.speckle import SpeckleTexture
 from support.cases import Ears, write_case
 from support.measuring import measure
 from support.pictures import pair_of, square_mesh

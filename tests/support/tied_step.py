@@ -24,10 +24,11 @@ from ddic.case.schema import (
     SolverSection,
     StructuredSection,
 )
-from ddic.functionals.elasticity import Material
-from ddic.functionals.equilibrium_gap import controlled_stiffness
+from ddic.functionals.regularization import Material, controlled_stiffness
 from ddic.images.camera import identity
-from ddic.kinematics.camera_kinematics import CameraSetup, MotionKind
+from ddic.inputs.cameras import Camera, FieldOfView
+from ddic.inputs.inputs import Inputs
+from ddic.kinematics.camera import CameraSetup, MotionKind
 from ddic.kinematics.nodal import NodalKinematics
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import build_structured_mesh
@@ -36,8 +37,6 @@ from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.partition.ties import Tying, tie_meshes
 from ddic.problem.assembly import assemble, assemble_hessians
-from ddic.problem.cameras import Camera, FieldOfView
-from ddic.problem.inputs import Inputs
 from ddic.problem.linear_solver import LinearSolver
 from ddic.problem.region_mesh import build_region_mesh, split_region
 from ddic.problem.views import read_reference_views

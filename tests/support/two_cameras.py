@@ -9,7 +9,7 @@ import numpy as np
 
 from ddic.images.binned import ArraySource
 from ddic.images.camera import CameraMapping, similarity
-from ddic.synth.speckle_texture import SpeckleTexture
+from ddic.synth.speckle import SpeckleTexture
 
 FAR_SIZE, NEAR_SIZE = (130, 110), (280, 240)
 SAMPLES = 5

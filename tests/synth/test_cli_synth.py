@@ -7,13 +7,9 @@ import tifffile
 from click.testing import CliRunner
 
 from ddic.cli.app import main
-from ddic.synth.digitise import Digitiser
-from ddic.synth.fields import Affine, Bending, Sinusoidal, Sum, Translation
-from ddic.synth.hole import Hole
-from ddic.synth.kirsch import Kirsch
-from ddic.synth.picture import Picture
-from ddic.synth.render import Scene, render_pair
-from ddic.synth.speckle_texture import SpeckleTexture
+from ddic.synth.fields import Affine, Bending, Hole, Kirsch, Sinusoidal, Sum, Translation
+from ddic.synth.render import Digitiser, Picture, Scene, render_pair
+from ddic.synth.speckle import SpeckleTexture
 from ddic.synth.truth import load_truth
 
 

@@ -9,11 +9,11 @@ import tifffile
 from click.testing import CliRunner
 
 from ddic.cli.app import main
-from ddic.synth.kirsch import Kirsch
+from ddic.synth.fields import Kirsch
 from ddic.synth.near_far_scene import SetUpMotion, build_near_mapping
-from ddic.synth.near_far_truth import load_near_far_truth
-from ddic.synth.picture import Picture
-from ddic.synth.two_scale_texture import two_scale_texture
+from ddic.synth.render import Picture
+from ddic.synth.speckle import two_scale_texture
+from ddic.synth.truth import load_near_far_truth
 
 SMALL = ("--size-far", "140x110", "--size-near", "160x120")
 FILES = ["far_reference.tif", "far_deformed.tif", "near_reference.tif", "near_deformed.tif", "truth.json"]
@@ -82,6 +82,6 @@ def test_bad_input_is_one_line_and_exit_2(tmp_path, arguments, message):
 
 
 def test_importing_the_command_loads_no_heavy_library():
-    code = ("import sys, ddic.cli.synth_near_far; "
+    code = ("import sys, ddic.cli.synth; "
             "sys.exit(bool({'numpy', 'numba', 'tifffile', 'ddic.synth.near_far_scene'} & set(sys.modules)))")
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

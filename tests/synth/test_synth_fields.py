@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from ddic.errors import InputError
-from ddic.synth.fields import Affine, Bending, Sinusoidal, Sum, Translation
-from ddic.synth.kirsch import Kirsch
+from ddic.synth.fields import Affine, Bending, Kirsch, Sinusoidal, Sum, Translation
 
 KIRSCH = Kirsch(center=(120.0, 90.0), radius=30.0, strain=0.02, poisson_ratio=0.25, translation=(0.4, -1.0))
 FIELDS = [

@@ -6,9 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ddic.errors import ConvergenceError, InputError
-from ddic.synth.fields import Affine, Bending, Sinusoidal, Sum, Translation
-from ddic.synth.inverse import find_reference_points
-from ddic.synth.kirsch import Kirsch
+from ddic.synth.fields import Affine, Bending, Kirsch, Sinusoidal, Sum, Translation
+from ddic.synth.render import find_reference_points
 
 POINTS = np.random.default_rng(0).uniform(0, 900, (500, 2))
 small = st.floats(-0.2, 0.2)

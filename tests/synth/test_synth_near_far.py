@@ -7,10 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ddic.errors import InputError
-from ddic.synth.digitise import Digitiser
-from ddic.synth.fields import Translation
-from ddic.synth.hole import Hole
-from ddic.synth.kirsch import Kirsch
+from ddic.synth.fields import Hole, Kirsch, Translation
 from ddic.synth.near_far_scene import (
     NearCamera,
     SetUpMotion,
@@ -19,9 +16,8 @@ from ddic.synth.near_far_scene import (
     place_beside_hole,
     write_near_far,
 )
-from ddic.synth.picture import Picture
-from ddic.synth.speckle_texture import SpeckleTexture
-from ddic.synth.two_scale_texture import TwoScaleTexture, two_scale_texture
+from ddic.synth.render import Digitiser, Picture
+from ddic.synth.speckle import SpeckleTexture, TwoScaleTexture, two_scale_texture
 
 RATIO = 5.0
 FIELD = Kirsch((70.0, 55.0), 20.0, 0.02, translation=(0.4, -0.3))

@@ -4,17 +4,11 @@ import numpy as np
 import pytest
 
 from ddic.errors import InputError
-from ddic.synth.digitise import Digitiser
-from ddic.synth.fields import Translation
-from ddic.synth.hole import Hole
-from ddic.synth.kirsch import Kirsch
+from ddic.synth.fields import Hole, Kirsch, Translation
 from ddic.synth.near_far_scene import NearCamera, SetUpMotion, build_near_far_scene, build_near_mapping
-from ddic.synth.near_far_truth import load_near_far_truth, save_near_far_truth
-from ddic.synth.picture import Picture
-from ddic.synth.render import Scene
-from ddic.synth.speckle_texture import SpeckleTexture
-from ddic.synth.truth import load_truth, save_truth
-from ddic.synth.two_scale_texture import two_scale_texture
+from ddic.synth.render import Digitiser, Picture, Scene
+from ddic.synth.speckle import SpeckleTexture, two_scale_texture
+from ddic.synth.truth import load_near_far_truth, load_truth, save_near_far_truth, save_truth
 
 FOCUS = (100.0, 55.0)
 FIELD = Kirsch((70.0, 55.0), 20.0, 0.02)

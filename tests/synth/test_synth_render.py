@@ -5,13 +5,9 @@ import pytest
 import tifffile
 
 from ddic.errors import InputError
-from ddic.synth.digitise import Digitiser
-from ddic.synth.fields import Affine, Bending, Sinusoidal, Translation
-from ddic.synth.hole import Hole
-from ddic.synth.kirsch import Kirsch
-from ddic.synth.picture import Picture
-from ddic.synth.render import Scene, render_pair, write_pair
-from ddic.synth.speckle_texture import SpeckleTexture
+from ddic.synth.fields import Affine, Bending, Hole, Kirsch, Sinusoidal, Translation
+from ddic.synth.render import Digitiser, Picture, Scene, render_pair, write_pair
+from ddic.synth.speckle import SpeckleTexture
 
 TEXTURE = SpeckleTexture(seed=9)
 

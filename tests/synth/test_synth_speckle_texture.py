@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from ddic.errors import InputError
 from ddic.synth import speckle_kernels as kernels
-from ddic.synth.speckle_texture import RAW_DEVIATION, RAW_MEAN, SpeckleTexture
+from ddic.synth.speckle import RAW_DEVIATION, RAW_MEAN, SpeckleTexture
 
 SIDE = 1024
 

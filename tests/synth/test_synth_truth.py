@@ -5,13 +5,9 @@ import numpy as np
 import pytest
 
 from ddic.errors import InputError
-from ddic.synth.digitise import Digitiser
-from ddic.synth.fields import Affine, Bending, Sinusoidal, Sum, Translation
-from ddic.synth.hole import Hole
-from ddic.synth.kirsch import Kirsch
-from ddic.synth.picture import Picture
-from ddic.synth.render import Scene
-from ddic.synth.speckle_texture import SpeckleTexture
+from ddic.synth.fields import Affine, Bending, Hole, Kirsch, Sinusoidal, Sum, Translation
+from ddic.synth.render import Digitiser, Picture, Scene
+from ddic.synth.speckle import SpeckleTexture
 from ddic.synth.truth import load_truth, save_truth
 
 

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ddic.synth.digitise import Digitiser
 from ddic.synth.fields import Affine, DisplacementField, Sinusoidal
-from ddic.synth.picture import Picture
-from ddic.synth.render import Scene, render_pair
-from ddic.synth.speckle_texture import SpeckleTexture
+from ddic.synth.render import Digitiser, Picture, Scene, render_pair
+from ddic.synth.speckle import SpeckleTexture
 from ddic.synth.virtual_image import fill_displacement, render_virtual_image
 
 SIDE = 160

@@ -10,12 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import InputError
-from ddic.synth.digitise import Digitiser
-from ddic.synth.fields import DisplacementField
-from ddic.synth.hole import Hole
-from ddic.synth.picture import Picture
-from ddic.synth.render import Scene, render_pair
-from ddic.synth.speckle_texture import SpeckleTexture
+from ddic.synth.fields import DisplacementField, Hole
+from ddic.synth.render import Digitiser, Picture, Scene, render_pair
+from ddic.synth.speckle import SpeckleTexture
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

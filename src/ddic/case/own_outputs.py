@@ -14,7 +14,7 @@ from typing import Any
 
 from ddic.case.frame_files import PATTERN
 from ddic.errors import InputError
-from ddic.io.toml_file import read_text
+from ddic.io.text_files import read_text
 
 LONGEST_CASE = 1 << 20
 """Bytes of a TOML file that is read as a possible case file; longer ones are none."""

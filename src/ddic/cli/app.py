@@ -1,21 +1,76 @@
-"""The command line: ``ddic`` and its commands, each imported when it is called."""
+"""The command line: ``ddic`` and its commands, each imported when it is called.
+
+Numbers on the command line: nan and infinity are none that an option takes.
+
+Words that a command does not take, told in a line.
+
+``--frame``: which frame of a series a command takes.
+"""
 
 from __future__ import annotations
 
 import importlib
-from typing import Any
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, TypeVar
 
 import click
 
 from ddic import __version__
-from ddic.cli.address_space import require_address_space
-from ddic.cli.failed_start import failures_as_lines
-from ddic.cli.finite_options import require_finite_options
-from ddic.cli.idle_threads import prepare_idle_threads
-from ddic.cli.kept_imports import imports_kept
-from ddic.cli.standard_output import output_as_line
-from ddic.cli.surroundings import require_clock, require_working_folder
-from ddic.cli.usage_as_line import usage_as_line
+from ddic.cli.failed_start import failures_as_lines, output_as_line
+from ddic.cli.surroundings import (
+    imports_kept,
+    prepare_idle_threads,
+    require_address_space,
+    require_clock,
+    require_working_folder,
+)
+from ddic.errors import InputError
+
+
+def require_finite_options(command: click.Command) -> None:
+    """Have a command refuse options that are not finite.
+
+    Parameters
+    ----------
+    command : Command
+        Its options without a callback get one; so do those of its own commands.
+    """
+    for parameter in command.params:
+        if parameter.callback is None:
+            parameter.callback = _check
+    if isinstance(command, click.Group):
+        for inner in command.commands.values():
+            require_finite_options(inner)
+
+
+def _check(_: click.Context, parameter: click.Parameter, value: Any) -> Any:
+    numbers = value if isinstance(value, tuple) else (value,)
+    for number in numbers:
+        if isinstance(number, float) and not math.isfinite(number):
+            raise click.BadParameter(f"{number} is not a finite number.", param=parameter)
+    return value
+
+
+@contextmanager
+def usage_as_line() -> Iterator[None]:
+    """Have words that a command does not take refused like other input, in place of click's four lines on each rank.
+
+    Raises
+    ------
+    InputError
+        Where the block raises what click says of the words.
+    """
+    try:
+        yield
+    except click.exceptions.NoArgsIsHelpError:
+        raise
+    except click.UsageError as error:
+        said = " ".join(error.format_message().split()).rstrip(".")
+        command = "ddic" if error.ctx is None else error.ctx.command_path
+        raise InputError(f"{command}: {said}; see {command} --help") from error
+
 
 COMMANDS = {
     "run": "Measure the displacement between two images.",
@@ -33,13 +88,20 @@ COMMANDS = {
     "calibrate": "Find where a near-field image lies in a far-field one.",
 }
 
+HOMES = {"export": "probe", "opening": "crack"}
+"""Modules of commands that stand in another one's."""
 
 CLICKS_OWN = (click.ClickException, click.exceptions.Exit, click.Abort)
 """What click ends a program with by itself."""
 
 
+def find_home(name: str) -> str:
+    """Find the module of a command, with dots."""
+    return f"ddic.cli.{HOMES.get(name, name)}"
+
+
 class LazyGroup(click.Group):
-    """Commands live in ``ddic.cli.NAME``; listing them imports none."""
+    """Commands live in ``ddic.cli.NAME``, or where ``HOMES`` says; listing them imports none."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """List the commands in the order of a first session.
@@ -74,7 +136,7 @@ class LazyGroup(click.Group):
         if cmd_name not in COMMANDS:
             return None
         with imports_kept():
-            command: click.Command = getattr(importlib.import_module(f"ddic.cli.{cmd_name}"), cmd_name)
+            command: click.Command = getattr(importlib.import_module(find_home(cmd_name)), cmd_name)
         require_finite_options(command)
         return command
 
@@ -155,3 +217,24 @@ class LazyGroup(click.Group):
 @click.version_option(__version__, prog_name="ddic")
 def main() -> None:
     """Finite element digital image correlation by dual domain decomposition over MPI."""
+
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+def add_frame_option(command: Command) -> Command:
+    """Add the option --frame to a command.
+
+    Parameters
+    ----------
+    command : callable
+        With a parameter ``frame`` (int or None).
+
+    Returns
+    -------
+    callable
+        The same.
+    """
+    add = click.option("--frame", type=click.IntRange(1), default=None, metavar="N",
+                       help="Frame of a series that is taken, by its number.")
+    return add(command)

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ddic.cli.errors_as_lines import errors_as_lines
-from ddic.cli.warned import warnings_as_lines
+from ddic.cli.failures import errors_as_lines, warnings_as_lines
 
 if TYPE_CHECKING:
     from ddic.calibration.camera_models import Kind
-    from ddic.calibration.near_calibration import Calibration
+    from ddic.calibration.near import Calibration
 
 Lines = list[tuple[str, str]]
 
@@ -33,7 +32,7 @@ def calibrate(far: Path, near: Path, ratio: float, model: Kind, distortion: bool
     The near field must lie in the far image, turned by 5 degrees at most.
     """
     # Imported here because they bring numba, SciPy and OpenCV, which --help does not need.
-    from ddic.calibration import near_calibration
+    from ddic.calibration import near as near_calibration
     from ddic.case.own_outputs import MAPPING, require_own_output
     from ddic.images.grey_levels import check_finite
     from ddic.io.image_file import hold_image

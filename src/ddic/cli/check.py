@@ -7,15 +7,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ddic.cli.errors_as_lines import errors_as_lines
-from ddic.cli.standard_output import take_closed_pipes_as_errors
-from ddic.cli.warned import warnings_as_lines
+from ddic.cli.failed_start import take_closed_pipes_as_errors
+from ddic.cli.failures import errors_as_lines, warnings_as_lines
 from ddic.errors import InputError
 
 if TYPE_CHECKING:
     from ddic.case.schema import Case
+    from ddic.check.report import CheckReport
     from ddic.mesh.mesh import Mesh
-    from ddic.problem.check_report import CheckReport
 
 
 ENDINGS = (".png", ".pdf", ".svg")
@@ -33,8 +32,8 @@ def check(case_file: Path, drawing: Path | None) -> None:
     # Imported here because they bring numba, meshio and OpenCV, which --help does not need.
     from ddic.case.loader import load_case
     from ddic.case.own_outputs import PICTURE, require_own_output
-    from ddic.problem.check_inputs import check_case_file
-    from ddic.problem.check_output import list_inputs
+    from ddic.check.case import check_case_file
+    from ddic.check.output import list_inputs
 
     take_closed_pipes_as_errors()
     with errors_as_lines(drawing), warnings_as_lines():
@@ -63,9 +62,9 @@ def _check_drawing(drawing: Path) -> None:
 def _draw(case: Case, drawing: Path) -> None:
     """Draw the mesh of a case that was found fit."""
     from ddic.io.image_file import open_image
-    from ddic.io.plots.canvas import save_figure
-    from ddic.io.plots.mesh_preview import draw_mesh_preview
-    from ddic.io.plots.preview import read_preview
+    from ddic.plots.canvas import save_figure
+    from ddic.plots.maps import read_preview
+    from ddic.plots.partition import draw_mesh_preview
     from ddic.problem.cut_region import list_discontinuities
 
     reference = open_image(case.images.reference)
@@ -76,11 +75,11 @@ def _draw(case: Case, drawing: Path) -> None:
 
 def _build_mesh(case: Case, width: int, height: int) -> Mesh:
     """The mesh of a case; that of the result with [pgd], whose elements may be single pixels."""
+    from ddic.inputs.mesh_source import build_meshes
+    from ddic.inputs.rectangle import choose_output_lines, find_rectangle_of_case
     from ddic.mesh.cell_type import Q4
     from ddic.mesh.mesh import build_mesh
     from ddic.mesh.structured import Grid
-    from ddic.problem.mesh_source import build_meshes
-    from ddic.problem.rectangle import choose_output_lines, find_rectangle_of_case
 
     if case.pgd is None:
         return build_meshes(case, width, height)[0]

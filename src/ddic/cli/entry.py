@@ -5,8 +5,7 @@ from __future__ import annotations
 import sys
 
 from ddic.cli.failed_start import failures_as_lines
-from ddic.cli.kept_imports import imports_kept
-from ddic.cli.surroundings import open_closed_streams
+from ddic.cli.surroundings import imports_kept, open_closed_streams
 from ddic.parallel.stop_request import StopRequest
 
 

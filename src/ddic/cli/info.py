@@ -1,21 +1,25 @@
-"""``ddic info``: what a result file or an image holds."""
+"""``ddic info``: what a result file or an image holds.
+
+What ``ddic info`` says of a series: of all frames, and a table of them.
+"""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from ddic.cli.errors_as_lines import errors_as_lines
-from ddic.cli.frame_option import add_frame_option
-from ddic.cli.warned import warnings_as_lines
+from ddic.cli.app import add_frame_option
+from ddic.cli.failures import errors_as_lines, warnings_as_lines
 from ddic.errors import InputError
 
 if TYPE_CHECKING:
     from ddic.io.result_reader import Result
     from ddic.io.series_reader import SeriesResult
+
 
 Lines = list[tuple[str, str]]
 
@@ -45,9 +49,8 @@ def _format(lines: Lines) -> list[str]:
 def _describe(file: Path, frame: int | None) -> list[str]:
     # Imported here because HDF5 and OpenCV are not needed by --help.
     """What a file holds, in lines."""
-    from ddic.io.frame_of_series import read_frame
     from ddic.io.input_file import require_file
-    from ddic.io.series_reader import is_series_file, read_series
+    from ddic.io.series_reader import is_series_file, read_frame, read_series
 
     require_file(file, "file")
     if not _is_hdf5(file):
@@ -94,8 +97,6 @@ def _image_lines(file: Path) -> Lines:
 
 def _list_series_lines(series: SeriesResult) -> list[str]:
     """What all frames of a series come to, a table of them, and what the first of them holds."""
-    from ddic.cli.describe_series import describe_frames, list_frame_rows
-
     said = ("result", "displacement x", "displacement y")
     of_first = [line for line in _result_lines(series[0]) if line[0] not in said]
     return [*_format(describe_frames(series)), *list_frame_rows(series), f"of frame {series.numbers[0]}:",
@@ -106,7 +107,7 @@ def _result_lines(result: Result) -> Lines:
     """Of a result."""
     import numpy as np
 
-    from ddic.fracture.lines_of_result import get_lines
+    from ddic.fracture.opening import get_lines
 
     low, high = np.fmin.reduce(result.displacement), np.fmax.reduce(result.displacement)
     n_unmeasured = int((~result.measured_nodes).sum())
@@ -157,3 +158,78 @@ def _short(value: Any) -> str:
     """One line for an attribute: long texts (the case file) are told by their length."""
     text = str(value.tolist() if hasattr(value, "tolist") else value)
     return text if "\n" not in text and len(text) <= 100 else f"text of {len(text)} characters"
+
+
+COLUMNS = ("frame", "time", "image", "iterations", "residual", "noise floor/px", "started from")
+"""Heads of the table; the residual in grey levels, as in the log."""
+
+TEXTS = ("image", "started from")
+"""Columns that begin where their heads begin; numbers end where theirs end."""
+
+
+def describe_frames(series: SeriesResult) -> list[tuple[str, str]]:
+    """Describe what all frames of a series come to.
+
+    Parameters
+    ----------
+    series : SeriesResult
+        Of at least one frame.
+
+    Returns
+    -------
+    list of (str, str)
+        Names and values.
+    """
+    # Imported here because HDF5 is not needed by --help.
+    from ddic.io.series_reader import find_displacement_range
+
+    times = [float(record["time"]) for record in series.records]
+    n_failed = len(series.records) - len(series)
+    failed = f", {n_failed} of them not measured" if n_failed else ""
+    low, high = find_displacement_range(series)
+    return [
+        ("series", str(series.path)),
+        ("frames", f"{len(series.records)}{failed}"),
+        ("times", f"{times[0]:g} to {times[-1]:g}"),
+        ("displacement x", f"{low[0]:.4f} to {high[0]:.4f} px in all frames"),
+        ("displacement y", f"{low[1]:.4f} to {high[1]:.4f} px in all frames"),
+    ]
+
+
+def list_frame_rows(series: SeriesResult) -> list[str]:
+    """List the frames of a series as lines of a table.
+
+    Parameters
+    ----------
+    series : SeriesResult
+        With the records of its frames.
+
+    Returns
+    -------
+    list of str
+        A head, and a line each; why it was not measured in place of its numbers.
+    """
+    rows = [_list_cells(record) for record in series.records]
+    widths = [max(len(head), *(len(row[k]) for row in rows if k < len(row) - 1 or len(row) == len(COLUMNS)))
+              for k, head in enumerate(COLUMNS)]
+    aligned = [[_align(*cell) for cell in zip(row, COLUMNS, widths, strict=False)] for row in (list(COLUMNS), *rows)]
+    return ["  ".join(row).rstrip() for row in aligned]
+
+
+def _align(cell: str, head: str, width: int) -> str:
+    return cell.ljust(width) if head in TEXTS else cell.rjust(width)
+
+
+def _list_cells(record: Mapping[str, Any]) -> list[str]:
+    """Cells of a row; fewer where a frame was not measured: the last one says why."""
+    begin = [str(record["number"]), f"{record['time']:g}", Path(str(record.get("image", ""))).name]
+    if not record["converged"]:
+        reason = "; ".join(str(record["failure"]).splitlines())
+        return [*begin, f"not measured: {reason}"]
+    return [*begin, str(record.get("iterations", "")), _format_number(record.get("residual_std_grey"), ".3f"),
+            _format_number(record.get("noise_floor_px"), ".4f"), str(record.get("started_from", ""))]
+
+
+def _format_number(value: float | None, form: str) -> str:
+    """A number, or a dash where it is not known (null in the record)."""
+    return "-" if value is None else format(value, form)

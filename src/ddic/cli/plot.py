@@ -1,4 +1,7 @@
-"""``ddic plot``: figures of a result file."""
+"""``ddic plot``: figures of a result file.
+
+Files of pages that ``ddic plot`` draws: names and formats.
+"""
 
 from __future__ import annotations
 
@@ -9,22 +12,93 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from ddic.cli.errors_as_lines import errors_as_lines
-from ddic.cli.frame_option import add_frame_option
-from ddic.cli.page_files import FORMATS, MOVING, PageFiles, choose_ending
+from ddic.cli.app import add_frame_option
+from ddic.cli.failures import errors_as_lines, warnings_as_lines
 from ddic.cli.plot_series import CURVES, FrameChoice, Look, SharedScale, draw_pages, find_shared_scale, plot_curves
-from ddic.cli.warned import warnings_as_lines
 from ddic.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from ddic.io.plots.length_unit import LengthUnit
-    from ddic.io.plots.preview import Preview
-    from ddic.io.plots.strain_map import StrainChoice
     from ddic.io.result_reader import Result
     from ddic.io.series_reader import SeriesResult
-    from ddic.separated.separated_field import SeparatedField
+    from ddic.plots.canvas import LengthUnit
+    from ddic.plots.maps import Preview, StrainChoice
+    from ddic.separated.field import SeparatedField
+
+
+FORMATS = ("png", "pdf", "svg")
+MOVING = ("gif", "mp4")
+"""Formats of animations."""
+
+
+@dataclass(frozen=True)
+class PageFiles:
+    """Where pages are written.
+
+    Attributes
+    ----------
+    folder : Path
+        Of all of them.
+    stem : str
+        Beginning of their names.
+    ending : str
+        Their format.
+    dpi : int
+        Dots an inch.
+    """
+
+    folder: Path
+    stem: str
+    ending: str
+    dpi: int
+
+    def to_path(self, *words: str) -> Path:
+        """Name a file by what it shows.
+
+        Parameters
+        ----------
+        *words : str
+            Put between the beginning and the ending.
+
+        Returns
+        -------
+        Path
+            In the folder.
+        """
+        return self.folder / ".".join((self.stem, *words, self.ending))
+
+
+def choose_ending(asked: str | None, *, animate: bool) -> str:
+    """Choose a format.
+
+    Parameters
+    ----------
+    asked : str or None
+        By the user.
+    animate : bool
+        Whether it is an animation.
+
+    Returns
+    -------
+    str
+        One of FORMATS, or of MOVING.
+
+    Raises
+    ------
+    InputError
+        Where the one that is asked for does not fit, or there is no program for it.
+    """
+    from ddic.plots.series import require_writer
+
+    fitting = MOVING if animate else FORMATS
+    if asked is not None and asked not in fitting:
+        what = "an animation is" if animate else "without --animate a picture is"
+        raise InputError(f"--format {asked}: {what} one of {', '.join(fitting)}")
+    ending = asked or fitting[0]
+    require_writer(ending)
+    return ending
+
 
 KINDS = ("partition", "deformed", "displacement", "strain", "residual", "signed-residual", "difference", "krylov",
          "opening", "near-far", "modes", "corrections", "line")
@@ -101,11 +175,10 @@ def plot(file: Path, kind: str, frame: int | None, animate: bool, fps: float,
     Of a series: curves over time, a frame by its number (FILE.frame_N.KIND.png), or an animation (FILE.KIND.gif).
     """
     # Imported here because matplotlib is not needed by --help.
-    from ddic.io.frame_of_series import read_frame
-    from ddic.io.made_folder import made_folder
-    from ddic.io.plots.length_unit import find_length_unit
-    from ddic.io.plots.strain_map import StrainChoice
-    from ddic.io.series_reader import is_series_file, read_series
+    from ddic.io.replace_on_exit import made_folder
+    from ddic.io.series_reader import is_series_file, read_frame, read_series
+    from ddic.plots.canvas import find_length_unit
+    from ddic.plots.maps import StrainChoice
 
     folder = file.parent if output is None else output
     with errors_as_lines(folder):
@@ -135,16 +208,15 @@ def plot(file: Path, kind: str, frame: int | None, animate: bool, fps: float,
 
 def _read_other(path: Path, frame: int | None) -> Result:
     """The result that is compared with: of a series the same frame."""
-    from ddic.io.frame_of_series import read_frame
-    from ddic.io.series_reader import is_series_file
+    from ddic.io.series_reader import is_series_file, read_frame
 
     return read_frame(path, frame if is_series_file(path) else None)
 
 
 def _caption(file: Path, frame: int | None) -> tuple[list[str], str]:
     """What names and pages of a frame hold beside those of a pair."""
-    from ddic.io.plots.frame_caption import format_caption
     from ddic.io.series_reader import read_series
+    from ddic.plots.canvas import format_caption
 
     if frame is None:
         return [], ""
@@ -155,10 +227,8 @@ def _caption(file: Path, frame: int | None) -> tuple[list[str], str]:
 def _plot_one(kinds: list[str], drawing: _Drawing, pages: PageFiles, caption: tuple[list[str], str]) -> None:
     """Pictures of one result."""
     from ddic.case.own_outputs import PICTURE, require_own_output
-    from ddic.io.plots.canvas import save_figure
-    from ddic.io.plots.failure_mark import draw_failures
-    from ddic.io.plots.frame_caption import draw_caption
     from ddic.io.replace_on_exit import replaced_together
+    from ddic.plots.canvas import draw_caption, draw_failures, save_figure
 
     words, line = caption
     targets = [pages.to_path(*words, name) for name in kinds]
@@ -178,7 +248,7 @@ def _plot_one(kinds: list[str], drawing: _Drawing, pages: PageFiles, caption: tu
 def _animate(series: SeriesResult, kind: str, drawing: _Drawing, pages: PageFiles, fps: float) -> None:
     """An animation of one kind."""
     from ddic.case.own_outputs import PICTURE, require_own_output
-    from ddic.io.plots.animation import write_animation
+    from ddic.plots.series import write_animation
 
     target = pages.to_path(kind)
     require_own_output(target, PICTURE, drawing.files)
@@ -207,7 +277,7 @@ def _check_limits(kind: str, limits: tuple[float, float] | None) -> None:
 
 def _kinds(asked: str, result: Result, other: Result | None) -> list[str]:
     """Figures to draw; raises InputError if the one asked for needs what is not there."""
-    from ddic.fracture.lines_of_result import get_lines
+    from ddic.fracture.opening import get_lines
     from ddic.io.result_schema import CAMERA, NODAL_INFINITESIMAL
 
     lacking = {}
@@ -241,7 +311,7 @@ def _has_curves(result: Result) -> bool:
 def _reference(result: Result, image: Path | None) -> Preview | None:
     """The image that is drawn below; None where it is no longer there."""
     from ddic.io.image_file import open_image
-    from ddic.io.plots.preview import read_preview
+    from ddic.plots.maps import read_preview
 
     if image is None:
         named = str(result.attributes.get("provenance", {}).get("reference_path", ""))
@@ -256,16 +326,12 @@ def _reference(result: Result, image: Path | None) -> Preview | None:
 
 def _figure(kind: str, drawing: _Drawing) -> Figure:
     """One figure, by its kind; a difference is asked for only where there is another result."""
-    from ddic.io.plots.camera_fields import draw_near_far
-    from ddic.io.plots.correction_curves import draw_corrections
-    from ddic.io.plots.deformed import draw_deformed
-    from ddic.io.plots.difference import draw_difference
-    from ddic.io.plots.line_curves import draw_line
-    from ddic.io.plots.mode_functions import draw_modes
-    from ddic.io.plots.nodal_map import draw_displacement
-    from ddic.io.plots.partition import draw_partition
-    from ddic.io.plots.residual import draw_residual
-    from ddic.io.plots.strain_map import draw_strain
+    from ddic.plots.cameras import draw_near_far
+    from ddic.plots.curves import draw_corrections, draw_line, draw_modes
+    from ddic.plots.deformed import draw_deformed
+    from ddic.plots.maps import draw_difference, draw_displacement, draw_strain
+    from ddic.plots.partition import draw_partition
+    from ddic.plots.residual import draw_residual
 
     result, preview, component = drawing.result, drawing.preview, drawing.component
     unit, scale = drawing.unit, drawing.scale
@@ -306,7 +372,7 @@ def _get_separated(result: Result) -> SeparatedField:
 
 def _draw_krylov(result: Result, other: Result | None) -> Figure:
     """Convergence of one result or two."""
-    from ddic.io.plots.krylov import draw_krylov
+    from ddic.plots.curves import draw_krylov
 
     results = [one for one in (result, other) if one is not None and _has_curves(one)]
     return draw_krylov({_label(one, results): one.krylov for one in results})
@@ -314,8 +380,8 @@ def _draw_krylov(result: Result, other: Result | None) -> Figure:
 
 def _draw_opening(result: Result, unit: LengthUnit) -> Figure:
     """Opening of all lines."""
-    from ddic.fracture.line_opening import measure_openings
-    from ddic.io.plots.opening_curves import draw_opening
+    from ddic.fracture.opening import measure_openings
+    from ddic.plots.curves import draw_opening
 
     found = measure_openings(result)
     return draw_opening({f"line {number}": (unit.size * of_line.distance, unit.size * of_line.tangential,

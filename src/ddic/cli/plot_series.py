@@ -15,13 +15,12 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-    from ddic.cli.page_files import PageFiles
-    from ddic.io.plots.canvas import Component, Limits
-    from ddic.io.plots.deformed import SharedView
-    from ddic.io.plots.length_unit import LengthUnit
-    from ddic.io.plots.strain_map import StrainChoice
+    from ddic.cli.plot import PageFiles
     from ddic.io.result_reader import Result
     from ddic.io.series_reader import SeriesResult
+    from ddic.plots.canvas import Component, LengthUnit, Limits
+    from ddic.plots.deformed import SharedView
+    from ddic.plots.maps import StrainChoice
 
 CURVES = "curves"
 ANIMATED = ("deformed", "displacement", "strain", "residual", "signed-residual")
@@ -140,7 +139,7 @@ def find_shared_scale(series: SeriesResult, kind: str, look: Look) -> SharedScal
     """
     import numpy as np
 
-    from ddic.io.plots.deformed import find_shared_view
+    from ddic.plots.deformed import find_shared_view
 
     # (n_frames, n_panels, 2)
     found = np.array([_find_limits(result, kind, look) for result in series])
@@ -152,9 +151,9 @@ def find_shared_scale(series: SeriesResult, kind: str, look: Look) -> SharedScal
 
 def _find_limits(result: Result, kind: str, look: Look) -> Sequence[Limits]:
     """Where the colours of a frame by itself begin and end, a panel each."""
-    from ddic.io.plots.canvas import choose_limits, pick_component
-    from ddic.io.plots.residual import find_residual_limits
-    from ddic.io.plots.strain_map import list_strain_panels
+    from ddic.plots.canvas import choose_limits, pick_component
+    from ddic.plots.maps import list_strain_panels
+    from ddic.plots.residual import find_residual_limits
 
     if kind == "strain":
         return [choose_limits(panel.values) for panel in list_strain_panels(result, look.strain)]
@@ -178,7 +177,7 @@ def draw_pages(series: SeriesResult, draw: Callable[[Result], Figure]) -> Iterat
     iterator of Figure
         A page each.
     """
-    from ddic.io.plots.frame_caption import draw_caption, format_caption
+    from ddic.plots.canvas import draw_caption, format_caption
 
     for number, time, result in zip(series.numbers, series.times, series, strict=True):
         page = draw(result)
@@ -204,11 +203,10 @@ def plot_curves(series: SeriesResult, units: str | None, pages: PageFiles) -> No
         Where the unit is not known.
     """
     from ddic.case.own_outputs import PICTURE, require_own_output
-    from ddic.io.made_folder import made_folder
-    from ddic.io.plots.canvas import save_figure
-    from ddic.io.plots.length_unit import find_length_unit
-    from ddic.io.plots.time_curves import draw_time_curves
-    from ddic.io.series_history import gather_history
+    from ddic.io.replace_on_exit import made_folder
+    from ddic.io.series_reader import gather_history
+    from ddic.plots.canvas import find_length_unit, save_figure
+    from ddic.plots.series import draw_time_curves
 
     target = pages.to_path(CURVES)
     require_own_output(target, PICTURE, (series.path,))

@@ -1,4 +1,7 @@
-"""``ddic probe``: what virtual gauges read on results, as a table."""
+"""``ddic probe``: what virtual gauges read on results, as a table.
+
+``ddic export``: whole fields of a result as tables.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +12,13 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from ddic.cli.errors_as_lines import errors_as_lines
-from ddic.cli.warned import warnings_as_lines
+from ddic.cli.app import add_frame_option
+from ddic.cli.failures import errors_as_lines, warnings_as_lines
 from ddic.errors import InputError
 
 if TYPE_CHECKING:
-    from ddic.probes.probe_kinds import Probe
-    from ddic.probes.probe_table import ProbeRecord
+    from ddic.probes.probes import Probe
+    from ddic.probes.tables import ProbeRecord
 
 
 @click.command()
@@ -49,8 +52,8 @@ def probe(files: tuple[Path, ...], points: tuple[str, ...], lines: tuple[str, ..
     # Imported here because HDF5 is not needed by --help.
     from ddic.case.own_outputs import PROBES, require_own_output
     from ddic.io.series_reader import read_frames
-    from ddic.probes.probe_file import load_probes
-    from ddic.probes.probe_table import measure_probes, write_probe_table
+    from ddic.probes.probes import load_probes
+    from ddic.probes.tables import measure_probes, write_probe_table
 
     with errors_as_lines(table):
         if table is not None:
@@ -73,7 +76,7 @@ def probe(files: tuple[Path, ...], points: tuple[str, ...], lines: tuple[str, ..
 
 def _parse_probes(given: Mapping[str, Sequence[str]]) -> list[Probe]:
     """Probes of the command line, named by their kind and number."""
-    from ddic.probes.probe_file import parse_probe
+    from ddic.probes.probes import parse_probe
 
     return [parse_probe(kind, f"{kind} {number}", text) for kind, texts in given.items()
             for number, text in enumerate(texts, start=1)]
@@ -85,7 +88,7 @@ def _show(records: Sequence[ProbeRecord]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from ddic.probes.probe_table import average_along
+    from ddic.probes.tables import average_along
 
     unit = records[0].unit
     table = Table(box=SIMPLE_HEAD)
@@ -115,3 +118,30 @@ def _show(records: Sequence[ProbeRecord]) -> None:
 def _write(value: float, how: str = "g") -> str:
     """A number, or a dash where there is none."""
     return "-" if value != value else format(value, how)  # noqa: PLR0124  nan alone
+
+
+@click.command()
+@click.argument("file", metavar="RESULT", type=click.Path(path_type=Path))
+@add_frame_option
+@click.option("--csv", "table", type=click.Path(path_type=Path, dir_okay=False), default=None,
+              help="NAME.csv for NAME.nodes.csv and NAME.cells.csv; by default named after RESULT (and "
+                   "its frame), beside it.")
+def export(file: Path, frame: int | None, table: Path | None) -> None:
+    """Write all fields of a result as two CSV tables, a row for each node and for each cell, units in the headers."""
+    # Imported here because HDF5 is not needed by --help.
+    from ddic.case.own_outputs import CELLS, NODES, require_own_output
+    from ddic.io.series_reader import read_frame
+    from ddic.probes.tables import list_field_tables, write_field_tables
+
+    of_frame = "" if frame is None else f".frame_{frame}"
+    target = file.parent / f"{file.stem}{of_frame}.csv" if table is None else table
+    with errors_as_lines(target):
+        if not target.name:
+            raise InputError("--csv: give the name of a table, results.csv for instance")
+        for path, kind in zip(list_field_tables(target), (NODES, CELLS), strict=True):
+            require_own_output(path, kind, (file,))
+        with warnings_as_lines():
+            result = read_frame(file, frame)
+        written = write_field_tables(target, result)
+    for path in written:
+        click.echo(path)

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import click
 
-from ddic.cli.errors_as_lines import errors_as_lines
-from ddic.cli.frame_option import add_frame_option
-from ddic.cli.warned import warnings_as_lines
+from ddic.cli.app import add_frame_option
+from ddic.cli.failures import errors_as_lines, warnings_as_lines
 
 
 @click.command()
@@ -25,8 +24,8 @@ def report(file: Path, image: Path | None, frame: int | None, output: Path | Non
     """
     # Imported here because matplotlib is not needed by --help.
     from ddic.case.own_outputs import PAGE, require_own_output
-    from ddic.io.frame_of_series import read_frame_or_last
-    from ddic.report.write_report import write_report
+    from ddic.io.series_reader import read_frame_or_last
+    from ddic.report.page import write_report
 
     target = file.parent / f"{file.stem}.report.html" if output is None else output
     with errors_as_lines(target), warnings_as_lines():

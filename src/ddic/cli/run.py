@@ -14,11 +14,9 @@ from typing import TYPE_CHECKING, TextIO
 
 import click
 
-from ddic.cli.address_space import prepare_workspaces
-from ddic.cli.failed_job import abort_quietly, show_failure
-from ddic.cli.failed_start import failures_as_lines
-from ddic.cli.kept_imports import imports_kept
-from ddic.cli.standard_output import take_closed_pipes_as_errors
+from ddic.cli.failed_start import failures_as_lines, take_closed_pipes_as_errors
+from ddic.cli.failures import abort_quietly, show_failure
+from ddic.cli.surroundings import imports_kept, prepare_workspaces
 from ddic.errors import ConvergenceError, InputError
 from ddic.io.input_file import is_readable_file
 from ddic.io.replace_on_exit import remove_unfinished
@@ -102,9 +100,9 @@ def _start(petsc_options: tuple[str, ...], stop: StopRequest) -> Team:
     with _no_needless_networks():
         petsc4py.init(["ddic", *petsc_options])
     take_closed_pipes_as_errors()
-    import ddic.methods.run_case
+    import ddic.methods.run
     import ddic.results.listener
-    import ddic.solvers.unused_options
+    import ddic.solvers.petsc
     from ddic.mesh.raster import prepare_kernels
     from ddic.parallel.team import Team
 
@@ -139,7 +137,7 @@ def _no_needless_networks() -> Iterator[None]:
 
 def _run_everywhere(team: Team, case_file: Path, petsc_options: tuple[str, ...], *, resume: bool) -> int:
     """Run on all ranks; an error that only this rank has ends the job."""
-    from ddic.methods.run_case import run_file
+    from ddic.methods.run import run_file
     from ddic.results.listener import Silence
 
     try:
@@ -159,7 +157,7 @@ def _run_everywhere(team: Team, case_file: Path, petsc_options: tuple[str, ...],
 
 def _warn_of_unused_options(team: Team, petsc_options: tuple[str, ...]) -> None:
     """Tell once which options of PETSc changed nothing; collective."""
-    from ddic.solvers.unused_options import list_unused_options
+    from ddic.solvers.petsc import list_unused_options
 
     for option in list_unused_options(team, petsc_options):
         if team.is_root:

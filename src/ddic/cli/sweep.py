@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ddic.cli.failed_job import abort_quietly, show_failure
-from ddic.cli.standard_output import take_closed_pipes_as_errors
+from ddic.cli.failed_start import take_closed_pipes_as_errors
+from ddic.cli.failures import abort_quietly, show_failure
 from ddic.errors import InputError, is_disk_failure
 
 if TYPE_CHECKING:
     from ddic.parallel.team import Team
-    from ddic.results.sweep_trials import Sweep
+    from ddic.results.sweep import Sweep
 
 LOG_WIDTH = 160
 """Characters of a row where nobody watches."""
@@ -68,7 +68,7 @@ def _try_all(team: Team, case_file: Path, lengths: list[float] | None, elements:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-    from ddic.api.choose_regularization import choose_regularization
+    from ddic.api.studies import choose_regularization
     from ddic.cli.console import is_on_terminal
 
     columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))
@@ -85,11 +85,10 @@ def _try_all(team: Team, case_file: Path, lengths: list[float] | None, elements:
 
 def _write(found: Sweep, folder: Path, stem: str) -> list[str]:
     """Write table and figure; returns the lines that say what was found and where it is."""
-    from ddic.io.made_folder import made_folder
-    from ddic.io.plots.canvas import save_figure
-    from ddic.io.plots.sweep_curves import draw_sweep
-    from ddic.io.replace_on_exit import replaced_together
-    from ddic.results.sweep_table import collect_by_size, list_failures, write_sweep
+    from ddic.io.replace_on_exit import made_folder, replaced_together
+    from ddic.plots.canvas import save_figure
+    from ddic.plots.sweep import draw_sweep
+    from ddic.results.sweep import collect_by_size, list_failures, write_sweep
 
     table, figure = _list_outputs(folder, stem)
     best = found.best
@@ -111,7 +110,7 @@ def _check_outputs(case_file: Path, folder: Path) -> None:
     """Refuse outputs that would replace an input."""
     from ddic.case.loader import load_case
     from ddic.case.own_outputs import PICTURE, TRIALS, require_own_output
-    from ddic.problem.check_output import list_inputs
+    from ddic.check.output import list_inputs
 
     for path, kind in zip(_list_outputs(folder, case_file.stem), (TRIALS, PICTURE), strict=True):
         require_own_output(path, kind, list_inputs(load_case(case_file)))
@@ -128,7 +127,7 @@ def _print_table(found: Sweep) -> None:
     from rich.table import Table
 
     from ddic.cli.console import is_on_terminal
-    from ddic.results.sweep_table import COLUMNS, format_rows
+    from ddic.results.sweep import COLUMNS, format_rows
 
     table = Table(box=None, header_style="bold", pad_edge=False)
     for name in COLUMNS:

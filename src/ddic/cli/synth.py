@@ -1,19 +1,282 @@
-"""``ddic synth``: image pairs whose displacement is known exactly."""
+"""``ddic synth``: image pairs whose displacement is known exactly.
+
+Options and helpers that the commands of ``ddic synth`` share.
+
+``ddic synth near-far``: two image pairs of one specimen at different magnifications.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Unpack
+import json
+import os
+import re
+import stat
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, Unpack
 
 import click
 
-from ddic.cli.synth_near_far import near_far
-from ddic.cli.synth_options import ImageOptions, add_image_options, write_images
+from ddic.errors import InputError, WriteError, is_disk_failure
+from ddic.io.image_header import MOST_PIXELS_ALONG
 
 if TYPE_CHECKING:
-    from ddic.synth.fields import DisplacementField
-    from ddic.synth.hole import Hole
+    from ddic.io.replace_on_exit import NewFiles
+    from ddic.synth.fields import DisplacementField, Hole
+    from ddic.synth.near_far_scene import NearFarScene
+    from ddic.synth.render import Picture
+
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+Size = tuple[int, int]
+
+
+class ImageOptions(TypedDict):
+    """The options that every kind of field shares."""
+
+    size: Size
+    bit_depth: str
+    noise: float
+    seed: int
+    speckle_size: float
+    output: Path
+
+
+def parse_size(_context: click.Context, _option: click.Parameter, text: str | None) -> Size | None:
+    """Turn "640x480" into (640, 480); None stays None.
+
+    Parameters
+    ----------
+    _context : Context
+        Of click.
+    _option : Parameter
+        Of click.
+    text : str or None
+        WIDTHxHEIGHT.
+
+    Returns
+    -------
+    (int, int) or None
+        Pixels.
+
+    Raises
+    ------
+    BadParameter
+        Where it is no such text.
+    """
+    if text is None:
+        return None
+    match = re.fullmatch(r"([1-9]\d*)[xX]([1-9]\d*)", text)
+    if match is None:
+        raise click.BadParameter(f"{text!r} is not WIDTHxHEIGHT in pixels, for instance 640x480")
+    # Not int() first: Python takes no more than 4300 digits.
+    if max(map(len, match.groups())) > len(str(MOST_PIXELS_ALONG)) or max(map(int, match.groups())) > MOST_PIXELS_ALONG:
+        raise click.BadParameter(f"images have {MOST_PIXELS_ALONG} columns and rows at most")
+    return int(match[1]), int(match[2])
+
+
+def add_image_options(size: str, files: str) -> Callable[[Command], Command]:
+    """Make a decorator that adds the options of ImageOptions.
+
+    Parameters
+    ----------
+    size : str
+        Default of --size.
+    files : str
+        What --output will hold.
+
+    Returns
+    -------
+    callable
+        The decorator.
+    """
+    options = (
+        click.option("--size", callback=parse_size, default=size, show_default=True,
+                     metavar="WIDTHxHEIGHT", help="Size, pixels."),
+        click.option("--bit-depth", type=click.Choice(["8", "16", "32"]), default="8", show_default=True,
+                     help="8 or 16 bit, or 32 for float values on the scale 0..255."),
+        click.option("--noise", type=float, default=0.0, show_default=True,
+                     help="Standard deviation of the noise of all images, 8-bit grey levels."),
+        click.option("--seed", type=int, default=0, show_default=True, help="Seed of speckle and noise."),
+        click.option("--speckle-size", type=float, default=1.0, show_default=True,
+                     help="Magnification of the speckle; 1 has spots of about 5 px."),
+        click.option("--output", type=click.Path(file_okay=False, path_type=Path), required=True,
+                     help=f"Folder for {files}."),
+    )
+
+    def add(command: Command) -> Command:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return add
+
+
+def write_images(folder: Path, names: Sequence[str], record: dict[str, Any],
+                 render: Callable[[NewFiles], object]) -> None:
+    """Write images and their truth, all or nothing, and say where they are.
+
+    Images that are there already are replaced only where a command like this one made them and no case file beside
+    them or in the folder above names them, or by the same ones.
+
+    Parameters
+    ----------
+    folder : Path
+        Made where it is not there.
+    names : sequence of str
+        Of the images.
+    record : dict
+        Content of truth.json.
+    render : callable
+        Begins the images in the files that it is given, and writes them.
+
+    Raises
+    ------
+    InputError
+        Where other files have these names, or the folder cannot be made or written to.
+    WriteError
+        Where the disk does not take the files.
+    """
+    from ddic.io.replace_on_exit import made_folder, replaced_together
+    from ddic.io.text_files import write_json
+
+    truth = folder / "truth.json"
+    paths = [*(folder / name for name in names), truth]
+    try:
+        _require_free(paths, record)
+        with made_folder(folder), replaced_together() as files:
+            render(files)
+            write_json(truth, record, files)
+    except OSError as error:
+        if is_disk_failure(error):
+            raise WriteError(f"{error.filename or folder}: cannot be written to ({error.strerror}); nothing was "
+                             "written; make room, or choose another --output") from error
+        raise InputError(f"--output {folder}: {error.strerror}; choose a writable folder") from error
+    for path in paths:
+        click.echo(path)
+
+
+def _require_free(paths: Sequence[Path], record: dict[str, Any]) -> None:
+    """Raise InputError where a file is there, unless all are of an earlier command like this one, and no case's."""
+    from ddic.case.own_outputs import require_no_input
+    from ddic.io.text_files import convert_to_json
+
+    taken = [path for path in paths if os.path.lexists(path)]
+    if not taken:
+        return
+    is_set = len(taken) == len(paths) and all(map(_is_plain, taken))
+    # A device may have no end.
+    before = _read_truth(paths[-1]) if is_set else {}
+    is_set = before.get("format") == record["format"]
+    if is_set and before == json.loads(json.dumps(convert_to_json(record))):
+        # The same images again.
+        return
+    for path in paths:
+        require_no_input(path)
+    if not is_set or ("near" in before) != ("near" in record):
+        raise InputError(f"{taken[0]}: is there already, and not of a whole set that ddic synth made; remove it, or "
+                         "choose another --output")
+
+
+def _is_plain(path: Path) -> bool:
+    """Whether a file has one name and is no link."""
+    status = path.lstat()
+    return stat.S_ISREG(status.st_mode) and status.st_nlink == 1
+
+
+def _read_truth(path: Path) -> dict[str, Any]:
+    """What a truth file holds; nothing where it is none."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
 
 Pair = tuple[float, float]
+_FILES = "far_reference.tif, far_deformed.tif, near_reference.tif, near_deformed.tif and truth.json"
+
+
+@click.command("near-far")
+@click.option("--ratio", type=float, default=5.0, show_default=True, help="Near pixels per far pixel.")
+@click.option("--near-center", type=float, nargs=2, default=None,
+              help="Of the near field, x y, far px.  [default: beside the hole, its right edge inside]")
+@click.option("--near-angle", type=float, default=0.0, show_default=True,
+              help="Of the near picture against the far one, from x towards y, degrees.")
+@click.option("--tilt", type=float, nargs=2, default=(0.0, 0.0), show_default=True,
+              help="Of the near camera: how much farther, as a fraction, the specimen is at the near field's right "
+                   "and lower edge than at its centre.")
+@click.option("--alpha", type=float, nargs=2, default=(3.7, -2.2), show_default=True,
+              help="Translation of the near set-up between its two pictures, far px.")
+@click.option("--rotation", type=float, default=0.0, show_default=True,
+              help="Rotation of the near set-up between its two pictures, about the near field's centre, degrees.")
+@click.option("--center", type=float, nargs=2, default=None,
+              help="Of the hole, x y, far px.  [default: the far image's centre]")
+@click.option("--radius", type=float, default=None,
+              help="Of the hole, far px.  [default: a tenth of the far image's shorter side]")
+@click.option("--strain", type=float, default=0.005, show_default=True, help="Far-field stress over Young's modulus.")
+@click.option("--poisson-ratio", type=float, default=0.3, show_default=True)
+@click.option("--translation", type=float, nargs=2, default=(0.0, 0.0), show_default=True,
+              help="Rigid displacement of the specimen, far px.")
+@click.option("--size-far", callback=parse_size, metavar="WIDTHxHEIGHT", help="Of the far images.  [default: --size]")
+@click.option("--size-near", callback=parse_size, metavar="WIDTHxHEIGHT",
+              help="Of the near images.  [default: --size]")
+@click.option("--noise-far", type=float, default=None, help="Of the far images, grey levels.  [default: --noise]")
+@click.option("--noise-near", type=float, default=None, help="Of the near images, grey levels.  [default: --noise]")
+@click.option("--fine-share", type=float, default=0.4, show_default=True,
+              help="Of the fine speckles in the near images' contrast, 0 to 1.")
+@add_image_options("1392x1040", _FILES)
+def near_far(ratio: float, near_center: Pair | None, near_angle: float, tilt: Pair, alpha: Pair, rotation: float,
+             center: Pair | None, radius: float | None, strain: float, poisson_ratio: float, translation: Pair,
+             size_far: Size | None, size_near: Size | None, noise_far: float | None, noise_near: float | None,
+             fine_share: float, **image: Unpack[ImageOptions]) -> None:
+    """Pull a plate with a circular hole along y before two cameras of different magnification.
+
+    The far images show coarse speckles of about 5 far px; the near ones the same and fine ones of about 5 near px.
+    The specimen's frame is the far reference image.
+    """
+    from ddic.synth.fields import Hole, Kirsch
+    from ddic.synth.near_far_scene import (
+        NearCamera,
+        SetUpMotion,
+        build_near_far_scene,
+        build_near_mapping,
+        place_beside_hole,
+    )
+    from ddic.synth.speckle import two_scale_texture
+
+    far = _picture(image, size_far, noise_far)
+    near = _picture(image, size_near, noise_near)
+    center = center or far.middle
+    radius = min(far.width, far.height) / 10 if radius is None else radius
+    field = Kirsch(center, radius, strain, poisson_ratio, translation)
+    focus = near_center or place_beside_hole(center, radius, ratio, near)
+    mapping = build_near_mapping(ratio, focus, near, near_angle, tilt)
+    camera = NearCamera(mapping, SetUpMotion(alpha, rotation, focus), near)
+    texture = two_scale_texture(ratio, image["seed"], image["speckle_size"], fine_share)
+    _write(image, build_near_far_scene(texture, field, Hole(center, radius), far, camera))
+
+
+def _picture(image: ImageOptions, size: Size | None, noise: float | None) -> Picture:
+    """A camera's picture; size, noise: its own, or None for those of both cameras."""
+    from ddic.synth.render import Digitiser, Picture
+
+    width, height = size or image["size"]
+    level = image["noise"] if noise is None else noise
+    digitiser = Digitiser(int(image["bit_depth"]), level, image["seed"])
+    return Picture(width, height, digitiser)
+
+
+def _write(image: ImageOptions, scene: NearFarScene) -> None:
+    """Write the images and the truth."""
+    from ddic.synth.near_far_scene import FAR_FILES, NEAR_FILES, write_near_far
+    from ddic.synth.truth import describe_near_far
+
+    folder = image["output"]
+    write_images(folder, [*FAR_FILES, *NEAR_FILES], describe_near_far(scene),
+                 lambda files: write_near_far(folder, scene, files))
+
+
 _pair_options = add_image_options("512x512", "reference.tif, deformed.tif and truth.json")
 
 
@@ -92,8 +355,7 @@ def sinusoidal(offset: Pair, amplitude: Pair, wavelength_x: Pair, wavelength_y: 
 def kirsch(center: Pair | None, radius: float | None, strain: float, poisson_ratio: float,
            translation: Pair, draw_hole: bool, **image: Unpack[ImageOptions]) -> None:
     """Pull a plate with a circular hole along y (Kirsch's solution)."""
-    from ddic.synth.hole import Hole
-    from ddic.synth.kirsch import Kirsch
+    from ddic.synth.fields import Hole, Kirsch
 
     center = center or _middle(image)
     radius = min(image["size"]) / 10 if radius is None else radius
@@ -125,10 +387,8 @@ def _middle(image: ImageOptions) -> Pair:
 
 def _generate(field: DisplacementField, hole: Hole | None, image: ImageOptions) -> None:
     """Write the two images and the truth."""
-    from ddic.synth.digitise import Digitiser
-    from ddic.synth.picture import Picture
-    from ddic.synth.render import Scene, write_pair
-    from ddic.synth.speckle_texture import SpeckleTexture
+    from ddic.synth.render import Digitiser, Picture, Scene, write_pair
+    from ddic.synth.speckle import SpeckleTexture
     from ddic.synth.truth import describe_pair
 
     width, height = image["size"]

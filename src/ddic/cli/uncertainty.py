@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ddic.cli.errors_as_lines import errors_as_lines
-from ddic.cli.standard_output import take_closed_pipes_as_errors
+from ddic.cli.failed_start import take_closed_pipes_as_errors
+from ddic.cli.failures import errors_as_lines
 from ddic.errors import InputError
 
 if TYPE_CHECKING:
-    from ddic.api.known_displacements import Uncertainty
+    from ddic.api.studies import Uncertainty
 
 
 @click.command()
@@ -34,16 +34,15 @@ def uncertainty(case_file: Path, sizes: str, displacements: int, noise: float, o
     CASE.uncertainty.png; of a large image its middle is taken.
     """
     # Imported here because they bring numba, PETSc and matplotlib, which --help does not need.
-    from ddic.api.known_displacements import BASES, estimate_uncertainty
+    from ddic.api.studies import BASES, estimate_uncertainty
     from ddic.case.loader import load_case
     from ddic.case.own_outputs import PICTURE, UNCERTAINTY, require_own_output
+    from ddic.check.output import list_inputs
     from ddic.images.window import Window
     from ddic.io.image_file import open_image
-    from ddic.io.made_folder import made_folder
-    from ddic.io.plots.canvas import save_figure
-    from ddic.io.plots.uncertainty_curves import draw_uncertainty
-    from ddic.io.replace_on_exit import replaced_together
-    from ddic.problem.check_output import list_inputs
+    from ddic.io.replace_on_exit import made_folder, replaced_together
+    from ddic.plots.canvas import save_figure
+    from ddic.plots.curves import draw_uncertainty
 
     folder = case_file.parent if output is None else output
     table, figure = (folder / f"{case_file.stem}.uncertainty.{ending}" for ending in ("csv", "png"))
@@ -80,7 +79,7 @@ def _parse_sizes(text: str) -> list[float]:
 
 def _write(found: Uncertainty, path: Path) -> None:
     """A row for each kind, element size, displacement and basis."""
-    from ddic.api.known_displacements import BASES
+    from ddic.api.studies import BASES
 
     with path.open("w", newline="", encoding="utf-8") as stream:
         table = csv.writer(stream)
@@ -94,7 +93,7 @@ def _write(found: Uncertainty, path: Path) -> None:
 
 def _list(found: Uncertainty) -> list[str]:
     """Lines of a table: standard deviations, the largest over displacements."""
-    from ddic.api.known_displacements import BASES
+    from ddic.api.studies import BASES
 
     lines = ["standard deviation of the displacement [px], the largest over displacements",
              f"{'displacements':<16}{'elements':<12}" + "".join(f"{size:>9g} px" for size in found.sizes)]

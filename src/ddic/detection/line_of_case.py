@@ -13,16 +13,16 @@ from ddic.detection.find_line import Detection, find_line
 from ddic.detection.refine_line import SEARCHED, find_move, refine_line
 from ddic.detection.refine_tip import find_tip_move
 from ddic.errors import ConvergenceError, FactorizationError, SingularSubdomainError
-from ddic.fracture.williams_series import find_kolosov_constant
-from ddic.functionals.elasticity import Material
-from ddic.kinematics.discontinuities import Discontinuities
+from ddic.fracture.crack_tip import find_kolosov_constant
+from ddic.functionals.regularization import Material
+from ddic.inputs.cameras import Frame
+from ddic.inputs.inputs import Inputs
+from ddic.kinematics.enriched import Discontinuities
 from ddic.kinematics.tip_functions import Tip, find_tips
 from ddic.mesh.cut_mesh import CutMesh
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.polyline import measure_distance
-from ddic.problem.cameras import Frame
+from ddic.mesh.plane import measure_distance
 from ddic.problem.cut_region import cut_by_lines, list_discontinuities, list_tip_functions
-from ddic.problem.inputs import Inputs
 from ddic.start.coarse_displacement import CutField
 from ddic.start.given_start import extrapolate
 from ddic.start.independent import Images

@@ -13,14 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.detection.both_sides import compute_residuals
+from ddic.detection.refine_line import compute_residuals
 from ddic.errors import ConvergenceError
-from ddic.fracture.williams_series import evaluate_williams_series
+from ddic.fracture.crack_tip import evaluate_williams_series
 from ddic.functionals.line_band import BAND
 from ddic.images.window import Window
 from ddic.kinematics.tip_functions import Tip
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.polyline import measure_distance
+from ddic.mesh.plane import measure_distance
 from ddic.mesh.quality import measure_cell_size
 from ddic.mesh.topology import find_boundary_nodes
 from ddic.start.coarse_displacement import CutField

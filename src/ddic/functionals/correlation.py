@@ -1,28 +1,261 @@
-"""Grey-level conservation f(x) = g(x + u(x)) on one subdomain: M, b and the residual, Eq. 5 of [BP17]."""
+"""Grey-level conservation f(x) = g(x + u(x)) on one subdomain: M, b and the residual, Eq. 5 of [BP17].
+
+Images as the pixel kernels take them: flat arrays, the same types whether or not anything is excluded.
+
+Cells that a displacement tears apart, as one node that is held by nothing does to those around it.
+
+The gradient of the deformed image where the displacement puts a pixel: F^-T grad f, F = I + grad u.
+
+Gauss-Newton takes grad f for it, which is enough where little turns or stretches. By 10 % it converges slower, by a
+rotation of 60 degrees not at all.
+
+From meshes and a reference image to subdomains with their pixels.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.errors import InputError
 from ddic.functionals import pixel_kernels as kernels
 from ddic.functionals.grey_statistics import GreySums
-from ddic.functionals.kernel_images import convert_deformed, convert_reference
-from ddic.functionals.moved_gradient import compute_inverse_deformations, map_hessians, map_moments
-from ddic.functionals.torn_cells import find_torn_cells
-from ddic.images.spline import GradientImage
-from ddic.images.sub_image import DeformedSubImage, MaskedSource
+from ddic.functionals.line_band import find_band_pixels
+from ddic.functionals.pixel_kernels import DeformedPixels, ReferencePixels
+from ddic.images.spline import HALO, PADDING, GradientImage, SplineImage
+from ddic.images.sub_image import DeformedSubImage, MaskedSource, read_reference
 from ddic.images.threads import ONE_THREAD, Threads
-from ddic.images.window import Window
-from ddic.kinematics.cell_interpolation import CellInterpolation
-from ddic.mesh.mesh import Mesh
-from ddic.mesh.raster import Raster
-from ddic.mesh.shapes import pad_cells
+from ddic.images.window import Window, merge_windows
+from ddic.kinematics.cell_interpolation import CellInterpolation, interpolate_cells
+from ddic.kinematics.strain import compute_displacement_gradients
+from ddic.mesh.mesh import Mesh, pad_cells
+from ddic.mesh.raster import Raster, rasterize
+
+_NOTHING_EXCLUDED = np.zeros((0, 0), dtype=np.uint8)
+
+
+def convert_reference(f: GradientImage) -> ReferencePixels:
+    """Convert a window of the reference image; its arrays are not copied.
+
+    Parameters
+    ----------
+    f : GradientImage
+        f and grad f.
+
+    Returns
+    -------
+    ReferencePixels
+        The same.
+    """
+    return ReferencePixels(_flatten(f.values), _flatten(f.by_x), _flatten(f.by_y), _count_row_length(f.values),
+                           f.window.x0, f.window.y0, _or_nothing(f.usable))
+
+
+def convert_deformed(g: SplineImage, extent: Window) -> DeformedPixels:
+    """Convert a window of the deformed image; its arrays are not copied.
+
+    Parameters
+    ----------
+    g : SplineImage
+        Coefficients of g.
+    extent : Window
+        The whole image.
+
+    Returns
+    -------
+    DeformedPixels
+        The same.
+    """
+    return DeformedPixels(_flatten(g.coefficients), _count_row_length(g.coefficients), g.degree,
+                          g.window.x0, g.window.y0, _or_nothing(g.usable), extent.width, extent.height)
+
+
+def _flatten(image: NDArray[Any]) -> NDArray[Any]:
+    """An image (height, width), or a part of one, as one sequence of rows of ``_count_row_length``."""
+    if image.flags.c_contiguous:
+        return image.reshape(-1)
+    height, width = image.shape
+    n = (height - 1) * _count_row_length(image) + width
+    return as_strided(image, (n,), (image.itemsize,))
+
+
+def _count_row_length(image: NDArray[Any]) -> int:
+    """Numbers from one row of an image, or of a part of one, to the next."""
+    return int(image.strides[0] // image.itemsize)
+
+
+def _or_nothing(usable: NDArray[np.uint8] | None) -> NDArray[np.uint8]:
+    """An array whether or not anything is excluded, so that kernels are compiled once."""
+    return _NOTHING_EXCLUDED if usable is None else usable
+
+
+TORN_SIZES, TORN_PIXELS = 4.0, 32.0
+"""Sizes of a cell, and pixels beside these, by which displacements of its nodes must differ for it to be torn. No
+specimen deforms like that: a cell that turns over differs by two sizes. Larger ones let a node that runs away pull in
+more of the image."""
+
+
+def find_torn_cells(mesh: Mesh, u: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Find the cells whose nodes are displaced so differently that their pixels can be nowhere in the image.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        In the image's pixels.
+    u : (n_nodes, dim) array
+        Displacement, pixels.
+
+    Returns
+    -------
+    (n,) array of int64
+        Their sorted numbers.
+    """
+    # One component after the other: numpy is slow where it looks for the least of pairs.
+    if np.ptp(np.ascontiguousarray(u.T), axis=1).max() <= TORN_PIXELS:
+        return np.zeros(0, np.int64)
+    cells = pad_cells(mesh)
+    size = np.ptp(mesh.nodes[cells], axis=1).max(axis=1)
+    difference = np.ptp(u[cells], axis=1).max(axis=1)
+    return np.flatnonzero(difference > TORN_PIXELS + TORN_SIZES * size).astype(np.int64)
+
+
+Array = NDArray[np.float64]
+
+LARGE = 0.1
+"""Norm of F - I from which on F^-T grad f is taken for the gradient. A larger value costs iterations, a smaller one
+operators that only fit one image."""
+
+LARGE_SHARE = 0.02
+"""Share of all pixels from which on so large gradients count. A few cells may be a crack that continuous elements
+smear, where the images turn and stretch nowhere. A larger share leaves more to slow convergence."""
+
+LEAST_AREA, LARGEST_STRETCH = 0.2, 3.0
+"""Least det F, and largest norm of F, of a cell whose displacement is believed. Others keep grad f."""
+
+
+def compute_inverse_deformations(mesh: Mesh, u: Array) -> Array:
+    """Compute F^-1 at the centre of every cell.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Any, in the image's pixels.
+    u : (n_dofs,) array
+        Nodal displacement, pixels.
+
+    Returns
+    -------
+    (n_cells, dim, dim) array
+        No unit; the identity where a cell is folded, or stretched more than can be believed.
+    """
+    identity = np.eye(mesh.dim)
+    deformation = identity + compute_displacement_gradients(mesh, u)
+    believed = _is_believed(deformation)
+    inverse = np.tile(identity, (mesh.n_cells, 1, 1))
+    inverse[believed] = np.linalg.inv(deformation[believed])
+    return inverse
+
+
+def find_large_gradients(mesh: Mesh, u: Array) -> NDArray[np.bool_]:
+    """Find the cells that have turned or stretched by much.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Any, in the image's pixels.
+    u : (n_dofs,) array
+        Nodal displacement, pixels.
+
+    Returns
+    -------
+    (n_cells,) array of bool
+        Whether a cell's norm of F - I is above ``LARGE``, and its displacement is believed.
+    """
+    gradients = compute_displacement_gradients(mesh, u)
+    is_large = np.asarray(np.linalg.norm(gradients, axis=(1, 2)) > LARGE)
+    if is_large.any():
+        is_large &= _is_believed(np.eye(mesh.dim) + gradients)
+    return is_large
+
+
+def measure_deformation(before: Array | None, now: Array | None) -> float:
+    """Measure how much the cells have turned and stretched.
+
+    Parameters
+    ----------
+    before : (n_cells, dim, dim) array or None
+        F^-1 of each cell then; None for the identity.
+    now : (n_cells, dim, dim) array or None
+        F^-1 of each cell now; None for the identity.
+
+    Returns
+    -------
+    float
+        Largest norm of F_before^-1 F_now - I.
+    """
+    if now is None:
+        return 0.0 if before is None else _find_largest(before)
+    deformation = np.linalg.inv(now)
+    return _find_largest(deformation if before is None else before @ deformation)
+
+
+def _find_largest(deformation: Array) -> float:
+    """Largest norm of F - I."""
+    change = deformation - np.eye(deformation.shape[-1])
+    return float(np.linalg.norm(change, axis=(1, 2)).max(initial=0.0))
+
+
+def map_moments(inverse: Array, moments: Array) -> Array:
+    """Turn sums of grad f into those of F^-T grad f.
+
+    Parameters
+    ----------
+    inverse : (n_cells, dim, dim) array
+        F^-1 of each cell.
+    moments : (n_cells, n_kinds, dim, n_monomials) array
+        Sums of something times grad f.
+
+    Returns
+    -------
+    (n_cells, n_kinds, dim, n_monomials) array
+        Sums of the same times F^-T grad f.
+    """
+    return np.asarray(np.einsum("eji,ekjm->ekim", inverse, moments, optimize=True))
+
+
+def map_hessians(inverse: Array, hessians: Array) -> Array:
+    """Turn sums of grad f grad f^T into those of F^-T grad f grad f^T F^-1.
+
+    Parameters
+    ----------
+    inverse : (n_cells, dim, dim) array
+        F^-1 of each cell.
+    hessians : (n_cells, n, n) array
+        M_e, node-major.
+
+    Returns
+    -------
+    (n_cells, n, n) array
+        M_e with the other gradient.
+    """
+    n_cells, n, _ = hessians.shape
+    dim = inverse.shape[-1]
+    blocks = hessians.reshape(n_cells, n // dim, dim, n // dim, dim)
+    turned = np.einsum("eki,eakbl,elj->eaibj", inverse, blocks, inverse, optimize=True)
+    return np.asarray(turned.reshape(n_cells, n, n))
+
+
+def _is_believed(deformation: Array) -> NDArray[np.bool_]:
+    sizes = np.linalg.norm(deformation, axis=(1, 2))
+    return np.asarray((np.linalg.det(deformation) >= LEAST_AREA) & (sizes <= LARGEST_STRETCH * np.sqrt(2)))
+
 
 FEWEST = 128
 """Cells of a thread's slice, some 0.2 ms: handing it over and the kernel's scratch arrays cost a tenth of that.
@@ -479,3 +712,113 @@ class Correlation:
     def _reference_pixels(self) -> kernels.ReferencePixels:
         """The reference image as kernels take it; kept, because on a small subdomain it would cost some per cent."""
         return convert_reference(self.reference)
+
+
+VISITED_ROWS = 32
+"""Height, pixels, of the bands in which cells are visited: of 16-px cells two rows. With a larger one, neighbours in a
+row are further apart in time and share fewer lines of the cache; with a smaller one, those of a column do."""
+
+
+def read_correlation(mesh: Mesh, reference: MaskedSource, degree: int) -> Correlation:
+    """Rasterise a subdomain's mesh and read its window of the reference image.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        In the image's pixels.
+    reference : MaskedSource
+        The reference image.
+    degree : int
+        Of the spline, 3 or 5.
+
+    Returns
+    -------
+    Correlation
+        Of the subdomain.
+
+    Raises
+    ------
+    InputError
+        Where a pixel of the mesh lies outside the image.
+    """
+    return read_correlations([mesh], reference, degree)[0][0]
+
+
+def read_correlations(meshes: Sequence[Mesh], reference: MaskedSource, degree: int,
+                      threads: Threads = ONE_THREAD) -> list[list[Correlation]]:
+    """Rasterise several subdomains' meshes and read their windows of the reference image.
+
+    Neighbours share a window where it holds fewer pixels than their own ones, whose edges and halos overlap.
+
+    Parameters
+    ----------
+    meshes : sequence of Mesh
+        In the image's pixels.
+    reference : MaskedSource
+        The reference image.
+    degree : int
+        Of the spline, 3 or 5.
+    threads : Threads
+        Of all that is done with the subdomains' pixels.
+
+    Returns
+    -------
+    list of lists of Correlation
+        Groups, in the meshes' order, that share a window of the image.
+
+    Raises
+    ------
+    InputError
+        Where a pixel of a mesh lies outside the image.
+    """
+    rasters = [rasterize(mesh) for mesh in meshes]
+    windows = [raster.window for raster in rasters]
+    extent = reference.extent
+    if not all(extent.contains(window) for window in windows):
+        raise InputError(f"{reference.image.path}: pixels of the mesh lie outside the image "
+                         f"({extent.width} x {extent.height} px); move or cut the mesh")
+    groups: list[list[Correlation]] = []
+    for common, members in merge_windows(windows, HALO[degree] + PADDING[degree]):
+        image = read_reference(reference, common, degree, threads)
+        groups.append([])
+        for k in members:
+            own = _without_band(meshes[k], rasters[k], image.restrict(windows[k]), degree)
+            groups[-1].append(_build_correlation(meshes[k], rasters[k], own, reference, threads))
+    return groups
+
+
+def restrict_to_cells(whole: Correlation, cells: NDArray[np.int64]) -> Correlation:
+    """Take some of a subdomain's cells alone, with the same window of the image.
+
+    Parameters
+    ----------
+    whole : Correlation
+        The subdomain.
+    cells : (n,) int64 array
+        Their numbers.
+
+    Returns
+    -------
+    Correlation
+        Of these cells.
+    """
+    mesh, _ = whole.mesh.create_submesh(cells)
+    return _build_correlation(mesh, rasterize(mesh), whole.reference, whole.source, whole.threads)
+
+
+def _build_correlation(mesh: Mesh, raster: Raster, image: GradientImage, source: MaskedSource,
+                       threads: Threads) -> Correlation:
+    """A subdomain whose cells are visited in bands of rows."""
+    x, y = mesh.centroids.T
+    order = np.lexsort((x, y // VISITED_ROWS)).astype(np.int64)
+    return Correlation(mesh, interpolate_cells(mesh), raster, image, source, order, threads)
+
+
+def _without_band(mesh: Mesh, raster: Raster, image: GradientImage, degree: int) -> GradientImage:
+    """The window of the reference image with the pixels near a discontinuity left out."""
+    pixels, _ = find_band_pixels(mesh, raster, degree)
+    if not len(pixels):
+        return image
+    near = np.zeros(image.values.shape, dtype=bool)
+    near[pixels[:, 1] - image.window.y0, pixels[:, 0] - image.window.x0] = True
+    return image.exclude(near)

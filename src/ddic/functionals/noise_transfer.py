@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from ddic.functionals.correlation import Correlation
 from ddic.functionals.view import View
-from ddic.images.spline_noise import REACH, correlate_interpolation
+from ddic.images.noise import REACH, correlate_interpolation
 from ddic.images.window import Window
-from ddic.mesh.shapes import pad_cells
+from ddic.mesh.mesh import pad_cells
 
 Array = NDArray[np.float64]
 

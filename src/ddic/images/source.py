@@ -1,10 +1,15 @@
-"""What the rest of the program needs to know of an image, wherever its pixels come from."""
+"""What the rest of the program needs to know of an image, wherever its pixels come from.
+
+What stands in for pixels that are left out, so that what lies under a mask reaches no pixel beside it.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any, Protocol
 
+import cv2
+import numpy as np
 from numpy.typing import NDArray
 
 from ddic.images.window import Window
@@ -50,3 +55,83 @@ class ImageSource(Protocol):
             Grey levels in their own type.
         """
         ...
+
+
+def fill_excluded(pixels: NDArray[Any], usable: NDArray[np.uint8] | None) -> NDArray[Any]:
+    """Give pixels that do not count the value of the nearest one that does.
+
+    A prefilter passes every pixel on to its neighbours, and a jump rings further than a plateau. The fill depends on
+    the pixels that count alone: neither garbage nor black under a mask changes anything.
+
+    Parameters
+    ----------
+    pixels : (height, width) array
+        Grey levels.
+    usable : (height, width) array or None
+        0 where a pixel is left out. Pixels that are not finite are left out too.
+
+    Returns
+    -------
+    (height, width) array
+        Of the same type; the same array where nothing is left out. Zeros where no pixel counts.
+    """
+    absent = _find_absent(pixels, usable)
+    if absent is None or not absent.any():
+        return pixels
+    if absent.all():
+        return np.zeros_like(pixels)
+    # Each pixel that counts has a label, and the others have that of their nearest.
+    labels = cv2.distanceTransformWithLabels(absent.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5,
+                                             labelType=cv2.DIST_LABEL_PIXEL)[1]
+    values = np.empty(int(labels.max()) + 1, dtype=pixels.dtype)
+    values[labels[~absent]] = pixels[~absent]
+    filled = pixels.copy()
+    filled[absent] = values[labels[absent]]
+    return filled
+
+
+def _find_absent(pixels: NDArray[Any], usable: NDArray[np.uint8] | None) -> NDArray[np.bool_] | None:
+    absent = None if usable is None else usable == 0
+    if np.issubdtype(pixels.dtype, np.floating):
+        not_finite = ~np.isfinite(pixels)
+        absent = not_finite if absent is None else absent | not_finite
+    return absent
+
+
+def without_neighbours(usable: NDArray[np.uint8], before: int, after: int) -> NDArray[np.uint8]:
+    """Leave out the pixels that are interpolated from one that is left out.
+
+    Parameters
+    ----------
+    usable : (height, width) array
+        0 where a pixel is left out.
+    before, after : int
+        Pixels on either side, along both axes, that a value is interpolated from.
+
+    Returns
+    -------
+    (height, width) array
+        0 where one of them is left out; beyond the edge none is.
+    """
+    size = before + 1 + after
+    return np.asarray(cv2.erode(usable, np.ones((size, size), np.uint8), anchor=(before, before)), dtype=np.uint8)
+
+
+def without_cross(usable: NDArray[np.uint8], reach: int) -> NDArray[np.uint8]:
+    """Leave out the pixels whose slope along x or y is taken from one that is left out.
+
+    Parameters
+    ----------
+    usable : (height, width) array
+        0 where a pixel is left out.
+    reach : int
+        Pixels on either side, along one axis at a time.
+
+    Returns
+    -------
+    (height, width) array
+        0 where one of them is left out; beyond the edge none is.
+    """
+    cross = np.zeros((2 * reach + 1, 2 * reach + 1), np.uint8)
+    cross[reach, :] = cross[:, reach] = 1
+    return np.asarray(cv2.erode(usable, cross), dtype=np.uint8)

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.images.fill import fill_excluded, without_cross, without_neighbours
 from ddic.images.prefilter import TURNED, prefilter, prefilter_columns, write_column_slopes, write_row_slopes
-from ddic.images.source import ImageSource
+from ddic.images.source import ImageSource, fill_excluded, without_cross, without_neighbours
 from ddic.images.threads import ONE_THREAD, Threads
 from ddic.images.window import Window
 

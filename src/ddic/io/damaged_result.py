@@ -1,11 +1,20 @@
-"""What tells that a result file is damaged: it cannot be read, or what it holds is not of one piece."""
+"""What tells that a result file is damaged: it cannot be read, or what it holds is not of one piece.
+
+What tells that tables, products and attributes of a result file are damaged: they are not what they are read as.
+
+HDF5 files opened for reading, where the library does not turn in a loop over a damaged one.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import mmap
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import h5py
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +26,7 @@ from ddic.mesh.quality import measure_shape_quality
 
 if TYPE_CHECKING:
     from ddic.io.result_reader import Result
+
 
 READ_ERRORS = (OSError, RuntimeError, KeyError, ValueError, IndexError, TypeError, AttributeError, ArithmeticError,
                MemoryError)
@@ -243,3 +253,263 @@ def require_known_displacement(result: Result) -> None:
 
 def _least(values: NDArray[Any]) -> int:
     return int(values.min(initial=0))
+
+
+_NUMBERS = {
+    schema.CASE: (schema.NOISE_FLOOR, "eta", "largest_jump_px", "half_amplitude_shear_px",
+                  "half_amplitude_longitudinal_px"),
+    schema.UNITS: ("pixel_size",), schema.TIME: ("reference", "deformed"), schema.UNCERTAINTY: ("noise_grey",),
+}
+"""Attributes that are read as numbers, by group."""
+
+_LENGTHS = ("pixel_size", "half_amplitude_shear_px", "half_amplitude_longitudinal_px")
+"""Of these, what others divide by."""
+
+_LONGEST = 1e9
+"""Beyond which a length is damage: of a pixel in any unit, or of a wave in pixels."""
+
+_LISTS = ("discontinuity", "near")
+"""Sections of a case of which there may be several."""
+
+
+def require_sound_tables(tables: Mapping[str, Mapping[str, NDArray[Any]]]) -> None:
+    """Refuse tables whose columns are no numbers or do not have the same rows.
+
+    Parameters
+    ----------
+    tables : mapping of str to dict of (n,) arrays
+        Columns by name, of each group; those of the Krylov histories have each its own length.
+
+    Raises
+    ------
+    ValueError
+        With the table.
+    """
+    for group, columns in tables.items():
+        for name, values in columns.items():
+            kinds = "OSU" if (group, name) == (schema.PHASES, "phase") else "iuf"
+            if values.ndim != 1 or values.dtype.kind not in kinds:
+                raise ValueError(f"{group}/{name}: an array of {values.dtype}, shape {values.shape}")
+        if group != schema.KRYLOV and len({len(values) for values in columns.values()}) > 1:
+            raise ValueError(f"{group}: columns of different lengths")
+
+
+def require_sound_frames(times: NDArray[Any], numbers: NDArray[Any], records: Sequence[Any]) -> None:
+    """Refuse a series whose frames are not told of as they stand in the file.
+
+    Parameters
+    ----------
+    times, numbers : (n,) arrays
+        Of the frames that were measured.
+    records : sequence of dict
+        Of all frames.
+
+    Raises
+    ------
+    ValueError, TypeError, KeyError
+        With what is wrong.
+    """
+    if times.ndim != 1 or times.dtype.kind != "f" or times.shape != numbers.shape or not len(times):
+        raise ValueError(f"{schema.STEPS}: times of shape {times.shape} for frames of shape {numbers.shape}")
+    for record in records:
+        _require_number("the time of a frame", record["time"], is_length=False)
+        if not record["converged"]:
+            str(record["failure"])
+    told = {record["number"] for record in records if record["converged"]}
+    if not set(numbers.tolist()) <= told:
+        raise ValueError(f"{schema.SERIES}.numbers: {numbers.tolist()[:3]} and so on, of which not all are told of")
+
+
+def require_sound_products(data: Mapping[str, NDArray[Any]]) -> None:
+    """Refuse functions of x and y that make no displacement.
+
+    Parameters
+    ----------
+    data : dict of (...) arrays
+        Nodes, functions and amplitudes of PGD-DIC.
+
+    Raises
+    ------
+    ValueError
+        With what is wrong.
+    """
+    for name, values in data.items():
+        if values.dtype.kind != "f" or not np.isfinite(values).all():
+            raise ValueError(f"{schema.SEPARATED}/{name}: finite numbers expected")
+    for axis in "xy":
+        nodes = data[f"nodes_{axis}"]
+        if nodes.ndim != 1 or len(nodes) < 2 or not (np.diff(nodes) > 0).all():
+            raise ValueError(f"{schema.SEPARATED}/nodes_{axis}: ascending numbers expected")
+    amplitudes = data["amplitudes"]
+    wanted = {"amplitudes": (len(amplitudes), 2) if amplitudes.ndim else (0, 2),
+              **{axis: (*amplitudes.shape, len(data[f"nodes_{axis}"])) for axis in "xy"}}
+    for name, shape in wanted.items():
+        if data[name].shape != shape:
+            raise ValueError(f"{schema.SEPARATED}/{name}: an array of shape {data[name].shape}, {shape} expected")
+
+
+def require_sound_attributes(attributes: Mapping[str, Mapping[str, Any]]) -> None:
+    """Refuse attributes that others read as numbers or as a case and that are none.
+
+    Parameters
+    ----------
+    attributes : mapping
+        Of groups.
+
+    Raises
+    ------
+    ValueError, TypeError, KeyError
+        Where they are something else.
+    """
+    for group, values in attributes.items():
+        if group.startswith(schema.NEAR_PREFIX):
+            _require_motion(group, values)
+            continue
+        for name, value in values.items():
+            if np.ndim(value):
+                raise ValueError(f"{group}.{name}: {np.ndim(value)} dimensions, one value expected")
+    for group, names in _NUMBERS.items():
+        for name in names:
+            if name in attributes.get(group, {}):
+                _require_number(f"{group}.{name}", attributes[group][name], is_length=name in _LENGTHS)
+    _require_case(json.loads(str(attributes.get(schema.CASE, {}).get("json", "{}"))))
+
+
+def _require_number(name: str, value: Any, *, is_length: bool) -> None:
+    if np.asarray(value).dtype.kind not in "iuf":
+        raise ValueError(f"{name}: a number expected")
+    if is_length and not 0.0 <= float(value) <= _LONGEST:
+        raise ValueError(f"{name}: {value:g} is no length")
+
+
+def _require_motion(group: str, values: Mapping[str, Any]) -> None:
+    """Refuse a motion of a near set-up that is none."""
+    if "alpha_px" in values and np.asarray(values["alpha_px"], np.float64).shape != (2,):
+        raise ValueError(f"{group}.alpha_px: two numbers expected")
+    if "theta_rad" in values:
+        _require_number(f"{group}.theta_rad", values["theta_rad"], is_length=False)
+
+
+def _require_case(case: Any) -> None:
+    """Refuse what is no case: sections by name, of keys by name."""
+    if not isinstance(case, dict):
+        raise TypeError("case.json: sections expected")
+    for name, section in case.items():
+        inner = section if name in _LISTS and isinstance(section, list) else [section]
+        if name != "title" and not all(one is None or isinstance(one, dict) for one in inner):
+            raise ValueError(f"case.json: {name} is no section")
+    for section in case.get("discontinuity", ()):
+        vertices = np.array(section["vertices"], dtype=float)
+        if vertices.ndim != 2 or vertices.shape[1] != 2 or len(vertices) < 2 or not np.isfinite(vertices).all():
+            raise ValueError("case.json: a discontinuity has no vertices")
+
+
+_Extent = tuple[int, int]
+"""First byte and the one behind the last."""
+
+_SIGNATURE = b"GCOL\x01\x00\x00\x00"
+"""Of a global heap collection, which holds texts of variable length: HDF5 File Format Specification, section III.E."""
+
+_HEADER, _OBJECT = struct.Struct("<8sQ"), struct.Struct("<HHIQ")
+"""Signature and size of a collection; number, references, nothing and size of an object in it."""
+
+
+def open_hdf5(path: Path) -> h5py.File:
+    """Open an HDF5 file for reading.
+
+    The library reads a collection of texts object by object, and stays for ever at one of no size: where a disk has
+    left zeros, no time limit in this process ends it. All else that is damaged the library finds by itself. Hence
+    collections are looked through here, in what of the file is no array: a few hundred kilobytes of any result.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    h5py.File
+        Open; to be closed by the caller.
+
+    Raises
+    ------
+    InputError
+        Where a collection would hold the library for ever, or the objects of the file cannot be listed.
+    OSError
+        Where it cannot be opened, or is no HDF5 file.
+    """
+    file = h5py.File(path, "r")
+    try:
+        _require_finite(path, file)
+    except BaseException:
+        file.close()
+        raise
+    return file
+
+
+def _require_finite(path: Path, file: h5py.File) -> None:
+    """Raise InputError for a file that cannot be read to its end."""
+    try:
+        is_endless = _is_endless(path, file)
+    except (RuntimeError, KeyError, ValueError) as error:
+        # What h5py makes of objects that cannot be visited.
+        raise InputError(f"{path}: damaged ({error}); write it anew, or take a copy") from error
+    if is_endless:
+        raise InputError(f"{path}: damaged: a part of it was overwritten (an HDF5 heap with an object of no size); "
+                         "write it anew, or take a copy")
+
+
+def _is_endless(path: Path, file: h5py.File) -> bool:
+    """Whether one of the collections of a file has an object of no size."""
+    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        for begin, end in _find_gaps(_list_arrays(file), len(content)):
+            place = content.find(_SIGNATURE, begin, end)
+            while place >= 0:
+                if _has_object_of_no_size(content, place):
+                    return True
+                place = content.find(_SIGNATURE, place + 1, end)
+    return False
+
+
+def _has_object_of_no_size(content: mmap.mmap, place: int) -> bool:
+    """Whether a collection has one; what else is wrong with it the library finds."""
+    if place + _HEADER.size > len(content):
+        return False
+    _, size = _HEADER.unpack_from(content, place)
+    at, end = place + _HEADER.size, min(place + size, len(content))
+    while at + _OBJECT.size <= end:
+        number, _, _, size = _OBJECT.unpack_from(content, at)
+        # The size of number 0, which is free space, includes its header.
+        step = size if number == 0 else _OBJECT.size + -(-size // 8) * 8
+        if step == 0:
+            return True
+        at += step
+    return False
+
+
+def _list_arrays(file: h5py.File) -> list[_Extent]:
+    """Where the arrays of a file are."""
+    extents: list[_Extent] = []
+
+    def add(name: str, item: object) -> None:
+        if not isinstance(item, h5py.Dataset):
+            return
+        start = item.id.get_offset()
+        if start is not None:
+            extents.append((start, start + item.id.get_storage_size()))
+        elif item.chunks is not None:
+            item.id.chunk_iter(lambda chunk: extents.append((chunk.byte_offset, chunk.byte_offset + chunk.size)))
+
+    file.visititems(add)
+    return sorted(extents)
+
+
+def _find_gaps(extents: list[_Extent], size: int) -> Iterator[_Extent]:
+    """Find what lies between the arrays of a file."""
+    at = 0
+    for start, end in extents:
+        if start > at:
+            yield at, min(start, size)
+        at = max(at, end)
+    if at < size:
+        yield at, size

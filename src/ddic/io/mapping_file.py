@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ddic.errors import InputError
 from ddic.images.camera import CameraMapping
 from ddic.io.replace_on_exit import replaced_on_exit
-from ddic.io.toml_file import parse_toml, read_text
+from ddic.io.text_files import parse_toml, read_text
 
 Array = NDArray[np.float64]
 

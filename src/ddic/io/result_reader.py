@@ -18,22 +18,22 @@ from ddic.io import result_schema as schema
 from ddic.io.damaged_result import (
     READ_ERRORS,
     describe_damage,
+    open_hdf5,
     read_array,
+    require_sound_attributes,
     require_sound_fields,
     require_sound_ids,
     require_sound_pieces,
+    require_sound_products,
+    require_sound_tables,
     require_sound_values,
 )
-from ddic.io.damaged_tables import require_sound_attributes, require_sound_products, require_sound_tables
 from ddic.io.input_file import as_path, require_file
-from ddic.io.mesh_export import to_meshio, to_pyvista
-from ddic.io.open_hdf5 import open_hdf5
+from ddic.io.mesh_file import to_meshio, to_pyvista
 from ddic.mesh.interpolation import differentiate_shapes_at, interpolate, locate
-from ddic.mesh.mesh import Mesh
+from ddic.mesh.mesh import Mesh, pad_cells
 from ddic.mesh.plane import build_tree
-from ddic.mesh.shapes import pad_cells
-from ddic.separated.line_elements import LineElements
-from ddic.separated.separated_field import SeparatedField
+from ddic.separated.field import LineElements, SeparatedField
 
 GRID = ("NumberOfPoints", "NumberOfCells", "NumberOfConnectivityIds", "Offsets", "Connectivity", "Types")
 

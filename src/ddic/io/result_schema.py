@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from ddic.separated.separated_field import SeparatedField
+from ddic.separated.field import SeparatedField
 
 SCHEMA_VERSION = "1.7"
 VTKHDF_VERSION = (2, 0)

@@ -14,14 +14,12 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from ddic.io import result_schema as schema
-from ddic.io.hdf5_stream import NewHdf5
-from ddic.io.image_chunks import ChunkGrid
-from ddic.io.physical_sidecar import write_physical_sidecar
+from ddic.io.hdf5_stream import ChunkGrid, NewHdf5
 from ddic.io.replace_on_exit import NewFiles, replaced_together
-from ddic.io.residual_sidecar import write_sidecar
 from ddic.io.result_reader import Result, read_open_file
 from ddic.io.result_schema import FieldSpec
-from ddic.separated.separated_field import SeparatedField
+from ddic.io.sidecars import write_physical_sidecar, write_sidecar
+from ddic.separated.field import SeparatedField
 
 CHUNK_CACHE_BYTES = 64 << 20
 

@@ -1,12 +1,20 @@
-"""The folder of a series that is not finished: a file for each frame that is, and what the next one needs."""
+"""The folder of a series that is not finished: a file for each frame that is, and what the next one needs.
+
+Files written while the program goes on, one after the other.
+
+Files brought into the system's cache before they are needed.
+"""
 
 from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from types import TracebackType
+from typing import Self
 
 import h5py
 import numpy as np
@@ -14,7 +22,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
-from ddic.io.open_hdf5 import open_hdf5
+from ddic.io.damaged_result import open_hdf5
 from ddic.io.replace_on_exit import remove_abandoned, replaced_on_exit
 
 Array = NDArray[np.float64]
@@ -208,3 +216,93 @@ class SeriesFolder:
     def remove(self) -> None:
         """Remove the folder with everything in it."""
         shutil.rmtree(self.path)
+
+
+class BackgroundWriter:
+    """Writes files in a thread of its own; use it in a ``with`` statement, which waits for the last one."""
+
+    def __init__(self) -> None:
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="ddic-writer")
+        self._pending: Future[None] | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self._thread.shutdown(wait=True)
+        if error is None:
+            self.wait()
+
+    def write(self, path: Path, content: bytes) -> None:
+        """Begin to write a file, once the last one is written.
+
+        Parameters
+        ----------
+        path : Path
+            Its name, taken when it is complete.
+        content : bytes
+            All of it.
+
+        Raises
+        ------
+        OSError, InputError
+            Where the last one could not be written.
+        """
+        self.wait()
+        self._pending = self._thread.submit(_write, path, content)
+
+    def wait(self) -> None:
+        """Wait for what is being written.
+
+        Raises
+        ------
+        OSError, InputError
+            Where it could not be written.
+        """
+        pending, self._pending = self._pending, None
+        if pending is not None:
+            pending.result()
+
+
+def _write(path: Path, content: bytes) -> None:
+    with replaced_on_exit(path) as temporary:
+        temporary.write_bytes(content)
+
+
+CHUNK = 1 << 22
+"""Bytes read at a time. Larger ones keep the disk busier, smaller ones stop sooner."""
+
+
+class ReadAhead:
+    """Reads files in a thread of its own and drops what it reads; use it in a ``with`` statement."""
+
+    def __init__(self) -> None:
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="ddic-reader")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self._thread.shutdown(wait=True, cancel_futures=True)
+
+    def begin(self, paths: Iterable[Path]) -> None:
+        """Begin to read files; one that cannot be read is told of by whoever needs it.
+
+        Parameters
+        ----------
+        paths : iterable of Path
+            Which.
+        """
+        for path in paths:
+            self._thread.submit(_read, path)
+
+
+def _read(path: Path) -> None:
+    try:
+        with path.open("rb", buffering=0) as file:
+            while file.read(CHUNK):
+                pass
+    except OSError:
+        return

@@ -1,4 +1,11 @@
-"""Reads the result file of a series: its frames one by one, each as the result of a pair."""
+"""Reads the result file of a series: its frames one by one, each as the result of a pair.
+
+Displacements of all frames of a series, read straight from its file.
+
+What the frames of a series come to over time: displacements, strains, residuals, iterations.
+
+One result where a file may hold those of a series: a frame by its number.
+"""
 
 from __future__ import annotations
 
@@ -14,11 +21,11 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
-from ddic.io.damaged_result import READ_ERRORS, read_array
-from ddic.io.damaged_tables import require_sound_frames
+from ddic.io.damaged_result import READ_ERRORS, open_hdf5, read_array, require_sound_frames
 from ddic.io.input_file import is_readable_file
-from ddic.io.open_hdf5 import open_hdf5
 from ddic.io.result_reader import Result, opened_result, read_open_file, read_result
+from ddic.mesh.mesh import Mesh
+from ddic.mesh.quality import measure_covered_areas
 
 
 @dataclass(frozen=True)
@@ -195,3 +202,216 @@ def _name(result: Result, path: Path, attributes: Mapping[str, Mapping[str, Any]
     # A copy forgets what was computed at first use, and would look for it in the file of the series.
     named.__dict__["residual_image"] = residual
     return named
+
+
+Array = NDArray[np.float64]
+
+ROWS = 1 << 18
+"""Nodes that are read at a time; a larger value takes more memory."""
+
+
+def find_displacement_range(series: SeriesResult) -> tuple[Array, Array]:
+    """Find the least and the largest displacement of a series; nodes that were not measured do not count.
+
+    Parameters
+    ----------
+    series : SeriesResult
+        Of at least one frame.
+
+    Returns
+    -------
+    low, high : (2,) array
+        Pixels, y down; nan where no node was measured.
+    """
+    low, high = np.full(2, np.nan), np.full(2, np.nan)
+    with opened_result(series.path) as (_, file):
+        stored = file[schema.POINT_DATA][schema.DISPLACEMENT]
+        for begin in range(0, len(stored), ROWS):
+            displacement = stored[begin:begin + ROWS, :2]
+            low = np.fmin(low, np.fmin.reduce(displacement))
+            high = np.fmax(high, np.fmax.reduce(displacement))
+        if str(file.attrs["y_axis"]) == "up":
+            low[1], high[1] = -high[1], -low[1]
+    return low, high
+
+
+@dataclass(frozen=True)
+class SeriesHistory:
+    """Numbers of the frames of a series; nan for those that were not measured.
+
+    Attributes
+    ----------
+    times : (n,) array
+        Unit chosen by the user.
+    is_measured : (n,) array of bool
+        Of each frame.
+    lowest, highest, rms : (n, 2) array
+        Displacement components of measured nodes, pixels.
+    principal_strains : (n, 2) array
+        Means over the area of the measured specimen, the larger one first; of the logarithmic strain.
+    residual : (n,) array
+        Standard deviation, grey levels.
+    noise_floor : (n,) array
+        RMS displacement, pixels.
+    iterations : (n,) array
+        Of Gauss-Newton.
+    """
+
+    times: Array
+    is_measured: NDArray[np.bool_]
+    lowest: Array
+    highest: Array
+    rms: Array
+    principal_strains: Array
+    residual: Array
+    noise_floor: Array
+    iterations: Array
+
+
+def gather_history(series: SeriesResult) -> SeriesHistory:
+    """Gather what the frames of a series come to; they are read one after the other.
+
+    Parameters
+    ----------
+    series : SeriesResult
+        Of at least one frame.
+
+    Returns
+    -------
+    SeriesHistory
+        Of all frames, measured or not.
+    """
+    records = series.records
+    is_measured = np.isin([record["number"] for record in records], series.numbers)
+    sizes = np.full((len(records), 4, 2), np.nan)
+    for place, result in zip(np.flatnonzero(is_measured), series, strict=True):
+        sizes[place] = _measure_sizes(result)
+
+    def list_numbers(key: str) -> Array:
+        known = [record.get(key) if measured else None for record, measured in zip(records, is_measured, strict=True)]
+        return np.array([np.nan if value is None else value for value in known], float)
+
+    return SeriesHistory(
+        times=np.array([record["time"] for record in records], float), is_measured=is_measured, lowest=sizes[:, 0],
+        highest=sizes[:, 1], rms=sizes[:, 2], principal_strains=sizes[:, 3],
+        residual=list_numbers("residual_std_grey"), noise_floor=list_numbers("noise_floor_px"),
+        iterations=list_numbers("iterations"))
+
+
+def _measure_sizes(result: Result) -> Array:
+    """Least, largest and RMS displacement and the mean principal strains, (4, 2); nan where nothing was measured."""
+    displacement = result.displacement[result.measured_nodes]
+    if not len(displacement):
+        return np.full((4, 2), np.nan)
+    strains = [_average(result.mesh, result.point_data[name])
+               for name in (schema.NODAL_PRINCIPAL_1, schema.NODAL_PRINCIPAL_2)]
+    return np.array([displacement.min(axis=0), displacement.max(axis=0), np.sqrt((displacement**2).mean(axis=0)),
+                     strains])
+
+
+def _average(mesh: Mesh, values: Array) -> float:
+    """Mean of values at nodes (n_nodes,) over the area of the cells that know them all."""
+    areas, _ = measure_covered_areas(mesh)
+    of_cells = np.add.reduceat(values[mesh.connectivity], mesh.offsets[:-1]) / np.diff(mesh.offsets)
+    is_known = np.isfinite(of_cells)
+    return float((areas * of_cells)[is_known].sum() / areas[is_known].sum()) if is_known.any() else float("nan")
+
+
+def read_frame(path: Path, number: int | None = None, asked_by: str = "--frame") -> Result:
+    """Read the result of a pair, or a frame of a series.
+
+    Parameters
+    ----------
+    path : Path
+        Result file.
+    number : int, optional
+        Of the frame, from 1; of a series only.
+    asked_by : str, optional
+        The option or key that gives the number, for messages.
+
+    Returns
+    -------
+    Result
+        One field.
+
+    Raises
+    ------
+    InputError
+        Where a series is given without a number, a pair with one, or the file does not hold that frame.
+    """
+    if not is_series_file(path):
+        if number is not None and is_readable_file(path):
+            raise InputError(f"{asked_by} {number}: {path} is the result of a pair, not of a series; leave it out")
+        return read_result(path)
+    series = read_series(path)
+    if number is None:
+        raise InputError(f"{path}: holds the frames {_list_numbers(series)} of a series; choose one by {asked_by}")
+    return pick_frame(series, number, asked_by)
+
+
+def pick_frame(series: SeriesResult, number: int, asked_by: str = "--frame") -> Result:
+    """Pick a frame of a series.
+
+    Parameters
+    ----------
+    series : SeriesResult
+        Opened.
+    number : int
+        Of the frame, from 1.
+    asked_by : str, optional
+        The option or key that gives the number, for messages.
+
+    Returns
+    -------
+    Result
+        Its field.
+
+    Raises
+    ------
+    InputError
+        Where the series does not hold that frame.
+    """
+    found = np.flatnonzero(series.numbers == number)
+    if len(found):
+        return series[int(found[0])]
+    failures = [str(record["failure"]) for record in series.records if record["number"] == number]
+    reason = f"was not measured ({failures[0].partition(';')[0]})" if failures else "is none of this series"
+    raise InputError(f"{asked_by} {number}: {series.path}: frame {number} {reason}; choose one of "
+                     f"{_list_numbers(series)}")
+
+
+def read_frame_or_last(path: Path, number: int | None, asked_by: str = "--frame") -> tuple[Result, str]:
+    """Read the result of a pair, or a frame of a series: the last one that was measured unless another is asked for.
+
+    Parameters
+    ----------
+    path : Path
+        Of a pair or a series.
+    number : int or None
+        Of the frame, from 1; of a series only.
+    asked_by : str, optional
+        The option or key that gives the number, for messages.
+
+    Returns
+    -------
+    result : Result
+        Its field.
+    name : str
+        What to call it.
+
+    Raises
+    ------
+    InputError
+        Where it cannot be read, a pair is given with a number, or the series does not hold that frame.
+    """
+    if number is None and is_series_file(path):
+        series = read_series(path)
+        return series[-1], f"{path}, frame {series.numbers[-1]}, the last one that was measured"
+    frame = "" if number is None else f", frame {number}"
+    return read_frame(path, number, asked_by), f"{path}{frame}"
+
+
+def _list_numbers(series: SeriesResult) -> str:
+    """Numbers of the frames that were measured, stretches of them as one."""
+    stretches = np.split(series.numbers, np.flatnonzero(np.diff(series.numbers) > 1) + 1)
+    return ", ".join(str(part[0]) if len(part) == 1 else f"{part[0]} to {part[-1]}" for part in stretches)

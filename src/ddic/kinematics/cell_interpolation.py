@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from ddic.mesh.mesh import Mesh
-from ddic.mesh.monomials import N_MONOMIALS
-from ddic.mesh.shapes import compute_geometry, pad_cells, pad_shapes
+from ddic.mesh.cell_type import N_MONOMIALS
+from ddic.mesh.mesh import Mesh, compute_geometry, pad_cells, pad_shapes
 
 
 @dataclass(frozen=True)

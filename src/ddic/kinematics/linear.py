@@ -1,4 +1,7 @@
-"""Kinematics given by a matrix: modes, components that are fixed or tied, or any basis of one's own."""
+"""Kinematics given by a matrix: modes, components that are fixed or tied, or any basis of one's own.
+
+Nodes whose displacement is that of others: a mesh tied to one that it does not match.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from scipy.sparse import linalg
 
 from ddic.errors import InputError
 from ddic.kinematics.kinematics import Kinematics, RegionKinematics
-from ddic.kinematics.nodal import component_numbers
+from ddic.kinematics.nodal import NodalKinematics, component_numbers
 from ddic.mesh.mesh import Mesh
 
 TOGETHER = 1e-12
@@ -131,3 +134,123 @@ class LinearRegion(RegionKinematics):
         """Give a subdomain the rows and columns of T that concern it."""
         rows = self.matrix[component_numbers(node_ids, self.mesh.dim)]
         return LinearKinematics(part, numbers, rows[:, numbers].tocsr())
+
+
+@dataclass(frozen=True, eq=False)
+class TiedKinematics(LinearKinematics):
+    """Displacement u = T q, q the displacements of free nodes and of masters.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        The subdomain's mesh.
+    numbers : (n_unknowns,) array of int64
+        Numbers of the unknowns in the whole problem.
+    matrix : (mesh.n_dofs, n_unknowns) csr_matrix
+        T: 1 at free nodes, weights of the masters at slaves.
+    inverse : (n_unknowns, mesh.n_dofs) csr_matrix
+        Takes free nodes as they are, and the masters that fit the slaves in least squares.
+    """
+
+    inverse: sparse.csr_matrix
+
+    def fit(self, displacement: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Find the unknowns that fit a displacement: free nodes as they are, masters in least squares."""
+        return np.asarray(self.inverse @ displacement)
+
+
+@dataclass(frozen=True, eq=False)
+class TiedRegion(RegionKinematics):
+    """Unknowns that are the displacements of some nodes, from which those of the others follow.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        The whole mesh; its first nodes are those whose displacement is unknown.
+    weights : (mesh.n_nodes, n_unknown_nodes) csr_matrix
+        Displacement of each node from that of the unknown ones; rows add up to 1.
+    """
+
+    mesh: Mesh
+    weights: sparse.csr_matrix
+
+    @property
+    def n_unknowns(self) -> int:
+        """Number of unknowns."""
+        return int(self.weights.shape[1]) * self.mesh.dim
+
+    def unknowns_at(self, nodes: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Find the unknowns that displace each of some nodes."""
+        rows = self.weights[nodes]
+        dim = self.mesh.dim
+        unknown_nodes = rows.indices.astype(np.int64)
+        n_unknown_nodes = np.diff(rows.indptr).astype(np.int64)
+        return component_numbers(unknown_nodes, dim), dim * n_unknown_nodes
+
+    def controlled(self, nodes: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Tell which unknowns are controlled: those of controlled nodes, whatever is tied to these."""
+        n_unknown_nodes = self.weights.shape[1]
+        return np.repeat(nodes[:n_unknown_nodes], self.mesh.dim)
+
+    def restrict(self, part: Mesh, node_ids: NDArray[np.int64], numbers: NDArray[np.int64]) -> Kinematics:
+        """Give a subdomain its kinematics: nodal where none of its nodes is tied."""
+        unknown_nodes = numbers[::self.mesh.dim] // self.mesh.dim
+        if np.array_equal(unknown_nodes, node_ids):
+            return NodalKinematics(part, numbers)
+        weights = self.weights[node_ids][:, unknown_nodes]
+        return tie(part, numbers, weights.tocsr())
+
+
+def tie(mesh: Mesh, numbers: NDArray[np.int64], weights: sparse.csr_matrix) -> TiedKinematics:
+    """Tie a subdomain's nodes to the nodes of its unknowns.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        The subdomain's mesh.
+    numbers : (n_unknowns,) array of int64
+        Numbers of the unknowns in the whole problem.
+    weights : (mesh.n_nodes, n_unknown_nodes) csr_matrix
+        Rows add up to 1. A row with one entry 1 is a free node; other rows are slaves, whose columns that no free node
+        has must be independent.
+
+    Returns
+    -------
+    TiedKinematics
+        With these unknowns.
+    """
+    axes = sparse.identity(mesh.dim, format="csr")
+    matrix = sparse.kron(weights, axes).tocsr()
+    inverse = sparse.kron(_fit_of_weights(weights), axes).tocsr()
+    return TiedKinematics(mesh, numbers, matrix, inverse)
+
+
+def _fit_of_weights(weights: sparse.csr_matrix) -> sparse.csr_matrix:
+    """Unknown nodes from mesh nodes, (n_unknown_nodes, n_nodes): free ones as they are, masters by least squares."""
+    n_nodes, n_unknown_nodes = weights.shape
+    counts = np.diff(weights.indptr)
+    free_nodes = np.flatnonzero(counts == 1)
+    slaves = np.flatnonzero(counts > 1)
+
+    # The free node of each unknown node; masters that are not nodes of this mesh have none.
+    unknown_of_free = weights.indices[weights.indptr[free_nodes]]
+    node_of = np.full(n_unknown_nodes, -1)
+    node_of[unknown_of_free] = free_nodes
+    masters = np.flatnonzero(node_of < 0)
+    known = np.flatnonzero(node_of >= 0)
+
+    take_free = _selection(known, node_of[known], (n_unknown_nodes, n_nodes))
+    take_slaves = _selection(np.arange(len(slaves)), slaves, (len(slaves), n_nodes))
+    place_masters = _selection(masters, np.arange(len(masters)), (n_unknown_nodes, len(masters)))
+
+    # What the free nodes leave of the slaves' displacement is the masters'.
+    weights_of_slaves = weights[slaves]
+    left_to_masters = take_slaves - weights_of_slaves @ take_free
+    fit_masters = sparse.csr_matrix(np.linalg.pinv(weights_of_slaves[:, masters].toarray()))
+    return take_free + place_masters @ fit_masters @ left_to_masters
+
+
+def _selection(rows: NDArray[np.intp], columns: NDArray[np.intp], shape: tuple[int, int]) -> sparse.csr_matrix:
+    """1 at some places, 0 elsewhere."""
+    ones = np.ones(len(rows))
+    return sparse.csr_matrix((ones, (rows, columns)), shape=shape)

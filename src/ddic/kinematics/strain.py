@@ -1,4 +1,9 @@
-"""Strains of the measured field, at cell centres."""
+"""Strains of the measured field, at cell centres.
+
+What strains are made of: tensors from displacement gradients, and numbers from tensors, all in the plane.
+
+The rigid motion in a displacement, what is left without it, and how far that can be magnified.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.mesh.interpolation import differentiate_shapes_at
-from ddic.mesh.mesh import Mesh
-from ddic.mesh.shapes import invert_matrices, pad_cells
+from ddic.mesh.mesh import Mesh, invert_matrices, pad_cells
+from ddic.mesh.plane import build_rotation, multiply_across
+from ddic.mesh.topology import list_corners
 
 
 @dataclass(frozen=True)
@@ -106,3 +112,177 @@ def _independent_components(tensor: NDArray[np.float64]) -> NDArray[np.float64]:
     dim = tensor.shape[-1]
     places = [(i, i) for i in range(dim)] + list(combinations(range(dim), 2))
     return np.stack([tensor[:, i, j] for i, j in places], axis=1)
+
+
+Array = NDArray[np.float64]
+
+
+def compute_infinitesimal(gradients: Array) -> Array:
+    """Compute (grad u + grad u^T) / 2.
+
+    Parameters
+    ----------
+    gradients : (n, 2, 2) array
+        du_c / dx_j, no unit.
+
+    Returns
+    -------
+    (n, 3) array
+        xx, yy, xy.
+    """
+    return _pick_components(0.5 * (gradients + gradients.transpose(0, 2, 1)))
+
+
+def compute_green_lagrange(gradients: Array) -> Array:
+    """Compute (grad u + grad u^T + grad u^T grad u) / 2, which no rotation changes.
+
+    Parameters
+    ----------
+    gradients : (n, 2, 2) array
+        du_c / dx_j, no unit.
+
+    Returns
+    -------
+    (n, 3) array
+        xx, yy, xy.
+    """
+    return _pick_components(0.5 * (gradients + gradients.transpose(0, 2, 1)
+                                   + gradients.transpose(0, 2, 1) @ gradients))
+
+
+def compute_hencky(green_lagrange: Array) -> Array:
+    """Compute ln U = ln(1 + 2 E) / 2, Hencky's logarithmic strain, in the axes of the reference image.
+
+    Parameters
+    ----------
+    green_lagrange : (n, 3) array
+        E: xx, yy, xy.
+
+    Returns
+    -------
+    (n, 3) array
+        xx, yy, xy; nan where a length would vanish.
+    """
+    tensors = green_lagrange[:, [0, 2, 2, 1]].reshape(-1, 2, 2)
+    values, axes = np.linalg.eigh(tensors)
+    # ln(1 + 2 E) by way of log1p: strains of 1e-6 keep their digits.
+    with np.errstate(invalid="ignore", divide="ignore"):
+        logarithms = 0.5 * np.log1p(2.0 * values)
+    logarithms[~np.isfinite(logarithms)] = np.nan
+    return _pick_components(np.einsum("nik,nk,njk->nij", axes, logarithms, axes))
+
+
+def find_principal_strains(tensors: Array) -> Array:
+    """Find the principal values of tensors.
+
+    Parameters
+    ----------
+    tensors : (n, 3) array
+        xx, yy, xy.
+
+    Returns
+    -------
+    (n, 2) array
+        The larger one, then the smaller.
+    """
+    xx, yy, xy = tensors.T
+    middle, radius = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
+    return np.column_stack([middle + radius, middle - radius])
+
+
+def compute_von_mises_strain(tensors: Array) -> Array:
+    """Compute the equivalent strain of von Mises, with the third principal strain of a constant volume.
+
+    sqrt(2/3 (e_1^2 + e_2^2 + e_3^2)), e_3 = -e_1 - e_2: the strain itself where a bar is pulled.
+
+    Parameters
+    ----------
+    tensors : (n, 3) array
+        xx, yy, xy.
+
+    Returns
+    -------
+    (n,) array
+        Not negative.
+    """
+    first, second = find_principal_strains(tensors).T
+    return np.asarray(np.sqrt(4.0 / 3.0 * (first**2 + first * second + second**2)))
+
+
+def _pick_components(tensors: Array) -> Array:
+    return np.stack([tensors[:, 0, 0], tensors[:, 1, 1], tensors[:, 0, 1]], axis=1)
+
+
+def project_rigid_motion_out(points: Array, displacement: Array) -> Array:
+    """Take the rotation and the translation that fit best out of a displacement.
+
+    Parameters
+    ----------
+    points : (n, 2) array
+        Where it is known.
+    displacement : (n, 2) array
+        Of any size, of the points' unit.
+
+    Returns
+    -------
+    (n, 2) array
+        What is left, in the axes at rest: R^T (x + u - c') - (x - c) with the rotation R and the centres c and c' of
+        the points before and after.
+    """
+    before = points - points.mean(axis=0)
+    after = points + displacement
+    after = after - after.mean(axis=0)
+    cosine = (before * after).sum()
+    sine = multiply_across(before, after).sum()
+    rotation = build_rotation(np.arctan2(sine, cosine))
+    return np.asarray(after @ rotation - before)
+
+
+def find_largest_gradient(mesh: Mesh, displacement: Array) -> float:
+    """Find the largest stretch or shear at the corners of all cells: the largest singular value of grad u.
+
+    Below 1 / that, no factor on the displacement turns a corner inside out.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Of plane cells.
+    displacement : (n_nodes, 2) array
+        Of the nodes' unit.
+
+    Returns
+    -------
+    float
+        No unit.
+    """
+    one, other = _list_edges(mesh, mesh.nodes)
+    to_one, to_other = _list_edges(mesh, displacement)
+    edges = np.stack([one, other], axis=2)
+    gradients = np.stack([to_one, to_other], axis=2) @ np.linalg.inv(edges)
+    return float(np.linalg.norm(gradients, ord=2, axis=(1, 2)).max())
+
+
+def count_folded_cells(mesh: Mesh, moved: Array) -> int:
+    """Count the cells with a corner that is flat or inside out.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Of plane cells that run positively.
+    moved : (n_nodes, 2) array
+        Where its nodes are.
+
+    Returns
+    -------
+    int
+        Their number.
+    """
+    folded = multiply_across(*_list_edges(mesh, moved)) <= 0
+    return int(np.logical_or.reduceat(folded, mesh.offsets[:-1]).sum())
+
+
+def _list_edges(mesh: Mesh, values: Array) -> tuple[Array, Array]:
+    """Differences of nodal values from each corner of each cell to the next one and to the one before, (n, 2) each."""
+    corners = list_corners(mesh)
+    at_corners = values[corners.nodes]
+    return values[corners.ahead] - at_corners, values[corners.behind] - at_corners

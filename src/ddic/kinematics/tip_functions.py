@@ -15,13 +15,11 @@ from scipy import sparse
 
 from ddic.kinematics.enriched import EnrichedRegion
 from ddic.mesh.cell_parts import CellParts
-from ddic.mesh.cut_mesh import CutMesh, cut_mesh
+from ddic.mesh.cut_cells import subdivide_cells
+from ddic.mesh.cut_mesh import CutMesh, cut_mesh, find_points_on_own_side
 from ddic.mesh.interpolation import evaluate_shapes_at, locate
-from ddic.mesh.mesh import Mesh
-from ddic.mesh.own_side import find_points_on_own_side
+from ddic.mesh.mesh import Mesh, pad_cells
 from ddic.mesh.quality import measure_cell_size
-from ddic.mesh.shapes import pad_cells
-from ddic.mesh.subdivide_cells import subdivide_cells
 
 Array = NDArray[np.float64]
 

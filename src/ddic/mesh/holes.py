@@ -1,12 +1,19 @@
-"""Shapes of holes: signed distance and nearest point of their outline."""
+"""Shapes of holes: signed distance and nearest point of their outline.
+
+Holes that a mask image draws: outlines of what it leaves out, with their corners.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from ddic.mesh.plane import multiply_across
 
 NO_CORNERS = np.zeros((0, 2))
 
@@ -174,3 +181,122 @@ class PolygonalHole:
         """Start and end of each edge, pixels."""
         corners = np.asarray(self.vertices, dtype=np.float64)
         return list(zip(corners, np.roll(corners, -1, axis=0), strict=True))
+
+
+STRAIGHT_PX = 0.8
+"""Distance, pixels, from the edges of pixels within which an outline is straight: the steps of slanted lines are up to
+0.7 px high. A larger value rounds small features off."""
+
+SHARP_DEGREES = 30.0
+"""Turn of an outline from which on it is a corner; a larger value keeps fewer."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class OutlinedHole:
+    """A region between closed polygons, the outer one and those of islands in it.
+
+    Attributes
+    ----------
+    rings : tuple of PolygonalHole
+        Closed polygons; inside is what an odd number of them holds.
+    corners : (n, 2) array
+        Where they turn sharply, pixels.
+    """
+
+    rings: tuple[PolygonalHole, ...]
+    corners: Array
+
+    def measure_distance(self, points: Array) -> Array:
+        """Measure the distance to the outline.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n,) array
+            Pixels, negative inside.
+        """
+        distances = np.array([ring.measure_distance(points) for ring in self.rings])
+        inside = np.logical_xor.reduce(distances < 0, axis=0)
+        away = np.abs(distances).min(axis=0)
+        return np.where(inside, -away, away)
+
+    def find_nearest(self, points: Array) -> Array:
+        """Find the nearest point of the outline.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n, 2) array
+            Pixels.
+        """
+        nearest = np.array([ring.find_nearest(points) for ring in self.rings])
+        chosen = np.linalg.norm(nearest - points, axis=2).argmin(axis=0)
+        return np.asarray(nearest[chosen, np.arange(len(points))])
+
+
+def find_mask_holes(mask: NDArray[np.bool_], region: Sequence[float], element_size: float) -> list[OutlinedHole]:
+    """Find what a mask leaves out of a region, what lies outside of the image too.
+
+    Parameters
+    ----------
+    mask : (height, width) bool array
+        True where cells may be.
+    region : (x0, y0, x1, y1)
+        Pixels.
+    element_size : float
+        Of cells, pixels; turns between shorter sides than half of it are no corners.
+
+    Returns
+    -------
+    list of OutlinedHole
+        From top to bottom; specks of less than half an element's side across are left out.
+    """
+    low, high = np.floor(region[:2]).astype(int), np.ceil(region[2:]).astype(int)
+    left_out = _find_left_out(mask, low, high)
+    n, labels, sizes, _ = cv2.connectedComponentsWithStats(left_out, connectivity=4)
+    large = [k for k in range(1, n) if sizes[k, cv2.CC_STAT_AREA] >= (0.5 * element_size) ** 2]
+    return [_outline(labels == k, low - 1, element_size) for k in large]
+
+
+def _find_left_out(mask: NDArray[np.bool_], low: NDArray[np.int_], high: NDArray[np.int_]) -> NDArray[np.uint8]:
+    """1 on pixels from low to high, with a margin of one before and two after, that lie in no cell; low, high: (x, y).
+
+    The margin is as the pixels beside it: where the region is as large as the image, it is no hole.
+    """
+    x, y = (np.arange(first - 1, last + 2).clip(first, last - 1) for first, last in zip(low, high, strict=True))
+    height, width = mask.shape
+    is_inside = ((y >= 0) & (y < height))[:, None] & (x >= 0) & (x < width)
+    shown = mask[np.ix_(y.clip(0, height - 1), x.clip(0, width - 1))]
+    return np.asarray(~(is_inside & shown), dtype=np.uint8)
+
+
+def _outline(inside: NDArray[np.bool_], low: NDArray[np.int_], element_size: float) -> OutlinedHole:
+    """Outline of some pixels along their edges; low: (x, y) of the array's first pixel."""
+    padded = np.pad(inside, 1)
+    # A contour through the corners of pixels runs along their edges.
+    corners = padded[1:, 1:] | padded[:-1, 1:] | padded[1:, :-1] | padded[:-1, :-1]
+    contours, _ = cv2.findContours(corners.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    # Corners lie half a pixel before the pixels' centres.
+    polygons = [cv2.approxPolyDP(contour, STRAIGHT_PX, True)[:, 0] + low - 0.5 for contour in contours]
+    rings = [polygon for polygon in polygons if len(polygon) >= 3]
+    sharp = [_find_corners(ring, element_size) for ring in rings]
+    return OutlinedHole(tuple(PolygonalHole(ring) for ring in rings), np.concatenate([np.zeros((0, 2)), *sharp]))
+
+
+def _find_corners(ring: Array, element_size: float) -> Array:
+    """Vertices at which a closed polygon turns sharply between two long sides, (n, 2)."""
+    behind, ahead = ring - np.roll(ring, 1, axis=0), np.roll(ring, -1, axis=0) - ring
+    sine, cosine = multiply_across(behind, ahead), (behind * ahead).sum(axis=1)
+    turn = np.degrees(np.abs(np.arctan2(sine, cosine)))
+    shorter = np.minimum(np.linalg.norm(behind, axis=1), np.linalg.norm(ahead, axis=1))
+    return np.asarray(ring[(turn >= SHARP_DEGREES) & (shorter >= 0.5 * element_size)])

@@ -1,15 +1,22 @@
-"""Facets of a mesh: which cells share them, which lie on the boundary."""
+"""Facets of a mesh: which cells share them, which lie on the boundary.
+
+Nodes that regularization leaves free: loaded and clamped edges, where forces are unknown.
+
+Corners of cells, each with its neighbours along the cell's edges.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.errors import InputError
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.node_selection import find_named_nodes
+from ddic.mesh.node_selection import find_named_nodes, find_nodes_in_box
 
 
 @dataclass(frozen=True)
@@ -191,3 +198,93 @@ def _sort(keys: NDArray[np.int64]) -> NDArray[np.int64]:
     for shift in range(16, int(keys.max()).bit_length(), 16):
         order = order[np.argsort((keys[order] >> shift).astype(np.uint16), kind="stable")]
     return order.astype(np.int64)
+
+
+BOUNDARY = "boundary"
+"""Stands for all nodes of the mesh's boundary, whatever the mesh's own node sets are."""
+
+
+def find_not_controlled_nodes(mesh: Mesh, names: Sequence[str], boxes: Sequence[Sequence[float]],
+                         boundary: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
+    """Find the nodes that are not mechanically controlled.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Any.
+    names : sequence of str
+        Node sets, or "boundary".
+    boxes : sequence of (x0, y0, x1, y1)
+        Pixels.
+    boundary : (n,) int64 array, optional
+        Nodes of the boundary; by default those on facets of one cell.
+
+    Returns
+    -------
+    (n,) int64 array
+        Their sorted numbers.
+
+    Raises
+    ------
+    InputError
+        A line for each unknown name, empty set and box without nodes.
+    """
+    chosen, problems = [np.zeros(0, np.int64)], []
+    for name in names:
+        try:
+            if name == BOUNDARY:
+                chosen.append(find_boundary_nodes(mesh) if boundary is None else boundary)
+            else:
+                chosen.append(find_named_nodes(mesh, name))
+        except InputError as error:
+            problems += [f"regularization.not_controlled: {line}" for line in error.problems]
+    for box in boxes:
+        try:
+            chosen.append(find_nodes_in_box(mesh, box))
+        except InputError as error:
+            problems += [f"regularization.boxes: {line}" for line in error.problems]
+    if problems:
+        raise InputError(problems)
+    return np.unique(np.concatenate(chosen))
+
+
+@dataclass(frozen=True, eq=False)
+class Corners:
+    """Corners of plane cells, cell after cell.
+
+    Attributes
+    ----------
+    cells : (n,) array of int64
+        Number of each corner's cell.
+    nodes : (n,) array of int64
+        Its node.
+    ahead, behind : (n,) array of int64
+        The cell's nodes after and before it.
+    """
+
+    cells: NDArray[np.int64]
+    nodes: NDArray[np.int64]
+    ahead: NDArray[np.int64]
+    behind: NDArray[np.int64]
+
+
+def list_corners(mesh: Mesh) -> Corners:
+    """List the corners of all cells.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Of plane cells whose corners are their nodes.
+
+    Returns
+    -------
+    Corners
+        In the order of the cells' nodes.
+    """
+    counts = np.diff(mesh.offsets)
+    cells = np.repeat(np.arange(mesh.n_cells), counts)
+    first_of_cell, n_of_cell = mesh.offsets[cells], counts[cells]
+    place = np.arange(len(cells)) - first_of_cell
+    ahead = first_of_cell + (place + 1) % n_of_cell
+    behind = first_of_cell + (place - 1) % n_of_cell
+    return Corners(cells, mesh.connectivity, mesh.connectivity[ahead], mesh.connectivity[behind])

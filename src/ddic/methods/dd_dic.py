@@ -1,21 +1,134 @@
-"""FE-DIC and R-DIC by dual domain decomposition: the algorithm box of [BP17], for any number of cameras and frames."""
+"""FE-DIC and R-DIC by dual domain decomposition: the algorithm box of [BP17], for any number of cameras and frames.
+
+Gauss-Newton on one frame, with operators and grey levels that fit what the frame shows of the specimen.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Self
 
-from ddic.methods.solve_frame import solve_frame
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.errors import ConvergenceError, as_collective
+from ddic.inputs.cameras import Frame
+from ddic.inputs.inputs import Inputs
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.cameras import Frame
-from ddic.problem.inputs import Inputs
 from ddic.problem.reference_problem import build_whole_mesh, prepare_reference
+from ddic.problem.residual_model import ResidualModel
+from ddic.problem.views import read_frame_windows
 from ddic.problem.weighted_problem import WeightedProblem
-from ddic.results.last_field import last_field_kept
 from ddic.results.listener import Listener
-from ddic.results.measurement import Measurement, finish_measurement
+from ddic.results.measurement import Measurement, finish_measurement, last_field_kept
+from ddic.solvers.gauss_newton import Progress
 from ddic.start.coarse_field import prepare_search
 from ddic.start.frame_start import FrameStart, KnownStart, find_start
+from ddic.visibility.exclusions import exclude, pull_held_cells
+from ddic.visibility.see_frame import SeenFrame, see_start
+from ddic.visibility.solved_frame import (
+    SETTLED,
+    Looks,
+    SolvedFrame,
+    accept_noise,
+    begin_frame,
+    see_solved_frame,
+    solve_further,
+)
+
+MOST_LOOKS = 20
+"""Times that a frame is looked at before it is given up."""
+
+
+def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[NDArray[np.float64]], listener: Listener,
+                clock: PhaseClock, least_shown: float = 0.0) -> SolvedFrame:
+    """Iterate from a start until neither the field nor what the frame shows of it changes; collective.
+
+    The frame is looked at where the start puts it, where a field is roughly found, and where it is found.
+
+    Parameters
+    ----------
+    problem : WeightedProblem
+        Operators, renewed where the frame asks for it.
+    whole : ResidualModel
+        Of all pixels that the frame shows, cameras weighted.
+    q : list of (n_unknowns,) array
+        Start of each owned subdomain.
+    listener : Listener
+        Told what happens.
+    clock : PhaseClock
+        Of the phases.
+    least_shown : float, optional
+        Share of the cells that the start must show; any by default.
+
+    Returns
+    -------
+    SolvedFrame
+        Where nothing changes any more.
+
+    Raises
+    ------
+    ConvergenceError, SingularSubdomainError, FactorizationError
+        On all ranks; the first with the last SolvedFrame.
+    """
+    with clock.phase(Phase.READ):
+        whole.team.together(lambda: read_frame_windows(whole.views, q))
+    cameras, case = problem.reference.inputs.cameras, problem.reference.inputs.case
+    with clock.phase(Phase.RESIDUAL):
+        seen, of_blur = see_start(case, cameras, whole, q, problem.slopes)
+    if (shown := seen.measure_shown_share()) < least_shown:
+        raise as_collective(ConvergenceError(f"{shown:.0%} of the elements are seen where the start puts them"))
+    model, is_regularized = seen.whole.with_large_gradients(q), case.regularization is not None
+    # Most of what is excluded at a start is seen where a field is roughly found: M waits until then.
+    model, notes = problem.fit(model if is_regularized else _use(model, seen, q), q)
+    model, notes = _use(model, seen, q) if is_regularized else model, (*of_blur, *notes)
+    _tell(listener, notes)
+    listener.problem_size(problem.size)
+    solved = begin_frame(seen, model, q, notes)
+    looks = Looks(is_regularized=is_regularized)
+    while looks.number < MOST_LOOKS:
+        n_notes = len(solved.notes)
+        solved = solve_further(problem, solved, Progress(clock, listener.iteration), roughly=looks.is_rough)
+        _tell(listener, solved.notes[n_notes:])
+        found = solved.solution
+        is_paused = found.paused is not None
+        with clock.phase(Phase.RESIDUAL):
+            now = see_solved_frame(problem, solved, whole if looks.number == 0 else None)
+        seen, is_seen_otherwise = looks.choose(solved.seen, now, solved.field.q, is_paused=is_paused)
+        if not (found.converged or is_paused or is_seen_otherwise):
+            if seen.typical[0].is_alike:
+                found = accept_noise(problem, solved.used, found)
+            if not found.converged:
+                raise as_collective(ConvergenceError(found.stop, solved))
+        # Where the start was far off, other pixels are hidden here.
+        followed = model if model.follows else model.with_large_gradients(found.q)
+        model, renewed = problem.fit(_use(followed, seen, solved.field.q), found.q)
+        _tell(listener, renewed)
+        solved = SolvedFrame(solved.field, replace(found, q=list(solved.field.q)), seen, model,
+                             (*solved.notes, *renewed))
+        # Later, operators that take turns change how fast a field is found, not which.
+        is_renewed = bool(renewed) and looks.number < SETTLED
+        if not (is_paused or is_seen_otherwise or is_renewed):
+            listener.note(found.stop)
+            return solved
+    raise as_collective(ConvergenceError(
+        f"what the frame shows, pixels or how far they turn, still changes after {MOST_LOOKS} looks at it; look at "
+        "the masks and the start, or give a longer regularization.cut_off_wavelength", solved))
+
+
+def _use(model: ResidualModel, seen: SeenFrame, q: list[NDArray[np.float64]]) -> ResidualModel:
+    """What Gauss-Newton goes on with from where the frame was seen."""
+    whole = replace(model, views=seen.whole.views, correction=seen.whole.correction, blurs=seen.whole.blurs)
+    used = pull_held_cells(exclude(whole, seen.excluded), seen.excluded, q)
+    is_changed = seen.excluded.is_any(used.team) or used.pulled is not None
+    return replace(used, known=None if is_changed else ([np.array(q_s) for q_s in q], seen.evaluation))
+
+
+def _tell(listener: Listener, notes: Sequence[str]) -> None:
+    for line in notes:
+        listener.note(line)
 
 
 class Session:

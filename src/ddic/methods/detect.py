@@ -8,21 +8,20 @@ from typing import TYPE_CHECKING, Any
 
 from ddic.case.schema import Case, DiscontinuitySection, GaussNewtonSection, RegularizationSection
 from ddic.errors import ConvergenceError, SingularSubdomainError, StoppedError, as_collective, is_collective
+from ddic.inputs.cameras import Frame
+from ddic.inputs.inputs import Inputs
 from ddic.mesh.quality import measure_cell_size
-from ddic.methods.choose_recipe import Recipe
 from ddic.methods.dd_dic import Session
+from ddic.methods.recipe import Recipe
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team, require_held
-from ddic.problem.cameras import Frame
 from ddic.problem.cut_region import refuse_kinematics
-from ddic.problem.inputs import Inputs
 from ddic.results.listener import Listener, WithoutNotes
-from ddic.results.measurement import Measurement
-from ddic.results.whole_field import gather_displacement
+from ddic.results.measurement import Measurement, gather_displacement
 
 if TYPE_CHECKING:
     from ddic.detection.line_of_case import Refinement
-    from ddic.results.separated_measurement import SeparatedMeasurement
+    from ddic.results.separated import SeparatedMeasurement
 
 RMS_PX, LARGEST_PX = 0.01, 1.0
 """Correction at which the continuous measurement is exact enough to look for a line in it: its elements on the line

@@ -8,16 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.case.schema import Case, SolverSection
+from ddic.inputs.cameras import open_cameras, open_in_headers
+from ddic.inputs.inputs import Inputs
+from ddic.inputs.mesh_source import build_meshes
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.cameras import open_cameras, open_in_headers
-from ddic.problem.inputs import Inputs
 from ddic.problem.linear_solver import LinearSolver
-from ddic.problem.mesh_source import build_meshes
 from ddic.problem.reference_problem import build_whole_mesh, prepare_reference
 from ddic.problem.weighted_problem import WeightedProblem
-from ddic.solvers.monolithic import MonolithicStep
-from ddic.solvers.noise_floor import estimate_noise_rms
+from ddic.solvers.local_system import MonolithicStep
+from ddic.solvers.probing import estimate_noise_rms
 
 
 def expected_noise(case: Case, sigma: float, nodes: NDArray[np.bool_]) -> float:

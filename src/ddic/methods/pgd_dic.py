@@ -5,16 +5,15 @@ from __future__ import annotations
 from types import TracebackType
 from typing import Self
 
+from ddic.inputs.cameras import Frame
+from ddic.inputs.inputs import Inputs
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.stop_request import stop_if_asked
 from ddic.parallel.team import Team
-from ddic.problem.cameras import Frame
-from ddic.problem.inputs import Inputs
 from ddic.problem.separated_problem import prepare_separated_problem
-from ddic.results.finish_separated import finish_separated
-from ddic.results.last_field import last_field_kept
 from ddic.results.listener import Listener
-from ddic.results.separated_measurement import SeparatedMeasurement
+from ddic.results.measurement import last_field_kept
+from ddic.results.separated import SeparatedMeasurement, finish_separated
 from ddic.separated.corrections import CorrectionRecord, correct_displacement
 from ddic.start.separated_start import KnownSeparatedStart, find_separated_start, prepare_separated_search
 

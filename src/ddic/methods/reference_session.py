@@ -7,15 +7,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Self
 
+from ddic.inputs.cameras import Frame
+from ddic.inputs.inputs import Inputs
 from ddic.methods.dd_dic import Session
-from ddic.methods.noise_floors import NoiseFloor
-from ddic.problem.cameras import Frame
-from ddic.problem.inputs import Inputs
+from ddic.methods.recipe import NoiseFloor
 from ddic.problem.reference_problem import update_reference
-from ddic.results.frame_states import MeasuredState
 from ddic.results.measurement import Measurement
+from ddic.results.series import FrameRecord, MeasuredState, Vertices
 from ddic.results.series_images import SeriesImages
-from ddic.results.series_record import FrameRecord, Vertices
 
 
 class ReferenceSession:

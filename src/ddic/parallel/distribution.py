@@ -1,8 +1,17 @@
-"""Spread subdomains over ranks."""
+"""Spread subdomains over ranks.
+
+Items of all ranks brought to rank 0 one by one, so that it never holds all of them.
+
+Sums at nodes that several subdomains share, the same on all of them.
+
+Sums over bands of rows that are spread over ranks.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +19,7 @@ from numpy.typing import NDArray
 from ddic.errors import InputError
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
+from ddic.separated.band_sums import BandSums, build_tree, join_trees
 
 HALVINGS = 60
 """Halvings of the interval that holds the smallest possible largest cost: enough for the last bit of a float, and more
@@ -108,3 +118,158 @@ def scatter_subdomains(team: Team, build: Callable[[], tuple[list[Subdomain], ND
         return [[subdomains[s] for s in part] for part in split_evenly(costs, team.size)]
 
     return team.scatter_from_root(share)
+
+
+T = TypeVar("T")
+
+_STREAM = 3
+"""Tag that keeps a stream's items apart from what a team sends otherwise."""
+
+
+def stream_to_root(team: Team, items: Iterator[T], take: Callable[[T], object]) -> None:
+    """Bring all ranks' items to rank 0 one at a time; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    items : iterator
+        This rank's, each made when it is asked for.
+    take : callable
+        Called on rank 0 alone, with its own items, then with those of the others in the order of ranks.
+
+    Raises
+    ------
+    Exception
+        What the lowest rank that fails raises while it makes or takes an item, on all ranks.
+    """
+    error: Exception | None = None
+    try:
+        for item in items:
+            if team.is_root:
+                take(item)
+            else:
+                _send(team, [item])
+    except Exception as caught:
+        error = caught
+    if team.is_root:
+        error = _take_streams(team, take, error)
+    else:
+        # An empty message ends a rank's stream.
+        _send(team, [])
+    team.share_error(error)
+
+
+def _take_streams(team: Team, take: Callable[[T], object], error: Exception | None) -> Exception | None:
+    """Take what the other ranks send; after an error it is received all the same, for they wait for that."""
+    for rank in range(1, team.size):
+        while message := _receive(team, rank):
+            if error is None:
+                try:
+                    take(message[0])
+                except Exception as caught:
+                    error = caught
+    return error
+
+
+def _send(team: Team, message: list[T]) -> None:
+    with team.waiting.counted():
+        team.waiting.wait_until(team.comm.isend(message, dest=0, tag=_STREAM).Test)
+
+
+def _receive(team: Team, rank: int) -> list[Any]:
+    with team.waiting.counted():
+        message: list[Any] = team.receive_message(rank, _STREAM)
+    return message
+
+
+Array = NDArray[np.float64]
+
+
+def sum_shared_nodes(team: Team, subdomains: Sequence[Subdomain], sums: Sequence[Array]) -> list[Array]:
+    """Sum values at nodes over all subdomains that have them; collective.
+
+    A node's values go to one rank, which adds them up in the order of subdomains and sends the sum back: only ranks
+    that share nodes, and those that add up for them, exchange anything.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    subdomains : sequence of Subdomain
+        This rank's.
+    sums : sequence of (n_nodes, k) array
+        Values at the nodes of each; left as they are.
+
+    Returns
+    -------
+    list of (n_nodes, k) array
+        The sums at the same nodes, equal to the last bit on all subdomains however they are spread over ranks.
+    """
+    shared = [np.flatnonzero(subdomain.node_multiplicity > 1) for subdomain in subdomains]
+    # A rank always has a subdomain.
+    nodes = np.concatenate([s.node_ids[places] for s, places in zip(subdomains, shared, strict=True)])
+    order = np.concatenate([np.full(len(places), s.index) for s, places in zip(subdomains, shared, strict=True)])
+    values = np.concatenate([of_subdomain[places] for of_subdomain, places in zip(sums, shared, strict=True)])
+    adds_up = nodes % team.size
+    sent = {int(rank): np.flatnonzero(adds_up == rank) for rank in np.unique(adds_up)}
+    received = team.exchange({rank: (nodes[mine], order[mine], values[mine]) for rank, mine in sent.items()})
+    returned = team.exchange(_add_up(received))
+    total = np.empty_like(values)
+    for rank, mine in sent.items():
+        total[mine] = returned[rank]
+    ends = np.cumsum([len(places) for places in shared])[:-1]
+    result = []
+    for of_subdomain, places, added in zip(sums, shared, np.split(total, ends), strict=True):
+        whole = of_subdomain.copy()
+        whole[places] = added
+        result.append(whole)
+    return result
+
+
+def _add_up(received: dict[int, tuple[NDArray[np.int64], NDArray[np.int64], Array]]) -> dict[int, Array]:
+    """Sums for each rank that sent (nodes, subdomains, values), in the order in which it sent its own."""
+    if not received:
+        return {}
+    nodes, subdomains, values = (np.concatenate(arrays) for arrays in zip(*received.values(), strict=True))
+    order = np.lexsort((subdomains, nodes))
+    number = np.unique(nodes, return_inverse=True)[1]
+    added = np.zeros((len(nodes), values.shape[1]))
+    # One after the other, as no other sum of numpy promises.
+    np.add.at(added, number[order], values[order])
+    ends = np.cumsum([len(sent[0]) for sent in received.values()])[:-1]
+    return dict(zip(received, np.split(added[number], ends), strict=True))
+
+
+@dataclass(frozen=True)
+class TeamSums(BandSums):
+    """Each rank owns some bands that follow each other; every call is collective.
+
+    Attributes
+    ----------
+    team : Team
+        All ranks.
+    first : int
+        Number of this rank's first band.
+    """
+
+    team: Team
+    first: int
+
+    def add_up(self, of_bands: Iterable[Array]) -> Array:
+        """Sum arrays of one shape; only sums of groups of bands are sent."""
+        tree = build_tree(self.first, of_bands)
+        return tree.finish() if self.team.size == 1 else join_trees(self.team.gather_lists([tree.groups]))
+
+    def join(self, of_bands: Iterable[Array]) -> Array:
+        """Put arrays side by side along their last axis."""
+        own = list(of_bands)
+        return np.concatenate(own if self.team.size == 1 else self.team.gather_lists(own), axis=-1)
+
+    def broadcast(self, item: T) -> T:
+        """Give all ranks what rank 0 has."""
+        return item if self.team.size == 1 else self.team.broadcast(item)
+
+    def together(self, work: Callable[[], T]) -> T:
+        """Run work on every rank; an error of one is raised on all."""
+        return self.team.together(work)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TypeVar
 
-from ddic.parallel.waiting import Waiting
+from ddic.parallel.team import Waiting
 
 T = TypeVar("T")
 

@@ -1,7 +1,15 @@
-"""What all ranks do together: sums in a fixed order, shared decisions, shared errors, items sent on."""
+"""What all ranks do together: sums in a fixed order, shared decisions, shared errors, items sent on.
+
+Errors as other ranks can receive them.
+
+What a rank spends on waiting for others.
+"""
 
 from __future__ import annotations
 
+import pickle
+import time
+import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -12,9 +20,83 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ddic.errors import DdicError, as_collective
-from ddic.parallel.portable_error import make_portable
 from ddic.parallel.stop_request import StopRequest
-from ddic.parallel.waiting import Waiting
+
+
+def make_portable(error: Exception, rank: int) -> Exception:
+    """Make an error that other ranks can receive; an unexpected one brings its traceback along as a note.
+
+    Parameters
+    ----------
+    error : Exception
+        Of this rank.
+    rank : int
+        Its number.
+
+    Returns
+    -------
+    Exception
+        The same, or what says the same where it cannot be pickled.
+    """
+    if isinstance(error, DdicError):
+        return error
+    error.add_note(f"on rank {rank}:\n{''.join(traceback.format_exception(error))}")
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        # Some exceptions cannot be rebuilt from their arguments, which would end the other ranks without a reason.
+        stand_in = RuntimeError(f"{type(error).__name__}: {error}")
+        stand_in.__notes__ = error.__notes__
+        return stand_in
+    return error
+
+
+AWAKE = 2e-4
+"""Seconds that a rank looks again and again before it sleeps between two looks. A larger value takes more of the
+processor, a smaller one makes ranks that arrive together wait for one another's sleep."""
+
+SLEPT_SHARE = 0.2
+"""Time between two looks over that waited so far: by as much a wait may become longer."""
+
+LONGEST_SLEEP = 2e-3
+"""Between two looks, seconds. A larger value delays what others send through this rank."""
+
+
+@dataclass
+class Waiting:
+    """CPU seconds that this rank has spent in a team's communication.
+
+    Attributes
+    ----------
+    seconds : float
+        So far.
+    """
+
+    seconds: float = 0.0
+
+    @contextmanager
+    def counted(self) -> Iterator[None]:
+        """Count the time spent inside."""
+        began = time.process_time()
+        try:
+            yield
+        finally:
+            self.seconds += time.process_time() - began
+
+    def wait_until(self, is_done: Callable[[], bool]) -> None:
+        """Wait for others, mostly asleep: MPI's own operations turn in a loop, on a processor that others need.
+
+        Parameters
+        ----------
+        is_done : callable
+            ``Test`` of an operation that was begun, or the like.
+        """
+        began = time.perf_counter()
+        while not is_done():
+            waited = time.perf_counter() - began
+            if waited > AWAKE:
+                time.sleep(min(SLEPT_SHARE * waited, LONGEST_SLEEP))
+
 
 T = TypeVar("T")
 Summable = TypeVar("Summable", int, float, NDArray[np.float64])

@@ -1,14 +1,28 @@
-"""Split the cells of a mesh into subdomains."""
+"""Split the cells of a mesh into subdomains.
+
+What a cell costs: the weight by which the mesh is cut and subdomains are dealt to ranks.
+
+Join subdomains that cannot stand alone with a neighbour that can.
+
+Which camera measures which cell, and the partition that keeps cameras apart.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pymetis
 from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse import csgraph
 
 from ddic.errors import InputError
 from ddic.mesh.mesh import Mesh
+from ddic.mesh.raster import rasterize
 from ddic.mesh.topology import find_adjacent_cells
+from ddic.partition.subdomain import MotionUnknowns, Subdomain
 
 MEAN_WEIGHT = 1000.0
 """Mean of the whole numbers that METIS gets for weights; a larger value rounds them less."""
@@ -129,3 +143,300 @@ def _whole_weights(weights: NDArray[np.float64]) -> NDArray[np.int64]:
     if unit <= 0:
         return np.ones(len(weights), np.int64)
     return np.asarray(np.maximum(np.rint(weights / unit), 1), dtype=np.int64)
+
+
+NODE_PIXELS = 1000.0
+"""Work of a node (two unknowns: factors, interface set-up, linear steps) in units of a pixel's (gradient, M,
+residuals, the image that is written): bench/cell_costs.py. A larger value balances nodes rather than pixels."""
+
+
+def estimate_cell_costs(mesh: Mesh) -> NDArray[np.float64]:
+    """Estimate the work that each cell brings: its pixels', and its share of its nodes'.
+
+    Nodes at the edge are taken for inner ones, so that equal cells have equal weights and METIS cuts a regular mesh
+    regularly.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Any.
+
+    Returns
+    -------
+    (n_cells,) array
+        Work, in units of a pixel's.
+    """
+    own_nodes = np.empty(mesh.n_cells)
+    for block in mesh.cell_blocks:
+        own_nodes[block.cells] = block.type.n_nodes / block.type.cells_around_node
+    return np.asarray(rasterize(mesh).pixel_counts + NODE_PIXELS * own_nodes)
+
+
+def sum_costs(costs: NDArray[np.float64], parts: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Add up the work of each subdomain.
+
+    Parameters
+    ----------
+    costs : (n_cells,) array
+        Work of each cell.
+    parts : (n_cells,) int64 array
+        Subdomain of each cell.
+
+    Returns
+    -------
+    (n_subdomains,) array
+        Work, in the unit of ``costs``.
+    """
+    return np.asarray(np.bincount(parts, weights=costs), dtype=np.float64)
+
+
+Adjacency = tuple[NDArray[np.int64], NDArray[np.int64]]
+"""Cells that share a facet, as compressed rows (indptr, indices): ``find_adjacent_cells``."""
+
+
+def find_connected_pieces(adjacency: Adjacency) -> NDArray[np.int64]:
+    """Find the pieces of a mesh whose cells facets connect.
+
+    A node alone is a hinge: mechanics do not hold one piece by another at it.
+
+    Parameters
+    ----------
+    adjacency : (indptr, indices)
+        Cells that share a facet, as ``find_adjacent_cells`` gives it.
+
+    Returns
+    -------
+    (n_cells,) int64 array
+        Piece of each cell, from 0.
+    """
+    indptr, indices = adjacency
+    n_cells = len(indptr) - 1
+    ones = np.ones(len(indices), dtype=np.int64)
+    graph = sparse.csr_matrix((ones, indices, indptr), shape=(n_cells, n_cells))
+    _, pieces = csgraph.connected_components(graph, directed=False)
+    return np.asarray(pieces, dtype=np.int64)
+
+
+def merge_blank(pieces: NDArray[np.int64], owner: NDArray[np.int64], adjacency: Adjacency,
+                blank: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Join every connected group of blank pieces with the textured one that shares most facets with it.
+
+    A group without a textured neighbour (a piece of the mesh by itself) stays as it is. Of neighbours with equally
+    many facets the lowest is taken. Load is no criterion: pixels without texture cost a residual pass but no
+    iteration, and a part of the mesh that nothing holds but its neighbour must be with it, however large it is.
+
+    Parameters
+    ----------
+    pieces : (n_cells,) int64 array
+        Connected piece of each cell.
+    owner : (n_pieces,) int64 array
+        Subdomain of each piece.
+    adjacency : (indptr, indices)
+        Cells that share a facet, as ``find_adjacent_cells`` gives it.
+    blank : (n_pieces,) bool array
+        Pieces that cannot stand alone.
+
+    Returns
+    -------
+    (n_cells,) int64 array
+        New subdomain of each cell, from 0 without gaps, in the old order.
+    """
+    n_pieces = len(blank)
+    n_shared = _count_shared_facets(pieces, adjacency, n_pieces)
+    blank_pieces = np.flatnonzero(blank)
+    among_blank = n_shared[blank_pieces][:, blank_pieces]
+    n_groups, group_of = csgraph.connected_components(among_blank, directed=False)
+
+    # The piece whose subdomain each piece will be part of.
+    host = np.arange(n_pieces)
+    for group in range(n_groups):
+        members = blank_pieces[group_of == group]
+        with_others = np.asarray(n_shared[members].sum(axis=0)).ravel()
+        with_textured = np.where(blank, 0, with_others)
+        if with_textured.any():
+            host[members] = int(with_textured.argmax())
+
+    owner_of_piece = owner[host]
+    owner_of_cell = owner_of_piece[pieces]
+    _, new = np.unique(owner_of_cell, return_inverse=True)
+    return np.asarray(new.reshape(-1), dtype=np.int64)
+
+
+def _count_shared_facets(pieces: NDArray[np.int64], adjacency: Adjacency, n_pieces: int) -> sparse.csr_matrix:
+    """Number of facets that each two different pieces share, (n_pieces, n_pieces)."""
+    indptr, indices = adjacency
+    # Each pair of adjacent cells: the piece of one, the piece of the other.
+    one = np.repeat(pieces, np.diff(indptr))
+    other = pieces[indices]
+    is_apart = one != other
+    pairs = (one[is_apart], other[is_apart])
+    ones = np.ones(len(pairs[0]), dtype=np.int64)
+    # Entries of one place add up.
+    return sparse.csr_matrix((ones, pairs), shape=(n_pieces, n_pieces))
+
+
+SplitInto = Callable[[NDArray[np.int64], int], NDArray[np.int64]]
+"""From the cells of a camera and a number of subdomains to the subdomain of each of these cells."""
+
+
+def assign_cameras(mesh: Mesh, seen: Sequence[NDArray[np.bool_]]) -> NDArray[np.int64]:
+    """Assign each cell to the first near camera that sees all its nodes, else to the first of all cameras.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        The whole mesh.
+    seen : sequence of (n_nodes,) array of bool
+        For each near camera whether it sees each node.
+
+    Returns
+    -------
+    (n_cells,) array of int64
+        Number of the camera that measures each cell, 0 the first.
+    """
+    labels = np.zeros(mesh.n_cells, dtype=np.int64)
+    # The first near camera comes last, so that what it sees is its own.
+    for place in reversed(range(len(seen))):
+        is_corner_seen = seen[place][mesh.connectivity]
+        is_cell_seen = np.logical_and.reduceat(is_corner_seen, mesh.offsets[:-1])
+        labels[is_cell_seen] = place + 1
+    return labels
+
+
+def find_cameras_at_nodes(mesh: Mesh, labels: NDArray[np.int64], n_cameras: int,
+                          weights: sparse.csr_matrix | None = None) -> NDArray[np.bool_]:
+    """Find the cameras that measure a cell at each node.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        The whole mesh.
+    labels : (n_cells,) array of int64
+        Camera of each cell.
+    n_cameras : int
+        Number of cameras.
+    weights : (n_nodes, n_unknown_nodes) csr_matrix, optional
+        Where some nodes are tied to others: then the cells of a node are also those of the nodes that are tied to it.
+
+    Returns
+    -------
+    (n_nodes, n_cameras) array of bool
+        Whether a camera measures a cell at a node; with weights of the unknown nodes, (n_unknown_nodes, n_cameras).
+    """
+    camera_of_corner = np.repeat(labels, np.diff(mesh.offsets))
+    present = np.zeros((mesh.n_nodes, n_cameras), dtype=bool)
+    present[mesh.connectivity, camera_of_corner] = True
+    if weights is None:
+        return present
+    is_tied_to = weights != 0
+    n_tied = is_tied_to.T @ present.astype(np.int64)
+    return np.asarray(n_tied > 0)
+
+
+def split_by_camera(labels: NDArray[np.int64], costs: NDArray[np.float64], n_subdomains: int,
+                    split: SplitInto) -> NDArray[np.int64]:
+    """Split each camera's cells by themselves, into subdomains of about equal cost; the first camera's come first.
+
+    Parameters
+    ----------
+    labels : (n_cells,) array of int64
+        Camera of each cell.
+    costs : (n_cells,) array
+        Work of each cell, pixels.
+    n_subdomains : int
+        Number of subdomains in all.
+    split : callable
+        From cells and a number of subdomains to the subdomain of each of these cells.
+
+    Returns
+    -------
+    (n_cells,) array of int64
+        Subdomain of each cell.
+
+    Raises
+    ------
+    InputError
+        Where cameras outnumber subdomains.
+    """
+    cameras = np.unique(labels)
+    if n_subdomains < len(cameras):
+        raise InputError(f"solver.subdomains = {n_subdomains}: {len(cameras)} cameras measure elements, and each needs "
+                         f"a subdomain of its own; ask for at least {len(cameras)}")
+    cells_of = [np.flatnonzero(labels == camera) for camera in cameras]
+    work = np.array([costs[cells].sum() for cells in cells_of])
+    counts = _apportion(work, n_subdomains, [len(cells) for cells in cells_of])
+    parts = np.zeros(len(labels), dtype=np.int64)
+    first = 0
+    for cells, count in zip(cells_of, counts, strict=True):
+        parts[cells] = first + split(cells, count)
+        first += count
+    return parts
+
+
+def keep_cameras_apart(parts: NDArray[np.int64], labels: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Cut the subdomains of a given partition where the camera changes.
+
+    Parameters
+    ----------
+    parts : (n_cells,) array of int64
+        Subdomain of each cell.
+    labels : (n_cells,) array of int64
+        Camera of each cell.
+
+    Returns
+    -------
+    (n_cells,) array of int64
+        New subdomain of each cell, numbered by camera without gaps.
+    """
+    n_parts = int(parts.max()) + 1
+    by_camera_and_part = labels * n_parts + parts
+    return renumber(by_camera_and_part)
+
+
+def add_motions(subdomains: Sequence[Subdomain], cameras: Sequence[int], n_motion_unknowns: Sequence[int],
+                n_field: int) -> list[Subdomain]:
+    """Give subdomains their camera and the unknowns of its motion, numbered after those of the field.
+
+    Parameters
+    ----------
+    subdomains : sequence of Subdomain
+        All of them, by number.
+    cameras : sequence of int
+        Camera of each.
+    n_motion_unknowns : sequence of int
+        Unknowns of each camera's motion.
+    n_field : int
+        Number of unknowns of the whole field.
+
+    Returns
+    -------
+    list of Subdomain
+        The same; the last owns the interface rows of all motions.
+    """
+    n_chain_rows = sum(subdomain.n_owned_rows for subdomain in subdomains)
+    # Unknowns of all motions, camera after camera; each has a row of its own after those of the chains.
+    first = np.concatenate([[0], np.cumsum(n_motion_unknowns)]).astype(np.int64)
+    cameras = list(cameras)
+    with_motion = []
+    for place, (subdomain, camera) in enumerate(zip(subdomains, cameras, strict=True)):
+        of_camera = np.arange(first[camera], first[camera + 1])
+        motion = None
+        if len(of_camera):
+            is_lowest = cameras.index(camera) == place
+            motion = MotionUnknowns(n_field + of_camera, n_chain_rows + of_camera, cameras.count(camera), is_lowest)
+        with_motion.append(replace(subdomain, camera=camera, motion=motion))
+    last = with_motion[-1]
+    n_motion_rows = int(first[-1])
+    with_motion[-1] = replace(last, n_owned_rows=last.n_owned_rows + n_motion_rows)
+    return with_motion
+
+
+def _apportion(work: NDArray[np.float64], total: int, most: Sequence[int]) -> list[int]:
+    """Whole numbers from 1 to ``most`` that add up to ``total``, so that the largest work a piece is least."""
+    limits = np.asarray(most)
+    counts = np.ones(len(work), dtype=np.int64)
+    for _ in range(total - len(work)):
+        # One piece more where pieces are largest; -1 where there can be no more.
+        loads = np.where(counts < limits, work / counts, -1.0)
+        counts[loads.argmax()] += 1
+    return [int(count) for count in counts]

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.mesh.mesh import Mesh
-from ddic.partition.check_contact import check_contact
-from ddic.partition.contact import COVERED, Contact, find_contact
+from ddic.partition.contact import COVERED, Contact, check_contact, find_contact
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ddic.io import result_schema as schema
 from ddic.io.result_reader import Result
 from ddic.mesh.cell_type import T3
-from ddic.mesh.covered_areas import measure_covered_areas
+from ddic.mesh.quality import measure_covered_areas
 
 Array = NDArray[np.float64]
 

@@ -10,12 +10,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.fracture.lines_of_result import get_lines
+from ddic.fracture.opening import get_lines
 from ddic.io import result_schema as schema
 from ddic.io.result_reader import Result
-from ddic.kinematics.strain_measures import compute_green_lagrange, compute_hencky, compute_infinitesimal
+from ddic.kinematics.strain import compute_green_lagrange, compute_hencky, compute_infinitesimal
 from ddic.mesh.interpolation import interpolate_located, locate
-from ddic.probes.probe_kinds import Extensometer, LineProbe, PointProbe, Probe, StrainGauge
+from ddic.probes.probes import Extensometer, LineProbe, PointProbe, Probe, StrainGauge
 
 Array = NDArray[np.float64]
 Measure = Literal["infinitesimal", "green-lagrange", "hencky"]

@@ -11,15 +11,15 @@ from scipy import sparse
 
 from ddic.case.schema import Case, RegularizationSection
 from ddic.errors import InputError, as_collective
-from ddic.functionals.equilibrium_gap import (
+from ddic.functionals.regularization import (
     controlled_stiffness,
     find_cut_off_weight,
     find_edge_weight,
     measure_texture_energies,
 )
+from ddic.inputs.mesh_source import NO_INNER_NODE
 from ddic.parallel.team import Team, require_held
 from ddic.partition.subdomain import Subdomain, interface_weights
-from ddic.problem.mesh_source import NO_INNER_NODE
 from ddic.problem.region_mesh import Region, build_material
 from ddic.problem.views import ReferenceViews
 from ddic.solvers.local_system import LocalSystem

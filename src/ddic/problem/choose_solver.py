@@ -7,15 +7,14 @@ from dataclasses import replace
 from math import ceil
 
 from ddic.case.schema import SolverSection
-from ddic.io.partition_file import read_partition
+from ddic.inputs.inputs import Inputs, SolverChoice
+from ddic.io.text_files import read_partition
 from ddic.mesh.quality import measure_cell_size
-from ddic.parallel.node_memory import measure_available_memory
+from ddic.parallel.node import measure_available_memory
 from ddic.parallel.team import Team, require_held
-from ddic.problem.inputs import Inputs, SolverChoice
 from ddic.problem.linear_solver import compute_cut_off_wavelength
 from ddic.problem.region_mesh import RegionMesh
-from ddic.solvers.factor_packages import is_mumps_missing
-from ddic.solvers.petsc_defaults import ASSEMBLED, COARSE
+from ddic.solvers.petsc import ASSEMBLED, COARSE, is_mumps_missing
 from ddic.solvers.step_costs import Candidate, StepCosts, StepTask, predict_costs
 
 STEPS_OF_FRAME = 5

@@ -10,16 +10,15 @@ from numpy.typing import NDArray
 
 from ddic.case.schema import Case
 from ddic.errors import InputError
-from ddic.functionals.corner_weights import weigh_corners
-from ddic.kinematics.discontinuities import Discontinuities
-from ddic.kinematics.enriched import EnrichedRegion, enrich
+from ddic.functionals.line_band import weigh_corners
+from ddic.inputs.cameras import MeasuredCells, collect_cells
+from ddic.inputs.inputs import Inputs
+from ddic.kinematics.enriched import Discontinuities, EnrichedRegion, enrich
 from ddic.kinematics.tip_functions import TipPatch, enrich_at_tips, find_bends_at_tips, find_tips
 from ddic.mesh.cut_mesh import CutMesh, cut_mesh, is_cut_by
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_areas
-from ddic.partition.determined_sides import CutSides, keep_cameras_determined
-from ddic.problem.cameras import MeasuredCells, collect_cells
-from ddic.problem.inputs import Inputs
+from ddic.partition.determined import CutSides, keep_cameras_determined
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ from ddic.functionals.grey_statistics import GreySums
 from ddic.functionals.view import FrameView, View
 from ddic.images.spline import PADDING, SplineImage
 from ddic.images.window import Window
-from ddic.mesh.shapes import pad_cells
+from ddic.mesh.mesh import pad_cells
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]

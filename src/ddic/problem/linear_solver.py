@@ -19,12 +19,10 @@ from ddic.solvers.assembled import AssembledStep
 from ddic.solvers.conjugate_gradient import ConjugateGradientStep
 from ddic.solvers.dual.build_preconditioner import Preconditioner
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
-from ddic.solvers.factor_packages import LOCAL_FACTORS
-from ddic.solvers.guarded_step import GuardedStep
-from ddic.solvers.linear_step import LinearStep
+from ddic.solvers.linear_step import GuardedStep, LinearStep
 from ddic.solvers.local_operator import LocalOperator
-from ddic.solvers.local_system import LocalSystem
-from ddic.solvers.monolithic import MonolithicStep
+from ddic.solvers.local_system import LocalSystem, MonolithicStep
+from ddic.solvers.petsc import LOCAL_FACTORS
 
 MANY_SUBDOMAINS = 8
 """Subdomains below which one level of preconditioning is always enough."""

@@ -15,20 +15,20 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.errors import InputError, list_first
-from ddic.functionals.read_correlation import restrict_to_cells
-from ddic.functionals.texture_strength import Texture, find_blank_subdomains, measure_texture
+from ddic.functionals.correlation import restrict_to_cells
+from ddic.functionals.texture import Texture, find_blank_subdomains, measure_texture
+from ddic.inputs.cameras import Frame
+from ddic.inputs.inputs import Inputs, UpdatedReference
 from ddic.mesh.topology import find_adjacent_cells
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team, require_held
-from ddic.partition.merge import find_connected_pieces, merge_blank
+from ddic.partition.split import find_connected_pieces, merge_blank
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.assembly import Hessians, assemble_hessians
-from ddic.problem.cameras import Frame
 from ddic.problem.choose_solver import choose_solver
-from ddic.problem.inputs import Inputs, UpdatedReference
 from ddic.problem.region_mesh import Region, RegionMesh, build_region_mesh, scatter_region, split_region
 from ddic.problem.views import ReferenceViews, read_reference_views
-from ddic.solvers.factor_packages import describe_missing_packages
+from ddic.solvers.petsc import describe_missing_packages
 
 Array = NDArray[np.float64]
 

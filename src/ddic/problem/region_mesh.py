@@ -11,29 +11,33 @@ from numpy.typing import NDArray
 
 from ddic.case.schema import RegularizationSection, SolverSection
 from ddic.errors import InputError
-from ddic.functionals.elasticity import Material
-from ddic.functionals.equilibrium_gap import measure_gap_energies
-from ddic.io.partition_file import read_partition
+from ddic.functionals.regularization import Material, measure_gap_energies
+from ddic.inputs.cameras import Camera, MeasuredCells, assign_cells, collect_cells
+from ddic.inputs.inputs import Inputs
+from ddic.io.text_files import read_partition
 from ddic.kinematics.kinematics import RegionKinematics
+from ddic.kinematics.linear import TiedRegion
 from ddic.kinematics.nodal import NodalRegion
-from ddic.kinematics.tied import TiedRegion
-from ddic.mesh.control import find_not_controlled_nodes
 from ddic.mesh.mesh import Mesh, Similarity
 from ddic.mesh.raster import rasterize
-from ddic.mesh.topology import find_boundary_nodes
+from ddic.mesh.topology import find_boundary_nodes, find_not_controlled_nodes
 from ddic.parallel.distribution import scatter_subdomains
 from ddic.parallel.team import Team, require_held
 from ddic.partition.build_subdomains import build_subdomains
-from ddic.partition.by_camera import add_motions, find_cameras_at_nodes, keep_cameras_apart, split_by_camera
-from ddic.partition.cost import estimate_cell_costs, sum_costs
-from ddic.partition.determined_masters import keep_masters_determined
-from ddic.partition.determined_sides import keep_sides_determined
-from ddic.partition.split import split_by_blocks, split_by_metis
+from ddic.partition.determined import keep_masters_determined, keep_sides_determined
+from ddic.partition.split import (
+    add_motions,
+    estimate_cell_costs,
+    find_cameras_at_nodes,
+    keep_cameras_apart,
+    split_by_blocks,
+    split_by_camera,
+    split_by_metis,
+    sum_costs,
+)
 from ddic.partition.subdomain import Subdomain
 from ddic.partition.ties import Tying
-from ddic.problem.cameras import Camera, MeasuredCells, assign_cells, collect_cells
 from ddic.problem.cut_region import CutRegion, cut_region, refuse_kinematics
-from ddic.problem.inputs import Inputs
 
 
 @dataclass(frozen=True)

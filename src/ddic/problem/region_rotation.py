@@ -18,7 +18,7 @@ from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.solvers.exchange import Exchange
 from ddic.solvers.local_system import LocalSystem
-from ddic.solvers.petsc_stack import PetscStack
+from ddic.solvers.petsc import PetscStack
 from ddic.solvers.whole_system import EquilibriumRows
 
 Array = NDArray[np.float64]

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.errors import list_first
-from ddic.functionals.moved_gradient import LARGE, measure_deformation
+from ddic.functionals.correlation import LARGE, measure_deformation
 from ddic.functionals.view import View
-from ddic.images.blurred import Blur
+from ddic.images.binned import Blur
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.assembly import Assembly, Hessians

@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.errors import ConvergenceError, as_collective
-from ddic.functionals.correlation import Residual
-from ddic.functionals.elasticity import Material, integrate_cell_stiffness
+from ddic.functionals.correlation import LARGE_SHARE, Residual, compute_inverse_deformations, find_large_gradients
 from ddic.functionals.grey_statistics import GreyCorrection, GreyState, GreySums
-from ddic.functionals.moved_gradient import LARGE_SHARE, compute_inverse_deformations, find_large_gradients
-from ddic.images.blurred import Blur
+from ddic.functionals.regularization import Material, integrate_cell_stiffness
+from ddic.images.binned import Blur
 from ddic.kinematics.cell_interpolation import interpolate_cells
 from ddic.mesh.plane import build_rotation
 from ddic.parallel.team import Team

@@ -8,20 +8,19 @@ import numpy as np
 
 from ddic.case.schema import Case, PgdSection, RegularizationSection
 from ddic.errors import InputError
-from ddic.functionals.equilibrium_gap import find_edge_weight
+from ddic.functionals.regularization import find_edge_weight
 from ddic.images.sub_image import DeformedSubImage, read_reference
 from ddic.images.window import Window
+from ddic.inputs.cameras import Frame
+from ddic.inputs.inputs import Inputs
+from ddic.inputs.rectangle import Rectangle, choose_controlled_lines
+from ddic.parallel.distribution import TeamSums
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team, require_held
-from ddic.parallel.team_sums import TeamSums
-from ddic.problem.cameras import Frame
-from ddic.problem.inputs import Inputs
-from ddic.problem.rectangle import Rectangle, choose_controlled_lines
 from ddic.problem.region_mesh import build_material
 from ddic.problem.weighted_problem import ProblemSize, describe_cut_off
 from ddic.separated.band_sums import divide_rows
-from ddic.separated.corrections import Regularization, Scheme, StoppingRules
-from ddic.separated.noise_gain import OF_GAP, OF_TIKHONOV
+from ddic.separated.corrections import OF_GAP, OF_TIKHONOV, Regularization, Scheme, StoppingRules
 from ddic.separated.pixel_bands import FramePixels, ReferencePixels, count_usable, cut_bands
 from ddic.separated.separated_regularization import (
     SeparatedOperator,

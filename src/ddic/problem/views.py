@@ -10,17 +10,16 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.case.schema import Case
-from ddic.functionals.correlation import Correlation
-from ddic.functionals.read_correlation import read_correlations
+from ddic.functionals.correlation import Correlation, read_correlations
 from ddic.functionals.view import FrameView, View
 from ddic.images.sub_image import DeformedSubImage
 from ddic.images.threads import Threads
 from ddic.images.window import Window
-from ddic.kinematics.camera_kinematics import place_before_camera
+from ddic.inputs.cameras import Camera, Frame
+from ddic.kinematics.camera import place_before_camera
 from ddic.kinematics.kinematics import Kinematics
 from ddic.mesh.mesh import Mesh
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.cameras import Camera, Frame
 
 
 @dataclass(frozen=True)

@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 
 from ddic.case.schema import RegularizationSection
 from ddic.errors import SingularSubdomainError, as_collective, is_collective
-from ddic.functionals.cell_slopes import CellSlopes
-from ddic.functionals.half_amplitude import HalfAmplitudes, find_half_amplitudes
-from ddic.functionals.view import FrameView
+from ddic.functionals.regularization import HalfAmplitudes, find_half_amplitudes
+from ddic.functionals.view import CellSlopes, FrameView
+from ddic.inputs.cameras import Frame
 from ddic.mesh.plane import build_rotation
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.assembly import assemble
-from ddic.problem.cameras import Frame
 from ddic.problem.linear_solver import LinearSolver, compute_cut_off_wavelength
 from ddic.problem.reference_problem import ReferenceProblem
 from ddic.problem.region_mesh import build_material
@@ -42,7 +41,7 @@ from ddic.problem.renewal import (
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.views import FrameViews, ReferenceViews, open_frame_views
 from ddic.solvers.correction_size import Tolerances
-from ddic.solvers.singularity import describe_lost
+from ddic.solvers.local_operator import describe_lost
 
 
 class WeightedProblem:

@@ -9,13 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.kinematics.strain import compute_displacement_gradients
-from ddic.kinematics.strain_measures import compute_infinitesimal
-from ddic.parallel.node_sums import sum_shared_nodes
+from ddic.kinematics.strain import compute_displacement_gradients, compute_infinitesimal
+from ddic.parallel.distribution import sum_shared_nodes
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.force_noise import ForceNoise, measure_force_noise
-from ddic.problem.noise_forces import (
+from ddic.problem.residual_model import Evaluation, ResidualModel
+from ddic.problem.weighted_problem import WeightedProblem
+from ddic.results.fields import recover_nodal_gradients
+from ddic.solvers.linear_step import AllowedError, LinearStep
+from ddic.solvers.probing import estimate_response
+from ddic.visibility.force_noise import ForceNoise, measure_force_noise
+from ddic.visibility.noise_forces import (
     OF_RESIDUAL,
     ImageNoise,
     NoiseForces,
@@ -23,11 +27,6 @@ from ddic.problem.noise_forces import (
     prepare_noise_forces,
     prepare_residual_forces,
 )
-from ddic.problem.residual_model import Evaluation, ResidualModel
-from ddic.problem.weighted_problem import WeightedProblem
-from ddic.results.nodal_strain import recover_nodal_gradients
-from ddic.solvers.linear_step import AllowedError, LinearStep
-from ddic.solvers.noise_floor import estimate_response
 
 Array = NDArray[np.float64]
 

@@ -1,53 +1,61 @@
-"""A measured field, spread over ranks, and how it was measured."""
+"""A measured field, spread over ranks, and how it was measured.
+
+The last field of a measurement that did not converge, kept so that one can look at it.
+
+A measured displacement gathered on rank 0.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.case.schema import Case
-from ddic.errors import ConvergenceError, as_collective, is_collective, list_first
+from ddic.errors import ConvergenceError, DdicError, as_collective, is_collective, list_first
 from ddic.functionals.grey_statistics import GreyCorrection
+from ddic.inputs.cameras import Camera, Frame
+from ddic.inputs.inputs import Inputs
 from ddic.io.result_writer import ResultWriter
 from ddic.kinematics.strain import find_inverted_cells
 from ddic.mesh.interpolation import interpolate
 from ddic.mesh.plane import build_tree
+from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team, require_held
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.cameras import Camera, Frame
-from ddic.problem.cell_errors import (
+from ddic.problem.linear_solver import compute_cut_off_wavelength
+from ddic.problem.region_mesh import Region
+from ddic.problem.residual_model import Evaluation, ResidualModel
+from ddic.problem.weighted_problem import ProblemSize, WeightedProblem
+from ddic.results.fields import write_pieces
+from ddic.results.histories import write_attributes, write_histories
+from ddic.results.near import SetupMotion, collect_motions, describe_motions, estimate_covariances
+from ddic.results.publishing import describe_image
+from ddic.results.residual_image import write_residual_images
+from ddic.solvers.gauss_newton import IterationRecord
+from ddic.visibility.cell_errors import (
     CellErrors,
     describe_doubtful_cells,
+    describe_exclusions,
     describe_lost_field,
     find_cell_errors,
     find_noisy_cells,
     find_unmeasured_nodes,
     measure_cell_residuals,
 )
-from ddic.problem.exclusions import Exclusions, find_excluded
-from ddic.problem.inputs import Inputs
-from ddic.problem.linear_solver import compute_cut_off_wavelength
-from ddic.problem.region_mesh import Region
-from ddic.problem.residual_model import Evaluation, ResidualModel
-from ddic.problem.slow_nodes import estimate_node_deviations
-from ddic.problem.solved_frame import SolvedFrame
-from ddic.problem.weighted_problem import ProblemSize, WeightedProblem
-from ddic.results.camera_images import write_residual_images
-from ddic.results.describe_exclusions import describe_exclusions
-from ddic.results.field_pieces import write_pieces
-from ddic.results.histories import write_attributes, write_histories
-from ddic.results.provenance import describe_image
-from ddic.results.setup_motion import SetupMotion, collect_motions, describe_motions, estimate_covariances
-from ddic.solvers.gauss_newton import IterationRecord
+from ddic.visibility.exclusions import Exclusions, find_excluded
+from ddic.visibility.slow_nodes import estimate_node_deviations
+from ddic.visibility.solved_frame import SolvedFrame
 
 if TYPE_CHECKING:
     from ddic.results.field_uncertainty import Uncertainty
+
 
 Array = NDArray[np.float64]
 
@@ -400,3 +408,88 @@ def describe_inverted_cells(team: Team, subdomains: Sequence[Subdomain], displac
         return ""
     return (f"the measured field turns {len(cells)} elements inside out (numbers {list_first(cells)}): the images do "
             "not determine it; use larger elements or a longer regularization.cut_off_wavelength")
+
+
+Finish = Callable[[Any, str], object]
+"""Makes a measurement of a solution and the reason why it is no result; collective."""
+
+
+@contextmanager
+def last_field_kept(clock: PhaseClock, finish: Finish) -> Iterator[None]:
+    """Let a ConvergenceError bring the measurement of its last field in place of the solver's solution; collective.
+
+    Parameters
+    ----------
+    clock : PhaseClock
+        Of the phases.
+    finish : callable
+        Makes the measurement.
+
+    Raises
+    ------
+    ConvergenceError
+        As it was raised inside; without a measurement where its solution shows nothing.
+    """
+    try:
+        yield
+    except ConvergenceError as error:
+        found, error.last = error.last, None
+        # Of one that is not raised on all ranks the job ends.
+        if found is not None and is_collective(error):
+            with clock.phase(Phase.FINISH):
+                error.last = _finish(finish, found, str(error))
+        raise
+
+
+def _finish(finish: Finish, found: Any, failure: str) -> object:
+    try:
+        return finish(found, failure)
+    except DdicError as error:
+        # Where no pixel is left, say, there is nothing to show; what this rank alone raises must end the job.
+        if not is_collective(error):
+            raise
+        return None
+
+
+def gather_displacement(measurement: Measurement) -> NDArray[np.float64] | None:
+    """Gather the displacement of all nodes; collective.
+
+    Parameters
+    ----------
+    measurement : Measurement
+        Spread over ranks.
+
+    Returns
+    -------
+    (n_nodes, dim) array or None
+        Pixels, on rank 0.
+    """
+    values = [(subdomain.node_ids, u.reshape(-1, subdomain.mesh.dim))
+              for subdomain, u in zip(measurement.subdomains, measurement.displacements, strict=True)]
+    gathered = measurement.team.gather_to(values, 0)
+    if gathered is None:
+        return None
+    return place_at_nodes([of_subdomain for of_rank in gathered for of_subdomain in of_rank],
+                          measurement.region.n_nodes)
+
+
+def place_at_nodes(values: Iterable[tuple[NDArray[np.int64], NDArray[np.float64]]],
+                   n_nodes: int) -> NDArray[np.float64]:
+    """Put the values of several parts of a mesh in their places.
+
+    Parameters
+    ----------
+    values : iterable of (node_ids, (n, dim) array)
+        Of each part: numbers of its nodes in the whole mesh, and a vector of each.
+    n_nodes : int
+        Of the whole mesh.
+
+    Returns
+    -------
+    (n_nodes, dim) array
+        Where parts share a node, of the last; nan at nodes of no part.
+    """
+    placed = np.full((n_nodes, 2), np.nan)
+    for node_ids, of_part in values:
+        placed[node_ids] = of_part
+    return placed

@@ -1,24 +1,158 @@
-"""How a measurement leaves the program: one protocol, whatever it is made of."""
+"""How a measurement leaves the program: one protocol, whatever it is made of.
+
+Where a result comes from: images, versions, commit, command.
+
+Seconds by phase over all ranks.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import math
+import platform
+import sys
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from functools import cache, lru_cache
+from importlib import metadata
 from pathlib import Path
 from typing import Protocol, TypeVar
 
+import mpi4py.MPI
 import numpy as np
+import petsc4py.PETSc
 from numpy.typing import NDArray
 
+from ddic.images.source import ImageSource
+from ddic.images.window import Window
 from ddic.io import result_schema as schema
+from ddic.io.image_file import compute_sha256
+from ddic.io.input_file import find_source_commit
 from ddic.io.replace_on_exit import NewFiles
 from ddic.io.result_reader import Result
 from ddic.io.result_writer import ResultWriter
+from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team, require_held
-from ddic.results.phase_times import PhaseTimes
-from ddic.results.provenance import collect_provenance
+from ddic.version import __version__
+
+_LIBRARIES = ("numpy", "scipy", "numba", "h5py", "mpi4py", "petsc4py")
+
+
+def collect_provenance(origin: dict[str, str | int]) -> dict[str, str | int]:
+    """Collect the facts that let a reader repeat a measurement; on rank 0.
+
+    Parameters
+    ----------
+    origin : dict
+        What it was measured from.
+
+    Returns
+    -------
+    dict
+        Date, command, versions, then what was given.
+    """
+    return {"date": datetime.now(UTC).isoformat(timespec="seconds"), "command": " ".join(sys.argv),
+            **_collect_versions(), **origin}
+
+
+@cache
+def _collect_versions() -> dict[str, str | int]:
+    """Versions of what runs; looked up once a process, as each frame of a series asks."""
+    facts: dict[str, str | int] = {
+        "ddic": __version__,
+        "commit": find_source_commit(),
+        "python": platform.python_version(),
+        "petsc": ".".join(str(n) for n in petsc4py.PETSc.Sys.getVersion()),
+        "mpi": mpi4py.MPI.Get_library_version().splitlines()[0].strip("\0 "),
+    }
+    for library in _LIBRARIES:
+        facts[library] = metadata.version(library)
+    return facts
+
+
+@lru_cache(maxsize=8)
+def _compute_checksum(path: Path, size: int, changed: int) -> str:
+    """SHA-256 of a file as long as it stays the same: each frame of a series names the reference image again."""
+    return compute_sha256(path)
+
+
+def describe_image(name: str, image: ImageSource) -> dict[str, str | int]:
+    """Describe an image by its path, size and checksum.
+
+    Parameters
+    ----------
+    name : str
+        What the image is.
+    image : ImageSource
+        From a file, or in memory.
+
+    Returns
+    -------
+    dict
+        NAME_path, NAME_size and NAME_sha256: of the file's bytes, or of the pixels in memory.
+    """
+    if image.path.is_file():
+        status = image.path.stat()
+        checksum = _compute_checksum(image.path, status.st_size, status.st_mtime_ns)
+    else:
+        pixels = image.read(Window(0, 0, image.width, image.height))
+        checksum = hashlib.sha256(np.ascontiguousarray(pixels).tobytes()).hexdigest()
+    return {f"{name}_path": str(image.path), f"{name}_size": f"{image.width}x{image.height}",
+            f"{name}_sha256": checksum}
+
+
+@dataclass(frozen=True)
+class PhaseTimes:
+    """Seconds by phase, in the order in which phases began.
+
+    Attributes
+    ----------
+    seconds : dict
+        Wall seconds of the slowest rank.
+    cpu_seconds : dict
+        CPU seconds of all ranks.
+    imbalance : dict
+        Busy seconds of the busiest rank over their mean, from 1 (all have the same to do) to the number of ranks (one
+        does it all). Busy are CPU seconds that are not spent in a team's communication; what a rank waits inside PETSc
+        counts as busy.
+    """
+
+    seconds: dict[Phase, float]
+    cpu_seconds: dict[Phase, float]
+    imbalance: dict[Phase, float]
+
+
+def gather_phase_times(team: Team, clock: PhaseClock) -> PhaseTimes:
+    """Gather what the clocks of all ranks have so far; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    clock : PhaseClock
+        This rank's.
+
+    Returns
+    -------
+    PhaseTimes
+        The same on all ranks, of the phases that this rank has had.
+    """
+    clocks = team.gather_lists([(clock.wall, clock.cpu, clock.busy)])
+    seconds, cpu_seconds, imbalance = {}, {}, {}
+    for phase in clock.wall:
+        seconds[phase] = max(wall.get(phase, 0.0) for wall, _, _ in clocks)
+        cpu_seconds[phase] = sum(cpu.get(phase, 0.0) for _, cpu, _ in clocks)
+        imbalance[phase] = _imbalance([busy.get(phase, 0.0) for _, _, busy in clocks])
+    return PhaseTimes(seconds, cpu_seconds, imbalance)
+
+
+def _imbalance(busy: list[float]) -> float:
+    """Return the largest of the ranks' seconds over their mean, 1 where none has any."""
+    mean = float(np.mean(busy))
+    return max(busy) / mean if mean > 0 else 1.0
+
 
 T = TypeVar("T")
 

@@ -10,20 +10,18 @@ from typing import TYPE_CHECKING
 
 from ddic.errors import ConvergenceError, DdicError, InputError, WriteError, as_collective, is_collective
 from ddic.io.input_file import find_real_path
-from ddic.io.output_lock import get_lock_path, held_output
-from ddic.io.replace_on_exit import note_unfinished, replaced_together
-from ddic.io.result_files import move_result, remove_result
+from ddic.io.replace_on_exit import get_lock_path, held_output, note_unfinished, replaced_together
 from ddic.io.result_schema import earlier_path, not_converged_path, summary_path
+from ddic.io.sidecars import move_result, remove_result
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.results.measurement import Measurement
-from ddic.results.phase_times import gather_phase_times
-from ddic.results.publishing import Destination, publish
+from ddic.results.publishing import Destination, gather_phase_times, publish
 from ddic.results.summarize import summarize
 from ddic.results.summary import Summary, write_summary
 
 if TYPE_CHECKING:
-    from ddic.results.separated_measurement import SeparatedMeasurement
+    from ddic.results.separated import SeparatedMeasurement
 
 
 def write_run(measurement: Measurement | SeparatedMeasurement, clock: PhaseClock, file: Path,
@@ -160,7 +158,7 @@ def _write_last_field(team: Team, error: DdicError, destination: Destination, st
     """Write the field that an error brings; says where it is."""
     file = destination.path
     assert file is not None
-    from ddic.results.separated_measurement import SeparatedMeasurement
+    from ddic.results.separated import SeparatedMeasurement
 
     last = error.last if isinstance(error, ConvergenceError) else None
     if not isinstance(last, Measurement | SeparatedMeasurement):

@@ -8,16 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 from ddic.io import result_schema as schema
 from ddic.parallel.phases import PhaseClock
-from ddic.results.field_ranges import find_field_ranges
-from ddic.results.histories import list_iterations
+from ddic.results.histories import list_corrections, list_iterations
 from ddic.results.measurement import Measurement
-from ddic.results.near_attributes import summarize_near_field
-from ddic.results.phase_times import gather_phase_times
-from ddic.results.separated_tables import list_corrections
-from ddic.results.summary import Summary
+from ddic.results.near import summarize_near_field
+from ddic.results.publishing import gather_phase_times
+from ddic.results.summary import Summary, find_field_ranges
 
 if TYPE_CHECKING:
-    from ddic.results.separated_measurement import SeparatedMeasurement
+    from ddic.results.separated import SeparatedMeasurement
 
 
 def summarize(measurement: Measurement | SeparatedMeasurement, clock: PhaseClock) -> Summary:

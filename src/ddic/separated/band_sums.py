@@ -10,7 +10,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.separated.line_elements import LineElements
+from ddic.separated.field import LineElements
 
 Array = NDArray[np.float64]
 T = TypeVar("T")

@@ -14,8 +14,7 @@ from ddic.images.sub_image import DeformedSubImage
 from ddic.images.window import Window
 from ddic.separated import separated_kernels as kernels
 from ddic.separated.band_sums import BandSums
-from ddic.separated.line_elements import LineElements
-from ddic.separated.separated_field import SeparatedField
+from ddic.separated.field import LineElements, SeparatedField
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.float32]

@@ -9,10 +9,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.functionals.elasticity import Material
-from ddic.functionals.equilibrium_gap import PHASES, find_cut_off_weight
-from ddic.separated.diagonals import multiply, multiply_matrices, pad_diagonals, transpose
-from ddic.separated.line_elements import LineElements
+from ddic.functionals.regularization import PHASES, Material, find_cut_off_weight
+from ddic.separated.field import LineElements, multiply, multiply_matrices, pad_diagonals, transpose
 
 Array = NDArray[np.float64]
 

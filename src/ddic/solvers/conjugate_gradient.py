@@ -10,11 +10,10 @@ from petsc4py import PETSc
 
 from ddic.errors import ConvergenceError, as_collective
 from ddic.parallel.team import Team
-from ddic.solvers.displacement_size import measure_unit_size
+from ddic.solvers.correction_size import measure_unit_size
 from ddic.solvers.linear_step import AllowedError, StepResult
 from ddic.solvers.local_system import LocalSystem
-from ddic.solvers.petsc_defaults import CONJUGATE_GRADIENT, create_ksp
-from ddic.solvers.petsc_stack import PetscStack
+from ddic.solvers.petsc import CONJUGATE_GRADIENT, PetscStack, create_ksp
 from ddic.solvers.whole_system import WholeSystem
 
 LOOK_EVERY = 4

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from ddic.parallel.team import Team
-from ddic.solvers.petsc_integers import check_petsc_size, to_petsc_integers
-from ddic.solvers.petsc_stack import PetscStack
+from ddic.solvers.petsc import PetscStack, check_petsc_size, to_petsc_integers
 
 
 class Exchange:

@@ -1,4 +1,9 @@
-"""The local operator A_s = M_s + eta Kbar_s^T Kbar_s, factorised once and solved many times."""
+"""The local operator A_s = M_s + eta Kbar_s^T Kbar_s, factorised once and solved many times.
+
+Whether a factorised operator is singular, and what to tell of it.
+
+Why PETSc could not factorise a matrix, and what to do about it.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +12,105 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 from scipy import sparse
 
-from ddic.errors import SingularSubdomainError
-from ddic.solvers.factor_failure import describe_failure
-from ddic.solvers.petsc_defaults import LOCAL, create_ksp
-from ddic.solvers.petsc_integers import to_petsc_integers
-from ddic.solvers.petsc_stack import PetscStack
-from ddic.solvers.singularity import bound_lowest_eigenvalue, describe_singular
+from ddic.errors import DdicError, FactorizationError, SingularSubdomainError
+from ddic.solvers.petsc import LOCAL, PetscStack, create_ksp, to_petsc_integers
+
+_PROBES = 3
+"""Inverse iterations: each brings the bound nearer to the lowest eigenvalue and costs a solve."""
+
+
+def bound_lowest_eigenvalue(factor: PETSc.Mat, probe: PETSc.Vec) -> float:
+    """Bound the lowest eigenvalue from above by a few inverse iterations.
+
+    Parameters
+    ----------
+    factor : PETSc.Mat
+        Of a symmetric positive definite matrix.
+    probe : PETSc.Vec
+        Random; becomes the last iterate.
+
+    Returns
+    -------
+    float
+        The bound, in the matrix's unit; 0 where the iterations break down.
+    """
+    with PetscStack() as stack:
+        solution = stack.keep(probe.duplicate())
+        bound = np.inf
+        for _ in range(_PROBES):
+            probe.normalize()
+            factor.solve(probe, solution)
+            size = solution.norm()
+            if not np.isfinite(size):
+                return 0.0
+            bound = 1.0 / size
+            solution.copy(probe)
+        return float(bound)
+
+
+_SINGULAR = ": the operator is singular"
+
+
+def describe_singular(where: str) -> str:
+    """Write the message that an operator is singular.
+
+    Parameters
+    ----------
+    where : str
+        What it belongs to.
+
+    Returns
+    -------
+    str
+        With causes and remedies.
+    """
+    return (f"{where}{_SINGULAR}, which means that the reference image has too little texture "
+            "there, or too few pixels that are neither masked nor mapped outside the deformed image; use larger "
+            "elements, leave the blank part out of the mesh, or give a longer regularization.cut_off_wavelength")
+
+
+def describe_lost(message: str, reason: str) -> str:
+    """Give such a message another reason: not the reference image, but what a frame shows of it."""
+    return f"{message.partition(_SINGULAR)[0]}{_SINGULAR}: {reason}"
+
+
+OUT_OF_MEMORY = 55
+"""PETSc's number of the error."""
+
+MISSING_PACKAGE = 92
+"""PETSc's number of the error."""
+
+ZERO_PIVOT = (71, 81)
+"""PETSc's numbers of the error, of LU and of Cholesky."""
+
+
+def describe_failure(error: PETSc.Error, where: str) -> DdicError:
+    """Describe a failure by an error that says what the user can do.
+
+    Parameters
+    ----------
+    error : PETSc.Error
+        Of the factorisation.
+    where : str
+        What the matrix belongs to.
+
+    Returns
+    -------
+    DdicError
+        To be raised: a singular operator, one that is too large, a missing solver package, or what PETSc says.
+    """
+    if error.ierr in ZERO_PIVOT:
+        return SingularSubdomainError(describe_singular(where))
+    said = str(error).strip().splitlines()[-1].removeprefix("[0] ")
+    if error.ierr == OUT_OF_MEMORY:
+        return FactorizationError(f"{where}: not enough memory to factorise its operator; give more solver.subdomains, "
+                                  'start more ranks, or use solver.method = "conjugate_gradient"')
+    if error.ierr == MISSING_PACKAGE:
+        return FactorizationError(f"{where}: PETSc was built without the solver package that is asked for ({said}); "
+                                  "choose another by -local_pc_factor_mat_solver_type mumps, or petsc")
+    return FactorizationError(f"{where}: its operator could not be factorised, most often for want of memory: {said} "
+                              f"(PETSc's error {error.ierr}); give more solver.subdomains or start more ranks")
+
 
 _BLOCK_COLUMNS = 256
 """Most columns that are solved for at a time: more gain no speed."""

@@ -16,9 +16,9 @@ from ddic.functionals.scale_rows import scale_rows
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.solvers.exchange import Exchange
+from ddic.solvers.local_operator import describe_singular
 from ddic.solvers.local_system import LocalSystem
-from ddic.solvers.petsc_stack import PetscStack
-from ddic.solvers.singularity import describe_singular
+from ddic.solvers.petsc import PetscStack
 
 
 class WholeSystem:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.images.grid_field import GridField, fill_absent
+from ddic.images.rigid import GridField, fill_absent
 from ddic.images.sub_image import MaskedSource
 from ddic.mesh.cell_type import Q4
 from ddic.mesh.mesh import Mesh, build_mesh

@@ -7,17 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.functionals.corner_weights import weigh_corners
-from ddic.images.grid_field import GridField
-from ddic.kinematics.discontinuities import Discontinuities
-from ddic.kinematics.enriched import enrich
+from ddic.functionals.line_band import weigh_corners
+from ddic.images.rigid import GridField
+from ddic.kinematics.enriched import Discontinuities, enrich
 from ddic.kinematics.kinematics import RegionKinematics
 from ddic.kinematics.nodal import NodalRegion
 from ddic.mesh.cell_parts import Lines
-from ddic.mesh.cut_mesh import CutMesh, cut_mesh
+from ddic.mesh.cut_mesh import CutMesh, cut_mesh, find_points_on_own_side
 from ddic.mesh.interpolation import interpolate_located, locate, place_in_cells
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.own_side import find_points_on_own_side
 from ddic.mesh.plane import build_tree
 from ddic.mesh.topology import find_boundary_nodes
 from ddic.start.binned_pair import locate_block_centre

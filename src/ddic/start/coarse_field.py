@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from ddic.case.schema import Case, StartSection
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.images.binned import bin_rows, join_blocks
-from ddic.images.grid_field import build_uniform_field
+from ddic.images.rigid import build_uniform_field
 from ddic.images.sub_image import MaskedSource
-from ddic.kinematics.seen_lines import see_discontinuities
+from ddic.inputs.cameras import Camera, Frame, MeasuredCells
+from ddic.inputs.inputs import Inputs
+from ddic.kinematics.camera import see_discontinuities
+from ddic.mesh.cut_mesh import find_points_on_own_side
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.own_side import find_points_on_own_side
 from ddic.parallel.team import Team, require_held
-from ddic.problem.cameras import Camera, Frame, MeasuredCells
 from ddic.problem.cut_region import list_discontinuities
-from ddic.problem.inputs import Inputs
 from ddic.problem.views import ReferenceViews
 from ddic.start.binned_pair import BinnedPair, PixelPair, choose_finest_block
 from ddic.start.coarse_displacement import CoarseField, KeptResult, evaluate_at_nodes

@@ -14,9 +14,9 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from ddic.images.sub_image import MaskedSource
+from ddic.mesh.cut_mesh import find_points_on_own_side
 from ddic.mesh.interpolation import locate
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.own_side import find_points_on_own_side
 from ddic.mesh.plane import build_tree
 from ddic.mesh.raster import rasterize
 from ddic.start.binned_pair import BinnedPair, find_active_blocks, scale_mesh

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from ddic.errors import InputError, as_collective, list_first
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.functionals.view import FrameView
-from ddic.kinematics.camera_kinematics import CameraKinematics
+from ddic.inputs.cameras import Camera, Frame
+from ddic.inputs.start_points import StartPoints
+from ddic.kinematics.camera import CameraKinematics
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team, require_held
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.cameras import Camera, Frame
 from ddic.problem.residual_model import Evaluation, ResidualModel
-from ddic.problem.start_points import StartPoints
 from ddic.problem.views import FrameViews, ReferenceViews, read_frame_windows
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.start.coarse_field import CoarseSearch, StartField, fit_found_fields

@@ -13,20 +13,19 @@ from scipy import sparse
 
 from ddic.case.schema import StartSection
 from ddic.errors import InputError
-from ddic.functionals.elasticity import Material, assemble_stiffness
+from ddic.functionals.regularization import Material, assemble_stiffness
+from ddic.inputs.cameras import Camera
+from ddic.inputs.start_points import StartPoints, check_start_points, load_start_points, require_points_inside
 from ddic.io.damaged_result import require_known_displacement
-from ddic.io.frame_of_series import read_frame_or_last
 from ddic.io.result_reader import SAME_NODE_PX, Result, evaluate_on_sides
 from ddic.io.result_schema import near_group
-from ddic.kinematics.discontinuities import Discontinuities
-from ddic.mesh.cut_mesh import cut_mesh
+from ddic.io.series_reader import read_frame_or_last
+from ddic.kinematics.enriched import Discontinuities
+from ddic.mesh.cut_mesh import cut_mesh, find_points_on_own_side
 from ddic.mesh.interpolation import locate
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.own_side import find_points_on_own_side
 from ddic.mesh.plane import build_tree
 from ddic.mesh.topology import find_boundary_facets
-from ddic.problem.cameras import Camera
-from ddic.problem.start_points import StartPoints, check_start_points, load_start_points, require_points_inside
 from ddic.solvers.local_operator import LocalOperator
 from ddic.start.coarse_displacement import CutField
 from ddic.start.feature_matches import AffineMap, find_piece_of_nodes, fit_affine_map, interpolate_pairs

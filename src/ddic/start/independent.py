@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.errors import ConvergenceError, SingularSubdomainError
-from ddic.functionals.elasticity import Material
-from ddic.functionals.equilibrium_gap import (
+from ddic.functionals.correlation import read_correlation
+from ddic.functionals.grey_statistics import GreyCorrection
+from ddic.functionals.regularization import (
+    Material,
     controlled_stiffness,
     find_cut_off_weight,
     measure_gap_energies,
     measure_texture_energies,
 )
-from ddic.functionals.grey_statistics import GreyCorrection
-from ddic.functionals.read_correlation import read_correlation
 from ddic.functionals.view import FrameView, View
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.parallel.phases import PhaseClock
@@ -34,8 +34,7 @@ from ddic.problem.views import FrameViews, ReferenceViews
 from ddic.solvers.correction_size import Tolerances
 from ddic.solvers.gauss_newton import Progress, gauss_newton, stay_silent
 from ddic.solvers.local_operator import LocalOperator
-from ddic.solvers.local_system import LocalSystem
-from ddic.solvers.monolithic import MonolithicStep
+from ddic.solvers.local_system import LocalSystem, MonolithicStep
 from ddic.start.coarse_displacement import LevelMesh
 
 TOLERANCES = Tolerances(relative=1e-3, rms=1e-2, max_iterations=10, largest=np.inf)

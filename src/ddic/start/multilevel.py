@@ -2,6 +2,8 @@
 
 Runs on one rank, on images binned so far that they are small whatever the camera; every other rank receives the coarse
 field. What surrounds a small region is looked at in smaller blocks.
+
+One level of the coarse-graining pyramid: R-DIC on a square grid over binned images.
 """
 
 from __future__ import annotations
@@ -16,25 +18,95 @@ from numpy.typing import NDArray
 from ddic.errors import ConvergenceError, SingularSubdomainError
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.images.binned import bin_image, bin_window, join_blocks
-from ddic.images.grid_field import build_uniform_field
-from ddic.images.rigid import RigidShift
+from ddic.images.rigid import RigidShift, build_uniform_field
 from ddic.images.window import Window
-from ddic.kinematics.discontinuities import Discontinuities
+from ddic.kinematics.enriched import Discontinuities
 from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.mesh import Mesh
+from ddic.mesh.raster import rasterize
+from ddic.solvers.correction_size import Tolerances
 from ddic.start.binned_pair import (
+    CELL,
     BinnedPair,
     PixelPair,
+    build_grid,
     choose_block_sizes,
     choose_finest_block,
     choose_rigid_block,
+    find_active_blocks,
     find_finest_level,
+    scale_mesh,
 )
-from ddic.start.coarse_displacement import CoarseField, KeptResult, move_field, move_mesh
+from ddic.start.coarse_displacement import (
+    CoarseField,
+    CutField,
+    KeptResult,
+    cut_level,
+    evaluate_at_nodes,
+    move_field,
+    move_mesh,
+    scale_to_pixels,
+)
 from ddic.start.feature_matches import MatchedField, find_pieces, match_features
+from ddic.start.independent import Images, correlate_alone
 from ddic.start.predicted_error import predict_error
-from ddic.start.pyramid_level import correlate_level
 from ddic.start.rigid_start import RigidStart, find_rigid_start
+
+CUT_OFF = 4.0 * CELL
+"""Cut-off wavelength of a level, blocks. A larger value finds smoother fields, and strays less where texture is
+poor."""
+
+DEGREE = 3
+"""Of the splines between blocks."""
+
+TOLERANCES = Tolerances(relative=1e-12, rms=0.01, max_iterations=30, largest=np.inf)
+"""Of Gauss-Newton on a level: the RMS of a correction, in blocks, decides."""
+
+
+def correlate_level(pair: BinnedPair, mesh: Mesh, starts: Sequence[CoarseField], correction: GreyCorrection,
+                    discontinuities: Discontinuities) -> CoarseField:
+    """Correlate one level from the best of some starts.
+
+    Parameters
+    ----------
+    pair : BinnedPair
+        The images.
+    mesh : Mesh
+        The whole mesh, pixels.
+    starts : sequence of GridField or CutField
+        At least one, pixels; that of least residual is taken.
+    correction : GreyCorrection
+        Of grey levels.
+    discontinuities : Discontinuities
+        Lines that cut the level's grid, pixels.
+
+    Returns
+    -------
+    GridField or CutField
+        The displacement, pixels.
+
+    Raises
+    ------
+    ConvergenceError
+        Where Gauss-Newton does not converge.
+    SingularSubdomainError
+        Where the blocks do not determine the displacement.
+    """
+    region = scale_mesh(mesh, pair.factor)
+    active = find_active_blocks(pair.reference, rasterize(region))
+    if not active.any():
+        raise SingularSubdomainError("no block of the region is usable: everything is masked")
+    grid = build_grid(region, active)
+    cells = cut_level(grid.mesh, discontinuities.scale(pair.centre, pair.factor), active, DEGREE)
+    in_pixels = scale_to_pixels(cells.mesh, pair.factor)
+    candidates = [evaluate_at_nodes(start, in_pixels).ravel() / pair.factor for start in starts]
+    images = Images(pair.reference, pair.deformed, active, DEGREE, correction)
+    where = f"pyramid level with blocks of {pair.factor} px"
+    displacement = correlate_alone(images, cells, CUT_OFF, TOLERANCES, candidates, where)
+    if cells.mesh.parts is None:
+        return grid.make_field(displacement, pair.factor)
+    return CutField(in_pixels, displacement.reshape(in_pixels.nodes.shape) * pair.factor)
+
 
 Array = NDArray[np.float64]
 

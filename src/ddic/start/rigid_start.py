@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ddic.errors import ConvergenceError
-from ddic.images.grid_field import build_uniform_field
-from ddic.images.rigid import RigidShift, find_rigid_shift
-from ddic.kinematics.discontinuities import Discontinuities
+from ddic.images.rigid import RigidShift, build_uniform_field, find_rigid_shift
+from ddic.kinematics.enriched import Discontinuities
 from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize

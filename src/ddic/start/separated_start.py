@@ -7,14 +7,13 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.images.grid_field import GridField
+from ddic.images.rigid import GridField
+from ddic.inputs.cameras import Frame, MeasuredCells
+from ddic.inputs.rectangle import Rectangle
 from ddic.io.result_reader import displacement_at
 from ddic.parallel.team import require_held
-from ddic.problem.cameras import Frame, MeasuredCells
-from ddic.problem.rectangle import Rectangle
 from ddic.problem.separated_problem import SeparatedProblem
-from ddic.separated.line_elements import LineElements
-from ddic.separated.separated_field import SeparatedField, factorize_grid, scale_modes
+from ddic.separated.field import LineElements, SeparatedField, factorize_grid, scale_modes
 from ddic.start.coarse_displacement import KeptResult
 from ddic.start.coarse_field import CoarseSearch, describe_start, prepare_search
 from ddic.start.given_start import EarlierResult, GivenStart

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ddic.images.grid_field import GridField
-from ddic.images.rigid import RigidShift, find_rigid_shift
+from ddic.images.rigid import GridField, RigidShift, find_rigid_shift
 from ddic.mesh.interpolation import interpolate_located, locate
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_areas

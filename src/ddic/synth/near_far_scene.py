@@ -14,11 +14,9 @@ from ddic.errors import InputError
 from ddic.images.camera import CameraMapping
 from ddic.io.replace_on_exit import NewFiles, begin_files
 from ddic.mesh.plane import build_rotation
-from ddic.synth.fields import DisplacementField, Pair, require_finite
-from ddic.synth.hole import Hole
-from ddic.synth.picture import Picture
-from ddic.synth.render import Scene, write_pair
-from ddic.synth.two_scale_texture import TwoScaleTexture
+from ddic.synth.fields import DisplacementField, Hole, Pair, require_finite
+from ddic.synth.render import Picture, Scene, write_pair
+from ddic.synth.speckle import TwoScaleTexture
 
 FAR_FILES = ("far_reference.tif", "far_deformed.tif")
 NEAR_FILES = ("near_reference.tif", "near_deformed.tif")

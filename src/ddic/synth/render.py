@@ -1,24 +1,204 @@
-"""Rendering a pair of images whose displacement is known exactly."""
+"""Rendering a pair of images whose displacement is known exactly.
+
+Inverting the motion: which reference point lands on a given point of the deformed image.
+
+From exact grey levels to the values that an image stores: noise, clipping and rounding.
+
+A camera's picture: its size, and how grey levels become stored values.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.errors import ConvergenceError, InputError
 from ddic.images.window import Window
 from ddic.io.replace_on_exit import NewFiles, begin_files
-from ddic.synth.digitise import Stored
-from ddic.synth.fields import DisplacementField
-from ddic.synth.hole import Hole
-from ddic.synth.inverse import find_reference_points
-from ddic.synth.picture import Picture
-from ddic.synth.speckle_texture import SpeckleTexture
-from ddic.synth.two_scale_texture import TwoScaleTexture
+from ddic.synth.fields import DisplacementField, Hole, Pair
+from ddic.synth.speckle import SpeckleTexture, TwoScaleTexture
+
+# Distance of u(y - v) from v at which the iteration stops, px; a larger one blurs the truth of a pair.
+_TOLERANCE = 1e-12
+# The same relative to the largest displacement, which rounding keeps from being met better.
+_ROUNDING = 4 * float(np.finfo(np.float64).eps)
+_MAX_ITERATIONS = 50
+# The gradient is kept from one iteration to the next as long as each gains two digits.
+_FAST = 0.01
+
+
+def find_reference_points(field: DisplacementField, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Solve x + u(x) = y for x at deformed points y.
+
+    Newton's method on the displacement v = y - x, stopped when |u(y - v) - v| <= 1e-12 px (or four roundings
+    of the largest displacement, where that is more) at all points.
+
+    Parameters
+    ----------
+    field : DisplacementField
+        u.
+    points : (n, 2) array
+        The y, pixels.
+
+    Returns
+    -------
+    (n, 2) array
+        The x, pixels.
+
+    Raises
+    ------
+    InputError
+        Where the field folds the plane (det(I + grad u) <= 0).
+    ConvergenceError
+        If 50 iterations are not enough.
+    """
+    v = field.displacement(points)
+    inverse = None
+    previous = np.inf
+    for _ in range(_MAX_ITERATIONS):
+        x = points - v
+        residual = field.displacement(x) - v
+        largest = float(np.abs(residual).max(initial=0.0))
+        rounding = _ROUNDING * float(np.abs(v).max(initial=0.0))
+        if largest <= max(_TOLERANCE, rounding):
+            return x
+        if inverse is None or largest > _FAST * previous:
+            inverse = _inverse_of_motion(field.gradient(x), x)
+        v[:, 0] += inverse[0] * residual[:, 0] + inverse[1] * residual[:, 1]
+        v[:, 1] += inverse[2] * residual[:, 0] + inverse[3] * residual[:, 1]
+        previous = largest
+    worst = int(np.argmax(np.abs(residual).max(axis=1)))
+    raise ConvergenceError(
+        f"the motion x + u(x) could not be inverted at ({points[worst, 0]:g}, {points[worst, 1]:g}) px: "
+        f"{np.abs(residual[worst]).max():.1e} px left after {_MAX_ITERATIONS} iterations; "
+        "use a smoother displacement field")
+
+
+def _inverse_of_motion(gradient: NDArray[np.float64], x: NDArray[np.float64]) -> tuple[
+        NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Entries 00, 01, 10, 11 of (I + grad u)^-1 at x (n, 2), each (n,)."""
+    a, b = 1 + gradient[:, 0, 0], gradient[:, 0, 1]
+    c, d = gradient[:, 1, 0], 1 + gradient[:, 1, 1]
+    determinant = a * d - b * c
+    if not (determinant > 0).all():
+        folded = x[np.argmin(determinant)]
+        raise InputError(f"displacement field: folds the image near ({folded[0]:g}, {folded[1]:g}) px, "
+                         "det(I + grad u) <= 0; use a smaller amplitude or a larger wavelength")
+    return d / determinant, -b / determinant, -c / determinant, a / determinant
+
+
+Stored = NDArray[Any]
+
+_FULL_SCALE = {8: 255.0, 16: 65535.0, 32: 255.0}
+_DTYPES: dict[int, np.dtype[Any]] = {
+    8: np.dtype(np.uint8), 16: np.dtype(np.uint16), 32: np.dtype(np.float32)}
+
+
+@dataclass(frozen=True)
+class Digitiser:
+    """Camera model: full scale, additive Gaussian noise, rounding.
+
+    Attributes
+    ----------
+    bit_depth : int
+        8 (0..255), 16 (0..65535), or 32 for float32 values on the scale 0..255, not rounded.
+    noise : float
+        Standard deviation in grey levels of an 8-bit image, whatever the bit depth.
+    seed : int
+        Of the noise, at least 0.
+
+    Raises
+    ------
+    InputError
+        For another bit depth, a negative noise or a negative seed.
+    """
+
+    bit_depth: int = 8
+    noise: float = 0.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.bit_depth not in _DTYPES:
+            raise InputError(f"image: bit_depth = {self.bit_depth}: must be 8, 16 or 32 (float)")
+        if not (self.noise >= 0 and math.isfinite(self.noise)):
+            raise InputError(f"image: noise = {self.noise}: must be at least 0 grey levels")
+        if self.seed < 0:
+            raise InputError(f"image: seed = {self.seed}: must be at least 0")
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type of the stored values: uint8, uint16 or float32."""
+        return _DTYPES[self.bit_depth]
+
+    def store(self, grey: NDArray[np.float64], stream: tuple[int, ...]) -> Stored:
+        """Turn grey levels into stored values.
+
+        Parameters
+        ----------
+        grey : array
+            Of any shape, fractions of full scale.
+        stream : tuple of int
+            Numbers that, with the seed, fix the noise; different streams are independent.
+
+        Returns
+        -------
+        array
+            Of the same shape and of type ``dtype``.
+        """
+        full_scale = _FULL_SCALE[self.bit_depth]
+        levels = grey * full_scale
+        if self.noise > 0:
+            generator = np.random.default_rng([self.seed, *stream])
+            levels += self.noise * (full_scale / 255.0) * generator.standard_normal(levels.shape)
+        np.clip(levels, 0.0, full_scale, out=levels)
+        if self.bit_depth != 32:
+            np.rint(levels, out=levels)
+        return levels.astype(self.dtype)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """Size of a camera's pictures and how they are digitised.
+
+    Attributes
+    ----------
+    width, height : int
+        Pixels, at least 1.
+    digitiser : Digitiser
+        From grey levels to stored values; 8 bit without noise where it is left out.
+
+    Raises
+    ------
+    InputError
+        Where there is no pixel.
+    """
+
+    width: int
+    height: int
+    digitiser: Digitiser = field(default_factory=Digitiser)
+
+    def __post_init__(self) -> None:
+        if self.width < 1 or self.height < 1:
+            raise InputError(f"image: size = {self.width}x{self.height}: must be at least 1x1 pixels")
+
+    @property
+    def middle(self) -> Pair:
+        """Position of the picture's centre, pixels."""
+        return (self.width - 1) / 2, (self.height - 1) / 2
+
+    @property
+    def corners(self) -> NDArray[np.float64]:
+        """Centres of the four corner pixels (4, 2), pixels."""
+        right = self.width - 1.0
+        bottom = self.height - 1.0
+        return np.array([[0.0, 0.0], [right, 0.0], [right, bottom], [0.0, bottom]])
+
 
 # Images are made square by square: temporary arrays stay in cache and memory does not grow with the image.
 # The noise is drawn square by square too, so this number is part of what a seed means.

@@ -7,19 +7,18 @@ import pytest
 from scipy import linalg, sparse
 
 from ddic.parallel.team import Team
-from ddic.partition.incidence import scaled_incidence
-from ddic.solvers.dual.coarse_space import CoarsePart, CoarseSpace, build_coarse_columns
+from ddic.partition.subdomain import scaled_incidence
+from ddic.solvers.dual.coarse_space import CoarsePart, CoarseSpace, _soften, build_coarse_columns, find_low_energy_modes
+from ddic.solvers.dual.dual_problem import DualSchurOperator
 from ddic.solvers.dual.dual_step import DualSettings
-from ddic.solvers.dual.local_modes import _soften, find_low_energy_modes
 from ddic.solvers.dual.preconditioner import (
     DenseInverse,
     DualPreconditioner,
     LocalPreconditioner,
+    TwoLevelPreconditioner,
     assemble_schur,
     invert_by_blocks,
 )
-from ddic.solvers.dual.schur_operator import DualSchurOperator
-from ddic.solvers.dual.two_level import TwoLevelPreconditioner
 from support.linear import Decomposed, linear_step, split
 
 RANKS = [1, 2, 3, 4]

@@ -14,10 +14,18 @@ from ddic.partition.subdomain import Weighting
 from ddic.solvers.dual.build_preconditioner import Preconditioner, build_preconditioner
 from ddic.solvers.dual.dual_step import DualSettings
 from ddic.solvers.dual.local_dual import LocalDual
-from ddic.solvers.dual.local_inverse import DENSE_ARRAYS, DENSE_LIMIT, LocalInverseKind, build_schur_pair, is_dense
-from ddic.solvers.dual.preconditioner import DenseInverse, assemble_schur, invert_by_blocks
-from ddic.solvers.dual.sparse_inverse import SparseInverse
-from ddic.solvers.petsc_stack import PetscStack
+from ddic.solvers.dual.preconditioner import (
+    DENSE_ARRAYS,
+    DENSE_LIMIT,
+    DenseInverse,
+    LocalInverseKind,
+    SparseInverse,
+    assemble_schur,
+    build_schur_pair,
+    invert_by_blocks,
+    is_dense,
+)
+from ddic.solvers.petsc import PetscStack
 from support.linear import Decomposed, dense, linear_step, split
 
 KINDS: list[LocalInverseKind] = ["dense", "sparse"]

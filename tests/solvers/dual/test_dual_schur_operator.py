@@ -10,7 +10,7 @@ from petsc4py import PETSc
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.subdomain import Interface, Weighting, interface_weights
-from ddic.solvers.dual.schur_operator import DualSchurOperator
+from ddic.solvers.dual.dual_problem import DualSchurOperator
 from ddic.solvers.exchange import Exchange
 from support.linear import Decomposed, StepProblem, dense, linear_step, split
 

@@ -9,17 +9,25 @@ import numpy as np
 from scipy import sparse
 
 from ddic.parallel.phases import PhaseClock
-from ddic.partition.incidence import copies_of, scaled_incidence
-from ddic.solvers.dual.coarse_space import CoarseColumns, CoarsePart, CoarseSpace, build_coarse_columns
-from ddic.solvers.dual.dual_problem import DualProblem
-from ddic.solvers.dual.local_inverse import LocalInverseKind, SchurPair, build_schur_pair
-from ddic.solvers.dual.local_modes import find_low_energy_modes
-from ddic.solvers.dual.motion_preconditioner import MotionPreconditioner
-from ddic.solvers.dual.preconditioner import DualPreconditioner, LocalPreconditioner
-from ddic.solvers.dual.shell import Preconditioning
-from ddic.solvers.dual.two_level import TwoLevelPreconditioner
+from ddic.partition.subdomain import copies_of, scaled_incidence
+from ddic.solvers.dual.coarse_space import (
+    CoarseColumns,
+    CoarsePart,
+    CoarseSpace,
+    build_coarse_columns,
+    find_low_energy_modes,
+)
+from ddic.solvers.dual.dual_problem import DualProblem, MotionPreconditioner, Preconditioning
+from ddic.solvers.dual.preconditioner import (
+    DualPreconditioner,
+    LocalInverseKind,
+    LocalPreconditioner,
+    SchurPair,
+    TwoLevelPreconditioner,
+    build_schur_pair,
+)
 from ddic.solvers.exchange import Exchange
-from ddic.solvers.petsc_stack import PetscStack
+from ddic.solvers.petsc import PetscStack
 
 Preconditioner = Literal["none", "paper", "scaled", "two_level"]
 

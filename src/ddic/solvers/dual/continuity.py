@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.parallel.team import Team
-from ddic.partition.incidence import copies_of
-from ddic.partition.subdomain import Interface, Subdomain
+from ddic.partition.subdomain import Interface, Subdomain, copies_of
 from ddic.solvers.exchange import Exchange
-from ddic.solvers.petsc_stack import PetscStack
+from ddic.solvers.petsc import PetscStack
 
 
 @dataclass(frozen=True)

@@ -11,15 +11,15 @@ from petsc4py import PETSc
 
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.solvers.displacement_size import measure_rms
+from ddic.solvers.correction_size import measure_rms
 from ddic.solvers.dual.build_preconditioner import Preconditioner, build_preconditioner
 from ddic.solvers.dual.dual_problem import build_dual_problem
 from ddic.solvers.dual.interface_solver import InterfaceSettings, InterfaceSolver
-from ddic.solvers.dual.local_inverse import LocalInverseKind
+from ddic.solvers.dual.preconditioner import LocalInverseKind
 from ddic.solvers.linear_step import AllowedError, StepResult
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
-from ddic.solvers.petsc_stack import PetscStack
+from ddic.solvers.petsc import PetscStack
 
 
 @dataclass(frozen=True)

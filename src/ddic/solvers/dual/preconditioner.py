@@ -1,10 +1,17 @@
-"""The block explicit-inverse preconditioner of the interface problem, Eq. 37-40 of [BP17]."""
+"""The block explicit-inverse preconditioner of the interface problem, Eq. 37-40 of [BP17].
+
+S_s^-1 of a large subdomain by one sparse factorisation, S_s never formed.
+
+Whether S_s^-1 of a subdomain is held as an array or as a sparse factor.
+
+Two-level preconditioner: the scaled block inverse and a coarse space, combined as A-DEF2.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +19,94 @@ from petsc4py import PETSc
 from scipy import linalg, sparse
 
 from ddic.errors import SingularSubdomainError
-from ddic.solvers.dual.local_dual import LocalDual
-from ddic.solvers.dual.rank_dual import list_places
-from ddic.solvers.dual.sparse_inverse import SINGULAR_INTERFACE
+from ddic.solvers.dual.coarse_space import CoarseSpace
+from ddic.solvers.dual.dual_problem import DualSchurOperator
+from ddic.solvers.dual.local_dual import LocalDual, list_places
 from ddic.solvers.exchange import Exchange
+from ddic.solvers.local_system import LocalSystem
+from ddic.solvers.petsc import INVERSE, PetscStack, create_ksp, is_mumps_missing, to_petsc_integers
+
+
+class SparseInverse:
+    """S_s^-1 through [[A_s, -T_s^T], [-T_s, D_s]] (y, x) = (0, -r), whose x is S_s^-1 r.
+
+    The first row gives y = A_s^-1 T_s^T x, the second then S_s x = r. With A_s eliminated what is left is -S_s, so
+    that by Sylvester's law the matrix has as many negative eigenvalues as -S_s: one for each interface unknown with a
+    jump, none for a reaction. That inertia is checked, as Cholesky checks the blocks of the dense inverse.
+
+    PETSc options (prefix ``inverse_``): factorised by MUMPS (LDL^T); another package must tell the inertia too.
+
+    Parameters
+    ----------
+    matrix : (n_field, n_field) csr_matrix
+        A_s, the camera's motion held.
+    local : LocalDual
+        The subdomain's T_s and D_s.
+
+    Raises
+    ------
+    SingularSubdomainError
+        Where S_s is singular.
+    """
+
+    def __init__(self, matrix: sparse.csr_matrix, local: LocalDual) -> None:
+        self._n_field = matrix.shape[0]
+        with PetscStack() as stack:
+            saddle_point = stack.keep(_build_saddle_point(matrix, local))
+            ksp = stack.keep(create_ksp(PETSc.COMM_SELF, INVERSE))
+            ksp.setOperators(saddle_point)
+            ksp.setFromOptions()
+            self._left = stack.keep(saddle_point.createVecLeft())
+            self._right = stack.keep(saddle_point.createVecRight())
+            self._right.set(0.0)
+            # A failure here is one of memory, hence PETSc's own error: MUMPS goes on past null pivots and counts them.
+            ksp.setUp()
+            self._factor = stack.keep(ksp.getPC().getFactorMatrix())
+            self._check_inertia(local.n_jumps)
+            self._objects = stack.pop_all()
+
+    def _check_inertia(self, n_negative: int) -> None:
+        """Raise SingularSubdomainError where the factor has not so many negative eigenvalues, or some that are zero."""
+        if self._factor.getInertia()[:2] != (n_negative, 0):
+            raise SingularSubdomainError(SINGULAR_INTERFACE)
+
+    def apply(self, r: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Apply S_s^-1.
+
+        Parameters
+        ----------
+        r : (n interface unknowns,) array
+            r.
+
+        Returns
+        -------
+        (n interface unknowns,) array
+            S_s^-1 r.
+        """
+        self._right.getArray()[self._n_field:] = -r
+        self._factor.solve(self._right, self._left)
+        return np.array(self._left.getArray(readonly=1)[self._n_field:])
+
+    def destroy(self) -> None:
+        """Free the factor."""
+        self._objects.close()
+
+
+SINGULAR_INTERFACE = ("the interface problem of a subdomain is singular to rounding; use larger subdomains, or a "
+                      "shorter regularization.cut_off_wavelength")
+
+
+def _build_saddle_point(matrix: sparse.csr_matrix, local: LocalDual) -> PETSc.Mat:
+    """The upper triangle of [[A_s, -T_s^T], [-T_s, D_s]] as PETSc's symmetric matrix."""
+    n = len(local.compliance)
+    # Unknowns with jumps have zeros in D_s, which must be stored: PETSc wants all diagonal entries.
+    corner = sparse.csr_matrix((local.compliance, (np.arange(n), np.arange(n))), shape=(n, n))
+    upper = sparse.bmat([[sparse.triu(matrix, format="csr"), -local.trace.T], [None, corner]], format="csr")
+    upper.sort_indices()
+    csr = (to_petsc_integers(upper.indptr, "entries of a subdomain's interface problem"),
+           to_petsc_integers(upper.indices, "unknowns of a subdomain's interface problem"), upper.data)
+    return PETSc.Mat().createSBAIJ(upper.shape, 1, csr=csr, comm=PETSc.COMM_SELF)
+
 
 SINGULAR_PIVOT = 1e-14
 """Pivot of Cholesky, relative to the diagonal entry that it is what is left of, below which it is rounding: some tens
@@ -221,3 +312,121 @@ class DualPreconditioner:
         solved = [inverse.apply(on_interfaces[place])
                   for inverse, place in zip(self.inverses, self._places, strict=True)]
         return np.asarray(self._assembly @ np.concatenate(solved))
+
+
+LocalInverseKind = Literal["auto", "dense", "sparse"]
+
+DENSE_ARRAYS = 5
+"""Arrays of the size of S_s at the peak of the dense way: S_s, its inverse, and those of ``invert_by_blocks``."""
+
+DENSE_LIMIT = 2**26
+"""Bytes that the dense way of one subdomain may take: 1295 interface unknowns, some 80 x 80 elements with neighbours
+all round. bench/local_inverse.py finds the array faster in an iteration and slower to set up at 50 x 50 and 100 x 100
+elements, with the same memory within 30 MiB; the limit lies between, where several subdomains a rank stay cheap."""
+
+
+@dataclass(frozen=True)
+class SchurPair:
+    """A subdomain's S_s and S_s^-1.
+
+    Attributes
+    ----------
+    multiply : callable
+        From X to S_s X, both of shape (n interface unknowns, k).
+    inverse : LocalInverse
+        S_s^-1.
+    """
+
+    multiply: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+    inverse: LocalInverse
+
+
+def is_dense(n_interface: int, kind: LocalInverseKind) -> bool:
+    """Tell whether S_s and its inverse are to be arrays.
+
+    Parameters
+    ----------
+    n_interface : int
+        Size of S_s.
+    kind : LocalInverseKind
+        What was asked for.
+
+    Returns
+    -------
+    bool
+        Whether they are: always without MUMPS, which makes the sparse factor.
+    """
+    if kind == "auto":
+        if is_mumps_missing(INVERSE):
+            return True
+        return 8 * DENSE_ARRAYS * n_interface**2 <= DENSE_LIMIT
+    return kind == "dense"
+
+
+def build_schur_pair(system: LocalSystem, local: LocalDual, kind: LocalInverseKind) -> SchurPair:
+    """Build S_s and its inverse, by arrays or by sparse factors.
+
+    Parameters
+    ----------
+    system : LocalSystem
+        The subdomain, the motion of its camera held.
+    local : LocalDual
+        Its interface operators.
+    kind : LocalInverseKind
+        By which of the two; "auto" asks its size.
+
+    Returns
+    -------
+    SchurPair
+        The inverse is the caller's to destroy.
+
+    Raises
+    ------
+    SingularSubdomainError
+        Where S_s is singular.
+    """
+    if is_dense(len(local.compliance), kind):
+        schur = assemble_schur(local)
+        return SchurPair(schur.__matmul__, DenseInverse(invert_by_blocks(schur, local.n_jumps)))
+    return SchurPair(local.multiply_schur, SparseInverse(system.operator, local))
+
+
+class TwoLevelPreconditioner:
+    """Context of PETSc's shell preconditioner: y = (I - Q S) P r + Q r, Q = Z (Z^T S Z)^-1 Z^T (A-DEF2).
+
+    One application is one of P, one of S and one coarse solve. S Z, which would save the product, takes more memory
+    than all of the rest, and as much time.
+
+    Parameters
+    ----------
+    operator : DualSchurOperator
+        S.
+    one_level : DualPreconditioner
+        P.
+    coarse : CoarseSpace
+        Q.
+    """
+
+    def __init__(self, operator: DualSchurOperator, one_level: DualPreconditioner, coarse: CoarseSpace) -> None:
+        self._operator = operator
+        self._one_level = one_level
+        self._coarse = coarse
+
+    def apply(self, pc: PETSc.PC | None, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Apply y = P x + Q (x - S P x): PETSc's callback.
+
+        Parameters
+        ----------
+        pc : PETSc.PC or None
+            Passed on.
+        x : PETSc.Vec
+            Residuals.
+        y : PETSc.Vec
+            Overwritten.
+        """
+        self._one_level.apply(pc, x, y)
+        with PetscStack() as stack:
+            left = stack.keep(x.duplicate())
+            self._operator.mult(None, y, left)
+            left.aypx(-1.0, x)
+            self._coarse.correct(left, y)

@@ -1,0 +1,349 @@
+"""A cut-off wavelength and an element size for a case, chosen by trying them out.
+
+What displacements of one's own speckle are measured with, by size of the elements, without and with a line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from ddic.api.measure import measure
+from ddic.api.options import make_case
+from ddic.case.frame_files import list_deformed
+from ddic.case.loader import LoadedCase
+from ddic.case.resolution import list_element_sizes, list_wavelengths, set_resolution
+from ddic.case.schema import Case
+from ddic.check.case import check_loaded_case, load_checked_case
+from ddic.errors import ConvergenceError, InputError, SingularSubdomainError
+from ddic.images.binned import ArraySource
+from ddic.images.camera import identity
+from ddic.images.sub_image import MaskedSource
+from ddic.inputs.cameras import Camera, make_setup
+from ddic.inputs.inputs import Inputs, open_inputs
+from ddic.inputs.mesh_source import LONGEST_WAVELENGTH, SHORTEST_WAVELENGTH, build_meshes
+from ddic.io.input_file import as_path
+from ddic.mesh.mesh import Mesh
+from ddic.mesh.plane import multiply_across
+from ddic.mesh.quality import measure_cell_size
+from ddic.mesh.structured import build_structured_mesh
+from ddic.methods.detect import find_discontinuity
+from ddic.methods.expected_noise import estimate_nodal_noise
+from ddic.methods.sweep import measure_candidates
+from ddic.parallel.phases import PhaseClock
+from ddic.parallel.team import Team
+from ddic.results.listener import Silence
+from ddic.results.sweep import Candidate, Sweep
+
+N_FRAMES = 3
+"""Images that each candidate measures: the case's, and the virtual ones."""
+
+
+def choose_regularization(case: str | Path | Case | LoadedCase, *, wavelengths: Sequence[float] | None = None,
+                          element_sizes: Sequence[float] | None = None,
+                          advance: Callable[[str, int], None] | None = None) -> Sweep:
+    """Try cut-off wavelengths and element sizes on a pair and on virtual images made from it; collective.
+
+    Parameters
+    ----------
+    case : str, Path, Case or LoadedCase
+        Of one camera; of a series the last image is taken.
+    wavelengths : sequence of float, optional
+        l_c, pixels, 0 for no regularization; by default none and nine about the case's own, sqrt 2 apart.
+    element_sizes : sequence of float, optional
+        Of a structured mesh, pixels; by default five about the case's own, sqrt 2 apart. A mesh from a file keeps its
+        elements.
+    advance : callable, optional
+        Told on every rank what is measured next, and how many measurements there are.
+
+    Returns
+    -------
+    Sweep
+        All that was tried, and which of it is recommended; the same on all ranks.
+
+    Raises
+    ------
+    InputError, ConvergenceError
+        On all ranks: where the case cannot be swept, and where nothing that is tried measures it.
+    """
+    team = Team.world()
+    loaded = team.on_root(lambda: _load(case, team.size))
+    # Of a series the last image, which has moved most.
+    inputs, frame = open_inputs(team, loaded, len(list_deformed(loaded.case.images)) - 1)
+    team.together(lambda: _refuse_impossible(inputs.case, wavelengths, element_sizes))
+    inputs = find_discontinuity(team, inputs, frame, Silence(), PhaseClock(waiting=team.waiting))
+    candidates = team.on_root(lambda: _list_candidates(inputs, wavelengths, element_sizes))
+    varied = [(candidate, _vary(inputs, candidate)) for candidate in candidates]
+    told = advance or (lambda what, count: None)
+    return measure_candidates(team, varied, frame, lambda what: told(what, 2 * len(varied)))
+
+
+def _load(source: str | Path | Case | LoadedCase, n_ranks: int) -> LoadedCase:
+    if not isinstance(source, Case | LoadedCase):
+        return load_checked_case(as_path(source, "case"), n_ranks)
+    loaded = LoadedCase(source, Path("case"), "") if isinstance(source, Case) else source
+    check_loaded_case(loaded, n_ranks)
+    return loaded
+
+
+def _refuse_impossible(case: Case, wavelengths: Sequence[float] | None, sizes: Sequence[float] | None) -> None:
+    """Refuse cases of other methods, and sizes that are none."""
+    if case.pgd is not None:
+        raise InputError("[pgd]: a sweep measures finite elements; leave [pgd] out")
+    if case.near:
+        raise InputError("[[near]]: a sweep knows one camera; leave [[near]] out")
+    if sizes is not None and case.mesh.structured is None:
+        raise InputError("--elements: the mesh comes from a file, whose elements stay; give [mesh.structured], or "
+                         "leave --elements out")
+    for name, values, least in (("--lengths", wavelengths, 0.0), ("--elements", sizes, 1.0)):
+        if values is not None and not (len(values) and all(least <= value < float("inf") for value in values)):
+            raise InputError(f"{name} {list(values)}: give numbers of pixels, at least {least:g}")
+
+
+def _list_candidates(inputs: Inputs, wavelengths: Sequence[float] | None,
+                     sizes: Sequence[float] | None) -> list[Candidate]:
+    """All pairs whose elements carry the wavelength, the case's own first where it is among them."""
+    case = inputs.case
+    mesh = inputs.build_mesh()[0]
+    typical = measure_cell_size(mesh)
+    of_elements = list_element_sizes(case) if sizes is None else list(dict.fromkeys(sizes))
+    lengths = list_wavelengths(case, typical) if wavelengths is None else list(dict.fromkeys(wavelengths))
+    pairs = [Candidate(size, length) for size in of_elements for length in lengths
+             if length == 0 or SHORTEST_WAVELENGTH <= length / (size or typical) <= LONGEST_WAVELENGTH]
+    if not pairs:
+        raise InputError(f"--lengths {lengths}: shorter than {SHORTEST_WAVELENGTH:g} elements, all of them; give "
+                         "longer ones")
+    own = _find_own(case)
+    return sorted(pairs, key=lambda candidate: candidate != own)
+
+
+def _find_own(case: Case) -> Candidate:
+    """What the case itself says."""
+    section, structured = case.regularization, case.mesh.structured
+    length = 0.0 if section is None else section.cut_off_wavelength or 0.0
+    return Candidate(None if structured is None else structured.element_size, length)
+
+
+def _vary(inputs: Inputs, candidate: Candidate) -> Inputs:
+    """The inputs with a candidate's case and mesh."""
+    case = set_resolution(inputs.case, candidate.element_size, candidate.wavelength)
+    image: Any = inputs.cameras[0].reference.image
+    return replace(inputs, case=case, n_frames=N_FRAMES,
+                   build_mesh=lambda: build_meshes(case, image.width, image.height))
+
+
+Array = NDArray[np.float64]
+
+Kind = Literal["uniform", "discontinuous"]
+KINDS: tuple[Kind, Kind] = ("uniform", "discontinuous")
+"""All moves by d along x and y; the sides of a line move apart by d along it, or across it where it can only open."""
+
+BASES = ("continuous", "enriched")
+
+ANGLE = np.deg2rad(27.0)
+"""Of the line, where none is given: it runs along no axis of the elements."""
+
+MARGIN = 12
+"""Pixels at the edge of the image that no element covers: displaced pixels and the spline's taps stay inside."""
+
+LARGEST_SIDE = 1024
+"""Pixels: of a larger image its middle is taken."""
+
+DEGREE = 5
+"""Of the spline that moves the image: another one than the cubic that measures, or its errors would cancel."""
+
+N_POINTS = 20000
+"""Places at which errors are taken."""
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """Errors of known displacements, by kind, element size, displacement and basis.
+
+    Attributes
+    ----------
+    sizes : (n_sizes,) array
+        Of the elements, pixels.
+    amplitudes : (n_amplitudes,) array
+        Displacements and jumps, pixels.
+    bias, deviation : dict of (n_sizes, n_amplitudes, 2) array
+        By kind: mean and standard deviation of the error per component all over the region, pixels; continuous
+        elements, then enriched ones; nan where a measurement did not converge.
+    noise : float
+        Standard deviation that was added to both images, grey levels.
+    predicted_noise : (n_sizes, 2) array
+        What that noise makes at nodes, 2 sigma^2 A^-1 M A^-1, RMS per component, pixels; nan where the operator is
+        singular.
+    """
+
+    sizes: Array
+    amplitudes: Array
+    bias: dict[Kind, Array]
+    deviation: dict[Kind, Array]
+    noise: float
+    predicted_noise: Array
+
+
+def estimate_uncertainty(image: NDArray[Any], *, sizes: Sequence[float] = (8, 16, 32, 64), n_amplitudes: int = 11,
+                       discontinuity: Mapping[str, Any] | None = None, noise: float = 0.0,
+                       options: Mapping[str, Any] | None = None) -> Uncertainty:
+    """Measure known displacements of an image, without and with a line that may open [RRH07], [RHR08].
+
+    Parameters
+    ----------
+    image : (height, width) array
+        One's own reference image, grey levels.
+    sizes : sequence of float
+        Of square elements, pixels.
+    n_amplitudes : int
+        Displacements from 0 to 1 px.
+    discontinuity : mapping, optional
+        A section of a case: the straight line across the image through the ends of its vertices jumps, along it or,
+        where its opening is "normal", across it. By default a line through the middle at 27 degrees that may slide.
+    noise : float
+        Standard deviation of noise that is added to both images, grey levels.
+    options : mapping, optional
+        Sections and keys of a case file, for every measurement; a regularization only with elements that carry its
+        cut-off wavelength.
+
+    Returns
+    -------
+    Uncertainty
+        Of both kinds of displacement.
+
+    Raises
+    ------
+    InputError
+        Where the image is no array of grey levels, or too small for the elements; where noise is more than it shows.
+    """
+    grey = _take_middle(image)
+    height, width = grey.shape
+    middle = np.array([width, height]) / 2 + (0.37, -0.21)
+    along = np.array([np.cos(ANGLE), np.sin(ANGLE)])
+    ends = np.stack([middle - 2 * sum(grey.shape) * along, middle + 2 * sum(grey.shape) * along])
+    section = dict(discontinuity or {"opening": "tangential"})
+    opening = str(section.get("opening", "both"))
+    if section.get("vertices"):
+        ends = _lengthen(np.array(section["vertices"], dtype=np.float64)[[0, -1]] - _find_corner(image),
+                         sum(grey.shape))
+    if len(sizes) == 0 or not all(2 <= size <= min(grey.shape) - 2 * MARGIN for size in sizes):
+        raise InputError(f"sizes: {list(sizes)} px on {width} x {height} px of the image; give sizes of elements from "
+                         f"2 to {min(grey.shape) - 2 * MARGIN} px")
+    span = float(np.ptp(grey))
+    if not 0.0 <= noise <= span:
+        raise InputError(f"noise: {noise:g}, but grey levels of the image span {span:g}; give a standard deviation in "
+                         "grey levels")
+    amplitudes = np.linspace(0.0, 1.0, n_amplitudes)
+    shape = (len(sizes), n_amplitudes, len(BASES))
+    bias: dict[Kind, Array] = {kind: np.full(shape, np.nan) for kind in KINDS}
+    deviation: dict[Kind, Array] = {kind: np.full(shape, np.nan) for kind in KINDS}
+    lines = [{"vertices": ends.tolist(), "opening": opening}]
+    for kind in KINDS:
+        for k, amplitude in enumerate(amplitudes):
+            known = _Known(kind, float(amplitude), ends, is_normal=opening == "normal")
+            pair = _add_noise(grey, known.deform(grey), noise, seed=k)
+            for s, size in enumerate(sizes):
+                for b, settings in enumerate(_choose_settings(options or {}, lines, size)):
+                    bias[kind][s, k, b], deviation[kind][s, k, b] = _measure_errors(pair, size, settings, known)
+    predicted = np.array([[_predict_noise(grey, size, settings, noise)
+                           for settings in _choose_settings(options or {}, lines, size)] for size in sizes])
+    return Uncertainty(np.array(sizes, dtype=np.float64), amplitudes, bias, deviation, noise, predicted)
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """A displacement: of everything along both axes, or of the sides of a line along it."""
+
+    kind: Kind
+    amplitude: float
+    line: Array
+    is_normal: bool
+
+    def displacement(self, points: Array) -> Array:
+        if self.kind == "uniform":
+            return np.full(points.shape, self.amplitude)
+        along = self.line[1] - self.line[0]
+        half = np.where(multiply_across(along, points - self.line[0]) > 0, 0.5, -0.5)
+        direction = np.array([-along[1], along[0]]) if self.is_normal else along
+        return np.asarray(half[:, None] * self.amplitude * direction / np.linalg.norm(along))
+
+    def deform(self, grey: Array) -> Array:
+        """The deformed image: sides that slide stay where the line is; a gap shows what lies beside it."""
+        y, x = np.mgrid[0:grey.shape[0], 0:grey.shape[1]].astype(float)
+        points = np.column_stack([x.ravel(), y.ravel()])
+        origins = points - self.displacement(points)
+        moved = ndimage.map_coordinates(grey, origins[:, ::-1].T, order=DEGREE, mode="mirror")
+        return np.asarray(moved.reshape(grey.shape))
+
+
+def _take_middle(image: NDArray[Any]) -> Array:
+    """Grey levels of at most LARGEST_SIDE pixels a side."""
+    grey = np.asarray(image)
+    if grey.ndim != 2 or not np.issubdtype(grey.dtype, np.number) or not np.isfinite(grey).all():
+        raise InputError(f"image: an array of shape {grey.shape} and type {grey.dtype} is given; give grey levels "
+                         "(height, width), all of them finite")
+    x, y = _find_corner(grey)
+    return grey[y:y + LARGEST_SIDE, x:x + LARGEST_SIDE].astype(np.float64)
+
+
+def _find_corner(image: NDArray[Any]) -> NDArray[np.int64]:
+    """Column and row of the first pixel of an image's middle."""
+    height, width = image.shape
+    return np.maximum(np.array([width, height]) - LARGEST_SIDE, 0) // 2
+
+
+def _add_noise(reference: Array, deformed: Array, noise: float, seed: int) -> tuple[NDArray[Any], NDArray[Any]]:
+    random = np.random.default_rng(seed)
+    noisy = [image + noise * random.standard_normal(image.shape) for image in (reference, deformed)]
+    return noisy[0].astype(np.float32), noisy[1].astype(np.float32)
+
+
+def _choose_settings(options: Mapping[str, Any], lines: Sequence[Any], size: float) -> tuple[dict[str, Any], ...]:
+    """Settings of continuous and of enriched elements of a size."""
+    chosen = dict(options)
+    wavelength = (options.get("regularization") or {}).get("cut_off_wavelength")
+    if wavelength is not None and wavelength < SHORTEST_WAVELENGTH * size:
+        del chosen["regularization"]
+    return chosen, {**chosen, "discontinuity": lines}
+
+
+def _lengthen(ends: Array, length: float) -> Array:
+    """The straight line through two points, far beyond both."""
+    along = (ends[1] - ends[0]) / max(float(np.linalg.norm(ends[1] - ends[0])), 1e-12)
+    return np.stack([ends[0] - 2 * length * along, ends[1] + 2 * length * along])
+
+
+def _mesh_inside(shape: tuple[int, ...], size: float) -> Mesh:
+    height, width = shape
+    return build_structured_mesh((MARGIN, MARGIN, width - MARGIN, height - MARGIN), size)
+
+
+def _predict_noise(grey: Array, size: float, settings: Mapping[str, Any] | None, noise: float) -> float:
+    """Displacement noise at nodes by the operator alone, pixels."""
+    reference = MaskedSource(ArraySource(Path("image"), grey.astype(np.float32)))
+    camera = Camera(0, reference, make_setup(identity(), reference, "none"), None)
+    inputs = Inputs(make_case(settings or {}), (camera,), lambda: (_mesh_inside(grey.shape, size), None))
+    try:
+        return estimate_nodal_noise(inputs, noise)
+    except SingularSubdomainError:
+        return np.nan
+
+
+def _measure_errors(pair: tuple[NDArray[Any], NDArray[Any]], size: float, settings: Mapping[str, Any] | None,
+                    known: _Known) -> tuple[float, float]:
+    """Mean and standard deviation of the error, pixels; nan where nothing converges."""
+    mesh = _mesh_inside(pair[0].shape, size)
+    try:
+        result = measure(pair, mesh, options=settings)
+    except (ConvergenceError, SingularSubdomainError):
+        return np.nan, np.nan
+    low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
+    points = np.random.default_rng(0).uniform(low, high, (N_POINTS, 2))
+    error = result.at(points) - known.displacement(points)
+    return float(np.nanmean(error)), float(np.nanstd(error, axis=0).mean())

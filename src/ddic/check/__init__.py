@@ -1,0 +1,1 @@
+"""What is checked of a case before anything is measured."""

@@ -1,0 +1,185 @@
+"""Whether what refers to the mesh fits it: pixels, node sets, wavelength, partition, ranks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.case.loader import LoadedCase
+from ddic.case.schema import Case
+from ddic.errors import InputError
+from ddic.inputs.inputs import Problems
+from ddic.inputs.mesh_source import NO_INNER_NODE, check_wavelength_fits, describe_mesh_source
+from ddic.io.text_files import read_partition
+from ddic.mesh.mesh import Mesh
+from ddic.mesh.quality import measure_cell_size
+from ddic.mesh.raster import rasterize
+from ddic.mesh.repair import check_pixels
+from ddic.mesh.topology import find_boundary_nodes, find_not_controlled_nodes
+from ddic.partition.split import split_by_blocks
+from ddic.partition.ties import Tying
+from ddic.problem.cut_region import check_lines
+
+
+@dataclass(frozen=True)
+class CheckedMesh:
+    """The mesh of a case.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        The whole mesh, pixels.
+    tying : Tying or None
+        How near fields' own meshes are tied in it; None where there are none.
+    pixel_counts : (n_cells,) array of int64
+        Pixels of each cell in the images that measure it.
+    """
+
+    mesh: Mesh
+    tying: Tying | None
+    pixel_counts: NDArray[np.int64]
+
+
+def check_mesh_uses(loaded: LoadedCase, checked: CheckedMesh, problems: Problems) -> NDArray[np.int64]:
+    """Check what refers to the mesh.
+
+    Parameters
+    ----------
+    loaded : LoadedCase
+        The case file.
+    checked : CheckedMesh
+        Its mesh.
+    problems : Problems
+        Takes what is found.
+
+    Returns
+    -------
+    (n,) array of int64
+        Nodes that are not controlled.
+    """
+    case = loaded.case
+    mesh = checked.mesh
+    with problems.gathered():
+        check_pixels(mesh, checked.pixel_counts, describe_mesh_source(case))
+    not_controlled = np.zeros(0, np.int64)
+    section = case.regularization
+    if section is not None:
+        edge = find_boundary_nodes(mesh)
+        with problems.gathered(loaded.path):
+            boundary = edge if checked.tying is None else checked.tying.boundary
+            not_controlled = find_not_controlled_nodes(mesh, section.not_controlled, section.boxes, boundary)
+        with problems.gathered(loaded.path):
+            _check_wavelength(section.cut_off_wavelength, mesh, edge)
+    with problems.gathered(loaded.path):
+        check_lines(case, mesh)
+    with problems.gathered():
+        if case.solver.partition_file is not None:
+            read_partition(case.solver.partition_file, mesh.n_cells)
+    with problems.gathered(loaded.path):
+        _check_subdomains(case.solver.subdomains, mesh)
+    with problems.gathered(loaded.path):
+        _check_blocks(case.solver.blocks, mesh)
+    return not_controlled
+
+
+def count_most_ranks(case: Case, mesh: Mesh) -> int:
+    """Count the subdomains that a case can have at most, of which every rank needs one.
+
+    Parameters
+    ----------
+    case : Case
+        Its solver and partition, found fit.
+    mesh : Mesh
+        The whole mesh.
+
+    Returns
+    -------
+    int
+        One for a cell where the case leaves their number open.
+    """
+    solver = case.solver
+    if solver.method == "monolithic":
+        return 1
+    if solver.partition_file is not None:
+        return int(read_partition(solver.partition_file, mesh.n_cells).max()) + 1
+    if solver.blocks is not None:
+        # Blocks without cells are dropped; those with cells of several cameras become several.
+        return solver.blocks[0] * solver.blocks[1] if case.near else int(split_by_blocks(mesh, solver.blocks).max()) + 1
+    return solver.subdomains or mesh.n_cells
+
+
+def check_most_ranks(loaded: LoadedCase, most: int, n_ranks: int) -> None:
+    """Refuse more ranks than the mesh can have subdomains.
+
+    Parameters
+    ----------
+    loaded : LoadedCase
+        The case.
+    most : int
+        What ``count_most_ranks`` says of it.
+    n_ranks : int
+        MPI ranks that were started.
+
+    Raises
+    ------
+    InputError
+        With what can be changed: only keys that the case gives.
+    """
+    if n_ranks <= most:
+        return
+    solver = loaded.case.solver
+    if solver.partition_file is not None:
+        what, remedy = f"{solver.partition_file}: {most} subdomains", "divide the mesh further there"
+    elif solver.blocks is not None:
+        what, remedy = f"{loaded.path}: solver.blocks: {most} blocks with cells", "ask for more of them"
+    else:
+        what, remedy = f"{loaded.path}: {most} cells of the mesh", "use smaller elements"
+    raise InputError(f"{what} for {n_ranks} MPI ranks, but every rank needs at least one; start at most {most} ranks "
+                     f"or {remedy}")
+
+
+def check_mesh(loaded: LoadedCase, mesh: Mesh, n_ranks: int) -> None:
+    """Check what a case with one camera asks of a mesh.
+
+    Parameters
+    ----------
+    loaded : LoadedCase
+        The case.
+    mesh : Mesh
+        The whole mesh, pixels.
+    n_ranks : int
+        MPI ranks that were started.
+
+    Raises
+    ------
+    InputError
+        With a line for each problem: cells without pixels, node sets, cut-off wavelength, partition, ranks.
+    """
+    problems = Problems()
+    check_mesh_uses(loaded, CheckedMesh(mesh, None, rasterize(mesh).pixel_counts), problems)
+    if problems.lines:
+        raise InputError(problems.lines)
+    check_most_ranks(loaded, count_most_ranks(loaded.case, mesh), n_ranks)
+
+
+def _check_subdomains(n_subdomains: int | None, mesh: Mesh) -> None:
+    if n_subdomains is not None and n_subdomains > mesh.n_cells:
+        raise InputError(f"solver.subdomains = {n_subdomains}: the mesh has only {mesh.n_cells} cells; ask for fewer "
+                         "subdomains")
+
+
+def _check_blocks(blocks: tuple[int, int] | None, mesh: Mesh) -> None:
+    if blocks is not None and blocks[0] * blocks[1] > mesh.n_cells:
+        raise InputError(f"solver.blocks = {list(blocks)}: {blocks[0] * blocks[1]} blocks of a mesh of only "
+                         f"{mesh.n_cells} cells; ask for fewer")
+
+
+def _check_wavelength(wavelength: float | None, mesh: Mesh, edge: NDArray[np.int64]) -> None:
+    """Refuse one that the mesh does not carry, and a mesh without inner nodes, which says nothing of any."""
+    if wavelength is None:
+        return
+    if len(edge) == mesh.n_nodes:
+        raise InputError(f"regularization.cut_off_wavelength = {wavelength:g}: {NO_INNER_NODE}")
+    check_wavelength_fits(wavelength, measure_cell_size(mesh))

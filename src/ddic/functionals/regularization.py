@@ -1,0 +1,365 @@
+"""Equilibrium gap: Kbar = P K and its weight eta from a cut-off wavelength [LPHR11].
+
+Linear elastic stiffness K with Young's modulus 1, unit thickness, lengths in pixels.
+
+What a cut-off wavelength means: which waves keep half of their amplitude.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from ddic.functionals.scale_rows import scale_rows
+from ddic.kinematics.cell_interpolation import interpolate_cells, number_cell_dofs
+from ddic.kinematics.kinematics import Kinematics
+from ddic.mesh.cell_parts import CellParts, place_quadrature_points
+from ddic.mesh.cell_type import N_MONOMIALS
+from ddic.mesh.interpolation import differentiate_shapes_at
+from ddic.mesh.mesh import Mesh, compute_shape_gradients
+
+_CHUNK_CELLS = 2_000
+"""Cells whose products of gradients are held at once: few enough for a processor's cache, in which they take half the
+time. A larger value takes more memory, too."""
+
+
+@dataclass(frozen=True)
+class Material:
+    """Isotropic elasticity with E = 1.
+
+    Attributes
+    ----------
+    poisson_ratio : float
+        -1 < nu < 0.5.
+    plane : {"stress", "strain"}
+        Whether the stress or the strain across the plane is zero.
+    """
+
+    poisson_ratio: float = 0.3
+    plane: Literal["stress", "strain"] = "stress"
+
+    @property
+    def lame(self) -> tuple[float, float]:
+        """Lambda and mu of s = lambda tr(e) I + 2 mu e in the plane; lambda is that of plane stress or strain."""
+        nu = self.poisson_ratio
+        lame = nu / (1.0 - nu**2) if self.plane == "stress" else nu / ((1.0 + nu) * (1.0 - 2.0 * nu))
+        return lame, 1.0 / (2.0 * (1.0 + nu))
+
+
+def integrate_cell_stiffness(mesh: Mesh, material: Material) -> NDArray[np.float64]:
+    """Integrate K_e = int lambda div u div v + 2 mu eps(u) : eps(v) over every cell, or its part.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Lengths in pixels.
+    material : Material
+        The same in all cells.
+
+    Returns
+    -------
+    (n_cells, 4 dim, 4 dim) array
+        K_e between displacement components, node-major; zero for nodes that a cell does not have.
+    """
+    width = N_MONOMIALS * mesh.dim
+    cells = np.zeros((mesh.n_cells, width, width))
+    for block in mesh.cell_blocks:
+        quadrature = block.type.quadrature
+        n = block.type.n_nodes * mesh.dim
+        weighing = _weigh_all_products(block.type.n_nodes, mesh.dim, material)
+        for begin in range(0, len(block.cells), _CHUNK_CELLS):
+            chunk = replace(block, cells=block.cells[begin:begin + _CHUNK_CELLS],
+                            nodes=block.nodes[begin:begin + _CHUNK_CELLS])
+            gradients, det = compute_shape_gradients(mesh, chunk, quadrature.points)
+            products = _integrate_products(gradients, det * quadrature.weights)
+            cells[chunk.cells, :n, :n] = (products.reshape(-1, n * n) @ weighing).reshape(-1, n, n)
+    if mesh.parts is not None and mesh.parts.n_parts:
+        cells[mesh.parts.cells] = _integrate_parts(mesh, mesh.parts, material)
+    return cells
+
+
+def _integrate_parts(mesh: Mesh, parts: CellParts, material: Material) -> NDArray[np.float64]:
+    """K_e of the cells that are parts, over their outlines: (n_parts, 4 dim, 4 dim)."""
+    points, weights, numbers = place_quadrature_points(parts)
+    gradients = differentiate_shapes_at(mesh, parts.cells[numbers], points)
+    rows = gradients.reshape(len(points), -1)
+    at_points = rows[:, :, None] * (weights[:, None] * rows)[:, None, :]
+    ends = np.searchsorted(numbers, np.arange(len(parts.cells)))
+    products = np.add.reduceat(at_points, ends, axis=0)
+    k, dim = gradients.shape[1:]
+    of_parts = _weigh_products(products.reshape(-1, k, dim, k, dim), material)
+    return of_parts.reshape(len(parts.cells), k * dim, k * dim)
+
+
+def _weigh_products(products: NDArray[np.float64], material: Material) -> NDArray[np.float64]:
+    """K_e from the integrals of dN_a/dx_i dN_b/dx_j, both (n_cells, a, i, b, j)."""
+    lame, shear = material.lame
+    # 2 mu eps(u) : eps(v) = mu (grad u : grad v + grad u : grad v^T)
+    stiffness = lame * products + shear * products.swapaxes(2, 4)
+    laplacian = shear * np.trace(products, axis1=2, axis2=4)
+    for i in range(products.shape[2]):
+        stiffness[:, :, i, :, i] += laplacian
+    return stiffness
+
+
+def _weigh_all_products(n_nodes: int, dim: int, material: Material) -> NDArray[np.float64]:
+    """What each integral of dN_a/dx_i dN_b/dx_j adds to K_e: a matrix, which many cells are multiplied by at once."""
+    n_products = (n_nodes * dim) ** 2
+    one_by_one = np.eye(n_products).reshape(n_products, n_nodes, dim, n_nodes, dim)
+    return _weigh_products(one_by_one, material).reshape(n_products, n_products)
+
+
+def assemble_stiffness(mesh: Mesh, material: Material) -> sparse.csr_matrix:
+    """Assemble K of a mesh, which acts on displacements of its nodes: the K of Eq. (11) of [BP17].
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Lengths in pixels.
+    material : Material
+        The same in all cells.
+
+    Returns
+    -------
+    (n_dofs, n_dofs) csr_matrix
+        K, symmetric; its null space is the rigid motions.
+    """
+    return interpolate_cells(mesh).assemble_matrix(integrate_cell_stiffness(mesh, material))
+
+
+def _integrate_products(gradients: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Integrals of dN_a/dx_i dN_b/dx_j, (n_cells, a, i, b, j), from gradients and weights at points of the cells."""
+    n_cells, n_points, k, dim = gradients.shape
+    rows = gradients.reshape(n_cells, n_points, k * dim)
+    products = rows.transpose(0, 2, 1) @ (rows * weights[..., None])
+    return np.asarray(products.reshape(n_cells, k, dim, k, dim))
+
+
+PHASES = (0.0, np.pi / 2)
+"""Phases of the plane waves, radians: cosine and sine, of which one at least does not vanish on the nodes."""
+
+_GAP_CHUNK_CELLS = 16_000
+"""Cells whose stiffness is held at once; a larger value takes more memory, a smaller one time."""
+
+
+def controlled_stiffness(kinematics: Kinematics, material: Material, row_weights: NDArray[np.float64],
+                         rotation: NDArray[np.float64] | None = None) -> sparse.csr_matrix:
+    """Assemble Kbar = diag(row_weights) T^T K T, weight 0 dropping a row (P of Eq. 11 of [BP17]).
+
+    K acts on the nodes; T^T K T are the forces on the unknowns: those on tied nodes are then their masters', as much as
+    these move them.
+
+    Parameters
+    ----------
+    kinematics : Kinematics
+        From unknowns to the displacement of the mesh's nodes, specimen's frame.
+    material : Material
+        The same in all cells.
+    row_weights : (n_unknowns,) array
+        Weights of the rows.
+    rotation : (dim, dim) array, optional
+        R by which the specimen has turned: the stiffness is then R K R^T. None, by default, for the identity.
+
+    Returns
+    -------
+    (n_unknowns, n_unknowns) csr_matrix
+        Kbar.
+    """
+    of_nodes = assemble_stiffness(kinematics.mesh, material)
+    if rotation is not None:
+        turn = sparse.kron(sparse.identity(kinematics.mesh.n_nodes), rotation, format="csr")
+        of_nodes = (turn @ of_nodes @ turn.T).tocsr()
+    stiffness = kinematics.project_matrix(of_nodes)
+    return scale_rows(stiffness, row_weights)
+
+
+def evaluate_plane_waves(nodes: NDArray[np.float64], wavelength: float) -> NDArray[np.float64]:
+    """Evaluate the waves v = e_a cos(2 pi x_b / l_c + phi) for all axes a, b and phi in {0, pi/2}.
+
+    Parameters
+    ----------
+    nodes : (n, dim) array
+        Pixels.
+    wavelength : float
+        l_c, pixels.
+
+    Returns
+    -------
+    (n dim, 2 dim^2) array
+        One wave a column, node-major; the phase varies fastest, then b.
+    """
+    n, dim = nodes.shape
+    waves = []
+    for a in range(dim):
+        for b in range(dim):
+            for phi in PHASES:
+                v = np.zeros((n, dim))
+                v[:, a] = np.cos(2 * np.pi * nodes[:, b] / wavelength + phi)
+                waves.append(v.ravel())
+    return np.stack(waves, axis=1)
+
+
+def measure_gap_energies(mesh: Mesh, material: Material, interior_nodes: NDArray[np.bool_],
+                 wavelength: float) -> NDArray[np.float64]:
+    """Measure |K v|^2 of every plane wave on the interior nodes' rows, K never assembled.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        The whole region's.
+    material : Material
+        The same in all cells.
+    interior_nodes : (n_nodes,) bool array
+        Nodes whose rows count.
+    wavelength : float
+        l_c, pixels.
+
+    Returns
+    -------
+    (n_waves,) array
+        Square pixels, one for each column of ``evaluate_plane_waves``.
+    """
+    waves = evaluate_plane_waves(mesh.nodes, wavelength)
+    forces = np.zeros_like(waves)
+    for begin in range(0, mesh.n_cells, _GAP_CHUNK_CELLS):
+        cells = np.arange(begin, min(begin + _GAP_CHUNK_CELLS, mesh.n_cells))
+        part, node_ids = mesh.create_submesh(cells)
+        dofs = (node_ids[:, None] * mesh.dim + np.arange(mesh.dim)).ravel()
+        forces[dofs] += _wave_forces(part, material, waves[dofs])
+    rows = np.repeat(interior_nodes, mesh.dim)
+    return np.asarray((forces[rows] ** 2).sum(axis=0))
+
+
+def measure_texture_energies(nodes: NDArray[np.float64], hessian: sparse.csr_matrix,
+                     interior_nodes: NDArray[np.bool_], wavelength: float) -> NDArray[np.float64]:
+    """Measure v^T M v of every plane wave on the interior nodes' rows; adds up over subdomains.
+
+    Parameters
+    ----------
+    nodes : (n, dim) array
+        Nodes whose displacements M is between, pixels.
+    hessian : (n dim, n dim) csr_matrix
+        M of a subdomain, node-major, grey levels squared per square pixel.
+    interior_nodes : (n,) bool array
+        Nodes whose rows count.
+    wavelength : float
+        l_c, pixels.
+
+    Returns
+    -------
+    (n_waves,) array
+        Grey levels squared, one for each column of ``evaluate_plane_waves``.
+    """
+    waves = evaluate_plane_waves(nodes, wavelength)
+    rows = np.repeat(interior_nodes, nodes.shape[1])
+    return np.asarray((waves * (hessian @ waves))[rows].sum(axis=0))
+
+
+def find_cut_off_weight(texture: NDArray[np.float64], gap: NDArray[np.float64]) -> float:
+    """Choose the weight eta at which texture and mechanics count alike at l_c: mean of |v^T M v| / |K v|^2 [LPHR11].
+
+    The two phases of a wave are added up before the ratio, for one may vanish on all nodes; the mean is over a and b.
+
+    Parameters
+    ----------
+    texture, gap : (n_waves,) arrays
+        ``measure_texture_energies`` and ``measure_gap_energies`` on the same nodes.
+
+    Returns
+    -------
+    float
+        eta, grey levels squared per square pixel.
+    """
+    n_phases = len(PHASES)
+    texture_by_wave = np.abs(texture).reshape(-1, n_phases).sum(axis=1)
+    gap_by_wave = gap.reshape(-1, n_phases).sum(axis=1)
+    return float((texture_by_wave / gap_by_wave).mean())
+
+
+def find_edge_weight(eta: float, probe: tuple[float, float], edge_wavelength: float) -> float:
+    """Choose the weight of rows whose equilibrium is not imposed, relative to the others.
+
+    eta grows as the fourth power of the wavelength, and the rows' weight enters as its square.
+
+    Parameters
+    ----------
+    eta : float
+        Weight of the equilibrium gap, grey levels squared per square pixel.
+    probe : tuple of float
+        A wavelength, pixels, and the eta that belongs to it.
+    edge_wavelength : float
+        Below which equilibrium rules these rows, pixels; 0 for never.
+
+    Returns
+    -------
+    float
+        From 0 to 1.
+    """
+    wavelength, eta_there = probe
+    eta_of_edges = eta_there * (edge_wavelength / wavelength) ** 4
+    return min(1.0, float(np.sqrt(eta_of_edges / eta)))
+
+
+def _wave_forces(mesh: Mesh, material: Material, waves: NDArray[np.float64]) -> NDArray[np.float64]:
+    """K v, (n_dofs, n_waves), of displacements v, the columns of waves."""
+    cell_dofs = number_cell_dofs(mesh)
+    by_cell = integrate_cell_stiffness(mesh, material) @ waves[cell_dofs]
+    columns = [np.bincount(cell_dofs.ravel(), by_cell[..., wave].ravel(), minlength=mesh.n_dofs)
+               for wave in range(waves.shape[1])]
+    return np.stack(columns, axis=1)
+
+
+@dataclass(frozen=True)
+class HalfAmplitudes:
+    """Wavelengths at which a wave of the displacement is measured with half of its amplitude.
+
+    Attributes
+    ----------
+    shear : float
+        Of waves across their direction, pixels.
+    longitudinal : float
+        Of waves along it, pixels.
+    """
+
+    shear: float
+    longitudinal: float
+
+    def describe(self) -> str:
+        """Say it to the user.
+
+        Returns
+        -------
+        str
+            For the log and ``ddic check``.
+        """
+        return (f"waves of {self.shear:.4g} px (shear) and {self.longitudinal:.4g} px (longitudinal) keep half of "
+                "their amplitude")
+
+
+def find_half_amplitudes(material: Material, wavelength: float) -> HalfAmplitudes:
+    """Find the wavelengths that eta of a cut-off wavelength halves, where texture and mechanics count alike.
+
+    A wave of the length l_c loads its nodes in proportion to c, c = lambda + 2 mu along its direction and mu across it,
+    and one of another length in proportion to c (l_c / l)^2. As eta is the mean over both of v^T M v / |K v|^2, a wave
+    is halved where c^2 (l_c / l)^4 mean(1 / c^2) = 1.
+
+    Parameters
+    ----------
+    material : Material
+        Of the regularization.
+    wavelength : float
+        l_c, pixels.
+
+    Returns
+    -------
+    HalfAmplitudes
+        On a mesh that is fine beside them, for texture without a direction.
+    """
+    lame, mu = material.lame
+    shear, longitudinal = mu, lame + 2.0 * mu
+    mean = (shear**-2 + longitudinal**-2) / 2.0
+    return HalfAmplitudes(*(wavelength * (c**2 * mean) ** 0.25 for c in (shear, longitudinal)))

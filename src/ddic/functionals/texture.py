@@ -1,0 +1,222 @@
+"""Whether a subdomain holds texture, or no more than image noise would give.
+
+How rough a field is: the forces that it leaves out of equilibrium.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from ddic.functionals.correlation import Correlation
+from ddic.functionals.regularization import Material, assemble_stiffness
+from ddic.images.spline import GradientImage
+from ddic.mesh.mesh import Mesh
+from ddic.mesh.quality import measure_areas
+from ddic.mesh.topology import find_boundary_nodes
+
+NOISE_GAIN = {3: 1.392305, 5: 1.893960}
+"""Variance of the spline's slope at a pixel for white noise of variance 1: mean over w of |slope(w)/value(w)|^2 of the
+degree's taps; 9 (2/sqrt(3) - 1) for the cubic."""
+
+EMPTY = 1e-4
+"""Energy relative to the largest subdomain's below which nothing is seen: gradients a hundred times weaker than those
+of full-contrast speckle (tens of grey levels per pixel) are those of the rounding to 8 bit."""
+
+NOISY = 2.0
+"""Energy relative to that of noise below which it is no more than noise. White noise gives 0.6 to 1 (rotations weigh
+the outer nodes, which see fewer pixels), speckle of a few pixels six and more."""
+
+WEAK = 0.05
+"""Energy relative to the textured subdomains' median above which it counts as texture, whatever its spectrum: grains
+of one pixel look like noise too."""
+
+ENOUGH_PIXELS = 200_000
+"""Pixels of a subdomain on which its noise is estimated: the standard deviation is then known to half a per cent."""
+
+
+@dataclass(frozen=True)
+class Texture:
+    """How well a subdomain's pixels hold it against rigid motion, the null space of its mechanics.
+
+    Attributes
+    ----------
+    energy : float
+        Least v^T M_s v / v^T v over rigid modes v, grey levels squared per pixel squared; none where the grey level
+        varies in one direction only.
+    noise : float
+        What white noise as strong as the image's finest detail would give.
+    """
+
+    energy: float
+    noise: float
+
+
+def measure_texture(correlation: Correlation, hessian: sparse.csr_matrix, degree: int) -> Texture:
+    """Measure a subdomain's texture on the pixels that count.
+
+    White noise of variance v gives every pixel's slopes the variance NOISE_GAIN v and holds all rigid modes alike: the
+    sum over pixels of N_a N_b summed over nodes is 1, so that a translation of unit norm has the energy of the
+    pixels' mean times their number over that of the nodes.
+
+    Parameters
+    ----------
+    correlation : Correlation
+        The subdomain's pixels.
+    hessian : (n_dofs, n_dofs) csr_matrix
+        Its M_s, grey levels squared per pixel squared.
+    degree : int
+        Of the spline, 3 or 5.
+
+    Returns
+    -------
+    Texture
+        Energy of the subdomain and of noise.
+    """
+    modes = np.linalg.qr(rigid_modes(correlation.mesh.nodes))[0]
+    energies = np.linalg.eigvalsh(modes.T @ (hessian @ modes))
+    slope_variance = NOISE_GAIN[degree] * estimate_noise_variance(correlation)
+    noise = slope_variance * correlation.n_usable_pixels / correlation.mesh.n_nodes
+    return Texture(float(energies[0]), noise)
+
+
+def estimate_noise_variance(correlation: Correlation) -> float:
+    """Estimate the variance of white noise as strong as the image's finest detail on the subdomain.
+
+    J. Immerkaer's operator, Computer Vision and Image Understanding 64 (1996) 300-302, which texture can only raise,
+    on rows enough for a good mean; pixels beside masked ones do not count.
+
+    Parameters
+    ----------
+    correlation : Correlation
+        The subdomain's pixels.
+
+    Returns
+    -------
+    float
+        Grey levels squared; 0 without pixels.
+    """
+    f, raster = correlation.reference, correlation.raster
+    height, width = f.values.shape
+    step = max(1, height * width // ENOUGH_PIXELS)
+    rows = np.arange(1, height - 1, step)
+    if width < 3 or len(rows) == 0:
+        return 0.0
+    squares = _squared_details(f, rows)
+    # Runs of the cells' pixels on those rows; the window's outermost pixels have no detail.
+    run = raster.rows - f.window.y0 - 1
+    kept = np.flatnonzero((run >= 0) & (run < height - 2) & (run % step == 0))
+    starts = np.clip(raster.starts[kept] - f.window.x0 - 1, 0, width - 2)
+    stops = np.clip(raster.stops[kept] - f.window.x0 - 1, 0, width - 2)
+    n_pixels = float((stops - starts).sum())
+    if f.usable is not None:
+        counted = _with_usable_neighbours(f.usable, rows)
+        squares *= counted
+        n_pixels = _sum_runs(counted, run[kept] // step, starts, stops)
+    total = _sum_runs(squares, run[kept] // step, starts, stops)
+    return total / n_pixels if n_pixels else 0.0
+
+
+def _squared_details(f: GradientImage, rows: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Squares of the finest detail on some rows of an image, without its outermost columns."""
+    # (1, -2, 1) / sqrt(6) along both axes is blind to curvature along one, and keeps the variance of white noise.
+    across = f.values[rows - 1] - 2.0 * f.values[rows] + f.values[rows + 1]
+    detail = (across[:, :-2] - 2.0 * across[:, 1:-1] + across[:, 2:]) / 6.0
+    return np.asarray(detail.astype(np.float64) ** 2)
+
+
+def _with_usable_neighbours(usable: NDArray[np.uint8], rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which pixels of some rows, without the outermost columns, are excluded neither themselves nor beside one."""
+    column = (usable[rows - 1] & usable[rows] & usable[rows + 1]) > 0
+    return np.asarray(column[:, :-2] & column[:, 1:-1] & column[:, 2:])
+
+
+def _sum_runs(values: NDArray[Any], row: NDArray[np.int64], start: NDArray[np.int64], stop: NDArray[np.int64]) -> float:
+    """Sum of values (height, width) over runs of columns start to stop - 1."""
+    up_to = np.zeros((values.shape[0], values.shape[1] + 1))
+    np.cumsum(values, axis=1, out=up_to[:, 1:])
+    return float((up_to[row, stop] - up_to[row, start]).sum())
+
+
+def rigid_modes(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Build translations, then infinitesimal rotations about the centre.
+
+    Parameters
+    ----------
+    nodes : (n, dim) array
+        Positions, pixels.
+
+    Returns
+    -------
+    (n dim, dim (dim + 1) / 2) array
+        A mode a column, node-major; rotations in pixels.
+    """
+    n, dim = nodes.shape
+    centred = nodes - nodes.mean(axis=0)
+    modes = [np.tile(row, (n, 1)) for row in np.eye(dim)]
+    for a in range(dim):
+        for b in range(a + 1, dim):
+            rotation = np.zeros((n, dim))
+            rotation[:, a] = -centred[:, b]
+            rotation[:, b] = centred[:, a]
+            modes.append(rotation)
+    return np.stack([mode.ravel() for mode in modes], axis=1)
+
+
+def find_blank_subdomains(textures: Sequence[Texture]) -> NDArray[np.bool_]:
+    """Find the subdomains, or pieces of them, that hold no usable texture.
+
+    Parameters
+    ----------
+    textures : sequence of Texture
+        Of all of the region.
+
+    Returns
+    -------
+    (n,) bool array
+        True where there is nothing, or where there is no more than noise and little beside what others have.
+    """
+    energy = np.array([t.energy for t in textures])
+    noise = np.array([t.noise for t in textures])
+    empty = energy <= EMPTY * energy.max()
+    noisy = energy <= NOISY * noise
+    textured = ~empty & ~noisy
+    if not textured.any():
+        return np.asarray(empty)
+    weak = energy <= WEAK * np.median(energy[textured])
+    return np.asarray(empty | noisy & weak)
+
+
+def measure_gap(mesh: Mesh, displacement: NDArray[np.float64], material: Material) -> float:
+    """Measure the RMS of div s over Young's modulus: K u at interior nodes, each over its share of the area.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Lengths in pixels.
+    displacement : (n_nodes, dim) array
+        Pixels; nodes about which one has none do not count.
+    material : Material
+        The same in all cells.
+
+    Returns
+    -------
+    float
+        1/px, alike for elements of any size; nan where no node counts.
+    """
+    stiffness = assemble_stiffness(mesh, material)
+    forces = (stiffness @ displacement.ravel()).reshape(displacement.shape)
+    is_interior = np.ones(mesh.n_nodes, dtype=bool)
+    is_interior[find_boundary_nodes(mesh)] = False
+    counts = is_interior & np.isfinite(forces).all(axis=1)
+    if not counts.any():
+        return float("nan")
+    n_corners = np.diff(mesh.offsets)
+    shares = np.repeat(np.abs(measure_areas(mesh)) / n_corners, n_corners)
+    areas = np.bincount(mesh.connectivity, shares, minlength=mesh.n_nodes)
+    return float(np.sqrt((forces[counts] ** 2 / areas[counts, None] ** 2).mean()))

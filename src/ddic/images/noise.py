@@ -1,0 +1,127 @@
+"""Noise of two images of one scene at rest.
+
+What interpolation by a spline leaves of the noise of pixels, and how it makes neighbours' noise go together.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from math import comb, factorial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.images.source import ImageSource
+from ddic.images.spline import HALO, compute_coefficients
+from ddic.images.window import Window
+
+Array = NDArray[np.float64]
+
+BLOCK = 32
+"""Side, pixels, of the blocks of which each has its own light and motion; a larger value lets more of a drift through,
+a smaller one leaves fewer pixels to each block's four numbers."""
+
+
+def estimate_rest_noise(first: ImageSource, second: ImageSource, window: Window) -> float:
+    """Estimate the noise of either image from their difference.
+
+    Of every block an offset, a gain and a shift of the second image are fitted, so that neither light nor a small drift
+    counts; the median over blocks passes over what has moved.
+
+    Parameters
+    ----------
+    first, second : ImageSource
+        Of one size.
+    window : Window
+        What is compared.
+
+    Returns
+    -------
+    float
+        Standard deviation, grey levels; nan where the window is smaller than a block.
+    """
+    variances = [_fit_row(first, second, Window(window.x0, y, window.x1, y + BLOCK))
+                 for y in range(window.y0, window.y1 - BLOCK + 1, BLOCK)]
+    found = np.concatenate([np.zeros(0), *variances])
+    return float(np.sqrt(np.median(found))) if len(found) else float("nan")
+
+
+def _fit_row(first: ImageSource, second: ImageSource, window: Window) -> Array:
+    """Noise variances of a row of blocks, (n_blocks,), grey levels squared."""
+    n = window.width // BLOCK
+    f = first.read(window).astype(np.float64)[:, :n * BLOCK]
+    change = second.read(window)[:, :n * BLOCK] - f
+    if n == 0:
+        return np.zeros(0)
+    columns = (np.ones_like(f), f, *np.gradient(f))
+    design = np.stack([_split(column) for column in columns], axis=2)
+    values = _split(change)[:, :, None]
+    # Of blocks without texture, the columns depend on each other: hence no inverse.
+    fitted = design @ (np.linalg.pinv(design) @ values)
+    left = ((values - fitted) ** 2).sum(axis=(1, 2))
+    # Two images' noise, less what the numbers of each block take of it.
+    return np.asarray(left / (2.0 * (BLOCK**2 - design.shape[2])))
+
+
+def _split(image: Array) -> Array:
+    """Pixels of each block of a row, (n_blocks, BLOCK^2)."""
+    return image.reshape(BLOCK, -1, BLOCK).transpose(1, 0, 2).reshape(-1, BLOCK**2)
+
+
+REACH = 12
+"""Largest distance, pixels, of values whose noise goes together: the poles' powers leave 1e-4 of it there (0.43^12)."""
+
+NOISE_OF_SLOPE = {3: 1.39, 5: 1.89}
+"""Variance of the slope of a spline through white noise at its nodes, relative to the noise's, per pixel squared, by
+degree: for the cubic one the mean of (3 sin w / (2 + cos w))^2 over all frequencies w."""
+
+
+def correlate_interpolation(shift: float, degree: int) -> Array:
+    """Find how the noise of interpolated values goes together: R(k) = sum_m h(m) h(m + k) with the weights h of pixels.
+
+    The B-spline of a degree with its prefilter weighs the pixels about a point between two of them; h is that along one
+    axis. In two dimensions R is the product of both axes', and the value at no distance is the noise transfer: the
+    variance of an interpolated value over that of a pixel.
+
+    Parameters
+    ----------
+    shift : float
+        Of the values from pixels, pixels.
+    degree : int
+        Of the spline, 3 or 5.
+
+    Returns
+    -------
+    (2 REACH + 1,) array
+        R for k from -REACH to REACH, no unit; 1 at k = 0 alone where the shift is a whole number.
+    """
+    weights = _weigh_pixels(shift % 1.0, degree)
+    whole = np.correlate(weights, weights, mode="full")
+    middle = len(weights) - 1
+    return np.asarray(whole[middle - REACH: middle + REACH + 1])
+
+
+def _weigh_pixels(shift: float, degree: int) -> Array:
+    """Weights of pixels in the value at ``shift``, of 2 HALO + 1 pixels about it."""
+    n = HALO[degree]
+    places = np.arange(-n, n + 1)
+    # The value is sum_k c[k] B(shift - k); c of pixels that are 1 at m alone is c_0[k - m].
+    basis = _evaluate_basis(shift - places, degree)
+    return np.asarray(np.convolve(basis, _coefficients_of_one_pixel(degree), mode="same"))
+
+
+def _evaluate_basis(x: Array, degree: int) -> Array:
+    """The centred B-spline B(x) as a sum of truncated powers, from its nearer end: no difference of large numbers."""
+    from_end = 0.5 * (degree + 1) - np.abs(x)
+    terms = [(-1) ** k * comb(degree + 1, k) * np.maximum(from_end - k, 0.0) ** degree for k in range(degree + 1)]
+    return np.asarray(np.sum(terms, axis=0) / factorial(degree))
+
+
+@cache
+def _coefficients_of_one_pixel(degree: int) -> Array:
+    """Coefficients along a row of pixels of which the middle one is 1 and the others are 0."""
+    n = HALO[degree]
+    # Along columns nothing varies.
+    row = np.zeros((1, 2 * n + 1))
+    row[0, n] = 1.0
+    return np.asarray(compute_coefficients(row, degree)[0])

@@ -1,0 +1,1 @@
+"""What a case names, opened: images, cameras, mesh, start."""

@@ -1,0 +1,353 @@
+"""The cameras of a case: their reference images, where they look, and which cells each of them measures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.case.frame_files import list_cameras, list_deformed
+from ddic.case.schema import Case, ImagesSection, NearSection
+from ddic.errors import InputError
+from ddic.images.camera import CameraMapping, identity, similarity
+from ddic.images.grey_levels import find_saturation
+from ddic.images.source import ImageSource
+from ddic.images.sub_image import MaskedSource
+from ddic.io.image_file import open_decoded, open_image
+from ddic.io.mapping_file import read_mapping_file
+from ddic.kinematics.camera import CameraSetup, MotionKind, see_mesh
+from ddic.mesh.mesh import Mesh
+from ddic.parallel.node import open_once_a_node
+from ddic.parallel.team import Team
+from ddic.partition.split import assign_cameras
+from ddic.partition.ties import Tying
+
+Opener = Callable[[Path], ImageSource]
+"""Opens an image file."""
+
+Frame = tuple[MaskedSource, ...]
+"""The deformed images of one instant, one of each camera."""
+
+
+@dataclass(frozen=True)
+class FieldOfView:
+    """Which cells a near camera measures, of those that it sees whole.
+
+    Attributes
+    ----------
+    region : (x0, y0, x1, y1) or None
+        Cells outside are left to the first camera, specimen's frame; None where all are measured.
+    margin : float
+        Width of the image's edge that does not count, the camera's pixels.
+    has_own_mesh : bool
+        Whether the camera measures the cells of a mesh of its own, and no others.
+    """
+
+    region: tuple[float, float, float, float] | None
+    margin: float
+    has_own_mesh: bool
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera: its reference image, where it looks, and what the case says of it.
+
+    Attributes
+    ----------
+    number : int
+        0 the first, whose pixels are the specimen's frame.
+    reference : MaskedSource
+        Its reference image.
+    setup : CameraSetup
+        Where it looks, and how its set-up may move.
+    noise : float or None
+        Standard deviation of a picture's noise, grey levels; None if it is to be estimated.
+    field_of_view : FieldOfView or None
+        Which cells it measures; None for the first camera, which measures what is left.
+    use_far : bool
+        Whether the first camera measures its cells as well.
+    """
+
+    number: int
+    reference: MaskedSource
+    setup: CameraSetup
+    noise: float | None
+    field_of_view: FieldOfView | None = None
+    use_far: bool = False
+
+    @property
+    def label(self) -> str:
+        """What the log calls it."""
+        return "far field" if self.number == 0 else f"near field {self.number}"
+
+    @property
+    def entry(self) -> str:
+        """What messages about the case file call a near camera."""
+        return f"near, entry {self.number}"
+
+
+def open_in_headers(path: Path) -> ImageSource:
+    """Open an image file by its header only.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    ImageSource
+        Read window by window.
+    """
+    return open_image(path)
+
+
+def open_on_all_ranks(team: Team) -> Opener:
+    """Give what opens images on all ranks: one that can only be decoded whole is decoded once a node.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks, which open the same images in the same order.
+
+    Returns
+    -------
+    Opener
+        Collective.
+    """
+    return lambda path: open_once_a_node(team, lambda: open_decoded(path))
+
+
+def open_cameras(case: Case, opener: Opener) -> tuple[Camera, ...]:
+    """Open the reference images of a case.
+
+    Parameters
+    ----------
+    case : Case
+        With absolute paths.
+    opener : Opener
+        Opens image files.
+
+    Returns
+    -------
+    tuple of Camera
+        The far camera, then the near ones.
+
+    Raises
+    ------
+    InputError
+        Where a file or a mapping cannot be read, or a mapping is none.
+    """
+    far = _open_reference(case.images, opener)
+    cameras = [Camera(0, far, make_setup(identity(), far, "none"), case.images.noise)]
+    for number, section in enumerate(case.near, start=1):
+        reference = _open_reference(section, opener)
+        try:
+            setup = make_setup(_mapping(section, far.image, reference.image), reference, section.motion)
+        except ValueError as error:
+            raise InputError(f"near, entry {number}: {error}; check its mapping (ddic calibrate)") from error
+        field_of_view = FieldOfView(section.region, section.margin, section.mesh is not None)
+        cameras.append(Camera(number, reference, setup, section.noise, field_of_view, section.use_far))
+    return tuple(cameras)
+
+
+def open_frame(case: Case, opener: Opener, number: int = 0) -> Frame:
+    """Open the deformed images of a case.
+
+    Parameters
+    ----------
+    case : Case
+        With absolute paths.
+    opener : Opener
+        Opens image files.
+    number : int, optional
+        Of the frame of a series, from 0; the first by default.
+
+    Returns
+    -------
+    Frame
+        One image of each camera.
+
+    Raises
+    ------
+    InputError
+        Where a file cannot be read.
+    """
+    return tuple(_masked(opener, section, list_deformed(section)[number], section.deformed_mask)
+                 for section in list_cameras(case))
+
+
+def _open_reference(section: ImagesSection | NearSection, opener: Opener) -> MaskedSource:
+    return _masked(opener, section, section.reference, section.reference_mask)
+
+
+def _masked(opener: Opener, section: ImagesSection | NearSection, path: Path, mask: Path | None) -> MaskedSource:
+    """One of a section's images with what is left out of it."""
+    image = opener(path)
+    saturated_from = None
+    if section.exclude_saturated:
+        saturated_from = find_saturation(image) if section.saturation is None else section.saturation
+    return MaskedSource(image, None if mask is None else opener(mask), saturated_from)
+
+
+def make_setup(mapping: CameraMapping, reference: MaskedSource, motion: MotionKind) -> CameraSetup:
+    """Describe a camera's set-up by its mapping and the size of its image.
+
+    Parameters
+    ----------
+    mapping : CameraMapping
+        From the specimen's frame to the camera's pixels.
+    reference : MaskedSource
+        Its reference image.
+    motion : MotionKind
+        How the set-up may move.
+
+    Returns
+    -------
+    CameraSetup
+        Which turns about the middle of what the camera sees.
+    """
+    width, height = reference.image.width, reference.image.height
+    corners = np.array([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]], dtype=np.float64)
+    seen = mapping.to_specimen(corners)
+    centre = mapping.to_specimen(corners.mean(axis=0, keepdims=True))[0]
+    farthest = float(np.linalg.norm(seen - centre, axis=1).max())
+    return CameraSetup(mapping, motion, centre, farthest)
+
+
+def _mapping(section: NearSection, far: ImageSource, near: ImageSource) -> CameraMapping:
+    if section.mapping_file is not None:
+        content = read_mapping_file(section.mapping_file)
+        for key, size, image in (("far_size", content.far_size, far), ("near_size", content.near_size, near)):
+            if size != (image.width, image.height):
+                raise InputError(f"{section.mapping_file}: images.{key} = {list(size)}, but {image.path} is "
+                                 f"{image.width} x {image.height} px: the mapping is that of other images; make it "
+                                 "from these by ddic calibrate")
+        return content.mapping
+    if section.ratio is None or section.offset is None:
+        # The schema lets no such section through.
+        raise ValueError("neither near.mapping_file nor near.ratio and near.offset are given")
+    return similarity(section.ratio, section.rotation_degrees, section.offset)
+
+
+def assign_cells(cameras: Sequence[Camera], mesh: Mesh, tying: Tying | None = None) -> NDArray[np.int64]:
+    """Assign each cell to the camera that measures it.
+
+    Parameters
+    ----------
+    cameras : sequence of Camera
+        All of them.
+    mesh : Mesh
+        The whole mesh.
+    tying : Tying, optional
+        Of near fields' own meshes in the whole one; None by default.
+
+    Returns
+    -------
+    (n_cells,) array of int64
+        Number of the camera.
+
+    Raises
+    ------
+    InputError
+        Where a near camera sees no whole element, or leaves none to the far one, or does not see its own mesh.
+    """
+    near = cameras[1:]
+    seen = [_sees(camera, mesh.nodes) for camera in near]
+    if tying is not None:
+        for camera, sees in zip(near, seen, strict=True):
+            _check_own_mesh(camera, mesh, tying, sees)
+        seen = [np.zeros_like(sees) if _has_own_mesh(camera) else sees
+                for camera, sees in zip(near, seen, strict=True)]
+    labels = assign_cameras(mesh, seen)
+    if tying is not None:
+        labels = np.where(tying.cameras > 0, tying.cameras, labels)
+    for camera in near:
+        if not (labels == camera.number).any():
+            raise InputError(f"{camera.entry}: its images see no whole element of the mesh; check its mapping "
+                             f"(ddic calibrate), near.region and near.margin, or use smaller elements")
+    if not (labels == 0).any():
+        raise InputError("near: the near-field images see every element, which leaves none to the far-field images; "
+                         "measure with the near-field images alone, or give near.region")
+    return labels
+
+
+def _has_own_mesh(camera: Camera) -> bool:
+    return camera.field_of_view is not None and camera.field_of_view.has_own_mesh
+
+
+def _check_own_mesh(camera: Camera, mesh: Mesh, tying: Tying, sees: NDArray[np.bool_]) -> None:
+    """Raise InputError where a near camera does not see all of its own mesh; sees: (n_nodes,)."""
+    part, nodes = mesh.create_submesh(np.flatnonzero(tying.cameras == camera.number))
+    hidden = part.nodes[~sees[nodes]]
+    if len(hidden):
+        raise InputError(f"{camera.entry}: its images do not show all of near.mesh, for instance column "
+                         f"{hidden[0, 0]:.0f}, row {hidden[0, 1]:.0f}; use a smaller mesh, or a smaller margin")
+
+
+def _sees(camera: Camera, nodes: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether nodes (n, 2), specimen's frame, lie in a near image, its margin left out, and in its region."""
+    image, field_of_view = camera.reference.image, camera.field_of_view
+    if field_of_view is None:
+        return np.ones(len(nodes), dtype=bool)
+    try:
+        seen = camera.setup.mapping.to_image(nodes)
+    except ValueError:
+        # Beyond the horizon of the mapping.
+        return np.zeros(len(nodes), dtype=bool)
+    low = field_of_view.margin
+    high = np.array([image.width - 1, image.height - 1]) - field_of_view.margin
+    inside = ((seen >= low) & (seen <= high)).all(axis=1)
+    if field_of_view.region is not None:
+        x0, y0, x1, y1 = field_of_view.region
+        inside &= ((nodes >= (x0, y0)) & (nodes <= (x1, y1))).all(axis=1)
+    return np.asarray(inside)
+
+
+@dataclass(frozen=True)
+class MeasuredCells:
+    """The cells that one camera measures.
+
+    Attributes
+    ----------
+    cells : (n,) array of int64
+        Their numbers in the whole mesh.
+    mesh : Mesh
+        Their mesh, specimen's frame.
+    seen : Mesh
+        The same in the camera's pixels.
+    """
+
+    cells: NDArray[np.int64]
+    mesh: Mesh
+    seen: Mesh
+
+
+def collect_cells(cameras: Sequence[Camera], mesh: Mesh, labels: NDArray[np.int64]) -> list[MeasuredCells]:
+    """Collect the cells of each camera.
+
+    Parameters
+    ----------
+    cameras : sequence of Camera
+        All of them.
+    mesh : Mesh
+        The whole mesh.
+    labels : (n_cells,) array of int64
+        Camera of each cell.
+
+    Returns
+    -------
+    list of MeasuredCells
+        By camera.
+    """
+    if len(cameras) == 1:
+        return [MeasuredCells(np.arange(mesh.n_cells), mesh, mesh)]
+    collected = []
+    for camera in cameras:
+        cells = np.flatnonzero(labels == camera.number)
+        part, _ = mesh.create_submesh(cells)
+        collected.append(MeasuredCells(cells, part, see_mesh(part, camera.setup)))
+    return collected

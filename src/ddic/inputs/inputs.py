@@ -1,0 +1,427 @@
+"""What a measurement is made from: cameras with their reference images, a mesh, and a case's settings.
+
+A series opens its deformed images one frame at a time; a frame that was measured may take the reference image's place,
+on the mesh that has moved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.case.frame_files import choose_frame, list_cameras, list_deformed
+from ddic.case.loader import LoadedCase
+from ddic.case.schema import Case
+from ddic.errors import DdicError, InputError, as_collective, is_collective
+from ddic.images.source import ImageSource
+from ddic.inputs.cameras import Camera, Frame, open_cameras, open_frame, open_on_all_ranks
+from ddic.inputs.mesh_source import build_meshes
+from ddic.inputs.rectangle import Rectangle, find_rectangle_of_case
+from ddic.io.input_file import FileStamps
+from ddic.kinematics.kinematics import RegionKinematics
+from ddic.mesh.mesh import Mesh
+from ddic.mesh.repair import check_inside
+from ddic.parallel.team import Team
+from ddic.partition.subdomain import Subdomain
+from ddic.partition.ties import Tying
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What a measurement is made from, on every rank.
+
+    Attributes
+    ----------
+    case : Case
+        Settings of correlation, regularization, solver, Gauss-Newton and start.
+    cameras : tuple of Camera
+        With their reference images.
+    build_mesh : callable
+        Gives the whole mesh, and how near fields' own meshes are tied in it (None where there are none); called on
+        rank 0 only.
+    choose_kinematics : callable, optional
+        From the whole mesh to its kinematics, called on rank 0 only; None for displacements of nodes.
+    case_path : Path
+        The case file; empty where there is none.
+    case_text : str
+        Its content; empty where there is none.
+    notes : tuple of str
+        What the user should know of how the case was completed.
+    rectangle : Rectangle, optional
+        What is measured where the case has [pgd]; ``build_mesh`` is not called then.
+    n_frames : int
+        Frames that are expected, where the case does not say it.
+    choice : SolverChoice, optional
+        What was chosen of what the case left open; None where it left nothing open, or nothing has been chosen yet.
+    updated : UpdatedReference, optional
+        What is known of the mesh where a later frame has taken the place of the reference image; None where none has.
+    """
+
+    case: Case
+    cameras: tuple[Camera, ...]
+    build_mesh: Callable[[], tuple[Mesh, Tying | None]]
+    choose_kinematics: Callable[[Mesh], RegionKinematics] | None = None
+    case_path: Path = Path()
+    case_text: str = ""
+    notes: tuple[str, ...] = ()
+    rectangle: Rectangle | None = None
+    n_frames: int = 1
+    choice: SolverChoice | None = None
+    updated: UpdatedReference | None = None
+
+    def with_frame(self, number: int) -> Inputs:
+        """Give the inputs of one frame of a series.
+
+        Parameters
+        ----------
+        number : int
+            Of the frame, from 0.
+
+        Returns
+        -------
+        Inputs
+            With its images in the case.
+        """
+        choice = self.choice
+        if choice is not None:
+            choice = replace(choice, asked=choose_frame(choice.asked, number), case=choose_frame(choice.case, number))
+        return replace(self, case=choose_frame(self.case, number), choice=choice)
+
+    @property
+    def asked_case(self) -> Case:
+        """The case as it was given."""
+        return self.case if self.choice is None else self.choice.asked
+
+
+def open_inputs(team: Team, loaded: LoadedCase, number: int = 0) -> tuple[Inputs, Frame]:
+    """Open the images of a case on all ranks; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    loaded : LoadedCase
+        The case file.
+    number : int, optional
+        Of the frame of a series, from 0; the first by default.
+
+    Returns
+    -------
+    inputs : Inputs
+        With the reference images.
+    frame : Frame
+        The deformed images.
+
+    Raises
+    ------
+    InputError
+        On all ranks, where an image or a mapping cannot be read.
+    """
+    case = loaded.case
+    opener = open_on_all_ranks(team)
+    cameras = open_cameras(case, opener)
+    image = cameras[0].reference.image
+    inputs = Inputs(case, cameras, lambda: loaded.kept_mesh.take(case) or build_meshes(case, image.width, image.height),
+                    case_path=loaded.path, case_text=loaded.text,
+                    rectangle=None if case.pgd is None else find_rectangle_of_case(case),
+                    n_frames=len(list_deformed(case.images)))
+    return inputs, open_frame(case, opener, number)
+
+
+@contextmanager
+def inputs_kept(team: Team, stamps: FileStamps) -> Iterator[None]:
+    """Refuse what the block finds where its inputs were not the same from their check to its end; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    stamps : FileStamps
+        Of the inputs when they were checked.
+
+    Yields
+    ------
+    None
+        While they are read.
+
+    Raises
+    ------
+    InputError
+        On all ranks, with a line for each file that has changed or vanished, in place of what the block raises.
+    """
+    try:
+        yield
+    except (DdicError, OSError) as error:
+        if is_collective(error):
+            _require_same(team, stamps, error)
+        raise
+    _require_same(team, stamps, None)
+
+
+def _require_same(team: Team, stamps: FileStamps, error: Exception | None) -> None:
+    changes = team.on_root(stamps.list_changes)
+    if changes:
+        raise as_collective(InputError(changes)) from error
+
+
+@dataclass(frozen=True)
+class FrameOpener:
+    """Opens frames of a series by their numbers, which count from 1.
+
+    Attributes
+    ----------
+    team : Team
+        All ranks.
+    inputs : Inputs
+        With the case of the whole series.
+    first_number : int
+        Of a frame that is open already, from 1.
+    first : Frame
+        Its images.
+    stamps : FileStamps
+        Of the images when they were checked.
+    """
+
+    team: Team
+    inputs: Inputs
+    first_number: int
+    first: Frame
+    stamps: FileStamps = field(default_factory=FileStamps)
+
+    @property
+    def n_frames(self) -> int:
+        """Of the series."""
+        return len(list_deformed(self.inputs.case.images))
+
+    def open(self, number: int) -> Frame:
+        """Open the images of a frame; collective.
+
+        Parameters
+        ----------
+        number : int
+            From 1.
+
+        Returns
+        -------
+        Frame
+            One deformed image of each camera.
+
+        Raises
+        ------
+        InputError
+            On all ranks, where one cannot be read.
+        """
+        if number == self.first_number:
+            return self.first
+        return open_frame(self.inputs.case, open_on_all_ranks(self.team), number - 1)
+
+    def list_files(self, number: int) -> list[Path]:
+        """List the images of a frame; none behind the last.
+
+        Parameters
+        ----------
+        number : int
+            From 1.
+
+        Returns
+        -------
+        list of Path
+            One of each camera.
+        """
+        if number > self.n_frames:
+            return []
+        return [list_deformed(section)[number - 1] for section in list_cameras(self.inputs.case)]
+
+    def choose_stamps(self, number: int) -> FileStamps:
+        """Choose the stamps of what a frame is measured from.
+
+        Parameters
+        ----------
+        number : int
+            From 1.
+
+        Returns
+        -------
+        FileStamps
+            Of its images and the reference images.
+        """
+        references = [section.reference for section in list_cameras(self.inputs.case)]
+        return self.stamps.choose([*references, *self.list_files(number)])
+
+    def describe(self, number: int) -> str:
+        """Describe a frame by the far camera's image.
+
+        Parameters
+        ----------
+        number : int
+            From 1.
+
+        Returns
+        -------
+        str
+            Its file.
+        """
+        return str(list_deformed(self.inputs.case.images)[number - 1])
+
+
+@dataclass(frozen=True)
+class SolverChoice:
+    """What ``solver.method = "auto"`` came to.
+
+    Attributes
+    ----------
+    asked : Case
+        As it was given.
+    case : Case
+        With method, number of subdomains and preconditioner.
+    note : str
+        What was chosen and why, a line for the log.
+    most_iterations : int or None
+        Conjugate gradients' iterations after which a step is factorised instead; None where it cannot be, or need not.
+    """
+
+    asked: Case
+    case: Case
+    note: str
+    most_iterations: int | None
+
+
+@dataclass(frozen=True, eq=False)
+class UpdatedReference:
+    """What the mesh was in the first reference image, and where it is now.
+
+    Attributes
+    ----------
+    nodes : (n_nodes, 2) array
+        In the first reference image, pixels.
+    displacement : (n_nodes, 2) array
+        From there to the frame, pixels.
+    parts : (n_cells,) array of int64
+        Subdomain of each cell, as in the first reference image.
+    first_image : ImageSource
+        The first reference image.
+    build_first_mesh : callable
+        Gives the whole mesh in the first reference image; called on rank 0 only.
+    """
+
+    nodes: Array
+    displacement: Array
+    parts: NDArray[np.int64]
+    first_image: ImageSource
+    build_first_mesh: Callable[[], tuple[Mesh, Tying | None]]
+
+    def build_moved_mesh(self, width: int, height: int) -> Mesh:
+        """Build the mesh where the frame shows it; on rank 0.
+
+        Parameters
+        ----------
+        width, height : int
+            Size of the images, pixels.
+
+        Returns
+        -------
+        Mesh
+            The same cells.
+
+        Raises
+        ------
+        InputError
+            Where it has left the image.
+        """
+        mesh, _ = self.build_first_mesh()
+        moved = replace(mesh, nodes=mesh.nodes + self.displacement)
+        check_inside(moved, width, height)
+        return moved
+
+    def place_first(self, subdomain: Subdomain) -> Subdomain:
+        """Give a subdomain the nodes that it has in the first reference image.
+
+        Parameters
+        ----------
+        subdomain : Subdomain
+            Of the moved mesh.
+
+        Returns
+        -------
+        Subdomain
+            The same cells and unknowns.
+        """
+        return replace(subdomain, mesh=replace(subdomain.mesh, nodes=self.nodes[subdomain.node_ids]))
+
+    def restrict(self, subdomains: Sequence[Subdomain]) -> list[Array]:
+        """Give subdomains the displacement of their nodes to the frame.
+
+        Parameters
+        ----------
+        subdomains : sequence of Subdomain
+            Whose unknowns are displacements of nodes.
+
+        Returns
+        -------
+        list of (n_dofs,) array
+            Of each, node by node, pixels.
+        """
+        return [self.displacement[subdomain.node_ids].ravel() for subdomain in subdomains]
+
+
+class Problems:
+    """Lines gathered from several checks, so that one failure does not hide the next.
+
+    Attributes
+    ----------
+    lines : list of str
+        One problem each.
+    """
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    @contextmanager
+    def gathered(self, source: Path | None = None) -> Iterator[None]:
+        """Keep the lines of an InputError that is raised inside.
+
+        Parameters
+        ----------
+        source : Path, optional
+            A file to name before each line.
+
+        Yields
+        ------
+        None
+            Nothing.
+        """
+        try:
+            yield
+        except InputError as error:
+            self.add(error, source)
+
+    def add(self, error: InputError, source: Path | None = None) -> None:
+        """Keep the lines of an error.
+
+        Parameters
+        ----------
+        error : InputError
+            Of one check.
+        source : Path, optional
+            A file to name before each line.
+        """
+        prefix = "" if source is None else f"{source}: "
+        self.lines += [prefix + line for line in error.problems]
+
+    def require_none(self) -> None:
+        """Raise all of them as one.
+
+        Raises
+        ------
+        InputError
+            Where there are any.
+        """
+        if self.lines:
+            raise InputError(self.lines)

@@ -1,0 +1,293 @@
+"""The mesh that a case asks for, and the cut-off wavelengths that its elements carry."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from ddic.case.schema import Case, MappingSection, MeshSection, StructuredSection
+from ddic.errors import InputError
+from ddic.io.image_file import read_mask
+from ddic.io.mesh_file import read_mesh
+from ddic.mesh.holes import OutlinedHole, find_mask_holes
+from ddic.mesh.mesh import Mesh, Similarity
+from ddic.mesh.repair import check_inside, check_joints, repair
+from ddic.mesh.structured import build_structured_mesh, count_cells
+from ddic.parallel.node import read_available_memory
+from ddic.partition.ties import Tying, tie_meshes
+
+BYTES_PER_CELL = 520
+"""Memory that a built-in mesh takes for each cell while it is made, measured on 62,500 and on 1,000,000 cells alike."""
+
+SHORTEST_WAVELENGTH = 3.0
+"""Elements per cut-off wavelength below which a plane wave is not one on the mesh (aliasing)."""
+
+LONGEST_WAVELENGTH = 1000.0
+"""Elements per cut-off wavelength beyond which M is lost in A = M + eta Kbar^T Kbar, whose ratio grows as its
+fourth power (1e12 here, of 1e16)."""
+
+NO_INNER_NODE = ("the mesh has no interior node, so no wavelength can be given a weight; use a finer mesh or give "
+                 "regularization.eta")
+"""What is said of a mesh all of whose nodes lie on its boundary."""
+
+
+def build_mesh(case: Case, width: int, height: int) -> Mesh:
+    """Read or make the case's mesh, repair it and check that it lies in the image.
+
+    Parameters
+    ----------
+    case : Case
+        With absolute paths.
+    width, height : int
+        Size of the images, pixels.
+
+    Returns
+    -------
+    Mesh
+        Fit for measuring, pixels.
+
+    Raises
+    ------
+    InputError
+        With the mesh's file or section named, on all that ``read_mesh``, ``build_structured_mesh``, ``repair`` and
+        ``check_inside`` refuse.
+    """
+    return _mesh_of(case.mesh, describe_mesh_source(case), width, height)
+
+
+def build_meshes(case: Case, width: int, height: int) -> tuple[Mesh, Tying | None]:
+    """Build the case's mesh with the near fields' own meshes in it, tied to what is left of the far elements.
+
+    Parameters
+    ----------
+    case : Case
+        With absolute paths.
+    width, height : int
+        Size of the far-field images, pixels.
+
+    Returns
+    -------
+    mesh : Mesh
+        Fit for measuring, far-field pixels.
+    tying : Tying or None
+        How its nodes are tied; None where no near field has a mesh of its own.
+
+    Raises
+    ------
+    InputError
+        On all that ``build_mesh`` and ``tie_meshes`` refuse.
+    """
+    far = build_mesh(case, width, height)
+    near = {}
+    for number, section in enumerate(case.near, start=1):
+        if section.mesh is not None:
+            name = f"near, entry {number}: {_name(section.mesh)}"
+            near[number] = _mesh_of(section.mesh, name, width, height)
+    if not near:
+        return far, None
+    return tie_meshes(far, near)
+
+
+def build_mesh_anywhere(case: Case) -> Mesh:
+    """Build the case's mesh wherever it lies, to check what refers to it beside an image that it does not fit.
+
+    Parameters
+    ----------
+    case : Case
+        With absolute paths.
+
+    Returns
+    -------
+    Mesh
+        Not fit for measuring.
+
+    Raises
+    ------
+    InputError
+        Where it cannot be built, or not without an image whose size its mask has.
+    """
+    if case.mesh.structured is not None and case.mesh.structured.mask is not None:
+        raise InputError("mesh.structured.mask: its image cannot be read")
+    return repair(_raw_mesh(case.mesh, 0, 0))
+
+
+def describe_mesh_source(case: Case) -> str:
+    """Name the mesh for messages.
+
+    Parameters
+    ----------
+    case : Case
+        Says where it comes from.
+
+    Returns
+    -------
+    str
+        The mesh file, or the section that describes the built-in mesh.
+    """
+    return _name(case.mesh)
+
+
+def _name(section: MeshSection) -> str:
+    return "mesh.structured" if section.file is None else str(section.file)
+
+
+def _mesh_of(section: MeshSection, name: str, width: int, height: int) -> Mesh:
+    raw = _raw_mesh(section, width, height)
+    if section.file is not None:
+        return accept_mesh(raw, name, width, height)
+    with _named(name):
+        return _repair_inside(raw, width, height)
+
+
+def accept_mesh(raw: Mesh, name: str, width: int, height: int) -> Mesh:
+    """Repair a mesh from elsewhere and check that it lies in the image and its cells meet side to side.
+
+    Parameters
+    ----------
+    raw : Mesh
+        As it was read or made, pixels.
+    name : str
+        What messages call it.
+    width, height : int
+        Size of the images, pixels.
+
+    Returns
+    -------
+    Mesh
+        Fit for measuring.
+
+    Raises
+    ------
+    InputError
+        On all that ``repair``, ``check_inside`` and ``check_joints`` refuse.
+    """
+    with _named(name):
+        mesh = _repair_inside(raw, width, height)
+        check_joints(mesh)
+    return mesh
+
+
+def _repair_inside(raw: Mesh, width: int, height: int) -> Mesh:
+    mesh = repair(raw)
+    check_inside(mesh, width, height)
+    return mesh
+
+
+@contextmanager
+def _named(name: str) -> Iterator[None]:
+    """Put the mesh's name before each line of an InputError that is raised inside."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError([f"{name}: {problem}" for problem in error.problems]) from error
+
+
+def _raw_mesh(section: MeshSection, width: int, height: int) -> Mesh:
+    if section.file is not None:
+        return read_mesh(section.file, convert_mapping(section.mapping))
+    if section.structured is None:
+        raise InputError("mesh: give either mesh.file or [mesh.structured]")
+    return _structured(section.structured, width, height)
+
+
+def convert_mapping(section: MappingSection) -> Similarity:
+    """Convert a mapping as a case file says it.
+
+    Parameters
+    ----------
+    section : MappingSection
+        Of the case.
+
+    Returns
+    -------
+    Similarity
+        From mesh units to pixels.
+    """
+    return Similarity(section.scale, math.radians(section.rotation_degrees), section.translation, section.y_up)
+
+
+def _check_size(section: StructuredSection) -> None:
+    """Refuse a mesh that has elements without a pixel whatever its holes, or does not fit into memory, before it is."""
+    n_columns, n_rows = count_cells(section.region, section.element_size)
+    x0, y0, x1, y1 = section.region
+    n_pixels = (math.floor(x1 + 1) - math.ceil(x0), math.floor(y1 + 1) - math.ceil(y0))
+    if n_columns > n_pixels[0] or n_rows > n_pixels[1]:
+        raise InputError(f"mesh.structured: element_size = {section.element_size:g} asks for {n_columns} x {n_rows} "
+                         f"elements on {n_pixels[0]} x {n_pixels[1]} pixels: some hold no pixel; use larger elements")
+    needed, left = n_columns * n_rows * BYTES_PER_CELL, read_available_memory()
+    if needed > left:
+        raise InputError(f"mesh.structured: {n_columns * n_rows:.3g} elements, {2 * n_columns * n_rows:.3g} unknowns, "
+                         f"take {needed / 2**30:.3g} GiB to build alone, and {left / 2**30:.3g} GiB are left here; use "
+                         "larger elements, or a machine with more memory")
+
+
+def _structured(section: StructuredSection, width: int, height: int) -> Mesh:
+    _check_size(section)
+    mask = None if section.mask is None else read_mask(section.mask, width, height)
+    outlined: list[OutlinedHole] = []
+    if mask is not None and section.mask_outline == "snapped":
+        outlined, mask = find_mask_holes(mask, section.region, section.element_size), None
+    return build_structured_mesh(
+        section.region, section.element_size, section.cell,
+        circles=[(circle.center, circle.radius) for circle in section.circles],
+        polygons=[*(np.array(polygon.vertices) for polygon in section.polygons), *outlined],
+        mask=mask,
+    )
+
+
+def check_weight_fits(eta: float, modulus: float, texture: float, size: float) -> None:
+    """Check that the images are not lost beside the weight of the equilibrium gap.
+
+    A weight stands for the wavelength 2 pi / k at which eta (modulus size k^2)^2 / 2, the gap of a plane wave per
+    pixel, equals texture / 4, what its images say, both means over the wave's phase and direction.
+
+    Parameters
+    ----------
+    eta : float
+        Of the case, (grey levels / px)^2.
+    modulus : float
+        Of a strain in one direction, that of Young being 1.
+    texture : float
+        Mean of |grad f|^2, (grey level / px)^2.
+    size : float
+        Of the elements, pixels.
+
+    Raises
+    ------
+    InputError
+        Where that wavelength is longer than LONGEST_WAVELENGTH elements.
+    """
+    # A node's share of the gap is an element's force, hence size^2; its square is per node, hence 1 / size^2.
+    largest = texture * size**2 / 2 * (LONGEST_WAVELENGTH / (2 * math.pi)) ** 4 / modulus**2
+    if eta > largest:
+        raise InputError(f"regularization.eta = {eta:g}: it stands for a cut-off wavelength of more than "
+                         f"{LONGEST_WAVELENGTH:g} elements of {size:.3g} px, where rounding hides the images; give at "
+                         f"most {largest:.2g}, or regularization.cut_off_wavelength")
+
+
+def check_wavelength_fits(wavelength: float, size: float) -> None:
+    """Check that elements carry a cut-off wavelength.
+
+    Parameters
+    ----------
+    wavelength : float
+        Of the case, pixels.
+    size : float
+        Of the elements, pixels.
+
+    Raises
+    ------
+    InputError
+        Where it is shorter than SHORTEST_WAVELENGTH elements or longer than LONGEST_WAVELENGTH.
+    """
+    if wavelength < SHORTEST_WAVELENGTH * size:
+        raise InputError(f"regularization.cut_off_wavelength = {wavelength:g}: the mesh, of elements of {size:.3g} px, "
+                         f"carries no wave shorter than {SHORTEST_WAVELENGTH:g} elements; give at least "
+                         f"{SHORTEST_WAVELENGTH * size:.3g}, or leave the regularization out")
+    if wavelength > LONGEST_WAVELENGTH * size:
+        raise InputError(f"regularization.cut_off_wavelength = {wavelength:g}: more than {LONGEST_WAVELENGTH:g} "
+                         f"elements of {size:.3g} px, where rounding hides the images (eta grows as its fourth "
+                         f"power); give at most {LONGEST_WAVELENGTH * size:.3g}")

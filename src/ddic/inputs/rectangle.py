@@ -1,0 +1,272 @@
+"""The rectangle that PGD-DIC measures, and the lines of its elements."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.case.schema import Case, RegularizationSection, StructuredSection
+from ddic.errors import InputError
+from ddic.inputs.mesh_source import NO_INNER_NODE, check_wavelength_fits
+from ddic.mesh.mesh import Mesh
+from ddic.mesh.repair import check_inside
+from ddic.mesh.structured import build_structured_mesh, count_cells
+from ddic.mesh.topology import BOUNDARY
+from ddic.separated.band_sums import N_BANDS
+from ddic.separated.field import LineElements
+from ddic.separated.separated_regularization import ControlledLines
+
+SMALLEST_ELEMENT = 1.0
+"""Side of an element, pixels: smaller ones hold no pixel."""
+
+COARSE_CELLS = 16
+"""Cells along a side of the mesh that stands for the rectangle where its elements are too many to be listed."""
+
+OUTPUT_PX, MOST_CELLS = 4.0, 250_000
+"""Least side, pixels, and largest number of the cells on which a displacement is written out, if nothing is said."""
+
+SIDES = ("left", "right", "top", "bottom")
+
+
+@dataclass(frozen=True, eq=False)
+class Rectangle:
+    """Lines between the elements of a rectangle.
+
+    Attributes
+    ----------
+    along_x, along_y : LineElements
+        Across the vertical lines, and across the horizontal ones.
+    """
+
+    along_x: LineElements
+    along_y: LineElements
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """First and last lines: x0, y0, x1, y1, pixels."""
+        x, y = self.along_x.nodes, self.along_y.nodes
+        return float(x[0]), float(y[0]), float(x[-1]), float(y[-1])
+
+    @property
+    def element_size(self) -> float:
+        """Mean side of the elements, pixels."""
+        n_elements = self.along_x.n_nodes + self.along_y.n_nodes - 2
+        return (self.along_x.length + self.along_y.length) / n_elements
+
+    def build_coarse_mesh(self) -> Mesh:
+        """Mesh the rectangle by few cells.
+
+        Returns
+        -------
+        Mesh
+            That covers the same pixels.
+        """
+        return build_structured_mesh(self.bounds, min(self.along_x.length, self.along_y.length) / COARSE_CELLS)
+
+
+def build_rectangle(section: StructuredSection) -> Rectangle:
+    """Build the lines of a structured mesh.
+
+    Parameters
+    ----------
+    section : StructuredSection
+        Of the case.
+
+    Returns
+    -------
+    Rectangle
+        With the lines that its Q4 elements would have.
+
+    Raises
+    ------
+    InputError
+        Where the section asks for something other than a whole rectangle of Q4 elements of a pixel or more.
+    """
+    if section.cell != "Q4":
+        raise InputError(f'mesh.structured.cell = "{section.cell}": [pgd] measures on "Q4" elements; leave the key out')
+    given = [key for key in ("circles", "polygons", "mask") if getattr(section, key)]
+    if given:
+        raise InputError(f"mesh.structured.{given[0]}: [pgd] measures whole rectangles; leave pixels out by "
+                         "images.reference_mask")
+    if section.element_size < SMALLEST_ELEMENT:
+        raise InputError(f"mesh.structured.element_size = {section.element_size:g}: smaller than a pixel; give "
+                         f"{SMALLEST_ELEMENT:g} or more")
+    x0, y0, x1, y1 = section.region
+    n_x, n_y = count_cells(section.region, section.element_size)
+    return Rectangle(LineElements(np.linspace(x0, x1, n_x + 1)), LineElements(np.linspace(y0, y1, n_y + 1)))
+
+
+def find_rectangle(mesh: Mesh) -> Rectangle:
+    """Find the lines of a mesh.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Pixels.
+
+    Returns
+    -------
+    Rectangle
+        With the mesh's nodes where its lines cross.
+
+    Raises
+    ------
+    InputError
+        Where the cells do not fill a rectangle between lines, all of them Q4.
+    """
+    x, y = (np.unique(mesh.nodes[:, axis].round(9)) for axis in range(2))
+    n_cells = (len(x) - 1) * (len(y) - 1)
+    if mesh.n_nodes != len(x) * len(y) or mesh.n_cells != n_cells or len(mesh.connectivity) != 4 * n_cells:
+        raise InputError("mesh: [pgd] measures on a whole rectangle of Q4 elements between straight lines, such as "
+                         "ddic.structured_mesh makes; leave [pgd] out for other meshes")
+    return Rectangle(LineElements(x), LineElements(y))
+
+
+def find_rectangle_of_case(case: Case) -> Rectangle:
+    """Find the rectangle that a case file with [pgd] asks for.
+
+    Parameters
+    ----------
+    case : Case
+        With [pgd].
+
+    Returns
+    -------
+    Rectangle
+        Of ``[mesh.structured]``.
+
+    Raises
+    ------
+    InputError
+        Where there is none.
+    """
+    if case.mesh.structured is None:
+        raise InputError("mesh.file: [pgd] measures on a rectangle of Q4 elements; describe it by [mesh.structured]")
+    return build_rectangle(case.mesh.structured)
+
+
+def check_rectangle(case: Case, rectangle: Rectangle, width: int, height: int) -> None:
+    """Check that a rectangle lies in the images, and what a case says of it.
+
+    Parameters
+    ----------
+    case : Case
+        With [pgd].
+    rectangle : Rectangle
+        Of the case.
+    width, height : int
+        Of the images, pixels.
+
+    Raises
+    ------
+    InputError
+        Where it leaves the images or holds no pixel, or a key does not fit it.
+    """
+    check_inside(rectangle.build_coarse_mesh(), width, height)
+    if not (len(rectangle.along_x.pixels) and len(rectangle.along_y.pixels)):
+        raise InputError("mesh.structured.region: it holds no pixel centre; give a larger one")
+    choose_output_lines(case, rectangle)
+    section = case.regularization
+    if section is None:
+        return
+    choose_controlled_lines(section, rectangle)
+    if section.operator == "equilibrium_gap" and min(rectangle.along_x.n_nodes, rectangle.along_y.n_nodes) < 3:
+        raise InputError(f"[regularization]: {NO_INNER_NODE.replace('give regularization.eta', 'leave it out')}")
+    if section.cut_off_wavelength is not None:
+        check_wavelength_fits(section.cut_off_wavelength, rectangle.element_size)
+
+
+def check_number_of_ranks(n_ranks: int) -> None:
+    """Refuse ranks that would have no band of rows.
+
+    Parameters
+    ----------
+    n_ranks : int
+        MPI ranks that were started.
+
+    Raises
+    ------
+    InputError
+        Where there are more than bands.
+    """
+    if n_ranks > N_BANDS:
+        raise InputError(f"[pgd]: the rows of the images are divided into {N_BANDS} bands, and {n_ranks} MPI ranks "
+                         f"were started; start at most {N_BANDS}")
+
+
+def choose_controlled_lines(section: RegularizationSection, rectangle: Rectangle) -> ControlledLines:
+    """Choose the lines on which equilibrium is imposed.
+
+    Parameters
+    ----------
+    section : RegularizationSection
+        Of the case.
+    rectangle : Rectangle
+        Of the case.
+
+    Returns
+    -------
+    ControlledLines
+        All but the sides that the case names.
+
+    Raises
+    ------
+    InputError
+        Where it names something other than sides.
+    """
+    lines = ControlledLines(np.ones(rectangle.along_x.n_nodes, dtype=bool),
+                            np.ones(rectangle.along_y.n_nodes, dtype=bool))
+    ends: dict[str, tuple[NDArray[np.bool_], int]] = {"left": (lines.x, 0), "right": (lines.x, -1),
+                                                      "top": (lines.y, 0), "bottom": (lines.y, -1)}
+    for name in section.not_controlled:
+        if name not in (*SIDES, BOUNDARY):
+            raise InputError(f'regularization.not_controlled: "{name}" is no side of a rectangle; there are '
+                             f"{', '.join((*SIDES, BOUNDARY))}")
+        for side in SIDES if name == BOUNDARY else (name,):
+            on_lines, end = ends[side]
+            on_lines[end] = False
+    return lines
+
+
+def choose_output_lines(case: Case, rectangle: Rectangle) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Choose the lines between the cells on which a displacement is written out.
+
+    Parameters
+    ----------
+    case : Case
+        With [pgd].
+    rectangle : Rectangle
+        Of the case.
+
+    Returns
+    -------
+    x, y : (n,) array
+        Lines of the rectangle, each so many elements from the one before, pixels.
+
+    Raises
+    ------
+    InputError
+        Where the case asks for cells smaller than an element.
+    """
+    wanted = None if case.pgd is None else case.pgd.output_spacing
+    size = rectangle.element_size
+    if wanted is not None and wanted < (1 - 1e-9) * size:
+        raise InputError(f"pgd.output_spacing = {wanted:g}: smaller than the elements, of {size:.3g} px; give at least "
+                         "their size")
+    if wanted is None:
+        wanted = max(OUTPUT_PX, (rectangle.along_x.length * rectangle.along_y.length / MOST_CELLS) ** 0.5)
+        stride = int(np.ceil(wanted / size - 1e-9))
+    else:
+        stride = round(wanted / size)
+    x, y = (_take_every(line.nodes, max(stride, 1)) for line in (rectangle.along_x, rectangle.along_y))
+    return x, y
+
+
+def _take_every(nodes: NDArray[np.float64], stride: int) -> NDArray[np.float64]:
+    """Every so many nodes, and the last one; the last cell is the larger one where they do not divide the side."""
+    chosen = nodes[:-1:stride]
+    if len(chosen) > 1 and len(nodes) - 1 - (len(chosen) - 1) * stride < (stride + 1) // 2:
+        chosen = chosen[:-1]
+    return np.append(chosen, nodes[-1])

@@ -1,0 +1,144 @@
+"""Displacements at points that a user gives to start from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.case.schema import StartSection
+from ddic.errors import InputError
+from ddic.io.text_files import read_point_table
+from ddic.mesh.interpolation import locate
+from ddic.mesh.mesh import Mesh
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class StartPoints:
+    """Displacements at points.
+
+    Attributes
+    ----------
+    points : (n, 2) array
+        Pixels of the reference image.
+    displacement : (n, 2) array
+        Pixels.
+    name : str
+        Where they come from, for the log and for messages.
+    rows : (n,) array of int64, optional
+        Rows of the table that they were read from.
+    """
+
+    points: Array
+    displacement: Array
+    name: str
+    rows: NDArray[np.int64] | None = None
+
+    def describe(self) -> str:
+        """Say what they are.
+
+        Returns
+        -------
+        str
+            For the log.
+        """
+        n = len(self.points)
+        return f"displacement at {n} {'point' if n == 1 else 'points'} of {self.name}"
+
+    def describe_point(self, number: int) -> str:
+        """Say which point it is.
+
+        Parameters
+        ----------
+        number : int
+            From 0.
+
+        Returns
+        -------
+        str
+            For messages.
+        """
+        return f"{self.name}[{number}]" if self.rows is None else f"{self.name}: row {self.rows[number]}"
+
+
+def load_start_points(section: StartSection) -> StartPoints | None:
+    """Load the points that a case starts from.
+
+    Parameters
+    ----------
+    section : StartSection
+        Of the case.
+
+    Returns
+    -------
+    StartPoints or None
+        None where the case gives no points.
+
+    Raises
+    ------
+    InputError
+        Where a table of points is missing or holds something else.
+    """
+    if section.from_points is not None:
+        table = read_point_table(section.from_points)
+        return StartPoints(table.values[:, :2], table.values[:, 2:], str(section.from_points), table.rows)
+    if section.points is not None:
+        pairs = np.array(section.points, dtype=np.float64)
+        return StartPoints(pairs[:, :2], pairs[:, 2:] - pairs[:, :2], "start.points")
+    return None
+
+
+def check_start_points(given: StartPoints, width: int, height: int) -> None:
+    """Check that points lie in the reference image, and are moved by no more than its diagonal.
+
+    Parameters
+    ----------
+    given : StartPoints
+        The points.
+    width, height : int
+        Of the reference image, pixels.
+
+    Raises
+    ------
+    InputError
+        With the first point that does not.
+    """
+    is_finite = np.isfinite(given.points).all(axis=1) & np.isfinite(given.displacement).all(axis=1)
+    if not is_finite.all():
+        number = int(np.flatnonzero(~is_finite)[0])
+        raise InputError(f"{given.describe_point(number)}: holds a value that is not finite; leave the point out")
+    edge = np.array([width, height]) - 0.5
+    is_inside = (given.points >= -0.5).all(axis=1) & (given.points <= edge).all(axis=1)
+    if not is_inside.all():
+        number = int(np.flatnonzero(~is_inside)[0])
+        x, y = given.points[number]
+        raise InputError(f"{given.describe_point(number)}: ({x:g}, {y:g}) lies outside the reference image of "
+                         f"{width} x {height} px; give x (column) and y (row) in pixels")
+    lengths = np.hypot(*given.displacement.T)
+    farthest = int(lengths.argmax())
+    if lengths[farthest] > np.hypot(width, height):
+        raise InputError(f"{given.describe_point(farthest)}: moves by {lengths[farthest]:g} px, out of the image of "
+                         f"{width} x {height} px; give displacements in pixels")
+
+
+def require_points_inside(given: StartPoints, mesh: Mesh) -> None:
+    """Refuse points none of which lies in the region.
+
+    Parameters
+    ----------
+    given : StartPoints
+        The points.
+    mesh : Mesh
+        The region, pixels.
+
+    Raises
+    ------
+    InputError
+        Where the mesh holds none of them.
+    """
+    if (locate(mesh, given.points).cells < 0).all():
+        raise InputError(f"{given.name}: none of {len(given.points)} points lies in the mesh; give one at least that "
+                         "does, pixels of the reference image")

@@ -1,0 +1,435 @@
+"""Windows of TIFF files: only the strips or tiles under the window are read and decoded.
+
+What a file's header says of its pixels.
+
+From the channels of a colour image to grey levels.
+
+Headers of PNG, JPEG and BMP files, checked before memory is taken for what they claim.
+
+What C libraries write straight to standard error, past Python, caught.
+"""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import lzma
+import os
+import struct
+import sys
+import tempfile
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Lock
+from typing import IO, TYPE_CHECKING, Any
+
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+
+from ddic.errors import InputError
+from ddic.images.window import Window
+from ddic.io.image_header import check_claimed_size, check_decoded_size
+
+if TYPE_CHECKING:
+    pass
+
+
+@dataclass(frozen=True)
+class PixelFormat:
+    """Size and type of an image's pixels.
+
+    Attributes
+    ----------
+    width, height : int
+        Pixels.
+    dtype : dtype
+        Type of one channel.
+    bits : int
+        Used bits of a channel.
+    n_colours : int
+        1 (grey) or 3.
+    n_channels : int
+        Colours and what comes with them (alpha).
+    n_pages : int
+        Images in the file.
+    inverted : bool
+        Zero is stored for white.
+    is_compressed : bool
+        Pixels are decoded as they are read, so that only reading shows whether they can be.
+    """
+
+    width: int
+    height: int
+    dtype: np.dtype[Any]
+    bits: int
+    n_colours: int
+    n_channels: int
+    n_pages: int = 1
+    inverted: bool = False
+    is_compressed: bool = False
+
+    @property
+    def saturation(self) -> float | None:
+        """Largest value that the integer type holds, None for floats."""
+        if self.dtype.kind == "f":
+            return None
+        return float(2 ** (self.bits - (self.dtype.kind == "i")) - 1)
+
+
+LUMA = (0.299, 0.587, 0.114)
+
+
+def to_grey(channels: NDArray[Any], n_colours: int) -> NDArray[Any]:
+    """Turn the channels of pixels into grey levels.
+
+    Parameters
+    ----------
+    channels : (height, width, n) array
+        Red, green and blue first, or grey first; what follows is dropped.
+    n_colours : int
+        1 keeps the first channel and its type, 3 weighs red, green and blue (ITU-R BT.601) to float32.
+
+    Returns
+    -------
+    (height, width) array
+        Grey levels.
+    """
+    if n_colours == 1:
+        return np.ascontiguousarray(channels[..., 0])
+    grey = np.zeros(channels.shape[:2])
+    for weight, channel in zip(LUMA, range(3), strict=True):
+        grey += weight * channels[..., channel]
+    return grey.astype(np.float32)
+
+
+# tifffile tells of damage by its log, beside what it raises; what matters of it is checked here.
+logging.getLogger("tifffile").addHandler(logging.NullHandler())
+
+MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+BAND_BYTES = 4 << 20
+FULL_SCALE = 257
+"""Levels of 16 bits in one of 8."""
+WHOLE_BITS = (1, 8, 16, 32, 64)
+"""Bits of a pixel that tifffile reads by itself."""
+OF_OPENCV = (1, 2, 3, 4, 5, 6, 7, 8, 32771, 32773, 32809, 32946, 34676, 34677)
+"""Compressions that OpenCV's copy of libtiff has; of some others it makes black pixels without a word."""
+GREY, INVERTED_GREY, COLOUR, PALETTE = 1, 0, 2, 3
+# What tifffile and its codecs let through on damaged files: they have no common base class.
+DECODING_ERRORS = (tifffile.TiffFileError, zlib.error, lzma.LZMAError, struct.error, ValueError, LookupError,
+                   TypeError, ArithmeticError, ImportError, RuntimeError, OSError)
+
+
+def is_tiff(path: Path) -> bool:
+    """Tell whether a file starts as TIFF or BigTIFF do.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    bool
+        Whether it does.
+    """
+    with path.open("rb") as stream:
+        return stream.read(4) in MAGIC
+
+
+def read_tiff_format(path: Path) -> PixelFormat:
+    """Read size and type of the first page from the header alone.
+
+    Parameters
+    ----------
+    path : Path
+        A TIFF file.
+
+    Returns
+    -------
+    PixelFormat
+        Of the first page.
+
+    Raises
+    ------
+    InputError
+        If it is no image that can be used.
+    """
+    with _opened(path) as (tiff, page):
+        n_pages = len(tiff.pages)
+        _check_page(path, page)
+        _check_segments(path, tiff, page)
+        colours = 3 if int(page.photometric) == COLOUR else 1
+        bits, dtype = int(page.bitspersample), _pixel_type(page)
+        levels = _read_palette(page)
+        if levels is not None:
+            colours = 3 if levels.dtype == np.float32 else 1
+            dtype = np.dtype(np.uint8) if colours == 3 else levels.dtype
+            bits = 8 * dtype.itemsize
+        return PixelFormat(width=int(page.imagewidth), height=int(page.imagelength),
+                           dtype=dtype, bits=bits, n_colours=colours,
+                           n_channels=int(page.samplesperpixel), n_pages=n_pages,
+                           inverted=int(page.photometric) == INVERTED_GREY,
+                           is_compressed=not _lies_together(page))
+
+
+def can_decode(path: Path) -> bool:
+    """Tell whether tifffile has the codecs, here, that the first page's compression needs.
+
+    Parameters
+    ----------
+    path : Path
+        A TIFF file.
+
+    Returns
+    -------
+    bool
+        Whether it has.
+    """
+    with _opened(path) as (_, page):
+        try:
+            if page.compression != 1:
+                _require_codec(tifffile.TIFF.DECOMPRESSORS[page.compression])
+            if page.predictor != 1:
+                tifffile.TIFF.UNPREDICTORS[page.predictor]
+            if page.bitspersample not in WHOLE_BITS:
+                # Numbers of other bits, packed, are unpacked by a package that need not be there.
+                importlib.import_module("imagecodecs")
+        except (KeyError, ImportError):
+            return False
+        return True
+
+
+def _require_codec(decompress: Callable[..., Any]) -> None:
+    """Raise ImportError where a codec lacks a package, for which some look only when they decode."""
+    with suppress(*(kind for kind in DECODING_ERRORS if kind is not ImportError)):
+        decompress(b"")
+
+
+def describe_other_compression(path: Path) -> str | None:
+    """Name the compression of the first page, which is to be decoded whole, where OpenCV has no codec for it.
+
+    Parameters
+    ----------
+    path : Path
+        A TIFF file.
+
+    Returns
+    -------
+    str or None
+        As TIFF names it, or its number; None where OpenCV decodes it.
+
+    Raises
+    ------
+    InputError
+        Where it is too large to be decoded whole.
+    """
+    with _opened(path) as (_, page):
+        check_decoded_size(path, int(page.imagewidth), int(page.imagelength))
+        known = int(page.compression) in OF_OPENCV
+        return None if known else str(getattr(page.compression, "name", page.compression))
+
+
+def read_tiff(path: Path, layout: PixelFormat, window: Window) -> NDArray[Any]:
+    """Read a window of the first page.
+
+    Parameters
+    ----------
+    path : Path
+        A TIFF file.
+    layout : PixelFormat
+        Of its first page.
+    window : Window
+        In the image.
+
+    Returns
+    -------
+    (window.height, window.width) array
+        Grey levels.
+
+    Raises
+    ------
+    InputError
+        If a segment is cut short or cannot be decoded.
+    """
+    with _opened(path) as (tiff, page):
+        out = np.empty((window.height, window.width), np.float32 if layout.n_colours == 3 else layout.dtype)
+        levels = _read_palette(page)
+        for block, x, y in _blocks(tiff, page, layout, window):
+            part = window.intersection(Window(x, y, x + block.shape[1], y + block.shape[0]))
+            pixels = block[part.y0 - y:part.y1 - y, part.x0 - x:part.x1 - x]
+            out[window.locate(part)] = to_grey(pixels, layout.n_colours) if levels is None else levels[pixels[..., 0]]
+        return np.subtract(2 ** layout.bits - 1, out, dtype=out.dtype) if layout.inverted else out
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
+    """The open file and its first page; what damage makes tifffile raise inside becomes an InputError."""
+    try:
+        with tifffile.TiffFile(path) as tiff:
+            yield tiff, tiff.pages[0]
+    except DECODING_ERRORS as error:
+        raise InputError(f"{path}: damaged, or no TIFF that can be decoded ({error}); "
+                         "save it again as uncompressed TIFF") from error
+
+
+def _check_page(path: Path, page: Any) -> None:
+    """Refuse pages that hold no grey levels or colours."""
+    if int(page.photometric) not in (INVERTED_GREY, GREY, COLOUR, PALETTE, 6):
+        raise InputError(f"{path}: TIFF of kind {page.photometric!s} (a colour space); save it as a grey image")
+    if page.dtype is None or page.dtype.kind not in "buif":
+        raise InputError(f"{path}: pixels of type {page.dtype} cannot be used; save 8 or 16 bit, or float32")
+    if page.imagedepth != 1:
+        raise InputError(f"{path}: a volume of {page.imagedepth} slices; give one two-dimensional image")
+    if page.imagewidth < 1 or page.imagelength < 1 or not page.dataoffsets:
+        raise InputError(f"{path}: the TIFF file holds no pixels; save it again")
+    if int(page.photometric) == INVERTED_GREY and page.dtype.kind not in "bu":
+        raise InputError(f"{path}: white-is-zero TIFF with {page.dtype} pixels; save it as black-is-zero")
+
+
+def _check_segments(path: Path, tiff: Any, page: Any) -> None:
+    """Refuse a file without all the strips or tiles that its first page claims."""
+    height, width = int(page.imagelength), int(page.imagewidth)
+    check_claimed_size(path, width, height)
+    starts, counts = np.asarray(page.dataoffsets, np.float64), np.asarray(page.databytecounts, np.float64)
+    size = tiff.filehandle.size
+    if _lies_together(page):
+        # Counts are wrong in some files that can be read all the same.
+        n_bytes = height * width * int(page.samplesperpixel) * _pixel_type(page).itemsize
+        is_whole = starts[0] + n_bytes <= size
+    else:
+        rows, columns = (page.tilelength, page.tilewidth) if page.is_tiled else (page.rowsperstrip, width)
+        n_planes = int(page.samplesperpixel) if page.planarconfig == 2 else 1
+        n_segments = -(-height // rows) * -(-width // columns) * n_planes
+        is_whole = n_segments <= len(starts) == len(counts) and bool(((starts + counts)[counts > 0] <= size).all())
+    if not is_whole:
+        raise InputError(f"{path}: cut short, or damaged: its header claims {width} x {height} px, which the {size} "
+                         "bytes of the file do not hold; copy or save it again")
+
+
+def _lies_together(page: Any) -> bool:
+    """Whether pixels of whole bytes lie together, row by row."""
+    bits_are_whole = page.bitspersample == 8 * _pixel_type(page).itemsize
+    return bool(page.is_contiguous and bits_are_whole and page.planarconfig == 1)
+
+
+def _read_palette(page: Any) -> NDArray[Any] | None:
+    """Grey level of each number of a palette: whole levels where all its colours are grey; None without a palette."""
+    if int(page.photometric) != PALETTE:
+        return None
+    colours = np.asarray(page.colormap, dtype=np.uint16)
+    if (colours != colours[0]).any():
+        by_number = colours.T[None] / FULL_SCALE
+        return to_grey(by_number, 3).ravel()
+    grey: NDArray[np.uint16] = colours[0]
+    # A palette's levels have 16 bits: those of 8 are stored as 257 or 256 times as much.
+    of_8_bits = ((grey % FULL_SCALE == 0) | (grey % 256 == 0)).all()
+    return (grey >> 8).astype(np.uint8) if of_8_bits else grey
+
+
+def _pixel_type(page: Any) -> np.dtype[Any]:
+    """Type of a channel in memory, in the machine's byte order."""
+    return np.dtype(np.uint8) if page.dtype.kind == "b" else np.dtype(page.dtype).newbyteorder("=")
+
+
+def _blocks(tiff: Any, page: Any, layout: PixelFormat,
+            window: Window) -> Iterator[tuple[NDArray[Any], int, int]]:
+    """Blocks of pixels (rows, columns, channels) over the window, each with its first column and row."""
+    if _lies_together(page):
+        yield from _bands(tiff, page, layout, window)
+    elif page.planarconfig == 1 or layout.n_channels == 1:
+        yield from _segments(tiff, page, window, range(len(page.dataoffsets)))
+    else:
+        yield from _planes(tiff, page, layout, window)
+
+
+def _bands(tiff: Any, page: Any, layout: PixelFormat,
+           window: Window) -> Iterator[tuple[NDArray[Any], int, int]]:
+    """Rows of the window, read straight from pixels that lie together."""
+    stored = _pixel_type(page).newbyteorder(tiff.byteorder)
+    row_bytes = layout.width * layout.n_channels * stored.itemsize
+    rows_at_once = max(1, BAND_BYTES // row_bytes)
+    for y in range(window.y0, window.y1, rows_at_once):
+        n_rows = min(rows_at_once, window.y1 - y)
+        tiff.filehandle.seek(page.dataoffsets[0] + y * row_bytes)
+        data = tiff.filehandle.read(n_rows * row_bytes)
+        if len(data) < n_rows * row_bytes:
+            raise ValueError("the file is cut short")
+        yield np.frombuffer(data, stored).reshape(n_rows, layout.width, layout.n_channels), 0, y
+
+
+def _segments(tiff: Any, page: Any, window: Window,
+              numbers: range) -> Iterator[tuple[NDArray[Any], int, int]]:
+    """Strips or tiles under the window, decoded one by one; numbers: of those of one plane."""
+    height, width = page.rowsperstrip, page.imagewidth
+    if page.is_tiled:
+        height, width = page.tilelength, page.tilewidth
+    columns = -(-page.imagewidth // width)
+    for number in numbers:
+        row, column = divmod(number - numbers.start, columns)
+        x, y = column * width, row * height
+        if window.intersection(Window(x, y, x + width, y + height)).n_pixels == 0:
+            continue
+        data = None
+        if page.databytecounts[number]:
+            tiff.filehandle.seek(page.dataoffsets[number])
+            data = tiff.filehandle.read(page.databytecounts[number])
+            if len(data) < page.databytecounts[number]:
+                raise ValueError("the file is cut short")
+        pixels, _, shape = page.decode(data, number)
+        block = np.full(shape, page.nodata, page.dtype) if pixels is None else pixels
+        yield block[0], x, y
+
+
+def _planes(tiff: Any, page: Any, layout: PixelFormat,
+            window: Window) -> Iterator[tuple[NDArray[Any], int, int]]:
+    """Blocks of colours that the file holds in planes apart."""
+    per_plane = len(page.dataoffsets) // layout.n_channels
+    planes = [_segments(tiff, page, window, range(c * per_plane, (c + 1) * per_plane))
+              for c in range(layout.n_colours)]
+    for parts in zip(*planes, strict=True):
+        yield np.concatenate([block for block, _, _ in parts], axis=-1), parts[0][1], parts[0][2]
+
+
+STANDARD_ERROR = 2
+
+_LOCK = Lock()
+
+
+@contextmanager
+def caught_messages() -> Iterator[list[str]]:
+    """Catch the lines that are written to standard error inside.
+
+    Yields
+    ------
+    list of str
+        Empty; filled with the lines, without blank ones, on the way out.
+    """
+    lines: list[str] = []
+    with _LOCK, _open_scratch() as caught:
+        sys.stderr.flush()
+        try:
+            kept = os.dup(STANDARD_ERROR)
+        except OSError:
+            # Closed: nothing is to be seen of it anyway.
+            yield lines
+            return
+        os.dup2(caught.fileno(), STANDARD_ERROR)
+        try:
+            yield lines
+        finally:
+            sys.stderr.flush()
+            os.dup2(kept, STANDARD_ERROR)
+            os.close(kept)
+            caught.seek(0)
+            lines += [line for line in caught.read().decode(errors="replace").splitlines() if line.strip()]
+
+
+def _open_scratch() -> IO[bytes]:
+    """A file of no folder: what is decoded may be all that a full disk has room for."""
+    if hasattr(os, "memfd_create"):
+        return os.fdopen(os.memfd_create("messages"), "w+b")
+    return tempfile.TemporaryFile()

@@ -1,1 +1,0 @@
-"""Figures of a result, one per module; each function returns a figure and saves nothing."""

@@ -1,0 +1,302 @@
+"""TOML files: their text, and values that can be used.
+
+Values as JSON, which knows neither arrays nor numbers that are not finite.
+
+Displacements at points, from a CSV file.
+
+Partitions read from text files.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.errors import InputError
+from ddic.io.input_file import is_endless_file
+from ddic.io.replace_on_exit import NewFiles, begin_files
+
+DEEPEST = 50
+"""Levels of lists and sections in one another: no file of ddic's has more than six. A larger value lets more nonsense
+through to a check that says it less plainly."""
+
+LARGEST = 2**63
+"""Whole numbers of TOML have 64 bits."""
+
+
+def read_text(path: Path, what: str, remedy: str) -> str:
+    """Read a text file as UTF-8, with or without a byte-order mark.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    what : str
+        What it should be, for the message.
+    remedy : str
+        What to do where it cannot be read.
+
+    Returns
+    -------
+    str
+        Without a byte-order mark.
+
+    Raises
+    ------
+    InputError
+        Where it cannot be read, is a pipe or a device, or is no UTF-8.
+    """
+    if is_endless_file(path):
+        raise InputError(f"{path}: is no regular file, no {what}; {remedy}")
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not UTF-8 text (byte {error.start}); save it as UTF-8") from error
+    except (OSError, ValueError) as error:
+        reason = (isinstance(error, OSError) and error.strerror) or error
+        raise InputError(f"{path}: cannot read this {what} ({reason}); {remedy}") from error
+
+
+def parse_toml(text: str, path: Path) -> dict[str, Any]:
+    """Parse TOML and refuse values that no key can take.
+
+    Parameters
+    ----------
+    text : str
+        Of the file.
+    path : Path
+        Names the file in messages.
+
+    Returns
+    -------
+    dict
+        Its values.
+
+    Raises
+    ------
+    InputError
+        Where it is no TOML, holds numbers of more than 64 bits or NUL characters, or is nested beyond DEEPEST levels.
+    """
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: not valid TOML: {error}") from error
+    except RecursionError as error:
+        raise InputError(_describe_depth(path)) from error
+    except ValueError as error:
+        # Python refuses to convert such a number before TOML can.
+        raise InputError(f"{path}: not valid TOML: a number of thousands of digits; write it as 1.5e3") from error
+    try:
+        problems = [f"{path}: {line}" for line in _list_unusable(data, "", 0)]
+    except RecursionError as error:
+        raise InputError(_describe_depth(path)) from error
+    if problems:
+        raise InputError(problems)
+    return data
+
+
+def _describe_depth(path: Path) -> str:
+    return f"{path}: lists or sections lie in one another more than {DEEPEST} levels deep; no key takes that"
+
+
+def _list_unusable(value: Any, key: str, depth: int) -> Iterator[str]:
+    """What is wrong with values whatever their key, a line each."""
+    if depth > DEEPEST:
+        raise RecursionError
+    if isinstance(value, dict):
+        for name, inner in value.items():
+            if "\0" in name:
+                yield f"{name!r}: a key with a NUL character; write its name alone"
+            yield from _list_unusable(inner, f"{key}.{name}" if key else name, depth + 1)
+    elif isinstance(value, list):
+        for number, inner in enumerate(value):
+            yield from _list_unusable(inner, f"{key}[{number}]", depth + 1)
+    elif isinstance(value, str) and "\0" in value:
+        yield f"{key}: holds a NUL character (\\u0000), which ends a text for other programs; take it out"
+    elif isinstance(value, int) and not -LARGEST <= value < LARGEST:
+        # Python writes no more digits than some thousands.
+        digits = str(value)[:20] if value.bit_length() < 1000 else hex(value)[:20]
+        yield f"{key} = {digits}...: a whole number of more than 64 bits, which TOML does not have; give a smaller one"
+
+
+def write_json(path: Path, content: Mapping[str, Any], files: NewFiles | None = None) -> None:
+    """Write a JSON file, under a temporary name that is then changed; numbers that are not finite become null.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    content : mapping
+        By name.
+    files : NewFiles, optional
+        With which it takes its name; by default it does so by itself.
+
+    Raises
+    ------
+    InputError
+        Where the folder cannot be written to.
+    """
+    text = json.dumps(convert_to_json(content), indent=2, allow_nan=False)
+    with begin_files(files) as new:
+        new.begin(path).write_text(text + "\n", encoding="utf-8")
+
+
+def convert_to_json(value: Any) -> Any:
+    """Make a value of what JSON knows.
+
+    Parameters
+    ----------
+    value : object
+        Mappings, sequences, arrays, numbers, texts.
+
+    Returns
+    -------
+    object
+        Dictionaries, lists, numbers, texts; None for numbers that are not finite.
+    """
+    if isinstance(value, Mapping):
+        return {str(key): convert_to_json(item) for key, item in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [convert_to_json(item) for item in value]
+    if hasattr(value, "tolist"):
+        return convert_to_json(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+COLUMNS = ("x", "y", "u", "v")
+"""Columns that are read; others may stand beside them."""
+
+_SEPARATORS = ",;\t"
+
+
+@dataclass(frozen=True, eq=False)
+class PointTable:
+    """Displacements at points, as a file holds them.
+
+    Attributes
+    ----------
+    values : (n, 4) array
+        x, y, u, v.
+    rows : (n,) array of int64
+        Row of the file that each stands in, from 1.
+    """
+
+    values: NDArray[np.float64]
+    rows: NDArray[np.int64]
+
+
+def read_point_table(path: Path) -> PointTable:
+    """Read displacements at points from a CSV file.
+
+    Parameters
+    ----------
+    path : Path
+        A header row that names the columns x, y, u and v, in any order, then a row for each point; separated by commas,
+        semicolons or tabs. Empty rows are passed over.
+
+    Returns
+    -------
+    PointTable
+        Of one point at least.
+
+    Raises
+    ------
+    InputError
+        Where the file is missing or holds something else, with the row and the column.
+    """
+    text = read_text(path, "table of points", "check the path")
+    lines = text.splitlines()
+    separator = max(_SEPARATORS, key=lines[0].count) if lines else ","
+    rows = [(number, row) for number, row in enumerate(csv.reader(lines, delimiter=separator), 1)
+            if any(cell.strip() for cell in row)]
+    if not rows:
+        raise InputError(f"{path}: is empty; give a header row x,y,u,v and a row for each point")
+    places = _find_columns(path, rows[0][1])
+    if len(rows) == 1:
+        raise InputError(f"{path}: holds a header and no point; give a row x,y,u,v for each point, pixels")
+    values = [_convert_row(path, number, row, places) for number, row in rows[1:]]
+    return PointTable(np.array(values), np.array([number for number, _ in rows[1:]], dtype=np.int64))
+
+
+def _find_columns(path: Path, header: Sequence[str]) -> list[int]:
+    """Place of x, y, u and v in a row."""
+    names = [name.strip().lower() for name in header]
+    for column in COLUMNS:
+        if names.count(column) != 1:
+            how = "no column" if column not in names else "more than one column"
+            raise InputError(f'{path}: row 1: {how} "{column}" among {", ".join(header)}; name the columns x, y, u, v '
+                             "in the first row")
+    return [names.index(column) for column in COLUMNS]
+
+
+def _convert_row(path: Path, number: int, row: Sequence[str], places: Sequence[int]) -> list[float]:
+    values = []
+    for name, place in zip(COLUMNS, places, strict=True):
+        if place >= len(row):
+            raise InputError(f"{path}: row {number}: column {name} is missing; give x, y, u and v of each point")
+        try:
+            value = float(row[place])
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise InputError(f'{path}: row {number}, column {name}: "{row[place].strip()}" is no finite number; give '
+                             "pixels, with a decimal point")
+        values.append(value)
+    return values
+
+
+MOST_DIGITS = 18
+"""Digits of a whole number of 64 bits."""
+
+
+def read_partition(path: Path, n_cells: int) -> NDArray[np.int64]:
+    """Read the subdomain of each cell: one whole number per cell, from 0, without gaps.
+
+    The numbers are separated by spaces or new lines; what follows a # is a comment.
+
+    Parameters
+    ----------
+    path : Path
+        A text file.
+    n_cells : int
+        Of the mesh.
+
+    Returns
+    -------
+    (n_cells,) array
+        Subdomains.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be read, has another length, or leaves a subdomain empty.
+    """
+    lines = read_text(path, "partition file", "check the path").splitlines()
+    words = [word for line in lines for word in line.partition("#")[0].split()]
+    bad = next((word for word in words if not (word.isascii() and word.isdecimal())), None)
+    if bad is not None:
+        raise InputError(f'{path}: "{bad}" is not a subdomain; give one whole number >= 0 per cell')
+    if len(words) != n_cells:
+        raise InputError(f"{path}: holds {len(words)} numbers, but the mesh has {n_cells} cells; "
+                         "give one per cell, in the mesh's order")
+    # As many subdomains as cells at most, none being empty: a larger number is a gap, however many digits it has.
+    largest = max(words, key=lambda word: (len(word.lstrip("0")), word.lstrip("0")))
+    if len(largest.lstrip("0")) > MOST_DIGITS or int(largest) >= n_cells:
+        raise InputError(f"{path}: subdomain {largest[:MOST_DIGITS]}{'...' if len(largest) > MOST_DIGITS else ''}, but "
+                         f"{n_cells} cells make {n_cells} subdomains at most; number them from 0 without gaps")
+    parts = np.array([int(word) for word in words], dtype=np.int64)
+    missing = np.setdiff1d(np.arange(parts.max() + 1), parts)
+    if len(missing):
+        raise InputError(f"{path}: subdomain {missing[0]} has no cell; number the subdomains without gaps")
+    return parts

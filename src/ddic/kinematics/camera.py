@@ -1,0 +1,344 @@
+"""How a camera sees unknowns that live in the specimen's frame, and the motion of its set-up between two pictures.
+
+Discontinuities as a camera sees them: near the cells that it measures, since elsewhere its mapping may not hold.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from ddic.images.camera import CameraMapping
+from ddic.kinematics.enriched import Discontinuities, Opening
+from ddic.kinematics.kinematics import Kinematics
+from ddic.mesh.cell_parts import CellParts, Lines
+from ddic.mesh.mesh import Mesh
+from ddic.mesh.plane import build_rotation, build_tree, find_runs, subdivide
+
+Array = NDArray[np.float64]
+
+REACH = 2.0
+"""Distance from a mesh's nodes, in diameters of its largest cell, up to which a camera sees a line. Within one diameter
+are the cells, and pixels beside a line that do not count are to be found there whole."""
+
+LONGEST = 8.0
+"""Pixels of the specimen between vertices of a line that a camera sees: its mapping bends little over so many. The same
+whatever the partition."""
+
+
+def see_parts(parts: CellParts, mesh: Mesh, mapping: CameraMapping) -> CellParts:
+    """Map parts of cut cells into a camera's pixels.
+
+    Parameters
+    ----------
+    parts : CellParts
+        Of the mesh, specimen's frame.
+    mesh : Mesh
+        The cells that the camera measures, specimen's frame.
+    mapping : CameraMapping
+        Of the camera.
+
+    Returns
+    -------
+    CellParts
+        The same parts, the camera's pixels; edges stay straight.
+    """
+    polylines = [piece for line in parts.lines.polylines for piece in _see_line(line, mesh, mapping)]
+    # What a bend cuts off lies in one cell.
+    near = [bend for bend in parts.lines.bends if _is_near(bend, mesh).all()]
+    bends = tuple(mapping.to_image(bend) for bend in near)
+    return replace(parts, corners=mapping.to_image(parts.corners), lines=Lines(tuple(polylines), bends))
+
+
+def see_discontinuities(discontinuities: Discontinuities, mesh: Mesh, mapping: CameraMapping) -> Discontinuities:
+    """Map lines into a camera's pixels.
+
+    Parameters
+    ----------
+    discontinuities : Discontinuities
+        Specimen's frame.
+    mesh : Mesh
+        The cells that the camera measures, specimen's frame.
+    mapping : CameraMapping
+        Of the camera.
+
+    Returns
+    -------
+    Discontinuities
+        Those pieces of the lines that the camera sees, its pixels.
+    """
+    lines: list[Array] = []
+    openings: list[Opening] = []
+    for line, opening in zip(discontinuities.lines, discontinuities.openings, strict=True):
+        pieces = _see_line(line, mesh, mapping)
+        lines += pieces
+        openings += [opening] * len(pieces)
+    return Discontinuities(tuple(lines), tuple(openings))
+
+
+def _see_line(line: Array, mesh: Mesh, mapping: CameraMapping) -> list[Array]:
+    """Pieces of a line near a mesh, the camera's pixels: as straight within a cell as the cells' edges are."""
+    vertices = subdivide(line, LONGEST)
+    return [mapping.to_image(vertices[run]) for run in find_runs(_is_near(vertices, mesh))]
+
+
+def _is_near(points: Array, mesh: Mesh) -> NDArray[np.bool_]:
+    """Whether points lie in a mesh or not far beyond its edge."""
+    corners = mesh.nodes[mesh.connectivity]
+    sizes = np.maximum.reduceat(corners, mesh.offsets[:-1]) - np.minimum.reduceat(corners, mesh.offsets[:-1])
+    diameter = float(np.linalg.norm(sizes, axis=1).max())
+    distances, _ = build_tree(mesh.nodes).query(points)
+    return np.asarray(distances <= REACH * diameter)
+
+
+MotionKind = Literal["none", "translation", "rigid"]
+
+N_MOTION_UNKNOWNS: dict[MotionKind, int] = {"none": 0, "translation": 2, "rigid": 3}
+"""Unknowns of a set-up's motion: alpha_x, alpha_y, and theta times ``CameraSetup.length``."""
+
+
+@dataclass(frozen=True)
+class CameraSetup:
+    """A camera, and how its set-up may move between its two pictures.
+
+    A point that lies at Y in the specimen's frame is seen at phi(T(Y)), T(Y) = X0 + R(theta) (Y - X0) + alpha.
+
+    Attributes
+    ----------
+    mapping : CameraMapping
+        phi, from the specimen's frame to the camera's pixels.
+    motion : MotionKind
+        Which of alpha and theta are unknown.
+    centre : (2,) array
+        X0, specimen's frame.
+    length : float
+        Half the diagonal of what the camera sees, by which theta is multiplied so that all unknowns of the motion are
+        pixels of the specimen's frame.
+    """
+
+    mapping: CameraMapping
+    motion: MotionKind
+    centre: NDArray[np.float64]
+    length: float
+
+    @property
+    def n_motion_unknowns(self) -> int:
+        """Number of unknowns of the motion."""
+        return N_MOTION_UNKNOWNS[self.motion]
+
+    def hold_still(self) -> CameraSetup:
+        """Give the camera as if its set-up did not move between its pictures.
+
+        Returns
+        -------
+        CameraSetup
+            Without unknowns of a motion.
+        """
+        return replace(self, motion="none")
+
+    def move(self, points: NDArray[np.float64], motion: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Apply the motion T to points, Eq. 20 of [BP17].
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Points Y, specimen's frame.
+        motion : (n_motion_unknowns,) array
+            Unknowns of the motion, pixels of the specimen's frame.
+
+        Returns
+        -------
+        (n, 2) array
+            T(Y).
+        """
+        if self.n_motion_unknowns == 0:
+            return points
+        if self.n_motion_unknowns == 2:
+            return np.asarray(points + motion)
+        arms = points - self.centre
+        turned = arms @ self._rotation(motion).T
+        return np.asarray(self.centre + turned + motion[:2])
+
+    def move_back(self, points: NDArray[np.float64], motion: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Undo the motion T.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Points T(Y), specimen's frame.
+        motion : (n_motion_unknowns,) array
+            Unknowns of the motion, pixels of the specimen's frame.
+
+        Returns
+        -------
+        (n, 2) array
+            Y.
+        """
+        if self.n_motion_unknowns == 0:
+            return points
+        if self.n_motion_unknowns == 2:
+            return np.asarray(points - motion)
+        turned = points - motion[:2] - self.centre
+        # The inverse of a rotation is its transpose.
+        arms = turned @ self._rotation(motion)
+        return np.asarray(self.centre + arms)
+
+    def motion_columns(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Differentiate T by the motion's unknowns at rest: R of Eq. 20 of [BP17].
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Points Y, specimen's frame.
+
+        Returns
+        -------
+        (2 n, n_motion_unknowns) array
+            R, no unit.
+        """
+        n_points = len(points)
+        columns = np.zeros((n_points, 2, self.n_motion_unknowns))
+        if self.n_motion_unknowns:
+            columns[:, 0, 0] = 1.0
+            columns[:, 1, 1] = 1.0
+        if self.n_motion_unknowns == 3:
+            arm = (points - self.centre) / self.length
+            columns[:, 0, 2] = -arm[:, 1]
+            columns[:, 1, 2] = arm[:, 0]
+        return columns.reshape(2 * n_points, self.n_motion_unknowns)
+
+    def _rotation(self, motion: NDArray[np.float64]) -> NDArray[np.float64]:
+        return build_rotation(float(motion[2]) / self.length)
+
+
+@dataclass(frozen=True, eq=False)
+class CameraKinematics(Kinematics):
+    """Displacement of a subdomain's nodes in a camera's pixels.
+
+    The unknowns are the field's, then those of motions; T stays as it is at rest over Gauss-Newton, as grad f does.
+
+    Attributes
+    ----------
+    field : Kinematics
+        From the field's unknowns to displacements in the specimen's frame.
+    setup : CameraSetup
+        The camera.
+    mesh : Mesh
+        The subdomain's mesh in the camera's pixels.
+    numbers : (n_unknowns,) array of int64
+        Numbers of all unknowns in the whole problem.
+    matrix : (mesh.n_dofs, n_unknowns) csr_matrix
+        The tangent T at rest.
+    """
+
+    field: Kinematics
+    setup: CameraSetup
+    mesh: Mesh
+    numbers: NDArray[np.int64]
+    matrix: sparse.csr_matrix
+
+    @property
+    def tangent(self) -> sparse.csr_matrix:
+        """Derivative of the displacement in the image by the unknowns at rest, (mesh.n_dofs, n_unknowns)."""
+        return self.matrix
+
+    def displacement(self, unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Displace the nodes in the image, phi(T(X + u)) - phi(X)."""
+        nodes = self.field.mesh.nodes
+        u = self.field.displacement(unknowns[:self.field.n_unknowns])
+        moved = self.setup.move(nodes + u.reshape(nodes.shape), self._own_motion(unknowns))
+        return np.asarray(self.setup.mapping.to_image(moved) - self.mesh.nodes).ravel()
+
+    def fit(self, displacement: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Find the field's unknowns that explain a displacement in the image, the motion's being zero."""
+        return self.fit_with_motion(displacement, np.zeros(self.n_unknowns - self.field.n_unknowns))
+
+    def fit_with_motion(self, displacement: NDArray[np.float64], motion: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Find the field's unknowns that explain a displacement in the image beside a motion.
+
+        Parameters
+        ----------
+        displacement : (mesh.n_dofs,) array
+            Displacement of the nodes, the camera's pixels.
+        motion : (n_unknowns - field.n_unknowns,) array
+            Unknowns of motions, pixels of the specimen's frame.
+
+        Returns
+        -------
+        (n_unknowns,) array
+            Unknowns of the field, then the motions given.
+        """
+        nodes = self.field.mesh.nodes
+        seen = self.mesh.nodes + displacement.reshape(nodes.shape)
+        points = self.setup.mapping.to_specimen(seen)
+        points = self.setup.move_back(points, motion[:self.setup.n_motion_unknowns])
+        field_unknowns = self.field.fit(np.asarray(points - nodes).ravel())
+        return np.concatenate([field_unknowns, motion])
+
+    def hold_still(self) -> CameraKinematics:
+        """Give the same for a set-up that does not move between its pictures."""
+        return place_before_camera(self.field, self.setup.hold_still())
+
+    def _own_motion(self, unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
+        first = self.field.n_unknowns
+        return unknowns[first:first + self.setup.n_motion_unknowns]
+
+
+def place_before_camera(field: Kinematics, setup: CameraSetup,
+                        motion_numbers: NDArray[np.int64] | None = None) -> CameraKinematics:
+    """Place a subdomain before a camera.
+
+    Parameters
+    ----------
+    field : Kinematics
+        From the field's unknowns to displacements in the specimen's frame.
+    setup : CameraSetup
+        The camera.
+    motion_numbers : (n,) array of int64, optional
+        Numbers of the motion's unknowns that the subdomain has: this camera's, or, where this camera has none,
+        another's, on which what it sees does not depend. None by default.
+
+    Returns
+    -------
+    CameraKinematics
+        With the field's unknowns and these.
+    """
+    nodes = field.mesh.nodes
+    numbers = np.zeros(0, np.int64) if motion_numbers is None else motion_numbers
+    derivative = _block_diagonal(setup.mapping.jacobian(nodes))
+    own_motion = sparse.csr_matrix(derivative @ setup.motion_columns(nodes))
+    others_motion = sparse.csr_matrix((derivative.shape[0], len(numbers) - setup.n_motion_unknowns))
+    tangent = sparse.hstack([derivative @ field.tangent, own_motion, others_motion]).tocsr()
+    all_numbers = np.concatenate([field.numbers, numbers])
+    return CameraKinematics(field, setup, see_mesh(field.mesh, setup), all_numbers, tangent)
+
+
+def see_mesh(mesh: Mesh, setup: CameraSetup) -> Mesh:
+    """Map a mesh into the camera's pixels.
+
+    Edges stay straight, which a perspective keeps and distortion bends little.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        The mesh, specimen's frame.
+    setup : CameraSetup
+        The camera.
+
+    Returns
+    -------
+    Mesh
+        The same cells, the camera's pixels.
+    """
+    parts = None if mesh.parts is None else see_parts(mesh.parts, mesh, setup.mapping)
+    return Mesh(setup.mapping.to_image(mesh.nodes), mesh.connectivity, mesh.offsets, mesh.types, parts=parts)
+
+
+def _block_diagonal(blocks: NDArray[np.float64]) -> sparse.bsr_matrix:
+    """One block (2, 2) a node, (2 n, 2 n)."""
+    n = len(blocks)
+    return sparse.bsr_matrix((blocks, np.arange(n), np.arange(n + 1)), shape=(2 * n, 2 * n))

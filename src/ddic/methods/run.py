@@ -1,0 +1,134 @@
+"""A whole run of a case file, of a pair or of a series.
+
+A whole run of a pair: inputs opened, field measured, result and summary written.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ddic.case.loader import LoadedCase
+from ddic.check.case import load_checked_case
+from ddic.errors import DdicError, InputError, as_collective
+from ddic.inputs.inputs import inputs_kept, open_inputs
+from ddic.methods.detect import find_discontinuity, measure_on_lines
+from ddic.methods.recipe import estimate_noise_floor, prepare_recipe
+from ddic.parallel.phases import Phase, PhaseClock
+from ddic.parallel.team import Team
+from ddic.results.listener import Listener
+from ddic.results.publishing import Destination
+from ddic.results.run_files import claimed_output, keep_failed_run, remove_failed_field, write_run
+from ddic.results.series import SeriesSummary
+from ddic.results.summary import Summary
+
+
+def run_pair(team: Team, loaded: LoadedCase, listener: Listener) -> Summary:
+    """Run a case that was loaded; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    loaded : LoadedCase
+        Checked, with one deformed image of each camera.
+    listener : Listener
+        Told what happens.
+
+    Returns
+    -------
+    Summary
+        Also written beside the result.
+
+    Raises
+    ------
+    DdicError
+        On all ranks. Where the measurement does not converge, its last field is written under a name that says so, and
+        an earlier result is moved out of the way; the message says where both are.
+    """
+    output, start = loaded.case.output, loaded.case.start.from_result
+    clock = PhaseClock(entered=listener.phase, advanced=listener.progress, waiting=team.waiting)
+    try:
+        with inputs_kept(team, loaded.stamps):
+            with clock.phase(Phase.MESH):
+                inputs, frame = open_inputs(team, loaded)
+            inputs = find_discontinuity(team, inputs, frame, listener, clock)
+            recipe = prepare_recipe(team, inputs, listener, clock, frame)
+            try:
+                recipe, inputs, measurement = measure_on_lines(
+                    recipe, inputs, frame, None, lambda refined: prepare_recipe(team, refined, listener, clock, frame),
+                    listener, clock)
+                noise_floor = estimate_noise_floor(recipe, measurement, clock)
+            finally:
+                recipe.close()
+    except DdicError as error:
+        keep_failed_run(team, error, Destination(output.file, output.flip_y), start, clock)
+        raise
+    summary = write_run(measurement, clock, output.file, noise_floor)
+    remove_failed_field(team, output.file, start)
+    return summary
+
+
+def run_case(team: Team, path: Path, listener: Listener) -> Summary:
+    """Run the case file of a pair; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    path : Path
+        The case file.
+    listener : Listener
+        Told what happens.
+
+    Returns
+    -------
+    Summary
+        Also written beside the result.
+
+    Raises
+    ------
+    DdicError
+        On all ranks. Where the measurement does not converge, its last field is written under a name that says so, and
+        an earlier result is moved out of the way; the message says where both are.
+    """
+    loaded = team.on_root(lambda: load_checked_case(path, team.size))
+    if loaded.is_series:
+        raise as_collective(InputError(f"{path}: images.deformed: names a series, one image is expected here"))
+    with claimed_output(team, loaded.case.output.file):
+        return run_pair(team, loaded, listener)
+
+
+def run_file(team: Team, path: Path, listener: Listener, *, resume: bool = False) -> Summary | SeriesSummary:
+    """Run a case file; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    path : Path
+        The case file.
+    listener : Listener
+        Told what happens.
+    resume : bool
+        Whether to go on with a series where an earlier run stopped.
+
+    Returns
+    -------
+    Summary or SeriesSummary
+        Also written beside the result.
+
+    Raises
+    ------
+    DdicError
+        On all ranks, as ``run_pair`` and ``run_series`` do.
+    """
+    loaded = team.on_root(lambda: load_checked_case(path, team.size))
+    if resume and not loaded.is_series:
+        raise as_collective(InputError(f"--resume: {path} has one deformed image, no series to go on with; leave "
+                                       "--resume out"))
+    with claimed_output(team, loaded.case.output.file):
+        if loaded.is_series:
+            from ddic.methods.series import run_series
+
+            return run_series(team, loaded, listener, resume=resume)
+        return run_pair(team, loaded, listener)

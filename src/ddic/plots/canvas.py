@@ -1,0 +1,665 @@
+"""What the figures share: axes in image coordinates, colour bars, saving.
+
+Texts on a page: titles that fit, and which texts do not.
+
+Room on a page above what is on it already.
+
+Units of lengths in figures: pixels, or the case's length unit where the size of a pixel is known.
+
+Which frame of a series a page shows, above all that is on it.
+
+A mark on pictures of fields that did not converge, so that none is taken for a result.
+
+Numbered marks on a picture.
+"""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PolyCollection, TriMesh
+from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
+from matplotlib.text import Text
+from matplotlib.ticker import MaxNLocator, ScalarFormatter
+from matplotlib.transforms import Bbox, BboxBase
+from matplotlib.tri import Triangulation
+from numpy.typing import NDArray
+
+from ddic.errors import InputError
+from ddic.io import result_schema as schema
+from ddic.io.replace_on_exit import NewFiles, begin_files
+from ddic.io.result_reader import Result
+from ddic.mesh.mesh import Mesh
+
+POINTS_AN_INCH = 72.0
+
+CHARACTER = 0.62
+"""Mean width of a character of a title relative to its size; a larger value breaks lines earlier."""
+
+ROUNDING_DOTS = 1.0
+"""Dots by which a text may reach beyond the page: its box is rounded outwards."""
+
+
+def format_title(text: str, width: float, size: float) -> str:
+    """Break a title into lines that fit.
+
+    Parameters
+    ----------
+    text : str
+        Plain, or with TeX that has no blank in it.
+    width : float
+        Inches.
+    size : float
+        Of its type, points.
+
+    Returns
+    -------
+    str
+        Lines.
+    """
+    n_characters = max(8, int(width * POINTS_AN_INCH / (CHARACTER * size)))
+    return "\n".join(textwrap.wrap(text, n_characters, break_on_hyphens=False))
+
+
+def find_clipped_texts(figure: Figure) -> list[str]:
+    """Find the texts that the edge of the page cuts: titles, labels, numbers at ticks and of legends.
+
+    Parameters
+    ----------
+    figure : Figure
+        The page.
+
+    Returns
+    -------
+    list of str
+        Those texts.
+    """
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    renderer = canvas.get_renderer()
+    axes_of_ticks = [axis for axes in figure.findobj(Axes) for axis in (axes.xaxis, axes.yaxis) if axes.axison]
+    # Numbers of ticks beyond the limits are made but not drawn: an axis knows which ones are.
+    of_ticks = {id(label) for axis in axes_of_ticks for label in axis.get_ticklabels(which="both")}
+    boxes: list[tuple[str, Bbox | None]]
+    boxes = [(text.get_text(), text.get_window_extent(renderer)) for text in figure.findobj(Text)
+             if text.get_visible() and text.get_text().strip() and id(text) not in of_ticks]
+    boxes += [(f"axis {axis.get_label_text()}", axis.get_tightbbox(renderer)) for axis in axes_of_ticks]
+    return [text for text, box in boxes if box is not None and not _holds(figure.bbox, box)]
+
+
+def _holds(page: BboxBase, box: BboxBase) -> bool:
+    """Whether a box lies on the page."""
+    return bool(box.x0 >= page.x0 - ROUNDING_DOTS and box.y0 >= page.y0 - ROUNDING_DOTS
+                and box.x1 <= page.x1 + ROUNDING_DOTS and box.y1 <= page.y1 + ROUNDING_DOTS)
+
+
+def make_room_above(figure: Figure, room: float) -> None:
+    """Let a page grow above what is on it, which keeps its size.
+
+    Parameters
+    ----------
+    figure : Figure
+        The page.
+    room : float
+        Inches.
+    """
+    width, height = figure.get_size_inches()
+    share = float(height / (height + room))
+    layout = figure.get_layout_engine()
+    if layout is not None:
+        layout.set(rect=(0.0, 0.0, 1.0, share))  # type: ignore[call-arg]  # that of the engines on which axes are packed
+        if figure.get_suptitle():
+            figure.suptitle(figure.get_suptitle(), y=0.98 * share)
+    else:
+        for axes in figure.axes:
+            x, y, w, h = axes.get_position(original=True).bounds
+            axes.set_position((x, y * share, w, h * share))
+    figure.set_size_inches(width, height + room)
+
+
+@dataclass(frozen=True)
+class LengthUnit:
+    """A unit of lengths.
+
+    Attributes
+    ----------
+    size : float
+        Of a pixel, in this unit.
+    name : str
+        As labels have it.
+    """
+
+    size: float = 1.0
+    name: str = "px"
+
+
+PIXELS = LengthUnit()
+
+
+def find_length_unit(result: Result, asked: str | None = None) -> LengthUnit:
+    """Find the unit in which a result is drawn.
+
+    Parameters
+    ----------
+    result : Result
+        With or without the size of a pixel.
+    asked : str, optional
+        ``px`` or ``physical``; where it is left out, physical if the size of a pixel is known.
+
+    Returns
+    -------
+    LengthUnit
+        For axes and displacements.
+
+    Raises
+    ------
+    InputError
+        Where the case's unit is asked for and the result has none.
+    """
+    known = schema.DISPLACEMENT_PHYSICAL in result.point_data
+    if asked == "physical" and not known:
+        raise InputError(f"{result.path}: --units physical: measured without images.pixel_size; give it in the case "
+                         "and run again, or draw in px")
+    if asked == "px" or not known:
+        return PIXELS
+    units = result.attributes[schema.UNITS]
+    return LengthUnit(float(units["pixel_size"]), str(units["length_unit"]))
+
+
+Component = Literal["x", "y", "magnitude"]
+COMPONENTS: tuple[Component, ...] = ("x", "y", "magnitude")
+COLOURS = "viridis"
+
+DPI = 150
+"""Dots an inch of a saved page; a larger value gives larger files."""
+
+WIDTH_INCHES = 7.0
+"""Width of a page."""
+
+NARROWEST_INCHES = 3.8
+"""Least width of a page; a larger value leaves more room for titles over tall meshes."""
+
+TALLEST_INCHES = 8.0
+"""Most height of the axes."""
+
+LEFT_INCHES, RIGHT_INCHES = 0.85, 1.15
+"""Beside the axes: numbers and label of y; the colour bar with its own."""
+
+BELOW_INCHES = 0.6
+"""Below the axes: numbers and label of x."""
+
+ABOVE_INCHES = 0.25
+"""Above the axes, beside the title's lines."""
+
+WIDE = 0.55
+"""Height over width of panels below which they stand above one another."""
+
+MOST_COLUMNS = 3
+"""Panels side by side."""
+
+PANEL_INCHES = 4.4
+"""Width of one of several panels side by side."""
+
+INCHES_A_NUMBER = 0.6
+"""Room for a number at an axis; a larger value writes fewer."""
+
+LINE_INCHES = 0.22
+"""Height of a line of a title."""
+
+SHORTEST_BAR_INCHES = 1.3
+"""Least height of a colour bar, beside meshes that are flat."""
+
+BAR_INCHES, GAP_INCHES = 0.16, 0.12
+"""Width of a colour bar, and what lies between it and the axes."""
+
+TITLE_POINTS = 11.0
+"""Size of a title's type."""
+
+MOST_SHARP_CELLS = 10_000
+"""Cells up to which they are drawn as lines and faces in PDF and SVG; a larger value makes larger files. Others are
+drawn as pixels."""
+
+Bounds = tuple[float, float, float, float]
+Limits = tuple[float, float]
+
+
+def make_image_figure(bounds: Bounds, title: str, unit: LengthUnit = PIXELS, *,
+                      beside: float = RIGHT_INCHES) -> tuple[Figure, Axes]:
+    """Make a figure whose axes are those of the image: equal scales, y down.
+
+    Parameters
+    ----------
+    bounds : (float, float, float, float)
+        x0, y0, x1, y1, in the unit.
+    title : str
+        Above the axes; broken into lines where it is wider than the page.
+    unit : LengthUnit, optional
+        Of both axes.
+    beside : float, optional
+        Room to the right of the axes, inches; that of a colour bar by default.
+
+    Returns
+    -------
+    figure : Figure
+        The page, just as large as what is on it.
+    axes : Axes
+        Empty axes.
+    """
+    figure, (axes,) = make_panels([bounds], [title], unit, beside=beside)
+    return figure, axes
+
+
+def make_panels(boxes: Sequence[Bounds], titles: Sequence[str], unit: LengthUnit = PIXELS, *,
+                beside: float = RIGHT_INCHES) -> tuple[Figure, list[Axes]]:
+    """Make a figure of several panels of one size, each as ``make_image_figure`` makes its one.
+
+    Parameters
+    ----------
+    boxes : sequence of (float, float, float, float)
+        x0, y0, x1, y1 of each, in the unit; the first tells the size of all.
+    titles : sequence of str
+        Of each.
+    unit : LengthUnit, optional
+        Of all axes.
+    beside : float, optional
+        Room to the right of each, inches.
+
+    Returns
+    -------
+    figure : Figure
+        Panels side by side, or above one another where they are wide.
+    panels : list of Axes
+        Empty axes.
+    """
+    x0, y0, x1, y1 = boxes[0]
+    ratio = (y1 - y0) / max(x1 - x0, 1e-300)
+    n_columns = 1 if ratio < WIDE else min(len(boxes), MOST_COLUMNS)
+    n_rows = math.ceil(len(boxes) / n_columns)
+    widest = (WIDTH_INCHES if n_columns == 1 else PANEL_INCHES) - LEFT_INCHES - beside
+    height = min(widest * ratio, TALLEST_INCHES / n_rows)
+    width = height / ratio
+    panel_width = max(width + LEFT_INCHES + beside, NARROWEST_INCHES)
+    wrapped = [format_title(title, panel_width - 2 * GAP_INCHES, TITLE_POINTS) for title in titles]
+    above = ABOVE_INCHES + LINE_INCHES * max(text.count("\n") + 1 for text in wrapped)
+    panel_height = max(height, SHORTEST_BAR_INCHES) + above + BELOW_INCHES
+    page = np.array([n_columns * panel_width, n_rows * panel_height])
+    # In the middle of what a page with a long title or a short mesh leaves.
+    left = LEFT_INCHES + 0.5 * (panel_width - width - LEFT_INCHES - beside)
+    below = BELOW_INCHES + 0.5 * (panel_height - height - above - BELOW_INCHES)
+    figure = Figure(figsize=(float(page[0]), float(page[1])))
+    panels = []
+    for k, (box, title) in enumerate(zip(boxes, wrapped, strict=True)):
+        row, column = divmod(k, n_columns)
+        corner = np.array([column * panel_width + left, (n_rows - 1 - row) * panel_height + below])
+        axes = figure.add_axes((*(corner / page), width / page[0], height / page[1]))
+        _set_up_axes(axes, box, unit, (width, height))
+        # In the middle of the panel, not of the axes, which have more on their right than on their left.
+        axes.set_title(title, fontsize=TITLE_POINTS, x=(0.5 * panel_width - left) / width)
+        panels.append(axes)
+    return figure, panels
+
+
+def _set_up_axes(axes: Axes, bounds: Bounds, unit: LengthUnit, size: tuple[float, float]) -> None:
+    """Limits, labels and as many numbers as there is room for; size: width and height of the axes, inches."""
+    set_bounds(axes, bounds)
+    axes.set_aspect("equal")
+    axes.set_xlabel(f"x [{unit.name}]")
+    axes.set_ylabel(f"y [{unit.name}]")
+    for axis, length in zip((axes.xaxis, axes.yaxis), size, strict=True):
+        n_numbers = max(2, min(7, int(length / INCHES_A_NUMBER)))
+        axis.set_major_locator(MaxNLocator(nbins=n_numbers, steps=[1, 2, 5, 10]))
+
+
+def set_bounds(axes: Axes, bounds: Bounds) -> None:
+    """Set what axes show, y down: once more after an image was drawn, which moves their limits to its own.
+
+    Parameters
+    ----------
+    axes : Axes
+        In image coordinates.
+    bounds : (float, float, float, float)
+        x0, y0, x1, y1, in the axes' unit.
+    """
+    x0, y0, x1, y1 = bounds
+    axes.set_xlim(x0, x1)
+    axes.set_ylim(y1, y0)
+
+
+def find_mesh_bounds(nodes: NDArray[np.float64], margin: float = 0.03) -> Bounds:
+    """Find the box around nodes.
+
+    Parameters
+    ----------
+    nodes : (n, 2) array
+        Pixels.
+    margin : float, optional
+        Relative to the box's longer side.
+
+    Returns
+    -------
+    (float, float, float, float)
+        x0, y0, x1, y1, pixels.
+    """
+    low, high = nodes.min(axis=0), nodes.max(axis=0)
+    gap = margin * float((high - low).max())
+    x0, y0 = low - gap
+    x1, y1 = high + gap
+    return float(x0), float(y0), float(x1), float(y1)
+
+
+def add_colour_bar(figure: Figure, axes: Axes, mappable: Any, label: str) -> None:
+    """Add a labelled colour bar as high as the axes, or higher where they are flat.
+
+    Parameters
+    ----------
+    figure : Figure
+        The page.
+    axes : Axes
+        Beside which it stands.
+    mappable : object
+        What is in colour.
+    label : str
+        With its unit.
+    """
+    width, height = axes.get_position().size * figure.get_size_inches()
+    share = max(1.0, SHORTEST_BAR_INCHES / height)
+    # x, y, width, height, of the axes'.
+    beside = axes.inset_axes((1.0 + GAP_INCHES / width, 0.5 - 0.5 * share, BAR_INCHES / width, share))
+    bar = figure.colorbar(mappable, cax=beside, label=label, extend=_find_values_beyond(mappable))
+    # Strains are written times a power of ten: their zeros would need the room of the label.
+    numbers = ScalarFormatter(useMathText=True)
+    numbers.set_powerlimits((-2, 4))
+    bar.ax.yaxis.set_major_formatter(numbers)
+    bar.ax.yaxis.set_offset_position("left")
+
+
+def _find_values_beyond(mappable: Any) -> Literal["neither", "min", "max", "both"]:
+    """Sides of the colours on which there are values beyond, as matplotlib calls them: the bar has arrows there."""
+    # Masked where an image has no value; comparisons with nan are false.
+    values: NDArray[np.float64] = np.ma.getdata(mappable.get_array())  # type: ignore[no-untyped-call]
+    low, high = mappable.get_clim()
+    below, above = bool((values < low).any()), bool((values > high).any())
+    return "both" if below and above else "min" if below else "max" if above else "neither"
+
+
+def choose_limits(values: NDArray[np.float64], asked: Limits | None = None) -> Limits:
+    """Choose where colours begin and end.
+
+    Parameters
+    ----------
+    values : (n,) array
+        What is in colour; nan is not.
+    asked : (float, float), optional
+        What the user wants; all values are spanned where it is left out.
+
+    Returns
+    -------
+    (float, float)
+        Of the values' unit.
+    """
+    if asked is not None:
+        return asked
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return 0.0, 1.0
+    low, high = float(finite.min()), float(finite.max())
+    # Colours of one value need a span; it is as wide as rounding would make it.
+    return (low, high) if low < high else (low - max(abs(low), 1e-12) * 1e-6, high + max(abs(high), 1e-12) * 1e-6)
+
+
+def make_cell_polygons(mesh: Mesh, nodes: NDArray[np.float64], **style: Any) -> PolyCollection:
+    """Make polygons of the cells.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        The cells.
+    nodes : (n_nodes, 2) array
+        Where they are drawn, pixels.
+    **style : object
+        As matplotlib's collections take it.
+
+    Returns
+    -------
+    PolyCollection
+        A polygon a cell.
+    """
+    nodes_of_cells = np.split(mesh.connectivity, mesh.offsets[1:-1])
+    corners = [nodes[of_cell] for of_cell in nodes_of_cells]
+    return PolyCollection(corners, **style)
+
+
+def draw_nodal_colours(axes: Axes, mesh: Mesh, nodes: NDArray[np.float64], values: NDArray[np.float64],
+                       limits: Limits) -> TriMesh:
+    """Draw values at nodes in colour, interpolated; nothing where a cell has a node without one.
+
+    Parameters
+    ----------
+    axes : Axes
+        Where they are drawn.
+    mesh : Mesh
+        The cells.
+    nodes : (n_nodes, 2) array
+        Where they are drawn, in the unit of the axes.
+    values : (n_nodes,) array
+        Of any unit; nan where there is none.
+    limits : (float, float)
+        Of the colours.
+
+    Returns
+    -------
+    TriMesh
+        For the colour bar.
+    """
+    shown = np.zeros(mesh.n_cells, dtype=bool)
+    shown[mesh.find_cells_among(np.isfinite(values))] = True
+    of_cells = [block.cells for block in mesh.cell_blocks for _ in block.type.triangles]
+    triangulation = make_triangulation(mesh, nodes)
+    triangulation.set_mask(~shown[np.concatenate(of_cells)])
+    colours: TriMesh = axes.tripcolor(triangulation, values, shading="gouraud", cmap=COLOURS, vmin=limits[0],
+                                      vmax=limits[1], rasterized=True)
+    return colours
+
+
+def make_triangulation(mesh: Mesh, nodes: NDArray[np.float64]) -> Triangulation:
+    """Cut the cells into triangles.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        The cells.
+    nodes : (n_nodes, 2) array
+        Where they are drawn, pixels.
+
+    Returns
+    -------
+    Triangulation
+        On all nodes.
+    """
+    triangles = [block.nodes[:, corners] for block in mesh.cell_blocks for corners in block.type.triangles]
+    return Triangulation(nodes[:, 0], nodes[:, 1], np.concatenate(triangles))
+
+
+def pick_component(vectors: NDArray[np.float64], component: Component) -> NDArray[np.float64]:
+    """Pick one component of vectors, or their length.
+
+    Parameters
+    ----------
+    vectors : (n, 2) array
+        Of any unit.
+    component : {"x", "y", "magnitude"}
+        Which.
+
+    Returns
+    -------
+    (n,) array
+        Of the same unit.
+    """
+    if component == "magnitude":
+        return np.asarray(np.hypot(vectors[:, 0], vectors[:, 1]))
+    axis = 0 if component == "x" else 1
+    return vectors[:, axis]
+
+
+def format_component(symbol: str, component: Component) -> str:
+    """Write a component of a vector as a label does.
+
+    Parameters
+    ----------
+    symbol : str
+        Of the vector.
+    component : {"x", "y", "magnitude"}
+        Which.
+
+    Returns
+    -------
+    str
+        TeX.
+    """
+    return f"$|{symbol}|$" if component == "magnitude" else f"${symbol}_{component}$"
+
+
+def save_figure(figure: Figure, path: Path, dpi: int = DPI, files: NewFiles | None = None) -> None:
+    """Save a figure.
+
+    Parameters
+    ----------
+    figure : Figure
+        The page.
+    path : Path
+        Whose ending tells the format: png, pdf, svg.
+    dpi : int, optional
+        Dots an inch; in PDF and SVG of images and of fields in colour, beside which texts and lines stay sharp.
+    files : NewFiles, optional
+        With which it takes its name; by default it does so by itself.
+
+    Raises
+    ------
+    InputError, OSError
+        Where it cannot be written; an earlier one stays.
+    """
+    ending = path.suffix.lower()
+    # Journals refuse type 3, matplotlib's own choice; without a date the same picture is the same file.
+    with rc_context({"pdf.fonttype": 42, "svg.hashsalt": path.stem}):
+        dated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
+        with begin_files(files) as new:
+            figure.savefig(new.begin(path), format=ending.removeprefix("."), dpi=dpi, metadata=dated.get(ending))
+
+
+CAPTION_POINTS = 11.0
+"""Size of the caption's type."""
+
+ROOM_INCHES = 0.34
+"""Height of the caption with what is around it."""
+
+
+def format_caption(number: int, time: float) -> str:
+    """Write which frame it is.
+
+    Parameters
+    ----------
+    number : int
+        From 1.
+    time : float
+        Unit chosen by the user.
+
+    Returns
+    -------
+    str
+        A short line.
+    """
+    return f"frame {number}, time {time:g}"
+
+
+def draw_caption(figure: Figure, text: str) -> None:
+    """Write a line above all that is on a page, which grows by it.
+
+    Parameters
+    ----------
+    figure : Figure
+        The page.
+    text : str
+        Short enough for one line.
+    """
+    make_room_above(figure, ROOM_INCHES)
+    height = figure.get_size_inches()[1]
+    figure.text(0.5, 1.0 - 0.5 * ROOM_INCHES / height, text, ha="center", va="center", fontsize=CAPTION_POINTS,
+                fontweight="bold")
+
+
+WORDS = "not converged"
+
+FAILURE_COLOUR = "#b00020"
+"""Dark red, which has a contrast of 7 to 1 with white: it is read in print without colours too."""
+
+MARK_POINTS = 12.0
+"""Size of the mark's type; a larger value takes more of the page."""
+
+MARK_INCHES = 0.24
+"""Height of a line of the mark."""
+
+EDGE_INCHES = 0.1
+"""Between the mark and the edges of the page."""
+
+
+def draw_failures(figure: Figure, shown: Sequence[Result]) -> None:
+    """Write above all that is on a page that a result did not converge; nothing where all did.
+
+    The page grows by what that takes; what was on it keeps its size.
+
+    Parameters
+    ----------
+    figure : Figure
+        The page.
+    shown : sequence of Result
+        What it shows; failures of several are told by the names of the files.
+    """
+    failed = [result for result in shown if not result.converged]
+    if not failed:
+        return
+    text = WORDS if len(shown) == 1 else f"{', '.join(result.path.name for result in failed)}: {WORDS}"
+    width, height = figure.get_size_inches()
+    lines = format_title(text, width - 2 * EDGE_INCHES, MARK_POINTS)
+    room = EDGE_INCHES + MARK_INCHES * (lines.count("\n") + 1)
+    make_room_above(figure, room)
+    figure.text(0.5, 1.0 - EDGE_INCHES / (height + room), lines, ha="center", va="top", fontsize=MARK_POINTS,
+                fontweight="bold", color=FAILURE_COLOUR, linespacing=MARK_INCHES * POINTS_AN_INCH / MARK_POINTS / 1.2)
+
+
+PLACE_COLOUR = "#00e5ff"
+"""Of marks: seen on the dark and on the bright end of the residual's colours."""
+
+
+def draw_marks(axes: Axes, places: Sequence[tuple[float, float]], size: float = 1.0) -> None:
+    """Draw a circle about each place, with its number.
+
+    Parameters
+    ----------
+    axes : Axes
+        In image coordinates.
+    places : sequence of (x, y)
+        Pixels, numbered from 1.
+    size : float, optional
+        Of a pixel, in the axes' unit.
+    """
+    outline = [withStroke(linewidth=3.0, foreground="black")]
+    right = axes.get_xlim()[1]
+    for number, (x, y) in enumerate(places, start=1):
+        at = (size * x, size * y)
+        axes.plot(*at, "o", markersize=13, markerfacecolor="none", markeredgecolor=PLACE_COLOUR, markeredgewidth=1.8,
+                  path_effects=outline, clip_on=False)
+        # On the left of places near the right edge, so that no number leaves the picture.
+        is_right = at[0] > 0.9 * right
+        axes.annotate(str(number), at, xytext=(-11 if is_right else 11, 0), textcoords="offset points",
+                      color=PLACE_COLOUR, fontsize=11, fontweight="bold", va="center",
+                      ha="right" if is_right else "left", path_effects=outline)

@@ -1,0 +1,199 @@
+"""The deformed mesh with a displacement component in colour (Fig. 9 of [BP17])."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from ddic.errors import InputError
+from ddic.io.result_reader import Result
+from ddic.kinematics.strain import count_folded_cells, find_largest_gradient, project_rigid_motion_out
+from ddic.mesh.mesh import Mesh
+from ddic.plots.canvas import (
+    MOST_SHARP_CELLS,
+    PIXELS,
+    Bounds,
+    Component,
+    LengthUnit,
+    Limits,
+    add_colour_bar,
+    choose_limits,
+    draw_nodal_colours,
+    find_mesh_bounds,
+    format_component,
+    make_cell_polygons,
+    make_image_figure,
+    pick_component,
+)
+
+VISIBLE_SHARE = 0.05
+"""Largest displacement that is drawn, relative to the mesh, where cells bear it; a larger value exaggerates more."""
+
+LARGEST_STRETCH = 0.5
+"""Largest gradient of what is drawn: no cell is squeezed to less than the half. Below 1 no cell folds."""
+
+MOST_CELLS_WITH_EDGES = 20_000
+"""Cells up to which their edges are drawn; a larger value makes fine meshes black."""
+
+
+@dataclass(frozen=True)
+class SharedView:
+    """How several results are drawn alike.
+
+    Attributes
+    ----------
+    factor : float
+        By which the displacement without its rigid motion is amplified, where the user asks for nothing else.
+    bounds : (float, float, float, float)
+        x0, y0, x1, y1 of the axes, in their unit.
+    """
+
+    factor: float
+    bounds: Bounds
+
+
+def choose_amplification(result: Result) -> float:
+    """Choose an amplification, one digit, of the displacement without its rigid motion.
+
+    It makes that 5 % of the mesh, or less where the largest gradient of the displacement would fold cells.
+
+    Parameters
+    ----------
+    result : Result
+        The displacement.
+
+    Returns
+    -------
+    float
+        At least 1.
+
+    Raises
+    ------
+    InputError
+        Where no cell was measured.
+    """
+    mesh, displacement = _keep_measured(result)
+    departure = project_rigid_motion_out(mesh.nodes, displacement)
+    largest = float(np.abs(departure).max())
+    if largest == 0.0:
+        return 1.0
+    wanted = VISIBLE_SHARE * float(np.ptp(result.mesh.nodes, axis=0).max()) / largest
+    limit = LARGEST_STRETCH / max(find_largest_gradient(mesh, departure), 1e-300)
+    factor = float(f"{wanted:.0e}")
+    return max(1.0, factor if factor <= limit else _round_down(limit))
+
+
+def find_shared_view(results: Iterable[Result], amplification: float | None, unit: LengthUnit) -> SharedView:
+    """Find a factor and axes that suit all of several results.
+
+    Parameters
+    ----------
+    results : iterable of Result
+        At least one; each is looked at once.
+    amplification : float or None
+        Of the whole displacement, where the user asks for it.
+    unit : LengthUnit
+        Of the axes.
+
+    Returns
+    -------
+    SharedView
+        Of the least factor among theirs.
+
+    Raises
+    ------
+    InputError
+        Where no cell of one was measured.
+    """
+    factors, boxes, moves = [], [], []
+    for result in results:
+        mesh, displacement = _keep_measured(result)
+        departure = project_rigid_motion_out(mesh.nodes, displacement)
+        # What stands still looks alike by any factor.
+        factors += [choose_amplification(result)] if np.abs(departure).max() > 0.0 else []
+        shown = departure if amplification is None else displacement
+        boxes.append((result.mesh.nodes.min(axis=0), result.mesh.nodes.max(axis=0)))
+        moves.append((np.minimum(shown.min(axis=0), 0.0), np.maximum(shown.max(axis=0), 0.0)))
+    factor = min(factors, default=1.0)
+    scale = factor if amplification is None else amplification
+    # Two opposite corners that no node passes, whichever moves farthest.
+    corners = np.array(boxes) + scale * (np.array(moves) if scale >= 0 else np.array(moves)[:, ::-1])
+    return SharedView(factor, find_mesh_bounds(unit.size * corners.reshape(-1, 2)))
+
+
+def _keep_measured(result: Result) -> tuple[Mesh, NDArray[np.float64]]:
+    """The cells whose nodes all were measured, and the displacement of their nodes, pixels."""
+    cells = result.mesh.find_cells_among(result.measured_nodes)
+    if not len(cells):
+        raise InputError(f"{result.path}: no cell was measured, of which a deformed mesh could be drawn")
+    if len(cells) == result.mesh.n_cells:
+        return result.mesh, result.displacement
+    mesh, node_ids = result.mesh.create_submesh(cells)
+    return mesh, result.displacement[node_ids]
+
+
+def _round_down(value: float) -> float:
+    """The largest number of one digit that is not above a positive one."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return math.floor(value / power) * power
+
+
+def draw_deformed(result: Result, component: Component = "magnitude", amplification: float | None = None,
+                  unit: LengthUnit = PIXELS, limits: Limits | None = None,
+                  shared: SharedView | None = None) -> Figure:
+    """Draw the mesh moved by its amplified displacement, over the whole mesh at rest in grey.
+
+    Cells with a node that was not measured are drawn at rest alone.
+
+    Parameters
+    ----------
+    result : Result
+        The displacement.
+    component : {"x", "y", "magnitude"}, optional
+        What is in colour.
+    amplification : float, optional
+        Of the whole displacement, rigid motion and all; where it is left out, one that shows the displacement without
+        its rigid motion and folds no cell.
+    unit : LengthUnit, optional
+        Of axes and colours.
+    limits : (float, float), optional
+        Of the colours, in that unit.
+    shared : SharedView, optional
+        Of several results that are drawn alike; where it is left out, what fits this one.
+
+    Returns
+    -------
+    Figure
+        The page.
+
+    Raises
+    ------
+    InputError
+        Where no cell was measured.
+    """
+    mesh, displacement = _keep_measured(result)
+    rest = unit.size * result.mesh.nodes
+    if amplification is None:
+        factor = choose_amplification(result) if shared is None else shared.factor
+        moved = unit.size * (mesh.nodes + factor * project_rigid_motion_out(mesh.nodes, displacement))
+        title = f"Deformed mesh without rigid motion, amplified {factor:g} times"
+    else:
+        moved = unit.size * (mesh.nodes + amplification * displacement)
+        n_folded = count_folded_cells(mesh, moved)
+        folded = f"; {n_folded} cells are folded" if n_folded else ""
+        title = f"Deformed mesh, displacement amplified {amplification:g} times{folded}"
+    bounds = find_mesh_bounds(np.concatenate([rest, moved])) if shared is None else shared.bounds
+    figure, axes = make_image_figure(bounds, title, unit)
+    axes.add_collection(make_cell_polygons(result.mesh, rest, facecolors="0.9", edgecolors="0.9", linewidths=0.3))
+    values = unit.size * pick_component(displacement, component)
+    colours = draw_nodal_colours(axes, mesh, moved, values, choose_limits(values, limits))
+    if mesh.n_cells <= MOST_CELLS_WITH_EDGES:
+        axes.add_collection(make_cell_polygons(mesh, moved, facecolors="none", edgecolors="black", linewidths=0.15,
+                                               rasterized=mesh.n_cells > MOST_SHARP_CELLS))
+    add_colour_bar(figure, axes, colours, f"{format_component('u', component)} [{unit.name}]")
+    return figure

@@ -1,0 +1,199 @@
+"""The mesh partition and the sub-images over the reference image (Fig. 8 of [BP17]).
+
+A mesh over the reference image, before anything is measured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from matplotlib.patheffects import withStroke
+from numpy.typing import NDArray
+
+from ddic.io.result_reader import Result
+from ddic.mesh.mesh import Mesh
+from ddic.plots.canvas import (
+    MOST_SHARP_CELLS,
+    PIXELS,
+    POINTS_AN_INCH,
+    LengthUnit,
+    find_mesh_bounds,
+    make_cell_polygons,
+    make_image_figure,
+    set_bounds,
+)
+from ddic.plots.maps import Preview
+
+PALETTE = np.array([[0.902, 0.624, 0.0], [0.337, 0.706, 0.914], [0.0, 0.620, 0.451], [0.941, 0.894, 0.259],
+                    [0.0, 0.447, 0.698], [0.835, 0.369, 0.0], [0.800, 0.475, 0.655]])
+"""Seven colours that are told apart whatever colours one sees: Okabe and Ito, Color Universal Design, 2008, without
+black."""
+
+MARGIN = 0.1
+"""Around the mesh, relative to its longer side."""
+
+MARGIN_INCHES = 0.3
+"""Right of the axes, where other figures have a colour bar."""
+
+SHARE_OF_NUMBER = 0.35
+"""Height of a number relative to its subdomain's side."""
+
+SMALLEST_POINTS, LARGEST_POINTS = 3.0, 12.0
+"""Type of numbers; where they would be smaller, none are written."""
+
+
+def draw_partition(result: Result, image: Preview | None = None, unit: LengthUnit = PIXELS) -> Figure:
+    """Draw numbered subdomains in colour with the bounding box of each (its sub-image without halo).
+
+    Parameters
+    ----------
+    result : Result
+        With its partition.
+    image : Preview, optional
+        Drawn below.
+    unit : LengthUnit, optional
+        Of the axes.
+
+    Returns
+    -------
+    Figure
+        The page.
+    """
+    mesh, nodes = result.mesh, unit.size * result.mesh.nodes
+    bounds = find_mesh_bounds(nodes, MARGIN)
+    if image is not None:
+        bounds = image.clip(bounds, unit.size)
+    plural = "" if result.n_subdomains == 1 else "s"
+    title = f"Partition: {mesh.n_cells} cells, {result.n_subdomains} subdomain{plural}"
+    figure, axes = make_image_figure(bounds, title, unit, beside=MARGIN_INCHES)
+    width, height = axes.get_position().size * figure.get_size_inches()
+    if image is not None:
+        image.draw(axes, unit.size)
+        set_bounds(axes, bounds)
+    chosen = choose_colours(mesh, result.subdomain_ids)
+    colours = PALETTE[chosen[result.subdomain_ids]]
+    axes.add_collection(make_cell_polygons(mesh, nodes, facecolors=colours, edgecolors="black", linewidths=0.15,
+                                           alpha=0.5, rasterized=mesh.n_cells > MOST_SHARP_CELLS))
+    for subdomain in np.unique(result.subdomain_ids).tolist():
+        cells = np.flatnonzero(result.subdomain_ids == subdomain)
+        axes.add_patch(_draw_box(_corners(mesh, nodes, cells), PALETTE[chosen[subdomain]]))
+        side = float(np.sqrt(width * height * len(cells) / mesh.n_cells))
+        _write_number(axes, unit.size * mesh.centroids[cells], subdomain, side)
+    return figure
+
+
+def choose_colours(mesh: Mesh, subdomain_ids: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Choose a colour for each subdomain, another one than those of its neighbours as far as there are enough.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        The cells.
+    subdomain_ids : (n_cells,) array of int64
+        Of each.
+
+    Returns
+    -------
+    (largest subdomain + 1,) array of int64
+        Rows of PALETTE.
+    """
+    n = int(subdomain_ids.max()) + 1
+    of_corners = np.repeat(subdomain_ids, np.diff(mesh.offsets))
+    at_node: dict[int, set[int]] = {}
+    for node, subdomain in np.unique(np.column_stack([mesh.connectivity, of_corners]), axis=0).tolist():
+        at_node.setdefault(node, set()).add(subdomain)
+    neighbours: list[set[int]] = [set() for _ in range(n)]
+    for shared in at_node.values():
+        for subdomain in shared:
+            neighbours[subdomain] |= shared - {subdomain}
+    chosen = np.full(n, -1, dtype=np.int64)
+    used = np.zeros(len(PALETTE), dtype=np.int64)
+    for subdomain in range(n):
+        beside = {int(chosen[other]) for other in neighbours[subdomain]}
+        free = [colour for colour in range(len(PALETTE)) if colour not in beside] or list(range(len(PALETTE)))
+        # The least used of those that are free, so that all are.
+        chosen[subdomain] = min(free, key=lambda colour: int(used[colour]))
+        used[chosen[subdomain]] += 1
+    return chosen
+
+
+def _corners(mesh: Mesh, nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Corners of some cells, one after the other, (n, 2)."""
+    of_cells = mesh.cells[cells]
+    return np.asarray(nodes[of_cells[of_cells >= 0]])
+
+
+def _draw_box(corners: NDArray[np.float64], colour: NDArray[np.float64]) -> Rectangle:
+    """The bounding box of a subdomain's cells."""
+    x0, y0 = corners.min(axis=0)
+    x1, y1 = corners.max(axis=0)
+    return Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor=colour, linewidth=1.6, linestyle="--")
+
+
+def _write_number(axes: Axes, middles: NDArray[np.float64], subdomain: int, side: float) -> None:
+    """Write a subdomain's number on the cell that is nearest to the middle of all; side: about its own, inches."""
+    x, y = middles[np.linalg.norm(middles - middles.mean(axis=0), axis=1).argmin()]
+    size = SHARE_OF_NUMBER * POINTS_AN_INCH * side
+    if size < SMALLEST_POINTS:
+        return
+    axes.text(x, y, str(subdomain), ha="center", va="center", fontsize=min(size, LARGEST_POINTS), fontweight="bold",
+              path_effects=[withStroke(linewidth=2.0, foreground="white")])
+
+
+MARGIN = 0.1
+"""Around the mesh, relative to its longer side."""
+
+MOST_NAMED = 12
+"""Node sets that the legend names; a larger value fills the page."""
+
+MARKERS = "osD^v<>"
+
+
+LONGEST_NAME = 12
+"""Characters of a node set's name; a larger value needs more room beside the axes."""
+
+
+def draw_mesh_preview(mesh: Mesh, image: Preview, lines: Sequence[NDArray[np.float64]] = ()) -> Figure:
+    """Draw a mesh, its node sets and the lines that cut it over the reference image.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Pixels.
+    image : Preview
+        Drawn below.
+    lines : sequence of (n_vertices, 2) array, optional
+        Discontinuities, pixels.
+
+    Returns
+    -------
+    Figure
+        The page.
+    """
+    bounds = image.clip(find_mesh_bounds(mesh.nodes, MARGIN))
+    sets = {name: nodes for name, nodes in mesh.node_sets.items() if len(nodes)}
+    figure, axes = make_image_figure(bounds, f"Mesh: {mesh.n_nodes} nodes, {mesh.n_cells} cells")
+    image.draw(axes)
+    set_bounds(axes, bounds)
+    axes.add_collection(make_cell_polygons(mesh, mesh.nodes, facecolors=(0.337, 0.706, 0.914, 0.25),
+                                           edgecolors=tuple(PALETTE[4]), linewidths=0.4,
+                                           rasterized=mesh.n_cells > MOST_SHARP_CELLS))
+    for k, (name, nodes) in enumerate(list(sets.items())[:MOST_NAMED]):
+        axes.plot(*mesh.nodes[nodes].T, MARKERS[k % len(MARKERS)], color=PALETTE[k % len(PALETTE)], markersize=3.5,
+                  markeredgecolor="black", markeredgewidth=0.3, label=f"{_shorten(name)} ({len(nodes)})")
+    for k, line in enumerate(lines, start=1):
+        axes.plot(*line.T, "-", color="red", linewidth=1.5, label=f"line {k}")
+    if sets or len(lines):
+        # Beside the axes, where other figures have their colour bar.
+        axes.legend(fontsize="xx-small", loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0,
+                    handletextpad=0.2, borderpad=0.3)
+    return figure
+
+
+def _shorten(name: str) -> str:
+    """A name as far as there is room for it."""
+    return name if len(name) <= LONGEST_NAME else f"{name[:LONGEST_NAME - 1]}…"

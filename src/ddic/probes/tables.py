@@ -1,0 +1,284 @@
+"""Tables of what probes read over time, with the resolution and the noise of each.
+
+Whole fields as tables: a row for each node or cell, a column for each component.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.io import result_schema as schema
+from ddic.io.replace_on_exit import replaced_on_exit, replaced_together
+from ddic.io.result_reader import Result
+from ddic.plots.canvas import LengthUnit, find_length_unit
+from ddic.probes.metrology import Metrology, estimate_metrology
+from ddic.probes.probes import KINDS, LineProbe, PointProbe, Probe
+from ddic.probes.read_probe import Measure, Reading, measure_probe
+
+COLUMNS = (
+    ("time", ""), ("result", ""), ("probe", ""), ("kind", ""),
+    ("distance", "length"), ("x", "length"), ("y", "length"), ("gauge_length", "length"),
+    ("u_x", "length"), ("u_y", "length"),
+    ("strain_xx", "1"), ("strain_yy", "1"), ("strain_xy", "1"), ("strain_along", "1"),
+    ("noise_u", "length"), ("resolution_u", "length"), ("indicator_u", "area"),
+    ("noise_strain", "1"), ("resolution_strain", "length"), ("indicator_strain", "area"),
+    ("note", ""),
+)
+"""Names of the columns of a table, and what they are measured in."""
+
+N_DIGITS = 9
+"""Of numbers in a table: displacements have no more."""
+
+
+@dataclass(frozen=True, eq=False)
+class ProbeRecord:
+    """What one probe reads on one result.
+
+    Attributes
+    ----------
+    time : float
+        Of the deformed image, as the case gives it.
+    result : str
+        Name of the result's file.
+    reading : Reading
+        Values.
+    metrology : Metrology
+        Spatial resolution and noise floor.
+    unit : LengthUnit
+        Of lengths, where they are written.
+    """
+
+    time: float
+    result: str
+    reading: Reading
+    metrology: Metrology
+    unit: LengthUnit
+
+
+def measure_probes(results: Iterable[Result], probes: Sequence[Probe], measure: Measure = "infinitesimal",
+                   noise: float | None = None) -> list[ProbeRecord]:
+    """Read probes on results in the order of their times.
+
+    Parameters
+    ----------
+    results : iterable of Result
+        One in a list, or the frames of a series, which are read one after the other.
+    probes : sequence of Probe
+        Where and how.
+    measure : {"infinitesimal", "green-lagrange", "hencky"}, optional
+        Tensor of the strain.
+    noise : float, optional
+        Standard deviation of a component of the nodes' displacements, pixels; by default what the results say.
+
+    Returns
+    -------
+    list of ProbeRecord
+        All probes at the first time, then at the next one.
+    """
+    records = [ProbeRecord(find_time(result), result.path.name, measure_probe(result, probe, measure),
+                           estimate_metrology(result, probe, noise), find_length_unit(result))
+               for result in results for probe in probes]
+    return sorted(records, key=lambda record: record.time)
+
+
+def find_time(result: Result) -> float:
+    """Find the time of a result's deformed image.
+
+    Parameters
+    ----------
+    result : Result
+        A measured field.
+
+    Returns
+    -------
+    float
+        As the case gives it; nan where the file says none.
+    """
+    return float(result.attributes.get(schema.TIME, {}).get("deformed", math.nan))
+
+
+def write_probe_table(path: Path | str, records: Sequence[ProbeRecord]) -> None:
+    """Write what probes read as CSV: a row for each time, probe and place, units in the header.
+
+    Parameters
+    ----------
+    path : Path or str
+        The file.
+    records : sequence of ProbeRecord
+        Of one unit of length.
+
+    Raises
+    ------
+    InputError
+        Where the folder cannot be written to.
+    """
+    unit = records[0].unit if records else LengthUnit()
+    with replaced_on_exit(Path(path)) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
+        table = csv.writer(stream)
+        table.writerow([_name_column(name, kind, unit) for name, kind in COLUMNS])
+        for record in records:
+            table.writerows(_list_rows(record))
+
+
+def _name_column(name: str, kind: str, unit: LengthUnit) -> str:
+    units = {"length": unit.name, "area": f"{unit.name}^2", "1": "1"}
+    return f"{name} [{units[kind]}]" if kind else name
+
+
+def _list_rows(record: ProbeRecord) -> Iterator[list[str]]:
+    """A row for each place."""
+    reading, probe, size = record.reading, record.reading.probe, record.unit.size
+    is_line = isinstance(probe, LineProbe)
+    length = math.nan if isinstance(probe, PointProbe | LineProbe) else size * probe.length
+    about = _list_metrology(record)
+    for k, point in enumerate(reading.points):
+        numbers = [size * reading.distance[k] if is_line else math.nan, *(size * point), length,
+                   *(size * reading.displacement[k]), *reading.strain[k], reading.along[k], *about]
+        yield [format_number(record.time), record.result, probe.name, KINDS[type(probe)],
+               *map(format_number, numbers), _join_notes(record)]
+
+
+def _list_metrology(record: ProbeRecord) -> list[float]:
+    known, size = record.metrology, record.unit.size
+    return [size * known.displacement_noise, size * known.displacement_resolution,
+            size**2 * known.displacement_indicator, known.strain_noise, size * known.strain_resolution,
+            size**2 * known.strain_indicator]
+
+
+def _join_notes(record: ProbeRecord) -> str:
+    return "; ".join(note for note in (record.reading.note, record.metrology.note) if note)
+
+
+def format_number(value: float) -> str:
+    """Write a number for a table; nothing where there is none.
+
+    Parameters
+    ----------
+    value : float
+        Of any unit.
+
+    Returns
+    -------
+    str
+        Empty for nan.
+    """
+    return "" if math.isnan(value) else f"{value:.{N_DIGITS}g}"
+
+
+def average_along(values: NDArray[np.float64]) -> float:
+    """Average over the places of a probe at which there is a value.
+
+    Parameters
+    ----------
+    values : (n,) array
+        nan where there is none.
+
+    Returns
+    -------
+    float
+        nan where there is none at all.
+    """
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if known.size else math.nan
+
+
+VECTOR_NAMES = ("x", "y")
+TENSOR_NAMES = {"xx": 0, "yy": 1, "xy": 3}
+"""Columns of a symmetric tensor in the plane, and their places in the file's XX, YY, ZZ, XY, YZ, XZ."""
+
+N_DIGITS = 9
+"""Of numbers in a table."""
+
+
+def write_field_tables(path: Path | str, result: Result) -> tuple[Path, Path]:
+    """Write all fields of a result as CSV, with units in the headers: NAME.nodes.csv and NAME.cells.csv.
+
+    Parameters
+    ----------
+    path : Path or str
+        NAME.csv; the two names follow from it.
+    result : Result
+        What was measured.
+
+    Returns
+    -------
+    nodes, cells : Path
+        The files.
+
+    Raises
+    ------
+    InputError
+        Where the folder cannot be written to.
+    """
+    nodes, cells = list_field_tables(Path(path))
+    mesh = result.mesh
+    with replaced_together() as files:
+        _write_table(files.begin(nodes), _list_columns(result, "node", mesh.nodes, result.point_data))
+        _write_table(files.begin(cells), _list_columns(result, "cell", mesh.centroids, result.cell_data))
+    return nodes, cells
+
+
+def list_field_tables(path: Path) -> tuple[Path, Path]:
+    """Name the tables of nodes and of cells.
+
+    Parameters
+    ----------
+    path : Path
+        NAME.csv.
+
+    Returns
+    -------
+    nodes, cells : Path
+        NAME.nodes.csv and NAME.cells.csv.
+    """
+    nodes, cells = (path.with_name(f"{path.stem}.{what}{path.suffix or '.csv'}") for what in ("nodes", "cells"))
+    return nodes, cells
+
+
+def _list_columns(result: Result, what: str, places: NDArray[np.float64],
+                  data: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Columns by their header: number, place, then all fields; numbers of nodes and cells are those of the file."""
+    numbers = data[schema.GLOBAL_NODE_ID if what == "node" else schema.GLOBAL_CELL_ID]
+    units = _list_units(result)
+    columns: dict[str, NDArray[Any]] = {what: numbers, "x [px]": places[:, 0], "y [px]": places[:, 1]}
+    for name, values in data.items():
+        if name in (schema.GLOBAL_NODE_ID, schema.GLOBAL_CELL_ID):
+            continue
+        unit = units.get(name, "1")
+        if values.ndim == 1:
+            columns[f"{name} [{unit}]"] = values
+        elif values.shape[1] == schema.VECTOR:
+            columns |= {f"{name}_{axis} [{unit}]": values[:, k] for k, axis in enumerate(VECTOR_NAMES)}
+        else:
+            columns |= {f"{name}_{pair} [{unit}]": values[:, k] for pair, k in TENSOR_NAMES.items()}
+    return columns
+
+
+def _list_units(result: Result) -> dict[str, str]:
+    """Units by the names of the fields."""
+    length_unit = find_length_unit(result).name
+    specs = (*schema.point_fields(length_unit), *schema.nodal_strain_fields(), *schema.cell_fields())
+    return {spec.name: spec.unit for spec in specs}
+
+
+def _write_table(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
+    """Columns as CSV; nothing where a value is nan."""
+    texts = [_format_column(values) for values in columns.values()]
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        table = csv.writer(stream)
+        table.writerow(columns)
+        table.writerows(zip(*texts, strict=True))
+
+
+def _format_column(values: NDArray[Any]) -> list[str]:
+    if np.issubdtype(values.dtype, np.integer):
+        return [str(value) for value in values.tolist()]
+    return ["" if value != value else f"{value:.{N_DIGITS}g}" for value in values.tolist()]  # noqa: PLR0124  nan alone

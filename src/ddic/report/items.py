@@ -1,0 +1,398 @@
+"""What good-practices guides for DIC ask to be stated, with its value or that it is not recorded.
+
+The items are those that the International Digital Image Correlation Society's guide (2018) asks of one camera and a
+plane specimen, said for finite elements: an element stands where a subset does. docs/report.md compares them.
+
+How the images were taken, in the words of the case, and what they are like.
+
+Where the residual is worst.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ddic.images.binned import BLUR_NOTE
+from ddic.images.grey_levels import measure_feature_size, measure_grey_levels
+from ddic.io import result_schema as schema
+from ddic.io.image_file import ImageFile
+from ddic.io.result_reader import Result
+from ddic.mesh.quality import measure_covered_areas
+from ddic.plots.canvas import find_length_unit
+from ddic.probes.displacement_chain import find_chain
+from ddic.probes.metrology import Metrology, estimate_metrology
+from ddic.probes.probes import PointProbe
+from ddic.report.statement import NOT_RECORDED, NOT_STATED, Gathered, Items, Statement
+
+N_WINDOWS = 15
+"""Places at which the pattern is looked at, spread over the elements."""
+
+OF_SETUP = (("Specimen", "specimen"), ("Camera", "camera"), ("Lens", "lens"), ("Aperture", "aperture"),
+            ("Stand-off distance", "stand_off_distance"), ("Lighting", "lighting"), ("Exposure time", "exposure"),
+            ("Image acquisition rate", "image_rate"), ("Patterning technique", "patterning"))
+"""What the user alone knows: its name in the report, its key in ``[acquisition]``."""
+
+
+def list_setup(gathered: Gathered) -> Items:
+    """List what the case says of the set-up, in its own words.
+
+    Parameters
+    ----------
+    gathered : Gathered
+        The result and what belongs to it.
+
+    Returns
+    -------
+    list of (str, str)
+        Where the case says nothing, with the key that would.
+    """
+    section, shape = gathered.get_section("images"), _parse_size(gathered)
+    items = [(name, _quote(gathered, key)) for name, key in OF_SETUP]
+    size, unit = section.get("pixel_size"), section.get("length_unit", "px")
+    scale = view = f"{NOT_STATED}: images.pixel_size" if gathered.case else NOT_RECORDED
+    if size:
+        scale = f"{size:g} {unit} per px ({1.0 / size:.4g} px per {unit})"
+        view = " x ".join(f"{size * side:.4g} {unit}" for side in shape) if shape else NOT_RECORDED
+    times = [gathered.get_attribute(schema.TIME, name) for name in ("reference", "deformed")]
+    stamps = NOT_RECORDED if None in times else f"{times[0]:g} (reference), {times[1]:g} (deformed)"
+    return [*items, ("Image scale", scale), ("Field of view", view), ("Times of the images", stamps)]
+
+
+def _quote(gathered: Gathered, key: str) -> str:
+    """Words of the case about the set-up, or that there are none."""
+    missing = f"{NOT_STATED}: acquisition.{key}" if gathered.case else NOT_RECORDED
+    return str(gathered.get_section("acquisition").get(key) or missing)
+
+
+def _parse_size(gathered: Gathered) -> tuple[int, int] | None:
+    """Width and height of the images, pixels."""
+    text = str(gathered.get_attribute(schema.PROVENANCE, "reference_size") or "")
+    parts = text.split("x")
+    return (int(parts[0]), int(parts[1])) if len(parts) == 2 else None
+
+
+def list_images(gathered: Gathered) -> Items:
+    """List sizes, grey levels, features and noise of the images, and what was done to them.
+
+    Parameters
+    ----------
+    gathered : Gathered
+        The result and what belongs to it.
+
+    Returns
+    -------
+    list of (str, str)
+        Measured where the images are still there.
+    """
+    section, shape = gathered.get_section("images"), _parse_size(gathered)
+    levels = [(f"Grey levels, {name}", _describe_levels(gathered.images.get(name)))
+              for name in ("reference", "deformed")]
+    masks = [f"{what} image" for what in ("reference", "deformed") if section.get(f"{what}_mask")]
+    return [("Image size", f"{shape[0]} x {shape[1]} px" if shape else NOT_RECORDED), *levels,
+            ("Feature size of the pattern", _describe_features(gathered)), ("Image noise", _describe_noise(gathered)),
+            ("Masks", " and ".join(masks) or "none" if section else NOT_RECORDED),
+            ("Saturated pixels", "left out" if section.get("exclude_saturated") else "used"),
+            ("Image processing before ddic", _quote(gathered, "processing")),
+            ("Image filtering by ddic", _describe_filtering(gathered))]
+
+
+def _describe_levels(image: ImageFile | None) -> str:
+    if image is None:
+        return f"{NOT_RECORDED}: the image is not there"
+    levels = measure_grey_levels(image)
+    saturated = "none can be" if levels.saturation is None else (
+        f"{100 * levels.n_saturated / (image.width * image.height):.3g} %")
+    return (f"{image.layout.bits} bit, {levels.lowest:g} to {levels.highest:g}, mean {levels.mean:.4g}, "
+            f"RMS gradient {math.sqrt(levels.gradient_energy):.3g} per px; saturated: {saturated}")
+
+
+def _describe_features(gathered: Gathered) -> str:
+    if "reference" not in gathered.images:
+        return f"{NOT_RECORDED}: the image is not there"
+    centres = gathered.result.mesh.centroids
+    shown = centres[np.linspace(0, len(centres) - 1, N_WINDOWS).astype(int)]
+    width = measure_feature_size(gathered.images["reference"], shown)
+    return f"{width:.3g} px (autocorrelation, full width at half maximum)" if math.isfinite(width) else "none found"
+
+
+def _describe_noise(gathered: Gathered) -> str:
+    """Of an image, grey levels."""
+    section, residual = gathered.get_section("images"), gathered.last_residual
+    measured = gathered.get_attribute(schema.UNCERTAINTY, "noise_grey")
+    if measured is not None:
+        return f"{measured:.3g} grey levels ({gathered.get_attribute(schema.UNCERTAINTY, 'noise_origin')})"
+    if section.get("noise"):
+        return f"{section['noise']:g} grey levels (given in the case)"
+    if math.isnan(residual):
+        return NOT_RECORDED
+    rest = ("images.at_rest is measured with output.uncertainty = true alone" if section.get("at_rest") else
+            "no static pair is recorded")
+    return f"{residual / math.sqrt(2.0):.3g} grey levels in each image, were the residual all noise; {rest}"
+
+
+def _describe_filtering(gathered: Gathered) -> str:
+    """The interpolating spline, and the reference image blurred like the frame."""
+    if not gathered.summary:
+        return f"{NOT_RECORDED}: only the summary says whether the reference image was blurred like the deformed one"
+    blurs = [note for note in gathered.summary.get("notes", ()) if note.startswith(BLUR_NOTE)]
+    return "; ".join(["none but the interpolating spline", *blurs])
+
+
+def list_statements(gathered: Gathered) -> list[Statement]:
+    """List all that is stated of a measurement.
+
+    Parameters
+    ----------
+    gathered : Gathered
+        The result and what belongs to it.
+
+    Returns
+    -------
+    list of Statement
+        In the order of the guides: how images were taken, what they are like, how they were compared, what it is worth.
+    """
+    return [Statement("Set-up", list_setup(gathered)), Statement("Images and pattern", list_images(gathered)),
+            Statement("Mesh and formulation", _list_formulation(gathered)),
+            Statement("Regularisation", _list_regularization(gathered)),
+            Statement("Convergence", _list_convergence(gathered)),
+            Statement("Resolution and noise floors", _list_metrology(gathered))]
+
+
+def _list_formulation(gathered: Gathered) -> Items:
+    """Elements, criterion, interpolation."""
+    result, correlation = gathered.result, gathered.get_section("correlation")
+    areas, _ = measure_covered_areas(result.mesh)
+    kinds = ", ".join(f"{len(block.cells)} {block.type.name}" for block in result.mesh.cell_blocks)
+    sides = np.sqrt(areas)
+    spread = f"{sides.min():.3g} to {sides.max():.3g} px, mean {sides.mean():.3g} px (root of the area)"
+    n_pixels = result.cell_data.get(schema.RESIDUAL_N_PIXELS)
+    counted = NOT_RECORDED if n_pixels is None else f"{n_pixels.min()} to {n_pixels.max()}, mean {n_pixels.mean():.4g}"
+    degree = correlation.get("spline_degree")
+    return [
+        ("Software", f"ddic {gathered.get_attribute(schema.PROVENANCE, 'ddic') or NOT_RECORDED}, commit "
+                     f"{gathered.get_attribute(schema.PROVENANCE, 'commit') or NOT_RECORDED}"),
+        ("Method", "global DIC by products of functions of x and of y (PGD-DIC)" if result.separated is not None else
+                   "global DIC by finite elements"),
+        ("Shape functions (of a subset: order)", f"linear and bilinear: {kinds}"),
+        ("Element size (subset size and step)", spread),
+        ("Unknowns", f"{result.mesh.n_dofs} on {result.mesh.n_nodes} nodes"),
+        ("Pixels compared per element", counted),
+        ("Matching criterion", "sum of squared differences f(x) - g(x + u); grey levels corrected: "
+                               f"{_describe_grey(gathered)}"),
+        ("Interpolation", f"B-spline of degree {degree}" if degree else NOT_RECORDED),
+        ("Discontinuities", str(len(gathered.get_section("discontinuity"))) if gathered.case else NOT_RECORDED),
+        ("Excluded elements", _count(result.cell_data.get(schema.EXCLUDED))),
+        ("Doubtful elements", _count(result.cell_data.get(schema.DOUBTFUL))),
+        ("Strain", "at nodes, recovered from the gradients of the elements around each; infinitesimal, Green-Lagrange, "
+                   "logarithmic" if schema.NODAL_HENCKY in result.point_data else "in the middle of elements"),
+        ("Strain window", _describe_window(gathered)),
+        ("Filtering of displacement and strain", "none after the measurement"),
+    ]
+
+
+def _describe_window(gathered: Gathered) -> str:
+    """Elements that make a strain value, and the pixels that these elements' nodes are held by."""
+    spacing = find_chain(gathered.result, np.empty(0, np.int64)).spacing
+    is_nodal = schema.NODAL_HENCKY in gathered.result.point_data
+    n_elements, place = (2, "the elements around a node") if is_nodal else (1, "one element")
+    # The nodes at the ends of the window take part in elements beyond it.
+    return (f"{place}, {n_elements * spacing:.3g} px across; held by pixels over {(n_elements + 2) * spacing:.3g} px, "
+            "which subsets call the virtual strain gauge, without regularisation")
+
+
+def _describe_grey(gathered: Gathered) -> str:
+    found, asked = gathered.summary.get("grey_correction"), gathered.get_section("correlation").get("grey_correction")
+    names = {"none": "no", "global": "one gain and offset for the image", "element": "gain and offset of each element"}
+    return names.get(str(found or asked), str(found or asked or NOT_RECORDED))
+
+
+def _count(marks: Any) -> str:
+    """How many cells are marked."""
+    return NOT_RECORDED if marks is None else f"{int(np.count_nonzero(marks))} of {len(marks)}"
+
+
+def _list_regularization(gathered: Gathered) -> Items:
+    """Operator, length, where it does not count."""
+    section = gathered.get_section("regularization")
+    if not section:
+        return [("Operator", "none" if gathered.case else NOT_RECORDED)]
+    length, eta = section.get("cut_off_wavelength"), gathered.get_attribute(schema.CASE, "eta")
+    shear, longitudinal = (gathered.get_attribute(schema.CASE, f"half_amplitude_{name}_px")
+                           for name in ("shear", "longitudinal"))
+    of_gap = section.get("operator") == "equilibrium_gap"
+    items = [
+        ("Operator", "equilibrium gap (forces out of balance in an elastic body)" if of_gap else
+                     "Tikhonov (gradient of the displacement)"),
+        ("Regularisation length", f"cut-off wavelength {length:g} px" if length else "none: the weight is given"),
+        ("Weight eta", f"{eta:.4g}" if eta is not None else NOT_RECORDED),
+        ("Waves that keep half of their amplitude",
+         f"{shear:.4g} px (shear), {longitudinal:.4g} px (longitudinal)" if shear else NOT_RECORDED),
+    ]
+    if of_gap:
+        items += [("Material", f"isotropic, Poisson's ratio {section.get('poisson_ratio'):g}, plane "
+                               f"{section.get('plane')}"),
+                  ("Not controlled", ", ".join(section.get("not_controlled", ())) or "none")]
+    return items
+
+
+def _list_convergence(gathered: Gathered) -> Items:
+    """Iterations and what ended them."""
+    result, summary = gathered.result, gathered.summary
+    is_pgd = result.separated is not None
+    table = result.corrections if is_pgd else result.gauss_newton
+    count = max((len(column) for column in table.values()), default=0)
+    last = [float(size) for size in table.get("rms_correction_px", ())]
+    percent = summary.get("residual_percent_of_range")
+    share = f" ({percent:.3g} % of the dynamic range)" if percent is not None else ""
+    residual = gathered.last_residual
+    return [
+        ("Status", "converged" if result.converged else f"NOT CONVERGED: {result.failure}"),
+        ("Corrections" if is_pgd else "Gauss-Newton iterations", str(count) if count else NOT_RECORDED),
+        ("Last correction", f"{last[-1]:.2g} px RMS" if last else NOT_RECORDED),
+        ("Stopped", str(summary.get("stop") or NOT_RECORDED)),
+        ("Residual", f"{residual:.4g} grey levels{share}" if math.isfinite(residual) else NOT_RECORDED),
+        ("Linear step", str(gathered.get_attribute(schema.PROVENANCE, "method") or NOT_RECORDED)),
+        ("Subdomains, ranks", ", ".join(str(gathered.get_attribute(schema.PROVENANCE, name) or NOT_RECORDED)
+                                        for name in ("n_subdomains", "n_ranks"))),
+    ]
+
+
+def _list_metrology(gathered: Gathered) -> Items:
+    """Of displacement and strain at a node in the middle of the mesh."""
+    known, unit = find_field_metrology(gathered), find_length_unit(gathered.result)
+
+    def write(value: float, in_length: bool = True) -> str:
+        if not math.isfinite(value):
+            return NOT_RECORDED
+        if not in_length:
+            return f"{value:.1e}"
+        physical = "" if unit.name == "px" else f" = {unit.size * value:.3g} {unit.name}"
+        return f"{value:.3g} px{physical}"
+
+    bias = "not estimated here: `ddic uncertainty` measures known displacements of the reference image"
+    return [
+        ("Displacement noise floor", write(known.displacement_noise)),
+        ("Displacement spatial resolution", f"{write(known.displacement_resolution)} (90 % of a wave's amplitude)"),
+        ("Displacement noise x resolution", _write_area(known.displacement_indicator)),
+        ("Strain noise floor", write(known.strain_noise, in_length=False)),
+        ("Strain spatial resolution (virtual strain gauge)", f"{write(known.strain_resolution)} (90 % of a wave's "
+                                                             "amplitude)"),
+        ("Strain noise x resolution squared", _write_area(known.strain_indicator)),
+        ("How noise is known", _describe_source(gathered)),
+        ("Bias", bias.replace("`", "")),
+    ]
+
+
+def _write_area(value: float) -> str:
+    return f"{value:.3g} px²" if math.isfinite(value) else NOT_RECORDED
+
+
+def _describe_source(gathered: Gathered) -> str:
+    if "sigma_u" in gathered.result.point_data:
+        origin = gathered.get_attribute(schema.UNCERTAINTY, "noise_origin") or NOT_RECORDED
+        return f"fields of standard deviations, RMS over the nodes; the images' noise: {origin}"
+    if math.isfinite(gathered.noise_floor):
+        return "estimated from the residual, as if it were all noise; no static pair is recorded"
+    return NOT_RECORDED
+
+
+def find_field_metrology(gathered: Gathered) -> Metrology:
+    """Find resolution and noise of the field as it is, read at nodes.
+
+    Parameters
+    ----------
+    gathered : Gathered
+        The result and what belongs to it.
+
+    Returns
+    -------
+    Metrology
+        With the mean element size of the mesh; the noise is that of all nodes.
+    """
+    result = gathered.result
+    level = _find_mean_level([result.point_data[name] for name in ("sigma_u", "sigma_v") if name in result.point_data])
+    noise = level if math.isfinite(level) else gathered.noise_floor
+    # Outside of the mesh: of all its cells.
+    outside = PointProbe("field", (float(result.mesh.nodes[:, 0].min()) - 1e3, 0.0))
+    return estimate_metrology(result, outside, noise)
+
+
+def _find_mean_level(fields: Sequence[Any]) -> float:
+    return float(np.sqrt(np.nanmean(np.square(fields)))) if len(fields) else math.nan
+
+
+N_PLACES = 5
+"""Places that are marked; more crowd the picture."""
+
+APART = 0.08
+"""Least distance of two of them, relative to the diagonal of the mesh: one bad spot is one place."""
+
+EXCLUDED = {1: "excluded: no texture", 2: "excluded: it shows something else than the reference",
+            3: "excluded: too few of its pixels are in both images"}
+
+
+@dataclass(frozen=True)
+class WorstPlace:
+    """A cell with a large residual, the largest about.
+
+    Attributes
+    ----------
+    number : int
+        From 1, the worst.
+    x, y : float
+        Middle of the cell, pixels.
+    residual_rms : float
+        Grey levels.
+    equivalent_error : float
+        Displacement error that would leave this residual, pixels; nan where it is not known.
+    verdict : str
+        Doubtful, excluded, or nothing to complain about.
+    """
+
+    number: int
+    x: float
+    y: float
+    residual_rms: float
+    equivalent_error: float
+    verdict: str
+
+
+def find_worst_places(result: Result) -> list[WorstPlace]:
+    """Find the cells with the largest residual, far from one another.
+
+    Parameters
+    ----------
+    result : Result
+        A measured field.
+
+    Returns
+    -------
+    list of WorstPlace
+        The worst first; at most 5.
+    """
+    if schema.RESIDUAL_RMS not in result.cell_data:
+        return []
+    centres, rms = result.mesh.centroids, result.cell_data[schema.RESIDUAL_RMS]
+    nearest = APART * float(np.linalg.norm(np.ptp(result.mesh.nodes, axis=0)))
+    chosen: list[int] = []
+    for cell in np.argsort(-np.nan_to_num(rms, nan=-1.0), kind="stable"):
+        if len(chosen) == N_PLACES or not np.isfinite(rms[cell]):
+            break
+        if all(np.linalg.norm(centres[cell] - centres[other]) >= nearest for other in chosen):
+            chosen.append(int(cell))
+    return [_describe(result, number, cell) for number, cell in enumerate(chosen, start=1)]
+
+
+def _describe(result: Result, number: int, cell: int) -> WorstPlace:
+    data, (x, y) = result.cell_data, result.mesh.centroids[cell]
+    error = float(data[schema.EQUIVALENT_ERROR][cell]) if schema.EQUIVALENT_ERROR in data else float("nan")
+    excluded = int(data[schema.EXCLUDED][cell]) if schema.EXCLUDED in data else 0
+    doubtful = bool(data[schema.DOUBTFUL][cell]) if schema.DOUBTFUL in data else False
+    verdict = EXCLUDED.get(excluded, "doubtful: the residual is that of a wrong displacement" if doubtful
+                           else "not doubtful")
+    return WorstPlace(number, float(x), float(y), float(data[schema.RESIDUAL_RMS][cell]), error, verdict)

@@ -1,0 +1,304 @@
+"""The page of a report.
+
+The pictures of a report, as they stand in its page.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+from matplotlib.figure import Figure
+
+from ddic.io import result_schema as schema
+from ddic.io.input_file import as_path
+from ddic.io.replace_on_exit import replaced_on_exit
+from ddic.io.result_reader import Result
+from ddic.plots.canvas import draw_failures, draw_marks, find_length_unit
+from ddic.plots.curves import draw_corrections, draw_iterations, draw_krylov
+from ddic.plots.deformed import draw_deformed
+from ddic.plots.maps import (
+    Preview,
+    StrainChoice,
+    draw_displacement,
+    draw_strain,
+    pick_number,
+    pick_tensors,
+    read_preview,
+)
+from ddic.plots.residual import draw_grey_histogram, draw_residual, draw_residual_histogram
+from ddic.report.items import WorstPlace, find_field_metrology, find_worst_places, list_statements
+from ddic.report.statement import NOT_RECORDED, NOT_STATED, Gathered, gather_all
+
+SHOWN_PERCENT = 99.5
+"""Of the strains of nodes, those to either end of the colours."""
+
+DPI = 110
+"""Dots an inch: sharp on a screen, and some hundred kilobytes a picture."""
+
+
+Drawing = tuple[str, str, Callable[[], Figure]]
+"""Name, caption, and what draws it."""
+
+Drawn = tuple[str, str, Figure]
+"""Name, caption and page."""
+
+
+@dataclass(frozen=True)
+class EmbeddedFigure:
+    """A picture in a page.
+
+    Attributes
+    ----------
+    name : str
+        What it shows, in a word.
+    caption : str
+        Below it.
+    data : str
+        Its PNG as a data URI.
+    width, height : int
+        Dots.
+    """
+
+    name: str
+    caption: str
+    data: str
+    width: int
+    height: int
+
+
+def encode_report_figures(gathered: Gathered, places: Sequence[WorstPlace]) -> dict[str, list[EmbeddedFigure]]:
+    """Draw all pictures that a result allows, for a page that holds them itself.
+
+    Parameters
+    ----------
+    gathered : Gathered
+        The result and what belongs to it.
+    places : sequence of WorstPlace
+        That are marked in the residual.
+
+    Returns
+    -------
+    dict of list of EmbeddedFigure
+        By section: fields, residual, convergence, histograms.
+    """
+    return {section: [_encode(name, caption, figure) for name, caption, figure in drawn]
+            for section, drawn in draw_report_figures(gathered, places).items()}
+
+
+def draw_report_figures(gathered: Gathered, places: Sequence[WorstPlace]) -> dict[str, list[Drawn]]:
+    """Draw the figures of all pictures.
+
+    Parameters
+    ----------
+    gathered : Gathered
+        The result and what belongs to it.
+    places : sequence of WorstPlace
+        That are marked in the residual.
+
+    Returns
+    -------
+    dict of list of (str, str, Figure)
+        By section: name, caption and page of each.
+    """
+    previews = {name: read_preview(image) for name, image in gathered.images.items()}
+    drawings: dict[str, list[Drawing]] = {
+        "fields": _list_fields(gathered, previews.get("reference")),
+        "residual": [("residual", _caption_residual(gathered), partial(_draw_marked_residual, gathered, places))],
+        "convergence": _list_curves(gathered),
+        "histograms": _list_histograms(gathered, previews),
+    }
+    drawn = {section: [(name, caption, draw()) for name, caption, draw in listed]
+             for section, listed in drawings.items()}
+    for of_section in drawn.values():
+        for _, _, figure in of_section:
+            draw_failures(figure, [gathered.result])
+    return drawn
+
+
+def _list_fields(gathered: Gathered, image: Preview | None) -> list[Drawing]:
+    """Displacement and strain over the image, and the deformed mesh."""
+    result, unit = gathered.result, find_length_unit(gathered.result)
+    over = "over the reference image" if image is not None else "on the mesh; the reference image is not there"
+    drawn: list[Drawing] = [
+        (f"displacement {axis}", f"Displacement u_{axis} {over}.",
+         partial(draw_displacement, result, image, axis, unit)) for axis in ("x", "y")]
+    by_cell = schema.NODAL_INFINITESIMAL not in result.point_data
+    where = "in the middle of elements" if by_cell else "at nodes"
+    if not by_cell or schema.STRAIN_INFINITESIMAL in result.cell_data:
+        drawn += [(f"strain {pair}", f"Infinitesimal strain {pair} {where}, {over}; colours end at the {SHOWN_PERCENT} "
+                                     "% quantiles.",
+                   partial(_draw_strain, result, StrainChoice("infinitesimal", pair, by_cell), image))
+                  for pair in ("xx", "yy", "xy")]
+    caption = "The deformed mesh without its rigid motion, amplified as the title says, over the mesh at rest."
+    return [*drawn, ("deformed mesh", caption, partial(draw_deformed, result, unit=unit))]
+
+
+def _draw_strain(result: Result, choice: StrainChoice, image: Preview | None) -> Figure:
+    """Strain in colours that a few nodes at an edge do not decide."""
+    values = pick_number(pick_tensors(result, choice), choice.number or "xx")
+    known = values[np.isfinite(values)]
+    limits = None
+    if known.size:
+        low, high = np.percentile(known, [100.0 - SHOWN_PERCENT, SHOWN_PERCENT])
+        limits = (float(low), float(high)) if low < high else None
+    return draw_strain(result, choice, find_length_unit(result), limits, image=image)
+
+
+def _caption_residual(gathered: Gathered) -> str:
+    what = "by pixel" if gathered.result.residual_image is not None else "by element (no residual image was written)"
+    return (f"Correlation residual {what}. Even noise is what a good measurement leaves; the numbered places have the "
+            "largest residuals.")
+
+
+def _draw_marked_residual(gathered: Gathered, places: Sequence[WorstPlace]) -> Figure:
+    unit = find_length_unit(gathered.result)
+    figure = draw_residual(gathered.result, unit=unit)
+    draw_marks(figure.axes[0], [(place.x, place.y) for place in places], unit.size)
+    return figure
+
+
+def _list_curves(gathered: Gathered) -> list[Drawing]:
+    """Convergence of the displacement and of the linear step."""
+    result = gathered.result
+    drawn: list[Drawing] = []
+    if len(result.gauss_newton.get("iteration", ())):
+        drawn.append(("iterations", "Corrections of Gauss-Newton, and the residual before each of them.",
+                      partial(draw_iterations, result.gauss_newton, gathered.noise_floor)))
+    if len(result.corrections.get("correction", ())):
+        drawn.append(("corrections", "Corrections of PGD-DIC.", partial(draw_corrections, result.corrections)))
+    if any(len(history) for history in result.krylov):
+        drawn.append(("Krylov iterations", "Convergence of the interface problem in each iteration.",
+                      partial(draw_krylov, {"": result.krylov})))
+    return drawn
+
+
+def _list_histograms(gathered: Gathered, previews: dict[str, Preview]) -> list[Drawing]:
+    drawn: list[Drawing] = []
+    residual = gathered.result.residual_image
+    if residual is not None:
+        caption = "The residual beside a normal distribution: what stands above it in the tails is not noise."
+        drawn.append(("residual histogram", caption, partial(draw_residual_histogram, residual)))
+    if previews:
+        pixels = {name: preview.pixels for name, preview in previews.items()}
+        drawn.append(("grey-level histogram", "Grey levels of the images.", partial(draw_grey_histogram, pixels)))
+    return drawn
+
+
+def _encode(name: str, caption: str, figure: Figure) -> EmbeddedFigure:
+    """A figure as a PNG within the page."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=DPI)
+    width, height = (round(DPI * side) for side in figure.get_size_inches())
+    data = base64.b64encode(stream.getvalue()).decode("ascii")
+    return EmbeddedFigure(name, caption, f"data:image/png;base64,{data}", width, height)
+
+
+TEMPLATE = "template.html"
+
+PROVENANCE_FIRST = ("date", "command", "reference_path", "reference_sha256", "deformed_path", "deformed_sha256")
+"""What stands first in the table of provenance."""
+
+
+def write_report(result: Result, path: Path | str, image: Path | None = None) -> None:
+    """Write one self-contained HTML page on a measurement.
+
+    Parameters
+    ----------
+    result : Result
+        What was measured.
+    path : Path or str
+        The page.
+    image : Path, optional
+        Reference image in place of the one that the result names.
+
+    Raises
+    ------
+    InputError
+        Where the folder cannot be written to, or the image is missing.
+    """
+    path = as_path(path, "report")
+    gathered = gather_all(result, image)
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
+                                     lstrip_blocks=True)
+    template = environment.from_string(resources.files("ddic.report").joinpath(TEMPLATE).read_text(encoding="utf-8"))
+    places = find_worst_places(result)
+    page = template.render(
+        title=gathered.case.get("title") or result.path.stem or "measurement", file=result.path.name or "in memory",
+        result=result, absent=gathered.absent, key_numbers=_list_key_numbers(gathered),
+        statements=list_statements(gathered), not_recorded=NOT_RECORDED, not_stated=NOT_STATED,
+        pictures=encode_report_figures(gathered, places), places=[_write_place(place) for place in places],
+        phases=_list_phases(gathered), memory=_describe_memory(gathered), notes=list(gathered.summary.get("notes", ())),
+        case_path=gathered.get_attribute(schema.CASE, "path") or NOT_RECORDED,
+        case_text=str(gathered.get_attribute(schema.CASE, "toml") or ""),
+        provenance=_order_provenance(result.attributes.get(schema.PROVENANCE, {})))
+    with replaced_on_exit(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+def _list_key_numbers(gathered: Gathered) -> list[tuple[str, str]]:
+    """What is looked for first."""
+    result, known = gathered.result, find_field_metrology(gathered)
+    u = result.displacement[result.measured_nodes]
+    numbers = [(f"u_{axis}", _write_range(u[:, k], "px", "{:.3f}")) for k, axis in enumerate("xy")]
+    tensors = result.point_data.get(schema.NODAL_INFINITESIMAL)
+    if tensors is not None:
+        numbers += [(f"strain {pair}", _write_range(100.0 * tensors[:, k], "%", "{:.3f}"))
+                    for pair, k in (("xx", 0), ("yy", 1), ("xy", 3))]
+    return [*numbers, ("residual", _write(gathered.last_residual, "{:.3g} grey levels")),
+            ("displacement noise", _write(known.displacement_noise, "{:.2g} px")),
+            ("strain noise", _write(known.strain_noise, "{:.1e}")),
+            ("strain resolution", _write(known.strain_resolution, "{:.3g} px"))]
+
+
+def _write_range(values: np.ndarray[Any, Any], unit: str, form: str) -> str:
+    if not np.isfinite(values).any():
+        return "nothing measured"
+    return f"{form.format(np.nanmin(values))} to {form.format(np.nanmax(values))} {unit}"
+
+
+def _write(value: float, form: str) -> str:
+    return form.format(value) if math.isfinite(value) else NOT_RECORDED
+
+
+def _write_place(place: WorstPlace) -> tuple[str, ...]:
+    return (str(place.number), f"({place.x:.0f}, {place.y:.0f})", f"{place.residual_rms:.3g}",
+            _write(place.equivalent_error, "{:.3g}"), place.verdict)
+
+
+def _list_phases(gathered: Gathered) -> list[tuple[str, str, str, float]]:
+    """Phases, their wall seconds, CPU seconds and share of the longest in percent; the file's, then the summary's."""
+    table, summary = gathered.result.phases, gathered.summary
+    if len(table.get("phase", ())):
+        names = [name.decode() if isinstance(name, bytes) else str(name) for name in table["phase"]]
+        wall = dict(zip(names, map(float, table["seconds"]), strict=True))
+        cpu = dict(zip(names, map(float, table["cpu_seconds"]), strict=True))
+    else:
+        wall, cpu = {}, {}
+    # The file cannot hold the time of its own writing.
+    wall, cpu = {**wall, **summary.get("seconds", {})}, {**cpu, **summary.get("cpu_seconds", {})}
+    longest = max(wall.values(), default=1.0) or 1.0
+    rows = [(name, f"{seconds:.2f}", f"{cpu[name]:.2f}" if name in cpu else NOT_RECORDED, 100.0 * seconds / longest)
+            for name, seconds in wall.items()]
+    total = f"{sum(cpu.values()):.2f}" if set(cpu) >= set(wall) else NOT_RECORDED
+    return [*rows, ("sum", f"{sum(wall.values()):.2f}", total, 0.0)] if rows else []
+
+
+def _describe_memory(gathered: Gathered) -> str:
+    peaks: Sequence[int] = gathered.summary.get("peak_memory_bytes", ())
+    return ", ".join(f"{peak / 2**20:.0f} MiB" for peak in peaks) or NOT_RECORDED
+
+
+def _order_provenance(values: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """What repeats the measurement, first what identifies it."""
+    rest = sorted(set(values) - set(PROVENANCE_FIRST))
+    return [(name, str(values[name])) for name in (*PROVENANCE_FIRST, *rest) if name in values]

@@ -1,0 +1,349 @@
+"""The mesh and the fields of a measurement, piece by piece, streamed through rank 0.
+
+Strains at the nodes of a measured field, as the result file has them.
+
+The mesh as a result shows it: parts of cut cells as triangles, so that a discontinuity opens.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from ddic.functionals.correlation import Residual
+from ddic.io import result_schema as schema
+from ddic.io.result_writer import Piece, PieceSize, ResultWriter, join_pieces
+from ddic.kinematics.nodal_gradients import recover_gradients
+from ddic.kinematics.strain import (
+    compute_green_lagrange,
+    compute_hencky,
+    compute_infinitesimal,
+    compute_strain,
+    compute_von_mises_strain,
+    find_principal_strains,
+)
+from ddic.mesh.cell_type import T3
+from ddic.mesh.interpolation import evaluate_shapes_at
+from ddic.mesh.mesh import Mesh, join_meshes, pad_cells
+from ddic.parallel.distribution import stream_to_root, sum_shared_nodes
+from ddic.parallel.team import Team, require_held
+from ddic.partition.subdomain import Subdomain
+
+if TYPE_CHECKING:
+    from ddic.results.measurement import Measurement
+
+
+Array = NDArray[np.float64]
+
+
+def recover_nodal_gradients(team: Team, subdomains: Sequence[Subdomain], displacements: Sequence[Array]) -> list[Array]:
+    """Recover the displacement gradient at the nodes of all subdomains; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    subdomains : sequence of Subdomain
+        This rank's.
+    displacements : sequence of (n_dofs,) array
+        Of their nodes, the same at copies of a node, pixels.
+
+    Returns
+    -------
+    list of (n_nodes, 2, 2) array
+        du_c / dx_j, no unit; one value a node, whatever the partition.
+    """
+    mesh = join_meshes([subdomain.mesh for subdomain in subdomains])
+    ends = np.cumsum([subdomain.mesh.n_nodes for subdomain in subdomains])[:-1]
+
+    def sum_shared(sums: Sequence[Array]) -> list[Array]:
+        return [np.concatenate(sum_shared_nodes(team, subdomains, np.split(sums[0], ends)))]
+
+    gradients, = recover_gradients([mesh], [np.concatenate(displacements)], sum_shared)
+    return np.split(gradients, ends)
+
+
+def describe_nodal_strains(gradients: Array) -> dict[str, NDArray[Any]]:
+    """Compute all strains that the result file has at points.
+
+    Parameters
+    ----------
+    gradients : (n, 2, 2) array
+        du_c / dx_j, no unit.
+
+    Returns
+    -------
+    dict of (n,) or (n, 6) array
+        By name of the field, no unit.
+    """
+    large = compute_green_lagrange(gradients)
+    hencky = compute_hencky(large)
+    first, second = find_principal_strains(hencky).T
+    return {
+        schema.NODAL_INFINITESIMAL: convert_to_six_components(compute_infinitesimal(gradients)),
+        schema.NODAL_GREEN_LAGRANGE: convert_to_six_components(large),
+        schema.NODAL_HENCKY: convert_to_six_components(hencky),
+        schema.NODAL_PRINCIPAL_1: first,
+        schema.NODAL_PRINCIPAL_2: second,
+        schema.NODAL_VON_MISES: compute_von_mises_strain(hencky),
+    }
+
+
+def convert_to_six_components(tensor: Array) -> Array:
+    """Write tensors in the plane as VTK does.
+
+    Parameters
+    ----------
+    tensor : (n, 3) array
+        xx, yy, xy.
+
+    Returns
+    -------
+    (n, 6) array
+        xx, yy, zz, xy, yz, xz.
+    """
+    zero = np.zeros(len(tensor))
+    return np.stack([tensor[:, 0], tensor[:, 1], zero, tensor[:, 2], zero, zero], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnMesh:
+    """Cells and points of a subdomain as they are written.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        Whole cells as they are, each part of a cut one as triangles about its first corner.
+    node_ids : (mesh.n_nodes,) array of int64
+        Numbers of its points over the whole region: those of nodes, then those of parts' corners.
+    cells : (mesh.n_cells,) array of int64
+        The subdomain's cell that each cell is, or is a part of.
+    weights : (mesh.n_nodes, n_nodes) csr_matrix or None
+        Values at the points from those at the subdomain's nodes; None where they are the same.
+    """
+
+    mesh: Mesh
+    node_ids: NDArray[np.int64]
+    cells: NDArray[np.int64]
+    weights: sparse.csr_matrix | None = None
+
+    def interpolate(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Interpolate nodal values at the points.
+
+        Parameters
+        ----------
+        values : (n_nodes, k) array
+            At the subdomain's nodes.
+
+        Returns
+        -------
+        (mesh.n_nodes, k) array
+            At the points.
+        """
+        return values if self.weights is None else np.asarray(self.weights @ values)
+
+
+def draw_mesh(subdomain: Subdomain, n_nodes: int) -> DrawnMesh:
+    """Draw a subdomain's mesh.
+
+    Parameters
+    ----------
+    subdomain : Subdomain
+        Perhaps with parts of cut cells.
+    n_nodes : int
+        Of the whole region's mesh, after which corners of parts are numbered.
+
+    Returns
+    -------
+    DrawnMesh
+        The mesh itself where no cell is cut.
+    """
+    mesh, parts = subdomain.mesh, subdomain.mesh.parts
+    if parts is None or not parts.n_parts:
+        return DrawnMesh(mesh, subdomain.node_ids, np.arange(mesh.n_cells))
+    whole = np.setdiff1d(np.arange(mesh.n_cells), parts.cells)
+    whole_mesh, kept = mesh.create_submesh(whole)
+    n_corners = np.diff(parts.offsets)
+    part_of_corner = np.repeat(np.arange(len(parts.cells)), n_corners)
+    part_of_triangle = np.repeat(np.arange(len(parts.cells)), n_corners - 2)
+    place = np.arange(len(part_of_triangle)) - np.searchsorted(part_of_triangle, part_of_triangle)
+    apex = parts.offsets[part_of_triangle]
+    triangles = np.stack([apex, apex + place + 1, apex + place + 2], axis=1) + len(kept)
+    drawn = Mesh(
+        np.concatenate([whole_mesh.nodes, parts.corners]),
+        np.concatenate([whole_mesh.connectivity, triangles.ravel()]),
+        np.concatenate([whole_mesh.offsets, whole_mesh.offsets[-1] + 3 * np.arange(1, len(triangles) + 1)]),
+        np.concatenate([whole_mesh.types, np.full(len(triangles), T3.vtk, np.uint8)]),
+        mapping=mesh.mapping)
+    numbers = parts.first_numbers[part_of_corner] + np.arange(len(parts.corners)) - parts.offsets[part_of_corner]
+    node_ids = np.concatenate([subdomain.node_ids[kept], n_nodes + numbers])
+    cells = np.concatenate([whole, parts.cells[part_of_triangle]])
+    at_nodes = sparse.csr_matrix((np.ones(len(kept)), (np.arange(len(kept)), kept)), (len(kept), mesh.n_nodes))
+    weights = sparse.vstack([at_nodes, _weigh_corners(mesh, parts.cells[part_of_corner], parts.corners)])
+    return DrawnMesh(drawn, node_ids, cells, weights.tocsr())
+
+
+def _weigh_corners(mesh: Mesh, cells: NDArray[np.int64], corners: NDArray[np.float64]) -> sparse.csr_matrix:
+    """Shape functions of each corner's cell there, (n_corners, n_nodes)."""
+    shapes = evaluate_shapes_at(mesh, cells, corners)
+    rows = np.repeat(np.arange(len(corners)), shapes.shape[1])
+    columns = pad_cells(mesh)[cells].ravel()
+    return sparse.csr_matrix((shapes.ravel(), (rows, columns)), (len(corners), mesh.n_nodes))
+
+
+BATCH_POINTS = 1 << 14
+"""Points from which on pieces are sent and written together (about 6 MB); a larger value takes memory on rank 0."""
+
+
+@dataclass(frozen=True)
+class _Batch:
+    """Pieces that follow each other, joined."""
+
+    n_pieces: int
+    pieces: Piece
+
+
+def write_pieces(measurement: Measurement, writer: ResultWriter | None) -> None:
+    """Write the mesh and the fields of all subdomains; collective.
+
+    Parameters
+    ----------
+    measurement : Measurement
+        What was measured.
+    writer : ResultWriter or None
+        On rank 0.
+    """
+    team, images = measurement.team, measurement.inputs.case.images
+    n_nodes = measurement.region.n_nodes
+    drawn = [draw_mesh(subdomain, n_nodes) for subdomain in measurement.subdomains]
+    sizes = team.gather_lists([_size(piece.mesh) for piece in drawn])
+    length_unit = None if images.pixel_size is None else images.length_unit
+    at_points = (*schema.point_fields(length_unit), *schema.nodal_strain_fields())
+    on_cells = schema.cell_fields(len(measurement.cameras))
+    uncertainty = measurement.uncertainty
+    if uncertainty is not None:
+        at_points = (*at_points, *schema.uncertainty_point_fields(regularized=uncertainty.bias is not None))
+        on_cells = (*on_cells, *schema.uncertainty_cell_fields())
+    team.build_on_root(lambda: require_held(writer).create_pieces(sizes, at_points, on_cells))
+    gradients = recover_nodal_gradients(team, measurement.subdomains, measurement.displacements)
+    n_written = 0
+
+    def write(batch: _Batch) -> None:
+        nonlocal n_written
+        numbers = range(n_written, n_written + batch.n_pieces)
+        require_held(writer).write_pieces(numbers, batch.pieces)
+        n_written = numbers.stop
+
+    stream_to_root(team, _make_batches(measurement, drawn, gradients), write)
+
+
+def _size(mesh: Mesh) -> PieceSize:
+    return PieceSize(mesh.n_nodes, mesh.n_cells, len(mesh.connectivity))
+
+
+def _group(counts: Sequence[int]) -> Iterator[range]:
+    """Numbers of pieces that follow each other, up to a size that bounds what rank 0 holds at a time."""
+    first, n_points = 0, 0
+    for number, count in enumerate(counts, start=1):
+        n_points += count
+        if n_points >= BATCH_POINTS or number == len(counts):
+            yield range(first, number)
+            first, n_points = number, 0
+
+
+def _make_batches(measurement: Measurement, drawn: Sequence[DrawnMesh],
+                  gradients: Sequence[NDArray[np.float64]]) -> Iterator[_Batch]:
+    """Pieces of owned subdomains, joined; gradients: of the displacement at their nodes, (n_nodes, 2, 2) each."""
+    displacements, subdomains = measurement.displacements, measurement.subdomains
+    for numbers in _group([piece.mesh.n_nodes for piece in drawn]):
+        joined = join_pieces([_make_piece(measurement, drawn[number], number, displacements[number])
+                              for number in numbers])
+        # Strains of all at once: for one small piece after the other, numpy's calls take longer than their sums.
+        of_points = np.concatenate([drawn[number].interpolate(gradients[number].reshape(-1, 4)) for number in numbers])
+        meshes = [subdomains[number].mesh for number in numbers]
+        strain = compute_strain(join_meshes(meshes), np.concatenate([displacements[number] for number in numbers]))
+        first_cells = np.cumsum([0, *(mesh.n_cells for mesh in meshes)])
+        cells = np.concatenate([drawn[number].cells + first_cells[k] for k, number in enumerate(numbers)])
+        on_cells = {schema.STRAIN_INFINITESIMAL: convert_to_six_components(strain.infinitesimal[cells]),
+                    schema.STRAIN_GREEN_LAGRANGE: convert_to_six_components(strain.green_lagrange[cells])}
+        at_points = describe_nodal_strains(of_points.reshape(-1, 2, 2))
+        yield _Batch(len(numbers), replace(joined, point_data={**joined.point_data, **at_points},
+                                           cell_data={**joined.cell_data, **on_cells}))
+
+
+def _make_piece(measurement: Measurement, drawn: DrawnMesh, number: int, u: NDArray[np.float64]) -> Piece:
+    """The piece of an owned subdomain, given by its place, without the strains of its field."""
+    mesh = drawn.mesh
+    on_cells = {**_cell_data(measurement, number), **_cell_deviations(measurement, number)}
+    return Piece(mesh.nodes, mesh.connectivity, mesh.offsets, mesh.types,
+                 {**_point_data(measurement, drawn, u), **_point_deviations(measurement, drawn, number)},
+                 {name: values[drawn.cells] for name, values in on_cells.items()})
+
+
+def _point_data(measurement: Measurement, drawn: DrawnMesh, u: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
+    pixel_size = measurement.inputs.case.images.pixel_size
+    vectors = drawn.interpolate(u.reshape(-1, drawn.mesh.dim))
+    data: dict[str, NDArray[Any]] = {
+        schema.DISPLACEMENT: vectors,
+        schema.DISPLACEMENT_MESH_UNITS: measurement.region.mapping.map_vectors_to_mesh_units(vectors),
+        schema.GLOBAL_NODE_ID: drawn.node_ids,
+    }
+    if pixel_size is not None:
+        data[schema.DISPLACEMENT_PHYSICAL] = vectors * pixel_size
+    return data
+
+
+def _point_deviations(measurement: Measurement, drawn: DrawnMesh, number: int) -> dict[str, NDArray[Any]]:
+    """Standard deviations and bias at the points of an owned subdomain, given by its place; nothing without them."""
+    uncertainty = measurement.uncertainty
+    if uncertainty is None:
+        return {}
+    found = uncertainty.deviations[number]
+    data: dict[str, NDArray[Any]] = {}
+    for names, values in ((schema.SIGMA_DISPLACEMENT, found.displacement),
+                          (schema.SIGMA_NODAL_STRAIN, found.nodal_strain)):
+        data |= dict(zip(names, drawn.interpolate(values).T, strict=True))
+    if uncertainty.bias is not None:
+        data[schema.REGULARIZATION_BIAS] = drawn.interpolate(uncertainty.bias[number])
+    return data
+
+
+def _cell_deviations(measurement: Measurement, number: int) -> dict[str, NDArray[Any]]:
+    """Standard deviations on the cells of an owned subdomain, given by its place; nothing without them."""
+    uncertainty = measurement.uncertainty
+    if uncertainty is None:
+        return {}
+    return dict(zip(schema.SIGMA_CELL_STRAIN, uncertainty.deviations[number].cell_strain.T, strict=True))
+
+
+def _cell_data(measurement: Measurement, number: int) -> dict[str, NDArray[Any]]:
+    """Fields on the cells of an owned subdomain, given by its place, but for strains."""
+    subdomain = measurement.subdomains[number]
+    own_residual = measurement.evaluation.residuals[number][0]
+    errors = measurement.cell_errors[number]
+    n_cells = subdomain.mesh.n_cells
+    data: dict[str, NDArray[Any]] = {
+        schema.RESIDUAL_RMS: _residual_rms(measurement, subdomain.camera, own_residual),
+        schema.RESIDUAL_N_PIXELS: own_residual.cell_sums.n_pixels.astype(np.int64),
+        schema.EQUIVALENT_ERROR: errors.equivalent,
+        schema.DOUBTFUL: errors.doubtful.astype(np.uint8),
+        schema.EXCLUDED: measurement.excluded.cells[number][0],
+        schema.SUBDOMAIN_ID: np.full(n_cells, subdomain.index, dtype=np.int32),
+        schema.GLOBAL_CELL_ID: subdomain.cell_ids,
+    }
+    if len(measurement.cameras) > 1:
+        data[schema.CAMERA] = np.full(n_cells, subdomain.camera, dtype=np.int32)
+    return data
+
+
+def _residual_rms(measurement: Measurement, camera: int, residual: Residual) -> NDArray[np.float64]:
+    """Root mean square of each cell's residual, grey levels; nan where it has no pixel."""
+    correction = measurement.model.find_correction(measurement.evaluation, camera, residual)
+    _, squares = residual.cell_sums.sum_residual(*correction)
+    n = residual.cell_sums.n_pixels
+    return np.where(n > 0, np.sqrt(squares / np.maximum(n, 1.0)), np.nan)

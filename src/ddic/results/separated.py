@@ -1,0 +1,343 @@
+"""A displacement measured by PGD-DIC, and how it was measured.
+
+Tables and attributes of a PGD-DIC measurement in the result file.
+
+The cells on which a separated displacement is written out, and what the residual says of them.
+
+What follows the last correction of PGD-DIC: the residual image, and what it says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.case.schema import ImagesSection
+from ddic.functionals.grey_statistics import GreyCorrection
+from ddic.images.window import Window
+from ddic.inputs.cameras import Camera, Frame
+from ddic.inputs.inputs import Inputs
+from ddic.inputs.rectangle import choose_output_lines
+from ddic.io import result_schema as schema
+from ddic.io.hdf5_stream import ChunkGrid
+from ddic.io.result_writer import Piece, PieceSize, ResultWriter
+from ddic.kinematics.nodal_gradients import recover_gradients
+from ddic.kinematics.strain import compute_strain
+from ddic.mesh.cell_type import Q4
+from ddic.mesh.mesh import Mesh, build_mesh
+from ddic.mesh.structured import Grid
+from ddic.parallel.team import Team, require_held
+from ddic.problem.separated_problem import SeparatedProblem
+from ddic.problem.weighted_problem import ProblemSize
+from ddic.results.fields import convert_to_six_components, describe_nodal_strains
+from ddic.results.histories import write_separated_tables
+from ddic.results.publishing import describe_image
+from ddic.results.residual_image import Patch, pack_chunks, stream_chunks
+from ddic.separated.corrections import SeparatedSolution
+from ddic.separated.field import LineElements, SeparatedField
+from ddic.separated.pixel_bands import FramePixels, ReferencePixels
+from ddic.visibility.cell_errors import CellErrors, CellResiduals, describe_doubtful_cells, find_cell_errors
+from ddic.visibility.exclusions import KEPT, UNSEEN
+
+Array = NDArray[np.float64]
+Rows = tuple[range, NDArray[np.float32]]
+
+
+@dataclass(frozen=True, eq=False)
+class OutputCells:
+    """Cells between some lines of a rectangle.
+
+    Attributes
+    ----------
+    x, y : (n,) array
+        The lines, pixels.
+    n_pixels : (n_rows n_columns,) array
+        That count, row by row.
+    residual_rms : (n_rows n_columns,) array
+        Grey levels; nan where no pixel counts.
+    errors : CellErrors
+        What the residual says about them.
+    notes : tuple of str
+        For the user.
+    """
+
+    x: Array
+    y: Array
+    n_pixels: Array
+    residual_rms: Array
+    errors: CellErrors
+    notes: tuple[str, ...]
+
+    def build_mesh(self) -> Mesh:
+        """Mesh them.
+
+        Returns
+        -------
+        Mesh
+            Of Q4 cells, row by row.
+        """
+        grid = Grid(self.x, self.y)
+        return build_mesh(grid.nodes, {Q4: grid.quads})
+
+    def evaluate_displacement(self, field: SeparatedField) -> Array:
+        """Evaluate a displacement at their nodes.
+
+        Parameters
+        ----------
+        field : SeparatedField
+            The displacement.
+
+        Returns
+        -------
+        (n_nodes, 2) array
+            Row by row, pixels.
+        """
+        return field.evaluate_on_grid(self.x, self.y).reshape(-1, 2)
+
+
+def evaluate_output_cells(team: Team, lines: tuple[Array, Array], reference: ReferencePixels,
+                       residual: Sequence[Rows]) -> OutputCells:
+    """Sum the residual over cells; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    lines : tuple of (n,) array
+        Between the cells, along x and along y, pixels.
+    reference : ReferencePixels
+        The reference image.
+    residual : sequence of (range, (n_rows, width) array)
+        Residual of this rank's bands, grey levels, grey levels corrected.
+
+    Returns
+    -------
+    OutputCells
+        The same on all ranks.
+    """
+    x, y = lines
+    sums = team.sum(sum((_sum_band(LineElements(x), LineElements(y), reference, number, rows)
+                         for number, rows in enumerate(residual)), np.zeros((4, len(y) - 1, len(x) - 1))))
+    n, r, rr, slopes = sums.reshape(4, -1)
+    safe = np.maximum(n, 1.0)
+    # The mean of a cell's residual is brightness, not displacement.
+    variance = np.where(n > 0, np.maximum(rr / safe - (r / safe) ** 2, 0.0), np.nan)
+    residuals = CellResiduals(0, n, variance, slopes / safe)
+    errors = find_cell_errors(team, [residuals] if team.is_root else [])
+    notes = describe_doubtful_cells(team, errors)
+    rms = np.where(n > 0, np.sqrt(np.maximum(rr / safe, 0.0)), np.nan)
+    return OutputCells(x, y, n, rms, team.broadcast(errors[0] if team.is_root else None), notes)
+
+
+def _sum_band(along_x: LineElements, along_y: LineElements, reference: ReferencePixels, number: int,
+              rows: Rows) -> Array:
+    """Sums over the pixels of a band of (1, r, r^2, |grad f|^2) in each cell, (4, n_rows, n_columns)."""
+    band, r = reference.bands[number], rows[1].astype(np.float64)
+    counts = np.isfinite(r)
+    r[~counts] = 0.0
+    slopes = np.where(counts, band.by_x.astype(np.float64)**2 + band.by_y.astype(np.float64)**2, 0.0)
+    starts = np.searchsorted(np.arange(reference.along_x.pixels.start, reference.along_x.pixels.stop),
+                             along_x.nodes[:-1])
+    places = np.searchsorted(along_y.nodes, np.array(rows[0]), side="right") - 1
+    sums = np.zeros((4, along_y.n_nodes - 1, along_x.n_nodes - 1))
+    for k, image in enumerate((counts.astype(np.float64), r, r**2, slopes)):
+        np.add.at(sums[k], np.clip(places, 0, along_y.n_nodes - 2), np.add.reduceat(image, starts, axis=1))
+    return sums
+
+
+def write_output_cells(writer: ResultWriter, cells: OutputCells, field: SeparatedField,
+                       images: ImagesSection) -> None:
+    """Write cells with the displacement at their nodes; on rank 0.
+
+    Parameters
+    ----------
+    writer : ResultWriter
+        Open.
+    cells : OutputCells
+        Whose nodes are nodes of the elements too.
+    field : SeparatedField
+        The displacement.
+    images : ImagesSection
+        Of the case: size of a pixel.
+    """
+    mesh = cells.build_mesh()
+    displacement = cells.evaluate_displacement(field)
+    length_unit = None if images.pixel_size is None else images.length_unit
+    writer.create_pieces([PieceSize(mesh.n_nodes, mesh.n_cells, len(mesh.connectivity))],
+                         (*schema.point_fields(length_unit), *schema.nodal_strain_fields()), schema.cell_fields())
+    point_data: dict[str, NDArray[Any]] = {
+        schema.DISPLACEMENT: displacement,
+        schema.DISPLACEMENT_MESH_UNITS: displacement,
+        schema.GLOBAL_NODE_ID: np.arange(mesh.n_nodes),
+        **describe_nodal_strains(recover_gradients([mesh], [displacement.ravel()], list)[0]),
+    }
+    if images.pixel_size is not None:
+        point_data[schema.DISPLACEMENT_PHYSICAL] = displacement * images.pixel_size
+    writer.write_pieces(range(1), Piece(mesh.nodes, mesh.connectivity, mesh.offsets, mesh.types, point_data,
+                                        _describe_cells(mesh, cells, displacement)))
+
+
+def _describe_cells(mesh: Mesh, cells: OutputCells, displacement: Array) -> dict[str, NDArray[Any]]:
+    strain = compute_strain(mesh, displacement.ravel())
+    return {
+        schema.STRAIN_INFINITESIMAL: convert_to_six_components(strain.infinitesimal),
+        schema.STRAIN_GREEN_LAGRANGE: convert_to_six_components(strain.green_lagrange),
+        schema.RESIDUAL_RMS: cells.residual_rms,
+        schema.RESIDUAL_N_PIXELS: cells.n_pixels.astype(np.int64),
+        schema.EQUIVALENT_ERROR: cells.errors.equivalent,
+        schema.DOUBTFUL: cells.errors.doubtful.astype(np.uint8),
+        schema.EXCLUDED: np.where(cells.n_pixels > 0, KEPT, UNSEEN).astype(np.uint8),
+        schema.SUBDOMAIN_ID: np.zeros(mesh.n_cells, dtype=np.int32),
+        schema.GLOBAL_CELL_ID: np.arange(mesh.n_cells),
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class SeparatedMeasurement:
+    """A measured displacement as a sum of products, known to all ranks; pixels are spread over them.
+
+    Attributes
+    ----------
+    problem : SeparatedProblem
+        What was measured: reference image, rectangle and settings.
+    frame : Frame
+        The deformed image.
+    solution : SeparatedSolution
+        The displacement and its corrections.
+    cells : OutputCells
+        On which the displacement is written out, with what the residual says of them.
+    residual_rows : list of (range, (n_rows, width) array)
+        Residual image of this rank's bands, grey levels.
+    notes : tuple of str
+        What the user should know.
+    failure : str
+        Why it is no result; empty where it converged.
+    """
+
+    problem: SeparatedProblem
+    frame: Frame
+    solution: SeparatedSolution
+    cells: OutputCells
+    residual_rows: list[tuple[range, NDArray[np.float32]]]
+    notes: tuple[str, ...]
+    failure: str = ""
+
+    @property
+    def grey_correction(self) -> GreyCorrection:
+        """Correction of grey levels that was taken."""
+        return self.problem.scheme.correction
+
+    @property
+    def team(self) -> Team:
+        """All ranks."""
+        return self.problem.team
+
+    @property
+    def inputs(self) -> Inputs:
+        """Reference image and settings."""
+        return self.problem.inputs
+
+    @property
+    def size(self) -> ProblemSize:
+        """Sizes and weights."""
+        return self.problem.size
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """The camera with its reference image."""
+        return self.inputs.cameras
+
+    @property
+    def unknowns(self) -> SeparatedField:
+        """What another frame may start from."""
+        return self.solution.field
+
+    def at(self, points: Array) -> Array:
+        """Evaluate the displacement.
+
+        Parameters
+        ----------
+        points : (n, 2) array
+            Pixels.
+
+        Returns
+        -------
+        (n, 2) array
+            Pixels; nan outside the rectangle.
+        """
+        return self.solution.field.at(points)
+
+    def write(self, writer: ResultWriter | None) -> None:
+        """Write the products, the displacement on cells, tables and the residual image; collective.
+
+        Parameters
+        ----------
+        writer : ResultWriter or None
+            Open on rank 0, None elsewhere.
+        """
+        self.team.build_on_root(lambda: self._write_on_root(require_held(writer)))
+        if self.inputs.case.output.residual_image:
+            self._write_residual_image(writer)
+
+    def _write_on_root(self, writer: ResultWriter) -> None:
+        write_output_cells(writer, self.cells, self.solution.field, self.inputs.case.images)
+        writer.write_separated(self.solution.field)
+        write_separated_tables(self, writer)
+        writer.write_status(self.failure)
+
+    def _write_residual_image(self, writer: ResultWriter | None) -> None:
+        image, columns = self.cameras[0].reference.image, self.problem.rectangle.along_x.pixels
+        grid = ChunkGrid(image.width, image.height)
+        self.team.build_on_root(lambda: require_held(writer).create_residual_image(grid))
+        patches = [Patch(Window(columns.start, rows.start, columns.stop, rows.stop), values)
+                   for rows, values in self.residual_rows]
+        chunks = pack_chunks(self.team, grid, [patch.window for patch in patches], iter(patches))
+        stream_chunks(self.team, chunks, lambda chunk: require_held(writer).write_residual_chunk(chunk.number,
+                                                                                               chunk.data))
+
+    def describe_origin(self) -> dict[str, str | int]:
+        """Say what it was measured from.
+
+        Returns
+        -------
+        dict
+            Sizes, and the images with their checksums.
+        """
+        return {"n_ranks": self.size.n_ranks, "n_subdomains": self.size.n_subdomains, "method": schema.PGD,
+                **describe_image("reference", self.cameras[0].reference.image),
+                **describe_image("deformed", self.frame[0].image)}
+
+
+def finish_separated(problem: SeparatedProblem, frame: Frame, pixels: FramePixels, notes: tuple[str, ...],
+                     solution: SeparatedSolution, failure: str = "") -> SeparatedMeasurement:
+    """Compute the residual image and judge cells; collective.
+
+    Parameters
+    ----------
+    problem : SeparatedProblem
+        What was measured.
+    frame : Frame
+        The deformed image.
+    pixels : FramePixels
+        Of this rank.
+    notes : tuple of str
+        So far.
+    solution : SeparatedSolution
+        The displacement.
+    failure : str, optional
+        Why the displacement is no result; nothing where it converged.
+
+    Returns
+    -------
+    SeparatedMeasurement
+        Spread over ranks.
+    """
+    residual = pixels.compute_residual_rows(solution.field, solution.grey.gain, solution.grey.offset)
+    lines = choose_output_lines(problem.inputs.case, problem.rectangle)
+    cells = evaluate_output_cells(problem.team, lines, problem.reference, residual)
+    notes = (*problem.inputs.notes, *notes, failure or solution.stop, *cells.notes)
+    return SeparatedMeasurement(problem, frame, solution, cells, residual, notes, failure)

@@ -1,0 +1,326 @@
+"""What a sweep over cut-off wavelengths and element sizes found, and which of them it recommends.
+
+Tables of a sweep: for people, and as comma-separated values.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.errors import ConvergenceError
+from ddic.io.replace_on_exit import NewFiles, begin_files
+from ddic.plots.sweep import SweptElements
+
+Array = NDArray[np.float64]
+
+NO_WORSE = 1.02
+"""Error over the least one up to which larger elements and a longer cut-off wavelength are preferred. A larger value
+smooths more."""
+
+IN_DOUBT = 1.25
+"""The same, as the residual predicts the errors, from which on the recommendation is called doubtful."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An element size and a cut-off wavelength.
+
+    Attributes
+    ----------
+    element_size : float or None
+        Pixels; None where the case's own elements stay.
+    wavelength : float
+        l_c, pixels; 0 without regularization.
+    """
+
+    element_size: float | None
+    wavelength: float
+
+    def describe(self) -> str:
+        """Say what it is.
+
+        Returns
+        -------
+        str
+            For messages and tables.
+        """
+        gap = f"l_c = {self.wavelength:g} px" if self.wavelength else "no regularization"
+        return gap if self.element_size is None else f"elements of {self.element_size:g} px, {gap}"
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A candidate and how it measured the pair and the virtual images.
+
+    Attributes
+    ----------
+    candidate : Candidate
+        What was tried.
+    displacement : (n_points, 2) array
+        Measured of the pair at the points of the sweep, pixels; nan where nothing was measured.
+    residual : float
+        RMS over the pixels that count, grey levels.
+    n_pixels : int
+        Their number.
+    gap : float
+        RMS of the forces that are out of equilibrium at interior nodes, over Young's modulus, 1/px.
+    degrees_of_freedom : float
+        tr(A^-1 M) and what the correction of grey levels takes, no unit.
+    noise : float
+        RMS of a component at nodes that camera noise is expected to leave, pixels.
+    predicted_error : float
+        RMS error of a component that the residual predicts, pixels; nan before it is known.
+    virtual_error : float
+        RMS error of a component on the virtual images, pixels; nan where they were not measured.
+    failure : str
+        Why there is no measurement; empty where there is one.
+    """
+
+    candidate: Candidate
+    displacement: Array
+    residual: float = np.nan
+    n_pixels: int = 0
+    gap: float = np.nan
+    degrees_of_freedom: float = np.nan
+    noise: float = np.nan
+    predicted_error: float = np.nan
+    virtual_error: float = np.nan
+    failure: str = ""
+
+    @property
+    def short_failure(self) -> str:
+        """The first clause of why there is no measurement."""
+        return re.split(r" \(|[;:\n]", self.failure, maxsplit=1)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """All trials of a sweep and the recommendation.
+
+    Attributes
+    ----------
+    trials : tuple of Trial
+        In the order in which they were measured; the case's own settings first.
+    points : (n_points, 2) array
+        Where errors are taken, pixels.
+    camera_noise : float
+        Standard deviation of one image's noise, estimated from the residual, grey levels.
+    truth : int
+        Number of the trial whose roughened field the virtual images have.
+    recommended : int
+        Number of the trial that is recommended.
+    """
+
+    trials: tuple[Trial, ...]
+    points: Array
+    camera_noise: float
+    truth: int
+    recommended: int
+
+    @property
+    def best(self) -> Trial:
+        """The trial that is recommended."""
+        return self.trials[self.recommended]
+
+    def describe_recommendation(self) -> str:
+        """Say what is recommended and why.
+
+        Returns
+        -------
+        str
+            One line.
+        """
+        best, own = self.best, self.trials[0]
+        n_measured = sum(bool(np.isfinite(trial.virtual_error)) for trial in self.trials)
+        reason = (f"error of {best.virtual_error:.2g} px RMS on the virtual images, within "
+                  f"{100 * (NO_WORSE - 1):.0f} % of the least of {n_measured} settings")
+        if best is not own and np.isfinite(own.virtual_error):
+            reason += f"; the case's own settings: {own.virtual_error:.2g} px"
+        notes = [*self._note_ends(), *self._note_doubt()]
+        return "; ".join([f"recommended: {best.candidate.describe()}: {reason}", *notes])
+
+    def describe_case(self) -> str:
+        """Say what to write into the case file.
+
+        Returns
+        -------
+        str
+            Sections and keys.
+        """
+        best = self.best.candidate
+        lines = [] if best.element_size is None else ["[mesh.structured]", f"element_size = {best.element_size:g}"]
+        gap = ["[regularization]", f"cut_off_wavelength = {best.wavelength:g}"]
+        return "\n".join([*lines, *(gap if best.wavelength else ["# without [regularization]"])])
+
+    def _note_ends(self) -> list[str]:
+        """What lies beyond the sweep on the side of its best."""
+        best = self.best.candidate
+        measured = [trial.candidate for trial in self.trials if np.isfinite(trial.virtual_error)]
+        notes = []
+        sizes = {candidate.element_size for candidate in measured if candidate.element_size is not None}
+        if best.element_size is not None and len(sizes) > 1 and best.element_size in (min(sizes), max(sizes)):
+            side = "smaller" if best.element_size == min(sizes) else "larger"
+            notes.append(f"no {side} elements were tried")
+        lengths = {candidate.wavelength for candidate in measured}
+        if len(lengths) > 1 and best.wavelength == max(lengths):
+            notes.append("no longer l_c was tried")
+        return notes
+
+    def _note_doubt(self) -> list[str]:
+        """Whether the residual of the pair itself would choose otherwise."""
+        predicted = np.array([trial.predicted_error for trial in self.trials])
+        if not np.isfinite(predicted).any():
+            return []
+        least = int(np.nanargmin(predicted))
+        if not self.best.predicted_error > IN_DOUBT * predicted[least]:
+            return []
+        return [f"in doubt: the residual of the pair predicts {self.best.predicted_error:.2g} px here and "
+                f"{predicted[least]:.2g} px with {self.trials[least].candidate.describe()}"]
+
+
+def choose_trial(trials: Sequence[Trial]) -> int:
+    """Choose the largest elements, then the longest wavelength, whose error is next to the least.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        With errors on virtual images.
+
+    Returns
+    -------
+    int
+        Its number.
+
+    Raises
+    ------
+    ConvergenceError
+        Where no trial has an error.
+    """
+    errors = np.array([trial.virtual_error for trial in trials])
+    if not np.isfinite(errors).any():
+        raise ConvergenceError("no setting of the sweep measures the virtual images; give longer --lengths or larger "
+                               "--elements")
+    near = np.flatnonzero(errors <= NO_WORSE * np.nanmin(errors))
+    return int(max(near, key=lambda k: (trials[k].candidate.element_size or 0.0, trials[k].candidate.wavelength)))
+
+
+COLUMNS = ("element size [px]", "l_c [px]", "residual [grey levels]", "gap [1/px]", "degrees of freedom",
+           "noise at nodes [px]", "predicted error [px]", "virtual error [px]")
+"""Of the table that is printed."""
+
+_FIELDS = ("element_size_px", "cut_off_wavelength_px", "residual_grey_levels", "gap_per_px", "degrees_of_freedom",
+           "noise_at_nodes_px", "predicted_error_px", "virtual_error_px", "recommended", "failure")
+
+
+def format_rows(sweep: Sweep) -> list[tuple[str, ...]]:
+    """Format the rows of the table that is printed, by element size and wavelength.
+
+    Parameters
+    ----------
+    sweep : Sweep
+        What was found.
+
+    Returns
+    -------
+    list of tuple of str
+        A text for each of COLUMNS.
+    """
+    rows = []
+    for trial in _sort(sweep):
+        cells = _format_cells(trial)
+        if trial.failure:
+            cells[-1] = "not measured"
+        elif trial is sweep.best:
+            cells[-1] += " <"
+        rows.append(tuple(cells))
+    return rows
+
+
+def list_failures(sweep: Sweep) -> list[str]:
+    """List why some candidates have no error.
+
+    Parameters
+    ----------
+    sweep : Sweep
+        What was found.
+
+    Returns
+    -------
+    list of str
+        A line for each of them.
+    """
+    return [f"not measured: {trial.candidate.describe()}: {trial.short_failure}"
+            for trial in _sort(sweep) if trial.failure]
+
+
+def write_sweep(sweep: Sweep, path: Path, files: NewFiles | None = None) -> None:
+    """Write a row for each trial as comma-separated values.
+
+    Parameters
+    ----------
+    sweep : Sweep
+        What was found.
+    path : Path
+        The file.
+    files : NewFiles, optional
+        With which it takes its name; by default it does so by itself.
+
+    Raises
+    ------
+    OSError
+        Where it cannot be written; no half-written file stays.
+    """
+    with begin_files(files) as new, new.begin(path).open("w", newline="", encoding="utf-8") as stream:
+        table = csv.writer(stream)
+        table.writerow(_FIELDS)
+        for trial in _sort(sweep):
+            table.writerow([*_format_cells(trial), int(trial is sweep.best), trial.failure])
+
+
+def collect_by_size(sweep: Sweep) -> list[SweptElements]:
+    """Group trials by element size, as curves are drawn.
+
+    Parameters
+    ----------
+    sweep : Sweep
+        What was found.
+
+    Returns
+    -------
+    list of SweptElements
+        By size.
+    """
+    trials = _sort(sweep)
+    groups = []
+    for size in dict.fromkeys(trial.candidate.element_size for trial in trials):
+        members = [trial for trial in trials if trial.candidate.element_size == size]
+        recommended = next((k for k, trial in enumerate(members) if trial is sweep.best), None)
+        groups.append(SweptElements("of the mesh file" if size is None else f"{size:g} px",
+                                    np.array([trial.candidate.wavelength for trial in members]),
+                                    _collect(members, "residual"), _collect(members, "gap"),
+                                    _collect(members, "predicted_error"), _collect(members, "virtual_error"),
+                                    recommended))
+    return groups
+
+
+def _collect(trials: list[Trial], name: str) -> NDArray[np.float64]:
+    return np.array([getattr(trial, name) for trial in trials], dtype=np.float64)
+
+
+def _sort(sweep: Sweep) -> list[Trial]:
+    return sorted(sweep.trials, key=lambda trial: (trial.candidate.element_size or 0.0, trial.candidate.wavelength))
+
+
+def _format_cells(trial: Trial) -> list[str]:
+    size, length = trial.candidate.element_size, trial.candidate.wavelength
+    numbers = (trial.noise, trial.predicted_error, trial.virtual_error)
+    return ["mesh file" if size is None else f"{size:g}", f"{length:g}" if length else "none",
+            f"{trial.residual:.4g}", f"{trial.gap:.2e}", f"{trial.degrees_of_freedom:.0f}",
+            *(f"{number:.2e}" for number in numbers)]

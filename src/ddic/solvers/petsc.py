@@ -1,0 +1,385 @@
+"""PETSc option prefixes and their defaults, in one place; the command line overrides them.
+
+Numbers as PETSc's integers, which have 32 bits in most builds.
+
+Memory that is freed goes back to the operating system.
+
+Which packages factorise what, where PETSc was built without CHOLMOD or MUMPS.
+
+PETSc's objects in the making: freed if their maker fails half-way, and all at once at the end.
+
+Options of PETSc that were given and never asked for: mistyped ones, above all.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from contextlib import ExitStack
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+from ddic.errors import FactorizationError, InputError
+from ddic.parallel.team import Team
+
+LARGEST = int(np.iinfo(PETSc.IntType).max)
+"""Largest of PETSc's integers: of rows, columns, and entries of a rank's part of a matrix."""
+
+
+def to_petsc_integers(numbers: NDArray[Any], what: str) -> NDArray[Any]:
+    """Convert numbers to PETSc's integers; a plain cast would turn those that are too large into others.
+
+    Parameters
+    ----------
+    numbers : (n,) array of integers
+        Not negative.
+    what : str
+        What is counted, for the message.
+
+    Returns
+    -------
+    (n,) array of PETSc.IntType
+        The same numbers.
+
+    Raises
+    ------
+    FactorizationError
+        Where one is too large.
+    """
+    check_petsc_size(int(numbers.max(initial=0)), what)
+    return numbers.astype(PETSc.IntType)
+
+
+def check_petsc_size(size: int, what: str) -> None:
+    """Check that a size is one of PETSc's integers.
+
+    Parameters
+    ----------
+    size : int
+        Not negative.
+    what : str
+        What is counted, for the message.
+
+    Raises
+    ------
+    FactorizationError
+        Where it is too large.
+    """
+    if size > LARGEST:
+        raise FactorizationError(
+            f"{what}: {size} is more than PETSc's {8 * np.dtype(PETSc.IntType).itemsize}-bit integers hold; start more "
+            "ranks, give larger elements, or build PETSc with --with-64-bit-indices")
+
+
+_TRIM_THRESHOLD, _MMAP_THRESHOLD, _MMAP_MAX = -1, -3, -4
+"""Keys of the C library's mallopt."""
+
+_LARGE = 2**22
+"""Bytes from which an array is mapped: a larger value keeps more freed memory on the heap."""
+
+_KEPT = 2**26
+"""Freed bytes at the heap's end that stay with the process: a smaller value has the system clear the same pages again
+for one array after the other, a twentieth of a large run; a larger one keeps more memory."""
+
+
+def release_freed_memory() -> None:
+    """Undo what SuperLU_DIST, which PETSc may be linked with, does to the C library's malloc when it is loaded.
+
+    It forbids mmap and trimming (M_MMAP_MAX = 0), so that a freed factor stays with the process, mostly in pieces
+    too small for the next one. Arrays above 4 MiB are mapped again, hence given back when freed; smaller ones stay
+    on the heap, where they are fast, the last 64 MiB of it also when freed. Nothing happens where the C library has
+    no mallopt (only glibc's has an effect).
+    """
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is not None:
+        for option, value in ((_MMAP_MAX, 65536), (_MMAP_THRESHOLD, _LARGE), (_TRIM_THRESHOLD, _KEPT)):
+            mallopt(option, value)
+
+
+PACKAGE = "pc_factor_mat_solver_type"
+"""PETSc's option that names a package, behind the prefix of what is factorised."""
+
+REPLICATED = {
+    "ksp_type": "preonly",
+    "ksp_error_if_not_converged": "true",
+    "pc_type": "redundant",
+    "redundant_ksp_type": "preonly",
+    "redundant_pc_type": "cholesky",
+    # Quasi-definite, hence factorised in any order: small pivots come from vectors that hardly differ, and are right.
+    "redundant_pc_factor_zeropivot": "1e-20",
+}
+"""Options in place of a parallel factor: PETSc's own LDL^T of the whole matrix on every rank."""
+
+WITH_CHOLMOD = ("suitesparse", "cholmod")
+"""Names that say that PETSc has CHOLMOD: 3.18 goes by the collection, 3.26 by its members."""
+
+LOCAL_FACTORS = ("dual", "monolithic")
+"""Methods that factorise each subdomain's own operator."""
+
+
+def has_package(name: str) -> bool:
+    """Tell whether PETSc was built with a package.
+
+    Parameters
+    ----------
+    name : str
+        Such as ``"suitesparse"``.
+
+    Returns
+    -------
+    bool
+        Whether it was.
+    """
+    return bool(PETSc.Sys.hasExternalPackage(name))
+
+
+def choose_local_package() -> str:
+    """Choose what factorises a matrix on one rank: CHOLMOD, else MUMPS, else PETSc itself.
+
+    Returns
+    -------
+    str
+        For ``pc_factor_mat_solver_type``.
+    """
+    if any(has_package(name) for name in WITH_CHOLMOD):
+        return "cholmod"
+    return "mumps" if has_package("mumps") else "petsc"
+
+
+def is_mumps_missing(prefix: str) -> bool:
+    """Tell whether MUMPS is meant to factorise something, and PETSc was built without it.
+
+    Parameters
+    ----------
+    prefix : str
+        Of the options of what is factorised.
+
+    Returns
+    -------
+    bool
+        False where the user names a package.
+    """
+    return not has_package("mumps") and not PETSc.Options().hasName(prefix + PACKAGE)
+
+
+def require_packages(where: str, method: str, local_inverse: str, n_ranks: int) -> None:
+    """Refuse what PETSc cannot factorise without MUMPS.
+
+    Parameters
+    ----------
+    where : str
+        The case file.
+    method : str
+        ``solver.method``.
+    local_inverse : str
+        ``solver.local_inverse``.
+    n_ranks : int
+        MPI ranks that were started.
+
+    Raises
+    ------
+    InputError
+        Where nothing takes its place.
+    """
+    if method == "assembled" and n_ranks > 1 and is_mumps_missing("assembled_"):
+        raise InputError(f'{where}: solver.method = "assembled" on {n_ranks} MPI ranks needs MUMPS, and PETSc was '
+                         'built without it; use "conjugate_gradient" or "dual", start one rank, or build PETSc with '
+                         "MUMPS (docs/installation.md)")
+    # Left open, the method is the dual one where this key is given.
+    if method in ("auto", "dual") and local_inverse == "sparse" and is_mumps_missing("inverse_"):
+        raise InputError(f'{where}: solver.local_inverse = "sparse" needs MUMPS, and PETSc was built without it; use '
+                         '"auto" or "dense", or build PETSc with MUMPS (docs/installation.md)')
+
+
+def describe_missing_packages(method: str) -> tuple[str, ...]:
+    """Say what is factorised by another package than the one that was meant.
+
+    Parameters
+    ----------
+    method : str
+        ``solver.method``.
+
+    Returns
+    -------
+    tuple of str
+        A line for each package that PETSc was built without and the method would use.
+    """
+    lines = []
+    chosen = choose_local_package()
+    if (method in LOCAL_FACTORS and chosen != "cholmod"
+            and PETSc.Options().getString("local_" + PACKAGE, chosen) == chosen):
+        lines.append(f"PETSc was built without SuiteSparse: {chosen} factorises the operators in CHOLMOD's place")
+    if method == "dual" and is_mumps_missing("coarse_"):
+        lines.append("PETSc was built without MUMPS: inverses of subdomains are arrays whatever their size, and a "
+                     "coarse problem is factorised on every rank by PETSc itself")
+    if method == "assembled" and is_mumps_missing("assembled_"):
+        lines.append(f"PETSc was built without MUMPS: {chosen} factorises the operator in its place")
+    return tuple(lines)
+
+
+# At import, for PETSc's libraries change malloc when they are loaded, and assembly comes before the first solver.
+release_freed_memory()
+
+LOCAL = "local_"
+DUAL = "dual_"
+COARSE = "coarse_"
+INVERSE = "inverse_"
+ASSEMBLED = "assembled_"
+CONJUGATE_GRADIENT = "cg_"
+
+DEFAULTS: dict[str, dict[str, str]] = {
+    LOCAL: {
+        "ksp_type": "preonly",
+        "pc_type": "cholesky",
+        "mat_cholmod_print": "0",
+        # Operations an entry of the factor from which on it is made by dense blocks: below, of subdomains of some
+        # hundred unknowns, these take longer (at 40, CHOLMOD's own, by a half); beyond, entry by entry takes longer.
+        "mat_cholmod_supernodal_switch": "100",
+    },
+    COARSE: {
+        "ksp_type": "preonly",
+        "ksp_error_if_not_converged": "true",
+        "pc_type": "cholesky",
+        "pc_factor_mat_solver_type": "mumps",
+        # Room beyond MUMPS's estimate, in per cent: nearly dependent coarse vectors delay pivots.
+        "mat_mumps_icntl_14": "100",
+    },
+    INVERSE: {
+        "ksp_type": "preonly",
+        "ksp_error_if_not_converged": "true",
+        "pc_type": "cholesky",
+        "pc_factor_mat_solver_type": "mumps",
+        # Room beyond MUMPS's estimate, in per cent: the zeros of D_s delay pivots, of small matrices most.
+        "mat_mumps_icntl_14": "200",
+        # Null pivots are counted: the inertia tells a singular interface problem.
+        "mat_mumps_icntl_24": "1",
+    },
+    ASSEMBLED: {
+        "ksp_type": "preonly",
+        "pc_type": "cholesky",
+        "pc_factor_mat_solver_type": "mumps",
+    },
+    CONJUGATE_GRADIENT: {
+        "ksp_type": "cg",
+        "ksp_norm_type": "preconditioned",
+        "pc_type": "jacobi",
+    },
+    DUAL: {
+        "ksp_type": "gmres",
+        "ksp_pc_side": "right",
+        "ksp_norm_type": "unpreconditioned",
+        "ksp_gmres_modifiedgramschmidt": "",
+    },
+}
+
+
+def create_ksp(comm: PETSc.Comm, prefix: str) -> PETSc.KSP:
+    """Create a Krylov solver or factor with an option prefix and its defaults, where the user says nothing else.
+
+    The caller sets operators and tolerances, then calls ``setFromOptions`` last.
+
+    Parameters
+    ----------
+    comm : PETSc.Comm
+        Its ranks.
+    prefix : str
+        A key of ``DEFAULTS``.
+
+    Returns
+    -------
+    PETSc.KSP
+        The caller's to destroy.
+    """
+    options = PETSc.Options()
+    for name, value in _choose_defaults(prefix).items():
+        if not options.hasName(prefix + name):
+            options.setValue(prefix + name, value)
+    ksp = PETSc.KSP().create(comm)
+    ksp.setOptionsPrefix(prefix)
+    return ksp
+
+
+def _choose_defaults(prefix: str) -> dict[str, str]:
+    """The defaults of a prefix, as far as PETSc has the packages that they name."""
+    defaults = DEFAULTS[prefix]
+    if prefix == LOCAL:
+        return defaults | {PACKAGE: choose_local_package()}
+    if defaults.get(PACKAGE) == "mumps" and is_mumps_missing(prefix):
+        return REPLICATED if prefix == COARSE else defaults | {PACKAGE: choose_local_package()}
+    return defaults
+
+
+class Destroyable(Protocol):
+    """A PETSc object, or what holds some."""
+
+    def destroy(self) -> object:
+        """Free it."""
+        ...
+
+
+T = TypeVar("T", bound=Destroyable)
+
+
+class PetscStack(ExitStack):
+    """Destroys what it keeps, last made first, when its ``with`` block ends.
+
+    A constructor makes its objects inside a ``with`` block, so that an error on the way frees those already made, and
+    ends with ``self._objects = stack.pop_all()``, which hands them to ``self._objects.close()``.
+    Python's collector is not enough: it runs at different times on the ranks, so that petsc4py leaves parallel objects
+    to a later clean-up.
+    """
+
+    def keep(self, thing: T) -> T:
+        """Keep a thing.
+
+        Parameters
+        ----------
+        thing : Destroyable
+            Destroyed with the stack.
+
+        Returns
+        -------
+        Destroyable
+            The same.
+        """
+        self.callback(thing.destroy)
+        return thing
+
+
+ASKED_AT_THE_END = ("options_left", "options_view")
+"""Options that PETSc itself looks at only when it ends."""
+
+
+def list_unused_options(team: Team, words: Sequence[str]) -> list[str]:
+    """List the options that no rank has asked for so far; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    words : sequence of str
+        Options and their values as they were given on the command line.
+
+    Returns
+    -------
+    list of str
+        With their dash, in order.
+    """
+    names = [name for name in PETSc.Options().getAll() if f"-{name}" in words and name not in ASKED_AT_THE_END]
+    used = set(team.gather_lists([name for name in names if _is_used(name)]))
+    return [f"-{name}" for name in names if name not in used]
+
+
+def _is_used(name: str) -> bool:
+    """Whether PETSc has looked for an option; petsc4py does not say it, the library that it is linked with does."""
+    ask = getattr(ctypes.CDLL(PETSc.__file__), "PetscOptionsUsed", None)
+    if ask is None:
+        # Where the library hides its names, nothing is known, and nobody is warned in vain.
+        return True
+    ask.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.POINTER(ctypes.c_int)]
+    used = ctypes.c_int(0)
+    ask(None, name.encode(), ctypes.byref(used))
+    return bool(used.value)

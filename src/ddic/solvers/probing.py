@@ -1,0 +1,321 @@
+"""Displacement noise that camera noise leaves: covariance 2 sigma^2 A^-1 M A^-1.
+
+Degrees of freedom that a regularized field takes from the images: tr(A^-1 M).
+
+Random bits by number: no rank needs those of the others.
+
+Right-hand sides as noise makes them, whose mean products are their covariance, without chance between neighbours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import hadamard
+
+from ddic.parallel.team import Team
+from ddic.partition.subdomain import Subdomain
+from ddic.solvers.linear_step import AllowedError, LinearStep
+from ddic.solvers.local_operator import LocalOperator
+from ddic.solvers.local_system import LocalSystem
+
+N_PROBES = 4
+"""Random vectors. Their mean is off by sqrt(2 / (N_PROBES trace)) of the trace: 3 % of 500; four times as many halve
+it, for four times the solves."""
+
+_ENOUGH_FOR_TRACE = AllowedError(0.0, 0.01)
+"""Share of a vector's solution that its linear step may leave: below what the random signs leave."""
+
+
+def estimate_degrees_of_freedom(team: Team, systems: Sequence[LocalSystem], step: LinearStep) -> float:
+    """Estimate tr(A^-1 M) by Hutchinson's random signs; collective.
+
+    By so much do small changes of the images' grey levels appear in the field: the number of unknowns without
+    regularization, fewer where mechanics rule some of them.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    systems : sequence of LocalSystem
+        Of owned subdomains.
+    step : LinearStep
+        Solves with A.
+
+    Returns
+    -------
+    float
+        No unit.
+
+    Raises
+    ------
+    ConvergenceError
+        On all ranks, where a linear step does not converge.
+    """
+    at_rest = [np.zeros(system.subdomain.n_unknowns) for system in systems]
+    # Solutions of about a pixel, by which steps judge how exact they are.
+    (scale,) = team.ordered_sum([np.array([system.hessian.diagonal().max(initial=0.0)]) for system in systems])
+    n_unknowns = team.maximum(max(int(system.subdomain.numbers.max(initial=-1)) for system in systems)) + 1
+    traces = []
+    for probe in range(N_PROBES):
+        signs = _draw_signs(n_unknowns, probe)
+        own = [signs[system.subdomain.numbers] for system in systems]
+        b = [scale * z / system.subdomain.all_multiplicity for z, system in zip(own, systems, strict=True)]
+        y = [y_s / scale for y_s in step.solve(at_rest, b, _ENOUGH_FOR_TRACE).dq]
+        (trace,) = team.ordered_sum([np.array([z @ (system.hessian @ y_s)])
+                                     for z, y_s, system in zip(own, y, systems, strict=True)])
+        traces.append(float(trace))
+    return float(np.mean(traces))
+
+
+def _draw_signs(n: int, probe: int) -> NDArray[np.float64]:
+    """Random signs of all unknowns, the same on every rank and for every partition, (n,)."""
+    return np.random.default_rng(probe).choice([-1.0, 1.0], size=n)
+
+
+def generate_bits(numbers: NDArray[np.int64], stream: int) -> NDArray[np.float64]:
+    """Generate a random bit for each number, by the mixing of splitmix64.
+
+    Parameters
+    ----------
+    numbers : (...) array of int64
+        Of whatever has a bit, the same on all ranks.
+    stream : int
+        Of independent bits.
+
+    Returns
+    -------
+    (...) array
+        0 or 1.
+    """
+    x = numbers.astype(np.uint64) + np.uint64((stream + 1) * 0x9E3779B97F4A7C15 % 2**64)
+    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
+        x = (x ^ (x >> np.uint64(shift))) * np.uint64(factor)
+    return ((x ^ (x >> np.uint64(31))) & np.uint64(1)).astype(np.float64)
+
+
+_PROBES = 64
+"""Random vectors: about 1 % of error for a thousand displacements; twice as many halve its square, for
+twice the time."""
+
+_SIGNS_BY_STEPS = 20_000
+"""Random signs where each vector of them takes a linear step of the whole problem: a few per cent of error, which the
+order of the noise needs not. A larger value takes more vectors, of which large problems need one."""
+
+_MOST_BY_STEPS = 4
+"""Vectors that small problems take at most."""
+
+_ENOUGH = AllowedError(0.0, 0.1)
+"""Share of a vector's solution that its linear step may leave: 0.02 changed the noise by 0.2 % on 3000 x 3000 pixels,
+with twice the iterations."""
+
+
+def estimate_noise_rms(system: LocalSystem, operator: LocalOperator, sigma: float,
+                       components: NDArray[np.bool_]) -> float:
+    """Estimate the displacement noise of white camera noise, by the trace of T A^-1 M A^-1 T^T with random signs.
+
+    Parameters
+    ----------
+    system : LocalSystem
+        Of the whole region as one domain.
+    operator : LocalOperator
+        The factor of its A.
+    sigma : float
+        Standard deviation of the camera noise of both images, grey levels.
+    components : (mesh.n_dofs,) array of bool
+        Which components of the nodes' displacements count, node by node.
+
+    Returns
+    -------
+    float
+        RMS over these components, pixels.
+    """
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], size=(len(components), _PROBES)) * components[:, None]
+    tangent = system.subdomain.kinematics.tangent
+    y = operator.solve_many(tangent.T @ signs)
+    trace = (y * (system.hessian @ y)).sum() / _PROBES
+    return float(sigma * np.sqrt(2.0 * trace / components.sum()))
+
+
+@dataclass(frozen=True)
+class NoiseResponse:
+    """How a field answers white noise of the images.
+
+    Attributes
+    ----------
+    rms_per_grey : float
+        RMS of a component at a node, pixels, for noise of both images of one grey level.
+    n_determined : float
+        tr(A^-1 M): how many unknowns the images determine.
+    """
+
+    rms_per_grey: float
+    n_determined: float
+
+
+def estimate_response(team: Team, systems: Sequence[LocalSystem], step: LinearStep,
+                      counted: Sequence[NDArray[np.bool_]] | None = None) -> NoiseResponse:
+    """Estimate the same over all nodes of a problem in subdomains, by linear steps of any kind; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    systems : sequence of LocalSystem
+        Of owned subdomains.
+    step : LinearStep
+        Solves with A.
+    counted : sequence of (n_nodes,) bool array, optional
+        Which nodes of each subdomain count; all of them by default.
+
+    Returns
+    -------
+    NoiseResponse
+        Every node counted once; with several cameras of noise of the first one.
+
+    Raises
+    ------
+    ConvergenceError
+        On all ranks, where a linear step does not converge.
+    """
+    at_rest = [np.zeros(system.subdomain.n_unknowns) for system in systems]
+    chosen = [np.ones(system.subdomain.mesh.n_nodes) for system in systems]
+    if counted is not None:
+        chosen = [of_nodes.astype(np.float64) for of_nodes in counted]
+    # Of nodes, a share in each subdomain that has them.
+    shares = [of_nodes / system.subdomain.node_multiplicity for system, of_nodes in zip(systems, chosen, strict=True)]
+    # Solutions of about a pixel: steps start from their last one.
+    (scale,) = team.ordered_sum([np.array([system.hessian.diagonal().max(initial=0.0)]) for system in systems])
+    (n_components,) = team.ordered_sum([np.array([system.subdomain.mesh.dim * share.sum()])
+                                        for system, share in zip(systems, shares, strict=True)])
+    n_components = max(n_components, 1.0)
+    traces = []
+    for probe in range(int(np.clip(_SIGNS_BY_STEPS // n_components, 1, _MOST_BY_STEPS))):
+        b = [scale * _project_signs(system.subdomain, share, probe)
+             for system, share in zip(systems, shares, strict=True)]
+        y = [y_s / scale for y_s in step.solve(at_rest, b, _ENOUGH).dq]
+        forces = [system.hessian @ y_s for system, y_s in zip(systems, y, strict=True)]
+        traces.append(team.ordered_sum([
+            np.array([y_s @ of_y, _project_signs(system.subdomain, of_nodes, probe) @ of_y])
+            for system, of_nodes, y_s, of_y in zip(systems, chosen, y, forces, strict=True)]))
+    of_covariance, of_determined = np.mean(traces, axis=0)
+    return NoiseResponse(float(np.sqrt(2.0 * of_covariance / n_components)), float(of_determined))
+
+
+def _project_signs(subdomain: Subdomain, shares: NDArray[np.float64], probe: int) -> NDArray[np.float64]:
+    """A subdomain's part of T^T z, z of random signs that are the same whatever the partition, (n_unknowns,)."""
+    dim = subdomain.mesh.dim
+    components = (subdomain.node_ids[:, None] * dim + np.arange(dim)).ravel()
+    signs = 1.0 - 2.0 * generate_bits(components, probe)
+    shared = signs * np.repeat(shares, dim)
+    b = np.zeros(subdomain.n_unknowns)
+    b[:subdomain.n_field] = subdomain.kinematics.tangent.T @ shared
+    return b
+
+
+Array = NDArray[np.float64]
+
+MOST_SAMPLES, FEWEST_SAMPLES = 256, 128
+"""Right-hand sides, powers of 2, with regularization and without, where a node depends on few cells. On elements of
+16 px the first leave errors of 0.3, 2 and 5 % of a standard deviation with cut-off wavelengths of 4, 7 and 16 elements,
+the second 0.4 % without (1.3 % of a strain's). Twice as many take twice the time."""
+
+LARGEST_FORCES = 8
+"""Most displacement components of a cell, each with a sequence of signs of its own."""
+
+_SEQUENCES = hadamard(MOST_SAMPLES).astype(np.float64)
+"""Signs by sample and sequence, of which any two are orthogonal; the first half of both by themselves, too."""
+
+_ROW_SHIFTS = {MOST_SAMPLES: 7, FEWEST_SAMPLES: 6}
+"""Places by which tiles are shifted from row to row of cells: those alike of 32 are then at least 5.7 cells apart, of
+16 at least 3.6."""
+
+
+@dataclass(frozen=True, eq=False)
+class SampledCells:
+    """What makes forces with a given covariance on the cells of a view.
+
+    Attributes
+    ----------
+    factors : (n_cells, n, n) array
+        L of each cell with L L^T = cov(b of the cell), grey levels squared per pixel.
+    rows : (n_cells, n) array of int64
+        Which sequence of signs each column takes.
+    signs : (n_cells, n) array
+        1 or -1 by chance, by which it is multiplied.
+    """
+
+    factors: Array
+    rows: NDArray[np.int64]
+    signs: Array
+
+    def generate_forces(self, sample: int) -> Array:
+        """Generate the forces on the nodes of each cell.
+
+        Parameters
+        ----------
+        sample : int
+            From 0; over all of them the mean of products is the covariance.
+
+        Returns
+        -------
+        (n_cells, n) array
+            Node-major, grey levels squared per pixel.
+        """
+        signs = self.signs * _SEQUENCES[sample][self.rows]
+        return np.asarray(np.einsum("eij,ej->ei", self.factors, signs))
+
+
+def prepare_samples(covariances: Array, cell_ids: NDArray[np.int64], places: NDArray[np.int64],
+                    camera: int, n_samples: int) -> SampledCells:
+    """Prepare forces with a covariance that is independent from cell to cell.
+
+    Each column of a cell's factor takes a sequence of +1 and -1 over the samples. Sequences of Walsh are orthogonal, so
+    that the mean of products over all samples is exact for cells that have different ones: near cells have. Those that
+    have the same, far apart, are multiplied by signs by chance, which leaves an error of the kind that independent
+    samples have.
+
+    Parameters
+    ----------
+    covariances : (n_cells, n, n) array
+        Of the forces of each cell, n at most LARGEST_FORCES.
+    cell_ids : (n_cells,) array of int64
+        Numbers of the cells in the whole mesh.
+    places : (n_cells, 2) array of int64
+        Column and row of each cell, counted in cells.
+    camera : int
+        Number of the camera: the noise of each is its own.
+    n_samples : int
+        MOST_SAMPLES or FEWEST_SAMPLES.
+
+    Returns
+    -------
+    SampledCells
+        The same whatever the partition.
+    """
+    values, vectors = np.linalg.eigh(covariances)
+    # Rounding may leave eigenvalues of nothing below zero.
+    factors = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    n = covariances.shape[1]
+    # Cells of other tiles have signs that have nothing to do with each other.
+    n_tiles = n_samples // LARGEST_FORCES
+    tiles = places[:, 0] + _ROW_SHIFTS[n_samples] * places[:, 1] + camera
+    # Those next to each other in an irregular mesh go where no near one is.
+    tiles = (tiles + n_tiles // 2 * _number_within_places(places)) % n_tiles
+    columns = np.arange(n)
+    rows = tiles[:, None] * LARGEST_FORCES + columns
+    numbers = cell_ids[:, None] * LARGEST_FORCES + columns
+    return SampledCells(factors, rows, 1.0 - 2.0 * generate_bits(numbers, camera))
+
+
+def _number_within_places(places: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Number of each cell among those with the same place, 0 for the first, (n_cells,)."""
+    order = np.lexsort((np.arange(len(places)), places[:, 0], places[:, 1]))
+    begins = np.append(True, (np.diff(places[order], axis=0) != 0).any(axis=1))
+    first = np.maximum.accumulate(np.where(begins, np.arange(len(places)), 0))
+    numbers = np.empty(len(places), dtype=np.int64)
+    numbers[order] = np.arange(len(places)) - first
+    return numbers

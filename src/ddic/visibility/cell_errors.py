@@ -1,0 +1,332 @@
+"""How far off each cell may be, from its residual beyond noise; and the nodes of which a frame says nothing.
+
+What the log says of cells and pixels that are excluded, and where they lie.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from ddic.functionals.correlation import Residual
+from ddic.functionals.grey_statistics import find_weighted_median
+from ddic.functionals.view import View
+from ddic.mesh.mesh import Mesh, pad_cells
+from ddic.parallel.team import Team
+from ddic.problem.renewal import find_displaced_nodes, find_free_unknowns, find_held
+from ddic.problem.residual_model import Evaluation
+from ddic.problem.views import FrameViews
+from ddic.problem.weighted_problem import WeightedProblem
+from ddic.visibility.exclusions import BLANK, HELD_OFF, SPOILT, UNSEEN, Exclusions
+
+Array = NDArray[np.float64]
+
+DOUBTFUL_PX = 0.15
+"""Error of a cell, pixels, from which on it is marked. A larger value marks fewer cells and lets larger errors pass."""
+
+SIGNIFICANT = 4.0
+"""Standard deviations by which the residual's variance must exceed the noise's. A larger value marks fewer cells."""
+
+
+MOST_NOISY = 0.95
+"""Share of the cells that show pixels from which on, where noise alone moves their nodes by more than DOUBTFUL_PX, no
+field was found. Exact pairs that are blurred so much are off by 2 to 5 px; a fifth of the cells is so where it is off
+by 0.4 px at most."""
+
+
+@dataclass(frozen=True)
+class CellErrors:
+    """What the residual says about the cells of a subdomain.
+
+    Attributes
+    ----------
+    equivalent : (n_cells,) array
+        Displacement error that would leave the cell's residual beyond noise, pixels; nan where no pixel counts.
+    doubtful : (n_cells,) bool array
+        Where that is more than DOUBTFUL_PX and not explained by noise, or no pixel counts.
+    """
+
+    equivalent: Array
+    doubtful: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class CellResiduals:
+    """Residual and texture of the cells of a subdomain.
+
+    Attributes
+    ----------
+    camera : int
+        That measures them.
+    n_pixels : (n_cells,) array
+        That count.
+    variance : (n_cells,) array
+        Mean square of f - a g(x + u) - b with each cell's own a and b, grey levels squared; nan without pixels.
+    texture : (n_cells,) array
+        Mean of |grad f|^2, grey levels squared per pixel squared.
+    """
+
+    camera: int
+    n_pixels: Array
+    variance: Array
+    texture: Array
+
+
+def measure_cell_residuals(view: View, hessian: sparse.csr_matrix, residual: Residual) -> CellResiduals:
+    """Measure what the cells of a subdomain leave unexplained, whatever their brightness; free of communication.
+
+    Parameters
+    ----------
+    view : View
+        Of the camera that measures the subdomain.
+    hessian : (n_dofs, n_dofs) csr_matrix
+        Its M, grey levels squared per pixel squared.
+    residual : Residual
+        At the measured displacement.
+
+    Returns
+    -------
+    CellResiduals
+        Of all cells.
+    """
+    sums = residual.cell_sums
+    _, squares = sums.sum_residual(*sums.fit_gain_and_offset())
+    n = sums.n_pixels
+    variance = np.where(n > 0, np.maximum(squares, 0.0) / np.maximum(n, 1.0), np.nan)
+    return CellResiduals(view.camera, n, variance, _measure_gradients(view, hessian))
+
+
+def _measure_gradients(view: View, hessian: sparse.csr_matrix) -> Array:
+    """Mean of |grad f|^2 about each cell: M holds it by node, since the shape functions of a cell sum to 1."""
+    mesh = view.correlation.mesh
+    pixels = _share_among_nodes(mesh, view.count_pixels().astype(float))
+    energy = np.zeros(mesh.n_nodes)
+    for axis in range(2):
+        translation = np.zeros(mesh.nodes.shape)
+        translation[:, axis] = 1.0
+        energy += (hessian @ translation.ravel()).reshape(mesh.nodes.shape)[:, axis]
+    corners = pad_cells(mesh)
+    of_cells, n_pixels = energy[corners].sum(axis=1), pixels[corners].sum(axis=1)
+    return np.divide(of_cells, n_pixels, out=np.zeros(mesh.n_cells), where=n_pixels > 0)
+
+
+def _share_among_nodes(mesh: Mesh, of_cells: Array) -> Array:
+    """Sum over cells of their number, spread evenly over their nodes, (n_nodes,)."""
+    n_corners = np.diff(mesh.offsets)
+    shares = np.repeat(of_cells / n_corners, n_corners)
+    return np.asarray(np.bincount(mesh.connectivity, weights=shares, minlength=mesh.n_nodes), dtype=np.float64)
+
+
+def find_cell_errors(team: Team, residuals: Sequence[CellResiduals]) -> list[CellErrors]:
+    """Express residuals as displacement errors, and mark cells that cannot be trusted; collective.
+
+    An error e of unknown direction leaves a residual grad f . e, of mean square |grad f|^2 e^2 / 2. Most pixels are
+    taken to be right: the median of each camera's variances, cells weighted by their pixels, is that of the noise.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    residuals : sequence of CellResiduals
+        Of owned subdomains.
+
+    Returns
+    -------
+    list of CellErrors
+        Of each.
+    """
+    everything = team.gather_lists([(of_cells.camera, of_cells.variance, of_cells.n_pixels) for of_cells in residuals])
+    noise = {}
+    for camera in {camera for camera, _, _ in everything}:
+        variances = np.concatenate([variance for number, variance, _ in everything if number == camera])
+        n_pixels = np.concatenate([n for number, _, n in everything if number == camera])
+        measured = np.isfinite(variances)
+        noise[camera] = find_weighted_median(variances[measured], n_pixels[measured]) if measured.any() else 0.0
+    return [_find_errors(of_cells, noise[of_cells.camera]) for of_cells in residuals]
+
+
+def _find_errors(cells: CellResiduals, noise: float) -> CellErrors:
+    excess = np.maximum(cells.variance - noise, 0.0)
+    # Nothing was seen where there is no texture; a residual there is as wrong as can be.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        equivalent = np.where(excess > 0, np.sqrt(2.0 * excess / cells.texture), cells.variance * 0.0)
+    spread = noise * np.sqrt(2.0 / np.maximum(cells.n_pixels, 1.0))
+    doubtful = (equivalent > DOUBTFUL_PX) & (excess > SIGNIFICANT * spread)
+    return CellErrors(equivalent, doubtful | (cells.n_pixels == 0))
+
+
+def find_noisy_cells(mesh: Mesh, deviations: Array) -> NDArray[np.bool_]:
+    """Find the cells with a node that noise moves by more than a cell may be off, as two of its standard deviations.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Of the subdomain.
+    deviations : (n_nodes,) array
+        Standard deviation of each node's displacement, pixels.
+
+    Returns
+    -------
+    (n_cells,) bool array
+        Which.
+    """
+    return np.asarray((2.0 * deviations > DOUBTFUL_PX)[pad_cells(mesh)].any(axis=1))
+
+
+def describe_lost_field(team: Team, are_noisy: Sequence[NDArray[np.bool_]],
+                        are_shown: Sequence[NDArray[np.bool_]]) -> str:
+    """Say that noise alone moves nearly all cells too far for a field to be believed; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    are_noisy : sequence of (n_cells,) bool array
+        What ``find_noisy_cells`` finds, of owned subdomains.
+    are_shown : sequence of (n_cells,) bool array
+        Which cells have pixels that count.
+
+    Returns
+    -------
+    str
+        What it is, and what to do; empty where a field can be believed.
+    """
+    n_noisy = team.sum(sum(int((a & b).sum()) for a, b in zip(are_noisy, are_shown, strict=True)))
+    n_shown = team.sum(sum(int(of_subdomain.sum()) for of_subdomain in are_shown))
+    if n_noisy < MOST_NOISY * max(n_shown, 1):
+        return ""
+    return (f"the frame is so much less sharp than the reference that noise alone moves nodes of {n_noisy} of "
+            f"{n_shown} cells by more than {DOUBTFUL_PX} px, and a wrong place leaves as little residual as the right "
+            "one; take sharper images or larger elements")
+
+
+def describe_doubtful_cells(team: Team, errors: Sequence[CellErrors]) -> tuple[str, ...]:
+    """Say how many cells are doubtful; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    errors : sequence of CellErrors
+        Of owned subdomains.
+
+    Returns
+    -------
+    tuple of str
+        A line, or none.
+    """
+    n_doubtful = team.sum(sum(int(of_cells.doubtful.sum()) for of_cells in errors))
+    if not n_doubtful:
+        return ()
+    n_unseen = team.sum(sum(int(np.isnan(of_cells.equivalent).sum()) for of_cells in errors))
+    n_off = team.sum(sum(int((of_cells.doubtful & (of_cells.equivalent > DOUBTFUL_PX)).sum()) for of_cells in errors))
+    n_cells = team.sum(sum(len(of_cells.doubtful) for of_cells in errors))
+    line = f"{n_doubtful} of {n_cells} cells are marked doubtful (cell field \"doubtful\")"
+    reasons = {f"the residual of {n_off} is that of an error above {DOUBTFUL_PX} px": n_off,
+               f"{n_unseen} hold no pixel that counts": n_unseen}
+    told = "; ".join(reason for reason, n in reasons.items() if n)
+    return (f"{line}: {told}" if told else line,)
+
+
+def find_unmeasured_nodes(problem: WeightedProblem, evaluation: Evaluation) -> list[NDArray[np.bool_]]:
+    """Find the nodes that neither pixels nor mechanics hold; collective.
+
+    Parameters
+    ----------
+    problem : WeightedProblem
+        Of the reference.
+    evaluation : Evaluation
+        Of a frame, with the pixels that count.
+
+    Returns
+    -------
+    list of (n_nodes,) bool array
+        Of each owned subdomain.
+    """
+    subdomains = problem.reference.subdomains
+    if problem.reference.inputs.case.regularization is not None:
+        return [np.zeros(subdomain.mesh.n_nodes, dtype=bool) for subdomain in subdomains]
+    unseen = []
+    for subdomain, of_views in zip(subdomains, evaluation.residuals, strict=True):
+        counts = tuple(residual.cell_sums.n_pixels.astype(np.int64) for residual in of_views)
+        unseen.append(~find_held(subdomain, counts))
+    free = np.array(sorted(find_free_unknowns(problem.team, subdomains, unseen)), dtype=np.int64)
+    return [find_displaced_nodes(subdomain, np.isin(subdomain.kinematics.numbers, free)) for subdomain in subdomains]
+
+
+MOST_PLACES = 3
+"""Places that are named; the result file has all of them."""
+
+OTHER_THAN_REFERENCE = "show something else than the reference"
+REASONS = {SPOILT: f"{OTHER_THAN_REFERENCE} and are excluded", BLANK: "have no texture and are excluded",
+           UNSEEN: "hold no or too few pixels that both images show and are excluded",
+           HELD_OFF: "are held by the regularization beside where the images show them; a shorter "
+                     "regularization.cut_off_wavelength follows these"}
+
+
+def describe_exclusions(team: Team, views: Sequence[FrameViews], excluded: Exclusions) -> tuple[str, ...]:
+    """Say how many cells and pixels are excluded, why and where; collective.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    views : sequence of FrameViews
+        Owned subdomains.
+    excluded : Exclusions
+        Of them.
+
+    Returns
+    -------
+    tuple of str
+        For the log; nothing where nothing is.
+    """
+    n_cells = team.sum(sum(of_subdomain.subdomain.mesh.n_cells for of_subdomain in views))
+    lines = []
+    for reason, why in REASONS.items():
+        found = team.gather_lists([_bound_cells(of_subdomain, states[0] == reason)
+                                   for of_subdomain, states in zip(views, excluded.cells, strict=True)])
+        boxes, corners = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        if len(boxes):
+            lines.append(f"{len(boxes)} of {n_cells} cells {why} (cell field \"excluded\"): "
+                         + "; ".join(_name_places(boxes, corners)))
+    n_pixels = team.sum(sum(len(spots) for of_subdomain in excluded.pixels for spots in of_subdomain))
+    if n_pixels:
+        lines.append(f"{n_pixels} pixels of other cells {OTHER_THAN_REFERENCE} and are excluded")
+    return tuple(lines)
+
+
+def _bound_cells(of_subdomain: FrameViews, chosen: NDArray[np.bool_]) -> tuple[Array, NDArray[np.int64]]:
+    """Of some cells: first and last column, first and last row, (n, 4), pixels; and their nodes' numbers, (n, 4)."""
+    mesh = of_subdomain.subdomain.mesh
+    nodes = pad_cells(mesh)[chosen]
+    corners = mesh.nodes[nodes]
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    boxes = np.column_stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]])
+    return boxes, of_subdomain.subdomain.node_ids[nodes]
+
+
+def _name_places(boxes: Array, corners: NDArray[np.int64]) -> list[str]:
+    """Boxes of cells that share nodes, the largest first."""
+    _, nodes = np.unique(corners, return_inverse=True)
+    cells = np.repeat(np.arange(len(boxes)), corners.shape[1])
+    n_all = len(boxes) + int(nodes.max()) + 1
+    graph = coo_matrix((np.ones(len(cells)), (cells, len(boxes) + nodes.ravel())), (n_all, n_all))
+    # Of cells and nodes.
+    place = connected_components(graph, directed=False)[1][:len(boxes)]
+    n_places = int(place.max()) + 1
+    members = np.bincount(place, minlength=n_places)
+    named = []
+    for k in np.argsort(-members, kind="stable")[:MOST_PLACES]:
+        of_place = boxes[place == k]
+        named.append(f"columns {of_place[:, 0].min():.0f} to {of_place[:, 1].max():.0f}, rows "
+                     f"{of_place[:, 2].min():.0f} to {of_place[:, 3].max():.0f}")
+    if n_places > MOST_PLACES:
+        named.append(f"{n_places - MOST_PLACES} more places")
+    return named

@@ -1,0 +1,289 @@
+"""What a frame shows of cells: grey levels, residual, what most cells are like, and which stand out from them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.functionals.correlation import Residual
+from ddic.functionals.grey_statistics import find_weighted_median, find_weighted_quantile
+from ddic.functionals.view import CellSlopes
+from ddic.problem.residual_model import Evaluation, ResidualModel
+
+Array = NDArray[np.float64]
+
+FEWEST_PIXELS = 36
+"""Pixels of a cell from which on a gain, an offset and single spoilt pixels can be told in it."""
+
+ENOUGH_CELLS = 20_000
+"""Cells of the region of which medians are taken, evenly spread over their numbers: these are known to a per cent."""
+
+MOST_NOISE = 0.3
+"""Variance of the residual, relative to the contrast of the speckle, up to which it is noise. A larger value takes
+unlike images for noisy ones, a smaller one noisy images for unlike ones."""
+
+TEXTURED = 0.9
+"""Share of the pixels in cells of weaker texture than what is called textured: most of the region may be blank."""
+
+SIGNIFICANT = 6.0
+"""Standard deviations beyond which noise alone does not make a cell stand out: it does in one of 10^9."""
+
+LEAST_EXCESS, OF_CONTRAST = 2.0, 10.0
+"""Variance of a cell's residual, relative to the median, from which on it can stand out at all; and by how much more
+when the median is as much as the contrast of the speckle: then it is no noise, and varies like the speckle."""
+
+WEAK_TEXTURE, BLANK_TEXTURE = 0.1, 0.15
+"""Mean |grad f|^2 of a cell relative to a textured one's: what a weaker one is taken for when its residual is judged,
+and below which it may be blank."""
+
+SAME_SPECKLE = 0.4
+"""Correlation coefficient of f and g in a cell, relative to what its contrast and the noise let expect, below which
+another part of the specimen is seen, however large the residual is everywhere. A larger share excludes more."""
+
+UNEXPLAINED = 0.5
+"""Share of the residual's variance that no translation explains from which on another part may be seen."""
+
+CORRELATED = 0.3
+"""Correlation coefficient of f and g from which on a cell of weak texture is seen nevertheless, and below whose
+negative contrast is inverted: noise of 400 pixels has one of 0.05."""
+
+TINY = 1e-300
+"""What keeps quotients finite."""
+
+
+@dataclass(frozen=True, eq=False)
+class SeenCells:
+    """Cells of a view in a frame; all (n_cells,).
+
+    Attributes
+    ----------
+    n_pixels : array
+        That count.
+    variance : array
+        Of the residual, with a gain and an offset of the cell's own where its pixels tell them, grey levels squared.
+    unexplained : array
+        The same without what a translation of the cell would explain: a field that mechanics hold back, say.
+    texture : array
+        Mean of |grad f|^2, (grey levels / px)^2.
+    mean_f, mean_g : array
+        Grey levels.
+    spread_f, spread_g : array
+        Standard deviations, grey levels; that of g is negative where its dark and bright have changed places.
+    coefficient : array
+        Correlation coefficient of f and g(x + u); without its sign where gains are fitted, which may be negative.
+    """
+
+    n_pixels: Array
+    variance: Array
+    unexplained: Array
+    texture: Array
+    mean_f: Array
+    mean_g: Array
+    spread_f: Array
+    spread_g: Array
+    coefficient: Array
+
+    def choose(self, chosen: NDArray[np.bool_]) -> SeenCells:
+        """Choose some of the cells.
+
+        Parameters
+        ----------
+        chosen : (n_cells,) bool array
+            Which.
+
+        Returns
+        -------
+        SeenCells
+            Of these.
+        """
+        return SeenCells(*(getattr(self, field.name)[chosen] for field in fields(self)))
+
+
+@dataclass(frozen=True)
+class TypicalCell:
+    """What most cells of a camera are like, by pixels.
+
+    Attributes
+    ----------
+    noise : float
+        Median variance of the residual that a translation does not explain, grey levels squared.
+    contrast : float
+        Median variance of f, grey levels squared.
+    texture : float
+        Mean of |grad f|^2 of textured cells, (grey levels / px)^2.
+    gain, offset : float
+        Medians of f = gain g + offset; no unit, and grey levels.
+    """
+
+    noise: float
+    contrast: float
+    texture: float
+    gain: float
+    offset: float
+
+    @property
+    def is_alike(self) -> bool:
+        """Whether most cells look alike in both images, so that what is left of their residual is noise."""
+        return self.noise <= MOST_NOISE * self.contrast
+
+
+def measure_seen_cells(whole: ResidualModel, evaluation: Evaluation,
+                       slopes: Sequence[Sequence[CellSlopes]]) -> list[list[SeenCells]]:
+    """Measure the cells of owned subdomains in a frame; free of communication.
+
+    Parameters
+    ----------
+    whole : ResidualModel
+        Of the frame.
+    evaluation : Evaluation
+        Of it.
+    slopes : sequence of sequence of CellSlopes
+        Of the reference images, by subdomain and view.
+
+    Returns
+    -------
+    list of list of SeenCells
+        By subdomain and view.
+    """
+    found = [[_measure(residual, of_view, whole.find_correction(evaluation, view.camera, residual))
+              for view, residual, of_view in zip(of_subdomain.views, residuals, of_views, strict=True)]
+             for of_subdomain, residuals, of_views in zip(whole.views, evaluation.residuals, slopes, strict=True)]
+    if whole.correction == "none":
+        return found
+    return [[replace(cells, coefficient=np.abs(cells.coefficient)) for cells in of_subdomain]
+            for of_subdomain in found]
+
+
+def _measure(residual: Residual, slopes: CellSlopes, correction: tuple[Array, Array]) -> SeenCells:
+    sums = residual.cell_sums
+    n = sums.n_pixels
+    safe = np.maximum(n, 1.0)
+    _, of_own = sums.sum_residual(*sums.fit_gain_and_offset())
+    _, of_used = sums.sum_residual(*correction)
+    variance = np.where(n >= FEWEST_PIXELS, of_own, of_used) / safe
+    _, r, g, rr, gg, rg = np.moveaxis(sums.values, -1, 0)
+    mean_f, mean_g = (r + g) / safe, g / safe
+    spread_f = np.sqrt(np.maximum((rr + 2 * rg + gg) / safe - mean_f**2, 0.0))
+    spread_g = np.sqrt(np.maximum(gg / safe - mean_g**2, 0.0))
+    covariance = (rg + gg) / safe - mean_f * mean_g
+    coefficient = covariance / np.maximum(spread_f * spread_g, 1e-300)
+    spread_g = np.where(coefficient < -CORRELATED, -spread_g, spread_g)
+    unexplained = np.maximum(variance - _explain(residual, slopes, correction), 0.0)
+    return SeenCells(n, variance, unexplained, slopes.texture, mean_f, mean_g, spread_f, spread_g, coefficient)
+
+
+def _explain(residual: Residual, slopes: CellSlopes, correction: tuple[Array, Array]) -> Array:
+    """Mean square of a cell's residual that a small translation of it explains, (n_cells,), grey levels squared."""
+    gain, offset = (np.broadcast_to(value, len(slopes.mean))[:, None] for value in correction)
+    of_r, of_g, of_one = np.moveaxis(residual.moments[..., 0], 1, 0)
+    safe = np.maximum(residual.cell_sums.n_pixels, 1.0)[:, None]
+    b = (of_r - (gain - 1.0) * of_g - offset * of_one) / safe
+    translation = np.einsum("cij,cj->ci", slopes.inverse, b)
+    return np.asarray(np.einsum("ci,ci->c", b, translation))
+
+
+def collect_cells(whole: ResidualModel, seen: Sequence[Sequence[SeenCells]]) -> dict[int, SeenCells]:
+    """Gather cells with pixels from all ranks, not more than medians need; collective.
+
+    Parameters
+    ----------
+    whole : ResidualModel
+        Of the frame.
+    seen : sequence of sequence of SeenCells
+        Of owned subdomains, by view.
+
+    Returns
+    -------
+    dict of int to SeenCells
+        By camera, on all ranks; the same on any number of ranks but for the order.
+    """
+    team = whole.team
+    n_cells = team.sum(sum(of_subdomain.subdomain.mesh.n_cells for of_subdomain in whole.views))
+    step = max(1, int(n_cells) // ENOUGH_CELLS)
+    mine = []
+    for of_subdomain, of_views in zip(whole.views, seen, strict=True):
+        is_sampled = of_subdomain.subdomain.cell_ids % step == 0
+        mine += [(view.camera, of_view.choose(is_sampled & (of_view.n_pixels > 0)))
+                 for view, of_view in zip(of_subdomain.views, of_views, strict=True)]
+    by_camera: dict[int, list[SeenCells]] = {}
+    for camera, cells in team.gather_lists(mine):
+        by_camera.setdefault(camera, []).append(cells)
+    return {camera: _join(parts) for camera, parts in by_camera.items()}
+
+
+def _join(parts: Sequence[SeenCells]) -> SeenCells:
+    return SeenCells(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(SeenCells)))
+
+
+def find_typical_cell(cells: SeenCells) -> TypicalCell:
+    """Find what most of some cells are like.
+
+    Parameters
+    ----------
+    cells : SeenCells
+        With pixels.
+
+    Returns
+    -------
+    TypicalCell
+        Medians; zeros, and no correction, where there are no cells.
+    """
+    n = cells.n_pixels
+    if not len(n):
+        return TypicalCell(0.0, 0.0, 0.0, 1.0, 0.0)
+    gain, varies = 1.0, cells.spread_g != 0
+    if varies.any():
+        gain = find_weighted_median(cells.spread_f[varies] / cells.spread_g[varies], n[varies])
+    offset = find_weighted_median(cells.mean_f - gain * cells.mean_g, n)
+    return TypicalCell(find_weighted_median(cells.unexplained, n), find_weighted_median(cells.spread_f, n)**2,
+                       find_weighted_quantile(cells.texture, n, TEXTURED), gain, offset)
+
+
+def find_standing_out(seen: SeenCells, typical: TypicalCell, limit: float) -> NDArray[np.bool_]:
+    """Find the cells that stand out.
+
+    Parameters
+    ----------
+    seen : SeenCells
+        Of a view.
+    typical : TypicalCell
+        Of its camera.
+    limit : float
+        Error of the displacement whose residual is believed, pixels; inf where any residual is.
+
+    Returns
+    -------
+    (n_cells,) array of bool
+        Those that show pixels and stand out.
+    """
+    is_off = _find_off(seen, typical, limit)
+    if np.isfinite(limit):
+        is_off |= _find_other_speckle(seen, typical)
+    return np.asarray(is_off & (seen.n_pixels > 0))
+
+
+def _find_off(seen: SeenCells, typical: TypicalCell, limit: float) -> NDArray[np.bool_]:
+    """Cells with the residual of a larger error of the displacement, beyond chance."""
+    texture = np.maximum(seen.texture, max(WEAK_TEXTURE * typical.texture, TINY))
+    # What an error leaves: |grad f|^2 error^2, halved since the error has any direction.
+    is_large = seen.unexplained - typical.noise > 0.5 * texture * limit**2
+    n = np.maximum(seen.n_pixels, 1.0)
+    # Wilson and Hilferty's bound of a sum of n squares: few pixels vary more than a normal distribution says.
+    by_chance = (1.0 - 2.0 / (9.0 * n) + SIGNIFICANT * np.sqrt(2.0 / (9.0 * n)))**3
+    like_speckle = typical.noise / max(typical.contrast, TINY)
+    least = typical.noise * np.maximum(by_chance, LEAST_EXCESS + OF_CONTRAST * like_speckle)
+    return np.asarray(is_large & (seen.unexplained > least))
+
+
+def _find_other_speckle(seen: SeenCells, typical: TypicalCell) -> NDArray[np.bool_]:
+    """Cells of enough contrast whose grey levels in both images are not alike."""
+    contrast = seen.spread_f**2
+    # Correlation coefficient of two images of the same speckle with noise.
+    expected = contrast / np.maximum(contrast + typical.noise, TINY)
+    is_textured = seen.texture > BLANK_TEXTURE * typical.texture
+    has_contrast = is_textured & (expected > CORRELATED) & (seen.n_pixels >= FEWEST_PIXELS)
+    is_unlike = (seen.coefficient < SAME_SPECKLE * expected) & (seen.unexplained > UNEXPLAINED * seen.variance)
+    return np.asarray(has_contrast & is_unlike)

@@ -1,0 +1,203 @@
+"""Nodes that Gauss-Newton has not found yet where it has found all others: these are iterated where they are.
+
+A pass over the pixels is confined to the cells about slow nodes and their neighbours. The forces on the others follow q
+as the linear theory says, b - M (q - q_0): they were small already, and the next pass over all pixels checks them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.functionals.grey_statistics import GreyState
+from ddic.images.noise import NOISE_OF_SLOPE
+from ddic.mesh.mesh import pad_cells
+from ddic.parallel.distribution import sum_shared_nodes
+from ddic.parallel.team import Team
+from ddic.partition.subdomain import Subdomain
+from ddic.problem.renewal import find_displaced_nodes
+from ddic.problem.residual_model import ResidualModel
+from ddic.problem.views import FrameViews
+from ddic.solvers.correction_size import CorrectionSize, Tolerances, measure_node_corrections
+from ddic.solvers.gauss_newton import Correction
+from ddic.solvers.local_system import LocalSystem
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+LEAST_KNOWN = 0.2
+"""Least share of a node's diagonal that is taken for texture: a node that is lost in noise drags its neighbours too. A
+smaller one leaves these, with 0.1, by 0.12 of their standard deviation from where they would come to rest."""
+
+MOST_VISITED = 0.3
+"""Share of the pixels that are visited where a few nodes are slow: of more, a pass over all of them tells more."""
+
+
+@dataclass(frozen=True)
+class SlowNodes:
+    """What Gauss-Newton asks of the images where only a few nodes are not found yet.
+
+    Attributes
+    ----------
+    near : ResidualModel
+        Of the cells about these nodes.
+    rows : list of (n_unknowns,) bool array
+        Unknowns whose forces these cells tell, those of slow nodes and their neighbours, of each owned subdomain.
+    q, b : list of (n_unknowns,) array
+        Where all pixels were visited last, and the forces there.
+    systems : list of LocalSystem
+        With M_s.
+    """
+
+    near: ResidualModel
+    rows: list[Flags]
+    q: list[Array]
+    b: list[Array]
+    systems: list[LocalSystem]
+
+    @property
+    def team(self) -> Team:
+        """All ranks."""
+        return self.near.team
+
+    def linearize(self, q: Sequence[Array]) -> tuple[list[Array], tuple[GreyState, ...]]:
+        """Pass over the pixels of the cells about slow nodes; collective."""
+        seen, grey = self.near.linearize(q)
+        b = [np.where(is_seen, seen_s, b_s - system.hessian @ (q_s - before))
+             for is_seen, seen_s, b_s, system, q_s, before
+             in zip(self.rows, seen, self.b, self.systems, q, self.q, strict=True)]
+        return b, grey
+
+    def measure_correction(self, dq: Sequence[Array], q: Sequence[Array], tolerances: Tolerances) -> CorrectionSize:
+        """Measure a correction of all nodes; collective."""
+        return self.near.measure_correction(dq, q, tolerances)
+
+
+def confine_to_slow_nodes(model: ResidualModel, correction: Correction, systems: list[LocalSystem],
+                          tolerances: Tolerances) -> SlowNodes | None:
+    """Confine Gauss-Newton to nodes that still move; None where these have too many pixels; collective."""
+    subdomains = [of_subdomain.subdomain for of_subdomain in model.views]
+    if model.team.sum(sum(subdomain.n_motion for subdomain in subdomains)):
+        # A camera's motion moves all of its cells, and its force is that of all their pixels.
+        return None
+    weights = model.weigh_nodes()
+    moved = [measure_node_corrections(*of_subdomain) for of_subdomain
+             in zip(subdomains, correction.dq, correction.q, strict=True)]
+    if weights is not None:
+        moved = [w * of_nodes for w, of_nodes in zip(weights, moved, strict=True)]
+    # Copies of a node may differ by what the linear step left.
+    slow = _join_copies(model.team, subdomains, [m > tolerances.largest for m in moved])
+    # What a slow node does to its neighbours is no more linear than what it does itself.
+    slow = _join_copies(model.team, subdomains, [_find_neighbours(*of_subdomain) for of_subdomain
+                                                 in zip(subdomains, slow, strict=True)])
+    rows = [_find_unknowns(subdomain, nodes) for subdomain, nodes in zip(subdomains, slow, strict=True)]
+    cells = [_find_cells(subdomain, of_rows) for subdomain, of_rows in zip(subdomains, rows, strict=True)]
+    n_pixels = [np.sum([view.view.correlation.raster.pixel_counts for view in of_subdomain.views], axis=0)
+                for of_subdomain in model.views]
+    n_visited = sum(int(n[chosen].sum()) for n, chosen in zip(n_pixels, cells, strict=True))
+    n_visited, n_all = model.team.sum(np.array([n_visited, sum(int(n.sum()) for n in n_pixels)], dtype=float))
+    if n_visited > MOST_VISITED * n_all:
+        return None
+    views = [_confine(of_subdomain, chosen) for of_subdomain, chosen in zip(model.views, cells, strict=True)]
+    held = (replace(correction.grey[0], n_pixels=int(n_visited)), *correction.grey[1:])
+    near = replace(model, views=views, held_grey=held, known=None)
+    return SlowNodes(near, rows, correction.q, correction.b, systems)
+
+
+def _join_copies(team: Team, subdomains: Sequence[Subdomain], nodes: Sequence[Flags]) -> list[Flags]:
+    """Nodes of which any copy is among some nodes, (n_nodes,) of each owned subdomain; collective."""
+    n_copies = sum_shared_nodes(team, subdomains, [of_subdomain.astype(float)[:, None] for of_subdomain in nodes])
+    return [of_subdomain[:, 0] > 0 for of_subdomain in n_copies]
+
+
+def _find_neighbours(subdomain: Subdomain, nodes: Flags) -> Flags:
+    """Nodes that share a cell with some nodes, these included, (n_nodes,)."""
+    corners = pad_cells(subdomain.mesh)
+    found = np.array(nodes)
+    found[corners[nodes[corners].any(axis=1)]] = True
+    return found
+
+
+def _find_unknowns(subdomain: Subdomain, nodes: Flags) -> Flags:
+    """Unknowns that displace some nodes, (n_unknowns,); those of a camera's motion rest."""
+    found = np.zeros(subdomain.n_unknowns, dtype=bool)
+    tangent = abs(subdomain.kinematics.tangent)
+    found[:subdomain.n_field] = tangent.T @ np.repeat(nodes, subdomain.mesh.dim).astype(float) > 0
+    return found
+
+
+def _find_cells(subdomain: Subdomain, unknowns: Flags) -> Flags:
+    """Cells with a node that some unknowns displace, (n_cells,)."""
+    nodes = find_displaced_nodes(subdomain, unknowns[:subdomain.n_field])
+    return np.asarray(nodes[pad_cells(subdomain.mesh)].any(axis=1))
+
+
+def _confine(of_subdomain: FrameViews, cells: Flags) -> FrameViews:
+    views = tuple(replace(view, view=replace(view.view, correlation=view.view.correlation.confine(cells)))
+                  for view in of_subdomain.views)
+    return replace(of_subdomain, views=views)
+
+
+def estimate_node_deviations(model: ResidualModel, systems: Sequence[LocalSystem], noise: float, *,
+                             by_pixels_alone: bool = False) -> list[Array]:
+    """Estimate the standard deviation of each node's displacement; collective.
+
+    From diagonals: sqrt(noise M_ii) / A_ii is what noise leaves if all other unknowns hold still, less than if they do
+    not. Of M, what the noise of f gives to |grad f|^2 is no texture: the mean force does not change with it.
+
+    Parameters
+    ----------
+    model : ResidualModel
+        Of the frame.
+    systems : sequence of LocalSystem
+        Of owned subdomains.
+    noise : float
+        Variance of the residual that the noise of both images makes, grey levels squared.
+    by_pixels_alone : bool
+        Whether mechanics hold nothing: they may hold a field of weak texture in a wrong place.
+
+    Returns
+    -------
+    list of (n_nodes,) array
+        Larger one of its components, of each owned subdomain, pixels.
+    """
+    sums = []
+    for system, of_subdomain in zip(systems, model.views, strict=True):
+        hessian = system.hessian.diagonal()
+        operator = hessian if by_pixels_alone else system.diagonal
+        sums.append(np.hstack([_take_to_nodes(system, hessian), _take_to_nodes(system, operator),
+                               _sum_squared_shapes(of_subdomain)]))
+    totals = sum_shared_nodes(model.team, [system.subdomain for system in systems], sums)
+    deviations = []
+    for total, of_subdomain in zip(totals, model.views, strict=True):
+        of_slope = NOISE_OF_SLOPE[of_subdomain.views[0].deformed.degree]
+        of_hessian, of_operator = total[:, :-1].T.reshape(2, -1, len(total))
+        known = of_operator - of_slope * 0.5 * noise * total[:, -1]
+        of_noise = np.sqrt(noise * np.maximum(of_hessian, 0.0))
+        known = np.maximum(known, LEAST_KNOWN * of_operator)
+        # What neither pixels nor mechanics hold moves nowhere.
+        deviations.append(np.divide(of_noise, known, out=np.zeros_like(known), where=known > 0).max(axis=0))
+    return deviations
+
+
+def _take_to_nodes(system: LocalSystem, diagonal: Array) -> Array:
+    """Diagonal of a matrix on unknowns as it holds the nodes' components, (n_nodes, dim)."""
+    subdomain = system.subdomain
+    of_nodes = subdomain.kinematics.tangent.power(2) @ diagonal[:subdomain.n_field]
+    return np.asarray(of_nodes).reshape(subdomain.mesh.nodes.shape)
+
+
+def _sum_squared_shapes(of_subdomain: FrameViews) -> Array:
+    """Sum of the squared shape function of each node over the pixels about it, (n_nodes, 1), cameras weighted.
+
+    Its mean over a quadrangle is 1/9, over a triangle 1/6.
+    """
+    mesh = of_subdomain.subdomain.mesh
+    n_corners = np.diff(mesh.offsets)
+    of_cells = np.sum([view.view.weight * view.view.correlation.raster.pixel_counts for view in of_subdomain.views],
+                      axis=0)
+    of_corners = np.repeat(of_cells / np.where(n_corners == 3, 6.0, 9.0), n_corners)
+    return np.asarray(np.bincount(mesh.connectivity, of_corners, mesh.n_nodes), dtype=np.float64)[:, None]
