@@ -97,7 +97,7 @@ class Described:
 
 def main(arguments: list[str]) -> int:
     """Print the violations of files or folders, by default of the package."""
-    places = [Path(argument) for argument in arguments] or [ROOT / "src" / "ddic"]
+    places = [Path(argument).resolve() for argument in arguments] or [ROOT / "src" / "ddic"]
     files = [file for place in places for file in (sorted(place.rglob("*.py")) if place.is_dir() else [place])]
     violations = list(check_files(files))
     for violation in violations:

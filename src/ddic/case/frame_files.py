@@ -19,65 +19,30 @@ PATTERN = re.compile(r"[*?\[]")
 
 
 def is_series(case: Case) -> bool:
-    """Tell whether a case names several deformed images, be it a list of one.
+    """Tell whether a case, as ``find_frames`` gives it, names several deformed images, be it a list of one.
 
-    Parameters
-    ----------
-    case : Case
-        As ``find_frames`` gives it.
-
-    Returns
-    -------
-    bool
-        Whether they are measured one after the other.
+    They are measured one after the other.
     """
     return isinstance(case.images.deformed, tuple)
 
 
 def list_cameras(case: Case) -> list[ImagesSection | NearSection]:
-    """List what a case says of each camera's images.
-
-    Parameters
-    ----------
-    case : Case
-        Any.
-
-    Returns
-    -------
-    list of ImagesSection and NearSection
-        The far camera first.
-    """
+    """List what a case says of each camera's images, the far camera first."""
     return [case.images, *case.near]
 
 
 def list_deformed(section: ImagesSection | NearSection) -> tuple[Path, ...]:
-    """List the deformed images of a camera.
+    """List the deformed images of a camera of a case from ``find_frames``, in the order of measuring.
 
-    Parameters
-    ----------
-    section : ImagesSection or NearSection
-        As ``find_frames`` gives it.
-
-    Returns
-    -------
-    tuple of Path
-        In the order of measuring; one where the case is no series.
+    There is one where the case is no series.
     """
     return section.deformed if isinstance(section.deformed, tuple) else (section.deformed,)
 
 
 def list_times(case: Case) -> tuple[float, ...]:
-    """List the times of the deformed images.
+    """List the times of the deformed images of a case from ``find_frames``, in units chosen by the user.
 
-    Parameters
-    ----------
-    case : Case
-        As ``find_frames`` gives it.
-
-    Returns
-    -------
-    tuple of float
-        Units chosen by the user; without any, the number of each image after the reference's time.
+    Without any it is the number of each image after the reference's time.
     """
     images = case.images
     if isinstance(images.deformed_time, tuple):
@@ -91,22 +56,8 @@ def list_times(case: Case) -> tuple[float, ...]:
 def find_frames(case: Case, file: Path) -> Case:
     """Put the files that exist in the place of patterns, and check that a series makes sense.
 
-    Parameters
-    ----------
-    case : Case
-        With absolute paths.
-    file : Path
-        The case file, for messages.
-
-    Returns
-    -------
-    Case
-        With a tuple of images where there is a series.
-
-    Raises
-    ------
-    InputError
-        With one line a problem.
+    The case has absolute paths; with a series it comes back with a tuple of images. ``file`` is the case file, for
+    messages. Raises InputError with one line a problem.
     """
     images, problems = _expand(case.images, "images", file)
     near = []
@@ -139,18 +90,7 @@ def _expand(section: Section, name: str, file: Path) -> tuple[Section, list[str]
 
 
 def is_pattern(path: Path) -> bool:
-    """Tell whether a path stands for all files that match it.
-
-    Parameters
-    ----------
-    path : Path
-        Absolute.
-
-    Returns
-    -------
-    bool
-        Not where a file is called so.
-    """
+    """Tell whether an absolute path stands for all files that match it: not where a file is called so."""
     return PATTERN.search(str(path)) is not None and not is_readable_file(path)
 
 
@@ -217,19 +157,9 @@ def _list_idle_keys(case: Case) -> list[str]:
 
 
 def choose_frame(case: Case, number: int) -> Case:
-    """Give the case of one frame of a series.
+    """Give the case of one frame, numbered from 0, of a series, as ``find_frames`` gives it.
 
-    Parameters
-    ----------
-    case : Case
-        As ``find_frames`` gives it.
-    number : int
-        Of the frame, from 0.
-
-    Returns
-    -------
-    Case
-        With one deformed image of each camera and its time; without residual images, unless they are asked for.
+    It has one deformed image of each camera and its time, and no residual images, unless they are asked for.
     """
     if not is_series(case):
         return case

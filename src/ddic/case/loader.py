@@ -1,10 +1,7 @@
 """Case files: read, checked against the schema, paths made absolute.
 
-Sections of the schema by their place in a case file.
-
-What is wrong with a case file, in plain words.
-
-Keys of a case file that are right, but change nothing beside what else it says.
+Sections of the schema by their place in a case file; what is wrong with a case file, in plain words; keys that are
+right, but change nothing beside what else it says.
 """
 
 from __future__ import annotations
@@ -32,17 +29,9 @@ Location = tuple[int | str, ...]
 
 
 def find_section(location: Location) -> type[BaseModel] | None:
-    """Find the schema of a section.
+    """Find the schema of a section by the keys that lead to it; None where there is no section at that place.
 
-    Parameters
-    ----------
-    location : tuple of str and int
-        Keys that lead to it; places in lists are passed over.
-
-    Returns
-    -------
-    type or None
-        Its model; None where there is no section at that place.
+    Places in lists are passed over.
     """
     section: type[BaseModel] = Case
     for step in location:
@@ -59,15 +48,7 @@ def find_section(location: Location) -> type[BaseModel] | None:
 def find_section_in(annotation: Any) -> type[BaseModel] | None:
     """Find the section inside an annotation such as ``tuple[Circle, ...]`` or ``Section | None``.
 
-    Parameters
-    ----------
-    annotation : type
-        Of a key.
-
-    Returns
-    -------
-    type or None
-        The first model that it names; None where it names none.
+    It is the first model that the annotation names; None where it names none.
     """
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
@@ -105,20 +86,7 @@ KINDS = ("one", "several")
 
 
 def describe(error: ValidationError, data: Mapping[str, Any]) -> list[str]:
-    """Say what is wrong with a case file: key, value given, what is expected.
-
-    Parameters
-    ----------
-    error : ValidationError
-        What pydantic found.
-    data : dict
-        The parsed case file.
-
-    Returns
-    -------
-    list of str
-        A line per problem.
-    """
+    """Say what is wrong with a parsed case file, a line per problem: key, value given, what is expected."""
     located = [(remove_kinds(problem["loc"], data), problem) for problem in error.errors(include_url=False)]
     return [_line(location, problem, data) for location, problem in located
             if problem["type"] != TOO_SHORT or _is_too_short(_value_at(data, location), problem)]
@@ -132,17 +100,7 @@ def _is_too_short(value: Any, problem: ErrorDetails) -> bool:
 def remove_kinds(location: Location, data: Any) -> Location:
     """Remove from a location what pydantic says of the kind that a value was taken for.
 
-    Parameters
-    ----------
-    location : tuple of str or int
-        Where pydantic found a problem.
-    data : dict
-        The parsed case file.
-
-    Returns
-    -------
-    tuple of str or int
-        Keys and places that lead to a value of the case file, or to one that is missing.
+    The keys and places that are left lead to a value of the parsed case file, or to one that is missing.
     """
     kept: list[str | int] = []
     for step in location:
@@ -260,31 +218,16 @@ class KeptMesh:
     _built: tuple[Mesh, Tying | None] | None = None
 
     def keep(self, case: Case, mesh: Mesh, tying: Tying | None) -> None:
-        """Keep the mesh of a case, in place of any other.
+        """Keep the mesh of a case, pixels, in place of any other.
 
-        Parameters
-        ----------
-        case : Case
-            That it was built of.
-        mesh : Mesh
-            The whole mesh, pixels.
-        tying : Tying or None
-            How near fields' own meshes are tied in it; None where there are none.
+        ``tying`` says how near fields' own meshes are tied in it; None where there are none.
         """
         self._case, self._built = case, (mesh, tying)
 
     def take(self, case: Case) -> tuple[Mesh, Tying | None] | None:
         """Give the mesh of a case away, so that its memory is the taker's.
 
-        Parameters
-        ----------
-        case : Case
-            That is measured.
-
-        Returns
-        -------
-        tuple of Mesh and Tying or None
-            As ``build_meshes`` would build it; None where no mesh of this very case is kept.
+        It is as ``build_meshes`` would build it; None where no mesh of this very case is kept.
         """
         if self._case is not case:
             return None
@@ -325,18 +268,7 @@ class LoadedCase:
         return is_series(self.case)
 
     def with_output(self, file: Path) -> LoadedCase:
-        """Have the result written elsewhere.
-
-        Parameters
-        ----------
-        file : Path
-            The result file.
-
-        Returns
-        -------
-        LoadedCase
-            The same but for ``output.file``.
-        """
+        """Have the result written elsewhere: the same but for ``output.file``."""
         output = self.case.output.model_copy(update={"file": file})
         return replace(self, case=self.case.model_copy(update={"output": output}))
 
@@ -371,17 +303,8 @@ def load_case(path: Path | str) -> LoadedCase:
 def load_case_leniently(path: Path | str) -> tuple[LoadedCase | None, list[str]]:
     """Read a case file as far as it can be read, so that what else is wrong can be told beside its bad keys.
 
-    Parameters
-    ----------
-    path : Path or str
-        The file.
-
-    Returns
-    -------
-    loaded : LoadedCase or None
-        The case without its bad keys, not to be run where there are any; None where it makes no sense without them.
-    problems : list of str
-        Of the keys, one line each.
+    The case comes without its bad keys, not to be run where there are any, or as None where it makes no sense without
+    them; and the problems of the keys, one line each.
     """
     try:
         return load_case(path), []
@@ -470,24 +393,9 @@ def _remove(data: Any, location: Location) -> None:
 
 
 def parse_case(text: str, path: Path) -> Case:
-    """Validate the text of a case file.
+    """Validate the TOML text of a case file; paths stay as they are written.
 
-    Parameters
-    ----------
-    text : str
-        TOML.
-    path : Path
-        Names the file in messages.
-
-    Returns
-    -------
-    Case
-        With paths as they are written.
-
-    Raises
-    ------
-    InputError
-        As ``load_case`` does.
+    ``path`` names the file in messages. Raises InputError as ``load_case`` does.
     """
     data = parse_toml(text, path)
     word = data.get("discontinuity")
@@ -506,17 +414,9 @@ def _validate(data: Mapping[str, Any]) -> Case:
 
 
 def convert_shorthand(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Write out what a case may say in a word.
+    """Write out what a case, not validated, may say in a word.
 
-    Parameters
-    ----------
-    data : mapping
-        Sections and keys, not validated.
-
-    Returns
-    -------
-    dict
-        With a section without vertices for ``discontinuity = "detect"``.
+    There is a section without vertices for ``discontinuity = "detect"``.
     """
     return {**data, "discontinuity": [{}]} if data.get("discontinuity") == DETECT else dict(data)
 
@@ -555,18 +455,7 @@ OF_PARTITION = ("subdomains", "partition", "blocks", "partition_file")
 
 
 def list_unused_keys(case: Case) -> list[str]:
-    """List the keys that a case gives and nothing asks for.
-
-    Parameters
-    ----------
-    case : Case
-        Validated.
-
-    Returns
-    -------
-    list of str
-        A line each: the key, what it goes with, what to do.
-    """
+    """List the keys that a valid case gives and nothing asks for, a line each: key, what it goes with, what to do."""
     return [*_list_unused_solver_keys(case), *_list_unused_start_keys(case), *_list_other_unused_keys(case)]
 
 

@@ -52,19 +52,8 @@ UNCERTAINTY = OutputKind("table of uncertainty", (b"kind,element_size_px,",))
 def require_own_output(path: Path, kind: OutputKind, inputs: Iterable[Path | None] = ()) -> None:
     """Refuse an output that would replace anything but an earlier output of its kind, before anything is computed.
 
-    Parameters
-    ----------
-    path : Path
-        The output.
-    kind : OutputKind
-        What is written.
-    inputs : iterable of Path or None
-        What the command reads; None for each that is not given.
-
-    Raises
-    ------
-    InputError
-        Where it is an input of the command or of a case file nearby, a device or another's file, through links too.
+    ``inputs`` is what the command reads, None for each that is not given. Raises InputError where the output is an
+    input of the command or of a case file nearby, a device or another's file, through links too.
     """
     require_no_input(path, inputs)
     if path.is_file() and path.stat().st_size and not _is_own(path, kind):
@@ -75,17 +64,8 @@ def require_own_output(path: Path, kind: OutputKind, inputs: Iterable[Path | Non
 def require_no_input(path: Path, inputs: Iterable[Path | None] = ()) -> None:
     """Refuse an output that is no plain file, or an input of the command or of a case file beside or above it.
 
-    Parameters
-    ----------
-    path : Path
-        The output.
-    inputs : iterable of Path or None
-        What the command reads; None for each that is not given.
-
-    Raises
-    ------
-    InputError
-        Where it would not stay as it is.
+    ``inputs`` is what the command reads, None for each that is not given. Raises InputError where it would not stay as
+    it is.
     """
     try:
         mode = path.stat().st_mode

@@ -25,39 +25,15 @@ PLAIN_TYPES = {bool: "true or false", int: "whole number", float: "number", str:
 
 
 def write_tables(text: str) -> str:
-    """Replace the tables of a document by those of the schema.
+    """Replace the tables of a document, each below its mark, by those of the schema; it is the same if they were right.
 
-    Parameters
-    ----------
-    text : str
-        The document, with a mark before each table.
-
-    Returns
-    -------
-    str
-        The document with the tables of today; it is the same if they were right.
-
-    Raises
-    ------
-    InputError
-        Where a mark names no section of the schema.
+    Raises InputError where a mark names no section of the schema.
     """
     return TABLE.sub(_marked_table, text)
 
 
 def format_table(section: type[BaseModel]) -> list[str]:
-    """Describe the keys of a section.
-
-    Parameters
-    ----------
-    section : type
-        Model of the section.
-
-    Returns
-    -------
-    list of str
-        Lines of a Markdown table: key, type, default, unit, meaning.
-    """
+    """Describe the keys of a section in lines of a Markdown table: key, type, default, unit, meaning."""
     rows = [_row(name, field) for name, field in section.model_fields.items()]
     return [*HEAD, *rows]
 

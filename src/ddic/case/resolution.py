@@ -18,21 +18,10 @@ _DIGITS = 3
 
 
 def set_resolution(case: Case, element_size: float | None, wavelength: float) -> Case:
-    """Put another element size and cut-off wavelength into a case.
+    """Put another element size and cut-off wavelength l_c, pixels, into a case, and ask for no residual image.
 
-    Parameters
-    ----------
-    case : Case
-        All else stays; no residual image is made.
-    element_size : float or None
-        Of the structured mesh, pixels; None keeps the mesh.
-    wavelength : float
-        l_c, pixels; 0 leaves the regularization out.
-
-    Returns
-    -------
-    Case
-        Not validated again.
+    All else stays. An ``element_size`` of None keeps the mesh, a ``wavelength`` of 0 leaves the regularization out. The
+    case is not validated again.
     """
     section = case.regularization
     if wavelength and section is not None:
@@ -50,18 +39,7 @@ def set_resolution(case: Case, element_size: float | None, wavelength: float) ->
 
 
 def list_element_sizes(case: Case) -> list[float | None]:
-    """List element sizes about that of a case, its own first.
-
-    Parameters
-    ----------
-    case : Case
-        With a structured mesh or a mesh file.
-
-    Returns
-    -------
-    list of float or None
-        Pixels; None alone where a file brings the elements.
-    """
+    """List element sizes about that of a case, pixels, its own first; None alone where a file brings the elements."""
     if case.mesh.structured is None:
         return [None]
     own = case.mesh.structured.element_size
@@ -71,19 +49,9 @@ def list_element_sizes(case: Case) -> list[float | None]:
 
 
 def list_wavelengths(case: Case, typical_size: float) -> list[float]:
-    """List cut-off wavelengths about that of a case, its own first, and none.
+    """List cut-off wavelengths about that of a case, pixels, its own first, and 0 for no regularization.
 
-    Parameters
-    ----------
-    case : Case
-        With a regularization, or without.
-    typical_size : float
-        Of its elements, pixels.
-
-    Returns
-    -------
-    list of float
-        Pixels; 0 for no regularization.
+    ``typical_size`` is that of its elements, pixels.
     """
     section = case.regularization
     own = None if section is None else section.cut_off_wavelength

@@ -40,17 +40,8 @@ PixelCounter = Callable[[Mesh, Tying | None], NDArray[np.int64]]
 def check_ranks(loaded: LoadedCase, n_ranks: int) -> None:
     """Refuse more ranks than a case has subdomains, and solvers that PETSc has not on so many.
 
-    Parameters
-    ----------
-    loaded : LoadedCase
-        The case file.
-    n_ranks : int
-        MPI ranks that were started.
-
-    Raises
-    ------
-    InputError
-        Where a rank would have no subdomain, or no rows of the images, or PETSc lacks what the solver needs.
+    Raises InputError where a rank would have no subdomain, or no rows of the images, or PETSc lacks what the solver
+    needs.
     """
     if loaded.case.pgd is not None:
         check_number_of_ranks(n_ranks)
@@ -72,24 +63,8 @@ def check_ranks(loaded: LoadedCase, n_ranks: int) -> None:
 def load_checked_case(path: Path, n_ranks: int, output: Path | None = None) -> LoadedCase:
     """Load a case file and check everything that it names, free of communication.
 
-    Parameters
-    ----------
-    path : Path
-        The case file.
-    n_ranks : int
-        MPI ranks that were started.
-    output : Path, optional
-        The result file, in place of the one that the case names.
-
-    Returns
-    -------
-    LoadedCase
-        Ready to run.
-
-    Raises
-    ------
-    InputError
-        With all problems, one line each.
+    ``output`` is the result file, None for the one that the case names. Raises InputError with all problems, one line
+    each.
     """
     loaded, of_keys = _load_readable_keys(path)
     if output is not None:
@@ -103,39 +78,13 @@ def load_checked_case(path: Path, n_ranks: int, output: Path | None = None) -> L
 def check_loaded_case(loaded: LoadedCase, n_ranks: int) -> None:
     """Check everything that a case names, and whether it can run, free of communication.
 
-    Parameters
-    ----------
-    loaded : LoadedCase
-        The case.
-    n_ranks : int
-        MPI ranks that were started.
-
-    Raises
-    ------
-    InputError
-        With all problems, one line each.
+    Raises InputError with all problems, one line each.
     """
     _check(loaded, (), n_ranks)
 
 
 def check_case_file(path: Path) -> CheckReport:
-    """Check a case file and everything that it names.
-
-    Parameters
-    ----------
-    path : Path
-        The case file.
-
-    Returns
-    -------
-    CheckReport
-        What the inputs are.
-
-    Raises
-    ------
-    InputError
-        With all problems, one line each.
-    """
+    """Check a case file and everything that it names. Raises InputError with all problems, one line each."""
     loaded, of_keys = _load_readable_keys(path)
     report = _check(loaded, of_keys, None)
     problems = Problems()
@@ -171,23 +120,7 @@ def _check(loaded: LoadedCase, of_keys: Sequence[str], n_ranks: int | None) -> C
 
 
 def check_inputs(loaded: LoadedCase) -> CheckReport:
-    """Validate a case.
-
-    Parameters
-    ----------
-    loaded : LoadedCase
-        The case file.
-
-    Returns
-    -------
-    CheckReport
-        What the inputs are.
-
-    Raises
-    ------
-    InputError
-        With the problems of all inputs, one line each.
-    """
+    """Validate a case. Raises InputError with the problems of all inputs, one line each."""
     case = loaded.case
     if not case.near:
         return check_case(loaded)
@@ -210,22 +143,8 @@ def _count_pixels_by_camera(case: Case, mesh: Mesh, tying: Tying | None) -> NDAr
 def check_case(loaded: LoadedCase, count_pixels: PixelCounter | None = None) -> CheckReport:
     """Read and validate the images, masks, mesh, node sets, partition, start and output of a case.
 
-    Parameters
-    ----------
-    loaded : LoadedCase
-        The case file.
-    count_pixels : callable, optional
-        Gives the number of pixels of each cell; by default those of the first camera's images.
-
-    Returns
-    -------
-    CheckReport
-        What the inputs are.
-
-    Raises
-    ------
-    InputError
-        With the problems of all inputs, one line each.
+    Pixels of cells are those in the first camera's images where ``count_pixels`` is None. Raises InputError with the
+    problems of all inputs, one line each.
     """
     case = loaded.case
     problems = Problems()

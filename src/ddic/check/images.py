@@ -46,19 +46,9 @@ longer."""
 
 
 def check_images(images: ImagesSection | NearSection, problems: Problems) -> ImageSource | None:
-    """Check the images of a camera and their masks.
+    """Check the images of a camera and their masks; ``problems`` takes what is found.
 
-    Parameters
-    ----------
-    images : ImagesSection or NearSection
-        Names the files.
-    problems : Problems
-        Takes what is found.
-
-    Returns
-    -------
-    ImageSource or None
-        The reference image; None where it cannot be read.
+    The reference image is returned, None where it cannot be read.
     """
     reference = _check_image(images.reference, images.reference_mask, problems)
     if reference is not None:
@@ -88,12 +78,7 @@ def check_images(images: ImagesSection | NearSection, problems: Problems) -> Ima
 def check_decodable(images: ImagesSection | NearSection, problems: Problems) -> None:
     """Check that the pixels of compressed images can be decoded, which takes as long as to read them.
 
-    Parameters
-    ----------
-    images : ImagesSection or NearSection
-        Names the files; found fit by ``check_images``.
-    problems : Problems
-        Takes what is found.
+    The images were found fit by ``check_images``; ``problems`` takes what is found.
     """
     for path in (images.reference, *list_deformed(images)):
         with problems.gathered():
@@ -145,20 +130,9 @@ def _check_same_size(reference: ImageSource, deformed: ImageSource) -> None:
 def check_texture(case: Case, reference: ImageSource, mesh: Mesh) -> None:
     """Check that pixels of the mesh are left to measure by, and that the regularization does not drown them.
 
-    Parameters
-    ----------
-    case : Case
-        Says what is left out, and the regularization.
-    reference : ImageSource
-        The reference image.
-    mesh : Mesh
-        The whole mesh, inside the image.
-
-    Raises
-    ------
-    InputError
-        Where next to every pixel of the mesh is masked or saturated, where those that are left have one grey level, or
-        where regularization.eta stands for a wavelength beyond what the mesh carries.
+    The mesh is inside the image. Raises InputError where next to every pixel of the mesh is masked or saturated, where
+    those that are left have one grey level, or where regularization.eta stands for a wavelength beyond what the mesh
+    carries.
     """
     images = case.images
     window = _find_window(mesh, reference)

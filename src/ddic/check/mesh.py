@@ -43,21 +43,9 @@ class CheckedMesh:
 
 
 def check_mesh_uses(loaded: LoadedCase, checked: CheckedMesh, problems: Problems) -> NDArray[np.int64]:
-    """Check what refers to the mesh.
+    """Check what refers to the mesh; ``problems`` takes what is found.
 
-    Parameters
-    ----------
-    loaded : LoadedCase
-        The case file.
-    checked : CheckedMesh
-        Its mesh.
-    problems : Problems
-        Takes what is found.
-
-    Returns
-    -------
-    (n,) array of int64
-        Nodes that are not controlled.
+    The nodes that are not controlled, (n,), are returned.
     """
     case = loaded.case
     mesh = checked.mesh
@@ -85,19 +73,9 @@ def check_mesh_uses(loaded: LoadedCase, checked: CheckedMesh, problems: Problems
 
 
 def count_most_ranks(case: Case, mesh: Mesh) -> int:
-    """Count the subdomains that a case can have at most, of which every rank needs one.
+    """Count the subdomains that a case, found fit, can have at most, of which every rank needs one.
 
-    Parameters
-    ----------
-    case : Case
-        Its solver and partition, found fit.
-    mesh : Mesh
-        The whole mesh.
-
-    Returns
-    -------
-    int
-        One for a cell where the case leaves their number open.
+    There is one for a cell where the case leaves their number open.
     """
     solver = case.solver
     if solver.method == "monolithic":
@@ -111,21 +89,9 @@ def count_most_ranks(case: Case, mesh: Mesh) -> int:
 
 
 def check_most_ranks(loaded: LoadedCase, most: int, n_ranks: int) -> None:
-    """Refuse more ranks than the mesh can have subdomains.
+    """Refuse more ranks than the mesh can have subdomains: ``most``, as ``count_most_ranks`` says.
 
-    Parameters
-    ----------
-    loaded : LoadedCase
-        The case.
-    most : int
-        What ``count_most_ranks`` says of it.
-    n_ranks : int
-        MPI ranks that were started.
-
-    Raises
-    ------
-    InputError
-        With what can be changed: only keys that the case gives.
+    The InputError says what can be changed: only keys that the case gives.
     """
     if n_ranks <= most:
         return
@@ -143,19 +109,8 @@ def check_most_ranks(loaded: LoadedCase, most: int, n_ranks: int) -> None:
 def check_mesh(loaded: LoadedCase, mesh: Mesh, n_ranks: int) -> None:
     """Check what a case with one camera asks of a mesh.
 
-    Parameters
-    ----------
-    loaded : LoadedCase
-        The case.
-    mesh : Mesh
-        The whole mesh, pixels.
-    n_ranks : int
-        MPI ranks that were started.
-
-    Raises
-    ------
-    InputError
-        With a line for each problem: cells without pixels, node sets, cut-off wavelength, partition, ranks.
+    Raises InputError with a line for each problem: cells without pixels, node sets, cut-off wavelength, partition,
+    ranks.
     """
     problems = Problems()
     check_mesh_uses(loaded, CheckedMesh(mesh, None, rasterize(mesh).pixel_counts), problems)

@@ -30,17 +30,8 @@ LEAST_HALF_PROBE = 4
 def check_near_mapping(far: Camera, near: Camera) -> None:
     """Check that a near camera's reference image shows what the far one shows there.
 
-    Parameters
-    ----------
-    far : Camera
-        The first camera.
-    near : Camera
-        With its mapping.
-
-    Raises
-    ------
-    InputError
-        Where the mapping puts the near image outside the far one, mirrors it, or puts it in a wrong place.
+    Raises InputError where the mapping puts the near image outside the far one, mirrors it, or puts it in a wrong
+    place.
     """
     far_path = far.reference.image.path
     place = f"{near.entry}: {near.reference.image.path}"

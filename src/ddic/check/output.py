@@ -30,15 +30,7 @@ ROOM_IN_NAME = 48
 def check_output(loaded: LoadedCase) -> None:
     """Check that the result and what stands beside it can be written and overwrite no input.
 
-    Parameters
-    ----------
-    loaded : LoadedCase
-        The case file.
-
-    Raises
-    ------
-    InputError
-        At the first problem.
+    Raises InputError at the first problem.
     """
     case = loaded.case
     check_output_file(case.output.file)
@@ -51,15 +43,7 @@ def check_output(loaded: LoadedCase) -> None:
 def check_output_file(file: Path) -> None:
     """Check that a file can be written.
 
-    Parameters
-    ----------
-    file : Path
-        The result file.
-
-    Raises
-    ------
-    InputError
-        Where it is a folder or a link in circles, or its folder is not there or cannot be written to.
+    Raises InputError where it is a folder or a link in circles, or its folder is not there or cannot be written to.
     """
     folder = file.parent
     try:
@@ -95,23 +79,9 @@ def check_nothing_is_overwritten(result: Path, case: Case, others: Iterable[Path
                                  key: str = "output.file") -> None:
     """Check that neither a result nor what stands beside it takes the place of an input.
 
-    A case may go on from the field that it left when it did not converge: the next one replaces that.
-
-    Parameters
-    ----------
-    result : Path
-        The result file.
-    case : Case
-        With the files that it names.
-    others : iterable of Path or None, optional
-        Further inputs; None for each that is not given.
-    key : str, optional
-        Where the result's name comes from, for the message.
-
-    Raises
-    ------
-    InputError
-        At the first input that would be lost.
+    A case may go on from the field that it left when it did not converge: the next one replaces that. ``others`` are
+    further inputs, None for each that is not given; ``key`` is where the result's name comes from, for the message.
+    Raises InputError at the first input that would be lost.
     """
     start = case.start.from_result
     n_cameras = 1 + len(case.near)
@@ -146,35 +116,13 @@ def _find_lost(inputs: Iterable[Path | None], written: Iterable[Path], folder: P
 
 
 def list_inputs(loaded: LoadedCase) -> Iterator[Path | None]:
-    """List the files that a case reads and no run replaces.
-
-    Parameters
-    ----------
-    loaded : LoadedCase
-        The case file.
-
-    Yields
-    ------
-    Path or None
-        The case file and what it names; None for each that it does not.
-    """
+    """List the files that a case reads and no run replaces, the case file too; None for each that it does not name."""
     yield loaded.path
     yield from list_named_files(loaded.case)
 
 
 def list_named_files(case: Case) -> Iterator[Path | None]:
-    """List the files that a case names and no run replaces.
-
-    Parameters
-    ----------
-    case : Case
-        Any.
-
-    Yields
-    ------
-    Path or None
-        None for each that it does not name.
-    """
+    """List the files that a case names and no run replaces; None for each that it does not name."""
     yield from _list_images(case.images)
     yield case.images.at_rest
     yield case.solver.partition_file

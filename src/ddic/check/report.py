@@ -1,7 +1,4 @@
-"""What the inputs of a case are.
-
-All inputs of a PGD-DIC case validated without measuring.
-"""
+"""What the inputs of a case are; all inputs of a PGD-DIC case validated without measuring."""
 
 from __future__ import annotations
 
@@ -42,20 +39,12 @@ class CheckReport:
         Of the first camera's images, pixels.
     bits : int or None
         Bits per pixel of the images' integers; None for floats.
-    n_nodes : int
-        Nodes of the mesh.
-    n_cells : int
-        Cells of the mesh.
-    n_dofs : int
-        Unknowns of the field.
-    cell_counts : dict of int
-        Number of cells by name (T3, Q4).
-    node_sets : dict of int
-        Number of nodes by name of the set.
-    pixels_min : int
-        Pixels of the cell that has fewest.
-    pixels_mean : float
-        Pixels per cell.
+    n_nodes, n_cells, n_dofs : int
+        Nodes and cells of the mesh, unknowns of the field.
+    cell_counts, node_sets : dict of int
+        Number of cells by name (T3, Q4), and of nodes by name of the set.
+    pixels_min, pixels_mean : int, float
+        Pixels of the cell that has fewest, and pixels per cell.
     n_controlled_dofs : int
         Unknowns that the equilibrium gap controls; 0 without regularization.
     output : Path
@@ -86,24 +75,7 @@ class CheckReport:
 
 def describe_inputs(case: Case, reference: ImageSource, checked: CheckedMesh,
                     not_controlled: NDArray[np.int64]) -> CheckReport:
-    """Describe inputs that were found fit.
-
-    Parameters
-    ----------
-    case : Case
-        The settings.
-    reference : ImageSource
-        The first camera's reference image.
-    checked : CheckedMesh
-        The mesh.
-    not_controlled : (n,) array of int64
-        Nodes that are not controlled.
-
-    Returns
-    -------
-    CheckReport
-        Numbers for the user.
-    """
+    """Describe inputs that were found fit; ``not_controlled``, (n,), are nodes that are not controlled."""
     mesh = checked.mesh
     n_unknown_nodes = mesh.n_nodes if checked.tying is None else checked.tying.n_unknown_nodes
     n_not_controlled = int((not_controlled < n_unknown_nodes).sum())
@@ -128,18 +100,7 @@ def describe_inputs(case: Case, reference: ImageSource, checked: CheckedMesh,
 
 
 def count_bits(image: ImageSource) -> int | None:
-    """Count the bits per pixel of an image.
-
-    Parameters
-    ----------
-    image : ImageSource
-        Any.
-
-    Returns
-    -------
-    int or None
-        None for floats.
-    """
+    """Count the bits per pixel of an image; None for floats."""
     saturation = image.saturation
     return None if saturation is None else int(saturation).bit_length()
 
@@ -154,24 +115,7 @@ def _describe_discontinuities(case: Case, mesh: Mesh) -> str | None:
 def check_separated_case(loaded: LoadedCase, reference: ImageSource, problems: Problems) -> CheckReport:
     """Check the rectangle of a case with [pgd] and what refers to it.
 
-    Parameters
-    ----------
-    loaded : LoadedCase
-        The case file.
-    reference : ImageSource
-        The reference image.
-    problems : Problems
-        What was found before.
-
-    Returns
-    -------
-    CheckReport
-        What the inputs are.
-
-    Raises
-    ------
-    InputError
-        With the problems of all inputs, one line each.
+    Raises InputError with the problems of all inputs, one line each, those that were found before among them.
     """
     rectangle: Rectangle | None = None
     with problems.gathered(loaded.path):

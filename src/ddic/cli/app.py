@@ -1,10 +1,7 @@
 """The command line: ``ddic`` and its commands, each imported when it is called.
 
-Numbers on the command line: nan and infinity are none that an option takes.
-
-Words that a command does not take, told in a line.
-
-``--frame``: which frame of a series a command takes.
+Of numbers, nan and infinity are none that an option takes. Words that a command does not take are told in a line.
+``--frame`` says which frame of a series a command takes.
 """
 
 from __future__ import annotations
@@ -32,10 +29,7 @@ from ddic.errors import InputError
 def require_finite_options(command: click.Command) -> None:
     """Have a command refuse options that are not finite.
 
-    Parameters
-    ----------
-    command : Command
-        Its options without a callback get one; so do those of its own commands.
+    Its options without a callback get one; so do those of its own commands.
     """
     for parameter in command.params:
         if parameter.callback is None:
@@ -57,10 +51,7 @@ def _check(_: click.Context, parameter: click.Parameter, value: Any) -> Any:
 def usage_as_line() -> Iterator[None]:
     """Have words that a command does not take refused like other input, in place of click's four lines on each rank.
 
-    Raises
-    ------
-    InputError
-        Where the block raises what click says of the words.
+    Raises InputError where the block raises what click says of the words.
     """
     try:
         yield
@@ -104,35 +95,11 @@ class LazyGroup(click.Group):
     """Commands live in ``ddic.cli.NAME``, or where ``HOMES`` says; listing them imports none."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """List the commands in the order of a first session.
-
-        Parameters
-        ----------
-        ctx : Context
-            Of click.
-
-        Returns
-        -------
-        list of str
-            Their names.
-        """
+        """List the names of the commands in the order of a first session."""
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import a command.
-
-        Parameters
-        ----------
-        ctx : Context
-            Of click.
-        cmd_name : str
-            As it was typed.
-
-        Returns
-        -------
-        Command or None
-            None where there is no such command.
-        """
+        """Import a command; None where there is no such command."""
         if cmd_name not in COMMANDS:
             return None
         with imports_kept():
@@ -141,34 +108,12 @@ class LazyGroup(click.Group):
         return command
 
     def main(self, *args: Any, **extra: Any) -> Any:
-        """Run a command as a program.
-
-        Parameters
-        ----------
-        *args, **extra
-            As click takes them.
-
-        Returns
-        -------
-        object
-            What the command returns, where click is asked for that.
-        """
+        """Run a command as a program; return what it returns, where click is asked for that."""
         with output_as_line():
             return super().main(*args, **extra)
 
     def invoke(self, ctx: click.Context) -> object:
-        """Run the command; what it lets pass ends all ranks, in one line where the command could not be imported.
-
-        Parameters
-        ----------
-        ctx : Context
-            Of click.
-
-        Returns
-        -------
-        object
-            What the command returns.
-        """
+        """Run the command; what it lets pass ends all ranks, in one line where the command could not be imported."""
         with failures_as_lines(passed=CLICKS_OWN), usage_as_line():
             require_address_space()
             require_clock()
@@ -178,37 +123,12 @@ class LazyGroup(click.Group):
 
     def make_context(self, info_name: str | None, args: list[str], parent: click.Context | None = None,
                      **extra: Any) -> click.Context:
-        """Read the words before a command's name.
-
-        Parameters
-        ----------
-        info_name : str or None
-            Of this program.
-        args : list of str
-            What was typed.
-        parent : Context, optional
-            None for the program itself.
-        **extra
-            As click gives them.
-
-        Returns
-        -------
-        Context
-            Of click.
-        """
+        """Read the words before a command's name; ``parent`` is None for the program itself."""
         with failures_as_lines(passed=CLICKS_OWN), usage_as_line():
             return super().make_context(info_name, args, parent, **extra)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the list of commands for --help without importing them.
-
-        Parameters
-        ----------
-        ctx : Context
-            Of click.
-        formatter : HelpFormatter
-            To which it is written.
-        """
+        """Write the list of commands for --help without importing them."""
         with formatter.section("Commands"):
             formatter.write_dl(list(COMMANDS.items()))
 
@@ -223,18 +143,7 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 def add_frame_option(command: Command) -> Command:
-    """Add the option --frame to a command.
-
-    Parameters
-    ----------
-    command : callable
-        With a parameter ``frame`` (int or None).
-
-    Returns
-    -------
-    callable
-        The same.
-    """
+    """Add the option --frame to a command, which has a parameter ``frame`` (int or None)."""
     add = click.option("--frame", type=click.IntRange(1), default=None, metavar="N",
                        help="Frame of a series that is taken, by its number.")
     return add(command)

@@ -66,36 +66,18 @@ class RunShare:
         self._left_of_iterations = 1.0
 
     def begin(self, phase: Phase) -> None:
-        """Take note of a phase that begins.
-
-        Parameters
-        ----------
-        phase : Phase
-            Of the run.
-        """
+        """Take note of a phase that begins."""
         self._phase = phase
         if phase not in REPEATED:
             self.set_share(0.0)
 
     def set_share(self, share: float) -> None:
-        """Take note of how far the phase at hand is.
-
-        Parameters
-        ----------
-        share : float
-            From 0 to 1.
-        """
+        """Take note of how far the phase at hand is, from 0 to 1."""
         if self._phase not in REPEATED:
             self._reach(_sum_before(self._phase) + share * WEIGHTS[self._phase])
 
     def add_iteration(self, share: float) -> None:
-        """Take note of an iteration that has ended.
-
-        Parameters
-        ----------
-        share : float
-            What it did of those that were left.
-        """
+        """Take note of an iteration that has ended; ``share`` is what it did of those that were left."""
         self._left_of_iterations *= 1.0 - share
         weight = sum(WEIGHTS[phase] for phase in REPEATED)
         self._reach(_sum_before(REPEATED[0]) + weight * (1.0 - self._left_of_iterations))
@@ -170,47 +152,19 @@ class RunConsole:
         self._bar.stop()
 
     def phase(self, phase: Phase) -> None:
-        """Show the phase that begins.
-
-        Parameters
-        ----------
-        phase : Phase
-            Of the run.
-        """
+        """Show the phase that begins."""
         self._bar.phase(phase)
 
     def progress(self, share: float) -> None:
-        """Show how far the phase at hand is.
-
-        Parameters
-        ----------
-        share : float
-            From 0 to 1.
-        """
+        """Show how far the phase at hand is, from 0 to 1."""
         self._bar.set_share(share)
 
     def note(self, line: str) -> None:
-        """Print a line.
-
-        Parameters
-        ----------
-        line : str
-            Without its end.
-        """
+        """Print a line, given without its end."""
         self._print(line)
 
     def frame(self, number: int, n_frames: int, image: str) -> None:
-        """Print which frame of a series begins.
-
-        Parameters
-        ----------
-        number : int
-            From 1.
-        n_frames : int
-            Of the series.
-        image : str
-            Name of its file.
-        """
+        """Print which frame of a series begins, numbered from 1, and the name of its image file."""
         self._bar.settle()
         self._print(f"frame {number} of {n_frames}: {image}")
 
@@ -223,13 +177,7 @@ class RunConsole:
         self._print(f"result: {summary.result_file}")
 
     def problem_size(self, size: ProblemSize) -> None:
-        """Print the sizes.
-
-        Parameters
-        ----------
-        size : ProblemSize
-            Of what is about to be solved.
-        """
+        """Print the sizes of what is about to be solved."""
         self._bar.settle()
         self._range = size.dynamic_range or 1.0
         weight = f", eta = {size.eta:.4g}" if size.eta else ""
@@ -240,13 +188,7 @@ class RunConsole:
             self._print(f"regularization: {size.half_amplitudes.describe()}")
 
     def iteration(self, record: IterationRecord) -> None:
-        """Print a line of the iteration table; the residual is that before the correction.
-
-        Parameters
-        ----------
-        record : IterationRecord
-            Of the iteration that has ended.
-        """
+        """Print a line of the iteration table; the residual is that before the correction."""
         self._bar.add_iteration(OF_ITERATION)
         widths = _COLUMNS | {"residual": max(_COLUMNS["residual"], _OF_CAMERA * len(record.cameras) - 1)}
         if record.number == 1:
@@ -263,13 +205,7 @@ class RunConsole:
         self._print(_align(cells, widths))
 
     def correction(self, record: CorrectionRecord) -> None:
-        """Print a line of the table of corrections, below its head; the residual is that before the correction.
-
-        Parameters
-        ----------
-        record : CorrectionRecord
-            Of the correction that was made.
-        """
+        """Print a line of the table of corrections, below its head; the residual is that before the correction."""
         self._bar.add_iteration(OF_CORRECTION)
         if record.number == 1:
             self._print(_align(list(_CORRECTION_COLUMNS), _CORRECTION_COLUMNS))
@@ -279,13 +215,7 @@ class RunConsole:
         self._print(_align(cells, _CORRECTION_COLUMNS))
 
     def finish(self, summary: Summary | SeriesSummary) -> None:
-        """Print what was found.
-
-        Parameters
-        ----------
-        summary : Summary or SeriesSummary
-            Of the run.
-        """
+        """Print what was found."""
         self._bar.stop()
         if isinstance(summary, SeriesSummary):
             self._finish_series(summary)
@@ -439,12 +369,9 @@ class _PhaseLines:
 
 
 def is_on_terminal() -> bool:
-    """Tell whether a person watches; under mpirun, which gives ranks a terminal of its own, mpirun's output counts.
+    """Tell whether a person watches: whether the output is a terminal's.
 
-    Returns
-    -------
-    bool
-        Whether the output is a terminal's.
+    Under mpirun, which gives ranks a terminal of its own, mpirun's output counts.
     """
     if not sys.stdout.isatty():
         return False

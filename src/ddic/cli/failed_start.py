@@ -25,12 +25,8 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EPIPE)
 def output_as_line() -> Iterator[None]:
     """End the program with a line on standard error where standard output cannot be written.
 
-    Names of files that are no UTF-8 are printed with escapes.
-
-    Raises
-    ------
-    OSError
-        What the block raises for another reason.
+    Names of files that are no UTF-8 are printed with escapes. An OSError that the block raises for another reason
+    passes.
     """
     for stream in (sys.stdout, sys.stderr):
         reconfigure = getattr(stream, "reconfigure", None)
@@ -57,18 +53,7 @@ def take_closed_pipes_as_errors() -> None:
 
 
 def is_of_output(error: BaseException) -> bool:
-    """Tell whether standard output could not be written.
-
-    Parameters
-    ----------
-    error : BaseException
-        Any.
-
-    Returns
-    -------
-    bool
-        False where the error names a file.
-    """
+    """Tell whether an error says that standard output could not be written; False where the error names a file."""
     return isinstance(error, OSError) and error.filename is None and error.errno in FULL
 
 
@@ -95,15 +80,8 @@ _NO_CACHE = "no locator available for file"
 def failures_as_lines(passed: tuple[type[BaseException], ...] = ()) -> Iterator[None]:
     """End the program where the block fails, with all ranks of its job: their end would wait for one another.
 
-    Parameters
-    ----------
-    passed : tuple of type, optional
-        Errors that somebody else takes care of. ``SystemExit`` is one.
-
-    Raises
-    ------
-    Exception
-        What is unexpected, where this is no rank of a job; what standard output does not take.
+    Errors in ``passed``, and ``SystemExit``, are left to somebody else. What is unexpected is raised where this is no
+    rank of a job; so is what standard output does not take.
     """
     try:
         yield
@@ -127,17 +105,9 @@ def failures_as_lines(passed: tuple[type[BaseException], ...] = ()) -> Iterator[
 
 
 def describe_briefly(error: BaseException) -> str:
-    """Describe what keeps a program from starting in one line.
+    """Describe in one line what unexpectedly keeps a program from starting: what it says and its kind.
 
-    Parameters
-    ----------
-    error : BaseException
-        Unexpected.
-
-    Returns
-    -------
-    str
-        What it says and its kind; a lack of memory in words.
+    A lack of memory is told in words.
     """
     said = " ".join(str(error).split())
     if isinstance(error, MemoryError):

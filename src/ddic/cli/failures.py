@@ -1,10 +1,6 @@
 """How a job under MPI that fails says why, once, and ends on all ranks.
 
-Errors as lines of the command line.
-
-What PETSc raises, as a line of the command line.
-
-Warnings as lines of the command line.
+Errors, what PETSc raises and warnings become lines of the command line.
 """
 
 from __future__ import annotations
@@ -34,15 +30,8 @@ if TYPE_CHECKING:
 def errors_as_lines(target: Path | None = None) -> Iterator[None]:
     """End the program where the block fails, with a line for each problem on standard error.
 
-    Parameters
-    ----------
-    target : Path, optional
-        File or folder that the block writes to.
-
-    Raises
-    ------
-    OSError
-        What the block raises, where it writes to no target.
+    ``target`` is the file or folder that the block writes to. Where there is none, an OSError that names no file is
+    raised.
     """
     try:
         yield
@@ -74,38 +63,16 @@ kind, no such package."""
 
 
 def is_petsc_error(error: BaseException) -> bool:
-    """Tell whether an error is PETSc's.
-
-    Parameters
-    ----------
-    error : exception
-        Any.
-
-    Returns
-    -------
-    bool
-        False too where PETSc has not been imported.
-    """
+    """Tell whether an error is PETSc's; False too where PETSc has not been imported."""
     petsc = sys.modules.get("petsc4py.PETSc")
     return petsc is not None and isinstance(error, petsc.Error)
 
 
 def describe_petsc_error(error: BaseException, options: Sequence[str]) -> tuple[str, int]:
-    """Say what PETSc refused, and whose fault it may be.
+    """Say what PETSc refused and why, in a line, and whose fault it may be, as an exit code.
 
-    Parameters
-    ----------
-    error : PETSc.Error
-        As it was caught.
-    options : sequence of str
-        Of PETSc, as they were given on the command line.
-
-    Returns
-    -------
-    line : str
-        With its reason.
-    exit_code : int
-        That of a wrong input where options were given and the error is one that they make.
+    The code is that of a wrong input where ``options`` of PETSc were given on the command line and the error is one
+    that they make.
     """
     number = getattr(error, "ierr", None)
     said = [re.sub(r"^\[\d+\] ", "", line).strip() for line in str(error).splitlines()]
@@ -116,21 +83,10 @@ def describe_petsc_error(error: BaseException, options: Sequence[str]) -> tuple[
 
 
 def show_failure(team: Team, error: BaseException, petsc_options: Sequence[str] = ()) -> int:
-    """Say what went wrong, once; what this rank alone knows ends the job.
+    """Say what went wrong, once, and return the exit code, where all ranks failed.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    error : BaseException
-        What ended the work here.
-    petsc_options : sequence of str, optional
-        Words that PETSc was given.
-
-    Returns
-    -------
-    int
-        The exit code, where all ranks failed.
+    What this rank alone knows ends the job. ``error`` ended the work here; ``petsc_options`` are the words that PETSc
+    was given.
     """
     everywhere = is_collective(error)
     lines, code = _describe(error, petsc_options)
@@ -150,12 +106,7 @@ def show_failure(team: Team, error: BaseException, petsc_options: Sequence[str] 
 def abort_quietly(team: Team, code: int) -> None:
     """End all ranks where a launcher waits for them, which else has ten lines of its own to say; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks, which have failed.
-    code : int
-        The exit code.
+    All ranks have failed; ``code`` is the exit code.
     """
     if team.size > 1 and is_launcher(os.getppid()):
         team.wait_for_all()

@@ -168,18 +168,7 @@ TEXTS = ("image", "started from")
 
 
 def describe_frames(series: SeriesResult) -> list[tuple[str, str]]:
-    """Describe what all frames of a series come to.
-
-    Parameters
-    ----------
-    series : SeriesResult
-        Of at least one frame.
-
-    Returns
-    -------
-    list of (str, str)
-        Names and values.
-    """
+    """Describe what all frames of a series, at least one, come to: names and values."""
     # Imported here because HDF5 is not needed by --help.
     from ddic.io.series_reader import find_displacement_range
 
@@ -197,17 +186,9 @@ def describe_frames(series: SeriesResult) -> list[tuple[str, str]]:
 
 
 def list_frame_rows(series: SeriesResult) -> list[str]:
-    """List the frames of a series as lines of a table.
+    """List the frames of a series as lines of a table: a head, and a line each.
 
-    Parameters
-    ----------
-    series : SeriesResult
-        With the records of its frames.
-
-    Returns
-    -------
-    list of str
-        A head, and a line each; why it was not measured in place of its numbers.
+    Where a frame was not measured, the reason stands in place of its numbers.
     """
     rows = [_list_cells(record) for record in series.records]
     widths = [max(len(head), *(len(row[k]) for row in rows if k < len(row) - 1 or len(row) == len(COLUMNS)))

@@ -40,10 +40,8 @@ class PageFiles:
     ----------
     folder : Path
         Of all of them.
-    stem : str
-        Beginning of their names.
-    ending : str
-        Their format.
+    stem, ending : str
+        Beginning of their names, and their format.
     dpi : int
         Dots an inch.
     """
@@ -54,40 +52,14 @@ class PageFiles:
     dpi: int
 
     def to_path(self, *words: str) -> Path:
-        """Name a file by what it shows.
-
-        Parameters
-        ----------
-        *words : str
-            Put between the beginning and the ending.
-
-        Returns
-        -------
-        Path
-            In the folder.
-        """
+        """Name a file by what it shows: words between the beginning and the ending."""
         return self.folder / ".".join((self.stem, *words, self.ending))
 
 
 def choose_ending(asked: str | None, *, animate: bool) -> str:
-    """Choose a format.
+    """Choose a format: the one asked for, or where that is None the first of FORMATS, of MOVING for an animation.
 
-    Parameters
-    ----------
-    asked : str or None
-        By the user.
-    animate : bool
-        Whether it is an animation.
-
-    Returns
-    -------
-    str
-        One of FORMATS, or of MOVING.
-
-    Raises
-    ------
-    InputError
-        Where the one that is asked for does not fit, or there is no program for it.
+    Raises InputError where the one that is asked for does not fit, or there is no program for it.
     """
     from ddic.plots.series import require_writer
 

@@ -45,20 +45,7 @@ class FrameChoice:
     kind: str
 
     def require_drawable(self, path: Path, *, is_series: bool) -> None:
-        """Refuse what cannot be drawn of a file.
-
-        Parameters
-        ----------
-        path : Path
-            The file.
-        is_series : bool
-            Whether it holds one.
-
-        Raises
-        ------
-        InputError
-            With what to give instead.
-        """
+        """Refuse what cannot be drawn of a file, which may hold a series; the InputError says what to give instead."""
         if self.animate and self.number is not None:
             raise InputError("--animate and --frame: give one of them")
         if not is_series:
@@ -121,21 +108,9 @@ class SharedScale:
 
 
 def find_shared_scale(series: SeriesResult, kind: str, look: Look) -> SharedScale:
-    """Find colours and axes that suit all frames.
+    """Find colours and axes that suit all frames of a series, which is read frame by frame.
 
-    Parameters
-    ----------
-    series : SeriesResult
-        Read frame by frame.
-    kind : str
-        One of ANIMATED.
-    look : Look
-        As the options give it.
-
-    Returns
-    -------
-    SharedScale
-        Of all frames.
+    ``kind`` is one of ANIMATED.
     """
     import numpy as np
 
@@ -163,20 +138,7 @@ def _find_limits(result: Result, kind: str, look: Look) -> Sequence[Limits]:
 
 
 def draw_pages(series: SeriesResult, draw: Callable[[Result], Figure]) -> Iterator[Figure]:
-    """Draw the frames of a series one by one, each with its number and time.
-
-    Parameters
-    ----------
-    series : SeriesResult
-        Read frame by frame.
-    draw : callable
-        Draws a frame.
-
-    Returns
-    -------
-    iterator of Figure
-        A page each.
-    """
+    """Draw the frames of a series, which is read frame by frame, one by one, a page each with its number and time."""
     from ddic.plots.canvas import draw_caption, format_caption
 
     for number, time, result in zip(series.numbers, series.times, series, strict=True):
@@ -186,21 +148,9 @@ def draw_pages(series: SeriesResult, draw: Callable[[Result], Figure]) -> Iterat
 
 
 def plot_curves(series: SeriesResult, units: str | None, pages: PageFiles) -> None:
-    """Write a page with curves of a series over time.
+    """Write a page with curves of a series, of at least one frame, over time.
 
-    Parameters
-    ----------
-    series : SeriesResult
-        Of at least one frame.
-    units : str or None
-        ``px`` or ``physical``, as --units gives it.
-    pages : PageFiles
-        Where it is written.
-
-    Raises
-    ------
-    InputError
-        Where the unit is not known.
+    ``units`` is ``px`` or ``physical``, as --units gives it. Raises InputError where the unit is not known.
     """
     from ddic.case.own_outputs import PICTURE, require_own_output
     from ddic.io.replace_on_exit import made_folder

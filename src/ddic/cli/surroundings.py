@@ -1,10 +1,8 @@
 """What every command takes for granted of the system: open streams, a clock, a folder to work in.
 
-What threads of linear algebra do while nobody needs them.
-
-Whether the address space that a process may use (``ulimit -v``) is enough to start in.
-
-Imports without the garbage collector, which would go through modules again and again and free none.
+Also what threads of linear algebra do while nobody needs them, whether the address space that a process may use
+(``ulimit -v``) is enough to start in, and imports without the garbage collector, which would go through modules again
+and again and free none.
 """
 
 from __future__ import annotations
@@ -34,10 +32,7 @@ def open_closed_streams() -> None:
 def require_clock() -> None:
     """Refuse a clock beyond 2262, at whose nanoseconds Python's own modules fail when they are imported.
 
-    Raises
-    ------
-    DdicError
-        With what it needs.
+    The DdicError says what it needs.
     """
     try:
         time.time()
@@ -49,10 +44,7 @@ def require_clock() -> None:
 def require_working_folder() -> None:
     """Refuse to work in a folder that was deleted: neither names of files nor PETSc begin without it.
 
-    Raises
-    ------
-    InputError
-        With what to do.
+    The InputError says what to do.
     """
     try:
         os.getcwd()
@@ -84,12 +76,8 @@ value refuses limits that would do."""
 def require_address_space() -> None:
     """Refuse a limit on the address space that is too small to start in; call it before numpy is imported.
 
-    Where there is a limit OpenBLAS gets one thread, unless the environment says otherwise: each reserves memory.
-
-    Raises
-    ------
-    DdicError
-        Which names the limit and what is needed.
+    Where there is a limit OpenBLAS gets one thread, unless the environment says otherwise: each reserves memory. The
+    DdicError names the limit and what is needed.
     """
     limit = _find_limit()
     if limit is None:
@@ -136,11 +124,6 @@ def imports_kept() -> Iterator[None]:
 
     Nothing of it is garbage, and neither is it looked for, later or at the end: a fifth of the time of the imports, a
     third of a second when the interpreter is taken down.
-
-    Yields
-    ------
-    None
-        While no garbage is collected.
     """
     gc.disable()
     try:

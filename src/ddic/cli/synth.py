@@ -1,6 +1,4 @@
-"""``ddic synth``: image pairs whose displacement is known exactly.
-
-Options and helpers that the commands of ``ddic synth`` share.
+"""``ddic synth``: image pairs whose displacement is known exactly, and what its commands share.
 
 ``ddic synth near-far``: two image pairs of one specimen at different magnifications.
 """
@@ -43,26 +41,9 @@ class ImageOptions(TypedDict):
 
 
 def parse_size(_context: click.Context, _option: click.Parameter, text: str | None) -> Size | None:
-    """Turn "640x480" into (640, 480); None stays None.
+    """Turn "640x480" into (640, 480), pixels; None stays None.
 
-    Parameters
-    ----------
-    _context : Context
-        Of click.
-    _option : Parameter
-        Of click.
-    text : str or None
-        WIDTHxHEIGHT.
-
-    Returns
-    -------
-    (int, int) or None
-        Pixels.
-
-    Raises
-    ------
-    BadParameter
-        Where it is no such text.
+    Raises BadParameter where it is no such text.
     """
     if text is None:
         return None
@@ -78,17 +59,7 @@ def parse_size(_context: click.Context, _option: click.Parameter, text: str | No
 def add_image_options(size: str, files: str) -> Callable[[Command], Command]:
     """Make a decorator that adds the options of ImageOptions.
 
-    Parameters
-    ----------
-    size : str
-        Default of --size.
-    files : str
-        What --output will hold.
-
-    Returns
-    -------
-    callable
-        The decorator.
+    ``size`` is the default of --size, ``files`` what --output will hold.
     """
     options = (
         click.option("--size", callback=parse_size, default=size, show_default=True,
@@ -116,26 +87,12 @@ def write_images(folder: Path, names: Sequence[str], record: dict[str, Any],
                  render: Callable[[NewFiles], object]) -> None:
     """Write images and their truth, all or nothing, and say where they are.
 
-    Images that are there already are replaced only where a command like this one made them and no case file beside
-    them or in the folder above names them, or by the same ones.
+    Images that are there already are replaced only where a command like this one made them and no case file beside them
+    or in the folder above names them, or by the same ones. The folder is made where it is not there; ``record`` is the
+    content of truth.json; ``render`` begins the images in the files that it is given, and writes them.
 
-    Parameters
-    ----------
-    folder : Path
-        Made where it is not there.
-    names : sequence of str
-        Of the images.
-    record : dict
-        Content of truth.json.
-    render : callable
-        Begins the images in the files that it is given, and writes them.
-
-    Raises
-    ------
-    InputError
-        Where other files have these names, or the folder cannot be made or written to.
-    WriteError
-        Where the disk does not take the files.
+    Raises InputError where other files have these names, or the folder cannot be made or written to; WriteError where
+    the disk does not take the files.
     """
     from ddic.io.replace_on_exit import made_folder, replaced_together
     from ddic.io.text_files import write_json

@@ -1,6 +1,6 @@
 """A discontinuity found by itself: where strain stands out, refined, and kept where the images speak for it.
 
-The straight band in which the strain of a continuous field stands out: a Radon transform over cells [RHR08].
+The strain of a continuous field stands out in a straight band, found by a Radon transform over cells [RHR08].
 """
 
 from __future__ import annotations
@@ -66,17 +66,9 @@ class Band:
 
 
 def compute_tresca_strain(strain: Array) -> Array:
-    """Compute the equivalent strain |e1 - e2| / 2 of plane tensors.
+    """Compute the equivalent strain |e1 - e2| / 2 of plane tensors exx, eyy, exy, (n, 3).
 
-    Parameters
-    ----------
-    strain : (n, 3) array
-        exx, eyy, exy.
-
-    Returns
-    -------
-    (n,) array
-        Half of the difference of the principal strains.
+    That is half of the difference of the principal strains, (n,).
     """
     exx, eyy, exy = strain.T
     return np.asarray(np.hypot((exx - eyy) / 2, exy))
@@ -85,19 +77,7 @@ def compute_tresca_strain(strain: Array) -> Array:
 def find_band(points: Array, strain: Array, size: float) -> Band:
     """Find the straight band in which an equivalent strain exceeds that of its surroundings most.
 
-    Parameters
-    ----------
-    points : (n, 2) array
-        Cells' centres, pixels.
-    strain : (n,) array
-        Equivalent strain of the cells.
-    size : float
-        Of the cells, pixels.
-
-    Returns
-    -------
-    Band
-        With the largest score.
+    ``points`` are cells' centres, (n, 2), pixels, ``strain`` their equivalent strain, (n,), ``size`` theirs, pixels.
     """
     excess = strain - _fit_planes(points, strain, NEIGHBOURHOOD * size)
     spread = OF_NORMAL * float(np.median(np.abs(excess - np.median(excess))))
@@ -186,23 +166,10 @@ class Detection:
 
 
 def find_line(images: Images, mesh: Mesh, displacement: Array, opening: Opening) -> Detection:
-    """Find the straight line across which a displacement jumps.
+    """Find the straight line across which a displacement jumps, or say why there is none.
 
-    Parameters
-    ----------
-    images : Images
-        The pair.
-    mesh : Mesh
-        The region, pixels.
-    displacement : (n_nodes, 2) array
-        Of a continuous field, pixels.
-    opening : Opening
-        In which directions the displacement may jump.
-
-    Returns
-    -------
-    Detection
-        The line, or why there is none.
+    ``displacement`` is that of a continuous field, (n_nodes, 2), pixels; ``opening`` says in which directions it may
+    jump.
     """
     strain = compute_strain(mesh, displacement.ravel()).infinitesimal
     band = find_band(mesh.centroids, compute_tresca_strain(strain), measure_cell_size(mesh))

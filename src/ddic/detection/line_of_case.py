@@ -62,21 +62,10 @@ class Refinement:
 
 
 def find_line_of_case(inputs: Inputs, frame: Frame, displacement: Array) -> Detection:
-    """Find the line that a case asks for; on one rank.
+    """Find the line that a case asks for, or say why there is none; on one rank.
 
-    Parameters
-    ----------
-    inputs : Inputs
-        Its first camera sees the whole region.
-    frame : Frame
-        The deformed images.
-    displacement : (n_nodes, 2) array
-        Of a continuous field, pixels; nan where it was not measured, there it follows by equilibrium.
-
-    Returns
-    -------
-    Detection
-        The line, or why there is none.
+    The first camera sees the whole region. ``displacement`` is that of a continuous field, (n_nodes, 2), pixels; nan
+    where it was not measured, there it follows by equilibrium.
     """
     mesh, _ = inputs.build_mesh()
     return find_line(_view_images(inputs, frame), mesh, _fill(mesh, displacement), inputs.case.discontinuity[0].opening)
@@ -85,21 +74,9 @@ def find_line_of_case(inputs: Inputs, frame: Frame, displacement: Array) -> Dete
 def refine_lines_of_case(inputs: Inputs, frame: Frame, displacement: Array) -> Refinement:
     """Refine the lines that a case gives, and tips with tip functions along them, where the residual says they are off.
 
-    On one rank. A line that is in its place costs a look at the pixels about it.
-
-    Parameters
-    ----------
-    inputs : Inputs
-        Its first camera sees the whole region.
-    frame : Frame
-        The deformed images.
-    displacement : (n_nodes, 2) array
-        Of the mesh cut by these lines, pixels; nan where it was not measured.
-
-    Returns
-    -------
-    Refinement
-        One after the other.
+    On one rank, one after the other. A line that is in its place costs a look at the pixels about it. The first camera
+    sees the whole region. ``displacement`` is that of the mesh cut by these lines, (n_nodes, 2), pixels; nan where it
+    was not measured.
     """
     images, given = _view_images(inputs, frame), list_discontinuities(inputs.case)
     mesh, _ = inputs.build_mesh()

@@ -1,6 +1,7 @@
 """A line moved, turned and bent until its sides' pixels fit the images best [RHR08].
 
-Displacement on both sides of a line at pixels beside it, and which side each pixel belongs to by its residual.
+The displacement on both sides of a line is evaluated at pixels beside it, and its residual says which side each pixel
+belongs to.
 """
 
 from __future__ import annotations
@@ -38,32 +39,12 @@ HALO = 30
 
 def evaluate_both_sides(cut: CutMesh, displacement: Array, line: Array, points: Array,
                         others: Sequence[Array] = ()) -> tuple[Array, Array]:
-    """Evaluate the displacement of the sides of a line, each also beyond the line.
+    """Evaluate the displacement of the sides of a line, (n, 2) of left and right, pixels, each also beyond the line.
 
-    Parameters
-    ----------
-    cut : CutMesh
-        A mesh that the line cuts, perhaps among others.
-    displacement : (n_nodes, 2) array
-        Of its nodes, pixels.
-    line : (n_vertices, 2) array
-        Pixels.
-    points : (n, 2) array
-        Pixels near the line.
-    others : sequence of (n_vertices, 2) array
-        Other lines, pixels.
-
-    Returns
-    -------
-    left, right : (n, 2) array
-        By the shape functions of the nearest cell that this line alone cuts, pixels; nan where another line lies
-        between; left is where the cross product
-        with the line's direction is positive.
-
-    Raises
-    ------
-    ValueError
-        Where the line cuts no cell.
+    ``cut`` is a mesh that the line cuts, perhaps among others; points lie near the line, (n, 2), pixels; lines are
+    (n_vertices, 2), pixels. Both are found by the shape functions of the nearest cell that this line alone cuts; nan
+    where another line lies between. Left is where the cross product with the line's direction is positive. Raises
+    ValueError where the line cuts no cell.
     """
     mesh = cut.mesh
     numbers = np.zeros(0, np.int64) if mesh.parts is None else mesh.parts.cells
@@ -100,21 +81,9 @@ def compute_residuals(images: Images, pixels: NDArray[np.int64], displacement: A
                       own: NDArray[np.bool_] | None = None) -> Array:
     """Compute f(x) - a g(x + u) - b at pixels, with one gain and offset where the images' grey levels are corrected.
 
-    Parameters
-    ----------
-    images : Images
-        The pair.
-    pixels : (n, 2) array of int64
-        Columns and rows.
-    displacement : (n, 2) array
-        There, pixels.
-    own : (n,) array of bool, optional
-        Pixels that the displacement belongs to, by which gain and offset are found; all by default.
-
-    Returns
-    -------
-    (n,) array
-        Grey levels; nan where a pixel is left out of an image, or is displaced out of it.
+    ``pixels`` are columns and rows, (n, 2), the displacement is theirs, (n, 2), pixels. Gain and offset are found by
+    the pixels that the displacement belongs to, ``own``, (n,); all by default. Returns grey levels, (n,); nan where a
+    pixel is left out of an image, or is displaced out of it.
     """
     f, g = _evaluate_images(images.reference, images.deformed, pixels, displacement)
     fitted = np.isfinite(f - g) & (True if own is None else own)
@@ -235,35 +204,11 @@ def refine_line(images: Images, mesh: Mesh, start: CutField, among: Discontinuit
                 uncertainty: float, settled: float) -> RefinedLine:
     """Move a line until its sides' pixels fit best, each side's displacement being measured with the line where it is.
 
-    Parameters
-    ----------
-    images : Images
-        The pair.
-    mesh : Mesh
-        The region, not cut, pixels.
-    start : CutField
-        From which the sides start, continuous or not.
-    among : Discontinuities
-        Where the line may be, and the others, which stay; pixels.
-    number : int
-        Of the line among them.
-    uncertainty : float
-        Standard deviation of its place, pixels: how far it moves where pixels say nothing, and a third of how far it
-        may at a time.
-    settled : float
-        Pixels: a line that moves by no more has been found.
-
-    Returns
-    -------
-    RefinedLine
-        Where it does not move any more.
-
-    Raises
-    ------
-    ConvergenceError
-        Where the line or the displacement does not converge.
-    SingularSubdomainError
-        Where the pixels do not determine the displacement.
+    The sides start from ``start``, continuous or not; the region's mesh is not cut. ``among`` says where the line may
+    be, by its number, and where the others are, which stay; pixels. ``uncertainty`` is the standard deviation of its
+    place, pixels: how far it moves where pixels say nothing, and a third of how far it may at a time. A line that moves
+    by no more than ``settled``, pixels, has been found. Raises ConvergenceError where the line or the displacement does
+    not converge, SingularSubdomainError where the pixels do not determine the displacement.
     """
     size = measure_cell_size(mesh)
     for n_moves in range(MOST_MOVES):
@@ -282,22 +227,7 @@ def refine_line(images: Images, mesh: Mesh, start: CutField, among: Discontinuit
 
 
 def find_strip(mesh: Mesh, line: Array, reach: float) -> NDArray[np.int64]:
-    """Find the cells about a line.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Pixels.
-    line : (n_vertices, 2) array
-        Pixels.
-    reach : float
-        Distance of their centres, pixels.
-
-    Returns
-    -------
-    (n,) array of int64
-        Their sorted numbers.
-    """
+    """Find the cells whose centres lie within ``reach``, pixels, of a line: their sorted numbers, (n,)."""
     return np.flatnonzero(measure_distance(mesh.centroids, line) <= reach).astype(np.int64)
 
 
@@ -309,30 +239,9 @@ def find_move(images: Images, cut: CutMesh, displacement: Array, among: Disconti
     side's displacement, is summed above the line; that sum jumps from pixel to pixel, and is searched for its least
     value, not differentiated.
 
-    Parameters
-    ----------
-    images : Images
-        The pair.
-    cut : CutMesh
-        Cells that the line cuts, among others.
-    displacement : (n_nodes, 2) array
-        Of their nodes, pixels; nan where it is not known.
-    among : Discontinuities
-        Where the line is, and the others, pixels.
-    number : int
-        Of the line among them.
-    uncertainty : float
-        Standard deviation of its place, pixels.
-
-    Returns
-    -------
-    Move
-        From there.
-
-    Raises
-    ------
-    ConvergenceError
-        Where no pixel about the line counts.
+    ``displacement`` is that of the nodes of cells that the line cuts, among others, (n_nodes, 2), pixels; nan where it
+    is not known. ``among`` says where the line is, by its number, and the others. ``uncertainty`` is the standard
+    deviation of its place, pixels. Raises ConvergenceError where no pixel about the line counts.
     """
     line, reach = among.lines[number], SEARCHED * uncertainty
     size = measure_cell_size(cut.mesh)

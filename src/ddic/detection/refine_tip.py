@@ -78,32 +78,9 @@ def find_tip_move(images: Images, mesh: Mesh, start: CutField, tip: Tip, lines: 
                   uncertainty: float, kappa: float) -> TipMove:
     """Find how far a tip is off along its line.
 
-    Parameters
-    ----------
-    images : Images
-        The pair.
-    mesh : Mesh
-        The region, not cut, pixels.
-    start : CutField
-        From which the series starts, pixels.
-    tip : Tip
-        Where it is given.
-    lines : sequence of (n_vertices, 2) array
-        All lines, pixels.
-    uncertainty : float
-        Standard deviation of its place, pixels: it stays where pixels say nothing.
-    kappa : float
-        Kolosov's constant.
-
-    Returns
-    -------
-    TipMove
-        From there.
-
-    Raises
-    ------
-    ConvergenceError
-        Where there is no room for the series, or no tip is found.
+    The series starts from ``start``, pixels; the region's mesh is not cut; ``lines`` are all lines, (n_vertices, 2),
+    pixels. ``uncertainty`` is the standard deviation of the tip's place, pixels: it stays where pixels say nothing.
+    ``kappa`` is Kolosov's constant. Raises ConvergenceError where there is no room for the series, or no tip is found.
     """
     radius = _choose_radius(mesh, tip, lines)
     disk = _Disk.list_pixels(images, tip, radius, kappa)

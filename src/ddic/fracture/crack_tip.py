@@ -22,40 +22,17 @@ Array = NDArray[np.float64]
 
 
 def find_kolosov_constant(poisson_ratio: float, plane: str) -> float:
-    """Find Kolosov's constant kappa.
-
-    Parameters
-    ----------
-    poisson_ratio : float
-        nu, no unit.
-    plane : str
-        "stress" or "strain".
-
-    Returns
-    -------
-    float
-        (3 - nu) / (1 + nu), or 3 - 4 nu.
-    """
+    """Find Kolosov's constant kappa: (3 - nu) / (1 + nu) in plane "stress", 3 - 4 nu in plane "strain"."""
     return (3 - poisson_ratio) / (1 + poisson_ratio) if plane == "stress" else 3 - 4 * poisson_ratio
 
 
 def evaluate_williams_series(points: Array, orders: NDArray[np.int64], kappa: float) -> Array:
     """Evaluate the terms r^(n/2) of both modes, in the frame of the crack.
 
-    Parameters
-    ----------
-    points : (n, 2) array
-        From the tip, x ahead of the crack; faces at x < 0 where the sign of y tells them apart, pixels.
-    orders : (n_orders,) array of int64
-        n: 0 is a translation, 1 the singular strain, 2 the T-stress and a rotation; -1 is more singular than any
-        crack, and tells that the tip lies elsewhere.
-    kappa : float
-        Kolosov's constant.
-
-    Returns
-    -------
-    (n, 2, 2 n_orders) array
-        Displacement 2 mu u of a unit of each coefficient: first the opening mode of each order, then the sliding one.
+    Points, (n, 2), pixels, are from the tip, x ahead of the crack; faces are at x < 0, where the sign of y tells them
+    apart. Of the orders n, 0 is a translation, 1 the singular strain, 2 the T-stress and a rotation; -1 is more
+    singular than any crack, and tells that the tip lies elsewhere. Gives the displacement 2 mu u of a unit of each
+    coefficient, (n, 2, 2 n_orders): first the opening mode of each order, then the sliding one.
     """
     r, theta = np.hypot(points[:, 0], points[:, 1]), np.arctan2(points[:, 1], points[:, 0])
     half = orders / 2

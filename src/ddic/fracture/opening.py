@@ -19,41 +19,18 @@ from ddic.mesh.interpolation import locate
 
 
 def get_lines(result: Result) -> list[NDArray[np.float64]]:
-    """Get the discontinuities that a result was measured with.
+    """Get the vertices, (n_vertices, 2), pixels, of each discontinuity that a result was measured with.
 
-    Parameters
-    ----------
-    result : Result
-        A measured field.
-
-    Returns
-    -------
-    list of (n_vertices, 2) array
-        Vertices, pixels; of lines that were found, as they were found.
+    Lines that were found are given as they were found.
     """
     case = json.loads(str(result.attributes.get(CASE, {}).get("json", "{}")))
     return [np.array(section["vertices"]) for section in case.get("discontinuity", ())]
 
 
 def get_line(result: Result, number: int) -> NDArray[np.float64]:
-    """Get one of the discontinuities that a result was measured with.
+    """Get the vertices, pixels, of one of the discontinuities that a result was measured with, numbered from 1.
 
-    Parameters
-    ----------
-    result : Result
-        A measured field.
-    number : int
-        From 1.
-
-    Returns
-    -------
-    (n_vertices, 2) array
-        Vertices, pixels.
-
-    Raises
-    ------
-    InputError
-        Where there is no such line.
+    Raises InputError where there is no such line.
     """
     lines = get_lines(result)
     if not lines:
@@ -152,23 +129,7 @@ def measure_opening(result: Result, line: int = 1) -> Opening:
 
 
 def measure_openings(result: Result) -> list[Opening]:
-    """Measure the openings of all discontinuities.
-
-    Parameters
-    ----------
-    result : Result
-        Measured with discontinuities.
-
-    Returns
-    -------
-    list of Opening
-        In the order of the case.
-
-    Raises
-    ------
-    InputError
-        Where there are none.
-    """
+    """Measure the openings of all discontinuities, in the order of the case; raises InputError where there are none."""
     n_lines = max(len(get_lines(result)), 1)
     return [measure_opening(result, number) for number in range(1, n_lines + 1)]
 

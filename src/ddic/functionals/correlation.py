@@ -1,15 +1,12 @@
 """Grey-level conservation f(x) = g(x + u(x)) on one subdomain: M, b and the residual, Eq. 5 of [BP17].
 
-Images as the pixel kernels take them: flat arrays, the same types whether or not anything is excluded.
+From meshes and a reference image to subdomains with their pixels. Images are as the pixel kernels take them: flat
+arrays, the same types whether or not anything is excluded. Cells may be torn apart by a displacement, as one node that
+is held by nothing does to those around it.
 
-Cells that a displacement tears apart, as one node that is held by nothing does to those around it.
-
-The gradient of the deformed image where the displacement puts a pixel: F^-T grad f, F = I + grad u.
-
-Gauss-Newton takes grad f for it, which is enough where little turns or stretches. By 10 % it converges slower, by a
-rotation of 60 degrees not at all.
-
-From meshes and a reference image to subdomains with their pixels.
+The gradient of the deformed image where the displacement puts a pixel is F^-T grad f, F = I + grad u. Gauss-Newton
+takes grad f for it, which is enough where little turns or stretches. By 10 % it converges slower, by a rotation of 60
+degrees not at all.
 """
 
 from __future__ import annotations
@@ -42,37 +39,13 @@ _NOTHING_EXCLUDED = np.zeros((0, 0), dtype=np.uint8)
 
 
 def convert_reference(f: GradientImage) -> ReferencePixels:
-    """Convert a window of the reference image; its arrays are not copied.
-
-    Parameters
-    ----------
-    f : GradientImage
-        f and grad f.
-
-    Returns
-    -------
-    ReferencePixels
-        The same.
-    """
+    """Convert a window of the reference image; its arrays are not copied."""
     return ReferencePixels(_flatten(f.values), _flatten(f.by_x), _flatten(f.by_y), _count_row_length(f.values),
                            f.window.x0, f.window.y0, _or_nothing(f.usable))
 
 
 def convert_deformed(g: SplineImage, extent: Window) -> DeformedPixels:
-    """Convert a window of the deformed image; its arrays are not copied.
-
-    Parameters
-    ----------
-    g : SplineImage
-        Coefficients of g.
-    extent : Window
-        The whole image.
-
-    Returns
-    -------
-    DeformedPixels
-        The same.
-    """
+    """Convert a window of the deformed image, ``extent`` being the whole one; its arrays are not copied."""
     return DeformedPixels(_flatten(g.coefficients), _count_row_length(g.coefficients), g.degree,
                           g.window.x0, g.window.y0, _or_nothing(g.usable), extent.width, extent.height)
 
@@ -105,17 +78,7 @@ more of the image."""
 def find_torn_cells(mesh: Mesh, u: NDArray[np.float64]) -> NDArray[np.int64]:
     """Find the cells whose nodes are displaced so differently that their pixels can be nowhere in the image.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        In the image's pixels.
-    u : (n_nodes, dim) array
-        Displacement, pixels.
-
-    Returns
-    -------
-    (n,) array of int64
-        Their sorted numbers.
+    Gives their sorted numbers. The mesh is in the image's pixels, as the nodal displacement ``u``, (n_nodes, dim).
     """
     # One component after the other: numpy is slow where it looks for the least of pairs.
     if np.ptp(np.ascontiguousarray(u.T), axis=1).max() <= TORN_PIXELS:
@@ -141,19 +104,10 @@ LEAST_AREA, LARGEST_STRETCH = 0.2, 3.0
 
 
 def compute_inverse_deformations(mesh: Mesh, u: Array) -> Array:
-    """Compute F^-1 at the centre of every cell.
+    """Compute F^-1 at the centre of every cell, (n_cells, dim, dim), no unit.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Any, in the image's pixels.
-    u : (n_dofs,) array
-        Nodal displacement, pixels.
-
-    Returns
-    -------
-    (n_cells, dim, dim) array
-        No unit; the identity where a cell is folded, or stretched more than can be believed.
+    It is the identity where a cell is folded, or stretched more than can be believed. The mesh is in the image's
+    pixels, as the nodal displacement ``u``, (n_dofs,).
     """
     identity = np.eye(mesh.dim)
     deformation = identity + compute_displacement_gradients(mesh, u)
@@ -164,19 +118,10 @@ def compute_inverse_deformations(mesh: Mesh, u: Array) -> Array:
 
 
 def find_large_gradients(mesh: Mesh, u: Array) -> NDArray[np.bool_]:
-    """Find the cells that have turned or stretched by much.
+    """Tell which cells have turned or stretched by much, (n_cells,).
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Any, in the image's pixels.
-    u : (n_dofs,) array
-        Nodal displacement, pixels.
-
-    Returns
-    -------
-    (n_cells,) array of bool
-        Whether a cell's norm of F - I is above ``LARGE``, and its displacement is believed.
+    Those whose norm of F - I is above ``LARGE``, and whose displacement is believed. The mesh is in the image's pixels,
+    as the nodal displacement ``u``, (n_dofs,).
     """
     gradients = compute_displacement_gradients(mesh, u)
     is_large = np.asarray(np.linalg.norm(gradients, axis=(1, 2)) > LARGE)
@@ -186,19 +131,9 @@ def find_large_gradients(mesh: Mesh, u: Array) -> NDArray[np.bool_]:
 
 
 def measure_deformation(before: Array | None, now: Array | None) -> float:
-    """Measure how much the cells have turned and stretched.
+    """Measure how much the cells have turned and stretched: the largest norm of F_before^-1 F_now - I.
 
-    Parameters
-    ----------
-    before : (n_cells, dim, dim) array or None
-        F^-1 of each cell then; None for the identity.
-    now : (n_cells, dim, dim) array or None
-        F^-1 of each cell now; None for the identity.
-
-    Returns
-    -------
-    float
-        Largest norm of F_before^-1 F_now - I.
+    ``before`` and ``now`` are F^-1 of each cell, (n_cells, dim, dim); None stands for the identity.
     """
     if now is None:
         return 0.0 if before is None else _find_largest(before)
@@ -213,19 +148,9 @@ def _find_largest(deformation: Array) -> float:
 
 
 def map_moments(inverse: Array, moments: Array) -> Array:
-    """Turn sums of grad f into those of F^-T grad f.
+    """Turn each cell's sums of something times grad f into those of the same times F^-T grad f.
 
-    Parameters
-    ----------
-    inverse : (n_cells, dim, dim) array
-        F^-1 of each cell.
-    moments : (n_cells, n_kinds, dim, n_monomials) array
-        Sums of something times grad f.
-
-    Returns
-    -------
-    (n_cells, n_kinds, dim, n_monomials) array
-        Sums of the same times F^-T grad f.
+    Both are (n_cells, n_kinds, dim, n_monomials); ``inverse`` is F^-1 of each cell, (n_cells, dim, dim).
     """
     return np.asarray(np.einsum("eji,ekjm->ekim", inverse, moments, optimize=True))
 
@@ -233,17 +158,7 @@ def map_moments(inverse: Array, moments: Array) -> Array:
 def map_hessians(inverse: Array, hessians: Array) -> Array:
     """Turn sums of grad f grad f^T into those of F^-T grad f grad f^T F^-1.
 
-    Parameters
-    ----------
-    inverse : (n_cells, dim, dim) array
-        F^-1 of each cell.
-    hessians : (n_cells, n, n) array
-        M_e, node-major.
-
-    Returns
-    -------
-    (n_cells, n, n) array
-        M_e with the other gradient.
+    Both are M_e, (n_cells, n, n), node-major; ``inverse`` is F^-1 of each cell, (n_cells, dim, dim).
     """
     n_cells, n, _ = hessians.shape
     dim = inverse.shape[-1]
@@ -321,6 +236,9 @@ class Band:
 class Correlation:
     """One subdomain's pixels, reference image and interpolation.
 
+    Of its methods, ``q`` and ``u`` are the nodal displacement, (n_dofs,), pixels; ``gain``, no unit, and ``offset``,
+    grey levels, are one number or one a cell, (n_cells,).
+
     Attributes
     ----------
     mesh : Mesh
@@ -352,18 +270,7 @@ class Correlation:
     inverse_deformations: NDArray[np.float64] | None = None
 
     def with_moved_gradient(self, u: NDArray[np.float64]) -> Correlation:
-        """Take the gradient of the deformed image where a displacement puts it, in M and in b.
-
-        Parameters
-        ----------
-        u : (n_dofs,) array
-            Nodal displacement, pixels.
-
-        Returns
-        -------
-        Correlation
-            The same pixels.
-        """
+        """Take the gradient of the deformed image where a displacement puts it, in M and in b."""
         return replace(self, inverse_deformations=compute_inverse_deformations(self.mesh, u))
 
     @property
@@ -385,20 +292,9 @@ class Correlation:
     def count_visible_pixels(self, deformed: DeformedSubImage, q: NDArray[np.float64]) -> int:
         """Count the pixels that a displacement shows in both images.
 
+        Of ``n_usable_pixels``, they are those not mapped outside the deformed image or onto excluded pixels of it.
         Costs one pass over the pixels where some may be hidden; where there is a residual, ``Residual.n_pixels`` says
         the same for nothing.
-
-        Parameters
-        ----------
-        deformed : DeformedSubImage
-            g.
-        q : (n_dofs,) array
-            Nodal displacement, pixels.
-
-        Returns
-        -------
-        int
-            Of ``n_usable_pixels``, those not mapped outside the deformed image or onto excluded pixels of it.
         """
         if self._shows_all(deformed, q):
             return self.n_usable_pixels
@@ -407,19 +303,8 @@ class Correlation:
     def without_hidden(self, deformed: DeformedSubImage, q: NDArray[np.float64]) -> Correlation:
         """Leave out the pixels that a displacement maps outside the deformed image or onto excluded pixels of it.
 
-        From M as well as from b: a displacement that no pixel sees is not held by any.
-
-        Parameters
-        ----------
-        deformed : DeformedSubImage
-            g.
-        q : (n_dofs,) array
-            Nodal displacement, pixels.
-
-        Returns
-        -------
-        Correlation
-            With fewer usable pixels; the same object where none is hidden.
+        From M as well as from b: a displacement that no pixel sees is not held by any. Gives the same object where none
+        is hidden.
         """
         if self._shows_all(deformed, q):
             return self
@@ -431,10 +316,7 @@ class Correlation:
     def compute_cell_hessians(self) -> NDArray[np.float64]:
         """Sum N^T grad f grad f^T N over the pixels of every cell, grad f moved where it is asked for.
 
-        Returns
-        -------
-        (n_cells, 8, 8) array
-            M_e, node-major, grey levels squared per pixel squared; Eq. 5 of [BP17].
+        M_e is (n_cells, 8, 8), node-major, grey levels squared per pixel squared; Eq. 5 of [BP17].
         """
         shapes = kernels.Shapes(self.interpolation.shapes, self.interpolation.kinds)
         reference = self._reference_pixels
@@ -449,17 +331,9 @@ class Correlation:
         return hessians if self.inverse_deformations is None else map_hessians(self.inverse_deformations, hessians)
 
     def assemble_hessian(self, cells: NDArray[np.int64] | None = None) -> sparse.csr_matrix:
-        """Assemble M = sum_px N^T grad f grad f^T N over the subdomain's usable pixels.
+        """Assemble M = sum_px N^T grad f grad f^T N over the usable pixels of some cells, by default of all.
 
-        Parameters
-        ----------
-        cells : (n,) int64 array, optional
-            Numbers of the cells whose pixels count; by default all of them do.
-
-        Returns
-        -------
-        (n_dofs, n_dofs) csr_matrix
-            M, grey levels squared per pixel squared; Eq. 5 of [BP17].
+        M is (n_dofs, n_dofs), grey levels squared per pixel squared; Eq. 5 of [BP17].
         """
         if cells is None:
             return self.interpolation.assemble_matrix(self.compute_cell_hessians())
@@ -470,19 +344,7 @@ class Correlation:
                          all_kinds: bool = False) -> Residual:
         """Sum the residual f - g(x + u), against grad f too, in one pass over the subdomain's pixels.
 
-        Parameters
-        ----------
-        deformed : DeformedSubImage
-            g.
-        q : (n_dofs,) array
-            Nodal displacement, pixels.
-        all_kinds : bool
-            Whether to sum what a grey-level correction needs too.
-
-        Returns
-        -------
-        Residual
-            Sums by cell.
+        With ``all_kinds``, what a grey-level correction needs is summed too.
         """
         n_cells = self.mesh.n_cells
         displaced, reference = self._displace_pixels(deformed, q), self._reference_pixels
@@ -500,44 +362,19 @@ class Correlation:
 
     def assemble_right_hand_side(self, residual: Residual, gain: NDArray[np.float64] | float = 1.0,
                                  offset: NDArray[np.float64] | float = 0.0) -> NDArray[np.float64]:
-        """Assemble b = sum_px N^T grad f (f - gain g(x + u) - offset).
+        """Assemble b = sum_px N^T grad f (f - gain g(x + u) - offset), (n_dofs,), grey levels squared per pixel.
 
-        Parameters
-        ----------
-        residual : Residual
-            With all kinds of moments where gain is not 1 or offset not 0.
-        gain : float or (n_cells,) array
-            No unit.
-        offset : float or (n_cells,) array
-            Grey levels.
-
-        Returns
-        -------
-        (n_dofs,) array
-            b, grey levels squared per pixel; Eq. 5 of [BP17].
+        Eq. 5 of [BP17]. The residual has all kinds of moments where gain is not 1 or offset not 0.
         """
         return self.interpolation.assemble_vector(self._correct_moments(residual, gain, offset))
 
     def compute_cell_forces(self, cells: NDArray[np.int64], residual: Residual,
                             gain: NDArray[np.float64] | float = 1.0,
                             offset: NDArray[np.float64] | float = 0.0) -> NDArray[np.float64]:
-        """Sum N^T grad f (f - gain g(x + u) - offset) over the pixels of some cells.
+        """Sum N^T grad f (f - gain g(x + u) - offset) over the pixels of some cells, given by number.
 
-        Parameters
-        ----------
-        cells : (n,) array of int64
-            Their numbers.
-        residual : Residual
-            With all kinds of moments where gain is not 1 or offset not 0.
-        gain : float or (n_cells,) array
-            No unit.
-        offset : float or (n_cells,) array
-            Grey levels.
-
-        Returns
-        -------
-        (n, 8) array
-            b_e, node-major, grey levels squared per pixel.
+        b_e is (n, 8), node-major, grey levels squared per pixel. The residual has all kinds of moments where gain is
+        not 1 or offset not 0.
         """
         return self.interpolation.take_to_corners(cells, self._correct_moments(residual, gain, offset)[cells])
 
@@ -559,21 +396,7 @@ class Correlation:
                                offset: NDArray[np.float64] | float = 0.0) -> NDArray[np.float32]:
         """Compute the residual f - gain g(x + u) - offset of every pixel.
 
-        Parameters
-        ----------
-        deformed : DeformedSubImage
-            g.
-        q : (n_dofs,) array
-            Nodal displacement, pixels.
-        gain : float or (n_cells,) array
-            No unit.
-        offset : float or (n_cells,) array
-            Grey levels.
-
-        Returns
-        -------
-        (height, width) float32 array
-            On the reference window, grey levels; NaN on pixels that do not count.
+        On the reference window, (height, width), grey levels; NaN on pixels that do not count.
         """
         whole = Band(self.order, self.reference.window)
         return next(self.compute_residual_bands(deformed, q, [whole], gain, offset))
@@ -581,15 +404,8 @@ class Correlation:
     def split_bands(self, height: int) -> list[Band]:
         """Split the cells into bands of rows, whose residual images take little memory one by one.
 
-        Parameters
-        ----------
-        height : int
-            Of the bands, pixels; at least that of the tallest cell is taken. They are counted from the image's top.
-
-        Returns
-        -------
-        list of Band
-            Of all cells, each in one.
+        Every cell is in one of them. ``height`` is that of the bands, pixels; at least that of the tallest cell is
+        taken. They are counted from the image's top.
         """
         first = self.raster.first_row[self.order]
         last = first + np.diff(self.raster.row_ptr)[self.order]
@@ -605,23 +421,7 @@ class Correlation:
                                offset: NDArray[np.float64] | float = 0.0) -> Iterator[NDArray[np.float32]]:
         """Compute the same as ``compute_residual_image`` band by band, each when it is asked for.
 
-        Parameters
-        ----------
-        deformed : DeformedSubImage
-            g.
-        q : (n_dofs,) array
-            Nodal displacement, pixels.
-        bands : iterable of Band
-            Of ``split_bands``.
-        gain : float or (n_cells,) array
-            No unit.
-        offset : float or (n_cells,) array
-            Grey levels.
-
-        Returns
-        -------
-        iterator of (height, width) float32 array
-            On the bands' windows, grey levels; NaN on pixels that do not count, or that other bands have.
+        On the windows of the bands, which ``split_bands`` gives; NaN also on pixels that other bands have.
         """
         n_cells = self.mesh.n_cells
         displaced = self._displace_pixels(deformed, q)
@@ -636,17 +436,7 @@ class Correlation:
     def find_displaced_window(self, q: NDArray[np.float64]) -> Window:
         """Find the window of the deformed image that holds all displaced pixels and their neighbours.
 
-        But those of torn cells, which count as displaced out of the image.
-
-        Parameters
-        ----------
-        q : (n_dofs,) array
-            Nodal displacement, pixels.
-
-        Returns
-        -------
-        Window
-            It may leave the image.
+        But those of torn cells, which count as displaced out of the image. It may leave the image.
         """
         # u is a convex combination of nodal values, so the displaced nodes' box holds all displaced pixels.
         displaced = self._displaced_nodes(q)
@@ -720,56 +510,20 @@ row are further apart in time and share fewer lines of the cache; with a smaller
 
 
 def read_correlation(mesh: Mesh, reference: MaskedSource, degree: int) -> Correlation:
-    """Rasterise a subdomain's mesh and read its window of the reference image.
+    """Rasterise a subdomain's mesh, in the image's pixels, and read its window of the reference image.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        In the image's pixels.
-    reference : MaskedSource
-        The reference image.
-    degree : int
-        Of the spline, 3 or 5.
-
-    Returns
-    -------
-    Correlation
-        Of the subdomain.
-
-    Raises
-    ------
-    InputError
-        Where a pixel of the mesh lies outside the image.
+    ``degree`` is that of the spline, 3 or 5. Raises InputError where a pixel of the mesh lies outside the image.
     """
     return read_correlations([mesh], reference, degree)[0][0]
 
 
 def read_correlations(meshes: Sequence[Mesh], reference: MaskedSource, degree: int,
                       threads: Threads = ONE_THREAD) -> list[list[Correlation]]:
-    """Rasterise several subdomains' meshes and read their windows of the reference image.
+    """Rasterise several subdomains' meshes, in the image's pixels, and read their windows of the reference image.
 
-    Neighbours share a window where it holds fewer pixels than their own ones, whose edges and halos overlap.
-
-    Parameters
-    ----------
-    meshes : sequence of Mesh
-        In the image's pixels.
-    reference : MaskedSource
-        The reference image.
-    degree : int
-        Of the spline, 3 or 5.
-    threads : Threads
-        Of all that is done with the subdomains' pixels.
-
-    Returns
-    -------
-    list of lists of Correlation
-        Groups, in the meshes' order, that share a window of the image.
-
-    Raises
-    ------
-    InputError
-        Where a pixel of a mesh lies outside the image.
+    Neighbours share a window where it holds fewer pixels than their own ones, whose edges and halos overlap: what comes
+    back are groups that share one, in the meshes' order. ``degree`` is that of the spline, 3 or 5; ``threads`` serve
+    all that is done with the subdomains' pixels. Raises InputError where a pixel of a mesh lies outside the image.
     """
     rasters = [rasterize(mesh) for mesh in meshes]
     windows = [raster.window for raster in rasters]
@@ -788,20 +542,7 @@ def read_correlations(meshes: Sequence[Mesh], reference: MaskedSource, degree: i
 
 
 def restrict_to_cells(whole: Correlation, cells: NDArray[np.int64]) -> Correlation:
-    """Take some of a subdomain's cells alone, with the same window of the image.
-
-    Parameters
-    ----------
-    whole : Correlation
-        The subdomain.
-    cells : (n,) int64 array
-        Their numbers.
-
-    Returns
-    -------
-    Correlation
-        Of these cells.
-    """
+    """Take some of a subdomain's cells alone, given by number, with the same window of the image."""
     mesh, _ = whole.mesh.create_submesh(cells)
     return _build_correlation(mesh, rasterize(mesh), whole.reference, whole.source, whole.threads)
 

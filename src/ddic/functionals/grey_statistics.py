@@ -40,12 +40,9 @@ class GreySums:
         return np.asarray(self.values[..., 0])
 
     def fit_gain_and_offset(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Fit f = a g + b by least squares.
+        """Fit f = a g + b by least squares: a, no unit, and b, grey levels, (...,) each.
 
-        Returns
-        -------
-        gain, offset : (...,) arrays
-            a, no unit, and b, grey levels; a = 1 where the deformed image is flat, (1, 0) without pixels.
+        a = 1 where the deformed image is flat, (1, 0) without pixels.
         """
         n, r, g, _, gg, rg = np.moveaxis(self.values, -1, 0)
         n = np.maximum(n, 1.0)
@@ -59,19 +56,9 @@ class GreySums:
 
     def sum_residual(self, gain: NDArray[np.float64] | float = 1.0,
                      offset: NDArray[np.float64] | float = 0.0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Sum the residual f - gain g - offset and its square.
+        """Sum the residual f - gain g - offset and its square over the pixels, (...,) each.
 
-        Parameters
-        ----------
-        gain : float or (...,) array
-            No unit.
-        offset : float or (...,) array
-            Grey levels.
-
-        Returns
-        -------
-        first, second : (...,) arrays
-            Sums over pixels, grey levels and their squares.
+        ``gain`` has no unit, ``offset`` is in grey levels; each is one number or (...,).
         """
         n, r, g, rr, gg, rg = np.moveaxis(self.values, -1, 0)
         e = np.asarray(gain) - 1.0
@@ -108,21 +95,9 @@ FEW = 500
 
 
 def find_weighted_quantile(values: NDArray[np.float64], weights: NDArray[np.float64], share: float) -> float:
-    """Find the value below which lies a share of all weight.
+    """Find the one of the values below which lies a share, from 0 to 1, of all weight.
 
-    Parameters
-    ----------
-    values : (n,) array
-        At least one.
-    weights : (n,) array
-        Not negative, not all of them 0.
-    share : float
-        Between 0 and 1.
-
-    Returns
-    -------
-    float
-        One of the values.
+    There is at least one value; weights are not negative, and not all of them 0.
     """
     left = share * weights.sum()
     # To sort all of them would take five times as long.
@@ -141,18 +116,5 @@ def find_weighted_quantile(values: NDArray[np.float64], weights: NDArray[np.floa
 
 
 def find_weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
-    """Find the value below which lies half of all weight.
-
-    Parameters
-    ----------
-    values : (n,) array
-        At least one.
-    weights : (n,) array
-        Not negative, not all of them 0.
-
-    Returns
-    -------
-    float
-        One of the values.
-    """
+    """Find the value below which lies half of all weight."""
     return find_weighted_quantile(values, weights, 0.5)

@@ -23,21 +23,7 @@ larger one loses pixels, within a smaller one the other side is interpolated."""
 def find_band_pixels(mesh: Mesh, raster: Raster, degree: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Find the pixels of a mesh that lie within the band of a line, or between its bends and what cuts the cells.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Perhaps with cut cells.
-    raster : Raster
-        Its pixels.
-    degree : int
-        Of the spline, 3 or 5.
-
-    Returns
-    -------
-    pixels : (n, 2) array of int64
-        Columns and rows.
-    cells : (n,) array of int64
-        The cell of each.
+    Gives their columns and rows, (n, 2), and the cell of each, (n,). ``degree`` is that of the spline, 3 or 5.
     """
     if mesh.parts is None:
         return np.zeros((0, 2), np.int64), np.zeros(0, np.int64)
@@ -56,23 +42,10 @@ def find_band_pixels(mesh: Mesh, raster: Raster, degree: int) -> tuple[NDArray[n
 
 def list_pixels_outside(mesh: Mesh, cells: NDArray[np.int64],
                         degree: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """List the pixels of some cells that lie beyond the band of all lines.
+    """List the pixels of some cells, given by sorted numbers, that lie beyond the band of all lines.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Perhaps with cut cells.
-    cells : (n_cells,) array of int64
-        Their sorted numbers; nothing else of the mesh is rasterised.
-    degree : int
-        Of the spline, 3 or 5.
-
-    Returns
-    -------
-    pixels : (n, 2) array of int64
-        Columns and rows.
-    cells : (n,) array of int64
-        The cell of each.
+    Gives their columns and rows, (n, 2), and the cell of each, (n,); nothing else of the mesh is rasterised. ``degree``
+    is that of the spline, 3 or 5.
     """
     part, _ = mesh.create_submesh(cells)
     raster = rasterize(part)
@@ -96,23 +69,12 @@ def _find_near_cells(mesh: Mesh, lines: Sequence[NDArray[np.float64]], width: fl
 
 def weigh_corners(mesh: Mesh, cells: NDArray[np.int64], degree: int,
                   active: NDArray[np.uint8] | None = None) -> NDArray[np.float64]:
-    """Sum N_a^2 over the pixels of cells that count, for each of their nodes.
+    """Sum N_a^2 over the pixels of some cells that count, for each of their nodes.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Perhaps with cut cells, pixels of the image.
-    cells : (n,) array of int64
-        Sorted numbers of those that are weighed.
-    degree : int
-        Of the spline, 3 or 5: pixels in the band of a line do not count.
-    active : (rows, columns) array of uint8, optional
-        1 on the pixels of the image that count; all of them by default.
-
-    Returns
-    -------
-    (len(mesh.connectivity),) array
-        For each node of each cell, in the order of the connectivity, pixels; 0 in other cells.
+    Sums, in pixels, stand for each node of each cell in the order of the connectivity, (len(mesh.connectivity),); 0 in
+    cells that are not among the sorted numbers ``cells``. ``degree`` is that of the spline, 3 or 5: pixels in the band
+    of a line do not count. ``active`` is 1 on the pixels of the image that count, (rows, columns); all of them by
+    default.
     """
     weights = np.zeros(len(mesh.connectivity))
     if not len(cells):

@@ -41,18 +41,7 @@ class TransferTable:
     values: Array
 
     def find(self, displacement: Array) -> Array:
-        """Look up the transfer at displacements.
-
-        Parameters
-        ----------
-        displacement : (n, 2) array
-            Along x and y, pixels.
-
-        Returns
-        -------
-        (n, 2) array
-            To b along x and along y, no unit.
-        """
+        """Look up the transfer, to b along x and along y, at displacements, both (n, 2); these in pixels."""
         places = np.rint(displacement % 1.0 * N_SHIFTS).astype(np.int64) % N_SHIFTS
         return self.values[:, places[:, 1], places[:, 0]].T
 
@@ -60,15 +49,8 @@ class TransferTable:
 def correlate_slopes(correlation: Correlation) -> Array:
     """Sum f_x(p) f_x(p + k), and the same of f_y, over the pixels p of a subdomain, for all small distances k.
 
-    Parameters
-    ----------
-    correlation : Correlation
-        Its pixels.
-
-    Returns
-    -------
-    (2, 2 REACH + 1, 2 REACH + 1) array
-        Of f_x and f_y, by k along y and along x, grey levels squared per pixel squared; what subdomains have adds up.
+    (2, 2 REACH + 1, 2 REACH + 1) sums of f_x and f_y, by k along y and along x, grey levels squared per pixel squared;
+    what subdomains have adds up.
     """
     sums = np.zeros((2, 2 * REACH + 1, 2 * REACH + 1))
     reference = correlation.reference
@@ -108,19 +90,8 @@ def build_transfer(sums: Array, degree: int) -> TransferTable:
 
     The noise of b is sum_p grad f(p) n(p) with interpolated noise n, whose values go together: its variance over that
     of noise of the pixels' own is sum_k R(k) rho(k), rho the correlation of grad f. Were grad f white, it would be
-    R(0), the transfer of single values; a coarse texture hardly gains by interpolation.
-
-    Parameters
-    ----------
-    sums : (2, 2 REACH + 1, 2 REACH + 1) array
-        Of ``correlate_slopes``, over all subdomains.
-    degree : int
-        Of the spline, 3 or 5.
-
-    Returns
-    -------
-    TransferTable
-        By shift; 1 where there is no texture.
+    R(0), the transfer of single values; a coarse texture hardly gains by interpolation. ``sums`` are those of
+    ``correlate_slopes`` over all subdomains; the transfer is 1 where there is no texture.
     """
     along = np.stack([correlate_interpolation(k / N_SHIFTS, degree) for k in range(N_SHIFTS)])
     totals = sums[:, REACH, REACH]
@@ -132,18 +103,7 @@ def build_transfer(sums: Array, degree: int) -> TransferTable:
 
 @cache
 def build_white_transfer(degree: int) -> TransferTable:
-    """Tabulate the variance of interpolated values over that of pixels, which is what the residual shows.
-
-    Parameters
-    ----------
-    degree : int
-        Of the spline, 3 or 5.
-
-    Returns
-    -------
-    TransferTable
-        By shift.
-    """
+    """Tabulate the variance of interpolated values over that of pixels, which is what the residual shows."""
     white = np.zeros((2, 2 * REACH + 1, 2 * REACH + 1))
     white[:, REACH, REACH] = 1.0
     return build_transfer(white, degree)
@@ -153,21 +113,8 @@ def find_cell_transfer(table: TransferTable, view: View, q: Array,
                        cells: NDArray[np.int64] | slice = slice(None)) -> Array:
     """Average the noise transfer over the shifts that a displacement gives the pixels of each cell.
 
-    Parameters
-    ----------
-    table : TransferTable
-        By shift.
-    view : View
-        Its cells.
-    q : (n_unknowns,) array
-        The subdomain's unknowns.
-    cells : (n,) array of int64, optional
-        Numbers of those that are wanted; all by default.
-
-    Returns
-    -------
-    (n, 2) array
-        To b along x and along y, no unit.
+    To b along x and along y, (n, 2), no unit, for cells given by number, by default all. ``q`` are the subdomain's
+    unknowns.
     """
     mesh = view.correlation.mesh
     at_corners = view.kinematics.displacement(q).reshape(mesh.nodes.shape)[pad_cells(mesh)[cells]]

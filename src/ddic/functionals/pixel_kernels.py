@@ -792,20 +792,9 @@ def _fetch_numbers(array, e, n):
 def residual_sums(cells, displacement, reference, deformed, all_kinds, sums):
     """Accumulate, per cell, moments of the residual against grad f and the monomials, and plain sums.
 
-    Parameters
-    ----------
-    cells : Cells
-        Cells to visit, and their pixels.
-    displacement : (n_cells, 2, 4) float64 array
-        Coefficients of u on the monomials, pixels.
-    reference : ReferencePixels
-        f and grad f.
-    deformed : DeformedPixels
-        g, on a window that holds all x + u(x) that lie in the image.
-    all_kinds : bool
-        Whether to accumulate the moments of g and of 1 too, which a grey correction needs.
-    sums : CellSums
-        What is added to.
+    ``displacement`` holds the coefficients of u on the monomials, (n_cells, 2, 4), pixels; ``deformed`` is a window of
+    g that holds all x + u(x) that lie in the image. With ``all_kinds`` the moments of g and of 1 are accumulated too,
+    which a grey correction needs.
     """
     scratch = _new_scratch()
     flat_geometry = cells.geometry.reshape(-1)
@@ -836,20 +825,9 @@ def residual_sums(cells, displacement, reference, deformed, all_kinds, sums):
 def fill_residual_pixels(cells, displacement, reference, deformed, gain, offset, out):
     """Write f - gain g(x + u) - offset of all cells' pixels.
 
-    Parameters
-    ----------
-    cells : Cells
-        Cells to visit, and their pixels.
-    displacement : (n_cells, 2, 4) float64 array
-        Coefficients of u on the monomials, pixels.
-    reference : ReferencePixels
-        f.
-    deformed : DeformedPixels
-        g, on a window that holds all x + u(x) that lie in the image.
-    gain, offset : (n_cells,) float64 arrays
-        Grey-level correction f = gain g + offset of each cell; the offset in grey levels.
-    out : (height, width) float32 array
-        Of the reference window's shape, grey levels; NaN where a cell's pixel does not count.
+    ``displacement`` and ``deformed`` are those of ``residual_sums``. ``gain`` and ``offset``, grey levels, are those of
+    each cell, (n_cells,). ``out`` has the reference window's shape, float32, grey levels; NaN where a cell's pixel does
+    not count.
     """
     scratch = _new_scratch()
     flat_out = out.reshape(-1)
@@ -1001,17 +979,7 @@ def hessian_cells(cells, shapes, reference, out):
     """Assemble M_e = sum_px N_a N_b grad f grad f^T of every cell, Eq. 5 of [BP17].
 
     Shape functions are polynomials, so that sums of grad f grad f^T xi^i eta^j, i, j <= 2, give all their products.
-
-    Parameters
-    ----------
-    cells : Cells
-        Cells to visit, and their pixels.
-    shapes : Shapes
-        Their shape functions.
-    reference : ReferencePixels
-        grad f.
-    out : (n_cells, 4, 2, 4, 2) float64 array
-        Indices a, component, b, component; grey levels squared per pixel squared.
+    ``out`` is (n_cells, 4, 2, 4, 2) by a, component, b, component; grey levels squared per pixel squared.
     """
     scratch = _new_scratch()
     flat_geometry, flat_out = cells.geometry.reshape(-1), out.reshape(-1)

@@ -15,22 +15,7 @@ and would drive each other out of it."""
 
 @intrinsic  # type: ignore[untyped-decorator]
 def prefetch(typing_context: Any, array: Any, index: Any) -> Any:
-    """Fetch array[index] into the second-level cache; an index beyond the array's ends does no harm.
-
-    Parameters
-    ----------
-    typing_context : numba's typing context
-        Given by numba.
-    array : (n,) array
-        Contiguous.
-    index : int
-        Of a number in the line.
-
-    Returns
-    -------
-    signature, generate
-        Of the call, for numba.
-    """
+    """Fetch array[index] into the second-level cache; an index beyond a contiguous array's ends does no harm."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         data = context.make_array(signature.args[0])(context, builder, arguments[0]).data

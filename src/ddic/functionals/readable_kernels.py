@@ -55,16 +55,7 @@ class Pixel:
 def hessian_cells(cells: Cells, shapes: Shapes, reference: ReferencePixels, out: NDArray[np.float64]) -> None:
     """Add M_e = sum_px N^T grad f grad f^T N of every cell, Eq. 5 of [BP17].
 
-    Parameters
-    ----------
-    cells : Cells
-        Cells to visit, and their pixels.
-    shapes : Shapes
-        Their shape functions.
-    reference : ReferencePixels
-        grad f.
-    out : (n_cells, 4, 2, 4, 2) float64 array
-        Indices a, component, b, component; grey levels squared per pixel squared.
+    ``out`` is (n_cells, 4, 2, 4, 2) by a, component, b, component; grey levels squared per pixel squared.
     """
     for e in cells.order:
         coefficients = shapes.coefficients[shapes.kinds[e]]
@@ -80,22 +71,9 @@ def residual_sums(cells: Cells, displacement: NDArray[np.float64], reference: Re
                   deformed: DeformedPixels, all_kinds: bool, sums: CellSums) -> None:
     """Add every cell's moments sum_px r grad f phi of the residual r = f - g(x + u), and its grey sums.
 
-    b = sum_px N^T grad f r, Eq. 5 of [BP17], is a cell's first moment times its T.
-
-    Parameters
-    ----------
-    cells : Cells
-        Cells to visit, and their pixels.
-    displacement : (n_cells, 2, 4) float64 array
-        D, coefficients of u on the monomials, pixels.
-    reference : ReferencePixels
-        f and grad f.
-    deformed : DeformedPixels
-        g, on a window that holds all x + u(x) that lie in the image.
-    all_kinds : bool
-        Whether to add the moments of g and of 1 too, which a grey correction needs.
-    sums : CellSums
-        What is added to.
+    b = sum_px N^T grad f r, Eq. 5 of [BP17], is a cell's first moment times its T. ``displacement`` holds D, (n_cells,
+    2, 4), pixels; ``deformed`` is a window of g that holds all x + u(x) that lie in the image. With ``all_kinds`` the
+    moments of g and of 1 are added too, which a grey correction needs.
     """
     for e in cells.order:
         for pixel in list_pixels(cells, reference, e):
@@ -114,20 +92,9 @@ def fill_residual_pixels(cells: Cells, displacement: NDArray[np.float64], refere
                          out: NDArray[np.float32]) -> None:
     """Write f - gain g(x + u) - offset of all cells' pixels.
 
-    Parameters
-    ----------
-    cells : Cells
-        Cells to visit, and their pixels.
-    displacement : (n_cells, 2, 4) float64 array
-        Coefficients of u on the monomials, pixels.
-    reference : ReferencePixels
-        f.
-    deformed : DeformedPixels
-        g, on a window that holds all x + u(x) that lie in the image.
-    gain, offset : (n_cells,) float64 arrays
-        Grey-level correction f = gain g + offset of each cell; the offset in grey levels.
-    out : (height, width) float32 array
-        Of the reference window's shape, grey levels; NaN where a cell's pixel does not count.
+    ``displacement`` and ``deformed`` are those of ``residual_sums``. ``gain`` and ``offset``, grey levels, are those of
+    each cell, (n_cells,). ``out`` has the reference window's shape, grey levels; NaN where a cell's pixel does not
+    count.
     """
     for e in cells.order:
         for pixel in list_pixels(cells, reference, e):
@@ -137,22 +104,7 @@ def fill_residual_pixels(cells: Cells, displacement: NDArray[np.float64], refere
 
 
 def list_pixels(cells: Cells, reference: ReferencePixels, e: int) -> Iterator[Pixel]:
-    """Go through the pixels of a cell, row by row.
-
-    Parameters
-    ----------
-    cells : Cells
-        Cells and their pixels.
-    reference : ReferencePixels
-        f and grad f.
-    e : int
-        The cell.
-
-    Yields
-    ------
-    Pixel
-        With the monomials and what the reference image says.
-    """
+    """Go through the pixels of a cell, row by row."""
     y = int(cells.first_row[e])
     for run in range(cells.row_ptr[e], cells.row_ptr[e + 1]):
         for x in range(cells.starts[run], cells.stops[run]):
@@ -166,35 +118,14 @@ def list_pixels(cells: Cells, reference: ReferencePixels, e: int) -> Iterator[Pi
 
 
 def monomials(xi: float, eta: float) -> NDArray[np.float64]:
-    """Evaluate phi = (1, xi, eta, xi eta).
-
-    Parameters
-    ----------
-    xi, eta : float
-        Local coordinates, no unit.
-
-    Returns
-    -------
-    (4,) array
-        No unit.
-    """
+    """Evaluate phi = (1, xi, eta, xi eta)."""
     return np.array([1.0, xi, eta, xi * eta])
 
 
 def find_local_coordinates(geometry: NDArray[np.float64], x: float, y: float) -> tuple[float, float]:
-    """Solve (x, y) = sum_m X_m phi_m(xi, eta) by Newton's method.
+    """Solve (x, y) = sum_m X_m phi_m(xi, eta) by Newton's method for xi and eta, no unit.
 
-    Parameters
-    ----------
-    geometry : (2, 4) array
-        X, coefficients of the position on the monomials, pixels.
-    x, y : float
-        Position in the cell, pixels.
-
-    Returns
-    -------
-    xi, eta : float
-        Local coordinates, no unit.
+    ``geometry`` holds X, the coefficients of the position on the monomials, (2, 4), pixels.
     """
     local = np.zeros(2)
     for _ in range(NEWTON_STEPS):
@@ -210,22 +141,10 @@ def find_local_coordinates(geometry: NDArray[np.float64], x: float, y: float) ->
 
 
 def evaluate_deformed(deformed: DeformedPixels, pixel: Pixel, displacement: NDArray[np.float64]) -> float | None:
-    """Evaluate g(x + u(x)) at a pixel.
+    """Evaluate g(x + u(x)) at a pixel; ``displacement`` holds D of its cell, (2, 4), pixels.
 
-    Parameters
-    ----------
-    deformed : DeformedPixels
-        g.
-    pixel : Pixel
-        x, and the monomials there.
-    displacement : (2, 4) array
-        D of its cell, pixels.
-
-    Returns
-    -------
-    float or None
-        Grey level; None where the pixel does not count: f excludes it, x + u lies outside the image, or g excludes
-        one of the four pixels around x + u.
+    None where the pixel does not count: f excludes it, x + u lies outside the image, or g excludes one of the four
+    pixels around x + u.
     """
     ux, uy = displacement @ pixel.phi
     inside_x = 0.0 <= pixel.x + ux <= deformed.image_width - 1
@@ -240,21 +159,10 @@ def evaluate_deformed(deformed: DeformedPixels, pixel: Pixel, displacement: NDAr
 
 
 def evaluate_spline(deformed: DeformedPixels, column: int, row: int, right: float, down: float) -> float:
-    """Evaluate the spline sum_ij c_ij B(x - j) B(y - i) between pixels.
+    """Evaluate the spline sum_ij c_ij B(x - j) B(y - i), a grey level, between pixels.
 
-    Parameters
-    ----------
-    deformed : DeformedPixels
-        Its coefficients c.
-    column, row : int
-        Pixel to the left of the position and above it.
-    right, down : float
-        From there to the position, 0 to 1, pixels.
-
-    Returns
-    -------
-    float
-        Grey level.
+    ``column`` and ``row`` are those of the pixel to the left of the position and above it; ``right`` and ``down`` lead
+    from there to the position, 0 to 1, pixels.
     """
     degree = deformed.degree
     # Pixels whose B-splines reach the position, from the one to the left of it and above it.
@@ -272,17 +180,7 @@ def evaluate_spline(deformed: DeformedPixels, column: int, row: int, right: floa
 def evaluate_b_spline(t: float, degree: int) -> float:
     """Evaluate the centred B-spline of a degree, degree + 1 boxes of width 1 convolved, by its recursion.
 
-    Parameters
-    ----------
-    t : float
-        Distance from its centre, pixels.
-    degree : int
-        0 for the box.
-
-    Returns
-    -------
-    float
-        No unit; its values at all distances of a pixel sum to 1.
+    ``t`` is the distance from its centre, pixels. Its values at all distances of a pixel sum to 1.
     """
     if degree == 0:
         return 1.0 if -0.5 <= t < 0.5 else 0.0

@@ -53,17 +53,8 @@ class Material:
 def integrate_cell_stiffness(mesh: Mesh, material: Material) -> NDArray[np.float64]:
     """Integrate K_e = int lambda div u div v + 2 mu eps(u) : eps(v) over every cell, or its part.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Lengths in pixels.
-    material : Material
-        The same in all cells.
-
-    Returns
-    -------
-    (n_cells, 4 dim, 4 dim) array
-        K_e between displacement components, node-major; zero for nodes that a cell does not have.
+    K_e is between displacement components, (n_cells, 4 dim, 4 dim), node-major; zero for nodes that a cell does not
+    have. Lengths are in pixels.
     """
     width = N_MONOMIALS * mesh.dim
     cells = np.zeros((mesh.n_cells, width, width))
@@ -116,17 +107,7 @@ def _weigh_all_products(n_nodes: int, dim: int, material: Material) -> NDArray[n
 def assemble_stiffness(mesh: Mesh, material: Material) -> sparse.csr_matrix:
     """Assemble K of a mesh, which acts on displacements of its nodes: the K of Eq. (11) of [BP17].
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Lengths in pixels.
-    material : Material
-        The same in all cells.
-
-    Returns
-    -------
-    (n_dofs, n_dofs) csr_matrix
-        K, symmetric; its null space is the rigid motions.
+    (n_dofs, n_dofs), symmetric; its null space is the rigid motions. Lengths are in pixels.
     """
     return interpolate_cells(mesh).assemble_matrix(integrate_cell_stiffness(mesh, material))
 
@@ -150,24 +131,9 @@ def controlled_stiffness(kinematics: Kinematics, material: Material, row_weights
                          rotation: NDArray[np.float64] | None = None) -> sparse.csr_matrix:
     """Assemble Kbar = diag(row_weights) T^T K T, weight 0 dropping a row (P of Eq. 11 of [BP17]).
 
-    K acts on the nodes; T^T K T are the forces on the unknowns: those on tied nodes are then their masters', as much as
-    these move them.
-
-    Parameters
-    ----------
-    kinematics : Kinematics
-        From unknowns to the displacement of the mesh's nodes, specimen's frame.
-    material : Material
-        The same in all cells.
-    row_weights : (n_unknowns,) array
-        Weights of the rows.
-    rotation : (dim, dim) array, optional
-        R by which the specimen has turned: the stiffness is then R K R^T. None, by default, for the identity.
-
-    Returns
-    -------
-    (n_unknowns, n_unknowns) csr_matrix
-        Kbar.
+    K acts on the nodes; T^T K T, (n_unknowns, n_unknowns), are the forces on the unknowns: those on tied nodes are then
+    their masters', as much as these move them. ``rotation`` is R by which the specimen has turned: the stiffness is
+    then R K R^T. None stands for the identity.
     """
     of_nodes = assemble_stiffness(kinematics.mesh, material)
     if rotation is not None:
@@ -180,17 +146,8 @@ def controlled_stiffness(kinematics: Kinematics, material: Material, row_weights
 def evaluate_plane_waves(nodes: NDArray[np.float64], wavelength: float) -> NDArray[np.float64]:
     """Evaluate the waves v = e_a cos(2 pi x_b / l_c + phi) for all axes a, b and phi in {0, pi/2}.
 
-    Parameters
-    ----------
-    nodes : (n, dim) array
-        Pixels.
-    wavelength : float
-        l_c, pixels.
-
-    Returns
-    -------
-    (n dim, 2 dim^2) array
-        One wave a column, node-major; the phase varies fastest, then b.
+    One wave a column, (n dim, 2 dim^2), node-major; the phase varies fastest, then b. Nodes, (n, dim), and the
+    wavelength l_c are in pixels.
     """
     n, dim = nodes.shape
     waves = []
@@ -207,21 +164,8 @@ def measure_gap_energies(mesh: Mesh, material: Material, interior_nodes: NDArray
                  wavelength: float) -> NDArray[np.float64]:
     """Measure |K v|^2 of every plane wave on the interior nodes' rows, K never assembled.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        The whole region's.
-    material : Material
-        The same in all cells.
-    interior_nodes : (n_nodes,) bool array
-        Nodes whose rows count.
-    wavelength : float
-        l_c, pixels.
-
-    Returns
-    -------
-    (n_waves,) array
-        Square pixels, one for each column of ``evaluate_plane_waves``.
+    Square pixels, one for each column of ``evaluate_plane_waves``; the mesh is the whole region's, the wavelength l_c
+    in pixels.
     """
     waves = evaluate_plane_waves(mesh.nodes, wavelength)
     forces = np.zeros_like(waves)
@@ -238,21 +182,8 @@ def measure_texture_energies(nodes: NDArray[np.float64], hessian: sparse.csr_mat
                      interior_nodes: NDArray[np.bool_], wavelength: float) -> NDArray[np.float64]:
     """Measure v^T M v of every plane wave on the interior nodes' rows; adds up over subdomains.
 
-    Parameters
-    ----------
-    nodes : (n, dim) array
-        Nodes whose displacements M is between, pixels.
-    hessian : (n dim, n dim) csr_matrix
-        M of a subdomain, node-major, grey levels squared per square pixel.
-    interior_nodes : (n,) bool array
-        Nodes whose rows count.
-    wavelength : float
-        l_c, pixels.
-
-    Returns
-    -------
-    (n_waves,) array
-        Grey levels squared, one for each column of ``evaluate_plane_waves``.
+    Grey levels squared, one for each column of ``evaluate_plane_waves``. M, a subdomain's, is between the displacements
+    of ``nodes``, node-major, grey levels squared per square pixel; nodes and the wavelength l_c are in pixels.
     """
     waves = evaluate_plane_waves(nodes, wavelength)
     rows = np.repeat(interior_nodes, nodes.shape[1])
@@ -263,16 +194,8 @@ def find_cut_off_weight(texture: NDArray[np.float64], gap: NDArray[np.float64]) 
     """Choose the weight eta at which texture and mechanics count alike at l_c: mean of |v^T M v| / |K v|^2 [LPHR11].
 
     The two phases of a wave are added up before the ratio, for one may vanish on all nodes; the mean is over a and b.
-
-    Parameters
-    ----------
-    texture, gap : (n_waves,) arrays
-        ``measure_texture_energies`` and ``measure_gap_energies`` on the same nodes.
-
-    Returns
-    -------
-    float
-        eta, grey levels squared per square pixel.
+    eta is in grey levels squared per square pixel, from ``measure_texture_energies`` and ``measure_gap_energies`` on
+    the same nodes.
     """
     n_phases = len(PHASES)
     texture_by_wave = np.abs(texture).reshape(-1, n_phases).sum(axis=1)
@@ -281,23 +204,11 @@ def find_cut_off_weight(texture: NDArray[np.float64], gap: NDArray[np.float64]) 
 
 
 def find_edge_weight(eta: float, probe: tuple[float, float], edge_wavelength: float) -> float:
-    """Choose the weight of rows whose equilibrium is not imposed, relative to the others.
+    """Choose the weight, 0 to 1, of rows whose equilibrium is not imposed, relative to the others.
 
-    eta grows as the fourth power of the wavelength, and the rows' weight enters as its square.
-
-    Parameters
-    ----------
-    eta : float
-        Weight of the equilibrium gap, grey levels squared per square pixel.
-    probe : tuple of float
-        A wavelength, pixels, and the eta that belongs to it.
-    edge_wavelength : float
-        Below which equilibrium rules these rows, pixels; 0 for never.
-
-    Returns
-    -------
-    float
-        From 0 to 1.
+    eta grows as the fourth power of the wavelength, and the rows' weight enters as its square. ``probe`` is a
+    wavelength, pixels, and the eta that belongs to it; below ``edge_wavelength``, pixels, equilibrium rules these rows:
+    0 for never.
     """
     wavelength, eta_there = probe
     eta_of_edges = eta_there * (edge_wavelength / wavelength) ** 4
@@ -319,23 +230,15 @@ class HalfAmplitudes:
 
     Attributes
     ----------
-    shear : float
-        Of waves across their direction, pixels.
-    longitudinal : float
-        Of waves along it, pixels.
+    shear, longitudinal : float
+        Of waves across their direction and along it, pixels.
     """
 
     shear: float
     longitudinal: float
 
     def describe(self) -> str:
-        """Say it to the user.
-
-        Returns
-        -------
-        str
-            For the log and ``ddic check``.
-        """
+        """Say it to the user, for the log and ``ddic check``."""
         return (f"waves of {self.shear:.4g} px (shear) and {self.longitudinal:.4g} px (longitudinal) keep half of "
                 "their amplitude")
 
@@ -345,19 +248,8 @@ def find_half_amplitudes(material: Material, wavelength: float) -> HalfAmplitude
 
     A wave of the length l_c loads its nodes in proportion to c, c = lambda + 2 mu along its direction and mu across it,
     and one of another length in proportion to c (l_c / l)^2. As eta is the mean over both of v^T M v / |K v|^2, a wave
-    is halved where c^2 (l_c / l)^4 mean(1 / c^2) = 1.
-
-    Parameters
-    ----------
-    material : Material
-        Of the regularization.
-    wavelength : float
-        l_c, pixels.
-
-    Returns
-    -------
-    HalfAmplitudes
-        On a mesh that is fine beside them, for texture without a direction.
+    is halved where c^2 (l_c / l)^4 mean(1 / c^2) = 1: on a mesh that is fine beside them, for texture without a
+    direction. ``wavelength`` is l_c, pixels.
     """
     lame, mu = material.lame
     shear, longitudinal = mu, lame + 2.0 * mu

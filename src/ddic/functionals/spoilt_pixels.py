@@ -66,23 +66,11 @@ class CellPatch:
 
 
 def find_spoilt_pixels(patch: CellPatch, noise: float, limit: float, *, own_brightness: bool) -> NDArray[np.bool_]:
-    """Find the spoilt pixels of a cell, and those close to them.
+    """Find the spoilt pixels of a cell, and those close to them; none beside the cell.
 
-    Parameters
-    ----------
-    patch : CellPatch
-        The cell.
-    noise : float
-        Variance of the residual where nothing is spoilt, grey levels squared.
-    limit : float
-        Largest error of the displacement, pixels.
-    own_brightness : bool
-        Whether the cell has a gain and an offset of its own.
-
-    Returns
-    -------
-    (height, width) bool array
-        Where pixels are spoilt; none beside the cell.
+    True there, (height, width). ``noise`` is the variance of the residual where nothing is spoilt, grey levels squared,
+    ``limit`` the largest error of the displacement, pixels; ``own_brightness`` gives the cell a gain and an offset of
+    its own.
     """
     if not patch.counts.any():
         return np.zeros(patch.counts.shape, dtype=bool)
@@ -125,21 +113,8 @@ def cut_patches(view: FrameView, q: NDArray[np.float64], cells: NDArray[np.int64
                 correction: tuple[float, float]) -> Iterator[tuple[int, Window, CellPatch]]:
     """Cut out the boxes about the pixels of some cells; the residual of no other pixel is computed.
 
-    Parameters
-    ----------
-    view : FrameView
-        Both images, and the cells' pixels.
-    q : (n_unknowns,) array
-        The subdomain's unknowns.
-    cells : (n,) int64 array
-        Their numbers; they hold pixels.
-    correction : (gain, offset)
-        Of g, no unit and grey levels.
-
-    Returns
-    -------
-    iterator of (int, Window, CellPatch)
-        Number of each cell, where its box lies in the image, and what is in it.
+    Gives the number of each cell, where its box lies in the image, and what is in it. ``q`` are the subdomain's
+    unknowns; the cells, given by number, hold pixels; ``correction`` is gain and offset of g, no unit and grey levels.
     """
     correlation = view.view.correlation
     boxes = [_find_own_pixels(correlation, cell) for cell in cells.tolist()]

@@ -58,25 +58,12 @@ class Texture:
 
 
 def measure_texture(correlation: Correlation, hessian: sparse.csr_matrix, degree: int) -> Texture:
-    """Measure a subdomain's texture on the pixels that count.
+    """Measure a subdomain's texture, and that of noise, on the pixels that count.
 
     White noise of variance v gives every pixel's slopes the variance NOISE_GAIN v and holds all rigid modes alike: the
-    sum over pixels of N_a N_b summed over nodes is 1, so that a translation of unit norm has the energy of the
-    pixels' mean times their number over that of the nodes.
-
-    Parameters
-    ----------
-    correlation : Correlation
-        The subdomain's pixels.
-    hessian : (n_dofs, n_dofs) csr_matrix
-        Its M_s, grey levels squared per pixel squared.
-    degree : int
-        Of the spline, 3 or 5.
-
-    Returns
-    -------
-    Texture
-        Energy of the subdomain and of noise.
+    sum over pixels of N_a N_b summed over nodes is 1, so that a translation of unit norm has the energy of the pixels'
+    mean times their number over that of the nodes. ``hessian`` is the subdomain's M_s, grey levels squared per pixel
+    squared, ``degree`` that of the spline, 3 or 5.
     """
     modes = np.linalg.qr(rigid_modes(correlation.mesh.nodes))[0]
     energies = np.linalg.eigvalsh(modes.T @ (hessian @ modes))
@@ -88,18 +75,8 @@ def measure_texture(correlation: Correlation, hessian: sparse.csr_matrix, degree
 def estimate_noise_variance(correlation: Correlation) -> float:
     """Estimate the variance of white noise as strong as the image's finest detail on the subdomain.
 
-    J. Immerkaer's operator, Computer Vision and Image Understanding 64 (1996) 300-302, which texture can only raise,
-    on rows enough for a good mean; pixels beside masked ones do not count.
-
-    Parameters
-    ----------
-    correlation : Correlation
-        The subdomain's pixels.
-
-    Returns
-    -------
-    float
-        Grey levels squared; 0 without pixels.
+    J. Immerkaer's operator, Computer Vision and Image Understanding 64 (1996) 300-302, which texture can only raise, on
+    rows enough for a good mean; pixels beside masked ones do not count. Grey levels squared; 0 without pixels.
     """
     f, raster = correlation.reference, correlation.raster
     height, width = f.values.shape
@@ -146,15 +123,7 @@ def _sum_runs(values: NDArray[Any], row: NDArray[np.int64], start: NDArray[np.in
 def rigid_modes(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
     """Build translations, then infinitesimal rotations about the centre.
 
-    Parameters
-    ----------
-    nodes : (n, dim) array
-        Positions, pixels.
-
-    Returns
-    -------
-    (n dim, dim (dim + 1) / 2) array
-        A mode a column, node-major; rotations in pixels.
+    A mode a column, (n dim, dim (dim + 1) / 2), node-major; rotations, as the nodes' positions, in pixels.
     """
     n, dim = nodes.shape
     centred = nodes - nodes.mean(axis=0)
@@ -171,15 +140,8 @@ def rigid_modes(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
 def find_blank_subdomains(textures: Sequence[Texture]) -> NDArray[np.bool_]:
     """Find the subdomains, or pieces of them, that hold no usable texture.
 
-    Parameters
-    ----------
-    textures : sequence of Texture
-        Of all of the region.
-
-    Returns
-    -------
-    (n,) bool array
-        True where there is nothing, or where there is no more than noise and little beside what others have.
+    True where there is nothing, or where there is no more than noise and little beside what others have: all of the
+    region must be given.
     """
     energy = np.array([t.energy for t in textures])
     noise = np.array([t.noise for t in textures])
@@ -195,19 +157,8 @@ def find_blank_subdomains(textures: Sequence[Texture]) -> NDArray[np.bool_]:
 def measure_gap(mesh: Mesh, displacement: NDArray[np.float64], material: Material) -> float:
     """Measure the RMS of div s over Young's modulus: K u at interior nodes, each over its share of the area.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Lengths in pixels.
-    displacement : (n_nodes, dim) array
-        Pixels; nodes about which one has none do not count.
-    material : Material
-        The same in all cells.
-
-    Returns
-    -------
-    float
-        1/px, alike for elements of any size; nan where no node counts.
+    1/px, alike for elements of any size; nan where no node counts. The displacement is (n_nodes, dim), pixels; nodes
+    about which one has none do not count.
     """
     stiffness = assemble_stiffness(mesh, material)
     forces = (stiffness @ displacement.ravel()).reshape(displacement.shape)

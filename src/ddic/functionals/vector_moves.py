@@ -38,26 +38,7 @@ def _splat(builder: Any, value: Any) -> Any:
 
 @intrinsic  # type: ignore[untyped-decorator]
 def copy_vector(typing_context: Any, to: Any, j: Any, source: Any, i: Any) -> Any:
-    """Copy source[i : i + WIDTH] to to[j : j + WIDTH].
-
-    Parameters
-    ----------
-    typing_context : numba's typing context
-        Given by numba.
-    to : (n,) float32 array
-        Is written.
-    j : int
-        Where.
-    source : (n,) float32 array
-        Is read.
-    i : int
-        Where.
-
-    Returns
-    -------
-    signature, generate
-        Of the call, for numba.
-    """
+    """Copy source[i : i + WIDTH] to to[j : j + WIDTH]."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         to_type, _, source_type, _ = signature.args
@@ -73,28 +54,7 @@ def copy_vector(typing_context: Any, to: Any, j: Any, source: Any, i: Any) -> An
 
 @intrinsic  # type: ignore[untyped-decorator]
 def copy_some(typing_context: Any, to: Any, j: Any, source: Any, i: Any, n: Any) -> Any:
-    """Copy source[i : i + n] to to[j : j + n], which lie apart: a call, where a loop is unrolled.
-
-    Parameters
-    ----------
-    typing_context : numba's typing context
-        Given by numba.
-    to : (n,) float32 array
-        Is written.
-    j : int
-        Where.
-    source : (n,) float32 array
-        Is read.
-    i : int
-        Where.
-    n : int
-        How many numbers.
-
-    Returns
-    -------
-    signature, generate
-        Of the call, for numba.
-    """
+    """Copy source[i : i + n] to to[j : j + n], which lie apart: a call, where a loop is unrolled."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         to_type, _, source_type, _, _ = signature.args
@@ -113,24 +73,7 @@ def copy_some(typing_context: Any, to: Any, j: Any, source: Any, i: Any, n: Any)
 
 @intrinsic  # type: ignore[untyped-decorator]
 def fill_vector(typing_context: Any, to: Any, j: Any, value: Any) -> Any:
-    """Set to[j : j + WIDTH] to one value.
-
-    Parameters
-    ----------
-    typing_context : numba's typing context
-        Given by numba.
-    to : (n,) float32 array
-        Is written.
-    j : int
-        Where.
-    value : float32
-        The value.
-
-    Returns
-    -------
-    signature, generate
-        Of the call, for numba.
-    """
+    """Set to[j : j + WIDTH] to one value."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         to_array, to_index, one = arguments
@@ -143,24 +86,7 @@ def fill_vector(typing_context: Any, to: Any, j: Any, value: Any) -> Any:
 
 @intrinsic  # type: ignore[untyped-decorator]
 def count_vector(typing_context: Any, to: Any, j: Any, value: Any) -> Any:
-    """Set to[j : j + WIDTH] to value, value + 1, and so on.
-
-    Parameters
-    ----------
-    typing_context : numba's typing context
-        Given by numba.
-    to : (n,) float32 array
-        Is written.
-    j : int
-        Where.
-    value : float32
-        The first value.
-
-    Returns
-    -------
-    signature, generate
-        Of the call, for numba.
-    """
+    """Set to[j : j + WIDTH] to value, value + 1, and so on."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         to_array, to_index, first = arguments

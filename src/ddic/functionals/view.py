@@ -51,19 +51,7 @@ class CellSlopes:
 def measure_cell_slopes(raster: Raster, reference: GradientImage, n_pixels: NDArray[np.int64]) -> CellSlopes:
     """Measure the mean of grad f grad f^T over the pixels of each cell that count.
 
-    Parameters
-    ----------
-    raster : Raster
-        Every cell's pixels.
-    reference : GradientImage
-        f and grad f on a window that holds them.
-    n_pixels : (n_cells,) array of int64
-        How many count.
-
-    Returns
-    -------
-    CellSlopes
-        Of every cell.
+    ``reference`` is on a window that holds them; ``n_pixels``, (n_cells,), says how many count.
     """
     # A kernel takes one type: an image without pixels stands for one that excludes none.
     usable = np.ones((0, 0), np.uint8) if reference.usable is None else reference.usable
@@ -129,99 +117,48 @@ class View:
         return self.correlation.n_usable_pixels
 
     def count_pixels(self) -> NDArray[np.int64]:
-        """Count the pixels of each cell that the reference image does not exclude.
-
-        Returns
-        -------
-        (n_cells,) array of int64
-            Pixels.
-        """
+        """Count the pixels of each cell that the reference image does not exclude, (n_cells,)."""
         raster, reference = self.correlation.raster, self.correlation.reference
         if reference.usable is None:
             return raster.pixel_counts
         return raster.sum_by_cell(reference.usable, reference.window.x0, reference.window.y0)
 
     def measure_slopes(self) -> CellSlopes:
-        """Measure the mean of grad f grad f^T over the pixels of each cell that count.
-
-        Returns
-        -------
-        CellSlopes
-            Of the reference image.
-        """
+        """Measure the mean of grad f grad f^T over the pixels of each cell that count."""
         return measure_cell_slopes(self.correlation.raster, self.correlation.reference, self.count_pixels())
 
     def measure_grey_range(self) -> tuple[float, float]:
-        """Measure the range of the reference image's grey levels on the window that holds the view.
-
-        Returns
-        -------
-        lowest, highest : float
-            Grey levels.
-        """
+        """Measure the range of the reference image's grey levels on the window that holds the view."""
         values = self.correlation.reference.values
         return float(values.min()), float(values.max())
 
     def assemble_hessian(self, cells: NDArray[np.int64] | None = None) -> sparse.csr_matrix:
         """Assemble M of this camera on displacements of nodes in its image, Eq. 5 of [BP17].
 
-        Parameters
-        ----------
-        cells : (n,) int64 array, optional
-            Numbers of the cells whose pixels count; by default all of them do.
-
-        Returns
-        -------
-        (n_dofs, n_dofs) csr_matrix
-            M, grey levels squared per pixel squared.
+        Over the pixels of some cells, given by number, by default of all; grey levels squared per pixel squared.
         """
         return self.correlation.assemble_hessian(cells)
 
     def project(self, hessian: sparse.csr_matrix) -> sparse.csr_matrix:
-        """Take M of this camera to the subdomain's unknowns, w T^T M T.
-
-        Parameters
-        ----------
-        hessian : (n_dofs, n_dofs) csr_matrix
-            M on displacements of nodes in the image.
-
-        Returns
-        -------
-        (n_unknowns, n_unknowns) csr_matrix
-            The camera's part of M_s.
-        """
+        """Take M of this camera to the subdomain's unknowns, w T^T M T, its part of M_s."""
         projected = self.kinematics.project_matrix(hessian)
         return projected if self.weight == 1.0 else (self.weight * projected).tocsr()
 
     def with_moved_gradient(self, q: NDArray[np.float64]) -> View:
-        """Take the gradient of the deformed image where unknowns put it, in M and in b.
-
-        Parameters
-        ----------
-        q : (n_unknowns,) array
-            The subdomain's unknowns.
-
-        Returns
-        -------
-        View
-            The same pixels.
-        """
+        """Take the gradient of the deformed image where unknowns put it, in M and in b."""
         return replace(self, correlation=self.correlation.with_moved_gradient(self.kinematics.displacement(q)))
 
     def hold_still(self) -> View:
-        """Give the same for a set-up that does not move, with weight 1.
-
-        Returns
-        -------
-        View
-            With the field's unknowns only.
-        """
+        """Give the same for a set-up that does not move, with weight 1: with the field's unknowns only."""
         return replace(self, kinematics=self.kinematics.hold_still(), weight=1.0)
 
 
 @dataclass(frozen=True)
 class FrameView:
     """A camera's pixels of a subdomain in one frame.
+
+    Of its methods, ``q`` are the subdomain's unknowns, (n_unknowns,), ``gain``, no unit, and ``offset``, grey levels,
+    those of f = gain g + offset.
 
     Attributes
     ----------
@@ -240,49 +177,17 @@ class FrameView:
         return self.view.camera
 
     def with_moved_gradient(self, q: NDArray[np.float64]) -> FrameView:
-        """Take the gradient of the deformed image where unknowns put it, in M and in b.
-
-        Parameters
-        ----------
-        q : (n_unknowns,) array
-            The subdomain's unknowns.
-
-        Returns
-        -------
-        FrameView
-            The same pixels.
-        """
+        """Take the gradient of the deformed image where unknowns put it, in M and in b."""
         return replace(self, view=self.view.with_moved_gradient(q))
 
     def find_displaced_window(self, q: NDArray[np.float64]) -> Window:
-        """Find the window of the deformed image that unknowns need.
-
-        Parameters
-        ----------
-        q : (n_unknowns,) array
-            The subdomain's unknowns.
-
-        Returns
-        -------
-        Window
-            Pixels of the deformed image.
-        """
+        """Find the window of the deformed image that unknowns need."""
         return self.view.correlation.find_displaced_window(self._displacement(q))
 
     def compute_residual(self, q: NDArray[np.float64], *, all_kinds: bool = False) -> Residual:
-        """Pass over all pixels once.
+        """Pass over all pixels once, for moments and sums of f - g(x + u).
 
-        Parameters
-        ----------
-        q : (n_unknowns,) array
-            The subdomain's unknowns.
-        all_kinds : bool
-            Whether to sum up also what a correction of grey levels needs.
-
-        Returns
-        -------
-        Residual
-            Moments and sums of f - g(x + u).
+        With ``all_kinds``, what a correction of grey levels needs is summed too.
         """
         return self.view.correlation.compute_residual(self.deformed, self._displacement(q), all_kinds=all_kinds)
 
@@ -290,17 +195,8 @@ class FrameView:
                                  offset: Correction = 0.0) -> NDArray[np.float64]:
         """Assemble b of this camera in the subdomain's unknowns, w T^T b, Eq. 5 of [BP17].
 
-        Parameters
-        ----------
-        residual : Residual
-            Of `compute_residual`.
-        gain, offset : float or (n_cells,) array
-            Of f = gain g + offset; no unit, and grey levels.
-
-        Returns
-        -------
-        (n_unknowns,) array
-            The camera's part of b_s, grey levels squared per pixel.
+        The camera's part of b_s, (n_unknowns,), grey levels squared per pixel, from the residual of
+        ``compute_residual``.
         """
         b = self.view.correlation.assemble_right_hand_side(residual, gain, offset)
         projected = self.view.kinematics.project_vector(b)
@@ -310,17 +206,7 @@ class FrameView:
                                offset: Correction = 0.0) -> NDArray[np.float32]:
         """Compute the residual f - gain g(x + u) - offset pixel by pixel.
 
-        Parameters
-        ----------
-        q : (n_unknowns,) array
-            The subdomain's unknowns.
-        gain, offset : float or (n_cells,) array
-            Of f = gain g + offset; no unit, and grey levels.
-
-        Returns
-        -------
-        (height, width) array
-            Grey levels on the reference window, nan on pixels that do not count.
+        On the reference window, (height, width), grey levels; nan on pixels that do not count.
         """
         return self.view.correlation.compute_residual_image(self.deformed, self._displacement(q), gain, offset)
 
@@ -328,35 +214,13 @@ class FrameView:
                                offset: Correction = 0.0) -> Iterator[NDArray[np.float32]]:
         """Compute the same as ``compute_residual_image`` band by band, each when it is asked for.
 
-        Parameters
-        ----------
-        q : (n_unknowns,) array
-            The subdomain's unknowns.
-        bands : iterable of Band
-            Of the view's correlation.
-        gain, offset : float or (n_cells,) array
-            Of f = gain g + offset; no unit, and grey levels.
-
-        Returns
-        -------
-        iterator of (height, width) array
-            Grey levels on the windows of the bands, nan on pixels that do not count or that other bands have.
+        On the windows of the bands, which are those of the view's correlation; nan also on pixels that other bands
+        have.
         """
         return self.view.correlation.compute_residual_bands(self.deformed, self._displacement(q), bands, gain, offset)
 
     def without_hidden(self, q: NDArray[np.float64]) -> View:
-        """Leave out the pixels that unknowns hide: outside the deformed image, or on excluded pixels of it.
-
-        Parameters
-        ----------
-        q : (n_unknowns,) array
-            The subdomain's unknowns.
-
-        Returns
-        -------
-        View
-            The reference's view with the pixels that are left.
-        """
+        """Leave out the pixels that unknowns hide: outside the deformed image, or on excluded pixels of it."""
         correlation = self.view.correlation.without_hidden(self.deformed, self._displacement(q))
         return replace(self.view, correlation=correlation)
 

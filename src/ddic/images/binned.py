@@ -55,22 +55,9 @@ class ArraySource:
         return int(self.values.shape[0])
 
     def read(self, window: Window) -> NDArray[Any]:
-        """Look into a window.
+        """Look into a window; its grey levels cannot be written to.
 
-        Parameters
-        ----------
-        window : Window
-            Inside the image.
-
-        Returns
-        -------
-        (window.height, window.width) array
-            Grey levels, which cannot be written to.
-
-        Raises
-        ------
-        ValueError
-            Where the window leaves the image or is empty.
+        Raises ValueError where the window leaves the image or is empty.
         """
         if window.n_pixels == 0 or not Window(0, 0, self.width, self.height).contains(window):
             raise ValueError(f"{window} is empty or leaves the image of {self.width} x {self.height} pixels")
@@ -96,63 +83,22 @@ class Blocks:
 
 
 def bin_image(source: MaskedSource, factor: int) -> MaskedSource:
-    """Average an image over square blocks; a block counts where all its pixels do.
+    """Average an image over square blocks, ``factor`` pixels a side; a block counts where all its pixels do.
 
-    Block (X, Y) is centred on x = factor X + (factor - 1) / 2, likewise y. The image is read in bands.
-
-    Parameters
-    ----------
-    source : MaskedSource
-        The image.
-    factor : int
-        Side of a block, pixels.
-
-    Returns
-    -------
-    MaskedSource
-        In memory, a pixel a block; pixels that fill no block are left out.
+    Block (X, Y) is centred on x = factor X + (factor - 1) / 2, likewise y. The image is read in bands; pixels that fill
+    no block are left out. The result is in memory, a pixel a block.
     """
     return join_blocks(source, [bin_rows(source, factor, range(source.image.height // factor))])
 
 
 def bin_rows(source: MaskedSource, factor: int, rows: range) -> Blocks:
-    """Average some rows of the blocks of ``bin_image``.
-
-    Parameters
-    ----------
-    source : MaskedSource
-        The image.
-    factor : int
-        Side of a block, pixels.
-    rows : range
-        Of blocks.
-
-    Returns
-    -------
-    Blocks
-        These rows.
-    """
+    """Average some rows of the blocks of ``bin_image``."""
     width = source.image.width // factor * factor
     return bin_window(source, factor, Window(0, rows.start * factor, width, rows.stop * factor))
 
 
 def bin_window(source: MaskedSource, factor: int, window: Window) -> Blocks:
-    """Average a part of an image over square blocks, the first of which begins where the part does.
-
-    Parameters
-    ----------
-    source : MaskedSource
-        The image.
-    factor : int
-        Side of a block, pixels.
-    window : Window
-        Of whole blocks, inside the image.
-
-    Returns
-    -------
-    Blocks
-        Of the window.
-    """
+    """Average a part of an image, of whole blocks, over these; the first of them begins where the part does."""
     n_rows, width = window.height // factor, window.width // factor
     values = np.zeros((n_rows, width), dtype=np.float32)
     usable = np.ones((n_rows, width), dtype=np.float32)
@@ -171,20 +117,7 @@ def bin_window(source: MaskedSource, factor: int, window: Window) -> Blocks:
 
 
 def join_blocks(source: MaskedSource, bands: Sequence[Blocks]) -> MaskedSource:
-    """Join all rows of blocks to the binned image.
-
-    Parameters
-    ----------
-    source : MaskedSource
-        The image that they come from.
-    bands : sequence of Blocks
-        In order.
-
-    Returns
-    -------
-    MaskedSource
-        In memory, a pixel a block.
-    """
+    """Join all rows of blocks, in order, to the binned image, which is in memory, a pixel a block."""
     path = source.image.path
     mask = None
     if any(band.usable is not None for band in bands):
@@ -254,18 +187,7 @@ class Blur:
         return np.asarray(weights / weights.sum())
 
     def apply(self, pixels: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Blur pixels, reflected at the edge.
-
-        Parameters
-        ----------
-        pixels : (height, width) array
-            Grey levels.
-
-        Returns
-        -------
-        (height, width) array
-            Grey levels.
-        """
+        """Blur pixels, (height, width), grey levels, reflected at the edge."""
         return np.asarray(cv2.filter2D(pixels, -1, self.kernel, borderType=cv2.BORDER_REFLECT_101))
 
 
@@ -309,18 +231,7 @@ class BlurredSource:
         return None
 
     def read(self, window: Window) -> NDArray[np.float32]:
-        """Read a window.
-
-        Parameters
-        ----------
-        window : Window
-            Inside the image.
-
-        Returns
-        -------
-        (window.height, window.width) array
-            Grey levels.
-        """
+        """Read the blurred grey levels of a window, inside the image."""
         wide = window.grow(self.blur.reach).clip(self.width, self.height)
         sharp = fill_excluded(self.source.image.read(wide), self.source.find_usable(wide))
         return self.blur.apply(np.asarray(sharp, dtype=np.float32))[wide.locate(window)]

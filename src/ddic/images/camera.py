@@ -22,6 +22,8 @@ class CameraMapping:
     """A homography from the specimen frame to image pixels, followed by radial distortion.
 
     x_u = homography applied to X, x = centre + (x_u - centre) (1 + k1 r^2 + k2 r^4), r = |x_u - centre| / radius.
+    Raises ValueError where a shape is wrong, a number is not finite, entry [2, 2] is not 1, the homography is singular
+    or the radius is not positive.
 
     Attributes
     ----------
@@ -33,12 +35,6 @@ class CameraMapping:
         Length by which the distortion's radii are divided, image pixels.
     radial : (2,) array
         k1 and k2, no unit.
-
-    Raises
-    ------
-    ValueError
-        Where a shape is wrong, a number is not finite, entry [2, 2] is not 1, the homography is singular or the
-        radius is not positive.
     """
 
     homography: Array
@@ -67,22 +63,9 @@ class CameraMapping:
         return bool(self.radial.any())
 
     def to_image(self, points: Array) -> Array:
-        """Map points of the specimen to the image.
+        """Map points, (n, 2), from the specimen's frame to the image, both pixels.
 
-        Parameters
-        ----------
-        points : (n, 2) array
-            Specimen's frame, pixels.
-
-        Returns
-        -------
-        (n, 2) array
-            Image pixels.
-
-        Raises
-        ------
-        ValueError
-            Where a point lies beyond the horizon of the homography.
+        Raises ValueError where a point lies beyond the horizon of the homography.
         """
         x = _project(self.homography, points)[0]
         if not self.distorts:
@@ -91,22 +74,9 @@ class CameraMapping:
         return self.centre + offset * self._factor((offset**2).sum(axis=1) / self.radius**2)[:, None]
 
     def jacobian(self, points: Array) -> Array:
-        """Differentiate the image position by the specimen's.
+        """Differentiate the image position by the specimen's: d x_image / d X, (n, 2, 2), rows x and y of the image.
 
-        Parameters
-        ----------
-        points : (n, 2) array
-            Specimen's frame, pixels.
-
-        Returns
-        -------
-        (n, 2, 2) array
-            d x_image / d X, rows x and y of the image, image pixels per pixel of the specimen's frame.
-
-        Raises
-        ------
-        ValueError
-            As ``to_image`` does.
+        Its unit is image pixels per pixel of the specimen's frame. Raises ValueError as ``to_image`` does.
         """
         h = self.homography
         x, depth = _project(h, points)
@@ -121,22 +91,10 @@ class CameraMapping:
         return np.asarray(distortion @ projective)
 
     def to_specimen(self, points: Array) -> Array:
-        """Map points of the image back to the specimen.
+        """Map points of the image, (n, 2), back to the specimen's frame, both pixels.
 
-        Parameters
-        ----------
-        points : (n, 2) array
-            Image pixels.
-
-        Returns
-        -------
-        (n, 2) array
-            Specimen's frame, pixels; nan where the point is, as where nothing was measured.
-
-        Raises
-        ------
-        ValueError
-            Where the distortion cannot be undone, or the point lies beyond the horizon.
+        A point that is nan, as where nothing was measured, stays nan. Raises ValueError where the distortion cannot be
+        undone, or the point lies beyond the horizon.
         """
         x = self._undistorted(np.asarray(points, dtype=np.float64)) if self.distorts else points
         return _project(np.linalg.inv(self.homography), x)[0]
@@ -185,26 +143,11 @@ def identity() -> CameraMapping:
 
 
 def similarity(scale: float, rotation_degrees: float, translation: tuple[float, float]) -> CameraMapping:
-    """Return the mapping x = scale R(rotation) X + translation.
+    """Return the mapping x = scale R(rotation) X + translation, without distortion.
 
-    Parameters
-    ----------
-    scale : float
-        Image pixels per pixel of the specimen's frame.
-    rotation_degrees : float
-        From x towards y, that is clockwise on the screen.
-    translation : (x, y)
-        Image pixels.
-
-    Returns
-    -------
-    CameraMapping
-        Without distortion.
-
-    Raises
-    ------
-    ValueError
-        Where the scale is not positive or a number is not finite.
+    The scale is in image pixels per pixel of the specimen's frame, the rotation from x towards y, that is clockwise on
+    the screen, the translation in image pixels. Raises ValueError where the scale is not positive or a number is not
+    finite.
     """
     if not scale > 0:
         raise ValueError(f"scale: expected a positive number of image px per specimen px, got {scale:g}")

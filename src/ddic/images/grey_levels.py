@@ -1,7 +1,4 @@
-"""What the grey levels of a whole image are like, read a band of rows at a time.
-
-How large the features of a pattern are.
-"""
+"""What the grey levels of a whole image are like, read a band of rows at a time; how large a pattern's features are."""
 
 from __future__ import annotations
 
@@ -47,10 +44,8 @@ class GreyLevels:
         Grey levels; infinite and nan where no pixel is finite.
     saturation : float or None
         Grey level at which the image saturates, as ``find_saturation`` finds it.
-    n_saturated : int
-        Pixels at that level.
-    n_not_finite : int
-        Pixels that are nan or infinite.
+    n_saturated, n_not_finite : int
+        Pixels at that level, and pixels that are nan or infinite.
     gradient_energy : float
         Mean of |grad f|^2 over the inner pixels, (grey level / px)^2.
     """
@@ -65,18 +60,7 @@ class GreyLevels:
 
 
 def measure_grey_levels(source: ImageSource) -> GreyLevels:
-    """Measure the grey levels of an image; gradients are central differences.
-
-    Parameters
-    ----------
-    source : ImageSource
-        The image.
-
-    Returns
-    -------
-    GreyLevels
-        Of all its pixels.
-    """
+    """Measure the grey levels of an image; gradients are central differences."""
     lowest, highest, total = np.inf, -np.inf, 0.0
     n_finite = 0
     levels = _HighestLevel()
@@ -113,16 +97,8 @@ def measure_grey_levels(source: ImageSource) -> GreyLevels:
 def find_saturation(source: ImageSource) -> float | None:
     """Find the grey level at which an image saturates: cameras of 12 bits in a file of 16 stop at 4095.
 
-    Parameters
-    ----------
-    source : ImageSource
-        The image, which is read whole.
-
-    Returns
-    -------
-    float or None
-        Where the highest grey level is the largest of 8, 10, 12 or 14 bits, in the lower or the upper bits of the type,
-        that one; else the largest of the type. None for a float image.
+    Where the highest grey level is the largest of 8, 10, 12 or 14 bits, in the lower or the upper bits of the type, it
+    is that one; else the largest of the type. None for a float image; others are read whole.
     """
     if source.saturation is None:
         return None
@@ -135,17 +111,8 @@ def find_saturation(source: ImageSource) -> float | None:
 def check_finite(source: ImageSource, mask: NDArray[np.bool_] | None = None) -> None:
     """Check that a float image holds no nan or infinity but where its mask leaves it out.
 
-    Parameters
-    ----------
-    source : ImageSource
-        The image.
-    mask : (height, width) array, optional
-        True where pixels are used; all are where it is left out.
-
-    Raises
-    ------
-    InputError
-        Where there are such pixels; it tells their number and the first one.
+    The mask is True where pixels are used; without one, all are. Raises InputError where there are such pixels, with
+    their number and the first one.
     """
     if source.saturation is not None:
         return
@@ -165,13 +132,7 @@ def check_finite(source: ImageSource, mask: NDArray[np.bool_] | None = None) -> 
 
 
 def read_all(source: ImageSource) -> None:
-    """Read an image a band at a time and keep nothing, for the errors that it brings.
-
-    Parameters
-    ----------
-    source : ImageSource
-        The image.
-    """
+    """Read an image a band at a time and keep nothing, for the errors that it brings."""
     for rows in _bands(source):
         source.read(rows)
 
@@ -179,15 +140,8 @@ def read_all(source: ImageSource) -> None:
 def check_varied(source: ImageSource) -> None:
     """Check that an image shows more than one grey level, and a float image levels that can be computed with.
 
-    Parameters
-    ----------
-    source : ImageSource
-        The image; its pixels that are not finite do not count.
-
-    Raises
-    ------
-    InputError
-        Where it does not; it says the level, or how large or small levels are.
+    Raises InputError where it does not, with the level, or how large or small levels are. Pixels that are not finite do
+    not count.
     """
     lowest, highest = _find_range(source)
     if source.saturation is not None and (highest > lowest or source.width * source.height > MOST_LOOKED_AT):
@@ -217,19 +171,9 @@ def _find_range(source: ImageSource) -> tuple[float, float]:
 
 
 def check_noise(source: ImageSource, noise: float) -> None:
-    """Check that a noise can be that of an image, in its grey levels.
+    """Check that a noise can be that of an image: its standard deviation, grey levels.
 
-    Parameters
-    ----------
-    source : ImageSource
-        The image.
-    noise : float
-        Standard deviation, grey levels.
-
-    Raises
-    ------
-    InputError
-        Where it is none of NOISES times what the image's levels may span, or do where they are floats.
+    Raises InputError where it is none of NOISES times what the image's levels may span, or do where they are floats.
     """
     span = float(np.ptp(_find_range(source))) if source.saturation is None else source.saturation
     least, largest = (share * span for share in NOISES)
@@ -275,15 +219,7 @@ class _HighestLevel:
 def list_spread_bands(window: Window) -> Iterator[Window]:
     """List bands of a window, all of them or as many, evenly spread, as hold MOST_LOOKED_AT pixels.
 
-    Parameters
-    ----------
-    window : Window
-        Of an image.
-
-    Yields
-    ------
-    Window
-        Whole rows of it, from top to bottom.
+    They are whole rows of it, from top to bottom.
     """
     n_rows = max(1, BAND_PIXELS // window.width)
     step = n_rows * max(1, -(-window.n_pixels // MOST_LOOKED_AT))
@@ -314,20 +250,10 @@ HALF = 0.5
 
 
 def measure_feature_size(source: ImageSource, places: NDArray[np.float64]) -> float:
-    """Measure the size of a pattern's features: the width of the autocorrelation at half of its maximum.
+    """Measure the size of a pattern's features: the width of the autocorrelation at half of its maximum, pixels.
 
-    Parameters
-    ----------
-    source : ImageSource
-        The image.
-    places : (n, 2) array
-        Middles of windows of 128 x 128 px that are looked at, pixels: some on the specimen, for edges and holes in a
-        few of them change little.
-
-    Returns
-    -------
-    float
-        Median over the windows and the two axes, pixels; nan where no window has features that end in it.
+    It is the median over both axes of windows of 128 x 128 px about the places, (n, 2), pixels: some on the specimen,
+    for edges and holes in a few of them change little. It is nan where no window has features that end in it.
     """
     widths = [width for x, y in places for width in _measure_window(source, float(x), float(y))]
     known = [width for width in widths if math.isfinite(width)]

@@ -23,22 +23,10 @@ a smaller one leaves fewer pixels to each block's four numbers."""
 
 
 def estimate_rest_noise(first: ImageSource, second: ImageSource, window: Window) -> float:
-    """Estimate the noise of either image from their difference.
+    """Estimate the noise of either image, both of one size, from their difference: its standard deviation, grey levels.
 
     Of every block an offset, a gain and a shift of the second image are fitted, so that neither light nor a small drift
-    counts; the median over blocks passes over what has moved.
-
-    Parameters
-    ----------
-    first, second : ImageSource
-        Of one size.
-    window : Window
-        What is compared.
-
-    Returns
-    -------
-    float
-        Standard deviation, grey levels; nan where the window is smaller than a block.
+    counts; the median over blocks passes over what has moved. It is nan where the window is smaller than a block.
     """
     variances = [_fit_row(first, second, Window(window.x0, y, window.x1, y + BLOCK))
                  for y in range(window.y0, window.y1 - BLOCK + 1, BLOCK)]
@@ -79,21 +67,10 @@ degree: for the cubic one the mean of (3 sin w / (2 + cos w))^2 over all frequen
 def correlate_interpolation(shift: float, degree: int) -> Array:
     """Find how the noise of interpolated values goes together: R(k) = sum_m h(m) h(m + k) with the weights h of pixels.
 
-    The B-spline of a degree with its prefilter weighs the pixels about a point between two of them; h is that along one
-    axis. In two dimensions R is the product of both axes', and the value at no distance is the noise transfer: the
-    variance of an interpolated value over that of a pixel.
-
-    Parameters
-    ----------
-    shift : float
-        Of the values from pixels, pixels.
-    degree : int
-        Of the spline, 3 or 5.
-
-    Returns
-    -------
-    (2 REACH + 1,) array
-        R for k from -REACH to REACH, no unit; 1 at k = 0 alone where the shift is a whole number.
+    The B-spline of degree 3 or 5 with its prefilter weighs the pixels about a point between two of them, ``shift``
+    pixels from one; h is that along one axis. In two dimensions R is the product of both axes', and the value at no
+    distance is the noise transfer: the variance of an interpolated value over that of a pixel. R, (2 REACH + 1,), is
+    given for k from -REACH to REACH, no unit; it is 1 at k = 0 alone where the shift is a whole number.
     """
     weights = _weigh_pixels(shift % 1.0, degree)
     whole = np.correlate(weights, weights, mode="full")

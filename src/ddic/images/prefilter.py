@@ -34,78 +34,35 @@ TERMS = {3: 30, 5: 47}
 
 
 def prefilter(block: NDArray[np.float64], degree: int) -> None:
-    """Turn pixels into B-spline coefficients along both axes, in place.
-
-    Parameters
-    ----------
-    block : (height, width) array
-        Grey levels, then coefficients.
-    degree : int
-        Of the spline, 3 or 5.
-    """
+    """Turn pixels into B-spline coefficients of degree 3 or 5 along both axes, in place."""
     prefilter_rows(block, degree)
     prefilter_columns(block, degree)
 
 
 def prefilter_columns(block: NDArray[np.float64], degree: int) -> None:
-    """Turn pixels into coefficients along columns, in place.
-
-    Parameters
-    ----------
-    block : (height, width) array
-        Grey levels, then coefficients.
-    degree : int
-        Of the spline, 3 or 5.
-    """
+    """Turn pixels into coefficients along columns, in place."""
     _filter_columns(block, POLES[degree], TERMS[degree])
 
 
 def prefilter_rows(block: NDArray[np.float64], degree: int) -> None:
-    """Turn pixels into coefficients along rows, in place.
-
-    Parameters
-    ----------
-    block : (height, width) array
-        Grey levels, then coefficients.
-    degree : int
-        Of the spline, 3 or 5.
-    """
+    """Turn pixels into coefficients along rows, in place."""
     _filter_rows(block, POLES[degree], TERMS[degree], np.empty((block.shape[1], TURNED)))
 
 
 def write_row_slopes(block: NDArray[np.float64], first: int, degree: int, out: NDArray[np.float32]) -> None:
-    """Write the spline's slopes along x at pixel centres.
+    """Write the spline's slopes along x at pixel centres, from column ``first`` on, grey levels per pixel.
 
-    Only rows are filtered for that: along columns, values at pixel centres would undo it.
-
-    Parameters
-    ----------
-    block : (height, width) array
-        Grey levels, overwritten.
-    first : int
-        Column of the first slope.
-    degree : int
-        Of the spline, 3 or 5.
-    out : (height, n) array
-        Slopes at the columns from ``first``, grey levels per pixel.
+    Only rows are filtered for that: along columns, values at pixel centres would undo it. The block of grey levels is
+    overwritten.
     """
     _row_slopes(block, first, POLES[degree], TERMS[degree], SLOPE_TAPS[degree], out,
                 np.empty((block.shape[1], TURNED)))
 
 
 def write_column_slopes(coefficients: NDArray[np.float64], first: int, degree: int, out: NDArray[np.float32]) -> None:
-    """Write the spline's slopes along y at pixel centres.
+    """Write the spline's slopes along y at pixel centres, from row ``first`` on, grey levels per pixel.
 
-    Parameters
-    ----------
-    coefficients : (height, width) array
-        Prefiltered along columns only.
-    first : int
-        Row of the first slope.
-    degree : int
-        Of the spline, 3 or 5.
-    out : (n, width) array
-        Slopes at the rows from ``first``, grey levels per pixel.
+    The coefficients are prefiltered along columns only.
     """
     _column_slopes(coefficients, first, SLOPE_TAPS[degree], out)
 

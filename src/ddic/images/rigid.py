@@ -45,38 +45,15 @@ class RigidShift:
     n_alike: int = 0
 
     def scale(self, factor: float) -> RigidShift:
-        """Scale the translation: of binned images, to pixels of the images themselves.
-
-        Parameters
-        ----------
-        factor : float
-            Pixels of the other images in one of these.
-
-        Returns
-        -------
-        RigidShift
-            With the same coefficient.
-        """
+        """Scale the translation of binned images by ``factor``, to pixels of the images themselves."""
         x, y = self.shift
         return replace(self, shift=(factor * x, factor * y))
 
 
 def find_rigid_shift(f: NDArray[np.float64], g: NDArray[np.float64], region: NDArray[np.bool_]) -> RigidShift:
-    """Find the translation of a region of f in g to sub-pixel accuracy.
+    """Find the translation of a region of f in g, reference and deformed image, to sub-pixel accuracy.
 
-    Parameters
-    ----------
-    f : (height, width) array
-        Grey levels of the reference image.
-    g : (height, width) array
-        Grey levels of the deformed image.
-    region : (height, width) array of bool
-        Pixels of f that count.
-
-    Returns
-    -------
-    RigidShift
-        With the largest correlation coefficient.
+    It has the largest correlation coefficient. The region is True on the pixels of f that count.
     """
     weight = region.astype(np.float64)
     # Sums of squares of small numbers lose fewer digits.
@@ -157,10 +134,8 @@ class GridField:
 
     Attributes
     ----------
-    origin : (x, y)
-        Position of node [0, 0], pixels.
-    spacing : (x, y)
-        Between neighbours, pixels.
+    origin, spacing : (x, y)
+        Position of node [0, 0], and distances between neighbours, pixels.
     values : (rows, columns, 2) array
         Displacement, pixels.
     """
@@ -170,18 +145,7 @@ class GridField:
     values: NDArray[np.float64]
 
     def at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Interpolate between the grid's nodes, bilinearly; constant beyond its edge.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n, 2) array
-            Displacement, pixels.
-        """
+        """Interpolate between the grid's nodes at points, (n, 2), pixels, bilinearly; constant beyond its edge."""
         place = (points - np.asarray(self.origin)) / np.asarray(self.spacing)
         return np.stack([
             ndimage.map_coordinates(self.values[..., c], place[:, ::-1].T, order=1, mode="nearest")
@@ -190,34 +154,12 @@ class GridField:
 
 
 def build_uniform_field(shift: tuple[float, float]) -> GridField:
-    """Return a rigid translation as a field.
-
-    Parameters
-    ----------
-    shift : (x, y)
-        Pixels.
-
-    Returns
-    -------
-    GridField
-        Of one node.
-    """
+    """Return a rigid translation, pixels, as a field of one node."""
     return GridField((0.0, 0.0), (1.0, 1.0), np.array([[shift]], dtype=np.float64))
 
 
 def fill_absent(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Give grid nodes that are nan the value of the nearest present one.
-
-    Parameters
-    ----------
-    values : (rows, columns, 2) array
-        Displacement, pixels.
-
-    Returns
-    -------
-    (rows, columns, 2) array
-        Without nan where any node is present.
-    """
+    """Give grid nodes, (rows, columns, 2), that are nan the value of the nearest present one, where there is any."""
     absent = np.isnan(values[..., 0])
     if not absent.any():
         return values

@@ -75,69 +75,26 @@ class GradientImage:
     usable: NDArray[np.uint8] | None = None
 
     def restrict(self, window: Window) -> GradientImage:
-        """Look into a window of it.
-
-        Parameters
-        ----------
-        window : Window
-            Inside this one.
-
-        Returns
-        -------
-        GradientImage
-            Its arrays look into these; only what is excluded is copied.
-        """
+        """Look into a window inside it: the new arrays look into these; only what is excluded is copied."""
         inside = self.window.locate(window)
         return GradientImage(window, self.values[inside], self.by_x[inside], self.by_y[inside],
                              None if self.usable is None else self.usable[inside].copy())
 
     def correct_light(self, light: NDArray[np.float32]) -> GradientImage:
-        """Subtract grey levels that vary so slowly that slopes do not know them.
+        """Subtract grey levels, (window.height, window.width), that vary so slowly that slopes do not know them.
 
-        Parameters
-        ----------
-        light : (window.height, window.width) array
-            Grey levels.
-
-        Returns
-        -------
-        GradientImage
-            With arrays of its own: kernels step through all three alike.
+        The result has arrays of its own: kernels step through all three alike.
         """
         return GradientImage(self.window, self.values - light, self.by_x.copy(), self.by_y.copy(), self.usable)
 
     def exclude(self, excluded: NDArray[np.bool_]) -> GradientImage:
-        """Exclude further pixels.
-
-        Parameters
-        ----------
-        excluded : (window.height, window.width) array of bool
-            Which.
-
-        Returns
-        -------
-        GradientImage
-            With an array of its own that says what is usable.
-        """
+        """Exclude further pixels, in a new array that says what is usable."""
         usable = np.asarray(~excluded, dtype=np.uint8)
         return replace(self, usable=usable if self.usable is None else usable & self.usable)
 
 
 def compute_coefficients(values: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
-    """Prefilter an image for B-spline interpolation with reflection at its edges.
-
-    Parameters
-    ----------
-    values : (height, width) array
-        Grey levels.
-    degree : int
-        Of the spline, 3 or 5.
-
-    Returns
-    -------
-    (height, width) array
-        Coefficients.
-    """
+    """Prefilter an image for B-spline interpolation of degree 3 or 5, with reflection at its edges."""
     coefficients = np.array(values, dtype=np.float64, order="C")
     prefilter(coefficients, degree)
     return coefficients
@@ -146,27 +103,11 @@ def compute_coefficients(values: NDArray[np.float64], degree: int) -> NDArray[np
 def read_spline(source: ImageSource, window: Window, degree: int,
                 find_usable: FindUsable | None = None, threads: Threads = ONE_THREAD, *,
                 excludes_taps: bool = True) -> SplineImage:
-    """Read a window and prefilter it.
+    """Read a window inside the image and prefilter it; its coefficients equal the whole image's to 1e-16.
 
-    Parameters
-    ----------
-    source : ImageSource
-        The image.
-    window : Window
-        Inside the image.
-    degree : int
-        Of the spline, 3 or 5.
-    find_usable : callable, optional
-        Gives the pixels of a window that count, as ``MaskedSource.find_usable``; all do where it is left out.
-    threads : Threads
-        Do the filtering.
-    excludes_taps : bool
-        Whether to leave out all that is interpolated from an excluded pixel, or only what lies beside it.
-
-    Returns
-    -------
-    SplineImage
-        Its coefficients equal the whole image's to 1e-16.
+    ``find_usable`` gives the pixels of a window that count, as ``MaskedSource.find_usable``; all do where it is left
+    out. With ``excludes_taps`` all that is interpolated from an excluded pixel is left out, otherwise only what lies
+    beside it.
     """
     pad = PADDING[degree]
     out = np.empty((window.height + 2 * pad, window.width + 2 * pad), dtype=np.float32)
@@ -190,30 +131,11 @@ def read_spline(source: ImageSource, window: Window, degree: int,
 def read_gradient(source: ImageSource, window: Window, degree: int,
                   find_usable: FindUsable | None = None, threads: Threads = ONE_THREAD, *,
                   excludes_taps: bool = True) -> GradientImage:
-    """Read a window with its spline gradient at pixel centres.
+    """Read a window inside the image with its spline gradient at pixel centres.
 
     A slope along x needs coefficients along x alone: the values of the spline at pixel centres of a column undo the
-    prefilter along columns.
-
-    Parameters
-    ----------
-    source : ImageSource
-        The image.
-    window : Window
-        Inside the image.
-    degree : int
-        Of the spline, 3 or 5.
-    find_usable : callable, optional
-        Gives the pixels of a window that count, as ``MaskedSource.find_usable``; all do where it is left out.
-    threads : Threads
-        Do the filtering.
-    excludes_taps : bool
-        Whether to leave out the pixels whose slope is taken from an excluded one, or only these.
-
-    Returns
-    -------
-    GradientImage
-        Of the window.
+    prefilter along columns. ``find_usable`` is as for ``read_spline``. With ``excludes_taps`` the pixels whose slope is
+    taken from an excluded one are left out, otherwise only the excluded ones.
     """
     shape = (window.height, window.width)
     values, by_x, by_y = (np.empty(shape, dtype=np.float32) for _ in range(3))

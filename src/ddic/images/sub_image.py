@@ -56,28 +56,11 @@ class MaskedSource:
         return self.mask is not None or self.saturated_from is not None
 
     def read_whole(self) -> NDArray[np.float64]:
-        """Read all grey levels, left out or not: of coarse images, which are small.
-
-        Returns
-        -------
-        (height, width) array
-            Grey levels.
-        """
+        """Read all grey levels, left out or not: of coarse images, which are small."""
         return self.image.read(self.extent).astype(np.float64)
 
     def find_usable(self, window: Window) -> NDArray[np.uint8] | None:
-        """Find the pixels of a window that count.
-
-        Parameters
-        ----------
-        window : Window
-            Inside the image.
-
-        Returns
-        -------
-        (window.height, window.width) array or None
-            1 where a pixel counts, 0 where it is left out; None where nothing can be left out.
-        """
+        """Find the pixels of a window that count, 1, and those left out, 0; None where nothing can be left out."""
         if not self.may_exclude:
             return None
         usable = np.ones((window.height, window.width), dtype=np.uint8)
@@ -90,23 +73,9 @@ class MaskedSource:
 
 def read_reference(source: MaskedSource, window: Window, degree: int,
                    threads: Threads = ONE_THREAD) -> GradientImage:
-    """Read grey levels and gradient of a window of the reference image.
+    """Read grey levels and gradient of a window of the reference image, clipped to it.
 
-    Parameters
-    ----------
-    source : MaskedSource
-        The reference image.
-    window : Window
-        Clipped to the image.
-    degree : int
-        Of the spline, 3 or 5.
-    threads : Threads
-        Do the filtering.
-
-    Returns
-    -------
-    GradientImage
-        Of the window, which is made larger where it is too small for a spline.
+    The window is made larger where it is too small for a spline.
     """
     window = _sizeable(window, source.extent)
     return read_gradient(source.image, window, degree, source.find_usable, threads,
@@ -133,12 +102,9 @@ class DeformedSubImage:
     _spline: SplineImage | None = field(default=None, repr=False)
 
     def hold(self, window: Window) -> None:
-        """Hold the window that all who share the sub-image want, and hardly more.
+        """Hold the window that all who share the sub-image want, clipped to the image, and hardly more.
 
-        Parameters
-        ----------
-        window : Window
-            What is wanted; clipped to the image. It is read where the window held is outgrown, or much too large.
+        It is read where the window held is outgrown, or much too large.
         """
         needed = window.clip(self.source.image.width, self.source.image.height)
         wanted = _sizeable(window.grow(GROWTH), self.source.extent)
@@ -147,18 +113,7 @@ class DeformedSubImage:
             self._spline = self._read(wanted)
 
     def get_spline(self, window: Window) -> SplineImage:
-        """Give the spline of a window that holds another, read again only if outgrown.
-
-        Parameters
-        ----------
-        window : Window
-            What must be in it; clipped to the image.
-
-        Returns
-        -------
-        SplineImage
-            Of this window or a larger one.
-        """
+        """Give the spline of a window that holds another, clipped to the image; it is read again only if outgrown."""
         needed = window.clip(self.source.image.width, self.source.image.height)
         if self._spline is None or not self._spline.window.contains(needed):
             grown = window if self._spline is None else window.union(self._spline.window)

@@ -23,12 +23,7 @@ class Threads:
     Parameters
     ----------
     n : int
-        Their number.
-
-    Raises
-    ------
-    ValueError
-        Where it is below 1.
+        Their number; ValueError is raised where it is below 1.
     """
 
     def __init__(self, n: int = 1) -> None:
@@ -42,13 +37,6 @@ class Threads:
         """Call a function on every thread, with an iterator that gives each item to one of them, and wait for all.
 
         What it raises is raised once no thread works any more.
-
-        Parameters
-        ----------
-        items : iterable
-            Each goes to one thread.
-        work : callable
-            Takes the iterator of its thread.
         """
         if self._pool is None:
             work(iter(items))
@@ -60,18 +48,10 @@ class Threads:
             thread.result()
 
     def run_over(self, n: int, least: int, work: Callable[[slice], None]) -> None:
-        """Call a function on slices that cover a sequence, and wait for all.
+        """Call a function on slices that cover a sequence of length n, and wait for all.
 
-        What it raises is raised once no thread works any more.
-
-        Parameters
-        ----------
-        n : int
-            Length of the sequence.
-        least : int
-            Least length of a slice, where the sequence is longer.
-        work : callable
-            Takes a slice.
+        No slice is shorter than ``least`` where the sequence is longer. What it raises is raised once no thread works
+        any more.
         """
         n_slices = 1 if self._pool is None else max(1, min(SLICES * self.n, n // least))
         if n_slices == 1:

@@ -40,95 +40,29 @@ class Window:
         return max(self.width, 0) * max(self.height, 0)
 
     def grow(self, halo: int) -> Window:
-        """Extend on every side.
-
-        Parameters
-        ----------
-        halo : int
-            By how much, pixels.
-
-        Returns
-        -------
-        Window
-            May leave the image.
-        """
+        """Extend on every side by ``halo`` pixels; the result may leave the image."""
         return Window(self.x0 - halo, self.y0 - halo, self.x1 + halo, self.y1 + halo)
 
     def clip(self, width: int, height: int) -> Window:
-        """Intersect with an image.
-
-        Parameters
-        ----------
-        width, height : int
-            Size of the image, pixels.
-
-        Returns
-        -------
-        Window
-            Empty where it lies outside.
-        """
+        """Intersect with an image; empty where the window lies outside."""
         return self.intersection(Window(0, 0, width, height))
 
     def intersection(self, other: Window) -> Window:
-        """Find the common part of two windows.
-
-        Parameters
-        ----------
-        other : Window
-            The other one.
-
-        Returns
-        -------
-        Window
-            May be empty, with x1 <= x0 or y1 <= y0.
-        """
+        """Find the common part of two windows, which may be empty, with x1 <= x0 or y1 <= y0."""
         return Window(max(self.x0, other.x0), max(self.y0, other.y0),
                       min(self.x1, other.x1), min(self.y1, other.y1))
 
     def union(self, other: Window) -> Window:
-        """Find the smallest window that holds two.
-
-        Parameters
-        ----------
-        other : Window
-            The other one.
-
-        Returns
-        -------
-        Window
-            Holds both.
-        """
+        """Find the smallest window that holds two."""
         return Window(min(self.x0, other.x0), min(self.y0, other.y0),
                       max(self.x1, other.x1), max(self.y1, other.y1))
 
     def locate(self, part: Window) -> tuple[slice, slice]:
-        """Find a part of this window in an array of its pixels.
-
-        Parameters
-        ----------
-        part : Window
-            Inside this one.
-
-        Returns
-        -------
-        rows, columns : slice
-            Of the array.
-        """
+        """Find a part of this window in an array of its pixels: slices of rows and columns."""
         return (slice(part.y0 - self.y0, part.y1 - self.y0), slice(part.x0 - self.x0, part.x1 - self.x0))
 
     def contains(self, other: Window) -> bool:
-        """Tell whether another window lies inside.
-
-        Parameters
-        ----------
-        other : Window
-            The other one.
-
-        Returns
-        -------
-        bool
-            Whether all of its pixels are in this one.
-        """
+        """Tell whether another window lies inside."""
         return (self.x0 <= other.x0 and self.y0 <= other.y0
                 and self.x1 >= other.x1 and self.y1 >= other.y1)
 
@@ -136,17 +70,8 @@ class Window:
 def merge_windows(windows: Sequence[Window], halo: int) -> list[tuple[Window, list[int]]]:
     """Put neighbours together whose common window holds no more pixels than theirs do, a halo around each.
 
-    Parameters
-    ----------
-    windows : sequence of Window
-        Neighbours follow each other.
-    halo : int
-        Pixels that are read around each.
-
-    Returns
-    -------
-    list of Window and list of int
-        The common windows, without halo, and the numbers of the windows in each, in order.
+    Neighbours follow each other in ``windows``. Gives the common windows, without halo, and the numbers of the windows
+    in each, in order.
     """
     groups: list[tuple[Window, list[int]]] = []
 

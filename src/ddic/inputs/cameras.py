@@ -90,56 +90,22 @@ class Camera:
 
 
 def open_in_headers(path: Path) -> ImageSource:
-    """Open an image file by its header only.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    ImageSource
-        Read window by window.
-    """
+    """Open an image file by its header only; it is read window by window."""
     return open_image(path)
 
 
 def open_on_all_ranks(team: Team) -> Opener:
     """Give what opens images on all ranks: one that can only be decoded whole is decoded once a node.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks, which open the same images in the same order.
-
-    Returns
-    -------
-    Opener
-        Collective.
+    What it gives is collective: ranks open the same images in the same order.
     """
     return lambda path: open_once_a_node(team, lambda: open_decoded(path))
 
 
 def open_cameras(case: Case, opener: Opener) -> tuple[Camera, ...]:
-    """Open the reference images of a case.
+    """Open the reference images of a case with absolute paths: the far camera, then the near ones.
 
-    Parameters
-    ----------
-    case : Case
-        With absolute paths.
-    opener : Opener
-        Opens image files.
-
-    Returns
-    -------
-    tuple of Camera
-        The far camera, then the near ones.
-
-    Raises
-    ------
-    InputError
-        Where a file or a mapping cannot be read, or a mapping is none.
+    Raises InputError where a file or a mapping cannot be read, or a mapping is none.
     """
     far = _open_reference(case.images, opener)
     cameras = [Camera(0, far, make_setup(identity(), far, "none"), case.images.noise)]
@@ -155,26 +121,9 @@ def open_cameras(case: Case, opener: Opener) -> tuple[Camera, ...]:
 
 
 def open_frame(case: Case, opener: Opener, number: int = 0) -> Frame:
-    """Open the deformed images of a case.
+    """Open the deformed images of a case with absolute paths, one of each camera.
 
-    Parameters
-    ----------
-    case : Case
-        With absolute paths.
-    opener : Opener
-        Opens image files.
-    number : int, optional
-        Of the frame of a series, from 0; the first by default.
-
-    Returns
-    -------
-    Frame
-        One image of each camera.
-
-    Raises
-    ------
-    InputError
-        Where a file cannot be read.
+    ``number`` is that of the frame of a series, from 0. Raises InputError where a file cannot be read.
     """
     return tuple(_masked(opener, section, list_deformed(section)[number], section.deformed_mask)
                  for section in list_cameras(case))
@@ -194,21 +143,9 @@ def _masked(opener: Opener, section: ImagesSection | NearSection, path: Path, ma
 
 
 def make_setup(mapping: CameraMapping, reference: MaskedSource, motion: MotionKind) -> CameraSetup:
-    """Describe a camera's set-up by its mapping and the size of its image.
+    """Describe a camera's set-up by its mapping and the size of its image: it turns about the middle of what it sees.
 
-    Parameters
-    ----------
-    mapping : CameraMapping
-        From the specimen's frame to the camera's pixels.
-    reference : MaskedSource
-        Its reference image.
-    motion : MotionKind
-        How the set-up may move.
-
-    Returns
-    -------
-    CameraSetup
-        Which turns about the middle of what the camera sees.
+    ``mapping`` leads from the specimen's frame to the camera's pixels, ``motion`` is how the set-up may move.
     """
     width, height = reference.image.width, reference.image.height
     corners = np.array([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]], dtype=np.float64)
@@ -234,26 +171,10 @@ def _mapping(section: NearSection, far: ImageSource, near: ImageSource) -> Camer
 
 
 def assign_cells(cameras: Sequence[Camera], mesh: Mesh, tying: Tying | None = None) -> NDArray[np.int64]:
-    """Assign each cell to the camera that measures it.
+    """Assign each cell to the camera that measures it: the camera's number, (n_cells,).
 
-    Parameters
-    ----------
-    cameras : sequence of Camera
-        All of them.
-    mesh : Mesh
-        The whole mesh.
-    tying : Tying, optional
-        Of near fields' own meshes in the whole one; None by default.
-
-    Returns
-    -------
-    (n_cells,) array of int64
-        Number of the camera.
-
-    Raises
-    ------
-    InputError
-        Where a near camera sees no whole element, or leaves none to the far one, or does not see its own mesh.
+    ``tying`` is that of near fields' own meshes in the whole one, None without. Raises InputError where a near camera
+    sees no whole element, or leaves none to the far one, or does not see its own mesh.
     """
     near = cameras[1:]
     seen = [_sees(camera, mesh.nodes) for camera in near]
@@ -315,10 +236,8 @@ class MeasuredCells:
     ----------
     cells : (n,) array of int64
         Their numbers in the whole mesh.
-    mesh : Mesh
-        Their mesh, specimen's frame.
-    seen : Mesh
-        The same in the camera's pixels.
+    mesh, seen : Mesh
+        Their mesh, in the specimen's frame and in the camera's pixels.
     """
 
     cells: NDArray[np.int64]
@@ -327,22 +246,7 @@ class MeasuredCells:
 
 
 def collect_cells(cameras: Sequence[Camera], mesh: Mesh, labels: NDArray[np.int64]) -> list[MeasuredCells]:
-    """Collect the cells of each camera.
-
-    Parameters
-    ----------
-    cameras : sequence of Camera
-        All of them.
-    mesh : Mesh
-        The whole mesh.
-    labels : (n_cells,) array of int64
-        Camera of each cell.
-
-    Returns
-    -------
-    list of MeasuredCells
-        By camera.
-    """
+    """Collect the cells of each camera; ``labels``, (n_cells,), give the camera of each cell."""
     if len(cameras) == 1:
         return [MeasuredCells(np.arange(mesh.n_cells), mesh, mesh)]
     collected = []

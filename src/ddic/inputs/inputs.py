@@ -44,14 +44,12 @@ class Inputs:
     cameras : tuple of Camera
         With their reference images.
     build_mesh : callable
-        Gives the whole mesh, and how near fields' own meshes are tied in it (None where there are none); called on
-        rank 0 only.
+        Gives the whole mesh, and how near fields' own meshes are tied in it (None where there are none); called on rank
+        0 only.
     choose_kinematics : callable, optional
         From the whole mesh to its kinematics, called on rank 0 only; None for displacements of nodes.
-    case_path : Path
-        The case file; empty where there is none.
-    case_text : str
-        Its content; empty where there is none.
+    case_path, case_text : Path, str
+        The case file and its content; empty where there is none.
     notes : tuple of str
         What the user should know of how the case was completed.
     rectangle : Rectangle, optional
@@ -77,18 +75,7 @@ class Inputs:
     updated: UpdatedReference | None = None
 
     def with_frame(self, number: int) -> Inputs:
-        """Give the inputs of one frame of a series.
-
-        Parameters
-        ----------
-        number : int
-            Of the frame, from 0.
-
-        Returns
-        -------
-        Inputs
-            With its images in the case.
-        """
+        """Give the inputs of one frame of a series, counted from 0, with its images in the case."""
         choice = self.choice
         if choice is not None:
             choice = replace(choice, asked=choose_frame(choice.asked, number), case=choose_frame(choice.case, number))
@@ -103,26 +90,8 @@ class Inputs:
 def open_inputs(team: Team, loaded: LoadedCase, number: int = 0) -> tuple[Inputs, Frame]:
     """Open the images of a case on all ranks; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    loaded : LoadedCase
-        The case file.
-    number : int, optional
-        Of the frame of a series, from 0; the first by default.
-
-    Returns
-    -------
-    inputs : Inputs
-        With the reference images.
-    frame : Frame
-        The deformed images.
-
-    Raises
-    ------
-    InputError
-        On all ranks, where an image or a mapping cannot be read.
+    ``number`` is that of the frame of a series, from 0. Raises InputError on all ranks, where an image or a mapping
+    cannot be read.
     """
     case = loaded.case
     opener = open_on_all_ranks(team)
@@ -139,22 +108,8 @@ def open_inputs(team: Team, loaded: LoadedCase, number: int = 0) -> tuple[Inputs
 def inputs_kept(team: Team, stamps: FileStamps) -> Iterator[None]:
     """Refuse what the block finds where its inputs were not the same from their check to its end; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    stamps : FileStamps
-        Of the inputs when they were checked.
-
-    Yields
-    ------
-    None
-        While they are read.
-
-    Raises
-    ------
-    InputError
-        On all ranks, with a line for each file that has changed or vanished, in place of what the block raises.
+    ``stamps`` are those of the inputs when they were checked. Raises InputError on all ranks, with a line for each file
+    that has changed or vanished, in place of what the block raises.
     """
     try:
         yield
@@ -177,14 +132,10 @@ class FrameOpener:
 
     Attributes
     ----------
-    team : Team
-        All ranks.
-    inputs : Inputs
-        With the case of the whole series.
-    first_number : int
-        Of a frame that is open already, from 1.
-    first : Frame
-        Its images.
+    team, inputs : Team, Inputs
+        All ranks, and inputs with the case of the whole series.
+    first_number, first : int, Frame
+        Number, from 1, and images of a frame that is open already.
     stamps : FileStamps
         Of the images when they were checked.
     """
@@ -201,73 +152,27 @@ class FrameOpener:
         return len(list_deformed(self.inputs.case.images))
 
     def open(self, number: int) -> Frame:
-        """Open the images of a frame; collective.
+        """Open the images of a frame, one of each camera; collective.
 
-        Parameters
-        ----------
-        number : int
-            From 1.
-
-        Returns
-        -------
-        Frame
-            One deformed image of each camera.
-
-        Raises
-        ------
-        InputError
-            On all ranks, where one cannot be read.
+        Raises InputError on all ranks, where one cannot be read.
         """
         if number == self.first_number:
             return self.first
         return open_frame(self.inputs.case, open_on_all_ranks(self.team), number - 1)
 
     def list_files(self, number: int) -> list[Path]:
-        """List the images of a frame; none behind the last.
-
-        Parameters
-        ----------
-        number : int
-            From 1.
-
-        Returns
-        -------
-        list of Path
-            One of each camera.
-        """
+        """List the images of a frame, one of each camera; none behind the last."""
         if number > self.n_frames:
             return []
         return [list_deformed(section)[number - 1] for section in list_cameras(self.inputs.case)]
 
     def choose_stamps(self, number: int) -> FileStamps:
-        """Choose the stamps of what a frame is measured from.
-
-        Parameters
-        ----------
-        number : int
-            From 1.
-
-        Returns
-        -------
-        FileStamps
-            Of its images and the reference images.
-        """
+        """Choose the stamps of what a frame is measured from: of its images and the reference images."""
         references = [section.reference for section in list_cameras(self.inputs.case)]
         return self.stamps.choose([*references, *self.list_files(number)])
 
     def describe(self, number: int) -> str:
-        """Describe a frame by the far camera's image.
-
-        Parameters
-        ----------
-        number : int
-            From 1.
-
-        Returns
-        -------
-        str
-            Its file.
-        """
+        """Describe a frame by the file of the far camera's image."""
         return str(list_deformed(self.inputs.case.images)[number - 1])
 
 
@@ -277,10 +182,8 @@ class SolverChoice:
 
     Attributes
     ----------
-    asked : Case
-        As it was given.
-    case : Case
-        With method, number of subdomains and preconditioner.
+    asked, case : Case
+        As it was given, and with method, number of subdomains and preconditioner.
     note : str
         What was chosen and why, a line for the log.
     most_iterations : int or None
@@ -299,10 +202,8 @@ class UpdatedReference:
 
     Attributes
     ----------
-    nodes : (n_nodes, 2) array
-        In the first reference image, pixels.
-    displacement : (n_nodes, 2) array
-        From there to the frame, pixels.
+    nodes, displacement : (n_nodes, 2) array
+        In the first reference image, and from there to the frame, pixels.
     parts : (n_cells,) array of int64
         Subdomain of each cell, as in the first reference image.
     first_image : ImageSource
@@ -318,55 +219,20 @@ class UpdatedReference:
     build_first_mesh: Callable[[], tuple[Mesh, Tying | None]]
 
     def build_moved_mesh(self, width: int, height: int) -> Mesh:
-        """Build the mesh where the frame shows it; on rank 0.
-
-        Parameters
-        ----------
-        width, height : int
-            Size of the images, pixels.
-
-        Returns
-        -------
-        Mesh
-            The same cells.
-
-        Raises
-        ------
-        InputError
-            Where it has left the image.
-        """
+        """Build the mesh where the frame shows it; on rank 0. Raises InputError where it has left the image."""
         mesh, _ = self.build_first_mesh()
         moved = replace(mesh, nodes=mesh.nodes + self.displacement)
         check_inside(moved, width, height)
         return moved
 
     def place_first(self, subdomain: Subdomain) -> Subdomain:
-        """Give a subdomain the nodes that it has in the first reference image.
-
-        Parameters
-        ----------
-        subdomain : Subdomain
-            Of the moved mesh.
-
-        Returns
-        -------
-        Subdomain
-            The same cells and unknowns.
-        """
+        """Give a subdomain of the moved mesh the nodes that it has in the first reference image."""
         return replace(subdomain, mesh=replace(subdomain.mesh, nodes=self.nodes[subdomain.node_ids]))
 
     def restrict(self, subdomains: Sequence[Subdomain]) -> list[Array]:
-        """Give subdomains the displacement of their nodes to the frame.
+        """Give subdomains the displacement of their nodes to the frame, (n_dofs,) node by node, pixels.
 
-        Parameters
-        ----------
-        subdomains : sequence of Subdomain
-            Whose unknowns are displacements of nodes.
-
-        Returns
-        -------
-        list of (n_dofs,) array
-            Of each, node by node, pixels.
+        Their unknowns have to be displacements of nodes.
         """
         return [self.displacement[subdomain.node_ids].ravel() for subdomain in subdomains]
 
@@ -385,43 +251,18 @@ class Problems:
 
     @contextmanager
     def gathered(self, source: Path | None = None) -> Iterator[None]:
-        """Keep the lines of an InputError that is raised inside.
-
-        Parameters
-        ----------
-        source : Path, optional
-            A file to name before each line.
-
-        Yields
-        ------
-        None
-            Nothing.
-        """
+        """Keep the lines of an InputError that is raised inside; ``source`` is a file to name before each line."""
         try:
             yield
         except InputError as error:
             self.add(error, source)
 
     def add(self, error: InputError, source: Path | None = None) -> None:
-        """Keep the lines of an error.
-
-        Parameters
-        ----------
-        error : InputError
-            Of one check.
-        source : Path, optional
-            A file to name before each line.
-        """
+        """Keep the lines of an error of one check; ``source`` is a file to name before each line."""
         prefix = "" if source is None else f"{source}: "
         self.lines += [prefix + line for line in error.problems]
 
     def require_none(self) -> None:
-        """Raise all of them as one.
-
-        Raises
-        ------
-        InputError
-            Where there are any.
-        """
+        """Raise all of them as one InputError, where there are any."""
         if self.lines:
             raise InputError(self.lines)

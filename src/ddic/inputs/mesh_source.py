@@ -37,23 +37,8 @@ NO_INNER_NODE = ("the mesh has no interior node, so no wavelength can be given a
 def build_mesh(case: Case, width: int, height: int) -> Mesh:
     """Read or make the case's mesh, repair it and check that it lies in the image.
 
-    Parameters
-    ----------
-    case : Case
-        With absolute paths.
-    width, height : int
-        Size of the images, pixels.
-
-    Returns
-    -------
-    Mesh
-        Fit for measuring, pixels.
-
-    Raises
-    ------
-    InputError
-        With the mesh's file or section named, on all that ``read_mesh``, ``build_structured_mesh``, ``repair`` and
-        ``check_inside`` refuse.
+    Paths of the case are absolute; the mesh is fit for measuring, pixels. Raises InputError, with the mesh's file or
+    section named, on all that ``read_mesh``, ``build_structured_mesh``, ``repair`` and ``check_inside`` refuse.
     """
     return _mesh_of(case.mesh, describe_mesh_source(case), width, height)
 
@@ -61,24 +46,8 @@ def build_mesh(case: Case, width: int, height: int) -> Mesh:
 def build_meshes(case: Case, width: int, height: int) -> tuple[Mesh, Tying | None]:
     """Build the case's mesh with the near fields' own meshes in it, tied to what is left of the far elements.
 
-    Parameters
-    ----------
-    case : Case
-        With absolute paths.
-    width, height : int
-        Size of the far-field images, pixels.
-
-    Returns
-    -------
-    mesh : Mesh
-        Fit for measuring, far-field pixels.
-    tying : Tying or None
-        How its nodes are tied; None where no near field has a mesh of its own.
-
-    Raises
-    ------
-    InputError
-        On all that ``build_mesh`` and ``tie_meshes`` refuse.
+    Sizes and nodes are in far-field pixels; there is no tying where no near field has a mesh of its own. Raises
+    InputError on all that ``build_mesh`` and ``tie_meshes`` refuse.
     """
     far = build_mesh(case, width, height)
     near = {}
@@ -94,20 +63,8 @@ def build_meshes(case: Case, width: int, height: int) -> tuple[Mesh, Tying | Non
 def build_mesh_anywhere(case: Case) -> Mesh:
     """Build the case's mesh wherever it lies, to check what refers to it beside an image that it does not fit.
 
-    Parameters
-    ----------
-    case : Case
-        With absolute paths.
-
-    Returns
-    -------
-    Mesh
-        Not fit for measuring.
-
-    Raises
-    ------
-    InputError
-        Where it cannot be built, or not without an image whose size its mask has.
+    It is not fit for measuring. Raises InputError where it cannot be built, or not without an image whose size its mask
+    has.
     """
     if case.mesh.structured is not None and case.mesh.structured.mask is not None:
         raise InputError("mesh.structured.mask: its image cannot be read")
@@ -115,18 +72,7 @@ def build_mesh_anywhere(case: Case) -> Mesh:
 
 
 def describe_mesh_source(case: Case) -> str:
-    """Name the mesh for messages.
-
-    Parameters
-    ----------
-    case : Case
-        Says where it comes from.
-
-    Returns
-    -------
-    str
-        The mesh file, or the section that describes the built-in mesh.
-    """
+    """Name the mesh for messages: its file, or the section that describes the built-in mesh."""
     return _name(case.mesh)
 
 
@@ -145,24 +91,8 @@ def _mesh_of(section: MeshSection, name: str, width: int, height: int) -> Mesh:
 def accept_mesh(raw: Mesh, name: str, width: int, height: int) -> Mesh:
     """Repair a mesh from elsewhere and check that it lies in the image and its cells meet side to side.
 
-    Parameters
-    ----------
-    raw : Mesh
-        As it was read or made, pixels.
-    name : str
-        What messages call it.
-    width, height : int
-        Size of the images, pixels.
-
-    Returns
-    -------
-    Mesh
-        Fit for measuring.
-
-    Raises
-    ------
-    InputError
-        On all that ``repair``, ``check_inside`` and ``check_joints`` refuse.
+    ``name`` is what messages call it. Raises InputError on all that ``repair``, ``check_inside`` and ``check_joints``
+    refuse.
     """
     with _named(name):
         mesh = _repair_inside(raw, width, height)
@@ -194,18 +124,7 @@ def _raw_mesh(section: MeshSection, width: int, height: int) -> Mesh:
 
 
 def convert_mapping(section: MappingSection) -> Similarity:
-    """Convert a mapping as a case file says it.
-
-    Parameters
-    ----------
-    section : MappingSection
-        Of the case.
-
-    Returns
-    -------
-    Similarity
-        From mesh units to pixels.
-    """
+    """Convert a mapping as a case file says it, from mesh units to pixels."""
     return Similarity(section.scale, math.radians(section.rotation_degrees), section.translation, section.y_up)
 
 
@@ -242,23 +161,10 @@ def check_weight_fits(eta: float, modulus: float, texture: float, size: float) -
     """Check that the images are not lost beside the weight of the equilibrium gap.
 
     A weight stands for the wavelength 2 pi / k at which eta (modulus size k^2)^2 / 2, the gap of a plane wave per
-    pixel, equals texture / 4, what its images say, both means over the wave's phase and direction.
-
-    Parameters
-    ----------
-    eta : float
-        Of the case, (grey levels / px)^2.
-    modulus : float
-        Of a strain in one direction, that of Young being 1.
-    texture : float
-        Mean of |grad f|^2, (grey level / px)^2.
-    size : float
-        Of the elements, pixels.
-
-    Raises
-    ------
-    InputError
-        Where that wavelength is longer than LONGEST_WAVELENGTH elements.
+    pixel, equals texture / 4, what its images say, both means over the wave's phase and direction. ``modulus`` is that
+    of a strain in one direction, that of Young being 1; ``texture`` is the mean of |grad f|^2, (grey level / px)^2, as
+    eta; ``size`` is that of the elements, pixels. Raises InputError where that wavelength is longer than
+    LONGEST_WAVELENGTH elements.
     """
     # A node's share of the gap is an element's force, hence size^2; its square is per node, hence 1 / size^2.
     largest = texture * size**2 / 2 * (LONGEST_WAVELENGTH / (2 * math.pi)) ** 4 / modulus**2
@@ -269,19 +175,9 @@ def check_weight_fits(eta: float, modulus: float, texture: float, size: float) -
 
 
 def check_wavelength_fits(wavelength: float, size: float) -> None:
-    """Check that elements carry a cut-off wavelength.
+    """Check that elements of a size carry a cut-off wavelength, pixels both.
 
-    Parameters
-    ----------
-    wavelength : float
-        Of the case, pixels.
-    size : float
-        Of the elements, pixels.
-
-    Raises
-    ------
-    InputError
-        Where it is shorter than SHORTEST_WAVELENGTH elements or longer than LONGEST_WAVELENGTH.
+    Raises InputError where it is shorter than SHORTEST_WAVELENGTH elements or longer than LONGEST_WAVELENGTH.
     """
     if wavelength < SHORTEST_WAVELENGTH * size:
         raise InputError(f"regularization.cut_off_wavelength = {wavelength:g}: the mesh, of elements of {size:.3g} px, "

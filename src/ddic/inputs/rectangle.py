@@ -56,33 +56,15 @@ class Rectangle:
         return (self.along_x.length + self.along_y.length) / n_elements
 
     def build_coarse_mesh(self) -> Mesh:
-        """Mesh the rectangle by few cells.
-
-        Returns
-        -------
-        Mesh
-            That covers the same pixels.
-        """
+        """Mesh the rectangle by few cells, which cover the same pixels."""
         return build_structured_mesh(self.bounds, min(self.along_x.length, self.along_y.length) / COARSE_CELLS)
 
 
 def build_rectangle(section: StructuredSection) -> Rectangle:
-    """Build the lines of a structured mesh.
+    """Build the lines of a structured mesh: those that its Q4 elements would have.
 
-    Parameters
-    ----------
-    section : StructuredSection
-        Of the case.
-
-    Returns
-    -------
-    Rectangle
-        With the lines that its Q4 elements would have.
-
-    Raises
-    ------
-    InputError
-        Where the section asks for something other than a whole rectangle of Q4 elements of a pixel or more.
+    Raises InputError where the section asks for something other than a whole rectangle of Q4 elements of a pixel or
+    more.
     """
     if section.cell != "Q4":
         raise InputError(f'mesh.structured.cell = "{section.cell}": [pgd] measures on "Q4" elements; leave the key out')
@@ -99,22 +81,9 @@ def build_rectangle(section: StructuredSection) -> Rectangle:
 
 
 def find_rectangle(mesh: Mesh) -> Rectangle:
-    """Find the lines of a mesh.
+    """Find the lines of a mesh, pixels, which cross at its nodes.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Pixels.
-
-    Returns
-    -------
-    Rectangle
-        With the mesh's nodes where its lines cross.
-
-    Raises
-    ------
-    InputError
-        Where the cells do not fill a rectangle between lines, all of them Q4.
+    Raises InputError where the cells do not fill a rectangle between lines, all of them Q4.
     """
     x, y = (np.unique(mesh.nodes[:, axis].round(9)) for axis in range(2))
     n_cells = (len(x) - 1) * (len(y) - 1)
@@ -127,20 +96,7 @@ def find_rectangle(mesh: Mesh) -> Rectangle:
 def find_rectangle_of_case(case: Case) -> Rectangle:
     """Find the rectangle that a case file with [pgd] asks for.
 
-    Parameters
-    ----------
-    case : Case
-        With [pgd].
-
-    Returns
-    -------
-    Rectangle
-        Of ``[mesh.structured]``.
-
-    Raises
-    ------
-    InputError
-        Where there is none.
+    Raises InputError where there is no ``[mesh.structured]``.
     """
     if case.mesh.structured is None:
         raise InputError("mesh.file: [pgd] measures on a rectangle of Q4 elements; describe it by [mesh.structured]")
@@ -148,21 +104,9 @@ def find_rectangle_of_case(case: Case) -> Rectangle:
 
 
 def check_rectangle(case: Case, rectangle: Rectangle, width: int, height: int) -> None:
-    """Check that a rectangle lies in the images, and what a case says of it.
+    """Check that a rectangle lies in the images, and what a case with [pgd] says of it.
 
-    Parameters
-    ----------
-    case : Case
-        With [pgd].
-    rectangle : Rectangle
-        Of the case.
-    width, height : int
-        Of the images, pixels.
-
-    Raises
-    ------
-    InputError
-        Where it leaves the images or holds no pixel, or a key does not fit it.
+    Raises InputError where it leaves the images or holds no pixel, or a key does not fit it.
     """
     check_inside(rectangle.build_coarse_mesh(), width, height)
     if not (len(rectangle.along_x.pixels) and len(rectangle.along_y.pixels)):
@@ -179,42 +123,16 @@ def check_rectangle(case: Case, rectangle: Rectangle, width: int, height: int) -
 
 
 def check_number_of_ranks(n_ranks: int) -> None:
-    """Refuse ranks that would have no band of rows.
-
-    Parameters
-    ----------
-    n_ranks : int
-        MPI ranks that were started.
-
-    Raises
-    ------
-    InputError
-        Where there are more than bands.
-    """
+    """Refuse, with an InputError, MPI ranks that would have no band of rows."""
     if n_ranks > N_BANDS:
         raise InputError(f"[pgd]: the rows of the images are divided into {N_BANDS} bands, and {n_ranks} MPI ranks "
                          f"were started; start at most {N_BANDS}")
 
 
 def choose_controlled_lines(section: RegularizationSection, rectangle: Rectangle) -> ControlledLines:
-    """Choose the lines on which equilibrium is imposed.
+    """Choose the lines on which equilibrium is imposed: all but the sides that the case names.
 
-    Parameters
-    ----------
-    section : RegularizationSection
-        Of the case.
-    rectangle : Rectangle
-        Of the case.
-
-    Returns
-    -------
-    ControlledLines
-        All but the sides that the case names.
-
-    Raises
-    ------
-    InputError
-        Where it names something other than sides.
+    Raises InputError where it names something other than sides.
     """
     lines = ControlledLines(np.ones(rectangle.along_x.n_nodes, dtype=bool),
                             np.ones(rectangle.along_y.n_nodes, dtype=bool))
@@ -231,24 +149,10 @@ def choose_controlled_lines(section: RegularizationSection, rectangle: Rectangle
 
 
 def choose_output_lines(case: Case, rectangle: Rectangle) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Choose the lines between the cells on which a displacement is written out.
+    """Choose the lines x and y, (n,), pixels, between the cells on which a displacement is written out.
 
-    Parameters
-    ----------
-    case : Case
-        With [pgd].
-    rectangle : Rectangle
-        Of the case.
-
-    Returns
-    -------
-    x, y : (n,) array
-        Lines of the rectangle, each so many elements from the one before, pixels.
-
-    Raises
-    ------
-    InputError
-        Where the case asks for cells smaller than an element.
+    They are lines of the rectangle, each so many elements from the one before. Raises InputError where the case asks
+    for cells smaller than an element.
     """
     wanted = None if case.pgd is None else case.pgd.output_spacing
     size = rectangle.element_size

@@ -22,10 +22,8 @@ class StartPoints:
 
     Attributes
     ----------
-    points : (n, 2) array
-        Pixels of the reference image.
-    displacement : (n, 2) array
-        Pixels.
+    points, displacement : (n, 2) array
+        Where they are in the reference image, and how far they move, pixels.
     name : str
         Where they come from, for the log and for messages.
     rows : (n,) array of int64, optional
@@ -38,49 +36,19 @@ class StartPoints:
     rows: NDArray[np.int64] | None = None
 
     def describe(self) -> str:
-        """Say what they are.
-
-        Returns
-        -------
-        str
-            For the log.
-        """
+        """Say for the log what they are."""
         n = len(self.points)
         return f"displacement at {n} {'point' if n == 1 else 'points'} of {self.name}"
 
     def describe_point(self, number: int) -> str:
-        """Say which point it is.
-
-        Parameters
-        ----------
-        number : int
-            From 0.
-
-        Returns
-        -------
-        str
-            For messages.
-        """
+        """Say for messages which point it is; the number counts from 0."""
         return f"{self.name}[{number}]" if self.rows is None else f"{self.name}: row {self.rows[number]}"
 
 
 def load_start_points(section: StartSection) -> StartPoints | None:
-    """Load the points that a case starts from.
+    """Load the points that a case starts from; None where it gives none.
 
-    Parameters
-    ----------
-    section : StartSection
-        Of the case.
-
-    Returns
-    -------
-    StartPoints or None
-        None where the case gives no points.
-
-    Raises
-    ------
-    InputError
-        Where a table of points is missing or holds something else.
+    Raises InputError where a table of points is missing or holds something else.
     """
     if section.from_points is not None:
         table = read_point_table(section.from_points)
@@ -94,17 +62,7 @@ def load_start_points(section: StartSection) -> StartPoints | None:
 def check_start_points(given: StartPoints, width: int, height: int) -> None:
     """Check that points lie in the reference image, and are moved by no more than its diagonal.
 
-    Parameters
-    ----------
-    given : StartPoints
-        The points.
-    width, height : int
-        Of the reference image, pixels.
-
-    Raises
-    ------
-    InputError
-        With the first point that does not.
+    Raises InputError with the first point that does not.
     """
     is_finite = np.isfinite(given.points).all(axis=1) & np.isfinite(given.displacement).all(axis=1)
     if not is_finite.all():
@@ -125,20 +83,7 @@ def check_start_points(given: StartPoints, width: int, height: int) -> None:
 
 
 def require_points_inside(given: StartPoints, mesh: Mesh) -> None:
-    """Refuse points none of which lies in the region.
-
-    Parameters
-    ----------
-    given : StartPoints
-        The points.
-    mesh : Mesh
-        The region, pixels.
-
-    Raises
-    ------
-    InputError
-        Where the mesh holds none of them.
-    """
+    """Refuse, with an InputError, points none of which lies in the region."""
     if (locate(mesh, given.points).cells < 0).all():
         raise InputError(f"{given.name}: none of {len(given.points)} points lies in the mesh; give one at least that "
                          "does, pixels of the reference image")

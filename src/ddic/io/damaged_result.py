@@ -1,8 +1,7 @@
 """What tells that a result file is damaged: it cannot be read, or what it holds is not of one piece.
 
-What tells that tables, products and attributes of a result file are damaged: they are not what they are read as.
-
-HDF5 files opened for reading, where the library does not turn in a loop over a damaged one.
+Tables, products and attributes are damaged where they are not what they are read as. HDF5 files are opened for reading
+here, where the library does not turn in a loop over a damaged one.
 """
 
 from __future__ import annotations
@@ -44,17 +43,9 @@ MOST_DEFLATED = 1100
 
 
 def describe_damage(error: BaseException) -> str:
-    """Say in a line what could not be read.
+    """Say in a line what could not be read: the first line of an error's message, or its kind where it has none.
 
-    Parameters
-    ----------
-    error : exception
-        One of READ_ERRORS.
-
-    Returns
-    -------
-    str
-        The first line of its message, or its kind where it has none.
+    ``error`` is one of READ_ERRORS.
     """
     message = str(error.args[0] if isinstance(error, KeyError) and error.args else error).strip()
     return message.splitlines()[0] if message else type(error).__name__
@@ -63,38 +54,14 @@ def describe_damage(error: BaseException) -> str:
 def read_array(dataset: Any) -> NDArray[Any]:
     """Read a dataset whole, unless it claims to hold more than its file can.
 
-    Parameters
-    ----------
-    dataset : h5py.Dataset
-        Of a file that may be damaged.
-
-    Returns
-    -------
-    array
-        Its values, of the dataset's shape.
-
-    Raises
-    ------
-    ValueError
-        Where memory would be filled with what is not there.
+    The file may be damaged. Raises ValueError where memory would be filled with what is not there.
     """
     require_stored(dataset)
     return np.asarray(dataset[...])
 
 
 def require_stored(dataset: Any) -> None:
-    """Refuse a dataset that claims to hold more than its file can.
-
-    Parameters
-    ----------
-    dataset : h5py.Dataset
-        Of a file that may be damaged.
-
-    Raises
-    ------
-    ValueError
-        With both sizes.
-    """
+    """Refuse a dataset that claims to hold more than its file can, by a ValueError with both sizes."""
     if dataset.file.driver == "core":
         # Written by this program from what was read before.
         return
@@ -104,19 +71,10 @@ def require_stored(dataset: Any) -> None:
 
 
 def require_sound_pieces(grid: Mapping[str, NDArray[Any]], n_stored: int) -> None:
-    """Refuse pieces of a mesh that do not fit together.
+    """Refuse pieces of a mesh that do not fit together, by a ValueError with what does not.
 
-    Parameters
-    ----------
-    grid : dict of (n,) arrays
-        NumberOfPoints, NumberOfCells, NumberOfConnectivityIds, Offsets, Connectivity and Types.
-    n_stored : int
-        Points of all pieces.
-
-    Raises
-    ------
-    ValueError
-        With what does not fit.
+    ``grid`` holds the (n,) arrays NumberOfPoints, NumberOfCells, NumberOfConnectivityIds, Offsets, Connectivity and
+    Types; ``n_stored`` is the number of points of all pieces.
     """
     n_points, n_cells, n_ids = (grid[name] for name in ("NumberOfPoints", "NumberOfCells", "NumberOfConnectivityIds"))
     for name, values in grid.items():
@@ -154,19 +112,9 @@ def _require_sound_cells(grid: Mapping[str, NDArray[Any]]) -> None:
 
 
 def require_sound_fields(fields: Mapping[str, NDArray[Any]], n_rows: int) -> None:
-    """Refuse fields that are not numbers, or have not a row for each place.
+    """Refuse fields that are not numbers, or have not a row for each place; the ValueError names the field.
 
-    Parameters
-    ----------
-    fields : dict of (n_rows,), (n_rows, 3) or (n_rows, 6) arrays
-        By name.
-    n_rows : int
-        Of each.
-
-    Raises
-    ------
-    ValueError
-        With the field.
+    ``fields`` are (n_rows,), (n_rows, 3) or (n_rows, 6) arrays by name.
     """
     for name, values in fields.items():
         counts = _COMPONENTS.get(name, _ANY_COMPONENTS)
@@ -177,17 +125,9 @@ def require_sound_fields(fields: Mapping[str, NDArray[Any]], n_rows: int) -> Non
 
 
 def require_sound_ids(point_data: Mapping[str, NDArray[Any]], cell_data: Mapping[str, NDArray[Any]]) -> None:
-    """Refuse numbers of nodes, cells, subdomains and cameras that are none.
+    """Refuse numbers of nodes, cells, subdomains and cameras that are none, by a ValueError.
 
-    Parameters
-    ----------
-    point_data, cell_data : dict of (n,), (n, 3) or (n, 6) arrays
-        Fields of all pieces.
-
-    Raises
-    ------
-    ValueError
-        With what is wrong.
+    The fields are those of all pieces: (n,), (n, 3) or (n, 6) arrays by name.
     """
     nodes, cells = point_data[schema.GLOBAL_NODE_ID], cell_data[schema.GLOBAL_CELL_ID]
     for name, numbers in ((schema.GLOBAL_NODE_ID, nodes), (schema.GLOBAL_CELL_ID, cells)):
@@ -200,19 +140,9 @@ def require_sound_ids(point_data: Mapping[str, NDArray[Any]], cell_data: Mapping
 
 
 def require_sound_values(mesh: Mesh, displacement: NDArray[np.float64]) -> None:
-    """Refuse places and displacements that no measurement has.
+    """Refuse places and displacements that no measurement has, by a ValueError.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Pixels.
-    displacement : (n_nodes, 2) array
-        Pixels, nan where it was not measured.
-
-    Raises
-    ------
-    ValueError
-        With what is wrong.
+    ``displacement`` is (n_nodes, 2), pixels, nan where it was not measured.
     """
     if not (np.abs(mesh.nodes) <= LARGEST_PX).all():
         raise ValueError("Points: nodes lie in no image")
@@ -226,15 +156,7 @@ def require_sound_values(mesh: Mesh, displacement: NDArray[np.float64]) -> None:
 def require_known_displacement(result: Result) -> None:
     """Refuse a result to start from that lacks displacements where it measured them.
 
-    Parameters
-    ----------
-    result : Result
-        Of a pair or a frame.
-
-    Raises
-    ------
-    InputError
-        Where nothing was measured, or a node has no displacement although pixels of its cells count.
+    Raises InputError where nothing was measured, or a node has no displacement although pixels of its cells count.
     """
     if not result.measured_nodes.any():
         raise InputError(f"{result.path}: holds no displacement of any node; start from another result")
@@ -273,17 +195,9 @@ _LISTS = ("discontinuity", "near")
 
 
 def require_sound_tables(tables: Mapping[str, Mapping[str, NDArray[Any]]]) -> None:
-    """Refuse tables whose columns are no numbers or do not have the same rows.
+    """Refuse tables whose columns are no numbers or do not have the same rows; the ValueError names the table.
 
-    Parameters
-    ----------
-    tables : mapping of str to dict of (n,) arrays
-        Columns by name, of each group; those of the Krylov histories have each its own length.
-
-    Raises
-    ------
-    ValueError
-        With the table.
+    ``tables`` holds the (n,) columns by name, of each group; those of the Krylov histories have each its own length.
     """
     for group, columns in tables.items():
         for name, values in columns.items():
@@ -297,17 +211,8 @@ def require_sound_tables(tables: Mapping[str, Mapping[str, NDArray[Any]]]) -> No
 def require_sound_frames(times: NDArray[Any], numbers: NDArray[Any], records: Sequence[Any]) -> None:
     """Refuse a series whose frames are not told of as they stand in the file.
 
-    Parameters
-    ----------
-    times, numbers : (n,) arrays
-        Of the frames that were measured.
-    records : sequence of dict
-        Of all frames.
-
-    Raises
-    ------
-    ValueError, TypeError, KeyError
-        With what is wrong.
+    ``times`` and ``numbers`` are (n,), of the frames that were measured; ``records`` are those of all frames. Raises
+    ValueError, TypeError or KeyError.
     """
     if times.ndim != 1 or times.dtype.kind != "f" or times.shape != numbers.shape or not len(times):
         raise ValueError(f"{schema.STEPS}: times of shape {times.shape} for frames of shape {numbers.shape}")
@@ -321,17 +226,9 @@ def require_sound_frames(times: NDArray[Any], numbers: NDArray[Any], records: Se
 
 
 def require_sound_products(data: Mapping[str, NDArray[Any]]) -> None:
-    """Refuse functions of x and y that make no displacement.
+    """Refuse functions of x and y that make no displacement, by a ValueError.
 
-    Parameters
-    ----------
-    data : dict of (...) arrays
-        Nodes, functions and amplitudes of PGD-DIC.
-
-    Raises
-    ------
-    ValueError
-        With what is wrong.
+    ``data`` holds nodes, functions and amplitudes of PGD-DIC.
     """
     for name, values in data.items():
         if values.dtype.kind != "f" or not np.isfinite(values).all():
@@ -351,15 +248,7 @@ def require_sound_products(data: Mapping[str, NDArray[Any]]) -> None:
 def require_sound_attributes(attributes: Mapping[str, Mapping[str, Any]]) -> None:
     """Refuse attributes that others read as numbers or as a case and that are none.
 
-    Parameters
-    ----------
-    attributes : mapping
-        Of groups.
-
-    Raises
-    ------
-    ValueError, TypeError, KeyError
-        Where they are something else.
+    ``attributes`` are those of groups, by name. Raises ValueError, TypeError or KeyError.
     """
     for group, values in attributes.items():
         if group.startswith(schema.NEAR_PREFIX):
@@ -415,28 +304,14 @@ _HEADER, _OBJECT = struct.Struct("<8sQ"), struct.Struct("<HHIQ")
 
 
 def open_hdf5(path: Path) -> h5py.File:
-    """Open an HDF5 file for reading.
+    """Open an HDF5 file for reading; the caller closes it.
 
     The library reads a collection of texts object by object, and stays for ever at one of no size: where a disk has
     left zeros, no time limit in this process ends it. All else that is damaged the library finds by itself. Hence
     collections are looked through here, in what of the file is no array: a few hundred kilobytes of any result.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    h5py.File
-        Open; to be closed by the caller.
-
-    Raises
-    ------
-    InputError
-        Where a collection would hold the library for ever, or the objects of the file cannot be listed.
-    OSError
-        Where it cannot be opened, or is no HDF5 file.
+    Raises InputError where a collection would hold the library for ever, or the objects of the file cannot be listed;
+    OSError where it cannot be opened, or is no HDF5 file.
     """
     file = h5py.File(path, "r")
     try:

@@ -29,15 +29,7 @@ class _UnfailingFile(io.RawIOBase):
     never sees a failure, closes as it always does, and whoever writes asks for the error afterwards, or in between so
     that little is kept in memory.
 
-    Parameters
-    ----------
-    path : Path
-        An existing file, emptied.
-
-    Attributes
-    ----------
-    error : OSError or None
-        Of the first write that was refused.
+    ``path`` is an existing file, which is emptied; ``error`` is that of the first write that was refused, or None.
     """
 
     def __init__(self, path: Path) -> None:
@@ -49,37 +41,13 @@ class _UnfailingFile(io.RawIOBase):
         self._refused: dict[int, bytes] = {}
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """Go to a place.
-
-        Parameters
-        ----------
-        offset : int
-            Bytes.
-        whence : int, optional
-            From where.
-
-        Returns
-        -------
-        int
-            From the beginning.
-        """
+        """Go to a place, and return it in bytes from the beginning."""
         start = {os.SEEK_SET: 0, os.SEEK_CUR: self._place, os.SEEK_END: self._size}[whence]
         self._place = start + offset
         return self._place
 
     def write(self, data: Any) -> int:
-        """Write where the file stands.
-
-        Parameters
-        ----------
-        data : bytes-like
-            All of it is taken.
-
-        Returns
-        -------
-        int
-            Its length.
-        """
+        """Write all data where the file stands, and return their length."""
         view = memoryview(data).cast("B")
         if self.error is None:
             try:
@@ -98,18 +66,7 @@ class _UnfailingFile(io.RawIOBase):
             done += os.pwrite(self._descriptor, view[done:], self._place + done)
 
     def readinto(self, buffer: Any) -> int:
-        """Read from where the file stands; zeros where nothing was written.
-
-        Parameters
-        ----------
-        buffer : bytes-like
-            Filled.
-
-        Returns
-        -------
-        int
-            Its length.
-        """
+        """Fill the buffer from where the file stands, with zeros where nothing was written, and return its length."""
         view = memoryview(buffer).cast("B")
         found = os.pread(self._descriptor, len(view), self._place)
         view[:] = found.ljust(len(view), b"\0")
@@ -121,18 +78,7 @@ class _UnfailingFile(io.RawIOBase):
         return len(view)
 
     def truncate(self, size: int | None = None) -> int:
-        """Cut the file, or make it longer.
-
-        Parameters
-        ----------
-        size : int, optional
-            Bytes; by default where the file stands.
-
-        Returns
-        -------
-        int
-            The size.
-        """
+        """Cut the file, or make it longer, and return its size, bytes; by default where the file stands."""
         self._size = self._place if size is None else size
         if self.error is None:
             try:
@@ -142,13 +88,7 @@ class _UnfailingFile(io.RawIOBase):
         return self._size
 
     def require_written(self) -> None:
-        """Ask whether the disk has taken everything so far.
-
-        Raises
-        ------
-        OSError
-            Where it has not.
-        """
+        """Raise an OSError where the disk has not taken everything so far."""
         if self.error is not None:
             raise self.error
 
@@ -195,13 +135,7 @@ class NewHdf5:
             self.require_written()
 
     def require_written(self) -> None:
-        """Ask whether the disk has taken everything so far.
-
-        Raises
-        ------
-        OSError
-            Where it has not.
-        """
+        """Raise an OSError where the disk has not taken everything so far."""
         self._stream.require_written()
 
 
@@ -209,20 +143,7 @@ class NewHdf5:
 def new_hdf5(path: Path) -> Iterator[h5py.File]:
     """Yield an HDF5 file to be written, which is closed whatever the disk does.
 
-    Parameters
-    ----------
-    path : Path
-        An existing file, emptied.
-
-    Yields
-    ------
-    h5py.File
-        To which datasets are added.
-
-    Raises
-    ------
-    OSError
-        Where the disk has not taken everything.
+    ``path`` is an existing file, which is emptied. Raises OSError where the disk has not taken everything.
     """
     with NewHdf5(path) as new:
         yield new.file
@@ -268,35 +189,13 @@ class ChunkGrid:
         return -(-self.width // self.shape[1])
 
     def locate_chunk(self, number: int) -> Window:
-        """Tell which pixels a chunk has, those beyond the image included.
-
-        Parameters
-        ----------
-        number : int
-            Of the chunk.
-
-        Returns
-        -------
-        Window
-            Its pixels.
-        """
+        """Tell which pixels a chunk has, those beyond the image included."""
         rows, columns = self.shape
         row, column = divmod(number, self.n_columns)
         return Window(column * columns, row * rows, (column + 1) * columns, (row + 1) * rows)
 
     def find_chunks(self, window: Window) -> list[int]:
-        """Find the chunks that share pixels with a window.
-
-        Parameters
-        ----------
-        window : Window
-            Pixels; what lies beyond the image does not count.
-
-        Returns
-        -------
-        list of int
-            Numbers of the chunks, sorted.
-        """
+        """Find the chunks that share pixels with a window, sorted; pixels beyond the image do not count."""
         rows, columns = self.shape
         part = window.clip(self.width, self.height)
         if part.n_pixels == 0:
@@ -307,20 +206,11 @@ class ChunkGrid:
 
 
 def pack_chunk(chunk: NDArray[np.float32]) -> bytes:
-    """Pack a chunk as HDF5's shuffle and deflate filters would store it.
+    """Pack a chunk as HDF5's shuffle and deflate filters would store it, to a zlib stream.
 
     The bytes of equal weight lie together (shuffle). Each of these planes is a piece of one zlib stream by itself,
-    since the low bytes of a residual are noise on which every search for repetitions is lost time.
-
-    Parameters
-    ----------
-    chunk : (rows, columns) array
-        float32 grey levels, nan where not correlated.
-
-    Returns
-    -------
-    bytes
-        A zlib stream.
+    since the low bytes of a residual are noise on which every search for repetitions is lost time. The chunk, (rows,
+    columns), holds grey levels, nan where not correlated.
     """
     planes = np.ascontiguousarray(chunk.astype("<f4", copy=False).reshape(-1).view(np.uint8).reshape(-1, 4).T)
     last = len(planes) - 1

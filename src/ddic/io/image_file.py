@@ -1,8 +1,7 @@
-"""Image files as sources of windows, and what is checked of them.
+"""Image files as sources of windows, what is checked of them, and mask images.
 
-PNG, BMP, JPEG and rarely compressed TIFF files: decoded whole by OpenCV, then cropped.
-
-Mask images: not zero = use the pixel.
+PNG, BMP, JPEG and rarely compressed TIFF files are decoded whole by OpenCV, then cropped. Of a mask image, pixels that
+are not zero are used.
 """
 
 from __future__ import annotations
@@ -45,45 +44,14 @@ _HARMLESS = "extraneous bytes"
 
 
 def read_decoded_format(path: Path) -> PixelFormat:
-    """Read size and type of an image file that OpenCV reads.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    PixelFormat
-        Of its pixels.
-
-    Raises
-    ------
-    InputError
-        Where OpenCV does not read it.
-    """
+    """Read size and type of an image file that OpenCV reads; raises InputError where it does not."""
     return _format(_decode(path))
 
 
 def decode_whole(path: Path) -> tuple[PixelFormat, NDArray[Any]]:
-    """Decode a whole image.
+    """Decode a whole image to the size and type of its pixels, and its grey levels, (height, width).
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    layout : PixelFormat
-        Size and type of its pixels.
-    grey : (height, width) array
-        Grey levels.
-
-    Raises
-    ------
-    InputError
-        Where it is unreadable.
+    Raises InputError where it is unreadable.
     """
     pixels = _decode(path)
     layout = _format(pixels)
@@ -91,26 +59,9 @@ def decode_whole(path: Path) -> tuple[PixelFormat, NDArray[Any]]:
 
 
 def read_decoded(path: Path, layout: PixelFormat, window: Window) -> NDArray[Any]:
-    """Decode an image and keep a window of it.
+    """Decode an image and keep grey levels of a window of it, (window.height, window.width).
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    layout : PixelFormat
-        What the file held when it was opened.
-    window : Window
-        Pixels to keep.
-
-    Returns
-    -------
-    (window.height, window.width) array
-        Grey levels.
-
-    Raises
-    ------
-    InputError
-        Where it is unreadable, or has changed.
+    ``layout`` is what the file held when it was opened. Raises InputError where it is unreadable, or has changed.
     """
     pixels = _decode(path)
     if pixels.shape != (layout.height, layout.width, layout.n_channels):
@@ -121,18 +72,7 @@ def read_decoded(path: Path, layout: PixelFormat, window: Window) -> NDArray[Any
 
 
 def is_jpeg(path: Path) -> bool:
-    """Tell whether a file starts as JPEG does.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    bool
-        Whether it does.
-    """
+    """Tell whether a file starts as JPEG does."""
     with path.open("rb") as stream:
         return stream.read(len(_JPEG)) == _JPEG
 
@@ -221,24 +161,9 @@ class ImageFile:
         return np.dtype(np.float32) if self.layout.n_colours == 3 else self.layout.dtype
 
     def read(self, window: Window) -> NDArray[Any]:
-        """Read grey levels of a window.
+        """Read grey levels of a window, (window.height, window.width), of type ``dtype``.
 
-        Parameters
-        ----------
-        window : Window
-            In the image, not empty.
-
-        Returns
-        -------
-        (window.height, window.width) array
-            Grey levels, of type ``dtype``.
-
-        Raises
-        ------
-        ValueError
-            If the window leaves the image or is empty.
-        InputError
-            If the file cannot be decoded.
+        Raises ValueError if the window leaves the image or is empty, InputError if the file cannot be decoded.
         """
         if window.n_pixels == 0 or not Window(0, 0, self.width, self.height).contains(window):
             raise ValueError(f"{window} is empty or leaves the image of {self.width} x {self.height} pixels")
@@ -249,22 +174,9 @@ class ImageFile:
 def open_image(path: Path | str) -> ImageFile:
     """Open a TIFF, PNG, BMP or JPEG file as a grey image in its own type (colour: float32).
 
-    Warns of colour, of a transparency channel and of further pages; none of these is used. Warns of JPEG too.
-
-    Parameters
-    ----------
-    path : Path or str
-        The file.
-
-    Returns
-    -------
-    ImageFile
-        Of which nothing but the header has been read.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or is no image that can be read.
+    Warns of colour, of a transparency channel and of further pages; none of these is used. Warns of JPEG too. Of a file
+    that is read window by window, nothing but the header has been read. Raises InputError if the file is missing or is
+    no image that can be read.
     """
     path = Path(path)
     windowed, tiff = _kind(path)
@@ -274,24 +186,9 @@ def open_image(path: Path | str) -> ImageFile:
 
 
 def open_decoded(path: Path | str) -> tuple[ImageFile, NDArray[Any] | None]:
-    """Open an image, and keep what had to be decoded for that.
+    """Open an image as ``open_image`` does, and keep what had to be decoded for that.
 
-    Parameters
-    ----------
-    path : Path or str
-        The file.
-
-    Returns
-    -------
-    image : ImageFile
-        As ``open_image`` gives it.
-    grey : (height, width) array or None
-        All grey levels where the file can only be decoded whole, else None.
-
-    Raises
-    ------
-    InputError
-        As ``open_image`` does.
+    That is all grey levels, (height, width), where the file can only be decoded whole, else None.
     """
     path = Path(path)
     windowed, tiff = _kind(path)
@@ -305,20 +202,7 @@ def open_decoded(path: Path | str) -> tuple[ImageFile, NDArray[Any] | None]:
 def hold_image(path: Path | str) -> ImageSource:
     """Open an image that is read in many windows: one that can only be decoded whole is decoded once.
 
-    Parameters
-    ----------
-    path : Path or str
-        The file.
-
-    Returns
-    -------
-    ImageSource
-        The file where it is read window by window, else its pixels in memory.
-
-    Raises
-    ------
-    InputError
-        As ``open_image`` does.
+    Such a one comes as its pixels in memory, any other as the file. Raises InputError as ``open_image`` does.
     """
     image, pixels = open_decoded(path)
     return image if pixels is None else ArraySource(image.path, pixels, image.saturation)
@@ -336,18 +220,7 @@ def _kind(path: Path) -> tuple[bool, bool]:
 
 
 def compute_sha256(path: Path | str) -> str:
-    """Reckon the SHA-256 checksum of a file.
-
-    Parameters
-    ----------
-    path : Path or str
-        The file.
-
-    Returns
-    -------
-    str
-        Hexadecimal digits.
-    """
+    """Reckon the SHA-256 checksum of a file, in hexadecimal digits."""
     with Path(path).open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
@@ -383,24 +256,10 @@ def _warn_of_what_is_dropped(path: Path, layout: PixelFormat) -> None:
 
 
 def read_mask(path: Path, width: int, height: int) -> NDArray[np.bool_]:
-    """Read a mask.
+    """Read a mask, (height, width): True where the image is not 0, which are the pixels to use.
 
-    Parameters
-    ----------
-    path : Path
-        An image that is not 0 where pixels are used.
-    width, height : int
-        Of the image that it belongs to, pixels.
-
-    Returns
-    -------
-    (height, width) array of bool
-        True where the pixel is used.
-
-    Raises
-    ------
-    InputError
-        Where it cannot be read or has another size.
+    ``width`` and ``height`` are those of the image that it belongs to. Raises InputError where the mask cannot be read
+    or has another size.
     """
     source = hold_image(path)
     if (source.width, source.height) != (width, height):

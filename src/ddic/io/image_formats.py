@@ -1,12 +1,7 @@
-"""Windows of TIFF files: only the strips or tiles under the window are read and decoded.
+"""Windows of TIFF files, what a file's header says of its pixels, and grey levels of a colour image's channels.
 
-What a file's header says of its pixels.
-
-From the channels of a colour image to grey levels.
-
-Headers of PNG, JPEG and BMP files, checked before memory is taken for what they claim.
-
-What C libraries write straight to standard error, past Python, caught.
+Only the strips or tiles under a window are read and decoded. What C libraries write straight to standard error, past
+Python, is caught.
 """
 
 from __future__ import annotations
@@ -50,10 +45,8 @@ class PixelFormat:
         Type of one channel.
     bits : int
         Used bits of a channel.
-    n_colours : int
-        1 (grey) or 3.
-    n_channels : int
-        Colours and what comes with them (alpha).
+    n_colours, n_channels : int
+        Colours, 1 (grey) or 3, and these with the channels that come with them (alpha).
     n_pages : int
         Images in the file.
     inverted : bool
@@ -84,19 +77,10 @@ LUMA = (0.299, 0.587, 0.114)
 
 
 def to_grey(channels: NDArray[Any], n_colours: int) -> NDArray[Any]:
-    """Turn the channels of pixels into grey levels.
+    """Turn the channels of pixels, (height, width, n), into grey levels, (height, width).
 
-    Parameters
-    ----------
-    channels : (height, width, n) array
-        Red, green and blue first, or grey first; what follows is dropped.
-    n_colours : int
-        1 keeps the first channel and its type, 3 weighs red, green and blue (ITU-R BT.601) to float32.
-
-    Returns
-    -------
-    (height, width) array
-        Grey levels.
+    Red, green and blue come first, or grey; what follows is dropped. ``n_colours`` 1 keeps the first channel and its
+    type, 3 weighs red, green and blue (ITU-R BT.601) to float32.
     """
     if n_colours == 1:
         return np.ascontiguousarray(channels[..., 0])
@@ -124,39 +108,15 @@ DECODING_ERRORS = (tifffile.TiffFileError, zlib.error, lzma.LZMAError, struct.er
 
 
 def is_tiff(path: Path) -> bool:
-    """Tell whether a file starts as TIFF or BigTIFF do.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    bool
-        Whether it does.
-    """
+    """Tell whether a file starts as TIFF or BigTIFF do."""
     with path.open("rb") as stream:
         return stream.read(4) in MAGIC
 
 
 def read_tiff_format(path: Path) -> PixelFormat:
-    """Read size and type of the first page from the header alone.
+    """Read size and type of a TIFF file's first page from the header alone.
 
-    Parameters
-    ----------
-    path : Path
-        A TIFF file.
-
-    Returns
-    -------
-    PixelFormat
-        Of the first page.
-
-    Raises
-    ------
-    InputError
-        If it is no image that can be used.
+    Raises InputError if it is no image that can be used.
     """
     with _opened(path) as (tiff, page):
         n_pages = len(tiff.pages)
@@ -177,18 +137,7 @@ def read_tiff_format(path: Path) -> PixelFormat:
 
 
 def can_decode(path: Path) -> bool:
-    """Tell whether tifffile has the codecs, here, that the first page's compression needs.
-
-    Parameters
-    ----------
-    path : Path
-        A TIFF file.
-
-    Returns
-    -------
-    bool
-        Whether it has.
-    """
+    """Tell whether tifffile has the codecs, here, that the compression of a TIFF file's first page needs."""
     with _opened(path) as (_, page):
         try:
             if page.compression != 1:
@@ -212,20 +161,8 @@ def _require_codec(decompress: Callable[..., Any]) -> None:
 def describe_other_compression(path: Path) -> str | None:
     """Name the compression of the first page, which is to be decoded whole, where OpenCV has no codec for it.
 
-    Parameters
-    ----------
-    path : Path
-        A TIFF file.
-
-    Returns
-    -------
-    str or None
-        As TIFF names it, or its number; None where OpenCV decodes it.
-
-    Raises
-    ------
-    InputError
-        Where it is too large to be decoded whole.
+    It is named as TIFF names it, or by its number; None where OpenCV decodes it. Raises InputError where the page is
+    too large to be decoded whole.
     """
     with _opened(path) as (_, page):
         check_decoded_size(path, int(page.imagewidth), int(page.imagelength))
@@ -234,26 +171,9 @@ def describe_other_compression(path: Path) -> str | None:
 
 
 def read_tiff(path: Path, layout: PixelFormat, window: Window) -> NDArray[Any]:
-    """Read a window of the first page.
+    """Read grey levels of a window of the first page, (window.height, window.width).
 
-    Parameters
-    ----------
-    path : Path
-        A TIFF file.
-    layout : PixelFormat
-        Of its first page.
-    window : Window
-        In the image.
-
-    Returns
-    -------
-    (window.height, window.width) array
-        Grey levels.
-
-    Raises
-    ------
-    InputError
-        If a segment is cut short or cannot be decoded.
+    ``layout`` is that of the first page. Raises InputError if a segment is cut short or cannot be decoded.
     """
     with _opened(path) as (tiff, page):
         out = np.empty((window.height, window.width), np.float32 if layout.n_colours == 3 else layout.dtype)
@@ -403,10 +323,7 @@ _LOCK = Lock()
 def caught_messages() -> Iterator[list[str]]:
     """Catch the lines that are written to standard error inside.
 
-    Yields
-    ------
-    list of str
-        Empty; filled with the lines, without blank ones, on the way out.
+    The list is empty at first and filled with the lines, without blank ones, on the way out.
     """
     lines: list[str] = []
     with _LOCK, _open_scratch() as caught:

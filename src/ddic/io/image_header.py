@@ -34,15 +34,7 @@ MOST_PIXELS_OF_A_BYTE = {
 def check_header(path: Path) -> None:
     """Check the size that an image claims against the size of its file.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Raises
-    ------
-    InputError
-        Where the header is damaged, or claims more pixels than the file can hold.
+    Raises InputError where the header is damaged, or claims more pixels than the file can hold.
     """
     with path.open("rb") as stream:
         first = stream.read(4)
@@ -78,17 +70,7 @@ def _find_reader(magic: bytes) -> type[ImageFile]:
 def check_decoded_size(path: Path, width: int, height: int) -> None:
     """Refuse an image that would have to be decoded whole to read any part of it, and is too large for that.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    width, height : int
-        Pixels, as its header says.
-
-    Raises
-    ------
-    InputError
-        Where it has more than MOST_PIXELS_DECODED.
+    Raises InputError where it has, as its header says, more than MOST_PIXELS_DECODED.
     """
     if width * height > MOST_PIXELS_DECODED:
         raise InputError(f"{path}: {width} x {height} px in a format that can only be decoded whole, which goes for "
@@ -99,17 +81,7 @@ def check_decoded_size(path: Path, width: int, height: int) -> None:
 def check_claimed_size(path: Path, width: int, height: int) -> None:
     """Refuse an image of a size that no camera gives.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    width, height : int
-        Pixels, as its header says.
-
-    Raises
-    ------
-    InputError
-        Where a side is longer than MOST_PIXELS_ALONG.
+    Raises InputError where a side, as its header says, is longer than MOST_PIXELS_ALONG.
     """
     if max(width, height) > MOST_PIXELS_ALONG:
         raise InputError(f"{path}: its header claims {width} x {height} px; images have {MOST_PIXELS_ALONG} columns "

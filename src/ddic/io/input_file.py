@@ -1,8 +1,6 @@
-"""Files that are about to be read: whether they are there.
+"""Files that are about to be read: whether they are there, and whether they are still those looked at before.
 
-Whether files are still those that were looked at before.
-
-The source tree that ddic runs from.
+Also the source tree that ddic runs from.
 """
 
 from __future__ import annotations
@@ -18,24 +16,9 @@ from ddic.errors import InputError
 
 
 def as_path(name: object, what: str) -> Path:
-    """Take the name of a file that Python code gives.
+    """Take the name of a file that Python code gives, a str or a Path; raises InputError for anything else.
 
-    Parameters
-    ----------
-    name : object
-        A str or a Path.
-    what : str
-        What it should name, for the message.
-
-    Returns
-    -------
-    Path
-        The same.
-
-    Raises
-    ------
-    InputError
-        Where it is anything else.
+    ``what`` says what it should name, for the message.
     """
     if not isinstance(name, str | Path):
         raise InputError(f"{what}: {type(name).__name__} given, the name of a file expected")
@@ -45,17 +28,8 @@ def as_path(name: object, what: str) -> Path:
 def require_file(path: Path, what: str) -> None:
     """Refuse a path that leads to no file.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    what : str
-        What it should be, for the message.
-
-    Raises
-    ------
-    InputError
-        Where nothing is there, where it is no regular file, or where the way there is closed; it says which.
+    ``what`` says what it should be, for the message. Raises InputError where nothing is there, where it is no regular
+    file, or where the way there is closed; it says which.
     """
     try:
         mode = path.stat().st_mode
@@ -70,18 +44,9 @@ def require_file(path: Path, what: str) -> None:
 
 
 def find_real_path(path: Path) -> Path:
-    """Make a path absolute and free of links.
+    """Make a path absolute and free of links; where links go round in circles, as far as they can be followed.
 
-    Parameters
-    ----------
-    path : Path
-        Any.
-
-    Returns
-    -------
-    Path
-        Where links go round in circles, as far as they can be followed: ``Path.resolve`` raises there, and who reads
-        the file says it in its own words.
+    ``Path.resolve`` raises there, and who reads the file says it in its own words.
     """
     return Path(os.path.realpath(path))
 
@@ -89,15 +54,7 @@ def find_real_path(path: Path) -> Path:
 def is_endless_file(path: Path) -> bool:
     """Tell whether a path leads to a pipe, a socket or a device, which may never end or never begin.
 
-    Parameters
-    ----------
-    path : Path
-        Any.
-
-    Returns
-    -------
-    bool
-        False too where nothing is there.
+    False too where nothing is there.
     """
     mode = _find_mode(path)
     return mode is not None and not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
@@ -106,15 +63,7 @@ def is_endless_file(path: Path) -> bool:
 def is_readable_file(path: Path) -> bool:
     """Tell whether a path leads to a regular file.
 
-    Parameters
-    ----------
-    path : Path
-        Any.
-
-    Returns
-    -------
-    bool
-        False too where the way there is closed, goes round in circles, or is too long for the file system.
+    False too where the way there is closed, goes round in circles, or is too long for the file system.
     """
     mode = _find_mode(path)
     return mode is not None and stat.S_ISREG(mode)
@@ -146,44 +95,16 @@ class FileStamps:
 
     @classmethod
     def take(cls, paths: Iterable[Path | None]) -> FileStamps:
-        """Look at files.
-
-        Parameters
-        ----------
-        paths : iterable of Path or None
-            Those that are not there, or None, are left out.
-
-        Returns
-        -------
-        FileStamps
-            As they are now.
-        """
+        """Look at files as they are now; those that are not there, or None, are left out."""
         found = {path: _read_stamp(path) for path in paths if path is not None}
         return cls({path: stamp for path, stamp in found.items() if stamp is not None})
 
     def choose(self, paths: Iterable[Path | None]) -> FileStamps:
-        """Leave out other files.
-
-        Parameters
-        ----------
-        paths : iterable of Path or None
-            What is kept, as far as it was looked at.
-
-        Returns
-        -------
-        FileStamps
-            Of these.
-        """
+        """Keep the stamps of the given files, as far as they were looked at, and leave out others."""
         return FileStamps({path: self.stamps[path] for path in paths if path is not None and path in self.stamps})
 
     def list_changes(self) -> list[str]:
-        """Say what has become of files that are no longer the same.
-
-        Returns
-        -------
-        list of str
-            A line each.
-        """
+        """Say what has become of files that are no longer the same, a line each."""
         lines = []
         for path, before in self.stamps.items():
             now = _read_stamp(path)
@@ -202,13 +123,7 @@ def _read_stamp(path: Path) -> Stamp | None:
 
 
 def find_source_commit() -> str:
-    """Find the commit of the source tree that ddic runs from.
-
-    Returns
-    -------
-    str
-        Hexadecimal digits; "unknown" for an installed package.
-    """
+    """Find the commit of the source tree that ddic runs from, hexadecimal; "unknown" for an installed package."""
     root = Path(__file__).resolve().parents[3]
     if not (root / ".git").exists():
         return "unknown"

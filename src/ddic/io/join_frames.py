@@ -42,36 +42,14 @@ class StoredFrame:
 
 
 def read_stored_frame(file: Any) -> StoredFrame:
-    """Read the geometry and the fields of a result file as they are.
-
-    Parameters
-    ----------
-    file : h5py.File
-        Of a pair, open for reading.
-
-    Returns
-    -------
-    StoredFrame
-        In memory.
-    """
+    """Read the geometry and the fields of the open result file of a pair as they are."""
     point_data, cell_data = ({name: values[...] for name, values in file[kind].items()}
                              for kind in (schema.POINT_DATA, schema.CELL_DATA))
     return StoredFrame({name: file[schema.VTKHDF][name][...] for name in GEOMETRY}, point_data, cell_data)
 
 
 def has_same_geometry(frame: StoredFrame, other: StoredFrame) -> bool:
-    """Tell whether two frames have the same pieces of the same mesh.
-
-    Parameters
-    ----------
-    frame, other : StoredFrame
-        To compare.
-
-    Returns
-    -------
-    bool
-        False where mesh or pieces differ.
-    """
+    """Tell whether two frames have the same pieces of the same mesh."""
     return all(np.array_equal(frame.geometry[name], other.geometry[name]) for name in GEOMETRY)
 
 
@@ -79,19 +57,8 @@ def partition_like(frame: StoredFrame, other: StoredFrame) -> StoredFrame:
     """Bring a frame's fields into the pieces of another one, where both have the same mesh.
 
     VTK's reader (9.7) loses pieces where steps have different numbers of them (docs/result-file.md), and geometry that
-    stays is written once.
-
-    Parameters
-    ----------
-    frame : StoredFrame
-        Whose fields are wanted.
-    other : StoredFrame
-        Whose pieces are wanted.
-
-    Returns
-    -------
-    StoredFrame
-        The same values at the same nodes and cells; the frame as it is where its mesh is another one.
+    stays is written once. The values at nodes and cells stay the same; a frame whose mesh is another one comes back as
+    it is.
     """
     if has_same_geometry(frame, other):
         return frame
@@ -136,28 +103,14 @@ class _Place:
 
 def join_frames(folder: SeriesFolder, numbers: Sequence[int], records: Sequence[str], origin: str,
                 files: NewFiles) -> None:
-    """Join result files of frames to one with steps.
+    """Join result files of frames to one with steps, the result of ``folder``.
 
     Geometry that stays is written once: frames of one mesh are all written in the pieces of the first one. What is no
     field is kept by frame, so that each can be read as a result.
 
-    Parameters
-    ----------
-    folder : SeriesFolder
-        Of the frames; its result is written.
-    numbers : sequence of int
-        Of the frames that were measured, from 1, in order; at least one.
-    records : sequence of str
-        Of all frames, measured or not, as JSON.
-    origin : str
-        What they were measured from, as JSON.
-    files : NewFiles
-        With which the result takes its name.
-
-    Raises
-    ------
-    OSError
-        Where it cannot be written.
+    ``numbers`` are those of the frames that were measured, from 1, in order, at least one; ``records`` those of all
+    frames, measured or not, and ``origin`` what they were measured from, as JSON. ``files`` has the result take its
+    name. Raises OSError where it cannot be written.
     """
     target = folder.result
     with new_hdf5(files.begin(target)) as file:

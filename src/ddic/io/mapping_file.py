@@ -30,10 +30,8 @@ class MappingFile:
         From far to near px.
     far_size, near_size : (int, int)
         Width and height of the images that it belongs to, px.
-    homography_std : (3, 3) array
-        Standard deviations of the homography's numbers; 0 where one is given and not measured.
-    radial_std : (2,) array
-        Of k1 and k2; 0 where one is given and not measured.
+    homography_std, radial_std : (3, 3) and (2,) array
+        Standard deviations of the homography's numbers, and of k1 and k2; 0 where one is given and not measured.
     position_std : float
         Near px, the largest at the near image's corners and centre.
     coefficient : float or None
@@ -52,19 +50,7 @@ class MappingFile:
 def write_mapping(path: Path, content: MappingFile) -> None:
     """Write a mapping file; numbers are read back to the last bit.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    content : MappingFile
-        What it shall hold.
-
-    Raises
-    ------
-    InputError
-        If its folder is not there or cannot be written to.
-    OSError
-        If the disk does not take it.
+    Raises InputError if its folder is not there or cannot be written to, OSError if the disk does not take it.
     """
     mapping = content.mapping
     lines = [
@@ -93,43 +79,14 @@ def write_mapping(path: Path, content: MappingFile) -> None:
 
 
 def read_mapping(path: Path) -> CameraMapping:
-    """Read only the mapping of a mapping file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    CameraMapping
-        From far to near px.
-
-    Raises
-    ------
-    InputError
-        As ``read_mapping_file`` does.
-    """
+    """Read only the mapping of a mapping file, from far to near px; raises InputError as ``read_mapping_file`` does."""
     return read_mapping_file(path).mapping
 
 
 def read_mapping_file(path: Path) -> MappingFile:
     """Read a mapping file; ``[distortion]`` and ``[quality]`` may be missing.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    MappingFile
-        What it holds.
-
-    Raises
-    ------
-    InputError
-        With the file, the key, the value and what is expected, one line per problem.
+    Raises InputError with the file, the key, the value and what is expected, one line per problem.
     """
     data = _parsed(path)
     if not get_close_matches("homography", data):

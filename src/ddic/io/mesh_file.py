@@ -31,49 +31,17 @@ def read_mesh(path: Path, mapping: Similarity) -> Mesh:
     """Read a mesh of T3 and Q4 (mixed or not) and map it to pixels; cells keep the file's order.
 
     Node sets come from the named groups of lines and vertices (Gmsh physical groups, meshio cell sets) and from point
-    sets.
-
-    Parameters
-    ----------
-    path : Path
-        A file that meshio reads.
-    mapping : Similarity
-        From the file's units to pixels.
-
-    Returns
-    -------
-    Mesh
-        As it is in the file: not yet repaired.
-
-    Raises
-    ------
-    InputError
-        Where the file cannot be read, holds other cells, or is not plane.
+    sets. ``mapping`` leads from the file's units to pixels. The mesh is as it is in the file: not yet repaired. Raises
+    InputError where the file cannot be read, holds other cells, or is not plane.
     """
     return convert_mesh(_read_raw(path), str(path), mapping)
 
 
 def convert_mesh(raw: Any, name: str, mapping: Similarity) -> Mesh:
-    """Convert a meshio mesh of T3 and Q4 (mixed or not) to pixels; cells keep its order.
+    """Convert a plane meshio mesh of T3 and Q4 (mixed or not) to pixels; cells keep its order.
 
-    Parameters
-    ----------
-    raw : meshio.Mesh
-        Plane; node sets come from its named groups of lines and vertices, and from point sets.
-    name : str
-        What messages call it.
-    mapping : Similarity
-        From its units to pixels.
-
-    Returns
-    -------
-    Mesh
-        Pixels.
-
-    Raises
-    ------
-    InputError
-        Where it holds other cells, or is not plane.
+    Node sets come from its named groups of lines and vertices, and from point sets. ``name`` is what messages call it,
+    ``mapping`` leads from its units to pixels. Raises InputError where it holds other cells, or is not plane.
     """
     blocks = [(PLANE_CELLS[b.type], np.asarray(b.data, dtype=np.int64))
               for b in raw.cells if b.type in PLANE_CELLS and len(b.data)]
@@ -165,20 +133,10 @@ Fields = Mapping[str, NDArray[Any]]
 
 
 def to_meshio(mesh: Mesh, point_data: Fields, cell_data: Fields) -> Any:
-    """Make a meshio mesh, whose ``write`` knows some forty formats.
+    """Make a meshio mesh, whose ``write`` knows some forty formats; pixels, y down.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Pixels, y down.
-    point_data, cell_data : dict
-        Name -> (n_nodes, ...) and (n_cells, ...) arrays.
-
-    Returns
-    -------
-    meshio.Mesh
-        Points (n_nodes, 3) with z = 0; a block of cells for each cell type, so that cells and their data are sorted by
-        type where the mesh mixes them.
+    Fields are (n_nodes, ...) and (n_cells, ...) arrays by name. Points are (n_nodes, 3) with z = 0; there is a block of
+    cells for each cell type, so that cells and their data are sorted by type where the mesh mixes them.
     """
     import meshio
 
@@ -192,24 +150,10 @@ def to_meshio(mesh: Mesh, point_data: Fields, cell_data: Fields) -> Any:
 
 
 def to_pyvista(mesh: Mesh, point_data: Fields, cell_data: Fields) -> Any:
-    """Make a PyVista grid, to look at in a notebook.
+    """Make a PyVista grid, to look at in a notebook; pixels, y down, cells in the mesh's order.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Pixels, y down.
-    point_data, cell_data : dict
-        Name -> (n_nodes, ...) and (n_cells, ...) arrays.
-
-    Returns
-    -------
-    pyvista.UnstructuredGrid
-        Points (n_nodes, 3) with z = 0; cells in the mesh's order.
-
-    Raises
-    ------
-    InputError
-        Where PyVista is not installed.
+    Fields are (n_nodes, ...) and (n_cells, ...) arrays by name. Points are (n_nodes, 3) with z = 0. Raises InputError
+    where PyVista is not installed.
     """
     try:
         import pyvista

@@ -1,8 +1,6 @@
 """Files that appear under their name only when they are complete, several of them together.
 
-Folders that are made for files, and go again where none comes of them.
-
-One run at a time writes a result.
+Folders that are made for files go again where none comes of them. One run at a time writes a result.
 """
 
 from __future__ import annotations
@@ -31,18 +29,7 @@ _UNFINISHED: set[Path] = set()
 
 
 def make_temporary_name(path: Path) -> Path:
-    """Name a file under construction.
-
-    Parameters
-    ----------
-    path : Path
-        Final name.
-
-    Returns
-    -------
-    Path
-        In the same folder, another for every process of every machine.
-    """
+    """Name a file under construction: in the folder of the final one, another for every process of every machine."""
     return path.with_name(f".{path.name}.{_name_machine()}.{os.getpid()}.tmp")
 
 
@@ -62,24 +49,9 @@ class NewFiles:
     dropped: list[Path] = field(default_factory=list)
 
     def begin(self, path: Path) -> Path:
-        """Begin a file.
+        """Begin a file of this final name: one that is there and empty, whose temporary name is returned.
 
-        Parameters
-        ----------
-        path : Path
-            Final name.
-
-        Returns
-        -------
-        Path
-            Temporary name of a file that is there and empty.
-
-        Raises
-        ------
-        InputError
-            If the folder does not exist or cannot be written to.
-        OSError
-            If the disk takes no file.
+        Raises InputError if the folder does not exist or cannot be written to, OSError if the disk takes no file.
         """
         if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
             raise InputError(f"{path}: the folder {path.parent} does not exist or cannot be written to; "
@@ -91,13 +63,7 @@ class NewFiles:
         return temporary
 
     def remove_old(self, path: Path) -> None:
-        """Have a file removed when the new ones take their names.
-
-        Parameters
-        ----------
-        path : Path
-            It need not be there.
-        """
+        """Have a file, which need not be there, removed when the new ones take their names."""
         self.dropped.append(path)
 
     def publish(self) -> None:
@@ -124,15 +90,7 @@ class NewFiles:
 def replaced_together() -> Iterator[NewFiles]:
     """Yield a set of new files: on a clean exit all take their names, on any other none does, and nothing is left.
 
-    Yields
-    ------
-    NewFiles
-        To which files are added.
-
-    Raises
-    ------
-    OSError
-        Of the block, with the name of the file that could not be written.
+    An OSError of the block is raised with the name of the file that could not be written.
     """
     files = NewFiles()
     try:
@@ -146,18 +104,7 @@ def replaced_together() -> Iterator[NewFiles]:
 
 
 def begin_files(files: NewFiles | None) -> AbstractContextManager[NewFiles]:
-    """Add to a set of new files, where there is one, or make one that stands by itself.
-
-    Parameters
-    ----------
-    files : NewFiles or None
-        The set, which whoever made it ends.
-
-    Returns
-    -------
-    context manager of NewFiles
-        The set.
-    """
+    """Add to a set of new files, where there is one, which whoever made it ends; or make one that stands by itself."""
     return replaced_together() if files is None else nullcontext(files)
 
 
@@ -165,44 +112,19 @@ def begin_files(files: NewFiles | None) -> AbstractContextManager[NewFiles]:
 def replaced_on_exit(path: Path) -> Iterator[Path]:
     """Yield a temporary name that is renamed to ``path`` on a clean exit and removed on any other.
 
-    Parameters
-    ----------
-    path : Path
-        Final name.
-
-    Yields
-    ------
-    Path
-        Temporary name.
-
-    Raises
-    ------
-    InputError
-        If the folder does not exist or cannot be written to.
+    Raises InputError if the folder does not exist or cannot be written to.
     """
     with replaced_together() as files:
         yield files.begin(path)
 
 
 def note_unfinished(path: Path) -> None:
-    """Have a file removed by ``remove_unfinished``.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    """
+    """Have a file removed by ``remove_unfinished``."""
     _UNFINISHED.add(path)
 
 
 def forget_unfinished(path: Path) -> None:
-    """Undo ``note_unfinished``.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    """
+    """Undo ``note_unfinished``."""
     _UNFINISHED.discard(path)
 
 
@@ -217,14 +139,9 @@ def remove_unfinished() -> None:
 
 
 def remove_abandoned(folder: Path) -> None:
-    """Remove what processes that were killed have left unfinished in a folder.
+    """Remove what processes that were killed have left unfinished in a folder, which need not be there.
 
     A file belongs to a living process while that holds its lock.
-
-    Parameters
-    ----------
-    folder : Path
-        It need not be there.
     """
     if not folder.is_dir():
         return
@@ -280,20 +197,7 @@ def _name_machine() -> str:
 def made_folder(folder: Path) -> Iterator[None]:
     """Make a folder and those above it; where the block fails, remove those that were made and are empty.
 
-    Parameters
-    ----------
-    folder : Path
-        It may be there.
-
-    Yields
-    ------
-    None
-        While files are written there.
-
-    Raises
-    ------
-    OSError
-        Where it cannot be made.
+    The folder may be there. Raises OSError where it cannot be made.
     """
     made = [one for one in (folder, *folder.parents) if not one.exists()]
     try:
@@ -315,24 +219,8 @@ def held_output(path: Path) -> Iterator[None]:
     """Hold a result's name while it is measured and written, and remove what killed runs have left in its folder.
 
     The lock is the system's, on a file ``.NAME.lock`` beside the result: it ends with the process that holds it. Where
-    the file system knows no locks there is none.
-
-    Parameters
-    ----------
-    path : Path
-        The result file.
-
-    Yields
-    ------
-    None
-        While no other run has it.
-
-    Raises
-    ------
-    InputError
-        Where another run has it.
-    OSError
-        Where the disk takes no file.
+    the file system knows no locks there is none. Raises InputError where another run has it, OSError where the disk
+    takes no file.
     """
     lock = get_lock_path(path)
     try:
@@ -353,18 +241,7 @@ def held_output(path: Path) -> Iterator[None]:
 
 
 def get_lock_path(path: Path) -> Path:
-    """Name the file whose lock a run holds while it measures and writes a result.
-
-    Parameters
-    ----------
-    path : Path
-        The result file.
-
-    Returns
-    -------
-    Path
-        Beside it.
-    """
+    """Name the file whose lock a run holds while it measures and writes a result; it lies beside the result."""
     return path.with_name(f".{path.name}.lock")
 
 

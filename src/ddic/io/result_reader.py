@@ -209,24 +209,9 @@ def read_result(path: Path | str) -> Result:
 
 @contextmanager
 def opened_result(path: Path | str) -> Iterator[tuple[Path, Any]]:
-    """Open a result file, of a pair or of a series.
+    """Open a result file, of a pair or of a series, for reading; yield its name and the file.
 
-    Parameters
-    ----------
-    path : Path or str
-        The file.
-
-    Yields
-    ------
-    name : Path
-        The file's.
-    file : h5py.File
-        Open for reading.
-
-    Raises
-    ------
-    InputError
-        Where it is missing, foreign, of a newer major schema, or damaged where it is read inside.
+    Raises InputError where it is missing, foreign, of a newer major schema, or damaged where it is read inside.
     """
     path = as_path(path, "result")
     require_file(path, "result file")
@@ -240,23 +225,12 @@ def opened_result(path: Path | str) -> Iterator[tuple[Path, Any]]:
 
 
 def displacement_at(result: Result, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Guess the displacement of a result anywhere, to start another run from it.
+    """Guess the displacement of a result anywhere, to start another run from it; (n, 2), pixels.
 
     ``Result.at`` is the displacement that was measured; this is a number everywhere, in holes, outside and about nodes
-    that were not measured too.
-
-    Parameters
-    ----------
-    result : Result
-        The earlier result.
-    points : (n, 2) array
-        Pixels of the reference image.
-
-    Returns
-    -------
-    (n, 2) array
-        Pixels: the nodal value where a measured node lies within 1e-9 px, else what was measured there, where nothing
-        was linear interpolation between the measured nodes (Delaunay), and the nearest of them outside their hull.
+    that were not measured too. It is the nodal value where a measured node lies within 1e-9 px, else what was measured
+    there; where nothing was, linear interpolation between the measured nodes (Delaunay), and outside their hull the
+    value of the nearest of them. ``points``, (n, 2), are pixels of the reference image.
     """
     from scipy.interpolate import LinearNDInterpolator
 
@@ -278,20 +252,10 @@ def evaluate_on_sides(result: Result, points: NDArray[np.float64],
                       beyond: NDArray[np.float64]) -> NDArray[np.float64]:
     """Guess the displacement of a result at points beyond a discontinuity, from other points on their own side of it.
 
-    Parameters
-    ----------
-    result : Result
-        The earlier result.
-    points : (n, 2) array
-        On the side that is asked for, pixels of the reference image.
-    beyond : (n, 2) array
-        Where the displacement is wanted; the same points where nothing lies between.
-
-    Returns
-    -------
-    (n, 2) array
-        Pixels: ``displacement_at`` the points, and on from there by the slope of the cell that holds them; nan where a
-        node of that cell was not measured.
+    ``points``, (n, 2), lie on the side that is asked for, pixels of the reference image; ``beyond``, (n, 2), is where
+    the displacement is wanted, the same points where nothing lies between. What comes back, (n, 2), pixels, is
+    ``displacement_at`` the points, and on from there by the slope of the cell that holds them; nan where a node of that
+    cell was not measured.
     """
     values = displacement_at(result, points)
     located = locate(result.mesh, points)
@@ -305,19 +269,9 @@ def evaluate_on_sides(result: Result, points: NDArray[np.float64],
 
 
 def check_schema(path: Path, file: Any) -> None:
-    """Refuse what is no result, or one that this program would misread.
+    """Refuse what is no result, or one that this program would misread, by an InputError with what it is instead.
 
-    Parameters
-    ----------
-    path : Path
-        Names the file in messages.
-    file : h5py.File
-        Open for reading.
-
-    Raises
-    ------
-    InputError
-        With what it is instead.
+    ``path`` names the file in messages.
     """
     version = str(file.attrs.get("ddic_schema", ""))
     if not version or schema.VTKHDF not in file:
@@ -333,19 +287,9 @@ def check_schema(path: Path, file: Any) -> None:
 
 
 def read_open_file(path: Path, file: Any) -> Result:
-    """Join the pieces of an open file.
+    """Join the pieces of an open file to a result.
 
-    Parameters
-    ----------
-    path : Path
-        Its name; an empty one for a file in memory, whose residual image is read at once.
-    file : h5py.File
-        Open for reading.
-
-    Returns
-    -------
-    Result
-        The measured field.
+    ``path`` is its name; an empty one is that of a file in memory, whose residual image is read at once.
     """
     flipped = str(file.attrs["y_axis"]) == "up"
     grid = {name: read_array(file[schema.VTKHDF][name]) for name in GRID}
@@ -416,10 +360,8 @@ class MergedPieces:
     ----------
     mesh : Mesh
         Nodes and cells in the order of their numbers in the whole mesh.
-    points : (n_nodes,) array
-        Row of each node among the points of the pieces.
-    cells : (n_cells,) array
-        Row of each cell among the cells of the pieces.
+    points, cells : (n_nodes,) and (n_cells,) array
+        Row of each node among the points, and of each cell among the cells, of the pieces.
     """
 
     mesh: Mesh
@@ -429,23 +371,11 @@ class MergedPieces:
 
 def merge_pieces(grid: Mapping[str, NDArray[Any]], points: NDArray[np.float64], global_node_ids: NDArray[np.int64],
                  global_cell_ids: NDArray[np.int64]) -> MergedPieces:
-    """Merge the pieces of a file to one mesh.
+    """Merge the pieces of a file to one mesh, and tell where its nodes and cells stand in the file.
 
-    Parameters
-    ----------
-    grid : mapping of str to (n,) array
-        The geometry of the file by name.
-    points : (n_points, 3) array
-        Of all pieces, with the axes wanted; pixels.
-    global_node_ids : (n_points,) array
-        Number of each point's node in the whole mesh.
-    global_cell_ids : (n_cells,) array
-        Number of each cell of the pieces in the whole mesh.
-
-    Returns
-    -------
-    MergedPieces
-        The mesh, and where its nodes and cells stand in the file.
+    ``grid`` is the geometry of the file by name; ``points``, (n_points, 3), are those of all pieces with the axes
+    wanted, pixels. The ids, (n_points,) and (n_cells,), are numbers of each point's node and of each cell in the whole
+    mesh.
     """
     # Interface nodes stand in every piece that has them, all copies with the same values.
     first_copy = np.unique(global_node_ids, return_index=True)[1]

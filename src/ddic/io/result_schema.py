@@ -99,17 +99,9 @@ class FieldSpec:
 
 
 def point_fields(length_unit: str | None) -> tuple[FieldSpec, ...]:
-    """List the fields at the nodes.
+    """List the fields at the nodes, in the order of the file.
 
-    Parameters
-    ----------
-    length_unit : str or None
-        Unit of the pixel size, None if it is not known.
-
-    Returns
-    -------
-    tuple of FieldSpec
-        In the order of the file.
+    ``length_unit`` is that of the pixel size, None if it is not known.
     """
     fields = (
         FieldSpec(DISPLACEMENT, VECTOR, np.float64, "px", "displacement in pixels, mean of interface copies"),
@@ -124,13 +116,7 @@ def point_fields(length_unit: str | None) -> tuple[FieldSpec, ...]:
 
 
 def nodal_strain_fields() -> tuple[FieldSpec, ...]:
-    """List the strains at the nodes, recovered from the cells around them.
-
-    Returns
-    -------
-    tuple of FieldSpec
-        In the order of the file.
-    """
+    """List the strains at the nodes, recovered from the cells around them, in the order of the file."""
     of_hencky = "of the logarithmic strain"
     return (
         FieldSpec(NODAL_INFINITESIMAL, SYMMETRIC_TENSOR, np.float64, "1", "infinitesimal strain at the node"),
@@ -143,17 +129,9 @@ def nodal_strain_fields() -> tuple[FieldSpec, ...]:
 
 
 def cell_fields(n_cameras: int = 1) -> tuple[FieldSpec, ...]:
-    """List the fields on the cells.
+    """List the fields on the cells, in the order of the file.
 
-    Parameters
-    ----------
-    n_cameras : int, optional
-        Of the measurement; with several, each cell has the number of its camera.
-
-    Returns
-    -------
-    tuple of FieldSpec
-        In the order of the file.
+    With several cameras, each cell has the number of its camera.
     """
     fields = (
         FieldSpec(STRAIN_INFINITESIMAL, SYMMETRIC_TENSOR, np.float64, "1", "infinitesimal strain at the cell's centre"),
@@ -175,17 +153,9 @@ def cell_fields(n_cameras: int = 1) -> tuple[FieldSpec, ...]:
 
 
 def uncertainty_point_fields(*, regularized: bool) -> tuple[FieldSpec, ...]:
-    """List what is known of the errors at the nodes, where the case asks for it.
+    """List what is known of the errors at the nodes, where the case asks for it, in the order of the file.
 
-    Parameters
-    ----------
-    regularized : bool
-        Whether there is a bias of regularization.
-
-    Returns
-    -------
-    tuple of FieldSpec
-        In the order of the file.
+    ``regularized`` tells whether there is a bias of regularization.
     """
     of_noise = "standard deviation that the images' noise leaves in"
     fields = (
@@ -201,43 +171,20 @@ def uncertainty_point_fields(*, regularized: bool) -> tuple[FieldSpec, ...]:
 
 
 def uncertainty_cell_fields() -> tuple[FieldSpec, ...]:
-    """List what is known of the errors on the cells, where the case asks for it.
-
-    Returns
-    -------
-    tuple of FieldSpec
-        In the order of the file.
-    """
+    """List what is known of the errors on the cells, where the case asks for it, in the order of the file."""
     return tuple(FieldSpec(name, 1, np.float64, "1", "standard deviation that the images' noise leaves in the "
                            f"infinitesimal strain {component} at the cell's centre")
                  for name, component in zip(SIGMA_CELL_STRAIN, ("xx", "yy", "xy"), strict=True))
 
 
 def list_all_fields() -> tuple[FieldSpec, ...]:
-    """List all fields that a result may have.
-
-    Returns
-    -------
-    tuple of FieldSpec
-        At the nodes and on the cells.
-    """
+    """List all fields that a result may have, at the nodes and on the cells."""
     return (*point_fields("px"), *nodal_strain_fields(), *cell_fields(2), *uncertainty_point_fields(regularized=True),
             *uncertainty_cell_fields())
 
 
 def describe_separated(field: SeparatedField) -> dict[str, tuple[NDArray[np.float64], str, str]]:
-    """List the datasets of a separated displacement.
-
-    Parameters
-    ----------
-    field : SeparatedField
-        The displacement.
-
-    Returns
-    -------
-    dict of ((...) array, str, str)
-        By name: values, unit, description.
-    """
+    """List the datasets of a separated displacement by name: values, unit, description."""
     return {
         "nodes_x": (field.along_x.nodes, "px", "nodes of the functions of x"),
         "nodes_y": (field.along_y.nodes, "px", "nodes of the functions of y, down"),
@@ -248,129 +195,50 @@ def describe_separated(field: SeparatedField) -> dict[str, tuple[NDArray[np.floa
 
 
 def near_group(camera: int) -> str:
-    """Name the group with what is known of a near-field set-up.
-
-    Parameters
-    ----------
-    camera : int
-        Its number, from 1.
-
-    Returns
-    -------
-    str
-        ``near_1``, ``near_2``, ...
-    """
+    """Name the group with what is known of a near-field set-up, numbered from 1: ``near_1``, ``near_2``, ..."""
     return f"{NEAR_PREFIX}{camera}"
 
 
 def has_attributes(group: str) -> bool:
     """Tell whether a group's attributes are part of the result.
 
-    Parameters
-    ----------
-    group : str
-        A group of the root.
-
-    Returns
-    -------
-    bool
-        Whether it is one of ATTRIBUTE_GROUPS or of a near-field set-up.
+    Those of ATTRIBUTE_GROUPS and of near-field set-ups are.
     """
     return group in ATTRIBUTE_GROUPS or group.startswith(NEAR_PREFIX)
 
 
 def residual_group(camera: int) -> str:
-    """Name the group of a camera's residual image.
+    """Name the group of a camera's residual image: ``residual_image``, ``residual_image_near_1``, ...
 
-    Parameters
-    ----------
-    camera : int
-        0 for the far camera, or the only one; then the near ones.
-
-    Returns
-    -------
-    str
-        ``residual_image``, ``residual_image_near_1``, ...
+    ``camera`` is 0 for the far camera, or the only one; then the near ones.
     """
     return RESIDUAL_IMAGE if camera == 0 else f"{RESIDUAL_IMAGE}_near_{camera}"
 
 
 def summary_path(result: Path) -> Path:
-    """Name the summary beside a result file: NAME.json.
-
-    Parameters
-    ----------
-    result : Path
-        The result file.
-
-    Returns
-    -------
-    Path
-        In the same folder.
-    """
+    """Name the summary beside a result file: NAME.json."""
     return result.with_suffix(".json")
 
 
 def not_converged_path(result: Path) -> Path:
-    """Name the file of a field that did not converge.
-
-    Parameters
-    ----------
-    result : Path
-        The result file that was asked for.
-
-    Returns
-    -------
-    Path
-        In the same folder, NAME.not_converged.vtkhdf.
-    """
+    """Name the file of a field that did not converge, beside the result file asked for: NAME.not_converged.vtkhdf."""
     return _insert(result, "not_converged")
 
 
 def frames_path(result: Path) -> Path:
-    """Name the folder that holds the finished frames of a series until it is whole.
-
-    Parameters
-    ----------
-    result : Path
-        The result file of the series.
-
-    Returns
-    -------
-    Path
-        In the same folder, NAME.frames.
-    """
+    """Name the folder, beside the result, that holds the finished frames of a series until it is whole: NAME.frames."""
     return result.with_suffix(".frames")
 
 
 def frame_group(number: int) -> str:
-    """Name the group with what a series knows of a frame beside its fields.
-
-    Parameters
-    ----------
-    number : int
-        From 1.
-
-    Returns
-    -------
-    str
-        ``frames/000001``, ``frames/000002``, ...
-    """
+    """Name the group with what a series knows of a frame beside its fields: ``frames/000001`` for the first one."""
     return f"{FRAMES}/{number:06d}"
 
 
 def earlier_path(result: Path) -> Path:
     """Name the file to which a failed run moves an earlier result of the name that it was to write.
 
-    Parameters
-    ----------
-    result : Path
-        The result file that was asked for.
-
-    Returns
-    -------
-    Path
-        In the same folder, NAME.earlier.vtkhdf.
+    It stands in the same folder: NAME.earlier.vtkhdf.
     """
     return _insert(result, "earlier")
 
@@ -381,54 +249,24 @@ def _insert(path: Path, word: str) -> Path:
 
 
 def sidecar_path(path: Path, camera: int = 0) -> Path:
-    """Name the ImageData file that shows a residual image of a result.
+    """Name the ImageData file that shows a residual image of a result, beside it.
 
-    Parameters
-    ----------
-    path : Path
-        The result file.
-    camera : int, optional
-        0 for the far camera, or the only one; then the near ones.
-
-    Returns
-    -------
-    Path
-        In the same folder, NAME.residual.vtkhdf or NAME.near_1.residual.vtkhdf.
+    It is NAME.residual.vtkhdf for camera 0, the far one or the only one, and NAME.near_1.residual.vtkhdf for the first
+    near one.
     """
     near = "" if camera == 0 else f".near_{camera}"
     return path.with_name(f"{path.stem}{near}.residual.vtkhdf")
 
 
 def physical_path(result: Path) -> Path:
-    """Name the file that shows a result in its length unit.
-
-    Parameters
-    ----------
-    result : Path
-        The result file.
-
-    Returns
-    -------
-    Path
-        In the same folder, NAME.physical.vtkhdf.
-    """
+    """Name the file that shows a result in its length unit, beside it: NAME.physical.vtkhdf."""
     return result.with_name(f"{result.stem}.physical.vtkhdf")
 
 
 def flip_components(values: NDArray[Any]) -> NDArray[Any]:
-    """Mirror vectors or symmetric tensors in y; it is its own inverse.
+    """Mirror scalars, vectors or symmetric tensors, (n,), (n, 3) or (n, 6), in y, as a copy; it is its own inverse.
 
     The components with one y change sign: Y of a vector, XY and YZ of a tensor. Scalars stay as they are.
-
-    Parameters
-    ----------
-    values : (n,) or (n, 3) or (n, 6) array
-        Scalars, vectors or symmetric tensors.
-
-    Returns
-    -------
-    array
-        A copy of the same shape.
     """
     n_components = values.shape[1] if values.ndim == 2 else 1
     columns = {VECTOR: [1], SYMMETRIC_TENSOR: [3, 4]}.get(n_components, [])

@@ -30,10 +30,8 @@ class PieceSize:
 
     Attributes
     ----------
-    n_points, n_cells : int
-        Nodes and cells.
-    n_connectivity : int
-        Sum of the nodes per cell.
+    n_points, n_cells, n_connectivity : int
+        Nodes, cells, and the sum of the nodes per cell.
     """
 
     n_points: int
@@ -137,39 +135,19 @@ class ResultWriter:
             files.remove_old(schema.physical_path(path))
 
     def read_back(self) -> Result:
-        """Read what was written, with the residual image, while the file is open.
-
-        Returns
-        -------
-        Result
-            In memory.
-        """
+        """Read what was written, with the residual image, to memory while the file is open."""
         self._refuse_missing_pieces()
         return read_open_file(Path() if self._path is None else self._path, self._file)
 
     def read_image(self) -> bytes:
-        """Read the content of a file in memory.
-
-        Returns
-        -------
-        bytes
-            As it would be on the disk.
-        """
+        """Read the content of a file in memory, as it would be on the disk."""
         self._refuse_missing_pieces()
         self._file.flush()
         return bytes(self._file.id.get_file_image())
 
     def create_pieces(self, sizes: Sequence[PieceSize], point_fields: Sequence[FieldSpec],
                       cell_fields: Sequence[FieldSpec]) -> None:
-        """Make room for a mesh in pieces, and its fields.
-
-        Parameters
-        ----------
-        sizes : sequence of PieceSize
-            Of all pieces.
-        point_fields, cell_fields : sequence of FieldSpec
-            What every piece brings.
-        """
+        """Make room for a mesh in pieces of these sizes, all of them, and for the fields that every piece brings."""
         counts = np.array([(s.n_points, s.n_cells, s.n_connectivity) for s in sizes], np.int64).reshape(-1, 3)
         starts = np.concatenate([np.zeros((1, 3), np.int64), np.cumsum(counts, axis=0)])
         self._pieces = _Pieces(tuple(sizes), starts, tuple(point_fields), tuple(cell_fields))
@@ -178,17 +156,8 @@ class ResultWriter:
     def write_pieces(self, indices: range, pieces: Piece) -> None:
         """Write the mesh and fields of some pieces that follow each other.
 
-        Parameters
-        ----------
-        indices : range
-            Numbers of the pieces.
-        pieces : Piece
-            These, joined to one (``join_pieces``).
-
-        Raises
-        ------
-        ValueError
-            If one was written before, or if the arrays do not have the announced shapes.
+        ``indices`` are their numbers, ``pieces`` is all of them joined to one (``join_pieces``). Raises ValueError if
+        one was written before, or if the arrays do not have the announced shapes.
         """
         if self._pieces is None:
             raise ValueError("create_pieces comes before write_pieces")
@@ -217,13 +186,7 @@ class ResultWriter:
         self._written.update(indices)
 
     def create_residual_image(self, grid: ChunkGrid) -> None:
-        """Make room for the next camera's residual image; it is NaN where no chunk is written.
-
-        Parameters
-        ----------
-        grid : ChunkGrid
-            Its chunks.
-        """
+        """Make room for the next camera's residual image; it is NaN where no chunk is written."""
         group = schema.residual_group(len(self._grids))
         data = self._file.create_dataset(f"{group}/{schema.RESIDUAL}", (grid.height, grid.width),
                                          "<f4", chunks=grid.shape, compression="gzip", compression_opts=1,
@@ -235,19 +198,9 @@ class ResultWriter:
         self._residual = data.id
 
     def write_residual_chunk(self, number: int, data: bytes) -> None:
-        """Write one chunk of the last residual image; it is not unpacked here.
+        """Write one chunk of the last residual image, as ``pack_chunk`` makes it; it is not unpacked here.
 
-        Parameters
-        ----------
-        number : int
-            Of the chunk.
-        data : bytes
-            As ``pack_chunk`` makes it.
-
-        Raises
-        ------
-        ValueError
-            If there is no residual image yet.
+        Raises ValueError if there is no residual image yet.
         """
         if not self._grids:
             raise ValueError("create_residual_image comes before write_residual_chunk")
@@ -258,17 +211,7 @@ class ResultWriter:
     def write_table(self, group: str, columns: Mapping[str, Sequence[Any] | NDArray[Any]]) -> None:
         """Write a table, one dataset per column of numbers or texts.
 
-        Parameters
-        ----------
-        group : str
-            Name of the table.
-        columns : dict of (n_rows,) array
-            By name.
-
-        Raises
-        ------
-        ValueError
-            If columns have different lengths.
+        Raises ValueError if columns have different lengths.
         """
         arrays = {name: np.asarray(column) for name, column in columns.items()}
         if len({len(array) for array in arrays.values()}) > 1:
@@ -278,41 +221,19 @@ class ResultWriter:
             target[name] = array.astype(h5py.string_dtype()) if array.dtype.kind == "U" else array
 
     def write_curves(self, group: str, curves: Sequence[Sequence[float] | NDArray[np.float64]]) -> None:
-        """Write arrays of different lengths as datasets 0000, 0001, ...
-
-        Parameters
-        ----------
-        group : str
-            Name of the group.
-        curves : sequence of (n,) array
-            Of any lengths.
-        """
+        """Write arrays of different lengths as datasets 0000, 0001, ..."""
         target = self._file.require_group(group)
         for number, curve in enumerate(curves):
             target[f"{number:04d}"] = np.asarray(curve, np.float64)
 
     def write_arrays(self, group: str, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Write arrays as they are.
-
-        Parameters
-        ----------
-        group : str
-            Name of the group.
-        arrays : dict of array
-            By name, of any shapes.
-        """
+        """Write arrays by name as they are, of any shapes."""
         target = self._file.require_group(group)
         for name, values in arrays.items():
             target[name] = values
 
     def write_separated(self, field: SeparatedField) -> None:
-        """Write the products that a displacement is a sum of, in the image's axes whatever the mesh's are.
-
-        Parameters
-        ----------
-        field : SeparatedField
-            The displacement.
-        """
+        """Write the products that a displacement is a sum of, in the image's axes whatever the mesh's are."""
         target = self._file.require_group(schema.SEPARATED)
         for name, (values, unit, description) in schema.describe_separated(field).items():
             target[name] = values
@@ -320,15 +241,7 @@ class ResultWriter:
             target[name].attrs["description"] = description
 
     def write_attributes(self, group: str, values: Mapping[str, Any]) -> None:
-        """Write attributes of a group.
-
-        Parameters
-        ----------
-        group : str
-            Name of the group, which is made where there is none.
-        values : dict
-            Name -> text, number or list of them.
-        """
+        """Write attributes of a group, which is made where there is none: texts, numbers or lists of them by name."""
         target = self._file.require_group(group)
         for name, value in values.items():
             target.attrs[name] = value
@@ -337,10 +250,7 @@ class ResultWriter:
     def write_status(self, failure: str) -> None:
         """Write whether the field converged, as attributes of the file.
 
-        Parameters
-        ----------
-        failure : str
-            Why it is no result; empty where it converged.
+        ``failure`` says why it is no result; it is empty where it converged.
         """
         self._file.attrs[schema.STATUS] = schema.NOT_CONVERGED if failure else schema.CONVERGED
         self._file.attrs[schema.FAILURE] = failure
@@ -431,17 +341,9 @@ def _start_of(pieces: _Pieces, index: int) -> PieceSize:
 
 
 def join_pieces(pieces: Sequence[Piece]) -> Piece:
-    """Join pieces, one after the other, as the file holds them.
+    """Join pieces, at least one, one after the other, as the file holds them.
 
-    Parameters
-    ----------
-    pieces : sequence of Piece
-        At least one.
-
-    Returns
-    -------
-    Piece
-        In which every piece still numbers its own points from 0.
+    In what comes back every piece still numbers its own points from 0.
     """
     if len(pieces) == 1:
         return pieces[0]

@@ -1,8 +1,7 @@
 """The folder of a series that is not finished: a file for each frame that is, and what the next one needs.
 
-Files written while the program goes on, one after the other.
-
-Files brought into the system's cache before they are needed.
+Files are written while the program goes on, one after the other; others are brought into the system's cache before they
+are needed.
 """
 
 from __future__ import annotations
@@ -77,54 +76,18 @@ class SeriesFolder:
         return schema.frames_path(self.result)
 
     def get_frame_path(self, number: int) -> Path:
-        """Name the file of a finished frame.
-
-        Parameters
-        ----------
-        number : int
-            From 1.
-
-        Returns
-        -------
-        Path
-            A result file.
-        """
+        """Name the file of a finished frame, numbered from 1: a result file."""
         return self.path / f"{number:06d}.vtkhdf"
 
     def get_failure_path(self, number: int) -> Path:
-        """Name the file that says why a frame could not be measured.
-
-        Parameters
-        ----------
-        number : int
-            From 1.
-
-        Returns
-        -------
-        Path
-            The record of the frame.
-        """
+        """Name the file that says why a frame, numbered from 1, could not be measured: its record."""
         return self.path / f"{number:06d}.failed.json"
 
     def begin(self, origin: Mapping[str, object], *, resume: bool) -> dict[int, str]:
-        """Make the folder, or look what an earlier run left in it.
+        """Make the folder, or look what an earlier run left in it, and return records of the finished frames by number.
 
-        Parameters
-        ----------
-        origin : mapping
-            What the series is measured from, as JSON has it.
-        resume : bool
-            Whether to go on from what is there.
-
-        Returns
-        -------
-        dict of int to str
-            Records of the finished frames, by number.
-
-        Raises
-        ------
-        InputError
-            Where another series stands there, or one that shall not be gone on with.
+        ``origin`` is what the series is measured from, as JSON has it; ``resume`` asks to go on from what is there.
+        Raises InputError where another series stands there, or one that shall not be gone on with.
         """
         if not self.path.exists():
             finished = self._read_whole(origin) if resume else {}
@@ -182,18 +145,7 @@ class SeriesFolder:
         return found
 
     def read_state(self, number: int) -> FrameState:
-        """Read what the next frame needs of a finished one.
-
-        Parameters
-        ----------
-        number : int
-            From 1.
-
-        Returns
-        -------
-        FrameState
-            All subdomains.
-        """
+        """Read what the next frame needs of a finished one, numbered from 1: of all subdomains."""
         with open_hdf5(self.get_frame_path(number)) as file:
             group = file[schema.SERIES]
             unknowns = {int(name): values[...] for name, values in group["unknowns"].items()}
@@ -201,15 +153,7 @@ class SeriesFolder:
                               float(group.attrs["shown_share"]), bool(group.attrs["holds_back"]))
 
     def write_failure(self, number: int, record: str) -> None:
-        """Note that a frame could not be measured.
-
-        Parameters
-        ----------
-        number : int
-            From 1.
-        record : str
-            Why, as JSON.
-        """
+        """Note that a frame, numbered from 1, could not be measured; ``record`` says why, as JSON."""
         with replaced_on_exit(self.get_failure_path(number)) as temporary:
             temporary.write_text(record, encoding="utf-8")
 
@@ -235,31 +179,15 @@ class BackgroundWriter:
             self.wait()
 
     def write(self, path: Path, content: bytes) -> None:
-        """Begin to write a file, once the last one is written.
+        """Begin to write a file, once the last one is written; it takes its name when it is complete.
 
-        Parameters
-        ----------
-        path : Path
-            Its name, taken when it is complete.
-        content : bytes
-            All of it.
-
-        Raises
-        ------
-        OSError, InputError
-            Where the last one could not be written.
+        Raises OSError or InputError where the last one could not be written.
         """
         self.wait()
         self._pending = self._thread.submit(_write, path, content)
 
     def wait(self) -> None:
-        """Wait for what is being written.
-
-        Raises
-        ------
-        OSError, InputError
-            Where it could not be written.
-        """
+        """Wait for what is being written; raises OSError or InputError where it could not be."""
         pending, self._pending = self._pending, None
         if pending is not None:
             pending.result()
@@ -288,13 +216,7 @@ class ReadAhead:
         self._thread.shutdown(wait=True, cancel_futures=True)
 
     def begin(self, paths: Iterable[Path]) -> None:
-        """Begin to read files; one that cannot be read is told of by whoever needs it.
-
-        Parameters
-        ----------
-        paths : iterable of Path
-            Which.
-        """
+        """Begin to read files; one that cannot be read is told of by whoever needs it."""
         for path in paths:
             self._thread.submit(_read, path)
 

@@ -1,10 +1,8 @@
 """Reads the result file of a series: its frames one by one, each as the result of a pair.
 
-Displacements of all frames of a series, read straight from its file.
-
-What the frames of a series come to over time: displacements, strains, residuals, iterations.
-
-One result where a file may hold those of a series: a frame by its number.
+Displacements of all frames are read straight from its file. What the frames come to over time is gathered:
+displacements, strains, residuals, iterations. Where a file may hold the results of a series, one is read: a frame by
+its number.
 """
 
 from __future__ import annotations
@@ -85,15 +83,7 @@ class SeriesResult:
 def is_series_file(path: Path) -> bool:
     """Tell whether a file holds the frames of a series, be it one.
 
-    Parameters
-    ----------
-    path : Path
-        Any file.
-
-    Returns
-    -------
-    bool
-        False for what is no file, no HDF5, damaged or the result of a pair.
+    False for what is no file, no HDF5, damaged or the result of a pair.
     """
     if not is_readable_file(path) or not h5py.is_hdf5(path):
         return False
@@ -130,20 +120,8 @@ def read_series(path: Path | str) -> SeriesResult:
 def read_frames(path: Path | str) -> Iterator[Result]:
     """Read the frames of a result file one after the other, whether it holds a series or a pair.
 
-    Parameters
-    ----------
-    path : Path or str
-        The file.
-
-    Returns
-    -------
-    iterator of Result
-        Those that were measured; of a pair the one, with a UserWarning where it did not converge.
-
-    Raises
-    ------
-    InputError
-        Where it is missing, foreign, damaged or of a newer major schema.
+    Those are read that were measured; of a pair the one, with a UserWarning where it did not converge. Raises
+    InputError where the file is missing, foreign, damaged or of a newer major schema.
     """
     series = read_series(path)
     return iter(series) if is_series_file(series.path) else iter([read_result(path)])
@@ -211,17 +189,9 @@ ROWS = 1 << 18
 
 
 def find_displacement_range(series: SeriesResult) -> tuple[Array, Array]:
-    """Find the least and the largest displacement of a series; nodes that were not measured do not count.
+    """Find the least and the largest displacement of a series, (2,) each, pixels, y down.
 
-    Parameters
-    ----------
-    series : SeriesResult
-        Of at least one frame.
-
-    Returns
-    -------
-    low, high : (2,) array
-        Pixels, y down; nan where no node was measured.
+    Nodes that were not measured do not count; nan where none was. The series has at least one frame.
     """
     low, high = np.full(2, np.nan), np.full(2, np.nan)
     with opened_result(series.path) as (_, file):
@@ -269,18 +239,7 @@ class SeriesHistory:
 
 
 def gather_history(series: SeriesResult) -> SeriesHistory:
-    """Gather what the frames of a series come to; they are read one after the other.
-
-    Parameters
-    ----------
-    series : SeriesResult
-        Of at least one frame.
-
-    Returns
-    -------
-    SeriesHistory
-        Of all frames, measured or not.
-    """
+    """Gather what the frames of a series, at least one, come to, measured or not; they are read one after the other."""
     records = series.records
     is_measured = np.isin([record["number"] for record in records], series.numbers)
     sizes = np.full((len(records), 4, 2), np.nan)
@@ -318,26 +277,10 @@ def _average(mesh: Mesh, values: Array) -> float:
 
 
 def read_frame(path: Path, number: int | None = None, asked_by: str = "--frame") -> Result:
-    """Read the result of a pair, or a frame of a series.
+    """Read the result of a pair, or a frame of a series by its number, from 1.
 
-    Parameters
-    ----------
-    path : Path
-        Result file.
-    number : int, optional
-        Of the frame, from 1; of a series only.
-    asked_by : str, optional
-        The option or key that gives the number, for messages.
-
-    Returns
-    -------
-    Result
-        One field.
-
-    Raises
-    ------
-    InputError
-        Where a series is given without a number, a pair with one, or the file does not hold that frame.
+    ``asked_by`` is the option or key that gives the number, for messages. Raises InputError where a series is given
+    without a number, a pair with one, or the file does not hold that frame.
     """
     if not is_series_file(path):
         if number is not None and is_readable_file(path):
@@ -350,26 +293,9 @@ def read_frame(path: Path, number: int | None = None, asked_by: str = "--frame")
 
 
 def pick_frame(series: SeriesResult, number: int, asked_by: str = "--frame") -> Result:
-    """Pick a frame of a series.
+    """Pick a frame of a series by its number, from 1; raises InputError where the series does not hold it.
 
-    Parameters
-    ----------
-    series : SeriesResult
-        Opened.
-    number : int
-        Of the frame, from 1.
-    asked_by : str, optional
-        The option or key that gives the number, for messages.
-
-    Returns
-    -------
-    Result
-        Its field.
-
-    Raises
-    ------
-    InputError
-        Where the series does not hold that frame.
+    ``asked_by`` is the option or key that gives the number, for messages.
     """
     found = np.flatnonzero(series.numbers == number)
     if len(found):
@@ -383,26 +309,9 @@ def pick_frame(series: SeriesResult, number: int, asked_by: str = "--frame") -> 
 def read_frame_or_last(path: Path, number: int | None, asked_by: str = "--frame") -> tuple[Result, str]:
     """Read the result of a pair, or a frame of a series: the last one that was measured unless another is asked for.
 
-    Parameters
-    ----------
-    path : Path
-        Of a pair or a series.
-    number : int or None
-        Of the frame, from 1; of a series only.
-    asked_by : str, optional
-        The option or key that gives the number, for messages.
-
-    Returns
-    -------
-    result : Result
-        Its field.
-    name : str
-        What to call it.
-
-    Raises
-    ------
-    InputError
-        Where it cannot be read, a pair is given with a number, or the series does not hold that frame.
+    ``number`` counts from 1, of a series only; ``asked_by`` is the option or key that gives it, for messages. Beside
+    the field comes what to call it. Raises InputError where it cannot be read, a pair is given with a number, or the
+    series does not hold that frame.
     """
     if number is None and is_series_file(path):
         series = read_series(path)

@@ -1,8 +1,7 @@
-"""A small VTKHDF file that shows a result in its length unit: points, and displacements that match them.
+"""What stands beside a result file: the summary, and small VTKHDF files that show its images or units.
 
-A small VTKHDF ImageData file that shows the residual image kept in a result file.
-
-A result file and what stands beside it, moved or removed together: the summary, what shows its images or units.
+One shows the result in its length unit: points, and displacements that match them. ImageData files show the residual
+images kept in the result file. A result and what stands beside it are moved or removed together.
 """
 
 from __future__ import annotations
@@ -29,25 +28,12 @@ SIZES = ("NumberOfPoints", "NumberOfCells", "NumberOfConnectivityIds", "Connecti
 
 
 def write_physical_sidecar(result: Path, source: Any, files: NewFiles) -> Path:
-    """Write the file that shows a result in its length unit.
+    """Write the file that shows a result in its length unit, NAME.physical.vtkhdf beside it, and return its name.
 
     It holds the points alone: HDF5 external links lead to cells and fields in the result file, so both move together.
     Its field ``displacement`` is the result's ``displacement_physical``, and there is no other displacement: what is
-    warped by it is the deformed specimen.
-
-    Parameters
-    ----------
-    result : Path
-        Name of the result file.
-    source : h5py.File
-        Its content, with the size of a pixel in its units.
-    files : NewFiles
-        With which it takes its name.
-
-    Returns
-    -------
-    Path
-        NAME.physical.vtkhdf beside the result.
+    warped by it is the deformed specimen. ``source`` is the open content of the result file, with the size of a pixel
+    in its units.
     """
     path = schema.physical_path(result)
     with new_hdf5(files.begin(path)) as file:
@@ -90,27 +76,11 @@ def _link(result: Path, name: str) -> h5py.ExternalLink:
 
 
 def write_sidecar(result: Path, camera: int = 0, *, width: int, height: int, flip_y: bool, files: NewFiles) -> Path:
-    """Write the ImageData file that shows a residual image of a result.
+    """Write the ImageData file that shows a residual image of a result, named by ``sidecar_path``, and return its name.
 
-    It holds no pixels: an HDF5 external link leads to the image in the result file, so both move together.
-
-    Parameters
-    ----------
-    result : Path
-        The result file.
-    camera : int, optional
-        0 for the far camera, or the only one; then the near ones.
-    width, height : int
-        Of the image, pixels.
-    flip_y : bool
-        Show rows upwards (through VTKHDF's Direction, spacings being positive).
-    files : NewFiles
-        With which it takes its name.
-
-    Returns
-    -------
-    Path
-        NAME.residual.vtkhdf or NAME.near_1.residual.vtkhdf beside the result.
+    It holds no pixels: an HDF5 external link leads to the image in the result file, so both move together. ``camera``
+    is 0 for the far camera, or the only one; then the near ones. ``width`` and ``height`` are those of the image,
+    pixels. ``flip_y`` shows rows upwards (through VTKHDF's Direction, spacings being positive).
     """
     path = schema.sidecar_path(result, camera)
     with new_hdf5(files.begin(path)) as file:
@@ -129,27 +99,13 @@ def write_sidecar(result: Path, camera: int = 0, *, width: int, height: int, fli
 
 
 def remove_result(result: Path) -> None:
-    """Remove a result file and what stands beside it, as far as they are there.
-
-    Parameters
-    ----------
-    result : Path
-        The result file.
-    """
+    """Remove a result file and what stands beside it, as far as they are there."""
     result.unlink(missing_ok=True)
     _remove_company(result)
 
 
 def move_result(result: Path, target: Path) -> None:
-    """Give a result file and what stands beside it another name, in place of what has that name.
-
-    Parameters
-    ----------
-    result : Path
-        The result file.
-    target : Path
-        Its new name, in the same folder.
-    """
+    """Give a result file and what stands beside it another name in its folder, in place of what has that name."""
     # First, and at once: whatever fails afterwards, neither is lost.
     result.replace(target)
     _remove_company(target)

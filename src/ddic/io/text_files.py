@@ -1,10 +1,6 @@
-"""TOML files: their text, and values that can be used.
+"""Text files: TOML, JSON, displacements at points from CSV, and partitions.
 
-Values as JSON, which knows neither arrays nor numbers that are not finite.
-
-Displacements at points, from a CSV file.
-
-Partitions read from text files.
+Of TOML files come the text, and values that can be used. JSON knows neither arrays nor numbers that are not finite.
 """
 
 from __future__ import annotations
@@ -34,26 +30,10 @@ LARGEST = 2**63
 
 
 def read_text(path: Path, what: str, remedy: str) -> str:
-    """Read a text file as UTF-8, with or without a byte-order mark.
+    """Read a text file as UTF-8; a byte-order mark is left out.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    what : str
-        What it should be, for the message.
-    remedy : str
-        What to do where it cannot be read.
-
-    Returns
-    -------
-    str
-        Without a byte-order mark.
-
-    Raises
-    ------
-    InputError
-        Where it cannot be read, is a pipe or a device, or is no UTF-8.
+    ``what`` it should be and the ``remedy`` where it cannot be read stand in the message. Raises InputError where it
+    cannot be read, is a pipe or a device, or is no UTF-8.
     """
     if is_endless_file(path):
         raise InputError(f"{path}: is no regular file, no {what}; {remedy}")
@@ -67,24 +47,10 @@ def read_text(path: Path, what: str, remedy: str) -> str:
 
 
 def parse_toml(text: str, path: Path) -> dict[str, Any]:
-    """Parse TOML and refuse values that no key can take.
+    """Parse TOML and refuse values that no key can take; ``path`` names the file in messages.
 
-    Parameters
-    ----------
-    text : str
-        Of the file.
-    path : Path
-        Names the file in messages.
-
-    Returns
-    -------
-    dict
-        Its values.
-
-    Raises
-    ------
-    InputError
-        Where it is no TOML, holds numbers of more than 64 bits or NUL characters, or is nested beyond DEEPEST levels.
+    Raises InputError where it is no TOML, holds numbers of more than 64 bits or NUL characters, or is nested beyond
+    DEEPEST levels.
     """
     try:
         data = tomllib.loads(text)
@@ -131,19 +97,7 @@ def _list_unusable(value: Any, key: str, depth: int) -> Iterator[str]:
 def write_json(path: Path, content: Mapping[str, Any], files: NewFiles | None = None) -> None:
     """Write a JSON file, under a temporary name that is then changed; numbers that are not finite become null.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    content : mapping
-        By name.
-    files : NewFiles, optional
-        With which it takes its name; by default it does so by itself.
-
-    Raises
-    ------
-    InputError
-        Where the folder cannot be written to.
+    It takes its name with ``files``, by default by itself. Raises InputError where the folder cannot be written to.
     """
     text = json.dumps(convert_to_json(content), indent=2, allow_nan=False)
     with begin_files(files) as new:
@@ -151,17 +105,9 @@ def write_json(path: Path, content: Mapping[str, Any], files: NewFiles | None = 
 
 
 def convert_to_json(value: Any) -> Any:
-    """Make a value of what JSON knows.
+    """Make a value of what JSON knows, of mappings, sequences, arrays, numbers and texts.
 
-    Parameters
-    ----------
-    value : object
-        Mappings, sequences, arrays, numbers, texts.
-
-    Returns
-    -------
-    object
-        Dictionaries, lists, numbers, texts; None for numbers that are not finite.
+    Numbers that are not finite become None.
     """
     if isinstance(value, Mapping):
         return {str(key): convert_to_json(item) for key, item in value.items()}
@@ -197,23 +143,11 @@ class PointTable:
 
 
 def read_point_table(path: Path) -> PointTable:
-    """Read displacements at points from a CSV file.
+    """Read displacements at points, one at least, from a CSV file.
 
-    Parameters
-    ----------
-    path : Path
-        A header row that names the columns x, y, u and v, in any order, then a row for each point; separated by commas,
-        semicolons or tabs. Empty rows are passed over.
-
-    Returns
-    -------
-    PointTable
-        Of one point at least.
-
-    Raises
-    ------
-    InputError
-        Where the file is missing or holds something else, with the row and the column.
+    A header row names the columns x, y, u and v, in any order, then comes a row for each point; separated by commas,
+    semicolons or tabs. Empty rows are passed over. Raises InputError where the file is missing or holds something else,
+    with the row and the column.
     """
     text = read_text(path, "table of points", "check the path")
     lines = text.splitlines()
@@ -261,26 +195,10 @@ MOST_DIGITS = 18
 
 
 def read_partition(path: Path, n_cells: int) -> NDArray[np.int64]:
-    """Read the subdomain of each cell: one whole number per cell, from 0, without gaps.
+    """Read the subdomain of each cell, (n_cells,): one whole number per cell, from 0, without gaps.
 
-    The numbers are separated by spaces or new lines; what follows a # is a comment.
-
-    Parameters
-    ----------
-    path : Path
-        A text file.
-    n_cells : int
-        Of the mesh.
-
-    Returns
-    -------
-    (n_cells,) array
-        Subdomains.
-
-    Raises
-    ------
-    InputError
-        Where the file cannot be read, has another length, or leaves a subdomain empty.
+    The numbers are separated by spaces or new lines; what follows a # is a comment. Raises InputError where the file
+    cannot be read, has another length, or leaves a subdomain empty.
     """
     lines = read_text(path, "partition file", "check the path").splitlines()
     words = [word for line in lines for word in line.partition("#")[0].split()]

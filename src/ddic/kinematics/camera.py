@@ -31,21 +31,9 @@ whatever the partition."""
 
 
 def see_parts(parts: CellParts, mesh: Mesh, mapping: CameraMapping) -> CellParts:
-    """Map parts of cut cells into a camera's pixels.
+    """Map parts of cut cells from the specimen's frame into a camera's pixels; edges stay straight.
 
-    Parameters
-    ----------
-    parts : CellParts
-        Of the mesh, specimen's frame.
-    mesh : Mesh
-        The cells that the camera measures, specimen's frame.
-    mapping : CameraMapping
-        Of the camera.
-
-    Returns
-    -------
-    CellParts
-        The same parts, the camera's pixels; edges stay straight.
+    ``mesh`` are the cells that the camera measures, specimen's frame.
     """
     polylines = [piece for line in parts.lines.polylines for piece in _see_line(line, mesh, mapping)]
     # What a bend cuts off lies in one cell.
@@ -55,21 +43,9 @@ def see_parts(parts: CellParts, mesh: Mesh, mapping: CameraMapping) -> CellParts
 
 
 def see_discontinuities(discontinuities: Discontinuities, mesh: Mesh, mapping: CameraMapping) -> Discontinuities:
-    """Map lines into a camera's pixels.
+    """Map those pieces of lines that a camera sees from the specimen's frame into its pixels.
 
-    Parameters
-    ----------
-    discontinuities : Discontinuities
-        Specimen's frame.
-    mesh : Mesh
-        The cells that the camera measures, specimen's frame.
-    mapping : CameraMapping
-        Of the camera.
-
-    Returns
-    -------
-    Discontinuities
-        Those pieces of the lines that the camera sees, its pixels.
+    ``mesh`` are the cells that the camera measures, specimen's frame.
     """
     lines: list[Array] = []
     openings: list[Opening] = []
@@ -131,29 +107,13 @@ class CameraSetup:
         return N_MOTION_UNKNOWNS[self.motion]
 
     def hold_still(self) -> CameraSetup:
-        """Give the camera as if its set-up did not move between its pictures.
-
-        Returns
-        -------
-        CameraSetup
-            Without unknowns of a motion.
-        """
+        """Give the camera as if its set-up did not move between its pictures, without unknowns of a motion."""
         return replace(self, motion="none")
 
     def move(self, points: NDArray[np.float64], motion: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Apply the motion T to points, Eq. 20 of [BP17].
+        """Apply the motion T to points Y of the specimen's frame, (n, 2), Eq. 20 of [BP17].
 
-        Parameters
-        ----------
-        points : (n, 2) array
-            Points Y, specimen's frame.
-        motion : (n_motion_unknowns,) array
-            Unknowns of the motion, pixels of the specimen's frame.
-
-        Returns
-        -------
-        (n, 2) array
-            T(Y).
+        ``motion`` are its unknowns, (n_motion_unknowns,), pixels of the specimen's frame.
         """
         if self.n_motion_unknowns == 0:
             return points
@@ -164,20 +124,7 @@ class CameraSetup:
         return np.asarray(self.centre + turned + motion[:2])
 
     def move_back(self, points: NDArray[np.float64], motion: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Undo the motion T.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Points T(Y), specimen's frame.
-        motion : (n_motion_unknowns,) array
-            Unknowns of the motion, pixels of the specimen's frame.
-
-        Returns
-        -------
-        (n, 2) array
-            Y.
-        """
+        """Undo the motion T: from points T(Y) to Y, as ``move`` takes them."""
         if self.n_motion_unknowns == 0:
             return points
         if self.n_motion_unknowns == 2:
@@ -190,15 +137,7 @@ class CameraSetup:
     def motion_columns(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Differentiate T by the motion's unknowns at rest: R of Eq. 20 of [BP17].
 
-        Parameters
-        ----------
-        points : (n, 2) array
-            Points Y, specimen's frame.
-
-        Returns
-        -------
-        (2 n, n_motion_unknowns) array
-            R, no unit.
+        R is (2 n, n_motion_unknowns), no unit, at points Y of the specimen's frame, (n, 2).
         """
         n_points = len(points)
         columns = np.zeros((n_points, 2, self.n_motion_unknowns))
@@ -260,17 +199,8 @@ class CameraKinematics(Kinematics):
     def fit_with_motion(self, displacement: NDArray[np.float64], motion: NDArray[np.float64]) -> NDArray[np.float64]:
         """Find the field's unknowns that explain a displacement in the image beside a motion.
 
-        Parameters
-        ----------
-        displacement : (mesh.n_dofs,) array
-            Displacement of the nodes, the camera's pixels.
-        motion : (n_unknowns - field.n_unknowns,) array
-            Unknowns of motions, pixels of the specimen's frame.
-
-        Returns
-        -------
-        (n_unknowns,) array
-            Unknowns of the field, then the motions given.
+        The displacement is that of the nodes, (mesh.n_dofs,), the camera's pixels; the motion's unknowns, pixels of the
+        specimen's frame, come back after those of the field.
         """
         nodes = self.field.mesh.nodes
         seen = self.mesh.nodes + displacement.reshape(nodes.shape)
@@ -290,22 +220,10 @@ class CameraKinematics(Kinematics):
 
 def place_before_camera(field: Kinematics, setup: CameraSetup,
                         motion_numbers: NDArray[np.int64] | None = None) -> CameraKinematics:
-    """Place a subdomain before a camera.
+    """Place a subdomain, with the field's unknowns in the specimen's frame, before a camera.
 
-    Parameters
-    ----------
-    field : Kinematics
-        From the field's unknowns to displacements in the specimen's frame.
-    setup : CameraSetup
-        The camera.
-    motion_numbers : (n,) array of int64, optional
-        Numbers of the motion's unknowns that the subdomain has: this camera's, or, where this camera has none,
-        another's, on which what it sees does not depend. None by default.
-
-    Returns
-    -------
-    CameraKinematics
-        With the field's unknowns and these.
+    ``motion_numbers`` are those of the motion's unknowns that the subdomain has: this camera's, or, where this camera
+    has none, another's, on which what it sees does not depend. None by default.
     """
     nodes = field.mesh.nodes
     numbers = np.zeros(0, np.int64) if motion_numbers is None else motion_numbers
@@ -318,21 +236,9 @@ def place_before_camera(field: Kinematics, setup: CameraSetup,
 
 
 def see_mesh(mesh: Mesh, setup: CameraSetup) -> Mesh:
-    """Map a mesh into the camera's pixels.
+    """Map a mesh from the specimen's frame into the camera's pixels.
 
     Edges stay straight, which a perspective keeps and distortion bends little.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        The mesh, specimen's frame.
-    setup : CameraSetup
-        The camera.
-
-    Returns
-    -------
-    Mesh
-        The same cells, the camera's pixels.
     """
     parts = None if mesh.parts is None else see_parts(mesh.parts, mesh, setup.mapping)
     return Mesh(setup.mapping.to_image(mesh.nodes), mesh.connectivity, mesh.offsets, mesh.types, parts=parts)

@@ -43,34 +43,15 @@ class CellInterpolation:
         return int(self.geometry.shape[1])
 
     def monomial_coefficients(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Write a displacement on the monomials, cell by cell.
-
-        Parameters
-        ----------
-        q : (n_dofs,) array
-            Nodal displacement, pixels.
-
-        Returns
-        -------
-        (n_cells, dim, 4 monomials) array
-            Coefficients of u, pixels.
-        """
+        """Write a nodal displacement on the monomials, cell by cell, (n_cells, dim, 4 monomials), pixels."""
         coefficients = np.empty((len(self.kinds), self.dim, N_MONOMIALS))
         _expand(np.ascontiguousarray(q, dtype=np.float64), self.cell_dofs, self.kinds, self.shapes, coefficients)
         return coefficients
 
     def assemble_vector(self, moments: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Assemble the cells' sums over pixels of some vector times the monomials.
+        """Assemble the cells' sums over pixels of some vector times the monomials, (n_cells, dim, 4 monomials).
 
-        Parameters
-        ----------
-        moments : (n_cells, dim, 4 monomials) array
-            Sums of each cell.
-
-        Returns
-        -------
-        (n_dofs,) array
-            Sums over all pixels of the vector times N_a.
+        Gives the sums over all pixels of the vector times N_a, (n_dofs,).
         """
         summed = np.zeros(self.n_dofs)
         _add_up(np.ascontiguousarray(moments), self.cell_dofs, self.kinds, self.shapes, summed)
@@ -79,36 +60,18 @@ class CellInterpolation:
     def take_to_corners(self, cells: NDArray[np.int64], moments: NDArray[np.float64]) -> NDArray[np.float64]:
         """Take sums of some cells over pixels, of a vector times the monomials, to the corners of each.
 
-        Parameters
-        ----------
-        cells : (n,) array of int64
-            Their numbers.
-        moments : (n, dim, 4 monomials) array
-            Sums of each.
-
-        Returns
-        -------
-        (n, 4 dim) array
-            Sums over the cell's pixels of the vector times N_a, node-major; zero for nodes that a cell does not have.
+        From (n, dim, 4 monomials) to sums over the cell's pixels of the vector times N_a, (n, 4 dim), node-major; zero
+        for nodes that a cell does not have.
         """
         of_corners = np.einsum("eam,eim->eai", self.shapes[self.kinds[cells]], moments)
         return np.asarray(of_corners.reshape(len(moments), -1))
 
     def assemble_matrix(self, cells: NDArray[np.float64],
                         numbers: NDArray[np.int64] | None = None) -> sparse.csr_matrix:
-        """Assemble cell matrices into one of the whole mesh.
+        """Assemble cell matrices, (n, 4 dim, 4 dim), into one of the whole mesh, (n_dofs, n_dofs).
 
-        Parameters
-        ----------
-        cells : (n, 4 dim, 4 dim) array
-            Matrices between the cells' displacement components, zero for nodes that a cell does not have.
-        numbers : (n,) int64 array, optional
-            Of these cells; by default all of the mesh's.
-
-        Returns
-        -------
-        (n_dofs, n_dofs) csr_matrix
-            Their sum.
+        They are zero for nodes that a cell does not have; ``numbers`` are those of the cells, by default all of the
+        mesh's.
         """
         of_cells = self.cell_dofs if numbers is None else self.cell_dofs[numbers]
         corners = np.ascontiguousarray(of_cells[:, ::self.dim] // self.dim)
@@ -119,34 +82,15 @@ class CellInterpolation:
 
 
 def number_cell_dofs(mesh: Mesh) -> NDArray[np.int64]:
-    """Give the displacement components of the nodes of every cell.
+    """Give the displacement components of the nodes of every cell, (n_cells, 4 dim), node-major.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Any.
-
-    Returns
-    -------
-    (n_cells, 4 dim) int64 array
-        Node-major; a cell of fewer nodes repeats its first node's.
+    A cell of fewer nodes repeats its first node's.
     """
     return (pad_cells(mesh)[:, :, None] * mesh.dim + np.arange(mesh.dim)).reshape(mesh.n_cells, -1)
 
 
 def interpolate_cells(mesh: Mesh) -> CellInterpolation:
-    """Prepare the interpolation in the cells of a mesh.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Any.
-
-    Returns
-    -------
-    CellInterpolation
-        Of its cells.
-    """
+    """Prepare the interpolation in the cells of a mesh."""
     shapes = np.stack([pad_shapes(block.type) for block in mesh.cell_blocks])
     kinds = np.empty(mesh.n_cells, dtype=np.int64)
     for place, block in enumerate(mesh.cell_blocks):

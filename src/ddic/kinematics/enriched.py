@@ -52,19 +52,9 @@ class Discontinuities:
         return Discontinuities((*self.lines[:number], line, *self.lines[number + 1:]), self.openings)
 
     def scale(self, origin: float | Array, factor: float) -> Discontinuities:
-        """Give the lines in coarser pixels.
+        """Give the lines in coarser pixels, with a side of ``factor`` pixels.
 
-        Parameters
-        ----------
-        origin : float or (2,) array
-            Position of the first coarse pixel's centre along either axis, or along each, pixels.
-        factor : float
-            Side of a coarse pixel, pixels.
-
-        Returns
-        -------
-        Discontinuities
-            The same lines, coarse pixels.
+        ``origin`` is the position of the first coarse pixel's centre along either axis, or along each, pixels.
         """
         return Discontinuities(tuple((line - origin) / factor for line in self.lines), self.openings)
 
@@ -112,24 +102,11 @@ class EnrichedRegion(LinearRegion):
 
 
 def enrich(cut: CutMesh, corner_weights: Array, openings: Sequence[Opening]) -> EnrichedRegion:
-    """Give phantom nodes displacements of their own, where they have pixels enough.
+    """Give phantom nodes of a cut mesh displacements of their own, where they have pixels enough.
 
     Of a node and its phantoms, the one with most pixels leads. One with too few pixels follows it at the mean distance
-    of its neighbours across the line.
-
-    Parameters
-    ----------
-    cut : CutMesh
-        With its lines.
-    corner_weights : (len(cut.mesh.connectivity),) array
-        How firmly the pixels of each cell hold each of its nodes (``weigh_corners``).
-    openings : sequence of Opening
-        How the displacement may be discontinuous, of each line.
-
-    Returns
-    -------
-    EnrichedRegion
-        Of the cut mesh.
+    of its neighbours across the line. ``corner_weights`` say how firmly the pixels of each cell hold each of its nodes
+    (``weigh_corners``), (len(cut.mesh.connectivity),); ``openings`` are one a line.
     """
     twins = _judge_twins(cut, corner_weights)
     dim, n_nodes = cut.mesh.dim, int(cut.node_of.max()) + 1

@@ -142,10 +142,6 @@ class TiedKinematics(LinearKinematics):
 
     Attributes
     ----------
-    mesh : Mesh
-        The subdomain's mesh.
-    numbers : (n_unknowns,) array of int64
-        Numbers of the unknowns in the whole problem.
     matrix : (mesh.n_dofs, n_unknowns) csr_matrix
         T: 1 at free nodes, weights of the masters at slaves.
     inverse : (n_unknowns, mesh.n_dofs) csr_matrix
@@ -202,22 +198,10 @@ class TiedRegion(RegionKinematics):
 
 
 def tie(mesh: Mesh, numbers: NDArray[np.int64], weights: sparse.csr_matrix) -> TiedKinematics:
-    """Tie a subdomain's nodes to the nodes of its unknowns.
+    """Tie a subdomain's nodes to the nodes of its unknowns, whose numbers are those in the whole problem.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        The subdomain's mesh.
-    numbers : (n_unknowns,) array of int64
-        Numbers of the unknowns in the whole problem.
-    weights : (mesh.n_nodes, n_unknown_nodes) csr_matrix
-        Rows add up to 1. A row with one entry 1 is a free node; other rows are slaves, whose columns that no free node
-        has must be independent.
-
-    Returns
-    -------
-    TiedKinematics
-        With these unknowns.
+    Rows of ``weights``, (mesh.n_nodes, n_unknown_nodes), add up to 1. A row with one entry 1 is a free node; other rows
+    are slaves, whose columns that no free node has must be independent.
     """
     axes = sparse.identity(mesh.dim, format="csr")
     matrix = sparse.kron(weights, axes).tocsr()

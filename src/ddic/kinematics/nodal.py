@@ -81,18 +81,5 @@ class NodalRegion(RegionKinematics):
 
 
 def component_numbers(nodes: NDArray[np.int64], dim: int) -> NDArray[np.int64]:
-    """Number the components of nodes' displacements.
-
-    Parameters
-    ----------
-    nodes : (n,) array of int64
-        Numbers of nodes.
-    dim : int
-        Number of components.
-
-    Returns
-    -------
-    (n dim,) array of int64
-        Component c of node k is number dim k + c.
-    """
+    """Number the components of nodes' displacements, (n dim,): component c of node k is number dim k + c."""
     return np.asarray((nodes[:, None] * dim + np.arange(dim)).ravel(), dtype=np.int64)

@@ -5,9 +5,7 @@ is the gradient at the node where the displacement is linear. Curvature adds to 
 about the node; it is taken away by the slopes of the gradients in the middle of the cells, which are found by least
 squares as in superconvergent patch recovery (Zienkiewicz and Zhu, IJNME 33, 1992). At edges of the mesh and along
 discontinuities, where cells lie to one side, neighbours tell the slopes, and gradients are averaged along the edge. No
-cell across a discontinuity is asked: its nodes are others.
-
-Sums over the cells around each node, from which the displacement gradient there is recovered.
+cell across a discontinuity is asked: its nodes are others. All comes of sums over the cells around each node.
 """
 
 from __future__ import annotations
@@ -38,20 +36,16 @@ class SumsAroundNodes:
 
     Attributes
     ----------
-    area : (n_nodes,) array
-        Of the cells, square pixels.
+    area, triangle_area : (n_nodes,) array
+        Of the cells, and of the triangles, square pixels.
     middle : (n_nodes, 2) array
         Sum of x.
     squares : (n_nodes, 2, 2) array
         Sum of x x^T.
-    gradient : (n_nodes, 2, 2) array
-        Sum of G.
+    gradient, triangle_gradient : (n_nodes, 2, 2) array
+        Sum of G, and of the triangles' gradients.
     moments : (n_nodes, 2, 2, 2) array
         Sum of G_cj x_k.
-    triangle_area : (n_nodes,) array
-        Of the triangles, square pixels.
-    triangle_gradient : (n_nodes, 2, 2) array
-        Sum of the triangles' gradients.
     triangle_curving : (n_nodes, 2, 3) array
         Sum of what curvatures (xx, xy, yy) of 1 / px add to the derivatives by x_j of a triangle, pixels.
     """
@@ -67,18 +61,7 @@ class SumsAroundNodes:
 
     @classmethod
     def from_columns(cls, columns: Array) -> SumsAroundNodes:
-        """Name the columns of ``sum_around_nodes``.
-
-        Parameters
-        ----------
-        columns : (n_nodes, N_OF_CELLS + N_OF_TRIANGLES) array
-            Sums, of all meshes that share a node.
-
-        Returns
-        -------
-        SumsAroundNodes
-            The same numbers.
-        """
+        """Name the columns of ``sum_around_nodes``, summed over all meshes that share a node."""
         of_cells, of_triangles = columns[:, :N_OF_CELLS], columns[:, N_OF_CELLS:]
         # _add_cells and _add_triangles order them so.
         xx_xy_xy_yy = [3, 4, 4, 5]
@@ -90,19 +73,10 @@ class SumsAroundNodes:
 
 
 def sum_around_nodes(mesh: Mesh, u: Array) -> Array:
-    """Sum over the cells around each node.
+    """Sum over the cells around each node, (n_nodes, N_OF_CELLS + N_OF_TRIANGLES).
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Of plane cells, whose corners are their nodes.
-    u : (n_dofs,) array
-        Displacement, pixels; where it is nan no cell uses it.
-
-    Returns
-    -------
-    (n_nodes, N_OF_CELLS + N_OF_TRIANGLES) array
-        Which add up over meshes; ``SumsAroundNodes`` names them.
+    The sums add up over meshes; ``SumsAroundNodes`` names them. Cells are plane, and their corners are their nodes;
+    ``u`` is the displacement, (n_dofs,), pixels: where it is nan no cell uses it.
     """
     gradients = compute_displacement_gradients(mesh, u).reshape(-1, 4)
     areas, shares = measure_covered_areas(mesh)
@@ -179,20 +153,9 @@ farther. What is not reached, as in strips one cell wide, keeps the mean of its 
 def recover_gradients(meshes: Sequence[Mesh], displacements: Sequence[Array], sum_shared: SumShared) -> list[Array]:
     """Recover the displacement gradient at all nodes; collective where ``sum_shared`` is.
 
-    Parameters
-    ----------
-    meshes : sequence of Mesh
-        Of plane cells, whose corners are their nodes.
-    displacements : sequence of (n_dofs,) array
-        Of their nodes, pixels; nan where it was not measured.
-    sum_shared : callable
-        Sums at nodes that several meshes have.
-
-    Returns
-    -------
-    list of (n_nodes, 2, 2) array
-        du_c / dx_j at the nodes of each mesh, no unit; one value a node, whatever meshes have it. Cells with a node
-        that was not measured are as good as not there; nan at nodes of such cells alone.
+    du_c / dx_j, (n_nodes, 2, 2) for each mesh, no unit; one value a node, whatever meshes have it. Cells are plane, and
+    their corners are their nodes. Displacements are (n_dofs,), pixels, nan where not measured: cells with a node that
+    was not measured are as good as not there; nan at nodes of such cells alone.
     """
     meshes = [_without_unmeasured_cells(mesh, u) for mesh, u in zip(meshes, displacements, strict=True)]
     sums = sum_shared([sum_around_nodes(mesh, u) for mesh, u in zip(meshes, displacements, strict=True)])

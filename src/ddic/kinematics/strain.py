@@ -1,8 +1,7 @@
 """Strains of the measured field, at cell centres.
 
-What strains are made of: tensors from displacement gradients, and numbers from tensors, all in the plane.
-
-The rigid motion in a displacement, what is left without it, and how far that can be magnified.
+Tensors come from displacement gradients, and numbers from tensors, all in the plane. Also the rigid motion in a
+displacement, what is left without it, and how far that can be magnified.
 """
 
 from __future__ import annotations
@@ -36,20 +35,7 @@ class Strain:
 
 
 def compute_strain(mesh: Mesh, q: NDArray[np.float64]) -> Strain:
-    """Compute the strain at the centre of every cell.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Any.
-    q : (n_dofs,) array
-        Nodal displacement, pixels.
-
-    Returns
-    -------
-    Strain
-        Of every cell.
-    """
+    """Compute the strain at the centre of every cell from a nodal displacement, (n_dofs,), pixels."""
     gradient = compute_displacement_gradients(mesh, q)
     small = 0.5 * (gradient + gradient.transpose(0, 2, 1))
     large = small + 0.5 * np.einsum("eki,ekj->eij", gradient, gradient)
@@ -59,17 +45,7 @@ def compute_strain(mesh: Mesh, q: NDArray[np.float64]) -> Strain:
 def find_inverted_cells(mesh: Mesh, q: NDArray[np.float64]) -> NDArray[np.int64]:
     """Find the cells that a displacement turns inside out at their centre: det(I + grad u) <= 0.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Any.
-    q : (n_dofs,) array
-        Nodal displacement, pixels; nan where it is not known.
-
-    Returns
-    -------
-    (n,) int64 array
-        Their sorted numbers.
+    Gives their sorted numbers. The nodal displacement is (n_dofs,), pixels; nan where it is not known.
     """
     deformation = np.eye(mesh.dim) + compute_displacement_gradients(mesh, q)
     with np.errstate(invalid="ignore"):
@@ -77,19 +53,9 @@ def find_inverted_cells(mesh: Mesh, q: NDArray[np.float64]) -> NDArray[np.int64]
 
 
 def compute_displacement_gradients(mesh: Mesh, q: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Compute du_c/dx_j at the centre of every cell.
+    """Compute du_c/dx_j at the centre of every cell, (n_cells, dim, dim), no unit.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Any.
-    q : (n_dofs,) array
-        Nodal displacement, pixels.
-
-    Returns
-    -------
-    (n_cells, dim, dim) array
-        No unit.
+    The nodal displacement is (n_dofs,), pixels.
     """
     gradient = np.empty((mesh.n_cells, mesh.dim, mesh.dim))
     u = q.reshape(mesh.nodes.shape)
@@ -118,33 +84,14 @@ Array = NDArray[np.float64]
 
 
 def compute_infinitesimal(gradients: Array) -> Array:
-    """Compute (grad u + grad u^T) / 2.
-
-    Parameters
-    ----------
-    gradients : (n, 2, 2) array
-        du_c / dx_j, no unit.
-
-    Returns
-    -------
-    (n, 3) array
-        xx, yy, xy.
-    """
+    """Compute (grad u + grad u^T) / 2 from du_c / dx_j, (n, 2, 2): xx, yy, xy, (n, 3)."""
     return _pick_components(0.5 * (gradients + gradients.transpose(0, 2, 1)))
 
 
 def compute_green_lagrange(gradients: Array) -> Array:
     """Compute (grad u + grad u^T + grad u^T grad u) / 2, which no rotation changes.
 
-    Parameters
-    ----------
-    gradients : (n, 2, 2) array
-        du_c / dx_j, no unit.
-
-    Returns
-    -------
-    (n, 3) array
-        xx, yy, xy.
+    From du_c / dx_j, (n, 2, 2): xx, yy, xy, (n, 3).
     """
     return _pick_components(0.5 * (gradients + gradients.transpose(0, 2, 1)
                                    + gradients.transpose(0, 2, 1) @ gradients))
@@ -153,15 +100,7 @@ def compute_green_lagrange(gradients: Array) -> Array:
 def compute_hencky(green_lagrange: Array) -> Array:
     """Compute ln U = ln(1 + 2 E) / 2, Hencky's logarithmic strain, in the axes of the reference image.
 
-    Parameters
-    ----------
-    green_lagrange : (n, 3) array
-        E: xx, yy, xy.
-
-    Returns
-    -------
-    (n, 3) array
-        xx, yy, xy; nan where a length would vanish.
+    Both are xx, yy, xy, (n, 3); nan where a length would vanish.
     """
     tensors = green_lagrange[:, [0, 2, 2, 1]].reshape(-1, 2, 2)
     values, axes = np.linalg.eigh(tensors)
@@ -173,18 +112,7 @@ def compute_hencky(green_lagrange: Array) -> Array:
 
 
 def find_principal_strains(tensors: Array) -> Array:
-    """Find the principal values of tensors.
-
-    Parameters
-    ----------
-    tensors : (n, 3) array
-        xx, yy, xy.
-
-    Returns
-    -------
-    (n, 2) array
-        The larger one, then the smaller.
-    """
+    """Find the principal values of tensors xx, yy, xy, (n, 3): the larger one, then the smaller, (n, 2)."""
     xx, yy, xy = tensors.T
     middle, radius = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
     return np.column_stack([middle + radius, middle - radius])
@@ -193,17 +121,8 @@ def find_principal_strains(tensors: Array) -> Array:
 def compute_von_mises_strain(tensors: Array) -> Array:
     """Compute the equivalent strain of von Mises, with the third principal strain of a constant volume.
 
-    sqrt(2/3 (e_1^2 + e_2^2 + e_3^2)), e_3 = -e_1 - e_2: the strain itself where a bar is pulled.
-
-    Parameters
-    ----------
-    tensors : (n, 3) array
-        xx, yy, xy.
-
-    Returns
-    -------
-    (n,) array
-        Not negative.
+    sqrt(2/3 (e_1^2 + e_2^2 + e_3^2)), e_3 = -e_1 - e_2: the strain itself where a bar is pulled. Tensors are xx, yy,
+    xy, (n, 3).
     """
     first, second = find_principal_strains(tensors).T
     return np.asarray(np.sqrt(4.0 / 3.0 * (first**2 + first * second + second**2)))
@@ -214,20 +133,10 @@ def _pick_components(tensors: Array) -> Array:
 
 
 def project_rigid_motion_out(points: Array, displacement: Array) -> Array:
-    """Take the rotation and the translation that fit best out of a displacement.
+    """Take the rotation and the translation that fit best out of a displacement of any size.
 
-    Parameters
-    ----------
-    points : (n, 2) array
-        Where it is known.
-    displacement : (n, 2) array
-        Of any size, of the points' unit.
-
-    Returns
-    -------
-    (n, 2) array
-        What is left, in the axes at rest: R^T (x + u - c') - (x - c) with the rotation R and the centres c and c' of
-        the points before and after.
+    It is known at points, both (n, 2) and of one unit. What is left is in the axes at rest: R^T (x + u - c') - (x - c)
+    with the rotation R and the centres c and c' of the points before and after.
     """
     before = points - points.mean(axis=0)
     after = points + displacement
@@ -241,19 +150,8 @@ def project_rigid_motion_out(points: Array, displacement: Array) -> Array:
 def find_largest_gradient(mesh: Mesh, displacement: Array) -> float:
     """Find the largest stretch or shear at the corners of all cells: the largest singular value of grad u.
 
-    Below 1 / that, no factor on the displacement turns a corner inside out.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Of plane cells.
-    displacement : (n_nodes, 2) array
-        Of the nodes' unit.
-
-    Returns
-    -------
-    float
-        No unit.
+    Below 1 / that, no factor on the displacement, (n_nodes, 2), of the nodes' unit, turns a corner inside out. Cells
+    are plane.
     """
     one, other = _list_edges(mesh, mesh.nodes)
     to_one, to_other = _list_edges(mesh, displacement)
@@ -265,17 +163,7 @@ def find_largest_gradient(mesh: Mesh, displacement: Array) -> float:
 def count_folded_cells(mesh: Mesh, moved: Array) -> int:
     """Count the cells with a corner that is flat or inside out.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Of plane cells that run positively.
-    moved : (n_nodes, 2) array
-        Where its nodes are.
-
-    Returns
-    -------
-    int
-        Their number.
+    ``moved`` says where the nodes are, (n_nodes, 2); the mesh's cells are plane and run positively.
     """
     folded = multiply_across(*_list_edges(mesh, moved)) <= 0
     return int(np.logical_or.reduceat(folded, mesh.offsets[:-1]).sum())

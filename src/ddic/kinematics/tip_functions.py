@@ -43,10 +43,8 @@ class Tip:
         Nodes of the cell that it lies in.
     cells : (m,) array of int64
         Cells around these nodes.
-    line : int
-        Number of the line.
-    vertex : int
-        Of the line, 0 or -1.
+    line, vertex : int
+        Number of the line, and of its vertex, 0 or -1.
     """
 
     position: Array
@@ -77,21 +75,9 @@ class TipPatch:
 
 
 def find_tips(mesh: Mesh, lines: Sequence[Array], with_functions: Sequence[bool]) -> TipPatch | None:
-    """Find the ends of lines that lie inside a mesh.
+    """Find the ends of lines that lie inside a mesh that is not cut; None where no such line ends in it.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        The whole mesh, not cut.
-    lines : sequence of (n_vertices, 2) array
-        Polylines, pixels.
-    with_functions : sequence of bool
-        Whether the ends of each line count.
-
-    Returns
-    -------
-    TipPatch or None
-        None where no such line ends in the mesh.
+    Lines are (n_vertices, 2), pixels; ``with_functions`` says whether the ends of each count.
     """
     tips = [tip for number, line in enumerate(lines) if with_functions[number]
             for tip in _find_ends_inside(mesh, line, number)]
@@ -103,19 +89,9 @@ def find_tips(mesh: Mesh, lines: Sequence[Array], with_functions: Sequence[bool]
 
 
 def find_bends_at_tips(mesh: Mesh, line: Array) -> Array:
-    """Find the vertices of a line at which it bends in the small cells about one of its ends.
+    """Find the vertices of a line at which it bends in the small cells about one of its ends, (n, 2), pixels.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        The whole mesh, not cut.
-    line : (n_vertices, 2) array
-        Polyline, pixels.
-
-    Returns
-    -------
-    (n, 2) array
-        Pixels.
+    The line is (n_vertices, 2), pixels; the mesh is the whole one, not cut.
     """
     around = [tip.cells for tip in _find_ends_inside(mesh, line, 0)]
     cells = locate(mesh, line[1:-1]).cells
@@ -141,19 +117,8 @@ def _find_ends_inside(mesh: Mesh, line: Array, number: int) -> list[Tip]:
 def evaluate_tip_functions(tip: Tip, points: Array, on_own_side: Array) -> Array:
     """Evaluate the four functions that span the singular displacements about a tip [RRH07, Eq. 10].
 
-    Parameters
-    ----------
-    tip : Tip
-        Where they are singular.
-    points : (n, 2) array
-        Pixels.
-    on_own_side : (n, 2) array
-        A point near each, on the side of the line from which the functions go on to it, pixels.
-
-    Returns
-    -------
-    (n, 4) array
-        Root of r times sin(theta/2), cos(theta/2), and both times sin(theta), px^(1/2).
+    Root of r times sin(theta/2), cos(theta/2), and both times sin(theta), (n, 4), px^(1/2), at points, (n, 2), pixels.
+    ``on_own_side`` is a point near each, on the side of the line from which the functions go on to it.
     """
     r, theta = _find_polar(tip, points)
     _, theta_of_side = _find_polar(tip, on_own_side)
@@ -175,21 +140,9 @@ def enrich_at_tips(cut: CutMesh, region: EnrichedRegion,
                    patch: TipPatch) -> tuple[EnrichedRegion, NDArray[np.int64]]:
     """Give nodes about tips amplitudes of the tip functions, four for each component.
 
-    Parameters
-    ----------
-    cut : CutMesh
-        A mesh cut by lines that are clear of the small cells' nodes.
-    region : EnrichedRegion
-        Its unknowns, which stay the first ones.
-    patch : TipPatch
-        Tips of these lines.
-
-    Returns
-    -------
-    region : EnrichedRegion
-        Its mesh has all nodes of the old one, of which those about tips are in no cell, then those of the small cells.
-    cell_of : (region.mesh.n_cells,) array of int64
-        Cell of the whole mesh that each cell is, or lies in.
+    ``cut`` is a mesh cut by lines that are clear of the small cells' nodes; the unknowns of ``region`` stay the first
+    ones. The mesh of the region that comes back has all nodes of the old one, of which those about tips are in no cell,
+    then those of the small cells. The second array is the cell of the whole mesh that each of its cells is, or lies in.
     """
     small = cut_mesh(patch.small, cut.lines)
     points, on_own_side = small.mesh.nodes, find_points_on_own_side(small.mesh)

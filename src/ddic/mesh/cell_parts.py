@@ -64,17 +64,9 @@ class CellParts:
         return len(self.cells)
 
     def restrict(self, cells: NDArray[np.int64]) -> CellParts:
-        """Keep the parts among some cells, which are numbered anew.
+        """Keep the parts among some cells, which are numbered anew, in this order.
 
-        Parameters
-        ----------
-        cells : (n,) int64 array
-            Numbers of the cells to keep, in their new order.
-
-        Returns
-        -------
-        CellParts
-            With all lines, which matter to whole cells beside them too.
+        All lines stay, for they matter to whole cells beside them too.
         """
         found = np.searchsorted(self.cells, cells)
         is_part = found < len(self.cells)
@@ -88,19 +80,9 @@ class CellParts:
 
 
 def join_cell_parts(parts: Sequence[CellParts], first_cells: Sequence[int]) -> CellParts:
-    """Put the parts of several meshes into one list, as ``join_meshes`` does with their cells.
+    """Put the parts of several meshes, cut by the same lines, into one list, as ``join_meshes`` does with their cells.
 
-    Parameters
-    ----------
-    parts : sequence of CellParts
-        Of each mesh, cut by the same lines.
-    first_cells : sequence of int
-        Number that the first cell of each takes.
-
-    Returns
-    -------
-    CellParts
-        Those of one mesh after the other.
+    ``first_cells`` are the numbers that the first cell of each mesh takes.
     """
     counts = np.concatenate([np.diff(of_mesh.offsets) for of_mesh in parts])
     return CellParts(np.concatenate([of_mesh.cells + first for of_mesh, first in zip(parts, first_cells, strict=True)]),
@@ -129,20 +111,7 @@ class Outlines:
 
 
 def join_parts(whole: Outlines, parts: CellParts) -> Outlines:
-    """Put the outlines of parts in place of those of the cells that they are parts of.
-
-    Parameters
-    ----------
-    whole : Outlines
-        Of whole cells.
-    parts : CellParts
-        Of some of them.
-
-    Returns
-    -------
-    Outlines
-        Of all cells.
-    """
+    """Put the outlines of parts in place of those of the cells that they are parts of."""
     counts = np.diff(whole.offsets)
     is_part = np.zeros(len(counts), dtype=bool)
     is_part[parts.cells] = True
@@ -159,19 +128,8 @@ def join_parts(whole: Outlines, parts: CellParts) -> Outlines:
 def place_quadrature_points(parts: CellParts) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
     """Place the points of a rule of integration over the parts, each cut into triangles about its first corner.
 
-    Parameters
-    ----------
-    parts : CellParts
-        With convex outlines.
-
-    Returns
-    -------
-    points : (n, 2) array
-        Pixels.
-    weights : (n,) array
-        Their areas, square pixels.
-    numbers : (n,) array of int64
-        Number of the part of each, sorted.
+    Gives points, (n, 2), pixels, their weights, which are areas in square pixels, and the number of the part of each,
+    sorted. Outlines are convex.
     """
     n_corners = np.diff(parts.offsets)
     numbers = np.repeat(np.arange(len(parts.cells)), n_corners - 2)

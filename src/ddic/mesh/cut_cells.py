@@ -44,33 +44,14 @@ class Polygon:
 
     @classmethod
     def of_cell(cls, corners: NDArray[np.float64]) -> Polygon:
-        """Take a whole cell, whose side k runs from node k to the next one.
-
-        Parameters
-        ----------
-        corners : (n, 2) array
-            Of the cell, in positive order, pixels.
-
-        Returns
-        -------
-        Polygon
-            All of it.
-        """
+        """Take a whole cell, whose side k runs from node k to the next one; corners are in positive order, pixels."""
         numbers = tuple(range(len(corners)))
         return cls(corners, numbers, numbers)
 
     def cut(self, chord: Chord) -> tuple[Polygon, ...]:
-        """Cut the polygon by a chord of its cell.
+        """Cut the polygon straight along a chord of its cell, whatever the chord's bends.
 
-        Parameters
-        ----------
-        chord : Chord
-            Cuts straight, whatever its bends.
-
-        Returns
-        -------
-        tuple of Polygon
-            To the right and to the left of the chord; the polygon itself where the chord misses it.
+        Gives the part to the right and the part to the left of the chord; the polygon itself where the chord misses it.
         """
         along = chord.end - chord.start
         length = float(np.linalg.norm(along))
@@ -123,17 +104,8 @@ class Chord:
 def find_chords(corners: NDArray[np.float64], line: NDArray[np.float64]) -> list[Chord]:
     """Find where a polyline crosses a convex cell from side to side; an end inside the cell cuts nothing.
 
-    Parameters
-    ----------
-    corners : (n, 2) array
-        Of the cell, in positive order, pixels.
-    line : (n_vertices, 2) array
-        Vertices of the polyline, none of them on the outline, pixels.
-
-    Returns
-    -------
-    list of Chord
-        Along the line.
+    Chords follow along the line. The cell's corners are in positive order, and no vertex of the line lies on its
+    outline; both are pixels.
     """
     chords = []
     is_inside = _is_inside(corners, line[0])
@@ -176,23 +148,10 @@ Array = NDArray[np.float64]
 
 
 def subdivide_cells(mesh: Mesh, cells: NDArray[np.int64], longest: float) -> tuple[Mesh, NDArray[np.int64]]:
-    """Cut cells into small ones; nodes on a side that two cells share are there twice.
+    """Cut whole T3 and Q4 cells into small ones; nodes on a side that two cells share are there twice.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Of whole plane cells, T3 or Q4.
-    cells : (n,) array of int64
-        Numbers of the cells.
-    longest : float
-        Length that no side of a small cell exceeds where cells are parallelograms, pixels.
-
-    Returns
-    -------
-    small : Mesh
-        Of the small cells.
-    cell_of : (small.n_cells,) array of int64
-        The cell that each lies in.
+    No side of a small cell is longer than ``longest`` pixels where cells are parallelograms. Gives the mesh of the
+    small cells, and the cell that each of them lies in.
     """
     blocks: list[tuple[CellType, NDArray[np.int64]]] = []
     nodes: list[Array] = []

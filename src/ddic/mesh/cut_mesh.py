@@ -2,11 +2,8 @@
 
 A node has a phantom for every side of its support, the cells around it, to which no path within these cells leads from
 the node. Their shape functions span what the node's own and its products with shifted Heaviside functions do [RRH07];
-ahead of a line's end the support hangs together, hence nothing opens there.
-
-Which node each part of a cut cell has: a node itself, or a phantom of it on the other side of a line.
-
-A point on its own side of a discontinuity for each node: phantom nodes lie on the other one.
+ahead of a line's end the support hangs together, hence nothing opens there. Each part of a cut cell has a node itself,
+or a phantom of it, which lies on the other side of a line; a point on its own side is found for each node.
 """
 
 from __future__ import annotations
@@ -35,22 +32,10 @@ Unit = tuple[int, int]
 
 
 def number_nodes(mesh: Mesh, parts: Parts) -> dict[tuple[int, Unit], int]:
-    """Number the nodes of all parts; phantoms come after the mesh's nodes.
+    """Number the nodes of all parts, by node of the whole mesh and part; phantoms come after the mesh's nodes.
 
     Around a node, parts hang together that share a piece of a side, or the node itself. Those that hang together with
     the node have it, each other such group has a phantom.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        The whole mesh.
-    parts : mapping
-        Of its cut cells.
-
-    Returns
-    -------
-    dict
-        Number by node of the mesh and part.
     """
     cut_nodes = np.unique(np.concatenate([get_nodes(mesh, cell) for cell in parts]))
     around = _find_cells_around(mesh, cut_nodes)
@@ -70,20 +55,7 @@ def number_nodes(mesh: Mesh, parts: Parts) -> dict[tuple[int, Unit], int]:
 
 
 def get_nodes(mesh: Mesh, cell: int) -> NDArray[np.int64]:
-    """Give the nodes of a cell.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Any.
-    cell : int
-        Its number.
-
-    Returns
-    -------
-    (n,) array of int64
-        In the cell's order.
-    """
+    """Give the nodes of a cell, in the cell's order."""
     return mesh.connectivity[mesh.offsets[cell]:mesh.offsets[cell + 1]]
 
 
@@ -216,61 +188,27 @@ class CutMesh:
         return () if self.mesh.parts is None else self.mesh.parts.lines.polylines
 
     def find_with_phantoms(self, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Find some nodes of the whole mesh, and their phantoms, in the cut one.
-
-        Parameters
-        ----------
-        nodes : (n,) array of int64
-            Numbers in the whole mesh.
-
-        Returns
-        -------
-        (m,) array of int64
-            Sorted numbers in the cut mesh.
-        """
+        """Find some nodes of the whole mesh, and their phantoms, in the cut one; sorted."""
         return np.flatnonzero(np.isin(self.node_of, nodes)).astype(np.int64)
 
     def find_cut_nodes(self) -> NDArray[np.int64]:
-        """Find the nodes of cut cells.
-
-        Returns
-        -------
-        (n,) array of int64
-            Sorted numbers in the cut mesh.
-        """
+        """Find the nodes of cut cells: sorted numbers in the cut mesh."""
         parts = self.mesh.parts
         nodes = np.zeros(0, np.int64) if parts is None else np.unique(self.mesh.cells[parts.cells])
         return nodes[nodes >= 0]
 
     def find_cells_at_phantoms(self) -> NDArray[np.int64]:
-        """Find the cells with a phantom node, or a node that has one.
-
-        Returns
-        -------
-        (n,) array of int64
-            Sorted numbers in the cut mesh.
-        """
+        """Find the cells with a phantom node, or a node that has one: sorted numbers in the cut mesh."""
         has_twin = np.bincount(self.node_of)[self.node_of] > 1
         of_corners = has_twin[self.mesh.connectivity]
         return np.flatnonzero(np.logical_or.reduceat(of_corners, self.mesh.offsets[:-1])).astype(np.int64)
 
 
 def cut_mesh(mesh: Mesh, lines: Sequence[Array], other_nodes: Array | None = None) -> CutMesh:
-    """Cut a mesh by polylines.
+    """Cut a mesh of convex plane cells by polylines, (n_vertices, 2), pixels.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Of convex plane cells.
-    lines : sequence of (n_vertices, 2) array
-        Polylines, pixels.
-    other_nodes : (n, 2) array, optional
-        Nodes of smaller cells that the same lines are to cut, pixels: lines are kept clear of them too.
-
-    Returns
-    -------
-    CutMesh
-        The same mesh where no line crosses a cell from side to side.
+    It stays the same where no line crosses a cell from side to side. Lines are also kept clear of ``other_nodes``,
+    (n, 2), pixels: those of smaller cells that the same lines are to cut.
     """
     nodes = mesh.nodes if other_nodes is None else np.concatenate([mesh.nodes, other_nodes])
     clear = tuple(_keep_clear(line, nodes) for line in lines)
@@ -281,20 +219,7 @@ def cut_mesh(mesh: Mesh, lines: Sequence[Array], other_nodes: Array | None = Non
 
 
 def is_cut_by(mesh: Mesh, line: Array) -> bool:
-    """Tell whether a line crosses a cell of a mesh from side to side.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Of convex plane cells.
-    line : (n_vertices, 2) array
-        Polyline, pixels.
-
-    Returns
-    -------
-    bool
-        Whether it does.
-    """
+    """Tell whether a line, (n_vertices, 2), pixels, crosses a convex plane cell of a mesh from side to side."""
     return bool(_cut_cells(mesh, (_keep_clear(line, mesh.nodes),))[0])
 
 
@@ -386,15 +311,7 @@ def _outline_parts(parts: Parts, place_of_unit: Mapping[Unit, int], lines: Lines
 def find_points_on_own_side(mesh: Mesh) -> NDArray[np.float64]:
     """Find a point for each node at which a field on the node's side of all lines can be looked up.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Perhaps with parts of cut cells.
-
-    Returns
-    -------
-    (n_nodes, 2) array
-        The node itself or, where none of its parts holds it, the middle of the nearest of them, pixels.
+    (n_nodes, 2), pixels: the node itself or, where none of its parts holds it, the middle of the nearest of them.
     """
     points = mesh.nodes.copy()
     if mesh.parts is None or not mesh.parts.n_parts:

@@ -26,32 +26,10 @@ class Hole(Protocol):
         """Points of the outline at which a node is to lie, (n, 2), pixels."""
 
     def measure_distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Measure the distance to the outline.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n,) array
-            Pixels, negative inside.
-        """
+        """Measure the distance of points, (n, 2), to the outline, (n,), pixels, negative inside."""
 
     def find_nearest(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Find the nearest point of the outline.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n, 2) array
-            Pixels.
-        """
+        """Find the nearest point of the outline to each of some points, (n, 2), pixels."""
 
 
 @dataclass(frozen=True)
@@ -60,9 +38,7 @@ class CircularHole:
 
     Attributes
     ----------
-    center : tuple of float
-        Pixels.
-    radius : float
+    center, radius : (x, y) and float
         Pixels.
     """
 
@@ -75,33 +51,11 @@ class CircularHole:
         return NO_CORNERS
 
     def measure_distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Measure the distance to the circle.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n,) array
-            Pixels, negative inside.
-        """
+        """Measure the distance to the circle, pixels, negative inside."""
         return np.asarray(np.linalg.norm(points - np.array(self.center), axis=1) - self.radius)
 
     def find_nearest(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Find the nearest point of the circle; the centre itself stays where it is.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n, 2) array
-            Pixels.
-        """
+        """Find the nearest point of the circle; the centre itself stays where it is."""
         offset = points - np.array(self.center)
         length = np.linalg.norm(offset, axis=1, keepdims=True)
         factor = np.divide(self.radius, length, out=np.zeros_like(length), where=length > 0)
@@ -126,34 +80,12 @@ class PolygonalHole:
         return NO_CORNERS
 
     def measure_distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Measure the distance to the polygon.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n,) array
-            Pixels, negative inside.
-        """
+        """Measure the distance to the polygon, pixels, negative inside."""
         away = np.linalg.norm(self.find_nearest(points) - points, axis=1)
         return np.where(self._inside(points), -away, away)
 
     def find_nearest(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Find the nearest point of the polygon.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n, 2) array
-            Pixels.
-        """
+        """Find the nearest point of the polygon."""
         best = np.array(points, dtype=np.float64)
         smallest = np.full(len(points), np.inf)
         for start, end in self._edges():
@@ -209,57 +141,24 @@ class OutlinedHole:
     corners: Array
 
     def measure_distance(self, points: Array) -> Array:
-        """Measure the distance to the outline.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n,) array
-            Pixels, negative inside.
-        """
+        """Measure the distance to the outline, pixels, negative inside."""
         distances = np.array([ring.measure_distance(points) for ring in self.rings])
         inside = np.logical_xor.reduce(distances < 0, axis=0)
         away = np.abs(distances).min(axis=0)
         return np.where(inside, -away, away)
 
     def find_nearest(self, points: Array) -> Array:
-        """Find the nearest point of the outline.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n, 2) array
-            Pixels.
-        """
+        """Find the nearest point of the outline."""
         nearest = np.array([ring.find_nearest(points) for ring in self.rings])
         chosen = np.linalg.norm(nearest - points, axis=2).argmin(axis=0)
         return np.asarray(nearest[chosen, np.arange(len(points))])
 
 
 def find_mask_holes(mask: NDArray[np.bool_], region: Sequence[float], element_size: float) -> list[OutlinedHole]:
-    """Find what a mask leaves out of a region, what lies outside of the image too.
+    """Find what a mask leaves out of a region (x0, y0, x1, y1), pixels, what lies outside of the image too.
 
-    Parameters
-    ----------
-    mask : (height, width) bool array
-        True where cells may be.
-    region : (x0, y0, x1, y1)
-        Pixels.
-    element_size : float
-        Of cells, pixels; turns between shorter sides than half of it are no corners.
-
-    Returns
-    -------
-    list of OutlinedHole
-        From top to bottom; specks of less than half an element's side across are left out.
+    The mask is True where cells may be. Holes come from top to bottom; specks of less than half an element's side
+    across are left out, and turns between sides shorter than that are no corners.
     """
     low, high = np.floor(region[:2]).astype(int), np.ceil(region[2:]).astype(int)
     left_out = _find_left_out(mask, low, high)

@@ -70,21 +70,10 @@ class _Buckets(NamedTuple):
 
 
 def interpolate(mesh: Mesh, values: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Interpolate nodal values at points, never across a hole.
+    """Interpolate nodal values, (n_nodes, k), at points, pixels, never across a hole.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Of convex plane cells that run positively, as ``repair`` leaves them.
-    values : (n_nodes, k) array
-        Values at the nodes.
-    points : (n, dim) array
-        Pixels.
-
-    Returns
-    -------
-    (n, k) array
-        Values at the points, nan outside the mesh and in its holes.
+    The result, (n, k), is nan outside the mesh and in its holes. Cells must be convex and run positively, as ``repair``
+    leaves them.
     """
     return interpolate_located(mesh, values, locate(mesh, points))
 
@@ -92,19 +81,7 @@ def interpolate(mesh: Mesh, values: NDArray[np.float64], points: NDArray[np.floa
 def interpolate_located(mesh: Mesh, values: NDArray[np.float64], located: Located) -> NDArray[np.float64]:
     """Interpolate nodal values at points whose cells are known, for many fields at the same points.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        In which the points were located.
-    values : (n_nodes, k) array
-        Values at the nodes.
-    located : Located
-        The points.
-
-    Returns
-    -------
-    (n, k) array
-        Values at the points, nan where they are in no cell.
+    From values (n_nodes, k) to (n, k), nan where points are in no cell.
     """
     found = np.full((len(located.cells), values.shape[1]), np.nan)
     held = located.cells >= 0
@@ -125,22 +102,7 @@ def interpolate_located(mesh: Mesh, values: NDArray[np.float64], located: Locate
 
 
 def evaluate_shapes_at(mesh: Mesh, cells: NDArray[np.int64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Evaluate the shape functions of cells at points in them.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        That the cells are of.
-    cells : (n,) array of int64
-        A cell for each point.
-    points : (n, dim) array
-        Pixels.
-
-    Returns
-    -------
-    (n, 4) array
-        N_a; zero for nodes that a cell does not have.
-    """
+    """Evaluate shape functions at points, pixels, in given cells, (n, 4); zero for nodes that a cell does not have."""
     monomials = evaluate_monomials(place_in_cells(mesh, cells, points).local)
     shapes = np.zeros((len(points), N_MONOMIALS))
     for block in mesh.cell_blocks:
@@ -150,21 +112,9 @@ def evaluate_shapes_at(mesh: Mesh, cells: NDArray[np.int64], points: NDArray[np.
 
 
 def differentiate_shapes_at(mesh: Mesh, cells: NDArray[np.int64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Differentiate the shape functions of cells at points in them.
+    """Differentiate shape functions at points, pixels, in given cells: dN_a / dx_j, (n, 4, dim), 1/px.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        That the cells are of.
-    cells : (n,) array of int64
-        A cell for each point.
-    points : (n, dim) array
-        Pixels.
-
-    Returns
-    -------
-    (n, 4, dim) array
-        dN_a / dx_j, 1/px; zero for nodes that a cell does not have.
+    Derivatives are zero for nodes that a cell does not have.
     """
     by_local = differentiate_monomials(place_in_cells(mesh, cells, points).local)
     jacobian = np.einsum("pim,pmj->pij", compute_geometry(mesh)[cells], by_local)
@@ -177,21 +127,10 @@ def differentiate_shapes_at(mesh: Mesh, cells: NDArray[np.int64], points: NDArra
 
 
 def locate(mesh: Mesh, points: NDArray[np.float64]) -> Located:
-    """Find the cells that hold points, and the points' places in them.
+    """Find the cells that hold points, (n, dim), pixels, and the points' places in them.
 
-    A point on an edge or a node belongs to one of the cells there, the first of those that hold it.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Of convex plane cells that run positively, as ``repair`` leaves them.
-    points : (n, dim) array
-        Pixels.
-
-    Returns
-    -------
-    Located
-        The points, in their order.
+    A point on an edge or a node belongs to one of the cells there, the first of those that hold it. Cells must be
+    convex and run positively, as ``repair`` leaves them.
     """
     points = np.ascontiguousarray(points, dtype=np.float64)
     cells = np.full(len(points), -1, dtype=np.int64)
@@ -203,22 +142,7 @@ def locate(mesh: Mesh, points: NDArray[np.float64]) -> Located:
 
 
 def place_in_cells(mesh: Mesh, cells: NDArray[np.int64], points: NDArray[np.float64]) -> Located:
-    """Place points in given cells, or beyond them: shape functions go on outside.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Of convex plane cells.
-    cells : (n,) array of int64
-        A cell for each point, -1 for none.
-    points : (n, dim) array
-        Pixels.
-
-    Returns
-    -------
-    Located
-        The points, in their order.
-    """
+    """Place points, pixels, in given convex cells, -1 for none, or beyond them: shape functions go on outside."""
     local = np.full(points.shape, np.nan)
     if mesh.n_cells:
         _find_local_coordinates(points, cells, compute_geometry(mesh), local)
@@ -327,19 +251,9 @@ _CHUNK = 1 << 22
 
 
 def is_inside_outline(points: NDArray[np.float64], mesh: Mesh) -> NDArray[np.bool_]:
-    """Tell whether points lie inside a mesh's outline: a ray to the right crosses it an odd number of times.
+    """Tell whether points, pixels, lie inside a mesh's outline: a ray to the right crosses it an odd number of times.
 
-    Parameters
-    ----------
-    points : (n, 2) array
-        Pixels.
-    mesh : Mesh
-        Of plane cells.
-
-    Returns
-    -------
-    (n,) bool array
-        False in its holes.
+    Those in its holes do not.
     """
     ends = find_boundary_facets(mesh)[:, :2]
     edges = mesh.nodes[ends]
@@ -355,21 +269,9 @@ def is_inside_outline(points: NDArray[np.float64], mesh: Mesh) -> NDArray[np.boo
 
 
 def find_cells_with_points(mesh: Mesh, points: NDArray[np.float64], margin: float) -> NDArray[np.int64]:
-    """Find the cells that hold any of some points well inside.
+    """Find the cells that hold any of some points more than ``margin`` from their edges, pixels; sorted.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Of convex plane cells that run positively.
-    points : (n, 2) array
-        Pixels.
-    margin : float
-        Distance from a cell's edges beyond which a point counts, pixels.
-
-    Returns
-    -------
-    (n,) int64 array
-        Their sorted numbers.
+    Cells must be convex and run positively.
     """
     corners = mesh.nodes[mesh.connectivity]
     lowest = np.minimum.reduceat(corners, mesh.offsets[:-1], axis=0)

@@ -45,33 +45,11 @@ class Similarity:
         return rotation @ np.diag([1.0, -1.0]) if self.y_up else rotation
 
     def to_pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Map points to pixels.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Mesh units.
-
-        Returns
-        -------
-        (n, 2) array
-            Pixels.
-        """
+        """Map points, (n, 2), from mesh units to pixels."""
         return np.asarray(self.scale * points @ self.axes.T + np.asarray(self.translation))
 
     def map_vectors_to_mesh_units(self, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Map displacements to mesh units.
-
-        Parameters
-        ----------
-        vectors : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n, 2) array
-            Mesh units.
-        """
+        """Map displacements, (n, 2), from pixels to mesh units."""
         return vectors @ self.axes / self.scale
 
 
@@ -221,23 +199,10 @@ def build_mesh(nodes: NDArray[np.float64],
                     blocks: Mapping[CellType, NDArray[np.int64]] | Iterable[tuple[CellType, NDArray[np.int64]]],
                     node_sets: Mapping[str, NDArray[np.int64]] | None = None,
                     mapping: Similarity | None = None) -> Mesh:
-    """Build a mesh from arrays of cells by type.
+    """Build a mesh from arrays of cells by type, (n, type.n_nodes), whose order its cells have.
 
-    Parameters
-    ----------
-    nodes : (n_nodes, dim) array
-        Pixels.
-    blocks : mapping of CellType to (n, type.n_nodes) arrays, or such pairs
-        Nodes of the cells; the mesh's cells are in this order.
-    node_sets : mapping of str to (n,) array of int64, optional
-        Sorted node numbers by name.
-    mapping : Similarity, optional
-        From the mesh file's units to pixels.
-
-    Returns
-    -------
-    Mesh
-        Of these nodes and cells.
+    Nodes are (n_nodes, dim), pixels; node sets are sorted node numbers by name. Where no mapping is given, mesh units
+    are pixels.
     """
     connectivity, counts, types = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0, np.uint8)]
     for kind, block in blocks.items() if isinstance(blocks, Mapping) else blocks:
@@ -257,15 +222,8 @@ def build_mesh(nodes: NDArray[np.float64],
 def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
     """Put meshes side by side into one, so that what is the same for each cell or node is done once for all.
 
-    Parameters
-    ----------
-    meshes : sequence of Mesh
-        Of one region: with one mapping, and cut by the same lines, or not at all.
-
-    Returns
-    -------
-    Mesh
-        Nodes and cells of one after the other; what two of them share is there twice. Without node sets.
+    They are of one region: with one mapping, and cut by the same lines, or not at all. Nodes and cells of one come
+    after those of the other; what two of them share is there twice. There are no node sets.
     """
     first, *others = meshes
     if not others:
@@ -302,36 +260,14 @@ def _restrict(node_ids: NDArray[np.int64], members: NDArray[np.int64]) -> NDArra
 
 
 def pad_shapes(kind: CellType) -> NDArray[np.float64]:
-    """Pad a cell type's shape coefficients to the size that all types have in common.
-
-    Parameters
-    ----------
-    kind : CellType
-        Of at most four nodes.
-
-    Returns
-    -------
-    (4 nodes, 4 monomials) array
-        Coefficients of N_a; the rows of nodes that the type does not have are zero.
-    """
+    """Pad a cell type's shape coefficients to (4 nodes, 4 monomials); rows of nodes that it does not have are zero."""
     padded = np.zeros((N_MONOMIALS, N_MONOMIALS))
     padded[:kind.n_nodes] = kind.shapes
     return padded
 
 
 def pad_cells(mesh: Mesh) -> NDArray[np.int64]:
-    """Pad the cells' nodes to the number that all types have in common.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Of cells of at most four nodes.
-
-    Returns
-    -------
-    (n_cells, 4) int64 array
-        Nodes of each cell; one with fewer repeats its first node, whose padded shape is zero.
-    """
+    """Pad the cells' nodes to (n_cells, 4): a cell with fewer repeats its first node, whose padded shape is zero."""
     cells = np.full((mesh.n_cells, N_MONOMIALS), -1, dtype=np.int64)
     cells[:, :mesh.cells.shape[1]] = mesh.cells
     first = cells[:, :1]
@@ -339,18 +275,7 @@ def pad_cells(mesh: Mesh) -> NDArray[np.int64]:
 
 
 def compute_geometry(mesh: Mesh) -> NDArray[np.float64]:
-    """Find the map x = sum_m X_m phi_m(xi, eta) from the reference cell to every cell.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Any.
-
-    Returns
-    -------
-    (n_cells, dim, 4 monomials) array
-        X, pixels.
-    """
+    """Find the map x = sum_m X_m phi_m(xi, eta) from the reference cell to every cell: X, (n_cells, dim, 4), pixels."""
     of_type = np.zeros((max(CELL_TYPES) + 1, N_MONOMIALS, N_MONOMIALS))
     for number, kind in CELL_TYPES.items():
         of_type[number] = pad_shapes(kind)
@@ -360,23 +285,10 @@ def compute_geometry(mesh: Mesh) -> NDArray[np.float64]:
 
 def compute_shape_gradients(mesh: Mesh, block: CellBlock,
                     local: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Differentiate the shape functions of cells of one type by x.
+    """Differentiate the shape functions of cells of one type by x, at points of the reference cell, (n_points, dim).
 
-    Parameters
-    ----------
-    mesh : Mesh
-        That the cells are of.
-    block : CellBlock
-        The cells, k nodes each.
-    local : (n_points, dim) array
-        Points of the reference cell.
-
-    Returns
-    -------
-    gradients : (n, n_points, k, dim) array
-        dN_a / dx_j, 1/px.
-    det : (n, n_points) array
-        Determinant of the map's Jacobian, square pixels.
+    Gives dN_a / dx_j, (n, n_points, n_nodes, dim), 1/px, and the determinant of the map's Jacobian, (n, n_points),
+    square pixels.
     """
     coordinates = mesh.nodes[block.nodes]
     by_local = block.type.differentiate_shapes(local)
@@ -392,19 +304,9 @@ def compute_shape_gradients(mesh: Mesh, block: CellBlock,
 
 
 def invert_matrices(matrices: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Invert many small matrices; in two dimensions by the closed form, which is ten times as fast.
+    """Invert many small matrices, (..., dim, dim), none of them singular, and give their determinants too.
 
-    Parameters
-    ----------
-    matrices : (..., dim, dim) array
-        None of them singular.
-
-    Returns
-    -------
-    inverses : (..., dim, dim) array
-        Of each.
-    det : (...) array
-        Determinants.
+    In two dimensions that is done by the closed form, which is ten times as fast.
     """
     if matrices.shape[-1] != 2:
         return np.linalg.inv(matrices), np.linalg.det(matrices)

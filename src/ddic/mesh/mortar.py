@@ -26,13 +26,9 @@ class Sides:
 
     Attributes
     ----------
-    far_nodes : (n_far_nodes, 2) array
+    far_nodes, near_nodes : (n_nodes, 2) array
         Pixels.
-    far_edges : (n_far_edges, 2) int64 array
-        Straight edges, by the nodes of their ends.
-    near_nodes : (n_near_nodes, 2) array
-        Pixels.
-    near_edges : (n_near_edges, 2) int64 array
+    far_edges, near_edges : (n_edges, 2) int64 array
         Straight edges, by the nodes of their ends.
     tolerance : float
         Distance below which points are one, pixels.
@@ -63,34 +59,12 @@ class Overlaps:
     far_ends: NDArray[np.float64]
 
     def measure_far_cover(self, n_edges: int) -> NDArray[np.float64]:
-        """Measure the share of each far edge that near edges cover.
-
-        Parameters
-        ----------
-        n_edges : int
-            Number of far edges.
-
-        Returns
-        -------
-        (n_edges,) array
-            0 to 1.
-        """
+        """Measure the share of each of ``n_edges`` far edges that near edges cover, 0 to 1."""
         lengths = np.abs(np.diff(self.far_ends)[:, 0])
         return np.asarray(np.bincount(self.far, lengths, n_edges), dtype=np.float64)
 
     def measure_near_cover(self, n_edges: int) -> NDArray[np.float64]:
-        """Measure the share of each near edge that far edges cover.
-
-        Parameters
-        ----------
-        n_edges : int
-            Number of near edges.
-
-        Returns
-        -------
-        (n_edges,) array
-            0 to 1.
-        """
+        """Measure the share of each of ``n_edges`` near edges that far edges cover, 0 to 1."""
         lengths = np.diff(self.near_ends)[:, 0]
         return np.asarray(np.bincount(self.near, lengths, n_edges), dtype=np.float64)
 
@@ -112,18 +86,7 @@ class Mortar:
 
 
 def find_overlaps(sides: Sides) -> Overlaps:
-    """Find where far edges run along near edges.
-
-    Parameters
-    ----------
-    sides : Sides
-        Their nodes and edges.
-
-    Returns
-    -------
-    Overlaps
-        Their common pieces, in order of the far edges.
-    """
+    """Find where far edges run along near edges: their common pieces, in order of the far edges."""
     near = _lines(sides.near_nodes, sides.near_edges)
     nothing = Overlaps(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)))
     pieces = [nothing]
@@ -140,23 +103,11 @@ def find_overlaps(sides: Sides) -> Overlaps:
 def integrate_mortar(sides: Sides, pieces: Overlaps) -> Mortar:
     """Integrate P with dual multipliers on the near edges, exactly; all pieces of an edge must cover it.
 
-    int psi_i (u_near - u_far) = 0 with psi_1 = 2 N_1 - N_2, psi_2 = 2 N_2 - N_1 on each near edge, which makes
-    int psi_i N_j diagonal (B. I. Wohlmuth, SIAM J. Numer. Anal. 38 (2000) 989-1012), so that every slave depends on
-    the far edges beside it. Where the line ends or bends, the slave is the far node there and has no multiplier; on
-    its edges the neighbours' are then 1. Constant and linear fields are kept, and P^T passes on what a constant stress
-    makes of forces, whose direction changes with the line's.
-
-    Parameters
-    ----------
-    sides : Sides
-        Their nodes and edges.
-    pieces : Overlaps
-        As ``find_overlaps`` gives them.
-
-    Returns
-    -------
-    Mortar
-        Slaves and P.
+    int psi_i (u_near - u_far) = 0 with psi_1 = 2 N_1 - N_2, psi_2 = 2 N_2 - N_1 on each near edge, which makes int
+    psi_i N_j diagonal (B. I. Wohlmuth, SIAM J. Numer. Anal. 38 (2000) 989-1012), so that every slave depends on the far
+    edges beside it. Where the line ends or bends, the slave is the far node there and has no multiplier; on its edges
+    the neighbours' are then 1. Constant and linear fields are kept, and P^T passes on what a constant stress makes of
+    forces, whose direction changes with the line's.
     """
     edges = np.unique(pieces.near)
     slaves = np.unique(sides.near_edges[edges])

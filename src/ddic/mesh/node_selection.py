@@ -13,24 +13,9 @@ from ddic.mesh.mesh import Mesh
 
 
 def find_named_nodes(mesh: Mesh, name: str) -> NDArray[np.int64]:
-    """Look up a node set.
+    """Look up a node set: sorted numbers of its nodes.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Any.
-    name : str
-        Of the set.
-
-    Returns
-    -------
-    (n,) int64 array
-        Sorted numbers of its nodes.
-
-    Raises
-    ------
-    InputError
-        Where the mesh has no such set, with the nearest name, or where the set is empty.
+    Raises InputError where the mesh has no such set, with the nearest name, or where the set is empty.
     """
     if name not in mesh.node_sets:
         near = get_close_matches(name, list(mesh.node_sets), n=1)
@@ -43,24 +28,9 @@ def find_named_nodes(mesh: Mesh, name: str) -> NDArray[np.int64]:
 
 
 def find_nodes_in_box(mesh: Mesh, box: Sequence[float]) -> NDArray[np.int64]:
-    """Find the nodes in a closed box.
+    """Find the nodes in a closed box, its lowest corner, then its highest, pixels; sorted.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Any.
-    box : sequence of 2 dim floats
-        Its lowest corner, then its highest, pixels.
-
-    Returns
-    -------
-    (n,) int64 array
-        Their sorted numbers.
-
-    Raises
-    ------
-    InputError
-        Where the box holds no node.
+    Raises InputError where the box holds no node.
     """
     low, high = np.array(box[:mesh.dim]), np.array(box[mesh.dim:])
     within = ((mesh.nodes >= low) & (mesh.nodes <= high)).all(axis=1)

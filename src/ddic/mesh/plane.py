@@ -1,7 +1,4 @@
-"""Points and vectors of the plane: rotation, cross product, the nearest of some points.
-
-Polylines in the plane.
-"""
+"""Points, vectors and polylines of the plane: rotation, cross product, the nearest of some points."""
 
 from __future__ import annotations
 
@@ -16,18 +13,7 @@ if TYPE_CHECKING:
 
 
 def build_rotation(angle: float) -> NDArray[np.float64]:
-    """Build the matrix of a rotation of the plane.
-
-    Parameters
-    ----------
-    angle : float
-        From x towards y, radians.
-
-    Returns
-    -------
-    (2, 2) array
-        R, which turns a vector v to R v.
-    """
+    """Build the matrix R that turns a vector v of the plane to R v, from x towards y by an angle in radians."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s], [s, c]])
 
@@ -35,15 +21,7 @@ def build_rotation(angle: float) -> NDArray[np.float64]:
 def multiply_across(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
     """Multiply vectors of the plane across: a_x b_y - a_y b_x, twice the area of the triangle that they span.
 
-    Parameters
-    ----------
-    a, b : (..., 2) arrays
-        Of shapes that broadcast.
-
-    Returns
-    -------
-    (...,) array
-        Positive where b lies to the side of +y from a along +x.
+    Positive where b lies to the side of +y from a along +x. Both are (..., 2), of shapes that broadcast.
     """
     ax, ay = a[..., 0], a[..., 1]
     bx, by = b[..., 0], b[..., 1]
@@ -62,40 +40,12 @@ Array = NDArray[np.float64]
 
 
 def measure_distance(points: Array, line: Array) -> Array:
-    """Measure the distance of points from a polyline.
-
-    Parameters
-    ----------
-    points : (n, 2) array
-        Pixels.
-    line : (n_vertices, 2) array
-        Vertices, pixels.
-
-    Returns
-    -------
-    (n,) array
-        To the nearest point of any of its segments, pixels.
-    """
+    """Measure the distance of points, (n, 2), from the nearest place on a polyline, (n_vertices, 2), pixels."""
     return find_nearest_segments(points, line)[1]
 
 
 def find_nearest_segments(points: Array, line: Array) -> tuple[NDArray[np.int64], Array]:
-    """Find the nearest segment of a polyline.
-
-    Parameters
-    ----------
-    points : (n, 2) array
-        Pixels.
-    line : (n_vertices, 2) array
-        Vertices, pixels.
-
-    Returns
-    -------
-    segments : (n,) array of int64
-        Number of the segment.
-    distances : (n,) array
-        From it, pixels.
-    """
+    """Find the number of the polyline's segment nearest to each point, (n,), and the distance from it, (n,), pixels."""
     nearest = np.zeros(len(points), dtype=np.int64)
     least = np.full(len(points), np.inf)
     for number, (start, end) in enumerate(pairwise(line)):
@@ -109,20 +59,7 @@ def find_nearest_segments(points: Array, line: Array) -> tuple[NDArray[np.int64]
 
 
 def subdivide(line: Array, longest: float) -> Array:
-    """Subdivide the segments of a polyline.
-
-    Parameters
-    ----------
-    line : (n_vertices, 2) array
-        Vertices, pixels.
-    longest : float
-        Length that no segment is to exceed, pixels.
-
-    Returns
-    -------
-    (n, 2) array
-        The same line with more vertices.
-    """
+    """Subdivide the segments of a polyline, (n_vertices, 2), so that none is longer than ``longest``, pixels."""
     vertices = [line[:1]]
     for start, end in pairwise(line):
         n_segments = max(1, int(np.ceil(np.linalg.norm(end - start) / longest)))
@@ -132,18 +69,7 @@ def subdivide(line: Array, longest: float) -> Array:
 
 
 def find_runs(is_kept: NDArray[np.bool_]) -> list[slice]:
-    """Find the runs of successive vertices that are kept.
-
-    Parameters
-    ----------
-    is_kept : (n_vertices,) array of bool
-        Whether each vertex of a polyline is.
-
-    Returns
-    -------
-    list of slice
-        Of two vertices or more each.
-    """
+    """Find the runs of two or more successive vertices that are kept."""
     changes = np.flatnonzero(np.diff(np.concatenate([[False], is_kept, [False]])))
     runs = [slice(int(start), int(stop)) for start, stop in changes.reshape(-1, 2)]
     return [run for run in runs if run.stop - run.start > 1]
@@ -152,17 +78,7 @@ def find_runs(is_kept: NDArray[np.bool_]) -> list[slice]:
 def is_inside_polygon(points: Array, polygon: Array) -> NDArray[np.bool_]:
     """Tell which points lie in a polygon, which need not be convex, by the parity of its edges to the right of them.
 
-    Parameters
-    ----------
-    points : (n, 2) array
-        Pixels.
-    polygon : (n_corners, 2) array
-        Corners, closed by itself, pixels.
-
-    Returns
-    -------
-    (n,) array of bool
-        Whether each does.
+    Its corners, (n_corners, 2), are closed by themselves.
     """
     x, y = points.T
     inside = np.zeros(len(points), dtype=bool)

@@ -14,18 +14,7 @@ from ddic.mesh.plane import multiply_across
 
 
 def measure_areas(mesh: Mesh) -> NDArray[np.float64]:
-    """Measure the cells by the shoelace formula in (x, y).
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Of plane cells.
-
-    Returns
-    -------
-    (n_cells,) array
-        Signed areas, square pixels.
-    """
+    """Measure the cells by the shoelace formula in (x, y): signed areas, square pixels."""
     points = _corners(mesh)
     # Relative to the first corner, so that far from the origin no digits are lost.
     local = points - points[:, :1]
@@ -33,33 +22,14 @@ def measure_areas(mesh: Mesh) -> NDArray[np.float64]:
 
 
 def measure_cell_size(mesh: Mesh) -> float:
-    """Measure the size of a mesh's cells: the root of their mean area.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Of plane cells that run positively.
-
-    Returns
-    -------
-    float
-        Pixels.
-    """
+    """Measure the size of a mesh's cells, which run positively: the root of their mean area, pixels."""
     return float(np.sqrt(measure_areas(mesh).mean()))
 
 
 def measure_shape_quality(mesh: Mesh) -> NDArray[np.float64]:
     """Find the smallest sine of each cell's corner angles.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Of plane cells.
-
-    Returns
-    -------
-    (n_cells,) array
-        1 for a rectangle, <= 0 for a cell that is not convex or runs negatively.
+    It is 1 for a rectangle, <= 0 for a cell that is not convex or runs negatively.
     """
     points = _corners(mesh)
     ahead = _next_corner(points) - points
@@ -96,19 +66,9 @@ Array = NDArray[np.float64]
 
 
 def measure_covered_areas(mesh: Mesh) -> tuple[Array, Array]:
-    """Measure what each cell covers.
+    """Measure what each cell covers, square pixels, and its share of the whole cell; cells run positively.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Of plane cells that run positively.
-
-    Returns
-    -------
-    areas : (n_cells,) array
-        Square pixels.
-    shares : (n_cells,) array
-        Of the whole cell; 1 where no discontinuity cuts it.
+    The share is 1 where no discontinuity cuts the cell.
     """
     outlines = mesh.outlines
     areas = _measure_polygons(outlines.corners, outlines.connectivity, outlines.offsets)

@@ -66,18 +66,7 @@ class Raster:
                       int(self.stops[filled].max()), int(rows.max()) + 1)
 
     def find_covered(self, width: int, height: int) -> NDArray[np.uint8]:
-        """Draw the pixels that belong to a cell.
-
-        Parameters
-        ----------
-        width, height : int
-            Size of the image, pixels.
-
-        Returns
-        -------
-        (height, width) uint8 array
-            1 on these pixels, 0 elsewhere.
-        """
+        """Draw the pixels that belong to a cell: 1 there, 0 elsewhere, (height, width)."""
         rows = self.rows
         inside = (rows >= 0) & (rows < height)
         covered = np.zeros((height, width), dtype=np.uint8)
@@ -85,20 +74,7 @@ class Raster:
         return covered
 
     def draw_cells(self, cells: NDArray[np.int64], window: Window) -> NDArray[np.uint8]:
-        """Draw the pixels of some cells.
-
-        Parameters
-        ----------
-        cells : (n,) int64 array
-            Their numbers.
-        window : Window
-            Holds all pixels of the mesh.
-
-        Returns
-        -------
-        (window.height, window.width) uint8 array
-            1 on these pixels, 0 elsewhere.
-        """
+        """Draw the pixels of some cells in a window that holds all pixels of the mesh: 1 there, 0 elsewhere."""
         runs, rows, _ = self.find_runs(cells)
         filled = self.stops[runs] > self.starts[runs]
         runs, rows = runs[filled], rows[filled]
@@ -114,19 +90,9 @@ class Raster:
                 np.repeat(self.first_row[cells], n_rows) + row_of_cell, np.repeat(cells, n_rows))
 
     def sum_by_cell(self, image: NDArray[Any], x0: int = 0, y0: int = 0) -> NDArray[Any]:
-        """Add up an image over each cell's pixels.
+        """Add up an image, whose first pixel is at (x0, y0), over each cell's pixels; nothing outside of it counts.
 
-        Parameters
-        ----------
-        image : (height, width) uint8 or float32 array
-            What is added up; nothing outside of it is.
-        x0, y0 : int
-            Column and row of its first pixel.
-
-        Returns
-        -------
-        (n_cells,) int64 or float64 array
-            Sums.
+        Sums, (n_cells,), are int64 for an image of integers, else float64.
         """
         is_counted = np.issubdtype(image.dtype, np.integer)
         sums = np.zeros(len(self.first_row), dtype=np.int64 if is_counted else np.float64)
@@ -141,18 +107,7 @@ class Raster:
 
 
 def rasterize(mesh: Mesh) -> Raster:
-    """Find the pixels of every cell.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Of convex plane cells with straight edges.
-
-    Returns
-    -------
-    Raster
-        Their pixels.
-    """
+    """Find the pixels of every cell; cells must be convex, with straight edges."""
     outlines = mesh.outlines
     y = outlines.corners[outlines.connectivity, 1]
     first_row = np.ceil(np.minimum.reduceat(y, outlines.offsets[:-1])).astype(np.int64)
@@ -166,19 +121,10 @@ def rasterize(mesh: Mesh) -> Raster:
 
 
 def find_crossings(ends: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Find where sides of cells cross the rows of an image.
+    """Find where sides of cells, (n_sides, 2 ends, 2), pixels, cross the rows of an image.
 
-    Parameters
-    ----------
-    ends : (n_sides, 2, 2) array
-        x and y of both ends, pixels.
-
-    Returns
-    -------
-    sides, rows : (n_crossings,) int64 arrays
-        Of each crossing.
-    columns : (n_crossings,) int64 array
-        The first pixel behind it, the very one with which ``rasterize`` begins or ends a run.
+    Gives side, row and column of each crossing; the column is the first pixel behind it, the very one with which
+    ``rasterize`` begins or ends a run.
     """
     falls = ends[:, 0, 1] > ends[:, 1, 1]
     low, high = np.where(falls[:, None], ends[:, 1], ends[:, 0]), np.where(falls[:, None], ends[:, 0], ends[:, 1])
@@ -250,22 +196,7 @@ def _fill_ones(rows, starts, stops, image):  # type: ignore[no-untyped-def]
 
 
 def list_pixels(raster: Raster, cells: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """List the pixels of some cells.
-
-    Parameters
-    ----------
-    raster : Raster
-        Of a mesh.
-    cells : (n_cells,) array of int64
-        Their numbers.
-
-    Returns
-    -------
-    pixels : (n, 2) array of int64
-        Columns and rows.
-    cells : (n,) array of int64
-        The cell of each.
-    """
+    """List the pixels of some cells, columns and rows, (n, 2), and the cell of each, (n,)."""
     runs, row_of_run, cell_of_run = raster.find_runs(cells)
     lengths = (raster.stops[runs] - raster.starts[runs]).astype(np.int64)
     first = np.cumsum(lengths) - lengths
@@ -275,20 +206,7 @@ def list_pixels(raster: Raster, cells: NDArray[np.int64]) -> tuple[NDArray[np.in
 
 
 def find_common_pixels(pixels: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Tell which pixels are among others.
-
-    Parameters
-    ----------
-    pixels : (n, 2) array of int64
-        Columns and rows.
-    others : (m, 2) array of int64
-        Columns and rows.
-
-    Returns
-    -------
-    (n,) array of bool
-        Whether each is.
-    """
+    """Tell which pixels, columns and rows, (n, 2), are among others."""
     both = np.concatenate([pixels, others])
     if not len(both):
         return np.zeros(0, dtype=bool)

@@ -26,21 +26,8 @@ SLACK = 1e-6
 def repair(mesh: Mesh) -> Mesh:
     """Orient all cells positively in (x, y) and drop unused nodes; cells keep their order.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        As read from a file.
-
-    Returns
-    -------
-    Mesh
-        With node sets renumbered.
-
-    Raises
-    ------
-    InputError
-        On coordinates that are not finite, unknown or repeated nodes, duplicate cells, and cells that are flat, crossed
-        or not convex, with their numbers.
+    Node sets are renumbered. Raises InputError on coordinates that are not finite, unknown or repeated nodes, duplicate
+    cells, and cells that are flat, crossed or not convex, with their numbers.
     """
     _refuse_bad_numbers(mesh)
     oriented = _orient(mesh)
@@ -49,20 +36,7 @@ def repair(mesh: Mesh) -> Mesh:
 
 
 def check_inside(mesh: Mesh, width: int, height: int) -> None:
-    """Refuse a mesh with nodes outside the image.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Any.
-    width, height : int
-        Size of the image, pixels.
-
-    Raises
-    ------
-    InputError
-        Where a node lies outside.
-    """
+    """Refuse a mesh with nodes outside the image, whose size is in pixels; raises InputError."""
     low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
     # Pixel centres are at integers, so the first pixel begins at -0.5.
     first, last = -0.5, np.array([width, height]) - 0.5
@@ -75,22 +49,7 @@ def check_inside(mesh: Mesh, width: int, height: int) -> None:
 
 
 def check_pixels(mesh: Mesh, pixel_counts: NDArray[np.int64], path: str) -> None:
-    """Refuse a mesh with cells that hold no pixel centre.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Any.
-    pixel_counts : (n_cells,) int64 array
-        Pixels of each cell.
-    path : str
-        Where the mesh comes from, for the message.
-
-    Raises
-    ------
-    InputError
-        Where a cell has none.
-    """
+    """Refuse a mesh with cells that hold no pixel centre; raises InputError, whose message names ``path``."""
     empty = np.flatnonzero(np.asarray(pixel_counts) == 0)
     if len(empty):
         raise InputError(f"{path}: {_cells(empty)} of {mesh.n_cells} hold no pixel: use larger elements, "
@@ -172,18 +131,9 @@ ON_SIDE = 1e-3
 def check_joints(mesh: Mesh) -> None:
     """Refuse a mesh whose cells do not meet as those of a finite element mesh do.
 
-    Cells along a slit, with nodes of their own on either side of it, are none of these.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Inside the image, all cells positively oriented.
-
-    Raises
-    ------
-    InputError
-        With a line for each kind of fault: more than two cells at a side, nodes on a side that is not theirs, cells
-        that overlap.
+    Raises InputError with a line for each kind of fault: more than two cells at a side, nodes on a side that is not
+    theirs, cells that overlap. Cells along a slit, with nodes of their own on either side of it, are none of these. The
+    mesh must lie inside the image, all cells positively oriented.
     """
     facets = find_facets(mesh)
     crowded = np.flatnonzero(facets.n_cells > 2)

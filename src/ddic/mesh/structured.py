@@ -40,25 +40,8 @@ def chop_corners(quads: Cells, members: Sequence[Cells], nodes: NDArray[np.float
     """Cut off the corners that stick out into a hole: such a rectangle becomes a triangle.
 
     A node that belongs to one cell only and lies on a hole, as do both its neighbours in the cell, would become a
-    corner of 180 degrees or more once they lie on the outline.
-
-    Parameters
-    ----------
-    quads : (n, 4) int64 array
-        Cells that are left.
-    members : sequence of int64 arrays
-        For each hole, the nodes of these that its removed cells share.
-    nodes : (n_nodes, 2) array
-        Pixels.
-    holes : sequence of Hole
-        The holes.
-
-    Returns
-    -------
-    quads : (n, 4) int64 array
-        Those that stay.
-    triangles : (n, 3) int64 array
-        What is left of the others.
+    corner of 180 degrees or more once they lie on the outline. ``quads`` are the cells that are left, ``members``, for
+    each hole, the nodes of these that its removed cells share. Gives the rectangles that stay, and the triangles.
     """
     n_cells_of_node = np.bincount(quads.ravel(), minlength=len(nodes))
     triangles = [np.zeros((0, 3), np.int64)]
@@ -86,30 +69,9 @@ def snap_to_holes(nodes: NDArray[np.float64], quads: Cells, triangles: Cells, me
                   ) -> tuple[NDArray[np.float64], list[Cells]]:
     """Move the nodes around each hole onto its outline where the cells stay convex and well shaped.
 
-    Nodes on a side of the region slide along it; its four corners stay. Where a cell would become too flat, its moved
-    nodes go back half of their way, and in the end all of it.
-
-    Parameters
-    ----------
-    nodes : (n_nodes, 2) array
-        Pixels.
-    quads : (n, 4) int64 array
-        Cells of four nodes.
-    triangles : (n, 3) int64 array
-        Cells of three nodes.
-    members : sequence of int64 arrays
-        For each hole, the nodes that its removed cells share with others.
-    holes : sequence of Hole
-        The holes.
-    region : (x0, y0, x1, y1)
-        Pixels.
-
-    Returns
-    -------
-    nodes : (n_nodes, 2) array
-        Where they are now, pixels.
-    on_holes : list of int64 arrays
-        For each hole its nodes, moved or not.
+    Nodes on a side of the region (x0, y0, x1, y1) slide along it; its four corners stay. Where a cell would become too
+    flat, its moved nodes go back half of their way, and in the end all of it. ``members`` are, for each hole, the nodes
+    that its removed cells share with others. Gives all nodes, pixels, and for each hole its own, moved or not.
     """
     if not holes:
         return nodes, []
@@ -231,10 +193,8 @@ class Grid:
 
     Attributes
     ----------
-    x : (n_columns + 1,) array
-        Of the vertical lines, pixels.
-    y : (n_rows + 1,) array
-        Of the horizontal lines, pixels.
+    x, y : (n_columns + 1,) and (n_rows + 1,) array
+        Of the vertical and of the horizontal lines, pixels.
     """
 
     x: NDArray[np.float64]
@@ -339,24 +299,9 @@ def _refuse_impossible(region: Sequence[float], element_size: float, cell: str,
 
 
 def count_cells(region: Sequence[float], element_size: float) -> tuple[int, int]:
-    """Count the cells that cover a region, before there are any.
+    """Count the columns and rows of cells that cover a region (x0, y0, x1, y1), pixels, before there are any.
 
-    Parameters
-    ----------
-    region : (x0, y0, x1, y1)
-        Pixels.
-    element_size : float
-        Pixels.
-
-    Returns
-    -------
-    n_columns, n_rows : int
-        At least one each.
-
-    Raises
-    ------
-    InputError
-        Where there are more than MOST_CELLS in all.
+    There is one of each at least. Raises InputError where there are more than MOST_CELLS cells in all.
     """
     x0, y0, x1, y1 = (float(side) for side in region)
     with np.errstate(over="ignore"):

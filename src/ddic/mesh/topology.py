@@ -27,10 +27,8 @@ class Facets:
     ----------
     nodes : (n_facets, widest facet) int64 array
         In the order of the facet's first cell, padded with -1.
-    side_facets : (n_sides,) int64 array
-        The facet of each side of each cell.
-    side_cells : (n_sides,) int64 array
-        The cell of each side.
+    side_facets, side_cells : (n_sides,) int64 array
+        The facet and the cell of each side of each cell.
     run_backwards : (n_sides,) bool array
         Which sides run through their facet's nodes the other way round.
     """
@@ -47,18 +45,7 @@ class Facets:
 
 
 def find_facets(mesh: Mesh) -> Facets:
-    """Find the facets of all cells; facets with the same nodes are one.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Any.
-
-    Returns
-    -------
-    Facets
-        Of all its cells.
-    """
+    """Find the facets of all cells; facets with the same nodes are one."""
     sides, cells = _sides(mesh)
     # A facet is its set of nodes, whatever the order in which a cell runs through them.
     first, numbers = _distinct_rows(np.sort(sides, axis=1), mesh.n_nodes)
@@ -66,58 +53,21 @@ def find_facets(mesh: Mesh) -> Facets:
 
 
 def find_boundary_facets(mesh: Mesh) -> NDArray[np.int64]:
-    """Find the facets that belong to exactly one cell.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Any.
-
-    Returns
-    -------
-    (n, widest facet) int64 array
-        Their nodes in the order of the cell, padded with -1.
-    """
+    """Find the facets that belong to exactly one cell: their nodes in the cell's order, padded with -1."""
     found = find_facets(mesh)
     return np.asarray(found.nodes[found.n_cells == 1])
 
 
 def find_boundary_nodes(mesh: Mesh) -> NDArray[np.int64]:
-    """Find the nodes on facets that belong to exactly one cell.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Any.
-
-    Returns
-    -------
-    (n,) int64 array
-        Their sorted numbers.
-    """
+    """Find the nodes on facets that belong to exactly one cell, sorted."""
     nodes = np.unique(find_boundary_facets(mesh))
     return nodes[nodes >= 0]
 
 
 def find_named_facets(mesh: Mesh, name: str) -> NDArray[np.int64]:
-    """Find the boundary facets whose nodes all belong to a node set.
+    """Find the boundary facets whose nodes all belong to a node set: their nodes, padded with -1.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Any.
-    name : str
-        Of the node set.
-
-    Returns
-    -------
-    (n, widest facet) int64 array
-        Their nodes, padded with -1.
-
-    Raises
-    ------
-    InputError
-        Where the mesh has no node set of that name.
+    Raises InputError where the mesh has no node set of that name.
     """
     outer = find_boundary_facets(mesh)
     padding = outer < 0
@@ -128,17 +78,7 @@ def find_named_facets(mesh: Mesh, name: str) -> NDArray[np.int64]:
 def find_adjacent_cells(mesh: Mesh) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Find the graph of the cells that share a facet, as compressed sorted rows without loops.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Any.
-
-    Returns
-    -------
-    indptr : (n_cells + 1,) int64 array
-        Where each cell's neighbours begin.
-    indices : (indptr[-1],) int64 array
-        The neighbours of cell e are indices[indptr[e]:indptr[e + 1]].
+    Gives indptr and indices: the neighbours of cell e are indices[indptr[e]:indptr[e + 1]].
     """
     found = find_facets(mesh)
     order = np.argsort(found.side_facets, kind="stable")
@@ -206,28 +146,10 @@ BOUNDARY = "boundary"
 
 def find_not_controlled_nodes(mesh: Mesh, names: Sequence[str], boxes: Sequence[Sequence[float]],
                          boundary: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
-    """Find the nodes that are not mechanically controlled.
+    """Find the nodes that are not mechanically controlled, by node sets or "boundary", and by boxes; sorted.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Any.
-    names : sequence of str
-        Node sets, or "boundary".
-    boxes : sequence of (x0, y0, x1, y1)
-        Pixels.
-    boundary : (n,) int64 array, optional
-        Nodes of the boundary; by default those on facets of one cell.
-
-    Returns
-    -------
-    (n,) int64 array
-        Their sorted numbers.
-
-    Raises
-    ------
-    InputError
-        A line for each unknown name, empty set and box without nodes.
+    Boxes are (x0, y0, x1, y1), pixels. ``boundary`` are the nodes of the boundary, by default those on facets of one
+    cell. Raises InputError with a line for each unknown name, empty set and box without nodes.
     """
     chosen, problems = [np.zeros(0, np.int64)], []
     for name in names:
@@ -254,10 +176,8 @@ class Corners:
 
     Attributes
     ----------
-    cells : (n,) array of int64
-        Number of each corner's cell.
-    nodes : (n,) array of int64
-        Its node.
+    cells, nodes : (n,) array of int64
+        Each corner's cell and node.
     ahead, behind : (n,) array of int64
         The cell's nodes after and before it.
     """
@@ -269,18 +189,7 @@ class Corners:
 
 
 def list_corners(mesh: Mesh) -> Corners:
-    """List the corners of all cells.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Of plane cells whose corners are their nodes.
-
-    Returns
-    -------
-    Corners
-        In the order of the cells' nodes.
-    """
+    """List the corners of all cells, in the order of the cells' nodes; cells are plane, with their nodes as corners."""
     counts = np.diff(mesh.offsets)
     cells = np.repeat(np.arange(mesh.n_cells), counts)
     first_of_cell, n_of_cell = mesh.offsets[cells], counts[cells]

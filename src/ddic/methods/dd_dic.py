@@ -46,32 +46,10 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[NDArray[
                 clock: PhaseClock, least_shown: float = 0.0) -> SolvedFrame:
     """Iterate from a start until neither the field nor what the frame shows of it changes; collective.
 
-    The frame is looked at where the start puts it, where a field is roughly found, and where it is found.
-
-    Parameters
-    ----------
-    problem : WeightedProblem
-        Operators, renewed where the frame asks for it.
-    whole : ResidualModel
-        Of all pixels that the frame shows, cameras weighted.
-    q : list of (n_unknowns,) array
-        Start of each owned subdomain.
-    listener : Listener
-        Told what happens.
-    clock : PhaseClock
-        Of the phases.
-    least_shown : float, optional
-        Share of the cells that the start must show; any by default.
-
-    Returns
-    -------
-    SolvedFrame
-        Where nothing changes any more.
-
-    Raises
-    ------
-    ConvergenceError, SingularSubdomainError, FactorizationError
-        On all ranks; the first with the last SolvedFrame.
+    The frame is looked at where the start puts it, where a field is roughly found, and where it is found; operators are
+    renewed where it asks for it. ``whole`` is of all pixels that the frame shows, cameras weighted; ``q`` is the start
+    of each owned subdomain, (n_unknowns,); ``least_shown`` is the share of the cells that it must show, any by default.
+    Raises ConvergenceError with the last SolvedFrame, SingularSubdomainError or FactorizationError, on all ranks.
     """
     with clock.phase(Phase.READ):
         whole.team.together(lambda: read_frame_windows(whole.views, q))
@@ -135,7 +113,8 @@ class Session:
     """A prepared measurement, for any number of frames; use it in a ``with`` statement, which frees PETSc's objects.
 
     M, the partition, the factors and the coarse space come from the reference images. Where a frame hides more than a
-    share of a subdomain's pixels, that subdomain's M and factor are renewed, and the log says so.
+    share of a subdomain's pixels, that subdomain's M and factor are renewed, and the log says so. Raises InputError,
+    SingularSubdomainError or FactorizationError on all ranks.
 
     Parameters
     ----------
@@ -154,11 +133,6 @@ class Session:
     ----------
     problem : WeightedProblem
         The systems, weighted and factorised, and how often.
-
-    Raises
-    ------
-    InputError, SingularSubdomainError, FactorizationError
-        On all ranks.
     """
 
     def __init__(self, team: Team, inputs: Inputs, listener: Listener, clock: PhaseClock,
@@ -190,24 +164,10 @@ class Session:
     def measure(self, frame: Frame, start: KnownStart | None = None, least_shown: float = 0.0) -> Measurement:
         """Measure the displacement between the reference images and a frame; collective.
 
-        Parameters
-        ----------
-        frame : Frame
-            One deformed image of each camera.
-        start : sequence of (n_unknowns,) array, EarlierResult or StartPoints, optional
-            Unknowns of each owned subdomain to start from, or a displacement to go on from; else as the case says.
-        least_shown : float, optional
-            Share of the cells that the start must show; any by default.
-
-        Returns
-        -------
-        Measurement
-            Spread over ranks.
-
-        Raises
-        ------
-        InputError, SingularSubdomainError, ConvergenceError
-            On all ranks, the last with the last field; the session can measure other frames afterwards.
+        ``start`` holds unknowns of each owned subdomain to start from, (n_unknowns,), or is a displacement to go on
+        from; else the case says where. ``least_shown`` is the share of the cells that the start must show, any by
+        default. Raises InputError, SingularSubdomainError, or ConvergenceError with the last field, on all ranks; the
+        session can measure other frames afterwards.
         """
         problem, first_found = self.problem, None
         if frame is self._first_frame:

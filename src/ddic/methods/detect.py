@@ -33,46 +33,15 @@ them: what is on the wrong side of one drags its nodes along without mechanics."
 
 
 def is_line_wanted(case: Case) -> bool:
-    """Tell whether a case asks for a line to be found.
-
-    Parameters
-    ----------
-    case : Case
-        With its discontinuities.
-
-    Returns
-    -------
-    bool
-        Whether one has no vertices.
-    """
+    """Tell whether a case asks for a line to be found: whether one of its discontinuities has no vertices."""
     return any(section.vertices is None for section in case.discontinuity)
 
 
 def find_discontinuity(team: Team, inputs: Inputs, frame: Frame, listener: Listener, clock: PhaseClock) -> Inputs:
     """Find the line that a case asks for; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    inputs : Inputs
-        Reference image, mesh and settings.
-    frame : Frame
-        The deformed image.
-    listener : Listener
-        Told what happens.
-    clock : PhaseClock
-        Of the phases.
-
-    Returns
-    -------
-    Inputs
-        With the line, or without discontinuities where none is found; the same where the case asks for none.
-
-    Raises
-    ------
-    InputError, SingularSubdomainError, ConvergenceError
-        On all ranks.
+    Returns inputs with the line, or without discontinuities where none is found; the same where the case asks for none.
+    Raises InputError, SingularSubdomainError or ConvergenceError on all ranks.
     """
     case = inputs.case
     if not is_line_wanted(case):
@@ -117,36 +86,10 @@ def measure_on_lines(recipe: Recipe, inputs: Inputs, frame: Frame, start: Any, p
                      ) -> tuple[Recipe, Inputs, Measurement | SeparatedMeasurement]:
     """Measure a frame, and once more where the residual says that lines are off their places; collective.
 
-    Parameters
-    ----------
-    recipe : Recipe
-        Prepared with the lines as they are given.
-    inputs : Inputs
-        That it was prepared from.
-    frame : Frame
-        The deformed images.
-    start : KnownStart or None
-        As ``Session.measure`` takes it.
-    prepare : callable
-        Makes a recipe of inputs with other lines.
-    listener : Listener
-        Told what happens.
-    clock : PhaseClock
-        Of the phases.
-
-    Returns
-    -------
-    recipe : Recipe
-        The same, or another one, with refined lines: the first one is closed then.
-    inputs : Inputs
-        That it was prepared from.
-    measurement : Measurement or SeparatedMeasurement
-        With it.
-
-    Raises
-    ------
-    InputError, SingularSubdomainError, ConvergenceError
-        On all ranks.
+    The recipe was prepared of ``inputs``, with the lines as they are given; ``start`` is as ``Session.measure`` takes
+    it. Returns the recipe, the inputs that it was prepared from, and what it measured: the same recipe, or one that
+    ``prepare`` makes with refined lines, and the first one is closed then. Raises InputError, SingularSubdomainError or
+    ConvergenceError on all ranks.
     """
     if not isinstance(recipe, Session):
         return recipe, inputs, recipe.measure(frame, start)
@@ -163,30 +106,9 @@ def measure_and_look(measure: Callable[[], Measurement], team: Team, inputs: Inp
                      clock: PhaseClock) -> Measurement | Inputs:
     """Measure a frame, and look whether lines are off their places; collective.
 
-    Parameters
-    ----------
-    measure : callable
-        Measures it.
-    team : Team
-        All ranks.
-    inputs : Inputs
-        From which that was prepared.
-    frame : Frame
-        The deformed images.
-    listener : Listener
-        Told how lines were refined.
-    clock : PhaseClock
-        Of the phases.
-
-    Returns
-    -------
-    Measurement or Inputs
-        What was measured; or inputs with refined lines, with which the frame is to be measured again.
-
-    Raises
-    ------
-    InputError, SingularSubdomainError, ConvergenceError
-        On all ranks.
+    Returns what was measured; or inputs with refined lines, with which the frame is to be measured again: the listener
+    is told how they were refined. ``inputs`` are those from which ``measure`` was prepared. Raises InputError,
+    SingularSubdomainError or ConvergenceError on all ranks.
     """
     if not _may_be_off(inputs.case):
         return measure()
@@ -209,20 +131,7 @@ def measure_and_look(measure: Callable[[], Measurement], team: Team, inputs: Inp
 
 
 def add_notes(measurement: Measurement, notes: Sequence[str]) -> Measurement:
-    """Add notes to those of a measurement and of its result.
-
-    Parameters
-    ----------
-    measurement : Measurement
-        Of a frame.
-    notes : sequence of str
-        What the user should know.
-
-    Returns
-    -------
-    Measurement
-        With them.
-    """
+    """Add notes to those of a measurement and of its result."""
     of_result = replace(measurement.inputs, notes=(*measurement.inputs.notes, *notes))
     return replace(measurement, inputs=of_result, notes=(*measurement.notes, *notes))
 

@@ -21,28 +21,12 @@ from ddic.solvers.probing import estimate_noise_rms
 
 
 def expected_noise(case: Case, sigma: float, nodes: NDArray[np.bool_]) -> float:
-    """Predict the RMS displacement noise per component over chosen nodes, on one rank.
+    """Predict the RMS displacement noise per component over chosen nodes, pixels, on one rank.
 
-    Covariance 2 sigma^2 A^-1 M A^-1 with A = M + eta Kbar^T Kbar of the whole region.
-
-    Parameters
-    ----------
-    case : Case
-        With absolute paths and one camera.
-    sigma : float
-        Standard deviation of the camera noise of both images, grey levels.
-    nodes : (n_nodes,) array of bool
-        Chosen nodes of the mesh.
-
-    Returns
-    -------
-    float
-        Pixels.
-
-    Raises
-    ------
-    InputError, SingularSubdomainError
-        Where the case cannot be set up.
+    Covariance 2 sigma^2 A^-1 M A^-1 with A = M + eta Kbar^T Kbar of the whole region. The case has absolute paths and
+    one camera; ``sigma`` is the standard deviation of the camera noise of both images, grey levels; ``nodes`` are those
+    of the mesh that are chosen, (n_nodes,). Raises InputError or SingularSubdomainError where the case cannot be set
+    up.
     """
     cameras = open_cameras(case, open_in_headers)
     image = cameras[0].reference.image
@@ -51,26 +35,11 @@ def expected_noise(case: Case, sigma: float, nodes: NDArray[np.bool_]) -> float:
 
 
 def estimate_nodal_noise(inputs: Inputs, sigma: float, nodes: NDArray[np.bool_] | None = None) -> float:
-    """Predict the RMS displacement noise per component of images and a mesh in memory, on one rank.
+    """Predict the RMS displacement noise per component of images and a mesh in memory, pixels, on one rank.
 
-    Parameters
-    ----------
-    inputs : Inputs
-        Of one camera.
-    sigma : float
-        Standard deviation of the camera noise of both images, grey levels.
-    nodes : (n_nodes,) array of bool, optional
-        Chosen nodes of the mesh before discontinuities cut it; all of them by default. Phantom nodes do not count.
-
-    Returns
-    -------
-    float
-        Pixels.
-
-    Raises
-    ------
-    InputError, SingularSubdomainError
-        Where the problem cannot be set up.
+    Inputs are of one camera; ``sigma`` is the standard deviation of the camera noise of both images, grey levels.
+    ``nodes`` are those chosen of the mesh before discontinuities cut it, (n_nodes,), all of them by default; phantom
+    nodes do not count. Raises InputError or SingularSubdomainError where the problem cannot be set up.
     """
     team, clock = Team.alone(), PhaseClock()
     case = inputs.case.model_copy(update={"solver": SolverSection(method="monolithic")})

@@ -21,6 +21,8 @@ from ddic.start.separated_start import KnownSeparatedStart, find_separated_start
 class SeparatedSession:
     """A prepared PGD-DIC measurement, for any number of frames; use it in a ``with`` statement as other sessions.
 
+    Raises InputError on all ranks.
+
     Parameters
     ----------
     team : Team
@@ -31,11 +33,6 @@ class SeparatedSession:
         Told what happens.
     clock : PhaseClock
         Of the phases.
-
-    Raises
-    ------
-    InputError
-        On all ranks.
     """
 
     def __init__(self, team: Team, inputs: Inputs, listener: Listener, clock: PhaseClock) -> None:
@@ -54,22 +51,9 @@ class SeparatedSession:
     def measure(self, frame: Frame, start: KnownSeparatedStart | None = None) -> SeparatedMeasurement:
         """Measure the displacement between the reference image and a frame; collective.
 
-        Parameters
-        ----------
-        frame : Frame
-            One deformed image.
-        start : SeparatedField, EarlierResult or StartPoints, optional
-            Displacement to start from, or to go on from; by default as the case says.
-
-        Returns
-        -------
-        SeparatedMeasurement
-            Pixels spread over ranks.
-
-        Raises
-        ------
-        InputError, SingularSubdomainError, ConvergenceError
-            On all ranks, the last with the last field; the session can measure other frames afterwards.
+        ``start`` is a displacement to start from, or to go on from; by default the case says where. Raises InputError,
+        SingularSubdomainError, or ConvergenceError with the last field, on all ranks; the session can measure other
+        frames afterwards.
         """
         problem = self._problem
         with self._clock.phase(Phase.START):

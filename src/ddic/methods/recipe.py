@@ -1,6 +1,6 @@
 """The recipe that a case asks for.
 
-What noise leaves in measured displacements: of a pair, and of the frames of a series.
+Also what noise leaves in measured displacements, of a pair and of the frames of a series.
 """
 
 from __future__ import annotations
@@ -30,32 +30,10 @@ Recipe: TypeAlias = "Session | SeparatedSession"
 
 def prepare_recipe(team: Team, inputs: Inputs, listener: Listener, clock: PhaseClock,
                    first_frame: Frame | None = None) -> Recipe:
-    """Prepare the reference images as the case's method does; collective.
+    """Prepare the reference images as the case's method does, PGD-DIC where the case has [pgd]; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    inputs : Inputs
-        Reference images, mesh and settings.
-    listener : Listener
-        Told what happens.
-    clock : PhaseClock
-        Of the phases.
-    first_frame : Frame, optional
-        Where it is known already.
-
-    Returns
-    -------
-    Session or SeparatedSession
-        PGD-DIC where the case has [pgd].
-
-    Raises
-    ------
-    InputError, SingularSubdomainError, FactorizationError
-        On all ranks.
-    StoppedError
-        On all ranks, where a signal asked one of them to stop.
+    ``first_frame`` is given where it is known already. Raises InputError, SingularSubdomainError or FactorizationError
+    on all ranks, and StoppedError on all ranks where a signal asked one of them to stop.
     """
     stop_if_asked(team, "before the first iteration")
     if inputs.case.pgd is not None:
@@ -68,22 +46,9 @@ def prepare_recipe(team: Team, inputs: Inputs, listener: Listener, clock: PhaseC
 def estimate_noise_floor(recipe: Recipe, measurement: Publishable, clock: PhaseClock) -> float:
     """Estimate what noise of the residual's size leaves in a measured displacement; collective.
 
-    The residual is taken to be noise, as strong as it acts on displacements; it also holds what the field cannot
-    follow. With several cameras the noise is the one that weighs them.
-
-    Parameters
-    ----------
-    recipe : Session or SeparatedSession
-        That measured.
-    measurement : Publishable
-        What it measured last.
-    clock : PhaseClock
-        Of the phases.
-
-    Returns
-    -------
-    float
-        RMS of a component at a node, pixels; nan for PGD-DIC, and where a linear step fails.
+    Returns the RMS of a component at a node, pixels; nan for PGD-DIC, and where a linear step fails. The residual is
+    taken to be noise, as strong as it acts on displacements; it also holds what the field cannot follow. With several
+    cameras the noise is the one that weighs them. ``measurement`` is what the recipe measured last.
     """
     if not isinstance(recipe, Session) or not isinstance(measurement, Measurement):
         return float("nan")
@@ -121,18 +86,7 @@ class NoiseFloor:
         self._by_grey_level: float | None = None
 
     def estimate(self, measurement: Measurement) -> float:
-        """Estimate that of a frame; collective.
-
-        Parameters
-        ----------
-        measurement : Measurement
-            Of the frame.
-
-        Returns
-        -------
-        float
-            RMS of a component at a node, pixels; nan where a linear step fails.
-        """
+        """Estimate that of a frame, RMS of a component at a node, pixels; nan where a linear step fails; collective."""
         deviation = measurement.evaluation.grey[0].residual_std
         if self._by_grey_level is None:
             floor = estimate_noise_floor(self._recipe, measurement, self._clock)

@@ -42,26 +42,11 @@ class ReferenceSession:
 
     @classmethod
     def prepare(cls, images: SeriesImages, lines: tuple[Vertices, ...], first_frame: Frame | None = None) -> Self:
-        """Prepare the session of the first reference image; collective.
+        """Prepare the session of the first reference image, the caller's to close; collective.
 
-        Parameters
-        ----------
-        images : SeriesImages
-            Of the series.
-        lines : tuple of tuple of (x, y)
-            Vertices of the discontinuities as a frame has refined them, pixels; empty for those of the case.
-        first_frame : Frame, optional
-            Where it is known already.
-
-        Returns
-        -------
-        ReferenceSession
-            The caller's to close.
-
-        Raises
-        ------
-        InputError, SingularSubdomainError, FactorizationError
-            On all ranks.
+        ``lines`` are vertices of the discontinuities as a frame has refined them, pixels; empty for those of the case.
+        ``first_frame`` is given where it is known already. Raises InputError, SingularSubdomainError or
+        FactorizationError on all ranks.
         """
         inputs = place_lines(images.opener.inputs, lines)
         return cls(images, Session(images.team, inputs, images.listener, images.clock, first_frame), lines=lines)
@@ -75,37 +60,16 @@ class ReferenceSession:
     def estimate_noise_floor(self, measurement: Measurement) -> float:
         """Estimate what noise leaves in a frame's field, with what it has left in those of updates; collective.
 
-        Parameters
-        ----------
-        measurement : Measurement
-            Of the frame.
-
-        Returns
-        -------
-        float
-            RMS of a component at a node, pixels; nan where a linear step fails.
+        Returns the RMS of a component at a node, pixels; nan where a linear step fails.
         """
         return math.hypot(self._noise_floor, self._added.estimate(measurement))
 
     def update(self, record: FrameRecord, state: MeasuredState) -> ReferenceSession:
-        """Prepare a session that compares with a frame that was measured; collective. This one stays.
+        """Prepare a session that compares with a frame that was measured; collective.
 
-        Parameters
-        ----------
-        record : FrameRecord
-            Of the frame.
-        state : MeasuredState
-            Its field, on this session's subdomains.
-
-        Returns
-        -------
-        ReferenceSession
-            The caller's to close.
-
-        Raises
-        ------
-        InputError, SingularSubdomainError, FactorizationError
-            On all ranks, where the mesh has left the frame, or the frame does not hold it.
+        This one stays; the other one is the caller's to close. ``state`` is the frame's field on this session's
+        subdomains. Raises InputError, SingularSubdomainError or FactorizationError on all ranks, where the mesh has
+        left the frame, or the frame does not hold it.
         """
         images, reference = self.images, self.session.problem.reference
         displacement = state.gather(images.team, reference.subdomains, reference.region.n_nodes)
@@ -115,19 +79,9 @@ class ReferenceSession:
         return ReferenceSession(images, session, record.number, record.noise_floor_px)
 
     def restrict_states(self, other: ReferenceSession, states: Sequence[MeasuredState]) -> list[MeasuredState]:
-        """Restrict states to this session's subdomains; collective.
+        """Restrict states on another session's subdomains to this one's; collective.
 
-        Parameters
-        ----------
-        other : ReferenceSession
-            On whose subdomains they are.
-        states : sequence of MeasuredState
-            Of frames.
-
-        Returns
-        -------
-        list of MeasuredState
-            The same; none where other lines cut the mesh.
+        None are left where other lines cut the mesh.
         """
         if other is self:
             return list(states)
@@ -145,17 +99,7 @@ class ReferenceSession:
 def place_lines(inputs: Inputs, lines: tuple[Vertices, ...]) -> Inputs:
     """Put the discontinuities of a case where a frame has refined them.
 
-    Parameters
-    ----------
-    inputs : Inputs
-        Of the series.
-    lines : tuple of tuple of (x, y)
-        Vertices of all of them, pixels; empty where they stay.
-
-    Returns
-    -------
-    Inputs
-        With them.
+    ``lines`` are the vertices of all of them, pixels; empty where they stay.
     """
     if not lines:
         return inputs

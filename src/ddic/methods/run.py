@@ -1,6 +1,6 @@
 """A whole run of a case file, of a pair or of a series.
 
-A whole run of a pair: inputs opened, field measured, result and summary written.
+Of a pair: inputs opened, field measured, result and summary written.
 """
 
 from __future__ import annotations
@@ -23,27 +23,11 @@ from ddic.results.summary import Summary
 
 
 def run_pair(team: Team, loaded: LoadedCase, listener: Listener) -> Summary:
-    """Run a case that was loaded; collective.
+    """Run a case that was loaded, with one deformed image of each camera; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    loaded : LoadedCase
-        Checked, with one deformed image of each camera.
-    listener : Listener
-        Told what happens.
-
-    Returns
-    -------
-    Summary
-        Also written beside the result.
-
-    Raises
-    ------
-    DdicError
-        On all ranks. Where the measurement does not converge, its last field is written under a name that says so, and
-        an earlier result is moved out of the way; the message says where both are.
+    Returns the summary, also written beside the result. Raises DdicError on all ranks. Where the measurement does not
+    converge, its last field is written under a name that says so, and an earlier result is moved out of the way; the
+    message says where both are.
     """
     output, start = loaded.case.output, loaded.case.start.from_result
     clock = PhaseClock(entered=listener.phase, advanced=listener.progress, waiting=team.waiting)
@@ -69,28 +53,7 @@ def run_pair(team: Team, loaded: LoadedCase, listener: Listener) -> Summary:
 
 
 def run_case(team: Team, path: Path, listener: Listener) -> Summary:
-    """Run the case file of a pair; collective.
-
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    path : Path
-        The case file.
-    listener : Listener
-        Told what happens.
-
-    Returns
-    -------
-    Summary
-        Also written beside the result.
-
-    Raises
-    ------
-    DdicError
-        On all ranks. Where the measurement does not converge, its last field is written under a name that says so, and
-        an earlier result is moved out of the way; the message says where both are.
-    """
+    """Run the case file of a pair, returning and raising what ``run_pair`` does; collective."""
     loaded = team.on_root(lambda: load_checked_case(path, team.size))
     if loaded.is_series:
         raise as_collective(InputError(f"{path}: images.deformed: names a series, one image is expected here"))
@@ -99,28 +62,10 @@ def run_case(team: Team, path: Path, listener: Listener) -> Summary:
 
 
 def run_file(team: Team, path: Path, listener: Listener, *, resume: bool = False) -> Summary | SeriesSummary:
-    """Run a case file; collective.
+    """Run a case file, whose summary is also written beside the result; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    path : Path
-        The case file.
-    listener : Listener
-        Told what happens.
-    resume : bool
-        Whether to go on with a series where an earlier run stopped.
-
-    Returns
-    -------
-    Summary or SeriesSummary
-        Also written beside the result.
-
-    Raises
-    ------
-    DdicError
-        On all ranks, as ``run_pair`` and ``run_series`` do.
+    ``resume`` tells whether to go on with a series where an earlier run stopped. Raises DdicError on all ranks, as
+    ``run_pair`` and ``run_series`` do.
     """
     loaded = team.on_root(lambda: load_checked_case(path, team.size))
     if resume and not loaded.is_series:

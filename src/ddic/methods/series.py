@@ -1,6 +1,6 @@
 """A series of deformed images measured from one reference image; what is finished is never lost.
 
-The frames of a series, each started from those before it; one that cannot be measured does not stop the others.
+Each frame is started from those before it; one that cannot be measured does not stop the others.
 """
 
 from __future__ import annotations
@@ -33,22 +33,8 @@ from ddic.results.series_images import (
 def measure_frames(images: SeriesImages, wanted: FramesToMeasure) -> list[FrameRecord]:
     """Measure what is left of a series, or what of it a signal leaves time for; collective.
 
-    Parameters
-    ----------
-    images : SeriesImages
-        Of the series.
-    wanted : FramesToMeasure
-        Which.
-
-    Returns
-    -------
-    list of FrameRecord
-        Of each; the same on all ranks.
-
-    Raises
-    ------
-    InputError, SingularSubdomainError, FactorizationError, OSError
-        On all ranks, where nothing can be prepared, or no frame can be written.
+    Returns the record of each frame, the same on all ranks. Raises InputError, SingularSubdomainError,
+    FactorizationError or OSError on all ranks, where nothing can be prepared, or no frame can be written.
     """
     team, opener, listener = images.team, images.opener, images.listener
     # A frame that has begun is finished: no signal ends it.
@@ -95,28 +81,10 @@ def _begin(images: SeriesImages, wanted: FramesToMeasure) -> FramesSoFar:
 def run_series(team: Team, loaded: LoadedCase, listener: Listener, *, resume: bool = False) -> SeriesSummary:
     """Measure the deformed images of a case in order; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    loaded : LoadedCase
-        Checked, with several deformed images.
-    listener : Listener
-        Told what happens.
-    resume : bool
-        Whether to go on where an earlier run stopped.
-
-    Returns
-    -------
-    SeriesSummary
-        Also written beside the result.
-
-    Raises
-    ------
-    DdicError
-        On all ranks. Where frames could not be measured the others are in the result, and the message says which.
-    StoppedError
-        On all ranks, where a signal asked one of them to stop; what was measured until then is in the result.
+    ``resume`` tells whether to go on where an earlier run stopped. Returns the summary, also written beside the result.
+    Raises DdicError on all ranks: where frames could not be measured the others are in the result, and the message says
+    which. Raises StoppedError on all ranks, where a signal asked one of them to stop; what was measured until then is
+    in the result.
     """
     began = time.perf_counter()
     file, n_frames = loaded.case.output.file, len(list_deformed(loaded.case.images))

@@ -1,10 +1,7 @@
 """A frame of a series: started from those before it, measured, written; or noted as one that cannot be measured.
 
-Where a frame of a series starts: from what frames before it extrapolate to, or from a search.
-
-The frames of a series that are finished, as far as the next one needs them.
-
-When a frame of a series becomes the reference image of those that follow.
+It starts from what frames before it extrapolate to, or from a search. Finished frames are known as far as the next one
+needs them. Also: when a frame becomes the reference image of those that follow.
 """
 
 from __future__ import annotations
@@ -57,21 +54,10 @@ class KnownFrameStart:
 
 
 def choose_known_start(wanted: str, states: Sequence[MeasuredState], time: float) -> KnownFrameStart | None:
-    """Choose what a frame starts from of those before it.
+    """Choose what a frame starts from of those before it; None where it is to be searched for.
 
-    Parameters
-    ----------
-    wanted : str
-        ``series.start`` of the case.
-    states : sequence of MeasuredState
-        The last frames that were measured, two at most.
-    time : float
-        Of the frame, unit chosen by the user.
-
-    Returns
-    -------
-    KnownFrameStart or None
-        None where it is to be searched for.
+    ``wanted`` is ``series.start`` of the case; ``states`` are those of the last frames that were measured, two at most;
+    ``time`` is the frame's, unit chosen by the user.
     """
     # A field that mechanics hold off what its frame showed would take what it sees for something else.
     if wanted == "search" or not states or states[-1].holds_back:
@@ -84,30 +70,11 @@ def choose_known_start(wanted: str, states: Sequence[MeasuredState], time: float
 
 def measure_from(session: Session, frame: Frame, known: KnownFrameStart | None,
                  listener: Listener) -> tuple[Measurement, str]:
-    """Measure a frame from a known start, or from a search where that leads nowhere; collective.
+    """Measure a frame from a known start, or from a search where there is none or that leads nowhere; collective.
 
-    Parameters
-    ----------
-    session : Session
-        Prepared; what earlier frames changed of its operators is forgotten.
-    frame : Frame
-        One deformed image of each camera.
-    known : KnownFrameStart or None
-        None: it is searched for.
-    listener : Listener
-        Told what happens.
-
-    Returns
-    -------
-    measurement : Measurement
-        Spread over ranks.
-    name : str
-        Of the start.
-
-    Raises
-    ------
-    InputError, ConvergenceError, SingularSubdomainError
-        On all ranks, where the search does not converge either.
+    What earlier frames changed of the session's operators is forgotten. Returns the measurement and the name of the
+    start. Raises InputError, ConvergenceError or SingularSubdomainError on all ranks, where the search does not
+    converge either.
     """
     if known is not None:
         session.begin_anew()
@@ -144,21 +111,8 @@ class MeasuredFrame:
 def measure_frame(session: ReferenceSession, number: int, states: Sequence[MeasuredState]) -> MeasuredFrame:
     """Measure a frame, once more where its residual says that lines are off; collective.
 
-    What cannot be measured is told.
-
-    Parameters
-    ----------
-    session : ReferenceSession
-        Of the reference image in use.
-    number : int
-        From 1.
-    states : sequence of MeasuredState
-        Of the last frames that were measured, on the session's subdomains.
-
-    Returns
-    -------
-    MeasuredFrame
-        Measured or not.
+    What cannot be measured is told. Frames are numbered from 1; ``states`` are those of the last frames that were
+    measured, on the session's subdomains.
     """
     images, opener = session.images, session.images.opener
     case = opener.inputs.case
@@ -209,28 +163,10 @@ def _measure_on_lines(session: ReferenceSession, frame: Frame, known: KnownFrame
 
 def keep_frame(team: Team, frame: MeasuredFrame, folder: SeriesFolder,
                writer: BackgroundWriter) -> MeasuredState | None:
-    """Begin to write a frame, or note that it could not be measured; collective.
+    """Begin to write a frame, or note that it could not be measured; collective, the writer is rank 0's.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    frame : MeasuredFrame
-        Measured or not.
-    folder : SeriesFolder
-        Where finished frames go.
-    writer : BackgroundWriter
-        Of rank 0.
-
-    Returns
-    -------
-    MeasuredState or None
-        What the next frame starts from; None where it could not be measured.
-
-    Raises
-    ------
-    OSError
-        On all ranks, where it cannot be written.
+    Returns what the next frame starts from, None where it could not be measured. Raises OSError on all ranks where it
+    cannot be written.
     """
     record, result = frame.record, frame.result
     if isinstance(result, DdicError):
@@ -261,19 +197,7 @@ class FramesSoFar:
     def add(self, session: ReferenceSession, record: FrameRecord, state: MeasuredState | None) -> FramesSoFar:
         """Add a frame; collective. The session so far is closed where another one has taken its place.
 
-        Parameters
-        ----------
-        session : ReferenceSession
-            That measured it.
-        record : FrameRecord
-            Of it.
-        state : MeasuredState or None
-            None where it could not be measured.
-
-        Returns
-        -------
-        FramesSoFar
-            With it.
+        ``session`` measured the frame; ``state`` is None where it could not be measured.
         """
         states = session.restrict_states(self.session, self.states)
         if session is not self.session:
@@ -282,13 +206,7 @@ class FramesSoFar:
         return FramesSoFar(session, [*self.records, record], states[-N_STATES:])
 
     def find_last_measured(self) -> FrameRecord | None:
-        """Find the last frame that was measured.
-
-        Returns
-        -------
-        FrameRecord or None
-            None where none was, or where nothing is known of its field.
-        """
+        """Find the last frame that was measured; None where none was, or where nothing is known of its field."""
         measured = [record for record in self.records if record.converged]
         return measured[-1] if measured and self.states else None
 
@@ -301,19 +219,8 @@ third of the residual is then light and speckle that have changed. A larger valu
 def measure_with_updates(so_far: FramesSoFar, number: int) -> tuple[MeasuredFrame, ReferenceSession]:
     """Measure a frame, with the last one that was measured as its reference image where that is due; collective.
 
-    Parameters
-    ----------
-    so_far : FramesSoFar
-        What it goes on from.
-    number : int
-        From 1.
-
-    Returns
-    -------
-    frame : MeasuredFrame
-        Measured or not.
-    session : ReferenceSession
-        That measured it; where it is another one the caller has to close one of them.
+    Frames are numbered from 1. Returns the frame, measured or not, and the session that measured it; where it is
+    another one the caller has to close one of them.
     """
     session = so_far.session
     section, last = session.images.opener.inputs.case.series, so_far.find_last_measured()

@@ -1,6 +1,6 @@
 """Element sizes and cut-off wavelengths compared on the pair and on virtual images made from it.
 
-One element size and cut-off wavelength: prepared, and measured with.
+A candidate is one element size and one cut-off wavelength: prepared, and measured with.
 """
 
 from __future__ import annotations
@@ -60,17 +60,8 @@ class CandidateSession:
     def measure_pair(self, frame: Frame, start: EarlierResult | None) -> CandidateField:
         """Measure the pair of the case; collective.
 
-        Parameters
-        ----------
-        frame : Frame
-            The deformed image.
-        start : EarlierResult or None
-            A displacement to start from; None: it is searched for.
-
-        Returns
-        -------
-        CandidateField
-            With the reason where nothing was measured: one candidate that fails ends no sweep.
+        ``start`` is a displacement to start from; None: it is searched for. Where nothing was measured the reason is in
+        what is returned: one candidate that fails ends no sweep.
         """
         try:
             session = self._open()
@@ -85,20 +76,7 @@ class CandidateSession:
             self._finish()
 
     def measure_virtual(self, frame: Frame, start: EarlierResult) -> Result | None:
-        """Measure a virtual image; collective.
-
-        Parameters
-        ----------
-        frame : Frame
-            The virtual image.
-        start : EarlierResult
-            A displacement to start from.
-
-        Returns
-        -------
-        Result or None
-            The field, on every rank; None where there is none.
-        """
+        """Measure a virtual image from a start; collective. The field is on every rank, None where there is none."""
         try:
             return gather(self._open().measure(frame, start))
         except DdicError as error:
@@ -136,26 +114,9 @@ Advance = Callable[[str], None]
 def measure_candidates(team: Team, varied: Sequence[tuple[Candidate, Inputs]], frame: Frame, advance: Advance) -> Sweep:
     """Measure the pair and the virtual images with every candidate, and choose one; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    varied : sequence of (Candidate, Inputs)
-        Candidates with their inputs, the case's own first; of one camera.
-    frame : Frame
-        The deformed image.
-    advance : callable
-        Told what is measured next, twice for each candidate.
-
-    Returns
-    -------
-    Sweep
-        The same on all ranks.
-
-    Raises
-    ------
-    ConvergenceError
-        On all ranks, where no candidate measures the pair, or the virtual images.
+    ``varied`` has candidates with their inputs, the case's own first, of one camera; ``advance`` is told what is
+    measured next, twice for each candidate. The sweep is the same on all ranks. Raises ConvergenceError on all ranks,
+    where no candidate measures the pair, or the virtual images.
     """
     images = VirtualFrames(team, varied[0][1])
     stays_open = images.reference.extent.n_pixels * len(varied) <= KEPT_PIXELS

@@ -29,13 +29,7 @@ _STEPS = 64
 
 
 def find_rank() -> int | None:
-    """Tell which rank of a job this is, before MPI has begun.
-
-    Returns
-    -------
-    int or None
-        As the launcher says; None without one.
-    """
+    """Tell which rank of a job this is, before MPI has begun, as the launcher says; None without one."""
     for name in _RANK_VARIABLES:
         if os.environ.get(name, "").isdecimal():
             return int(os.environ[name])
@@ -43,18 +37,7 @@ def find_rank() -> int | None:
 
 
 def is_launcher(pid: int) -> bool:
-    """Tell whether a process is one that starts ranks.
-
-    Parameters
-    ----------
-    pid : int
-        Its number.
-
-    Returns
-    -------
-    bool
-        False where it is gone, or this one.
-    """
+    """Tell whether a process, by its number, is one that starts ranks; False where it is gone, or this one."""
     try:
         name = Path(f"/proc/{pid}/comm").read_text(encoding="utf-8").strip()
     except OSError:
@@ -71,19 +54,10 @@ def prepare_abort() -> None:
 
 
 def abort_all_ranks(line: str, code: int, head_start: float = _HEAD_START) -> NoReturn:
-    """Say why, and end this process and all ranks of its job; not collective.
+    """Say why, in a line for the user, and end this process and all ranks of its job; not collective.
 
     Nothing is finalised: the end of MPI waits for ranks that wait for this one. Where all ranks have the same to say,
-    rank 0 says it, and the launcher ends the others before they do.
-
-    Parameters
-    ----------
-    line : str
-        For the user.
-    code : int
-        The exit code.
-    head_start : float, optional
-        Seconds that rank 0 has to speak before others do.
+    rank 0 says it, ``head_start`` seconds before others may, and the launcher ends the others before they do.
     """
     rank = find_rank() or 0
     if rank > 0 and _is_ended_within(head_start * (1.0 + (rank % _STEPS) / _STEPS)):

@@ -1,10 +1,7 @@
-"""Spread subdomains over ranks.
+"""Spread subdomains over ranks, and bring together what is spread.
 
-Items of all ranks brought to rank 0 one by one, so that it never holds all of them.
-
-Sums at nodes that several subdomains share, the same on all of them.
-
-Sums over bands of rows that are spread over ranks.
+Items of all ranks are brought to rank 0 one by one, so that it never holds all of them. Sums are taken at nodes that
+several subdomains share, the same on all of them, and over bands of rows that are spread over ranks.
 """
 
 from __future__ import annotations
@@ -27,26 +24,9 @@ change nothing."""
 
 
 def split_evenly(costs: NDArray[np.float64], n_ranks: int) -> list[range]:
-    """Split subdomains into contiguous ranges, one a rank, whose largest cost is the least possible.
+    """Split subdomains into contiguous ranges, one a rank, whose largest cost, in any unit, is the least possible.
 
-    Within that, ranges are as equal as they can be from the first on.
-
-    Parameters
-    ----------
-    costs : (n_subdomains,) array
-        Work of each subdomain, in any unit.
-    n_ranks : int
-        Number of ranks.
-
-    Returns
-    -------
-    list of range
-        Each rank's subdomains.
-
-    Raises
-    ------
-    InputError
-        Where a rank would get none.
+    Within that, ranges are as equal as they can be from the first on. Raises InputError where a rank would get none.
     """
     n = len(costs)
     if n_ranks > n:
@@ -94,24 +74,10 @@ def _smallest_limit(before: NDArray[np.float64], low: float, n_ranks: int) -> fl
 
 def scatter_subdomains(team: Team, build: Callable[[], tuple[list[Subdomain], NDArray[np.float64]]],
                        ) -> list[Subdomain]:
-    """Build all subdomains on rank 0 and give each rank its own; collective.
+    """Build all subdomains on rank 0 and give each rank its own, in their order; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    build : callable
-        Runs on rank 0 alone; returns all subdomains and the work of each, of shape (n_subdomains,).
-
-    Returns
-    -------
-    list of Subdomain
-        This rank's, in their order.
-
-    Raises
-    ------
-    InputError
-        On all ranks, where there are fewer subdomains than ranks; and what ``build`` raises.
+    ``build`` runs on rank 0 alone and returns all subdomains and the work of each, (n_subdomains,). Raises InputError
+    on all ranks where there are fewer subdomains than ranks; and what ``build`` raises.
     """
     def share() -> list[list[Subdomain]]:
         subdomains, costs = build()
@@ -127,21 +93,10 @@ _STREAM = 3
 
 
 def stream_to_root(team: Team, items: Iterator[T], take: Callable[[T], object]) -> None:
-    """Bring all ranks' items to rank 0 one at a time; collective.
+    """Bring all ranks' items, each made when it is asked for, to rank 0 one at a time; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    items : iterator
-        This rank's, each made when it is asked for.
-    take : callable
-        Called on rank 0 alone, with its own items, then with those of the others in the order of ranks.
-
-    Raises
-    ------
-    Exception
-        What the lowest rank that fails raises while it makes or takes an item, on all ranks.
+    ``take`` is called on rank 0 alone, with its own items, then with those of the others in the order of ranks. What
+    the lowest rank that fails raises while it makes or takes an item is raised on all ranks.
     """
     error: Exception | None = None
     try:
@@ -187,24 +142,11 @@ Array = NDArray[np.float64]
 
 
 def sum_shared_nodes(team: Team, subdomains: Sequence[Subdomain], sums: Sequence[Array]) -> list[Array]:
-    """Sum values at nodes over all subdomains that have them; collective.
+    """Sum values at nodes, (n_nodes, k) of each owned subdomain, over all subdomains that have them; collective.
 
     A node's values go to one rank, which adds them up in the order of subdomains and sends the sum back: only ranks
-    that share nodes, and those that add up for them, exchange anything.
-
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    subdomains : sequence of Subdomain
-        This rank's.
-    sums : sequence of (n_nodes, k) array
-        Values at the nodes of each; left as they are.
-
-    Returns
-    -------
-    list of (n_nodes, k) array
-        The sums at the same nodes, equal to the last bit on all subdomains however they are spread over ranks.
+    that share nodes, and those that add up for them, exchange anything. ``sums`` are left as they are; the result is
+    equal to the last bit on all subdomains however they are spread over ranks.
     """
     shared = [np.flatnonzero(subdomain.node_multiplicity > 1) for subdomain in subdomains]
     # A rank always has a subdomain.

@@ -30,18 +30,10 @@ _GROUPS = (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory.curren
 
 
 def measure_available_memory(team: Team) -> int:
-    """Measure the memory that each rank may still take where all take as much; collective.
+    """Measure the memory, bytes, that each rank may still take where all take as much; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-
-    Returns
-    -------
-    int
-        Bytes, the same on all ranks: the least of what a node has left over its ranks, and of what a limit of the rank
-        itself (``ulimit -v``) leaves.
+    It is the same on all ranks: the least of what a node has left over its ranks, and of what a limit of the rank
+    itself (``ulimit -v``) leaves.
     """
     with team.of_this_node() as node:
         share = read_available_memory() // node.size
@@ -49,13 +41,7 @@ def measure_available_memory(team: Team) -> int:
 
 
 def read_available_memory() -> int:
-    """Read what this machine has left, or the control group that this process runs in.
-
-    Returns
-    -------
-    int
-        Bytes.
-    """
+    """Read what this machine has left, or the control group that this process runs in, bytes."""
     left = _read_fields(_SYSTEM).get("MemAvailable:", 0) * 1024
     if not left:
         # Not Linux: what there is at all.
@@ -122,25 +108,10 @@ class _Offer:
 def open_once_a_node(team: Team, opened: Callable[[], tuple[ImageSource, NDArray[Any] | None]]) -> ImageSource:
     """Open an image on the first rank of each node and share it with the node's other ranks; collective.
 
-    Several ranks of a node map the pixels of an image that had to be decoded whole from a temporary file (in TMPDIR)
-    that is unlinked at once: the node holds one copy, which goes with the last rank that lets go of the image.
-
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    opened : callable
-        Gives the image and, where it had to be decoded whole, its pixels, of shape (height, width).
-
-    Returns
-    -------
-    ImageSource
-        The image, on all ranks.
-
-    Raises
-    ------
-    InputError
-        On all ranks, where the temporary file cannot be written; and what ``opened`` raises.
+    ``opened`` gives the image and, where it had to be decoded whole, its pixels, (height, width). Several ranks of a
+    node map these from a temporary file (in TMPDIR) that is unlinked at once: the node holds one copy, which goes with
+    the last rank that lets go of the image. Raises InputError on all ranks where the temporary file cannot be written;
+    and what ``opened`` raises.
     """
     # A map of a file and no MPI window: where shared memory is short, MPI_Win_allocate_shared fails on one rank
     # alone and leaves the others waiting (Open MPI 4.1), and a window could only be freed by all ranks together.

@@ -61,13 +61,7 @@ class PhaseClock:
 
     @contextmanager
     def phase(self, phase: Phase) -> Iterator[None]:
-        """Charge the time spent inside to a phase.
-
-        Parameters
-        ----------
-        phase : Phase
-            What begins; what is spent in it before counts too.
-        """
+        """Charge the time spent inside to a phase; what was spent in it before counts too."""
         if self.entered is not None:
             self.entered(phase)
         wall_before = time.perf_counter()
@@ -85,17 +79,8 @@ class PhaseClock:
     def note_each(self, items: Sequence[T], begin: float = 0.0, end: float = 1.0) -> Iterator[T]:
         """Go through what the phase at hand works on, item by item, and tell how far it is.
 
-        Parameters
-        ----------
-        items : sequence
-            As long to work on, each, as far as is known.
-        begin, end : float, optional
-            Shares of the phase before and after all of them.
-
-        Yields
-        ------
-        object
-            The items.
+        Items take as long to work on, each, as far as is known; ``begin`` and ``end`` are the shares of the phase
+        before and after all of them.
         """
         for n_done, item in enumerate(items, start=1):
             yield item

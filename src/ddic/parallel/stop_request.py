@@ -102,12 +102,7 @@ class StopRequest:
     def note(self, number: int, sender: int) -> None:
         """Note a signal, or interrupt the main thread where the rank must end at once.
 
-        Parameters
-        ----------
-        number : int
-            Of the signal.
-        sender : int
-            Process that sent it; 0 where it is not known.
+        ``sender`` is the process that sent it; 0 where it is not known.
         """
         is_asked_to_stop = number in STOPPING
         self.asked = self.asked or is_asked_to_stop
@@ -160,35 +155,14 @@ class StopRequest:
 
 
 def is_stop_asked(team: Team) -> bool:
-    """Tell whether any rank was asked to stop; collective.
-
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-
-    Returns
-    -------
-    bool
-        The same on all ranks.
-    """
+    """Tell whether any rank was asked to stop, the same on all ranks; collective."""
     return team.maximum(int(team.stop.asked)) > 0
 
 
 def stop_if_asked(team: Team, when: str) -> None:
-    """End the run where any rank was asked to stop; collective.
+    """Raise StoppedError on all ranks where any was asked to stop; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    when : str
-        How far the run is, for the message.
-
-    Raises
-    ------
-    StoppedError
-        On all ranks.
+    ``when`` says how far the run is, for the message.
     """
     if is_stop_asked(team):
         raise as_collective(StoppedError(f"stopped by a signal {when}"))

@@ -1,8 +1,6 @@
 """What all ranks do together: sums in a fixed order, shared decisions, shared errors, items sent on.
 
-Errors as other ranks can receive them.
-
-What a rank spends on waiting for others.
+Also errors as other ranks can receive them, and what a rank spends on waiting for others.
 """
 
 from __future__ import annotations
@@ -26,17 +24,7 @@ from ddic.parallel.stop_request import StopRequest
 def make_portable(error: Exception, rank: int) -> Exception:
     """Make an error that other ranks can receive; an unexpected one brings its traceback along as a note.
 
-    Parameters
-    ----------
-    error : Exception
-        Of this rank.
-    rank : int
-        Its number.
-
-    Returns
-    -------
-    Exception
-        The same, or what says the same where it cannot be pickled.
+    What cannot be pickled is replaced by an error that says the same.
     """
     if isinstance(error, DdicError):
         return error
@@ -86,10 +74,7 @@ class Waiting:
     def wait_until(self, is_done: Callable[[], bool]) -> None:
         """Wait for others, mostly asleep: MPI's own operations turn in a loop, on a processor that others need.
 
-        Parameters
-        ----------
-        is_done : callable
-            ``Test`` of an operation that was begun, or the like.
+        ``is_done`` is ``Test`` of an operation that was begun, or the like.
         """
         began = time.perf_counter()
         while not is_done():
@@ -155,42 +140,13 @@ class Team:
     # ------------------------------------------------------------------------------------------------ work and errors
 
     def on_root(self, work: Callable[[], T]) -> T:
-        """Run work on rank 0 and give every rank its result.
-
-        Parameters
-        ----------
-        work : callable
-            Runs on rank 0 alone; its result is pickled for the others.
-
-        Returns
-        -------
-        T
-            The result, on all ranks; copies of it on others than rank 0.
-
-        Raises
-        ------
-        Exception
-            What the work raises, on all ranks.
-        """
+        """Run work on rank 0 and give every rank its result, pickled; raises on all ranks what the work raises."""
         return self.broadcast(self.build_on_root(work))
 
     def build_on_root(self, work: Callable[[], T]) -> T | None:
-        """Run work on rank 0 and leave its result there.
+        """Run work on rank 0 and leave its result there, None elsewhere; raises on all ranks what the work raises.
 
-        Parameters
-        ----------
-        work : callable
-            Runs on rank 0 alone.
-
-        Returns
-        -------
-        T or None
-            The result on rank 0, None elsewhere; ``require_held`` takes the None away where only rank 0 looks.
-
-        Raises
-        ------
-        Exception
-            What the work raises, on all ranks.
+        ``require_held`` takes the None away where only rank 0 looks.
         """
         outcome: T | None = None
         error: Exception | None = None
@@ -205,22 +161,9 @@ class Team:
         return outcome
 
     def scatter_from_root(self, work: Callable[[], Sequence[T]]) -> T:
-        """Run work on rank 0 and give each rank its item of the result.
+        """Run work on rank 0 and give each rank its item of the result, which has one per rank.
 
-        Parameters
-        ----------
-        work : callable
-            Runs on rank 0 alone; returns one item per rank.
-
-        Returns
-        -------
-        T
-            This rank's item.
-
-        Raises
-        ------
-        Exception
-            What the work raises, on all ranks.
+        Raises on all ranks what the work raises.
         """
         items = self.build_on_root(work)
         with self.waiting.counted():
@@ -229,22 +172,9 @@ class Team:
         return item
 
     def together(self, work: Callable[[], T]) -> T:
-        """Run work on every rank.
+        """Run work, free of communication, on every rank, and return this rank's own result.
 
-        Parameters
-        ----------
-        work : callable
-            Runs on every rank, free of communication.
-
-        Returns
-        -------
-        T
-            This rank's own result.
-
-        Raises
-        ------
-        Exception
-            What the work of the lowest rank that fails raises, on all ranks.
+        Raises on all ranks what the work of the lowest rank that fails raises.
         """
         result: Any = None
         error: Exception | None = None
@@ -259,20 +189,8 @@ class Team:
     def alike(self, work: Callable[[], T]) -> T:
         """Run work that every rank does alike, with collective operations inside it.
 
-        Parameters
-        ----------
-        work : callable
-            Whose errors follow from what all ranks know, and are the same on all of them.
-
-        Returns
-        -------
-        T
-            Its result.
-
-        Raises
-        ------
-        DdicError
-            What the work raises, on all ranks.
+        Its errors must follow from what all ranks know, and hence be the same on all of them: a DdicError that it
+        raises is raised as one of all ranks.
         """
         try:
             return work()
@@ -280,18 +198,7 @@ class Team:
             raise as_collective(error) from error.__cause__
 
     def share_error(self, error: Exception | None) -> None:
-        """Raise on all ranks what the lowest rank with an error brings.
-
-        Parameters
-        ----------
-        error : Exception or None
-            This rank's.
-
-        Raises
-        ------
-        Exception
-            Where a rank has one, on all ranks.
-        """
+        """Raise on all ranks what the lowest rank with an error brings; nothing where all bring None."""
         if error is None and self.size == 1:
             return
         with self.waiting.counted():
@@ -302,77 +209,32 @@ class Team:
             raise as_collective(self.broadcast(portable, failed))
 
     def abort(self, code: int) -> None:
-        """End the program on all ranks; not collective.
-
-        Parameters
-        ----------
-        code : int
-            The exit code.
-        """
+        """End the program on all ranks with an exit code; not collective."""
         self.comm.Abort(code)
 
     # --------------------------------------------------------------------------------------------------- sums, numbers
 
     def ordered_sum(self, values: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Sum one array per owned subdomain over all subdomains, in their order.
+        """Sum one array per owned subdomain, all of one shape, over all subdomains, in their order.
 
-        Parameters
-        ----------
-        values : sequence of arrays
-            One of each owned subdomain, all of one shape.
-
-        Returns
-        -------
-        array
-            The sum on all ranks, of the same shape, which to the last bit does not depend on how subdomains are
-            spread over ranks.
+        The sum is that of all ranks and does not depend, to the last bit, on how subdomains are spread over ranks.
         """
         everything = self.gather_lists([np.asarray(v, dtype=np.float64) for v in values])
         return np.asarray(np.sum(np.stack(everything), axis=0))
 
     def sum(self, value: Summable) -> Summable:
-        """Sum a number or an array over ranks.
+        """Sum a number, or an array of one shape on all ranks, over ranks; the same on all ranks.
 
-        Parameters
-        ----------
-        value : int, float or array
-            This rank's; an array has the same shape on all ranks.
-
-        Returns
-        -------
-        int, float or array
-            The sum, the same on all ranks; how it is rounded depends on their number (``ordered_sum`` does not).
+        How the sum is rounded depends on their number (``ordered_sum`` does not).
         """
         return self._reduce(value, MPI.SUM)
 
     def maximum(self, value: Summable) -> Summable:
-        """Find the largest number over ranks, entry by entry of an array.
-
-        Parameters
-        ----------
-        value : int, float or array
-            This rank's; an array has the same shape on all ranks.
-
-        Returns
-        -------
-        int, float or array
-            The largest, the same on all ranks.
-        """
+        """Find the largest number over ranks, entry by entry of an array of one shape; the same on all ranks."""
         return self._reduce(value, MPI.MAX)
 
     def offset(self, count: int) -> int:
-        """Sum a count over the ranks below this one: where this rank's numbers begin.
-
-        Parameters
-        ----------
-        count : int
-            How many numbers this rank owns.
-
-        Returns
-        -------
-        int
-            How many the lower ranks own.
-        """
+        """Sum a count over the ranks below this one: where this rank's numbers begin."""
         counts = self.gather_lists([count])
         return sum(counts[: self.rank])
 
@@ -389,20 +251,7 @@ class Team:
     # --------------------------------------------------------------------------------------- items from rank to rank
 
     def broadcast(self, item: T | None, root: int = 0) -> T:
-        """Give every rank what one of them holds.
-
-        Parameters
-        ----------
-        item : T or None
-            Looked at on the root alone; pickled.
-        root : int
-            The rank that holds it.
-
-        Returns
-        -------
-        T
-            The item, on all ranks: the very one on the root, copies elsewhere.
-        """
+        """Give every rank what one of them, the root, holds: the very item on the root, pickled copies elsewhere."""
         held: Any = item
         if self.size > 1:
             with self.waiting.counted():
@@ -414,18 +263,7 @@ class Team:
         return result
 
     def gather_lists(self, items: Iterable[T]) -> list[T]:
-        """Join the lists of all ranks.
-
-        Parameters
-        ----------
-        items : iterable
-            This rank's.
-
-        Returns
-        -------
-        list
-            All ranks' items in the order of ranks, on every rank.
-        """
+        """Join the lists of all ranks, in the order of ranks, on every rank."""
         if self.size == 1:
             return list(items)
         with self.waiting.counted():
@@ -434,20 +272,7 @@ class Team:
         return [item for part in gathered for item in part]
 
     def gather_to(self, item: T, rank: int = 0) -> list[T] | None:
-        """Collect an item of every rank on one of them.
-
-        Parameters
-        ----------
-        item : T
-            This rank's.
-        rank : int
-            Where they go.
-
-        Returns
-        -------
-        list or None
-            All ranks' items in the order of ranks, on that rank; None elsewhere.
-        """
+        """Collect an item of every rank on one of them, in the order of ranks; None on the others."""
         with self.waiting.counted():
             self._meet()
             items: list[T] | None = self.comm.gather(item, root=rank)
@@ -456,15 +281,7 @@ class Team:
     def exchange(self, items: Mapping[int, T]) -> dict[int, T]:
         """Send items to some ranks and receive what others send to this one; the rest hear nothing; collective.
 
-        Parameters
-        ----------
-        items : mapping
-            By rank that they go to.
-
-        Returns
-        -------
-        dict
-            By rank that they come from, in its order.
+        ``items`` are by rank that they go to; the result is by rank that they come from, in its order.
         """
         goes_to = np.zeros(self.size, np.int32)
         goes_to[list(items)] = 1
@@ -479,20 +296,7 @@ class Team:
         return dict(sorted(received, key=lambda pair: pair[0]))
 
     def send_from_root(self, item: T | None, to: int) -> T | None:
-        """Move what rank 0 holds to another rank.
-
-        Parameters
-        ----------
-        item : T or None
-            Looked at on rank 0 alone.
-        to : int
-            The other rank, or 0.
-
-        Returns
-        -------
-        T or None
-            The item on that rank, None elsewhere.
-        """
+        """Move what rank 0 holds to another rank, or leave it where that is 0; None on all others."""
         if to == 0:
             return item
         with self.waiting.counted():
@@ -502,65 +306,25 @@ class Team:
         return result
 
     def begin_send(self, item: object, to: int) -> MPI.Request:
-        """Send an item to a rank without waiting until it arrives; not collective.
+        """Send an item to a rank, which calls ``receive``, without waiting until it arrives; not collective.
 
-        Parameters
-        ----------
-        item : object
-            Pickled at once, hence free to change.
-        to : int
-            The rank, which calls ``receive``.
-
-        Returns
-        -------
-        MPI.Request
-            For ``finish_sends``.
+        It is pickled at once, hence free to change. ``finish_sends`` takes the request.
         """
         return self.comm.isend(item, dest=to, tag=_SENT)
 
     def finish_sends(self, requests: Iterable[MPI.Request]) -> None:
-        """Wait until items have left; not collective.
-
-        Parameters
-        ----------
-        requests : iterable
-            What ``begin_send`` returned.
-        """
+        """Wait until the items of ``begin_send`` have left; not collective."""
         with self.waiting.counted():
             for request in requests:
                 self.waiting.wait_until(request.Test)
 
     def receive(self, source: int) -> Any:
-        """Wait for the next item that a rank sends to this one; not collective.
-
-        Parameters
-        ----------
-        source : int
-            The rank that calls ``begin_send``.
-
-        Returns
-        -------
-        object
-            The item.
-        """
+        """Wait for the next item that a rank sends to this one with ``begin_send``; not collective."""
         with self.waiting.counted():
             return self.receive_message(source, _SENT)
 
     def receive_message(self, source: int, tag: int) -> Any:
-        """Wait for a message and take it; not collective.
-
-        Parameters
-        ----------
-        source : int
-            The rank that sends it.
-        tag : int
-            Its kind.
-
-        Returns
-        -------
-        object
-            What was sent.
-        """
+        """Wait for a message of one kind, its tag, and take it; not collective."""
         self.waiting.wait_until(lambda: self.comm.Iprobe(source, tag))
         return self.comm.recv(source=source, tag=tag)
 
@@ -595,20 +359,7 @@ class Team:
 def require_held(item: T | None) -> T:
     """Return what this rank holds, for work on the rank that ``build_on_root``, ``gather_to``... gave it to.
 
-    Parameters
-    ----------
-    item : T or None
-        None on ranks that do not hold it.
-
-    Returns
-    -------
-    T
-        The item.
-
-    Raises
-    ------
-    RuntimeError
-        On a rank that does not hold it.
+    Raises RuntimeError on a rank that does not hold it.
     """
     if item is None:
         raise RuntimeError("this rank holds nothing: another rank was given it")

@@ -23,10 +23,8 @@ class Sharing:
 
     Attributes
     ----------
-    numbers : (n_copies,) array of int64
-        Number of the thing.
-    subdomains : (n_copies,) array of int64
-        Subdomain that has the copy.
+    numbers, subdomains : (n_copies,) array of int64
+        Number of the thing, and subdomain that has the copy.
     multiplicity : (n_things,) array of int64
         Number of subdomains at each thing.
     """
@@ -69,39 +67,16 @@ class Chains:
 
 
 def share_nodes(mesh: Mesh, parts: NDArray[np.int64]) -> Sharing:
-    """Find which subdomains share each node.
+    """Find which subdomains share each node of the whole mesh.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        The whole mesh.
-    parts : (n_cells,) array of int64
-        Subdomain of each cell, from 0 without gaps.
-
-    Returns
-    -------
-    Sharing
-        Of the mesh's nodes.
+    ``parts`` is the subdomain of each cell, from 0 without gaps.
     """
     owner = np.repeat(parts, np.diff(mesh.offsets))
     return _share(mesh.connectivity, owner, mesh.n_nodes)
 
 
 def share_unknowns(nodes: Sharing, kinematics: RegionKinematics) -> Sharing:
-    """Find which subdomains share each unknown: those with a node that it displaces.
-
-    Parameters
-    ----------
-    nodes : Sharing
-        Of the mesh's nodes.
-    kinematics : RegionKinematics
-        Says which unknowns displace which nodes.
-
-    Returns
-    -------
-    Sharing
-        Of the unknowns.
-    """
+    """Find which subdomains share each unknown: those with a node that it displaces."""
     unknowns, counts = kinematics.unknowns_at(nodes.numbers)
     return _share(unknowns, np.repeat(nodes.subdomains, counts), kinematics.n_unknowns)
 
@@ -115,21 +90,9 @@ def _share(numbers: NDArray[np.int64], subdomains: NDArray[np.int64], n_things: 
 
 
 def number_chains(sharing: Sharing, has_row: NDArray[np.bool_], n_subdomains: int) -> Chains:
-    """Number rows and copies by owner, kind and unknown.
+    """Number rows and copies of jumps and reactions by owner, kind and unknown.
 
-    Parameters
-    ----------
-    sharing : Sharing
-        Of the unknowns.
-    has_row : (n_unknowns,) array of bool
-        Whether Kbar has a row for each unknown.
-    n_subdomains : int
-        Number of subdomains.
-
-    Returns
-    -------
-    Chains
-        Of jumps and of reactions.
+    ``sharing`` is that of the unknowns; ``has_row`` says whether Kbar has a row for each, (n_unknowns,).
     """
     n_unknowns = len(has_row)
     shared = sharing.multiplicity > 1
@@ -155,25 +118,12 @@ def number_chains(sharing: Sharing, has_row: NDArray[np.bool_], n_subdomains: in
 def build_subdomains(kinematics: RegionKinematics, parts: NDArray[np.int64], controlled: NDArray[np.bool_],
                      interior: NDArray[np.bool_] | None = None,
                      has_row: NDArray[np.bool_] | None = None) -> list[Subdomain]:
-    """Cut a mesh and its unknowns into self-contained subdomains.
+    """Cut a mesh and its unknowns into self-contained subdomains, all of them, by number.
 
-    Parameters
-    ----------
-    kinematics : RegionKinematics
-        The whole mesh and its unknowns.
-    parts : (n_cells,) array of int64
-        Subdomain of each cell, 0 to n - 1 without gaps.
-    controlled : (n_unknowns,) array of bool
-        Whether each unknown's equilibrium row is controlled (P of Eq. 11 of [BP17]).
-    interior : (n_nodes,) array of bool, optional
-        Nodes at which texture is weighed against mechanics; by default those that are not on the mesh's boundary.
-    has_row : (n_unknowns,) array of bool, optional
-        Whether Kbar has a row for each unknown, of whatever weight; by default for controlled ones.
-
-    Returns
-    -------
-    list of Subdomain
-        All of them, by number.
+    ``parts`` is the subdomain of each cell, 0 to n - 1 without gaps; ``controlled`` says whether each unknown's
+    equilibrium row is controlled (P of Eq. 11 of [BP17]), ``has_row`` whether Kbar has a row for it, of whatever
+    weight: by default for controlled ones. ``interior`` are the nodes at which texture is weighed against mechanics,
+    (n_nodes,); by default those that are not on the mesh's boundary.
     """
     mesh = kinematics.mesh
     n_subdomains = int(parts.max()) + 1

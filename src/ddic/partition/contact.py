@@ -1,7 +1,4 @@
-"""Where near fields' own meshes touch what they leave of the far mesh.
-
-Whether near meshes and the far one touch along whole edges.
-"""
+"""Where near fields' own meshes touch what they leave of the far mesh, and whether they do so along whole edges."""
 
 from __future__ import annotations
 
@@ -109,7 +106,7 @@ class Contact:
     far : FarSide
         What is left of the far mesh.
     near : tuple of NearSide
-        Near meshes, in the order in which they were given.
+        In the order in which they were given.
     """
 
     far: FarSide
@@ -126,22 +123,9 @@ class Contact:
 def find_contact(far: Mesh, near: Mapping[int, Mesh]) -> Contact:
     """Find which far cells near meshes replace, and where they touch the others.
 
-    Parameters
-    ----------
-    far : Mesh
-        The far mesh, pixels.
-    near : dict of Mesh
-        Near meshes by the number of their camera, far-field pixels.
-
-    Returns
-    -------
-    Contact
-        Not checked yet for edges that do not follow each other.
-
-    Raises
-    ------
-    InputError
-        Where near meshes overlap or touch each other, leave no far cell, or touch none.
+    Near meshes are given by the number of their camera, in far-field pixels. What comes back is not checked yet for
+    edges that do not follow each other. Raises InputError where near meshes overlap or touch each other, leave no far
+    cell, or touch none.
     """
     replaced_by = _find_replaced_cells(far, near)
     tolerance = TOLERANCE * float(np.ptp(far.nodes, axis=0).max())
@@ -201,15 +185,7 @@ def _boundary_edges(mesh: Mesh) -> NDArray[np.int64]:
 def check_contact(contact: Contact) -> None:
     """Check that the outline of each near mesh follows far edges from node to node.
 
-    Parameters
-    ----------
-    contact : Contact
-        The meshes and where they touch.
-
-    Raises
-    ------
-    InputError
-        Where an outline cuts far cells, or an edge touches the other side only in part, or twice.
+    Raises InputError where an outline cuts far cells, or an edge touches the other side only in part, or twice.
     """
     _refuse_cut_cells(contact)
     _refuse_far_edges_in_part(contact)

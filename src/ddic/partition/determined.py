@@ -28,26 +28,8 @@ def keep_masters_determined(mesh: Mesh, tying: Tying, parts: NDArray[np.int64]) 
     """Move cells with slaves from subdomains that have too few of them to a neighbour of the same near mesh.
 
     A subdomain's masters are unknowns there, which nothing but its slaves holds: with fewer slaves than masters, where
-    it touches the boundary at a corner for instance, its operator would be singular.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        The whole mesh.
-    tying : Tying
-        Which nodes are tied to which.
-    parts : (n_cells,) array of int64
-        Subdomain of each cell.
-
-    Returns
-    -------
-    (n_cells,) array of int64
-        New subdomain of each cell, numbered without gaps.
-
-    Raises
-    ------
-    InputError
-        Where a whole near mesh has too few slaves.
+    it touches the boundary at a corner for instance, its operator would be singular. Subdomains of the cells,
+    (n_cells,), are numbered anew without gaps. Raises InputError where a whole near mesh has too few slaves.
     """
     cells, slaves = _cells_with_slaves(mesh, tying)
     parts = parts.copy()
@@ -105,10 +87,8 @@ class CutSides:
 
     Attributes
     ----------
-    cut : CutMesh
-        The mesh.
-    kinematics : EnrichedRegion
-        Its unknowns.
+    cut, kinematics : CutMesh and EnrichedRegion
+        The mesh and its unknowns.
     corner_weights : (len(cut.mesh.connectivity),) array
         How firmly the pixels of each cell hold each of its nodes.
     around_tips : tuple of (n,) array of int64
@@ -124,17 +104,7 @@ class CutSides:
 def keep_cameras_determined(sides: CutSides, cameras: NDArray[np.int64]) -> NDArray[np.int64]:
     """Give the first camera the cells that only together with another camera's determine the sides of a discontinuity.
 
-    Parameters
-    ----------
-    sides : CutSides
-        Of all discontinuities.
-    cameras : (n_cells,) array of int64
-        Camera of each cell of the mesh that was cut; the first one, 0, sees them all.
-
-    Returns
-    -------
-    (n_cells,) array of int64
-        New camera of each of these cells.
+    Cameras are those of each cell of the mesh that was cut, (n_cells,); the first one, 0, sees them all.
     """
     if not cameras.any():
         return cameras
@@ -156,21 +126,8 @@ def keep_sides_determined(sides: CutSides, cameras: NDArray[np.int64],
     """Keep cells along a discontinuity together that determine only together what is on its sides.
 
     A subdomain with a node takes part in the unknowns of those that lead it, phantom or not: without pixels there, its
-    operator would be singular.
-
-    Parameters
-    ----------
-    sides : CutSides
-        Of all discontinuities.
-    cameras : (n_cells,) array of int64
-        Camera of each cell of the mesh that was cut.
-    parts : (n_cells,) array of int64
-        Subdomain of each of these cells, none with cells of two cameras.
-
-    Returns
-    -------
-    (n_cells,) array of int64
-        New subdomain of each of these cells, numbered without gaps.
+    operator would be singular. Cameras and subdomains, none with cells of two cameras, are those of each cell of the
+    mesh that was cut, (n_cells,); the new subdomains are numbered without gaps.
     """
     if not parts.any():
         return parts

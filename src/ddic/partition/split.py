@@ -1,10 +1,7 @@
-"""Split the cells of a mesh into subdomains.
+"""Split the cells of a mesh into subdomains, and join those that cannot stand alone with a neighbour that can.
 
-What a cell costs: the weight by which the mesh is cut and subdomains are dealt to ranks.
-
-Join subdomains that cannot stand alone with a neighbour that can.
-
-Which camera measures which cell, and the partition that keeps cameras apart.
+What a cell costs is the weight by which the mesh is cut and subdomains are dealt to ranks. Each cell is measured by one
+camera, and the partition keeps cameras apart.
 """
 
 from __future__ import annotations
@@ -41,24 +38,8 @@ MOST_BISECTED = 8
 def split_by_metis(mesh: Mesh, n_subdomains: int, weights: NDArray[np.float64] | None = None) -> NDArray[np.int64]:
     """Split by METIS on the graph of cells that share a facet; what it leaves empty gets a cell of the largest part.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Any.
-    n_subdomains : int
-        How many.
-    weights : (n_cells,) array, optional
-        What is balanced, of any scale; by default the number of cells.
-
-    Returns
-    -------
-    (n_cells,) int64 array
-        Subdomain of each cell.
-
-    Raises
-    ------
-    InputError
-        Where there are fewer cells than subdomains.
+    Gives the subdomain of each cell. ``weights``, of any scale, are balanced, by default the number of cells. Raises
+    InputError where there are fewer cells than subdomains.
     """
     if n_subdomains == 1:
         return np.zeros(mesh.n_cells, dtype=np.int64)
@@ -79,17 +60,7 @@ def split_by_metis(mesh: Mesh, n_subdomains: int, weights: NDArray[np.float64] |
 def split_by_blocks(mesh: Mesh, blocks: tuple[int, ...]) -> NDArray[np.int64]:
     """Split into a regular array of blocks of the bounding box, by the cells' centroids.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Any.
-    blocks : tuple of dim ints
-        Number of blocks along each axis; those that hold no cell are dropped.
-
-    Returns
-    -------
-    (n_cells,) int64 array
-        Subdomain of each cell.
+    Gives the subdomain of each cell. ``blocks`` are counted along each axis; those that hold no cell are dropped.
     """
     low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
     counts = np.asarray(blocks)
@@ -103,18 +74,7 @@ def split_by_blocks(mesh: Mesh, blocks: tuple[int, ...]) -> NDArray[np.int64]:
 
 
 def renumber(parts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Number the subdomains 0, 1, ... without gaps.
-
-    Parameters
-    ----------
-    parts : (n_cells,) int64 array
-        Subdomain of each cell.
-
-    Returns
-    -------
-    (n_cells,) int64 array
-        Subdomain of each cell, in the old order.
-    """
+    """Number the subdomains of the cells, (n_cells,), 0, 1, ... without gaps, in the old order."""
     _, places = np.unique(parts, return_inverse=True)
     return np.asarray(places, dtype=np.int64).reshape(-1)
 
@@ -151,20 +111,10 @@ residuals, the image that is written): bench/cell_costs.py. A larger value balan
 
 
 def estimate_cell_costs(mesh: Mesh) -> NDArray[np.float64]:
-    """Estimate the work that each cell brings: its pixels', and its share of its nodes'.
+    """Estimate the work that each cell brings: its pixels', and its share of its nodes', in units of a pixel's.
 
     Nodes at the edge are taken for inner ones, so that equal cells have equal weights and METIS cuts a regular mesh
     regularly.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Any.
-
-    Returns
-    -------
-    (n_cells,) array
-        Work, in units of a pixel's.
     """
     own_nodes = np.empty(mesh.n_cells)
     for block in mesh.cell_blocks:
@@ -173,20 +123,7 @@ def estimate_cell_costs(mesh: Mesh) -> NDArray[np.float64]:
 
 
 def sum_costs(costs: NDArray[np.float64], parts: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Add up the work of each subdomain.
-
-    Parameters
-    ----------
-    costs : (n_cells,) array
-        Work of each cell.
-    parts : (n_cells,) int64 array
-        Subdomain of each cell.
-
-    Returns
-    -------
-    (n_subdomains,) array
-        Work, in the unit of ``costs``.
-    """
+    """Add up the work of each subdomain, (n_subdomains,), from the work and the subdomain of each cell."""
     return np.asarray(np.bincount(parts, weights=costs), dtype=np.float64)
 
 
@@ -195,19 +132,9 @@ Adjacency = tuple[NDArray[np.int64], NDArray[np.int64]]
 
 
 def find_connected_pieces(adjacency: Adjacency) -> NDArray[np.int64]:
-    """Find the pieces of a mesh whose cells facets connect.
+    """Find the pieces of a mesh whose cells facets connect: the piece of each cell, from 0.
 
     A node alone is a hinge: mechanics do not hold one piece by another at it.
-
-    Parameters
-    ----------
-    adjacency : (indptr, indices)
-        Cells that share a facet, as ``find_adjacent_cells`` gives it.
-
-    Returns
-    -------
-    (n_cells,) int64 array
-        Piece of each cell, from 0.
     """
     indptr, indices = adjacency
     n_cells = len(indptr) - 1
@@ -221,25 +148,12 @@ def merge_blank(pieces: NDArray[np.int64], owner: NDArray[np.int64], adjacency: 
                 blank: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Join every connected group of blank pieces with the textured one that shares most facets with it.
 
-    A group without a textured neighbour (a piece of the mesh by itself) stays as it is. Of neighbours with equally
-    many facets the lowest is taken. Load is no criterion: pixels without texture cost a residual pass but no
-    iteration, and a part of the mesh that nothing holds but its neighbour must be with it, however large it is.
+    A group without a textured neighbour (a piece of the mesh by itself) stays as it is. Of neighbours with equally many
+    facets the lowest is taken. Load is no criterion: pixels without texture cost a residual pass but no iteration, and
+    a part of the mesh that nothing holds but its neighbour must be with it, however large it is.
 
-    Parameters
-    ----------
-    pieces : (n_cells,) int64 array
-        Connected piece of each cell.
-    owner : (n_pieces,) int64 array
-        Subdomain of each piece.
-    adjacency : (indptr, indices)
-        Cells that share a facet, as ``find_adjacent_cells`` gives it.
-    blank : (n_pieces,) bool array
-        Pieces that cannot stand alone.
-
-    Returns
-    -------
-    (n_cells,) int64 array
-        New subdomain of each cell, from 0 without gaps, in the old order.
+    ``pieces`` is the connected piece of each cell, ``owner`` the subdomain of each piece, ``blank`` true for pieces
+    that cannot stand alone. Gives the new subdomain of each cell, from 0 without gaps, in the old order.
     """
     n_pieces = len(blank)
     n_shared = _count_shared_facets(pieces, adjacency, n_pieces)
@@ -282,17 +196,7 @@ SplitInto = Callable[[NDArray[np.int64], int], NDArray[np.int64]]
 def assign_cameras(mesh: Mesh, seen: Sequence[NDArray[np.bool_]]) -> NDArray[np.int64]:
     """Assign each cell to the first near camera that sees all its nodes, else to the first of all cameras.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        The whole mesh.
-    seen : sequence of (n_nodes,) array of bool
-        For each near camera whether it sees each node.
-
-    Returns
-    -------
-    (n_cells,) array of int64
-        Number of the camera that measures each cell, 0 the first.
+    ``seen`` says for each near camera whether it sees each node of the whole mesh, (n_nodes,). Cameras count from 0.
     """
     labels = np.zeros(mesh.n_cells, dtype=np.int64)
     # The first near camera comes last, so that what it sees is its own.
@@ -305,23 +209,10 @@ def assign_cameras(mesh: Mesh, seen: Sequence[NDArray[np.bool_]]) -> NDArray[np.
 
 def find_cameras_at_nodes(mesh: Mesh, labels: NDArray[np.int64], n_cameras: int,
                           weights: sparse.csr_matrix | None = None) -> NDArray[np.bool_]:
-    """Find the cameras that measure a cell at each node.
+    """Find the cameras that measure a cell at each node, (n_nodes, n_cameras), from the camera of each cell.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        The whole mesh.
-    labels : (n_cells,) array of int64
-        Camera of each cell.
-    n_cameras : int
-        Number of cameras.
-    weights : (n_nodes, n_unknown_nodes) csr_matrix, optional
-        Where some nodes are tied to others: then the cells of a node are also those of the nodes that are tied to it.
-
-    Returns
-    -------
-    (n_nodes, n_cameras) array of bool
-        Whether a camera measures a cell at a node; with weights of the unknown nodes, (n_unknown_nodes, n_cameras).
+    ``weights``, (n_nodes, n_unknown_nodes), are for where some nodes are tied to others: then the cells of a node are
+    also those of the nodes that are tied to it, and only unknown nodes have a row, (n_unknown_nodes, n_cameras).
     """
     camera_of_corner = np.repeat(labels, np.diff(mesh.offsets))
     present = np.zeros((mesh.n_nodes, n_cameras), dtype=bool)
@@ -337,26 +228,8 @@ def split_by_camera(labels: NDArray[np.int64], costs: NDArray[np.float64], n_sub
                     split: SplitInto) -> NDArray[np.int64]:
     """Split each camera's cells by themselves, into subdomains of about equal cost; the first camera's come first.
 
-    Parameters
-    ----------
-    labels : (n_cells,) array of int64
-        Camera of each cell.
-    costs : (n_cells,) array
-        Work of each cell, pixels.
-    n_subdomains : int
-        Number of subdomains in all.
-    split : callable
-        From cells and a number of subdomains to the subdomain of each of these cells.
-
-    Returns
-    -------
-    (n_cells,) array of int64
-        Subdomain of each cell.
-
-    Raises
-    ------
-    InputError
-        Where cameras outnumber subdomains.
+    Gives the subdomain of each cell, from its camera and its work; ``n_subdomains`` are all of them, and ``split``
+    divides the cells of one camera. Raises InputError where cameras outnumber subdomains.
     """
     cameras = np.unique(labels)
     if n_subdomains < len(cameras):
@@ -376,17 +249,7 @@ def split_by_camera(labels: NDArray[np.int64], costs: NDArray[np.float64], n_sub
 def keep_cameras_apart(parts: NDArray[np.int64], labels: NDArray[np.int64]) -> NDArray[np.int64]:
     """Cut the subdomains of a given partition where the camera changes.
 
-    Parameters
-    ----------
-    parts : (n_cells,) array of int64
-        Subdomain of each cell.
-    labels : (n_cells,) array of int64
-        Camera of each cell.
-
-    Returns
-    -------
-    (n_cells,) array of int64
-        New subdomain of each cell, numbered by camera without gaps.
+    From the subdomain and the camera of each cell to its new subdomain, numbered by camera without gaps.
     """
     n_parts = int(parts.max()) + 1
     by_camera_and_part = labels * n_parts + parts
@@ -397,21 +260,8 @@ def add_motions(subdomains: Sequence[Subdomain], cameras: Sequence[int], n_motio
                 n_field: int) -> list[Subdomain]:
     """Give subdomains their camera and the unknowns of its motion, numbered after those of the field.
 
-    Parameters
-    ----------
-    subdomains : sequence of Subdomain
-        All of them, by number.
-    cameras : sequence of int
-        Camera of each.
-    n_motion_unknowns : sequence of int
-        Unknowns of each camera's motion.
-    n_field : int
-        Number of unknowns of the whole field.
-
-    Returns
-    -------
-    list of Subdomain
-        The same; the last owns the interface rows of all motions.
+    The last subdomain owns the interface rows of all motions. Subdomains are all of them, by number, with the camera of
+    each; ``n_motion_unknowns`` are those of each camera, ``n_field`` those of the whole field.
     """
     n_chain_rows = sum(subdomain.n_owned_rows for subdomain in subdomains)
     # Unknowns of all motions, camera after camera; each has a row of its own after those of the chains.

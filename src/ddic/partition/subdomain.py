@@ -36,10 +36,8 @@ class Interface:
         Number m of subdomains that share each.
     position : (n,) array of int64
         Place of this subdomain in each chain, 0 <= position < m.
-    first_row : (n,) array of int64
-        Number of each chain's first row; the others follow.
-    first_copy : (n,) array of int64
-        Number of each chain's first copy; the others follow.
+    first_row, first_copy : (n,) array of int64
+        Numbers of each chain's first row and of its first copy; the others follow.
     """
 
     unknowns: NDArray[np.int64]
@@ -83,28 +81,20 @@ class Subdomain:
         Its number.
     mesh : Mesh
         Its cells, specimen's frame, pixels.
-    node_ids : (n_nodes,) array of int64
-        Numbers of its nodes in the whole mesh.
-    cell_ids : (n_cells,) array of int64
-        Numbers of its cells in the whole mesh.
+    node_ids, cell_ids : (n_nodes,) and (n_cells,) array of int64
+        Numbers of its nodes and cells in the whole mesh.
     kinematics : Kinematics
         From the field's unknowns to the displacement of its nodes in the specimen's frame.
     controlled : (n_field,) array of bool
         Whether the equilibrium row of each unknown of the field is controlled (P of Eq. 11 of [BP17]).
     interior : (n_nodes,) array of bool
         Whether a node lies inside the whole mesh, where texture is weighed against mechanics.
-    node_multiplicity : (n_nodes,) array of int64
-        Number of subdomains that share each node.
-    multiplicity : (n_field,) array of int64
-        Number of subdomains that share each unknown of the field.
-    jumps : Interface
-        Rows of C_s (Lambda).
-    reactions : Interface
-        Rows of Cbar_s (LambdaBar).
-    n_owned_rows : int
-        Interface rows that belong to this subdomain: those of its chains, and some of motions.
-    n_owned_copies : int
-        Copies of the chains that belong to this subdomain.
+    node_multiplicity, multiplicity : (n_nodes,) and (n_field,) array of int64
+        Number of subdomains that share each node, and each unknown of the field.
+    jumps, reactions : Interface
+        Rows of C_s (Lambda) and of Cbar_s (LambdaBar).
+    n_owned_rows, n_owned_copies : int
+        Interface rows that belong to this subdomain, those of its chains and some of motions; copies of these chains.
     camera : int
         Number of the camera whose pixels it has, 0 the first.
     motion : MotionUnknowns, optional
@@ -166,36 +156,18 @@ class Subdomain:
         return owned
 
     def displacement(self, unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Displace the mesh's nodes in the specimen's frame.
+        """Displace the mesh's nodes in the specimen's frame, (mesh.n_dofs,), node by node, pixels.
 
-        Parameters
-        ----------
-        unknowns : (n_unknowns,) or (n_field,) array
-            Unknowns of the field; those of a motion after them do not matter.
-
-        Returns
-        -------
-        (mesh.n_dofs,) array
-            Displacement of the nodes, node by node, pixels.
+        ``unknowns`` are those of the field; those of a motion after them do not matter.
         """
         return self.kinematics.displacement(unknowns[:self.n_field])
 
 
 def interface_weights(multiplicity: NDArray[np.int64], weighting: Weighting) -> NDArray[np.float64]:
-    """Weigh the interface rows of Kbar_s and of Cbar_s^T.
+    """Weigh the interface rows of Kbar_s and of Cbar_s^T, from the multiplicity of each unknown, (n_field,).
 
-    Parameters
-    ----------
-    multiplicity : (n_field,) array of int64
-        Number of subdomains that share each unknown.
-    weighting : Weighting
-        "consistent": sqrt(m), which makes the decomposed solution the one-domain solution. "paper": 1, which makes it
-        that of the one-domain problem with interface rows weighted 1/sqrt(m).
-
-    Returns
-    -------
-    (n_field,) array
-        w, no unit.
+    "consistent": sqrt(m), which makes the decomposed solution the one-domain solution. "paper": 1, which makes it that
+    of the one-domain problem with interface rows weighted 1/sqrt(m).
     """
     if weighting == "paper":
         return np.ones(len(multiplicity))
@@ -209,17 +181,7 @@ Entries = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]
 def signed_incidence(interface: Interface, row_index: NDArray[np.int64]) -> sparse.csc_matrix:
     """Build B_s: +1 on the row that a copy opens, -1 on the row that it closes.
 
-    Parameters
-    ----------
-    interface : Interface
-        Chains seen from the subdomain.
-    row_index : (n_rows,) array of int64
-        Sorted numbers of the rows that there are here.
-
-    Returns
-    -------
-    (n_rows, n interface unknowns) csc_matrix
-        B_s, no unit.
+    (n_rows, n interface unknowns); ``row_index`` are the sorted numbers of the rows that there are here.
     """
     # On a chain of m copies, row k leads from copy k to copy k + 1.
     is_not_last = interface.position < interface.multiplicity - 1
@@ -236,27 +198,14 @@ def signed_incidence(interface: Interface, row_index: NDArray[np.int64]) -> spar
 
 def scaled_incidence(interface: Interface, weights: NDArray[np.float64], weight_index: NDArray[np.int64],
                      row_index: NDArray[np.int64]) -> sparse.csc_matrix:
-    """Build the columns of (B D^-1 B^T)^-1 B D^-1 that belong to one subdomain.
+    """Build the columns of (B D^-1 B^T)^-1 B D^-1 that belong to one subdomain, (n_rows, n interface unknowns).
 
-    With D = diag(weights) the transpose sends jumps v to the copies' displacements w of least D-norm with B w = v. On
-    a chain w = z - mean_D(z), where z falls by v_k at row k; hence the entry of row k and copy p is (share of the
-    copies after k) if p <= k, else minus (share of the copies up to k), with the shares of D.
+    With D = diag(weights) the transpose sends jumps v to the copies' displacements w of least D-norm with B w = v. On a
+    chain w = z - mean_D(z), where z falls by v_k at row k; hence the entry of row k and copy p is (share of the copies
+    after k) if p <= k, else minus (share of the copies up to k), with the shares of D.
 
-    Parameters
-    ----------
-    interface : Interface
-        Chains seen from the subdomain.
-    weights : (n_copies,) array
-        Values of D by copy.
-    weight_index : (n_copies,) array of int64
-        Sorted numbers of these copies.
-    row_index : (n_rows,) array of int64
-        Sorted numbers of the rows that there are here.
-
-    Returns
-    -------
-    (n_rows, n interface unknowns) csc_matrix
-        No unit.
+    ``weights`` are the values of D at the copies whose sorted numbers are ``weight_index``; ``row_index`` are the
+    sorted numbers of the rows that there are here.
     """
     no_entries = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
     entries = [no_entries]
@@ -296,34 +245,12 @@ def _build_matrix(interface: Interface, row_index: NDArray[np.int64], entries: E
 
 
 def rows_of(interface: Interface) -> NDArray[np.int64]:
-    """List the rows of all chains that a subdomain is part of.
-
-    Parameters
-    ----------
-    interface : Interface
-        Chains seen from the subdomain.
-
-    Returns
-    -------
-    (n,) array of int64
-        Numbers of rows, chain after chain.
-    """
+    """List the rows of all chains that a subdomain is part of, by number, chain after chain."""
     return _count_from(interface.first_row, interface.multiplicity - 1)
 
 
 def copies_of(interface: Interface) -> NDArray[np.int64]:
-    """List the copies of all chains that a subdomain is part of.
-
-    Parameters
-    ----------
-    interface : Interface
-        Chains seen from the subdomain.
-
-    Returns
-    -------
-    (n,) array of int64
-        Numbers of copies, chain after chain.
-    """
+    """List the copies of all chains that a subdomain is part of, by number, chain after chain."""
     return _count_from(interface.first_copy, interface.multiplicity)
 
 

@@ -39,26 +39,11 @@ class Tying:
 
 
 def tie_meshes(far: Mesh, near: Mapping[int, Mesh]) -> tuple[Mesh, Tying]:
-    """Put near meshes in place of the far cells whose centres they cover.
+    """Put near meshes in place of the far cells whose centres they cover, and tell how nodes are tied.
 
-    Parameters
-    ----------
-    far : Mesh
-        The far mesh, pixels.
-    near : dict of Mesh
-        Near meshes by the number of their camera, far-field pixels.
-
-    Returns
-    -------
-    mesh : Mesh
-        All cells that are left; node sets of one name are joined.
-    tying : Tying
-        How its nodes are tied.
-
-    Raises
-    ------
-    InputError
-        Where a near mesh cuts far cells, touches another near mesh or touches no far cell.
+    Near meshes are given by the number of their camera, in far-field pixels. The mesh has all cells that are left; node
+    sets of one name are joined. Raises InputError where a near mesh cuts far cells, touches another near mesh or
+    touches no far cell.
     """
     contact = find_contact(far, near)
     check_contact(contact)

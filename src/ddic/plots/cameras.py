@@ -63,41 +63,14 @@ class CellPanel:
 
 
 def find_near_mesh(result: Result, camera: int) -> Mesh:
-    """Find the cells that a camera measured.
-
-    Parameters
-    ----------
-    result : Result
-        Of several cameras.
-    camera : int
-        Its number.
-
-    Returns
-    -------
-    Mesh
-        Pixels of the far field.
-    """
+    """Find the cells that a camera measured, in pixels of the far field."""
     return result.mesh.create_submesh(np.flatnonzero(result.cell_data[CAMERA] == camera))[0]
 
 
 def draw_near_far(result: Result, component: Component = "magnitude", unit: LengthUnit = PIXELS) -> Figure:
     """Draw the displacement of the whole mesh, then around each near field in colours of its own.
 
-    Near fields are outlined; titles tell alpha, by which each near set-up moved.
-
-    Parameters
-    ----------
-    result : Result
-        Of several cameras.
-    component : {"x", "y", "magnitude"}, optional
-        What is in colour.
-    unit : LengthUnit, optional
-        Of axes and colours; alpha is in pixels.
-
-    Returns
-    -------
-    Figure
-        A panel for the whole and one for each near field.
+    Near fields are outlined; titles tell alpha, in pixels, by which each near set-up moved.
     """
     last_camera = int(result.cell_data[CAMERA].max())
     cameras = range(1, last_camera + 1)
@@ -122,25 +95,10 @@ def _scale(mesh: Mesh, unit: LengthUnit) -> Mesh:
 
 
 def draw_cell_panels(panels: Sequence[CellPanel], outlined: Sequence[Mesh], box: Bounds, label: str) -> Figure:
-    """Draw panels of one part of the image with common colours, two in a row.
+    """Draw panels of one part of the image with common colours, two in a row, at least one.
 
-    Colours span what the last panel shows, without the outermost 0.5 % on either side.
-
-    Parameters
-    ----------
-    panels : sequence of CellPanel
-        At least one.
-    outlined : sequence of Mesh
-        Whose outlines are drawn in all panels.
-    box : (float, float, float, float)
-        x0, y0, x1, y1 of the part, pixels.
-    label : str
-        Of the colours, with their unit.
-
-    Returns
-    -------
-    Figure
-        The page.
+    Colours span what the last panel shows, without the outermost 0.5 % on either side. ``box`` is x0, y0, x1, y1 of the
+    part, pixels; the outlines of ``outlined`` are drawn in all panels.
     """
     last = panels[-1]
     centres = np.array([last.mesh.nodes[cell[cell >= 0]].mean(axis=0) for cell in last.mesh.cells])

@@ -1,16 +1,9 @@
 """What the figures share: axes in image coordinates, colour bars, saving.
 
-Texts on a page: titles that fit, and which texts do not.
-
-Room on a page above what is on it already.
-
-Units of lengths in figures: pixels, or the case's length unit where the size of a pixel is known.
-
-Which frame of a series a page shows, above all that is on it.
-
-A mark on pictures of fields that did not converge, so that none is taken for a result.
-
-Numbered marks on a picture.
+Titles are broken so that they fit, and texts that do not are found. Lengths are in pixels, or in the case's length unit
+where the size of a pixel is known. Pages grow above what is on them already: for which frame of a series they show, and
+for a mark on pictures of fields that did not converge, so that none is taken for a result. Places on a picture have
+numbered marks.
 """
 
 from __future__ import annotations
@@ -51,39 +44,13 @@ ROUNDING_DOTS = 1.0
 
 
 def format_title(text: str, width: float, size: float) -> str:
-    """Break a title into lines that fit.
-
-    Parameters
-    ----------
-    text : str
-        Plain, or with TeX that has no blank in it.
-    width : float
-        Inches.
-    size : float
-        Of its type, points.
-
-    Returns
-    -------
-    str
-        Lines.
-    """
+    """Break a title into lines that fit a width, inches, in type of a size, points; TeX in it has no blank."""
     n_characters = max(8, int(width * POINTS_AN_INCH / (CHARACTER * size)))
     return "\n".join(textwrap.wrap(text, n_characters, break_on_hyphens=False))
 
 
 def find_clipped_texts(figure: Figure) -> list[str]:
-    """Find the texts that the edge of the page cuts: titles, labels, numbers at ticks and of legends.
-
-    Parameters
-    ----------
-    figure : Figure
-        The page.
-
-    Returns
-    -------
-    list of str
-        Those texts.
-    """
+    """Find the texts that the edge of the page cuts: titles, labels, numbers at ticks and of legends."""
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     renderer = canvas.get_renderer()
@@ -104,15 +71,7 @@ def _holds(page: BboxBase, box: BboxBase) -> bool:
 
 
 def make_room_above(figure: Figure, room: float) -> None:
-    """Let a page grow above what is on it, which keeps its size.
-
-    Parameters
-    ----------
-    figure : Figure
-        The page.
-    room : float
-        Inches.
-    """
+    """Let a page grow by some room, inches, above what is on it, which keeps its size."""
     width, height = figure.get_size_inches()
     share = float(height / (height + room))
     layout = figure.get_layout_engine()
@@ -149,22 +108,8 @@ PIXELS = LengthUnit()
 def find_length_unit(result: Result, asked: str | None = None) -> LengthUnit:
     """Find the unit in which a result is drawn.
 
-    Parameters
-    ----------
-    result : Result
-        With or without the size of a pixel.
-    asked : str, optional
-        ``px`` or ``physical``; where it is left out, physical if the size of a pixel is known.
-
-    Returns
-    -------
-    LengthUnit
-        For axes and displacements.
-
-    Raises
-    ------
-    InputError
-        Where the case's unit is asked for and the result has none.
+    ``asked`` is ``px`` or ``physical``; where it is left out, physical if the size of a pixel is known. Raises
+    InputError where the case's unit is asked for and the result has none.
     """
     known = schema.DISPLACEMENT_PHYSICAL in result.point_data
     if asked == "physical" and not known:
@@ -237,23 +182,9 @@ def make_image_figure(bounds: Bounds, title: str, unit: LengthUnit = PIXELS, *,
                       beside: float = RIGHT_INCHES) -> tuple[Figure, Axes]:
     """Make a figure whose axes are those of the image: equal scales, y down.
 
-    Parameters
-    ----------
-    bounds : (float, float, float, float)
-        x0, y0, x1, y1, in the unit.
-    title : str
-        Above the axes; broken into lines where it is wider than the page.
-    unit : LengthUnit, optional
-        Of both axes.
-    beside : float, optional
-        Room to the right of the axes, inches; that of a colour bar by default.
-
-    Returns
-    -------
-    figure : Figure
-        The page, just as large as what is on it.
-    axes : Axes
-        Empty axes.
+    ``bounds`` are x0, y0, x1, y1, in the unit; ``beside`` is the room to the right of the axes, inches, that of a
+    colour bar by default. The title is broken into lines where it is wider than the page, which is just as large as
+    what is on it.
     """
     figure, (axes,) = make_panels([bounds], [title], unit, beside=beside)
     return figure, axes
@@ -263,23 +194,8 @@ def make_panels(boxes: Sequence[Bounds], titles: Sequence[str], unit: LengthUnit
                 beside: float = RIGHT_INCHES) -> tuple[Figure, list[Axes]]:
     """Make a figure of several panels of one size, each as ``make_image_figure`` makes its one.
 
-    Parameters
-    ----------
-    boxes : sequence of (float, float, float, float)
-        x0, y0, x1, y1 of each, in the unit; the first tells the size of all.
-    titles : sequence of str
-        Of each.
-    unit : LengthUnit, optional
-        Of all axes.
-    beside : float, optional
-        Room to the right of each, inches.
-
-    Returns
-    -------
-    figure : Figure
-        Panels side by side, or above one another where they are wide.
-    panels : list of Axes
-        Empty axes.
+    The first of ``boxes``, in the unit, tells the size of all. Panels stand side by side, or above one another where
+    they are wide.
     """
     x0, y0, x1, y1 = boxes[0]
     ratio = (y1 - y0) / max(x1 - x0, 1e-300)
@@ -321,35 +237,14 @@ def _set_up_axes(axes: Axes, bounds: Bounds, unit: LengthUnit, size: tuple[float
 
 
 def set_bounds(axes: Axes, bounds: Bounds) -> None:
-    """Set what axes show, y down: once more after an image was drawn, which moves their limits to its own.
-
-    Parameters
-    ----------
-    axes : Axes
-        In image coordinates.
-    bounds : (float, float, float, float)
-        x0, y0, x1, y1, in the axes' unit.
-    """
+    """Set what axes show, y down: once more after an image was drawn, which moves their limits to its own."""
     x0, y0, x1, y1 = bounds
     axes.set_xlim(x0, x1)
     axes.set_ylim(y1, y0)
 
 
 def find_mesh_bounds(nodes: NDArray[np.float64], margin: float = 0.03) -> Bounds:
-    """Find the box around nodes.
-
-    Parameters
-    ----------
-    nodes : (n, 2) array
-        Pixels.
-    margin : float, optional
-        Relative to the box's longer side.
-
-    Returns
-    -------
-    (float, float, float, float)
-        x0, y0, x1, y1, pixels.
-    """
+    """Find the box x0, y0, x1, y1 around nodes (n, 2), pixels, with a margin relative to its longer side."""
     low, high = nodes.min(axis=0), nodes.max(axis=0)
     gap = margin * float((high - low).max())
     x0, y0 = low - gap
@@ -358,19 +253,7 @@ def find_mesh_bounds(nodes: NDArray[np.float64], margin: float = 0.03) -> Bounds
 
 
 def add_colour_bar(figure: Figure, axes: Axes, mappable: Any, label: str) -> None:
-    """Add a labelled colour bar as high as the axes, or higher where they are flat.
-
-    Parameters
-    ----------
-    figure : Figure
-        The page.
-    axes : Axes
-        Beside which it stands.
-    mappable : object
-        What is in colour.
-    label : str
-        With its unit.
-    """
+    """Add a labelled colour bar as high as the axes, or higher where they are flat."""
     width, height = axes.get_position().size * figure.get_size_inches()
     share = max(1.0, SHORTEST_BAR_INCHES / height)
     # x, y, width, height, of the axes'.
@@ -393,20 +276,7 @@ def _find_values_beyond(mappable: Any) -> Literal["neither", "min", "max", "both
 
 
 def choose_limits(values: NDArray[np.float64], asked: Limits | None = None) -> Limits:
-    """Choose where colours begin and end.
-
-    Parameters
-    ----------
-    values : (n,) array
-        What is in colour; nan is not.
-    asked : (float, float), optional
-        What the user wants; all values are spanned where it is left out.
-
-    Returns
-    -------
-    (float, float)
-        Of the values' unit.
-    """
+    """Choose where colours of values (n,) begin and end: as asked, or spanning all that are not nan."""
     if asked is not None:
         return asked
     finite = values[np.isfinite(values)]
@@ -418,22 +288,7 @@ def choose_limits(values: NDArray[np.float64], asked: Limits | None = None) -> L
 
 
 def make_cell_polygons(mesh: Mesh, nodes: NDArray[np.float64], **style: Any) -> PolyCollection:
-    """Make polygons of the cells.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        The cells.
-    nodes : (n_nodes, 2) array
-        Where they are drawn, pixels.
-    **style : object
-        As matplotlib's collections take it.
-
-    Returns
-    -------
-    PolyCollection
-        A polygon a cell.
-    """
+    """Make polygons of the cells, their nodes drawn at (n_nodes, 2), in a style as matplotlib's collections take it."""
     nodes_of_cells = np.split(mesh.connectivity, mesh.offsets[1:-1])
     corners = [nodes[of_cell] for of_cell in nodes_of_cells]
     return PolyCollection(corners, **style)
@@ -441,26 +296,7 @@ def make_cell_polygons(mesh: Mesh, nodes: NDArray[np.float64], **style: Any) -> 
 
 def draw_nodal_colours(axes: Axes, mesh: Mesh, nodes: NDArray[np.float64], values: NDArray[np.float64],
                        limits: Limits) -> TriMesh:
-    """Draw values at nodes in colour, interpolated; nothing where a cell has a node without one.
-
-    Parameters
-    ----------
-    axes : Axes
-        Where they are drawn.
-    mesh : Mesh
-        The cells.
-    nodes : (n_nodes, 2) array
-        Where they are drawn, in the unit of the axes.
-    values : (n_nodes,) array
-        Of any unit; nan where there is none.
-    limits : (float, float)
-        Of the colours.
-
-    Returns
-    -------
-    TriMesh
-        For the colour bar.
-    """
+    """Draw values at nodes in colour, interpolated; nothing where a cell has a node without one, which is nan."""
     shown = np.zeros(mesh.n_cells, dtype=bool)
     shown[mesh.find_cells_among(np.isfinite(values))] = True
     of_cells = [block.cells for block in mesh.cell_blocks for _ in block.type.triangles]
@@ -472,39 +308,13 @@ def draw_nodal_colours(axes: Axes, mesh: Mesh, nodes: NDArray[np.float64], value
 
 
 def make_triangulation(mesh: Mesh, nodes: NDArray[np.float64]) -> Triangulation:
-    """Cut the cells into triangles.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        The cells.
-    nodes : (n_nodes, 2) array
-        Where they are drawn, pixels.
-
-    Returns
-    -------
-    Triangulation
-        On all nodes.
-    """
+    """Cut the cells into triangles on all nodes, which are drawn at (n_nodes, 2)."""
     triangles = [block.nodes[:, corners] for block in mesh.cell_blocks for corners in block.type.triangles]
     return Triangulation(nodes[:, 0], nodes[:, 1], np.concatenate(triangles))
 
 
 def pick_component(vectors: NDArray[np.float64], component: Component) -> NDArray[np.float64]:
-    """Pick one component of vectors, or their length.
-
-    Parameters
-    ----------
-    vectors : (n, 2) array
-        Of any unit.
-    component : {"x", "y", "magnitude"}
-        Which.
-
-    Returns
-    -------
-    (n,) array
-        Of the same unit.
-    """
+    """Pick one component of vectors (n, 2), or their length, (n,)."""
     if component == "magnitude":
         return np.asarray(np.hypot(vectors[:, 0], vectors[:, 1]))
     axis = 0 if component == "x" else 1
@@ -512,41 +322,16 @@ def pick_component(vectors: NDArray[np.float64], component: Component) -> NDArra
 
 
 def format_component(symbol: str, component: Component) -> str:
-    """Write a component of a vector as a label does.
-
-    Parameters
-    ----------
-    symbol : str
-        Of the vector.
-    component : {"x", "y", "magnitude"}
-        Which.
-
-    Returns
-    -------
-    str
-        TeX.
-    """
+    """Write a component of a vector as a label does, in TeX."""
     return f"$|{symbol}|$" if component == "magnitude" else f"${symbol}_{component}$"
 
 
 def save_figure(figure: Figure, path: Path, dpi: int = DPI, files: NewFiles | None = None) -> None:
-    """Save a figure.
+    """Save a figure in the format that the ending of the path tells: png, pdf, svg.
 
-    Parameters
-    ----------
-    figure : Figure
-        The page.
-    path : Path
-        Whose ending tells the format: png, pdf, svg.
-    dpi : int, optional
-        Dots an inch; in PDF and SVG of images and of fields in colour, beside which texts and lines stay sharp.
-    files : NewFiles, optional
-        With which it takes its name; by default it does so by itself.
-
-    Raises
-    ------
-    InputError, OSError
-        Where it cannot be written; an earlier one stays.
+    In PDF and SVG ``dpi`` is of images and of fields in colour, beside which texts and lines stay sharp. The file takes
+    its name with ``files``; by default it does so by itself. Raises InputError or OSError where it cannot be written;
+    an earlier one stays.
     """
     ending = path.suffix.lower()
     # Journals refuse type 3, matplotlib's own choice; without a date the same picture is the same file.
@@ -564,33 +349,12 @@ ROOM_INCHES = 0.34
 
 
 def format_caption(number: int, time: float) -> str:
-    """Write which frame it is.
-
-    Parameters
-    ----------
-    number : int
-        From 1.
-    time : float
-        Unit chosen by the user.
-
-    Returns
-    -------
-    str
-        A short line.
-    """
+    """Write in a short line which frame it is, from 1, and its time."""
     return f"frame {number}, time {time:g}"
 
 
 def draw_caption(figure: Figure, text: str) -> None:
-    """Write a line above all that is on a page, which grows by it.
-
-    Parameters
-    ----------
-    figure : Figure
-        The page.
-    text : str
-        Short enough for one line.
-    """
+    """Write a text, short enough for one line, above all that is on a page, which grows by it."""
     make_room_above(figure, ROOM_INCHES)
     height = figure.get_size_inches()[1]
     figure.text(0.5, 1.0 - 0.5 * ROOM_INCHES / height, text, ha="center", va="center", fontsize=CAPTION_POINTS,
@@ -615,14 +379,8 @@ EDGE_INCHES = 0.1
 def draw_failures(figure: Figure, shown: Sequence[Result]) -> None:
     """Write above all that is on a page that a result did not converge; nothing where all did.
 
-    The page grows by what that takes; what was on it keeps its size.
-
-    Parameters
-    ----------
-    figure : Figure
-        The page.
-    shown : sequence of Result
-        What it shows; failures of several are told by the names of the files.
+    The page grows by what that takes; what was on it keeps its size. Failures of several results are told by the names
+    of their files.
     """
     failed = [result for result in shown if not result.converged]
     if not failed:
@@ -641,17 +399,7 @@ PLACE_COLOUR = "#00e5ff"
 
 
 def draw_marks(axes: Axes, places: Sequence[tuple[float, float]], size: float = 1.0) -> None:
-    """Draw a circle about each place, with its number.
-
-    Parameters
-    ----------
-    axes : Axes
-        In image coordinates.
-    places : sequence of (x, y)
-        Pixels, numbered from 1.
-    size : float, optional
-        Of a pixel, in the axes' unit.
-    """
+    """Draw a circle about each place, pixels, with its number from 1; ``size`` is a pixel's in the axes' unit."""
     outline = [withStroke(linewidth=3.0, foreground="black")]
     right = axes.get_xlim()[1]
     for number, (x, y) in enumerate(places, start=1):

@@ -1,16 +1,9 @@
-"""Convergence curves of the Krylov iterations (Fig. 11 of [BP17]).
+"""Curves: convergence of the Krylov iterations (Fig. 11 of [BP17]), of Gauss-Newton and of PGD-DIC, and more.
 
-How Gauss-Newton converges: corrections and residual against their number.
-
-How PGD-DIC converges: corrections and residual against their number (Fig. 8 of [PP12]).
-
-The functions of x and of y that a separated displacement is made of (Fig. 9 and 10 of [PP12]).
-
-Opening of discontinuities along them.
-
-Measurement uncertainty against the size of the elements [RRH07], [RHR08].
-
-Displacement and strain along a line, with a band of what noise leaves in them.
+Gauss-Newton and PGD-DIC (Fig. 8 of [PP12]) by corrections and residual against their number; the functions of x and of
+y that a separated displacement is made of (Fig. 9 and 10 of [PP12]); opening of discontinuities along them; measurement
+uncertainty against the size of the elements [RRH07], [RHR08]; displacement and strain along a line, with a band of what
+noise leaves in them.
 """
 
 from __future__ import annotations
@@ -47,19 +40,10 @@ LIGHTEST = 0.85
 
 
 def draw_krylov(curves: Mapping[str, Sequence[NDArray[np.float64]]]) -> Figure:
-    """Draw the relative residual against the iteration.
+    """Draw the relative residual against the iteration, by label a history for each Gauss-Newton iteration.
 
-    Each label has a line style; its Gauss-Newton iterations run through the colours.
-
-    Parameters
-    ----------
-    curves : dict of sequence of (n,) array
-        Label -> histories, one array for each Gauss-Newton iteration; an empty label for one result alone.
-
-    Returns
-    -------
-    Figure
-        The page.
+    Each label has a line style; its Gauss-Newton iterations run through the colours. The label is empty for one result
+    alone.
     """
     figure = Figure(figsize=(7.0, 4.5), layout="tight")
     axes = figure.add_subplot()
@@ -97,17 +81,8 @@ def _shorten(label: str) -> str:
 def draw_iterations(table: Mapping[str, NDArray[Any]], noise_floor: float = float("nan")) -> Figure:
     """Draw the size of corrections, beside the noise floor, and the residual before each of them.
 
-    Parameters
-    ----------
-    table : mapping of (n_iterations,) array
-        Columns of the result file's table of iterations.
-    noise_floor : float, optional
-        Of the displacement, pixels; nan where it is not known.
-
-    Returns
-    -------
-    Figure
-        The page.
+    ``table`` has the columns of the result file's table of iterations; the noise floor is that of the displacement,
+    pixels, nan where it is not known.
     """
     figure = Figure(figsize=(5.6, 4.4), layout="tight")
     sizes, residual = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
@@ -133,18 +108,7 @@ def draw_iterations(table: Mapping[str, NDArray[Any]], noise_floor: float = floa
 
 
 def draw_corrections(table: Mapping[str, NDArray[Any]]) -> Figure:
-    """Draw the size of corrections, what they gain and the residual before them, its standard deviation.
-
-    Parameters
-    ----------
-    table : mapping of (n_corrections,) array
-        Columns of the result file's table of corrections.
-
-    Returns
-    -------
-    Figure
-        The page.
-    """
+    """Draw size and gain of a result file's table of corrections, and the residual's standard deviation before each."""
     figure = Figure(figsize=(10.0, 3.6), layout="tight")
     sizes, gains, residual = figure.subplots(1, 3)
     number = table["correction"]
@@ -184,18 +148,7 @@ LIGHTEST = 0.85
 
 
 def draw_modes(field: SeparatedField) -> Figure:
-    """Draw the functions of the largest modes of both components.
-
-    Parameters
-    ----------
-    field : SeparatedField
-        The displacement.
-
-    Returns
-    -------
-    Figure
-        The page: functions of x above, of y below, one column a component.
-    """
+    """Draw the functions of the largest modes: of x above, of y below, one column a component."""
     figure = Figure(figsize=(9.0, 6.0), layout="tight")
     panels = figure.subplots(2, 2)
     n = min(MOST, field.n_modes)
@@ -223,17 +176,7 @@ OPENING_STYLES = ("-", "--", "-.", ":")
 def draw_opening(curves: Mapping[str, tuple[Array, Array, Array]], unit: LengthUnit = PIXELS) -> Figure:
     """Draw slip and opening against the place along the line.
 
-    Parameters
-    ----------
-    curves : dict of three (n,) arrays
-        Label of a line -> distance along it, tangential and normal opening.
-    unit : LengthUnit, optional
-        Of all of them.
-
-    Returns
-    -------
-    Figure
-        The page.
+    ``curves`` hold, by the label of a line, distance along it, tangential and normal opening, (n,) each, in the unit.
     """
     figure = Figure(figsize=(7.0, 4.5), layout="tight")
     axes = figure.add_subplot()
@@ -253,19 +196,8 @@ def draw_uncertainty(sizes: NDArray[np.float64], deviations: Mapping[Any, NDArra
                      bases: Sequence[str]) -> Figure:
     """Draw the standard deviation, the largest over displacements, against the size of the elements.
 
-    Parameters
-    ----------
-    sizes : (n_sizes,) array
-        Pixels.
-    deviations : dict of (n_sizes, n_amplitudes, n_bases) array
-        By kind of displacement, pixels.
-    bases : sequence of str
-        Names of the kinds of elements.
-
-    Returns
-    -------
-    Figure
-        The page.
+    ``sizes`` (n_sizes,) and, by kind of displacement, ``deviations`` (n_sizes, n_amplitudes, n_bases) are in pixels;
+    ``bases`` are names of the kinds of elements.
     """
     figure = Figure(figsize=(4.0 * len(deviations), 4.0), layout="tight")
     for number, (kind, deviation) in enumerate(deviations.items(), start=1):
@@ -295,26 +227,9 @@ STRAIN_COLUMNS = {"xx": 0, "yy": 1, "xy": 3}
 def draw_line(result: Result, ends: Sequence[float], unit: LengthUnit = PIXELS) -> Figure:
     """Draw the displacement and the strain at nodes along a straight line, with bands of two standard deviations.
 
-    Those of the displacement count the bias of the regularization, 2 sqrt(sigma^2 + bias^2).
-
-    Parameters
-    ----------
-    result : Result
-        The field.
-    ends : sequence of four float
-        x and y where the line begins and where it ends, pixels of the reference image.
-    unit : LengthUnit, optional
-        Of lengths and displacements.
-
-    Returns
-    -------
-    Figure
-        The page; without bands where the result has no standard deviations, gaps where nothing was measured.
-
-    Raises
-    ------
-    InputError
-        Where the line misses the mesh.
+    Those of the displacement count the bias of the regularization, 2 sqrt(sigma^2 + bias^2). There are no bands where
+    the result has no standard deviations, and gaps where nothing was measured. ``ends`` are x and y where the line
+    begins and where it ends, pixels of the reference image. Raises InputError where the line misses the mesh.
     """
     begin, end = np.array(ends[:2], dtype=float), np.array(ends[2:], dtype=float)
     share = np.linspace(0.0, 1.0, N_POINTS)[:, None]

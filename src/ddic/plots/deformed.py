@@ -60,22 +60,8 @@ class SharedView:
 def choose_amplification(result: Result) -> float:
     """Choose an amplification, one digit, of the displacement without its rigid motion.
 
-    It makes that 5 % of the mesh, or less where the largest gradient of the displacement would fold cells.
-
-    Parameters
-    ----------
-    result : Result
-        The displacement.
-
-    Returns
-    -------
-    float
-        At least 1.
-
-    Raises
-    ------
-    InputError
-        Where no cell was measured.
+    It makes that 5 % of the mesh, or less where the largest gradient of the displacement would fold cells, and is at
+    least 1. Raises InputError where no cell was measured.
     """
     mesh, displacement = _keep_measured(result)
     departure = project_rigid_motion_out(mesh.nodes, displacement)
@@ -89,26 +75,10 @@ def choose_amplification(result: Result) -> float:
 
 
 def find_shared_view(results: Iterable[Result], amplification: float | None, unit: LengthUnit) -> SharedView:
-    """Find a factor and axes that suit all of several results.
+    """Find a factor, the least among theirs, and axes that suit all of several results, each looked at once.
 
-    Parameters
-    ----------
-    results : iterable of Result
-        At least one; each is looked at once.
-    amplification : float or None
-        Of the whole displacement, where the user asks for it.
-    unit : LengthUnit
-        Of the axes.
-
-    Returns
-    -------
-    SharedView
-        Of the least factor among theirs.
-
-    Raises
-    ------
-    InputError
-        Where no cell of one was measured.
+    ``amplification`` is that of the whole displacement, where the user asks for it. Raises InputError where no cell of
+    one was measured.
     """
     factors, boxes, moves = [], [], []
     for result in results:
@@ -148,33 +118,10 @@ def draw_deformed(result: Result, component: Component = "magnitude", amplificat
                   shared: SharedView | None = None) -> Figure:
     """Draw the mesh moved by its amplified displacement, over the whole mesh at rest in grey.
 
-    Cells with a node that was not measured are drawn at rest alone.
-
-    Parameters
-    ----------
-    result : Result
-        The displacement.
-    component : {"x", "y", "magnitude"}, optional
-        What is in colour.
-    amplification : float, optional
-        Of the whole displacement, rigid motion and all; where it is left out, one that shows the displacement without
-        its rigid motion and folds no cell.
-    unit : LengthUnit, optional
-        Of axes and colours.
-    limits : (float, float), optional
-        Of the colours, in that unit.
-    shared : SharedView, optional
-        Of several results that are drawn alike; where it is left out, what fits this one.
-
-    Returns
-    -------
-    Figure
-        The page.
-
-    Raises
-    ------
-    InputError
-        Where no cell was measured.
+    Cells with a node that was not measured are drawn at rest alone. ``amplification`` is of the whole displacement,
+    rigid motion and all; where it is left out, one that shows the displacement without its rigid motion and folds no
+    cell. ``shared`` is of several results that are drawn alike; where it is left out, what fits this one. ``limits`` of
+    the colours are in the unit. Raises InputError where no cell was measured.
     """
     mesh, displacement = _keep_measured(result)
     rest = unit.size * result.mesh.nodes

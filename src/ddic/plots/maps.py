@@ -1,10 +1,7 @@
 """A value at the nodes or on the cells in colour, over the reference image where there is one.
 
-The difference between two measured fields (Fig. 10 of [BP17]).
-
-An image thinned out to what a figure can show.
-
-Maps of strain.
+Maps of displacement, of strain and of the difference between two measured fields (Fig. 10 of [BP17]), and an image
+thinned out to what a figure can show. Limits of colours are in the unit that is drawn.
 """
 
 from __future__ import annotations
@@ -49,26 +46,7 @@ from ddic.plots.canvas import (
 
 def draw_difference(result: Result, other: Result, component: Component = "magnitude", unit: LengthUnit = PIXELS,
                     limits: Limits | None = None) -> Figure:
-    """Draw the displacement of a result minus another's.
-
-    Parameters
-    ----------
-    result : Result
-        On whose nodes it is drawn.
-    other : Result
-        Interpolated there; where either was not measured nothing is drawn.
-    component : {"x", "y", "magnitude"}, optional
-        What is in colour.
-    unit : LengthUnit, optional
-        Of axes and colours.
-    limits : (float, float), optional
-        Of the colours, in that unit.
-
-    Returns
-    -------
-    Figure
-        The page.
-    """
+    """Draw a result's displacement minus another's, interpolated to its nodes; nothing where either is unmeasured."""
     mesh, nodes = result.mesh, unit.size * result.mesh.nodes
     difference = unit.size * (result.displacement - _interpolate(other, mesh.nodes))
     squares = np.sum(difference**2, axis=1)
@@ -117,16 +95,9 @@ class Preview:
     height: int
 
     def draw(self, axes: Axes, size: float = 1.0, opacity: float = 1.0) -> None:
-        """Draw in grey, pixel centres at integers.
+        """Draw in grey, pixel centres at integers; ``size`` is a pixel's in the axes' unit.
 
-        Parameters
-        ----------
-        axes : Axes
-            In image coordinates.
-        size : float, optional
-            Of a pixel, in the axes' unit.
-        opacity : float, optional
-            Below 1, it is drawn over everything that is there.
+        Below an ``opacity`` of 1 it is drawn over everything that is there.
         """
         left, right, bottom, top = find_thinned_extent(self.pixels.shape, self.step)
         axes.imshow(self.pixels, cmap="gray", interpolation="nearest", rasterized=True,
@@ -136,17 +107,7 @@ class Preview:
     def clip(self, bounds: tuple[float, float, float, float], size: float = 1.0) -> tuple[float, float, float, float]:
         """Find the part of a box that lies in the image, whose pixels reach half a pixel beyond their centres.
 
-        Parameters
-        ----------
-        bounds : (float, float, float, float)
-            x0, y0, x1, y1, in the axes' unit.
-        size : float, optional
-            Of a pixel, in that unit.
-
-        Returns
-        -------
-        (float, float, float, float)
-            The same of the part.
+        The box is x0, y0, x1, y1 in the axes' unit, ``size`` a pixel's in that unit.
         """
         x0, y0, x1, y1 = bounds
         return (max(x0, -0.5 * size), max(y0, -0.5 * size), min(x1, (self.width - 0.5) * size),
@@ -154,18 +115,7 @@ class Preview:
 
 
 def read_preview(source: ImageSource) -> Preview:
-    """Read an image row by row and keep at most 2000 pixels a side.
-
-    Parameters
-    ----------
-    source : ImageSource
-        The image.
-
-    Returns
-    -------
-    Preview
-        Thinned out evenly.
-    """
+    """Read an image row by row and keep at most 2000 pixels a side, thinned out evenly."""
     step = -(-max(source.width, source.height) // LARGEST_SIDE)
     if step == 1:
         pixels = source.read(Window(0, 0, source.width, source.height))
@@ -178,20 +128,7 @@ def read_preview(source: ImageSource) -> Preview:
 
 
 def find_thinned_extent(shape: tuple[int, ...], step: int) -> tuple[float, float, float, float]:
-    """Find the extent of a thinned image, y down.
-
-    Parameters
-    ----------
-    shape : (int, int)
-        Rows and columns that are left.
-    step : int
-        Pixels from one to the next.
-
-    Returns
-    -------
-    (float, float, float, float)
-        Left, right, bottom, top, pixels.
-    """
+    """Find left, right, bottom, top of a thinned image, pixels, y down."""
     return (-0.5 * step, (shape[1] - 0.5) * step, (shape[0] - 0.5) * step, -0.5 * step)
 
 
@@ -229,26 +166,7 @@ class Values:
 
 def draw_displacement(result: Result, image: Preview | None = None, component: Component = "magnitude",
                       unit: LengthUnit = PIXELS, limits: Limits | None = None) -> Figure:
-    """Draw the displacement on the mesh at rest, over the reference image.
-
-    Parameters
-    ----------
-    result : Result
-        The displacement.
-    image : Preview, optional
-        Drawn below.
-    component : {"x", "y", "magnitude"}, optional
-        What is in colour.
-    unit : LengthUnit, optional
-        Of axes and colours.
-    limits : (float, float), optional
-        Of the colours, in that unit.
-
-    Returns
-    -------
-    Figure
-        The page.
-    """
+    """Draw the displacement on the mesh at rest, over the reference image where it is given."""
     symbol = format_component("u", component)
     shown = Values(f"Displacement {symbol}", f"{symbol} [{unit.name}]",
                    unit.size * pick_component(result.displacement, component))
@@ -257,25 +175,10 @@ def draw_displacement(result: Result, image: Preview | None = None, component: C
 
 def draw_values(mesh: Mesh, shown: Sequence[Values], image: Preview | None, unit: LengthUnit,
                 limits: Limits | None) -> Figure:
-    """Draw panels of values on one mesh.
+    """Draw panels of values on one mesh, over the image where it is given.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Pixels.
-    shown : sequence of Values
-        A panel each.
-    image : Preview or None
-        Drawn below.
-    unit : LengthUnit
-        Of the axes.
-    limits : (float, float) or None
-        Of the colours of all panels that have none of their own; a panel's values tell where it is None too.
-
-    Returns
-    -------
-    Figure
-        The page.
+    ``limits`` are those of the colours of all panels that have none of their own; a panel's values tell them where that
+    is None too.
     """
     nodes = unit.size * mesh.nodes
     bounds = find_mesh_bounds(nodes, MARGIN)
@@ -339,32 +242,10 @@ class StrainChoice:
 def draw_strain(result: Result, choice: StrainChoice, unit: LengthUnit = PIXELS,
                 limits: Limits | None = None, of_panels: Sequence[Limits] | None = None,
                 image: Preview | None = None) -> Figure:
-    """Draw strain on the mesh at rest.
+    """Draw strain on the mesh at rest, in one panel or three, over the image where it is given.
 
-    Parameters
-    ----------
-    result : Result
-        With strains.
-    choice : StrainChoice
-        Which.
-    unit : LengthUnit, optional
-        Of the axes.
-    limits : (float, float), optional
-        Of the colours, no unit.
-    of_panels : sequence of (float, float), optional
-        Of the colours of each panel, in place of ``limits``.
-    image : Preview, optional
-        Drawn below.
-
-    Returns
-    -------
-    Figure
-        The page, or three panels.
-
-    Raises
-    ------
-    InputError
-        Where the result has no strain at nodes.
+    ``of_panels`` are limits of the colours of each panel, in place of ``limits``. Raises InputError where the result
+    has no strain at nodes.
     """
     panels = list_strain_panels(result, choice)
     if of_panels is not None:
@@ -373,24 +254,9 @@ def draw_strain(result: Result, choice: StrainChoice, unit: LengthUnit = PIXELS,
 
 
 def list_strain_panels(result: Result, choice: StrainChoice) -> list[Values]:
-    """List what the panels of a strain map show.
+    """List what the panels of a strain map show, one or three.
 
-    Parameters
-    ----------
-    result : Result
-        With strains.
-    choice : StrainChoice
-        Which.
-
-    Returns
-    -------
-    list of Values
-        One, or three.
-
-    Raises
-    ------
-    InputError
-        Where the result has no strain at nodes.
+    Raises InputError where the result has no strain at nodes.
     """
     tensors = pick_tensors(result, choice)
     numbers = PANELS if choice.number is None else (choice.number,)
@@ -405,24 +271,9 @@ def list_strain_panels(result: Result, choice: StrainChoice) -> list[Values]:
 
 
 def pick_tensors(result: Result, choice: StrainChoice) -> NDArray[np.float64]:
-    """Pick the strain tensors of a result.
+    """Pick the strain tensors xx, yy, xy of a result, (n_nodes, 3) or (n_cells, 3).
 
-    Parameters
-    ----------
-    result : Result
-        With strains.
-    choice : StrainChoice
-        Which.
-
-    Returns
-    -------
-    (n_nodes, 3) or (n_cells, 3) array
-        xx, yy, xy.
-
-    Raises
-    ------
-    InputError
-        Where the result has no strain at nodes.
+    Raises InputError where the result has no strain at nodes.
     """
     if choice.by_cell:
         name = schema.STRAIN_INFINITESIMAL if choice.measure == "infinitesimal" else schema.STRAIN_GREEN_LAGRANGE
@@ -438,20 +289,7 @@ def pick_tensors(result: Result, choice: StrainChoice) -> NDArray[np.float64]:
 
 
 def pick_number(tensors: NDArray[np.float64], number: str) -> NDArray[np.float64]:
-    """Pick a component, a principal value or the equivalent strain of tensors.
-
-    Parameters
-    ----------
-    tensors : (n, 3) array
-        xx, yy, xy.
-    number : str
-        One of NUMBERS.
-
-    Returns
-    -------
-    (n,) array
-        No unit.
-    """
+    """Pick a component, a principal value or the equivalent strain, one of NUMBERS, of tensors xx, yy, xy, (n, 3)."""
     if number in PANELS:
         return tensors[:, PANELS.index(number)]
     if number == "von-mises":

@@ -47,22 +47,7 @@ SMALLEST_POINTS, LARGEST_POINTS = 3.0, 12.0
 
 
 def draw_partition(result: Result, image: Preview | None = None, unit: LengthUnit = PIXELS) -> Figure:
-    """Draw numbered subdomains in colour with the bounding box of each (its sub-image without halo).
-
-    Parameters
-    ----------
-    result : Result
-        With its partition.
-    image : Preview, optional
-        Drawn below.
-    unit : LengthUnit, optional
-        Of the axes.
-
-    Returns
-    -------
-    Figure
-        The page.
-    """
+    """Draw numbered subdomains in colour with the bounding box of each (its sub-image without halo)."""
     mesh, nodes = result.mesh, unit.size * result.mesh.nodes
     bounds = find_mesh_bounds(nodes, MARGIN)
     if image is not None:
@@ -89,17 +74,7 @@ def draw_partition(result: Result, image: Preview | None = None, unit: LengthUni
 def choose_colours(mesh: Mesh, subdomain_ids: NDArray[np.int64]) -> NDArray[np.int64]:
     """Choose a colour for each subdomain, another one than those of its neighbours as far as there are enough.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        The cells.
-    subdomain_ids : (n_cells,) array of int64
-        Of each.
-
-    Returns
-    -------
-    (largest subdomain + 1,) array of int64
-        Rows of PALETTE.
+    Rows of PALETTE, (largest subdomain + 1,).
     """
     n = int(subdomain_ids.max()) + 1
     of_corners = np.repeat(subdomain_ids, np.diff(mesh.offsets))
@@ -158,22 +133,7 @@ LONGEST_NAME = 12
 
 
 def draw_mesh_preview(mesh: Mesh, image: Preview, lines: Sequence[NDArray[np.float64]] = ()) -> Figure:
-    """Draw a mesh, its node sets and the lines that cut it over the reference image.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Pixels.
-    image : Preview
-        Drawn below.
-    lines : sequence of (n_vertices, 2) array, optional
-        Discontinuities, pixels.
-
-    Returns
-    -------
-    Figure
-        The page.
-    """
+    """Draw a mesh, its node sets and the lines (n_vertices, 2) that cut it, pixels, over the reference image."""
     bounds = image.clip(find_mesh_bounds(mesh.nodes, MARGIN))
     sets = {name: nodes for name, nodes in mesh.node_sets.items() if len(nodes)}
     figure, axes = make_image_figure(bounds, f"Mesh: {mesh.n_nodes} nodes, {mesh.n_cells} cells")

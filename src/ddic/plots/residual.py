@@ -38,28 +38,9 @@ def draw_residual(result: Result, *, signed: bool = False, unit: LengthUnit = PI
                   limits: Limits | None = None) -> Figure:
     """Draw the residual f(x) - g(x + u) by pixel, or its RMS by cell if there is no residual image.
 
-    Colours end at the 99.5 % quantile of absolute values, so that single bad pixels do not darken the rest.
-
-    Parameters
-    ----------
-    result : Result
-        With or without residual image.
-    signed : bool, optional
-        With its sign, 0 in white; absolute values otherwise.
-    unit : LengthUnit, optional
-        Of the axes.
-    limits : (float, float), optional
-        Of the colours, grey levels.
-
-    Returns
-    -------
-    Figure
-        The page.
-
-    Raises
-    ------
-    InputError
-        Where a sign is asked for and there is no residual image.
+    Colours end at the 99.5 % quantile of absolute values, so that single bad pixels do not darken the rest. If
+    ``signed``, 0 is white; absolute values are drawn otherwise. Raises InputError where a sign is asked for and there
+    is no residual image.
     """
     image = result.residual_image
     if image is None:
@@ -85,20 +66,7 @@ def draw_residual(result: Result, *, signed: bool = False, unit: LengthUnit = PI
 
 
 def find_residual_limits(result: Result, *, signed: bool = False) -> Limits:
-    """Find where the colours of a residual begin and end.
-
-    Parameters
-    ----------
-    result : Result
-        With or without residual image.
-    signed : bool, optional
-        Whether it is drawn with its sign.
-
-    Returns
-    -------
-    (float, float)
-        Grey levels.
-    """
+    """Find where the colours of a residual begin and end, grey levels."""
     image = result.residual_image
     if image is None:
         return choose_limits(result.cell_data[RESIDUAL_RMS])
@@ -137,15 +105,7 @@ HISTOGRAM_COLOURS = ("tab:blue", "tab:orange")
 def draw_residual_histogram(residual: NDArray[np.float32]) -> Figure:
     """Draw the distribution of the residual beside the normal one of the same standard deviation.
 
-    Parameters
-    ----------
-    residual : (height, width) array
-        f(x) - g(x + u), grey levels; nan where there is none.
-
-    Returns
-    -------
-    Figure
-        The page; tails above the normal ones are not noise.
+    Tails above the normal ones are not noise.
     """
     values = residual[np.isfinite(residual)].astype(np.float64)
     std = float(values.std()) if values.size else 1.0
@@ -167,18 +127,7 @@ def draw_residual_histogram(residual: NDArray[np.float32]) -> Figure:
 
 
 def draw_grey_histogram(images: Mapping[str, NDArray[Any]]) -> Figure:
-    """Draw the distribution of the grey levels of images.
-
-    Parameters
-    ----------
-    images : mapping of (height, width) array
-        By name.
-
-    Returns
-    -------
-    Figure
-        The page.
-    """
+    """Draw the distribution of the grey levels of images, by their names."""
     figure = Figure(figsize=(5.0, 3.4), layout="tight")
     axes = figure.subplots()
     finite = {name: pixels[np.isfinite(pixels)] for name, pixels in images.items()}

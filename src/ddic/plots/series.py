@@ -40,19 +40,7 @@ SHARE_ABOVE = 1.15
 def draw_time_curves(history: SeriesHistory, name: str, unit: LengthUnit = PIXELS) -> Figure:
     """Draw displacement, strain, residual, noise floor and iterations against time, a panel each.
 
-    Parameters
-    ----------
-    history : SeriesHistory
-        Of the frames; those that were not measured are marked.
-    name : str
-        Of the series.
-    unit : LengthUnit, optional
-        Of displacements.
-
-    Returns
-    -------
-    Figure
-        The page.
+    Frames that were not measured are marked.
     """
     figure = Figure(figsize=PAGE_INCHES, layout="tight")
     panels = figure.subplots(5, 1, sharex=True)
@@ -134,42 +122,16 @@ FAR = 16
 
 
 def require_writer(ending: str) -> None:
-    """Refuse a format for which there is no program here.
-
-    Parameters
-    ----------
-    ending : {"gif", "mp4"}
-        The format.
-
-    Raises
-    ------
-    InputError
-        Where it is MP4 and there is no ffmpeg.
-    """
+    """Refuse a format for which there is no program here: raises InputError for ``mp4`` without ffmpeg."""
     if ending == "mp4" and not animation.writers.is_available("ffmpeg"):
         raise InputError("--format mp4: ffmpeg is not on the path; install it, or leave --format out (GIF)")
 
 
 def write_animation(path: Path, pages: Iterable[Figure], height: float, fps: float, dpi: int) -> None:
-    """Write pages one after the other.
+    """Write pages of one width, at least one, one after the other, as GIF or MP4 by the ending of the path.
 
-    Parameters
-    ----------
-    path : Path
-        Whose ending tells the format: gif, mp4.
-    pages : iterable of Figure
-        Of one width, at least one; each is drawn when it is its turn.
-    height : float
-        Inches, of the highest page; the others grow to it.
-    fps : float
-        Pages a second.
-    dpi : int
-        Dots an inch.
-
-    Raises
-    ------
-    InputError
-        Where ffmpeg fails.
+    Each is drawn when it is its turn. ``height`` is that of the highest page, inches; the others grow to it. Raises
+    InputError where ffmpeg fails.
     """
     fitted = (_grow_page(page, height) for page in pages)
     with replaced_on_exit(path) as temporary:

@@ -53,20 +53,7 @@ class SweptElements:
 
 
 def draw_sweep(swept: Sequence[SweptElements], title: str) -> Figure:
-    """Draw the L-curve, the residual and the errors against the wavelength; the recommendation is marked by a ring.
-
-    Parameters
-    ----------
-    swept : sequence of SweptElements
-        By element size.
-    title : str
-        The recommendation.
-
-    Returns
-    -------
-    Figure
-        The page.
-    """
+    """Draw the L-curve, the residual and the errors against the wavelength; the recommendation is marked by a ring."""
     import matplotlib as mpl
 
     figure = Figure(figsize=(14.0, 4.9), layout="constrained")

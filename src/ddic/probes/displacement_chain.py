@@ -61,64 +61,32 @@ class DisplacementChain:
         return float(np.max([self.spacing, self.shear, self.longitudinal]))
 
     def keep_by_elements(self, wave_number: Array) -> Array:
-        """Share of a wave that linear elements follow, fitted by least squares.
+        """Find the share of a wave's amplitude that linear elements follow, fitted by least squares.
 
-        Parameters
-        ----------
-        wave_number : (...) array
-            Along the wave, rad/px.
-
-        Returns
-        -------
-        (...) array
-            Of the amplitude, 1 for long waves.
+        ``wave_number`` is along the wave, rad/px; the share is 1 for long waves.
         """
         return np.asarray(evaluate_sinc(0.5 * wave_number * self.spacing)**4 / self.weigh_shapes(wave_number))
 
     def keep_by_regularization(self, wave_number: Array, half: float) -> Array:
-        """Share of a wave that the regularization leaves.
+        """Find the share of a wave's amplitude that the regularization leaves; 1 for long waves.
 
-        Parameters
-        ----------
-        wave_number : (...) array
-            Rad/px.
-        half : float
-            Wavelength of which a half is left, pixels; 0 without regularization.
-
-        Returns
-        -------
-        (...) array
-            Of the amplitude, 1 for long waves.
+        ``half`` is the wavelength of which a half is left, pixels, 0 without regularization; wave numbers are in
+        rad/px.
         """
         return np.asarray(1.0 / (1.0 + (np.abs(wave_number) * half / (2.0 * np.pi))**self.order))
 
     def weigh_shapes(self, wave_number: Array) -> Array:
         """Weigh the squares of linear elements by waves: the spectrum of the products of their shape functions.
 
-        Parameters
-        ----------
-        wave_number : (...) array
-            Along one axis, rad/px.
-
-        Returns
-        -------
-        (...) array
-            Mean square over an element of a wave whose nodes have that of 1, 1 for long waves.
+        Mean square over an element of a wave whose nodes have that of 1, 1 for long waves; ``wave_number`` is along one
+        axis, rad/px.
         """
         return np.asarray((2.0 + np.cos(wave_number * self.spacing)) / 3.0)
 
     def make_waves(self, length: float) -> Array:
-        """List wave vectors over which the noise of something of some length is summed.
+        """List wave vectors (n, 2), a regular grid, rad/px, over which the noise of something of some length is summed.
 
-        Parameters
-        ----------
-        length : float
-            Of what asks for the displacement, pixels.
-
-        Returns
-        -------
-        (n, 2) array
-            A regular grid of wave vectors, rad/px.
+        ``length`` is of what asks for the displacement, pixels.
         """
         step = 2.0 * np.pi / (DOMAINS * max(length, 2.0 * self.longest))
         highest = min(np.pi / self.spacing, 0.5 * N_WAVES * step)
@@ -129,15 +97,8 @@ class DisplacementChain:
     def predict_noise(self, waves: Array) -> Array:
         """Predict how unit noise of a component of the nodes' displacements is spread over waves.
 
-        Parameters
-        ----------
-        waves : (n, 2) array
-            Wave vectors of ``make_waves``, rad/px.
-
-        Returns
-        -------
-        (n, 2, 2) array
-            Covariance of the two components in each wave; the variance of a component is the sum.
+        Covariance (n, 2, 2) of the two components in each wave of ``make_waves``; the variance of a component is the
+        sum.
         """
         return np.asarray(self._shape_noise(waves) * (_find_cell(waves) / self._total))
 
@@ -160,35 +121,14 @@ class DisplacementChain:
 
 
 def evaluate_sinc(x: Array) -> Array:
-    """Evaluate sin x / x.
-
-    Parameters
-    ----------
-    x : (...) array
-        Radians.
-
-    Returns
-    -------
-    (...) array
-        1 at 0.
-    """
+    """Evaluate sin x / x, 1 at 0, of radians."""
     return np.asarray(np.sinc(x / np.pi))
 
 
 def find_chain(result: Result, cells: NDArray[np.int64]) -> DisplacementChain:
-    """Find the elements and the regularization of a result.
+    """Find the elements and the regularization of a result, with the mean spacing of the nodes of some cells.
 
-    Parameters
-    ----------
-    result : Result
-        The field.
-    cells : (n,) array of int64
-        Those about which is asked; all cells where it is empty.
-
-    Returns
-    -------
-    DisplacementChain
-        With the mean spacing of the nodes of these cells.
+    Those are the cells about which is asked, all where ``cells`` is empty.
     """
     case = result.attributes.get(schema.CASE, {})
     text = str(case.get("json", ""))

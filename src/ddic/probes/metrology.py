@@ -1,6 +1,6 @@
 """Spatial resolution and noise floor of probes, and what one costs in the other (docs/probes.md).
 
-How probes answer to a wave of the displacement exp(i k.x), the elements' part included.
+They follow from how probes answer to a wave of the displacement exp(i k.x), the elements' part included.
 """
 
 from __future__ import annotations
@@ -28,21 +28,9 @@ SMALL = 1e-3
 
 
 def evaluate_displacement_response(probe: Probe, chain: DisplacementChain, waves: Array) -> Array:
-    """Evaluate what is left of a wave in a probe's displacement.
+    """Evaluate what is left of waves (n, 2), rad/px, in the displacement of a point, a line or a strain gauge.
 
-    Parameters
-    ----------
-    probe : Probe
-        A point, a line or a strain gauge.
-    chain : DisplacementChain
-        Of which elements the displacement is.
-    waves : (n, 2) array
-        Wave vectors, rad/px.
-
-    Returns
-    -------
-    (n,) array
-        Share of the nodes' amplitude.
+    Share of the nodes' amplitude, (n,).
     """
     if not isinstance(probe, StrainGauge):
         return np.ones(len(waves))
@@ -54,19 +42,8 @@ def evaluate_displacement_response(probe: Probe, chain: DisplacementChain, waves
 def evaluate_strain_response(probe: Probe, chain: DisplacementChain, waves: Array) -> Array:
     """Evaluate the slope that a probe measures of a wave, along itself; along x of points and lines.
 
-    Parameters
-    ----------
-    probe : Probe
-        Of any kind.
-    chain : DisplacementChain
-        Of which elements the displacement is.
-    waves : (n, 2) array
-        Wave vectors, rad/px.
-
-    Returns
-    -------
-    (n,) array
-        Amplitude of the measured slope, without the factor i, of a wave whose nodes have the amplitude 1; 1/px.
+    Amplitude (n,) of the measured slope, without the factor i, of waves (n, 2), rad/px, whose nodes have the amplitude
+    1; 1/px.
     """
     if isinstance(probe, PointProbe | LineProbe):
         # Recovered from the cells around a node: a central difference.
@@ -81,19 +58,7 @@ def evaluate_strain_response(probe: Probe, chain: DisplacementChain, waves: Arra
 def evaluate_strain_power(probe: Probe, chain: DisplacementChain, waves: Array) -> Array:
     """Evaluate the mean square of the slope that a probe measures of noise, wave by wave.
 
-    Parameters
-    ----------
-    probe : Probe
-        Of any kind.
-    chain : DisplacementChain
-        Of which elements the displacement is.
-    waves : (n, 2) array
-        Wave vectors, rad/px.
-
-    Returns
-    -------
-    (n,) array
-        Of waves whose nodes have the mean square 1, 1/px^2.
+    Of waves (n, 2), rad/px, whose nodes have the mean square 1; (n,), 1/px^2.
     """
     if not isinstance(probe, Extensometer):
         return np.asarray(evaluate_strain_response(probe, chain, waves)**2)
@@ -211,19 +176,9 @@ def estimate_metrology(result: Result, probe: Probe, noise: float | None = None)
 
 @lru_cache(maxsize=KEPT_PROBES)
 def find_displacement_noise(probe: Probe, chain: DisplacementChain) -> float:
-    """Find the noise of a probe's displacement.
+    """Find the noise of the displacement of a point, a line or a strain gauge.
 
-    Parameters
-    ----------
-    probe : Probe
-        A point, a line or a strain gauge.
-    chain : DisplacementChain
-        Elements and regularization.
-
-    Returns
-    -------
-    float
-        Standard deviation of a component, relative to that of the nodes.
+    Standard deviation of a component, relative to that of the nodes.
     """
     waves = chain.make_waves(_find_size(probe))
     response = evaluate_displacement_response(probe, chain, waves)
@@ -234,17 +189,7 @@ def find_displacement_noise(probe: Probe, chain: DisplacementChain) -> float:
 def find_strain_noise(probe: Probe, chain: DisplacementChain) -> float:
     """Find the noise of a probe's strain.
 
-    Parameters
-    ----------
-    probe : Probe
-        Of any kind.
-    chain : DisplacementChain
-        Elements and regularization.
-
-    Returns
-    -------
-    float
-        Standard deviation of the strain along the probe, or of xx, relative to that of the nodes' displacements, 1/px.
+    Standard deviation of the strain along the probe, or of xx, relative to that of the nodes' displacements, 1/px.
     """
     waves = chain.make_waves(_find_size(probe))
     direction = _find_axis(probe)
@@ -254,19 +199,9 @@ def find_strain_noise(probe: Probe, chain: DisplacementChain) -> float:
 
 @lru_cache(maxsize=KEPT_PROBES)
 def find_displacement_resolution(probe: Probe, chain: DisplacementChain) -> float:
-    """Find the wavelength of which 90 % are left in a probe's displacement.
+    """Find the wavelength of which 90 % are left in the displacement of a point, a line or a strain gauge.
 
-    Parameters
-    ----------
-    probe : Probe
-        A point, a line or a strain gauge.
-    chain : DisplacementChain
-        Elements and regularization.
-
-    Returns
-    -------
-    float
-        Of a wave along the probe, or along x, pixels.
+    Of a wave along the probe, or along x, pixels.
     """
     def keep(k: float) -> float:
         waves = k * _find_axis(probe)[None]
@@ -277,20 +212,7 @@ def find_displacement_resolution(probe: Probe, chain: DisplacementChain) -> floa
 
 @lru_cache(maxsize=KEPT_PROBES)
 def find_strain_resolution(probe: Probe, chain: DisplacementChain) -> float:
-    """Find the wavelength of which 90 % are left in a probe's strain.
-
-    Parameters
-    ----------
-    probe : Probe
-        Of any kind.
-    chain : DisplacementChain
-        Elements and regularization.
-
-    Returns
-    -------
-    float
-        Of a wave along the probe, or along x, pixels.
-    """
+    """Find the wavelength, along the probe or along x, of which 90 % are left in a probe's strain, pixels."""
     def keep(k: float) -> float:
         waves = k * _find_axis(probe)[None]
         return float(evaluate_strain_response(probe, chain, waves)[0]) / k * _keep_by_chain(chain, k)

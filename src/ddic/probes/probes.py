@@ -229,27 +229,7 @@ def load_probes(path: Path | str) -> list[Probe]:
 
 
 def parse_probe(kind: str, name: str, text: str) -> Probe:
-    """Read a probe from numbers between commas.
-
-    Parameters
-    ----------
-    kind : {"point", "line", "extensometer", "gauge"}
-        Which.
-    name : str
-        Of the probe.
-    text : str
-        As FORMS has it.
-
-    Returns
-    -------
-    Probe
-        Of that kind.
-
-    Raises
-    ------
-    InputError
-        Where these are no such numbers.
-    """
+    """Read a probe of a kind from numbers between commas, as FORMS has them; raises InputError for others."""
     form, fewest, most = FORMS[kind]
     try:
         numbers = [float(number) for number in text.split(",")]

@@ -90,18 +90,7 @@ def measure_probe(result: Result, probe: Probe, measure: Measure = "infinitesima
 
 
 def list_samples(probe: Probe) -> Array:
-    """List the places at which a probe asks for the displacement.
-
-    Parameters
-    ----------
-    probe : Probe
-        Where and how.
-
-    Returns
-    -------
-    (n, 2) array
-        Pixels of the reference image.
-    """
+    """List the places at which a probe asks for the displacement, (n, 2), pixels of the reference image."""
     if isinstance(probe, PointProbe):
         return np.array([probe.point])
     if isinstance(probe, StrainGauge):

@@ -90,18 +90,7 @@ def measure_probes(results: Iterable[Result], probes: Sequence[Probe], measure: 
 
 
 def find_time(result: Result) -> float:
-    """Find the time of a result's deformed image.
-
-    Parameters
-    ----------
-    result : Result
-        A measured field.
-
-    Returns
-    -------
-    float
-        As the case gives it; nan where the file says none.
-    """
+    """Find the time of a result's deformed image, as the case gives it; nan where the file says none."""
     return float(result.attributes.get(schema.TIME, {}).get("deformed", math.nan))
 
 
@@ -158,34 +147,12 @@ def _join_notes(record: ProbeRecord) -> str:
 
 
 def format_number(value: float) -> str:
-    """Write a number for a table; nothing where there is none.
-
-    Parameters
-    ----------
-    value : float
-        Of any unit.
-
-    Returns
-    -------
-    str
-        Empty for nan.
-    """
+    """Write a number for a table; nothing where it is nan."""
     return "" if math.isnan(value) else f"{value:.{N_DIGITS}g}"
 
 
 def average_along(values: NDArray[np.float64]) -> float:
-    """Average over the places of a probe at which there is a value.
-
-    Parameters
-    ----------
-    values : (n,) array
-        nan where there is none.
-
-    Returns
-    -------
-    float
-        nan where there is none at all.
-    """
+    """Average over the places of a probe at which there is a value; nan where there is none at all."""
     known = values[np.isfinite(values)]
     return float(known.mean()) if known.size else math.nan
 
@@ -227,18 +194,7 @@ def write_field_tables(path: Path | str, result: Result) -> tuple[Path, Path]:
 
 
 def list_field_tables(path: Path) -> tuple[Path, Path]:
-    """Name the tables of nodes and of cells.
-
-    Parameters
-    ----------
-    path : Path
-        NAME.csv.
-
-    Returns
-    -------
-    nodes, cells : Path
-        NAME.nodes.csv and NAME.cells.csv.
-    """
+    """Name the tables of nodes and of cells of NAME.csv: NAME.nodes.csv and NAME.cells.csv."""
     nodes, cells = (path.with_name(f"{path.stem}.{what}{path.suffix or '.csv'}") for what in ("nodes", "cells"))
     return nodes, cells
 

@@ -40,10 +40,9 @@ class Assembly:
     ----------
     systems : list of LocalSystem
         Of this rank's subdomains.
-    eta : float
-        Weight of the equilibrium gap, grey levels squared per pixel squared; 0 without.
-    mean_diagonal : float
-        Mean of diag M over the first camera's unknowns, grey levels squared per pixel squared.
+    eta, mean_diagonal : float
+        Weight of the equilibrium gap, 0 without, and mean of diag M over the first camera's unknowns; both in grey
+        levels squared per pixel squared.
     edge_weight : float
         P of rows that are not controlled.
     """
@@ -65,20 +64,7 @@ class Assembly:
 
 
 def assemble_hessians(team: Team, references: Iterable[ReferenceViews]) -> list[Hessians]:
-    """Assemble M of all views of owned subdomains; an error is raised on all ranks.
-
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    references : iterable of ReferenceViews
-        Owned subdomains, gone through once.
-
-    Returns
-    -------
-    list of list of (n_dofs, n_dofs) csr_matrix
-        By subdomain and view.
-    """
+    """Assemble M of all views of owned subdomains, gone through once; an error is raised on all ranks."""
     return team.together(lambda: [[view.assemble_hessian() for view in reference.views] for reference in references])
 
 
@@ -86,30 +72,8 @@ def assemble(team: Team, case: Case, region: Region, references: Sequence[Refere
              hessians: Sequence[Hessians], rotation: NDArray[np.float64] | None = None) -> Assembly:
     """Find eta for the whole region and set up the local systems; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    case : Case
-        Says the regularization and the weighting of interface rows.
-    region : Region
-        What is known of the whole mesh.
-    references : sequence of ReferenceViews
-        Owned subdomains, cameras weighted.
-    hessians : sequence of list of csr_matrix
-        Of ``assemble_hessians``.
-    rotation : (2, 2) array, optional
-        By which the specimen has turned; None by default.
-
-    Returns
-    -------
-    Assembly
-        Systems and weights.
-
-    Raises
-    ------
-    InputError
-        On all ranks, where a cut-off wavelength has no inner node.
+    The cameras of ``references`` are weighted; ``rotation``, (2, 2), is that by which the specimen has turned, if any.
+    Raises InputError on all ranks, where a cut-off wavelength has no inner node.
     """
     section = case.regularization
     projected = team.together(lambda: [r.project(m) for r, m in zip(references, hessians, strict=True)])

@@ -46,26 +46,8 @@ OF_DUAL = {"weighting": "consistent", "preconditioner": "auto", "recycle": True,
 def choose_solver(team: Team, inputs: Inputs, region_mesh: RegionMesh | None) -> tuple[Inputs, RegionMesh | None]:
     """Choose method, number of subdomains and preconditioner where the case leaves them open; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    inputs : Inputs
-        What the measurement is made from.
-    region_mesh : RegionMesh or None
-        The whole mesh, on rank 0.
-
-    Returns
-    -------
-    inputs : Inputs
-        With a case that says the method; as they were where it does so already.
-    region_mesh : RegionMesh or None
-        With the same inputs, on rank 0.
-
-    Raises
-    ------
-    InputError
-        On all ranks, where a partition file cannot be read.
+    Inputs whose case says the method stay as they are; otherwise their case says it now, and ``region_mesh``, on rank
+    0, has the same inputs. Raises InputError on all ranks, where a partition file cannot be read.
     """
     if inputs.case.solver.method != "auto":
         return inputs, region_mesh
@@ -78,20 +60,8 @@ def choose_solver(team: Team, inputs: Inputs, region_mesh: RegionMesh | None) ->
 def weigh_candidates(region_mesh: RegionMesh, n_ranks: int, memory: int) -> SolverChoice:
     """Weigh what can solve the linear steps of a region; free of communication.
 
-    Parameters
-    ----------
-    region_mesh : RegionMesh
-        The whole mesh, whose case leaves the method open.
-    n_ranks : int
-        Number of MPI ranks.
-    memory : int
-        Bytes that each of them may still take.
-
-    Returns
-    -------
-    SolverChoice
-        The candidate with the least predicted seconds of those that fit into memory; where none does, the one that
-        takes the least.
+    Of the candidates that fit into ``memory``, the bytes that each rank may still take, the one with the least
+    predicted seconds is chosen; where none does, the one that takes the least memory.
     """
     case, task = region_mesh.inputs.case, _describe_task(region_mesh, n_ranks)
     costs = sorted((predict_costs(task, candidate) for candidate in _list_candidates(region_mesh, task)),

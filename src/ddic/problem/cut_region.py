@@ -51,13 +51,7 @@ class CutRegion:
         return self.sides.cut
 
     def find_nodes_away_from_lines(self) -> NDArray[np.bool_]:
-        """Tell which nodes are no corners of cut cells or of small ones.
-
-        Returns
-        -------
-        (kinematics.mesh.n_nodes,) array of bool
-            Whether each is none.
-        """
+        """Tell which nodes are no corners of cut cells or of small ones, (kinematics.mesh.n_nodes,)."""
         cut, n_nodes = self.cut, self.kinematics.mesh.n_nodes
         away = np.ones(n_nodes, dtype=bool)
         away[cut.find_with_phantoms(cut.node_of[cut.find_cut_nodes()])] = False
@@ -67,30 +61,13 @@ class CutRegion:
         return away
 
     def describe(self) -> str:
-        """Say in a line how much is cut.
-
-        Returns
-        -------
-        str
-            For the log.
-        """
+        """Say in a line of the log how much is cut."""
         n_beyond = self.kinematics.n_unknowns - (int(self.cut.node_of.max()) + 1) * self.cut.mesh.dim
         return f"{describe_cut(self.cut)}, {n_beyond} more unknowns"
 
 
 def describe_cut(cut: CutMesh) -> str:
-    """Say in a line how much of a mesh is cut.
-
-    Parameters
-    ----------
-    cut : CutMesh
-        The mesh.
-
-    Returns
-    -------
-    str
-        For ``ddic check``.
-    """
+    """Say in a line of ``ddic check`` how much of a mesh is cut."""
     parts = cut.mesh.parts
     n_lines = 0 if parts is None else len(parts.lines.polylines)
     n_cut = 0 if parts is None else len(np.unique(cut.cell_of[parts.cells]))
@@ -99,45 +76,18 @@ def describe_cut(cut: CutMesh) -> str:
 
 
 def list_discontinuities(case: Case) -> Discontinuities:
-    """Give the case's discontinuities.
-
-    Parameters
-    ----------
-    case : Case
-        With its discontinuities.
-
-    Returns
-    -------
-    Discontinuities
-        Those whose lines are known, pixels.
-    """
+    """Give the case's discontinuities whose lines are known, pixels."""
     known = [section for section in case.discontinuity if section.vertices is not None]
     return Discontinuities(tuple(np.array(section.vertices) for section in known),
                            tuple(section.opening for section in known))
 
 
 def cut_region(inputs: Inputs, mesh: Mesh, labels: NDArray[np.int64]) -> CutRegion | None:
-    """Cut a mesh by the case's discontinuities.
+    """Cut a mesh by the case's discontinuities; None where there are none.
 
-    Parameters
-    ----------
-    inputs : Inputs
-        Cameras, and a case with discontinuities.
-    mesh : Mesh
-        The whole mesh, pixels.
-    labels : (n_cells,) array of int64
-        Camera that measures each cell. Cells of a near camera whose pixels do not tell what is beyond a line go to
-        the first one, together with those that do.
-
-    Returns
-    -------
-    CutRegion or None
-        None where there are no discontinuities.
-
-    Raises
-    ------
-    InputError
-        Where a line crosses no element from side to side.
+    ``labels``, (n_cells,), give the camera that measures each cell. Cells of a near camera whose pixels do not tell
+    what is beyond a line go to the first one, together with those that do. Raises InputError where a line crosses no
+    element from side to side.
     """
     discontinuities = list_discontinuities(inputs.case)
     if not discontinuities.n_lines:
@@ -166,18 +116,7 @@ def cut_by_lines(case: Case, mesh: Mesh) -> tuple[CutMesh, TipPatch | None]:
 
 
 def list_tip_functions(case: Case) -> list[bool]:
-    """List about the ends of which lines the case asks for tip functions.
-
-    Parameters
-    ----------
-    case : Case
-        With its discontinuities.
-
-    Returns
-    -------
-    list of bool
-        By line of ``list_discontinuities``.
-    """
+    """List by line of ``list_discontinuities`` whether the case asks for tip functions about the line's ends."""
     return [section.tip_functions for section in case.discontinuity if section.vertices is not None]
 
 
@@ -200,18 +139,7 @@ def _weigh_corners(cut: CutMesh, measured: Sequence[MeasuredCells], degree: int)
 
 
 def refuse_kinematics(inputs: Inputs) -> None:
-    """Refuse kinematics of one's own beside discontinuities.
-
-    Parameters
-    ----------
-    inputs : Inputs
-        Of a case with discontinuities.
-
-    Raises
-    ------
-    InputError
-        Where there are any.
-    """
+    """Refuse, with an InputError, kinematics of one's own beside discontinuities."""
     if inputs.choose_kinematics is not None:
         raise InputError("kinematics: discontinuities have kinematics of their own; leave one of them out")
 
@@ -219,17 +147,7 @@ def refuse_kinematics(inputs: Inputs) -> None:
 def check_lines(case: Case, mesh: Mesh) -> None:
     """Check that every discontinuity cuts the mesh, and that one with tip functions ends in it.
 
-    Parameters
-    ----------
-    case : Case
-        With its discontinuities.
-    mesh : Mesh
-        The whole mesh, pixels.
-
-    Raises
-    ------
-    InputError
-        Where a line crosses no element from side to side, or has no tip.
+    Raises InputError where a line crosses no element from side to side, or has no tip.
     """
     idle = [k for k, line in enumerate(list_discontinuities(case).lines, start=1) if not is_cut_by(mesh, line)]
     problems = [f"discontinuity, entry {k}: its line crosses no element of the mesh from side to side; correct "

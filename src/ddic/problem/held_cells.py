@@ -78,10 +78,8 @@ class Limits:
 
     Attributes
     ----------
-    cell : float
-        Of a whole cell, pixels.
-    pixel : float
-        About a pixel, pixels.
+    cell, pixel : float
+        Of a whole cell, and about a pixel, pixels.
     searched : float
         Of a cell from which on single pixels of it are looked at, pixels.
     beside : float
@@ -141,10 +139,8 @@ class PulledView:
 
     Attributes
     ----------
-    view : View
-        The view.
-    held : HeldCells
-        These cells.
+    view, held : View, HeldCells
+        The view, and these cells of it.
     hessians : (n, 8, 8) array
         M_e of each, grey levels squared per pixel squared.
     """
@@ -203,22 +199,9 @@ def keep_other_cells(pulled: PulledViews, residuals: Sequence[tuple[Residual, ..
 def find_cells_beside(view: FrameView, q: Array, cells: NDArray[np.int64], noise: float) -> dict[int, Array]:
     """Find the cells that the frame shows beside where unknowns put them, not far off.
 
-    Parameters
-    ----------
-    view : FrameView
-        With all pixels that the frame shows.
-    q : (n_unknowns,) array
-        The subdomain's unknowns.
-    cells : (n,) int64 array
-        Numbers of the cells that are sought.
-    noise : float
-        Variance of the residual where nothing is foreign, grey levels squared.
-
-    Returns
-    -------
-    dict of int to (4, 2) array
-        By the numbers of those that are found: how far their corners (``pad_cells``) are seen from where they are put,
-        pixels; in the mean BESIDE or more.
+    ``view`` has all pixels that the frame shows, ``cells`` are those that are sought, ``noise`` is the variance of the
+    residual where nothing is foreign, grey levels squared. This gives, by the number of each cell that is found, how
+    far its corners (``pad_cells``) are seen from where they are put, (4, 2), pixels: in the mean BESIDE or more.
     """
     correlation = view.view.correlation
     mesh = correlation.mesh

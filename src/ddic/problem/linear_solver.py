@@ -37,17 +37,12 @@ class LinearSolver:
 
     Parameters
     ----------
-    team : Team
-        All ranks.
-    case : Case
-        Says the method.
-    assembly : Assembly
-        Of the reference images.
-    clock : PhaseClock
-        Of the phases "factorize" and "interface set-up".
+    team, case : Team, Case
+        All ranks; the case says the method.
+    assembly, clock : Assembly, PhaseClock
+        What the reference images give; the clock of the phases "factorize" and "interface set-up".
     most_iterations : int, optional
-        Conjugate gradients' iterations of a step after which A is factorised in their place, and stays so; None:
-        never.
+        Conjugate gradients' iterations of a step after which A is factorised in their place, and stays so; None: never.
 
     Attributes
     ----------
@@ -100,38 +95,18 @@ class LinearSolver:
         return self._step.n_interface if isinstance(self._step, DualStep) else 0
 
     def release_notes(self) -> tuple[str, ...]:
-        """Release what the user should know of steps since the last call.
-
-        Returns
-        -------
-        tuple of str
-            A line each; nothing where all went as predicted.
-        """
+        """Release lines on what the user should know of steps since the last call; none where all went as predicted."""
         notes, self._notes = tuple(self._notes), []
         return notes
 
     def set_up(self) -> None:
-        """Factorise; collective.
-
-        Raises
-        ------
-        SingularSubdomainError, FactorizationError
-            On all ranks.
-        """
+        """Factorise; collective. Raises SingularSubdomainError or FactorizationError on all ranks."""
         self.renew([None] * len(self.assembly.systems))
 
     def renew(self, systems: Sequence[LocalSystem | None]) -> None:
-        """Put new systems in place of some subdomains' and factorise these again; collective.
+        """Put new systems in place of some owned subdomains' and factorise these again; collective.
 
-        Parameters
-        ----------
-        systems : sequence of LocalSystem or None
-            New ones of owned subdomains, None where the old one stays.
-
-        Raises
-        ------
-        SingularSubdomainError, FactorizationError
-            On all ranks.
+        None keeps the old one. Raises SingularSubdomainError or FactorizationError on all ranks.
         """
         before = self.assembly
         self.assembly = replace(before, systems=[old if new is None else new
@@ -227,22 +202,9 @@ class LinearSolver:
 
 
 def choose_preconditioner(team: Team, case: Case, subdomains: Sequence[Subdomain]) -> Preconditioner:
-    """Choose the preconditioner of the interface problem; collective.
+    """Choose the preconditioner of the interface problem, where the case leaves it open; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    case : Case
-        Names the preconditioner, or leaves it open.
-    subdomains : sequence of Subdomain
-        Those of this rank.
-
-    Returns
-    -------
-    Preconditioner
-        Where it is open, a coarse space where one level would slow down: many subdomains, and smooth fields longer
-        than they are.
+    It is a coarse space where one level would slow down: many subdomains, and smooth fields longer than they are.
     """
     if case.solver.preconditioner != "auto":
         return case.solver.preconditioner
@@ -259,17 +221,9 @@ def _side(subdomain: Subdomain) -> float:
 
 
 def compute_cut_off_wavelength(case: Case) -> float:
-    """Find the wavelength below which mechanics hold the displacement.
+    """Find the wavelength below which mechanics hold the displacement, pixels.
 
-    Parameters
-    ----------
-    case : Case
-        Says the regularization.
-
-    Returns
-    -------
-    float
-        Pixels: 0 without regularization, infinite where eta is given.
+    It is 0 without regularization, infinite where eta is given.
     """
     section = case.regularization
     if section is None:

@@ -70,15 +70,7 @@ class ReferenceProblem:
     def convert_to_reference(self, q: Sequence[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
         """Take unknowns since the first reference image from the one in use; free of communication.
 
-        Parameters
-        ----------
-        q : sequence of (n_unknowns,) array
-            Of each owned subdomain.
-
-        Returns
-        -------
-        list of (n_unknowns,) array
-            The same, unless a later frame has taken the first image's place.
+        They stay the same, unless a later frame has taken the first image's place.
         """
         updated = self.inputs.updated
         if updated is None:
@@ -87,25 +79,7 @@ class ReferenceProblem:
 
 
 def build_whole_mesh(team: Team, inputs: Inputs) -> RegionMesh | None:
-    """Build the whole mesh on rank 0; collective.
-
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    inputs : Inputs
-        What the measurement is made from.
-
-    Returns
-    -------
-    RegionMesh or None
-        On rank 0.
-
-    Raises
-    ------
-    InputError
-        On all ranks, where the mesh is refused.
-    """
+    """Build the whole mesh on rank 0; collective. Raises InputError on all ranks, where the mesh is refused."""
     return team.build_on_root(lambda: build_region_mesh(inputs))
 
 
@@ -113,30 +87,9 @@ def prepare_reference(team: Team, inputs: Inputs, region_mesh: RegionMesh | None
                       meanwhile: Callable[[], T]) -> tuple[ReferenceProblem, T]:
     """Choose how to solve, cut the mesh, read the reference images and assemble M; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    inputs : Inputs
-        What the measurement is made from.
-    region_mesh : RegionMesh or None
-        The whole mesh, on rank 0.
-    clock : PhaseClock
-        Of the phases.
-    meanwhile : callable
-        Work free of communication that other ranks do while rank 0 splits the mesh.
-
-    Returns
-    -------
-    problem : ReferenceProblem
-        Owned subdomains, none of them blank where the others can hold it.
-    found : T
-        What ``meanwhile`` found on this rank.
-
-    Raises
-    ------
-    InputError
-        On all ranks, where the mesh cannot be cut as asked, or leaves an image.
+    The whole mesh is on rank 0. ``meanwhile`` is work free of communication that other ranks do while rank 0 splits it;
+    what this found on this rank is returned as well. No subdomain is blank where the others can hold it. Raises
+    InputError on all ranks, where the mesh cannot be cut as asked, or leaves an image.
     """
     with clock.phase(Phase.START):
         inputs, region_mesh = choose_solver(team, inputs, region_mesh)
@@ -213,28 +166,9 @@ def join_blank_subdomains(team: Team, region_mesh: RegionMesh | None, references
                           hessians: Sequence[sparse.csr_matrix], degree: int) -> Joining | None:
     """Merge subdomains, or loose pieces of them, without texture with neighbours of the same camera; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    region_mesh : RegionMesh or None
-        The whole mesh, on rank 0.
-    references : sequence of ReferenceViews
-        Owned subdomains.
-    hessians : sequence of (n_dofs, n_dofs) csr_matrix
-        M of each by its own camera, on displacements of nodes in the image.
-    degree : int
-        Of the spline.
-
-    Returns
-    -------
-    Joining or None
-        None where no subdomain is blank, and where all are.
-
-    Raises
-    ------
-    InputError
-        On all ranks, where fewer subdomains than ranks are left.
+    The whole mesh is on rank 0. ``hessians`` are M of each owned subdomain by its own camera, on displacements of nodes
+    in the image; ``degree`` is the spline's. None where no subdomain is blank, and where all are. Raises InputError on
+    all ranks, where fewer subdomains than ranks are left.
     """
     pieces = team.together(lambda: [
         piece for reference, hessian in zip(references, hessians, strict=True)
@@ -332,17 +266,7 @@ def _describe(owner: NDArray[np.int64], blank: NDArray[np.bool_], n_left: int) -
 def note_crowded_cores(team: Team, n_threads: int) -> tuple[str, ...]:
     """Write a line for the user where the ranks of a node have more threads than cores to run on; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    n_threads : int
-        Of each rank. One is not remarked on: how many ranks there are is the user's choice.
-
-    Returns
-    -------
-    tuple of str
-        A line, or nothing.
+    One thread a rank is not remarked on: how many ranks there are is the user's choice.
     """
     if n_threads == 1:
         return ()
@@ -358,13 +282,7 @@ def note_crowded_cores(team: Team, n_threads: int) -> tuple[str, ...]:
 
 
 def list_own_cores() -> frozenset[int]:
-    """List the cores that this process may run on: fewer than the node has where ranks are bound to cores.
-
-    Returns
-    -------
-    frozenset of int
-        Their numbers.
-    """
+    """List the cores that this process may run on: fewer than the node has where ranks are bound to cores."""
     # Not every system tells.
     if hasattr(os, "sched_getaffinity"):
         return frozenset(os.sched_getaffinity(0))
@@ -374,21 +292,9 @@ def list_own_cores() -> frozenset[int]:
 def update_reference(team: Team, problem: ReferenceProblem, frame: Frame, displacement: Array) -> Inputs:
     """Put a frame in the place of the reference image, and the mesh where the frame shows it; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    problem : ReferenceProblem
-        Of the reference image in use, of one camera, without discontinuities.
-    frame : Frame
-        One that was measured.
-    displacement : (n_nodes, 2) array
-        Of all nodes since the first reference image, finite, pixels.
-
-    Returns
-    -------
-    Inputs
-        Whose mesh is refused where it has left the image.
+    ``problem`` is that of the reference image in use, of one camera, without discontinuities. The frame was measured:
+    ``displacement``, (n_nodes, 2), is that of all nodes since the first reference image, finite, pixels. The mesh of
+    the new inputs is refused where it has left the image.
     """
     inputs = problem.inputs
     first = _describe_first(team, problem) if inputs.updated is None else inputs.updated

@@ -62,12 +62,8 @@ class Region:
 
     Attributes
     ----------
-    n_nodes, n_cells : int
-        Of the mesh.
-    n_field : int
-        Unknowns of the whole field.
-    n_subdomains : int
-        Number of subdomains.
+    n_nodes, n_cells, n_field, n_subdomains : int
+        Numbers of nodes, cells, unknowns of the whole field, and subdomains.
     probe : ProbeWaves or None
         Plane waves that say which eta belongs to which wavelength; None where nothing is regularized.
     mapping : Similarity
@@ -88,16 +84,12 @@ class RegionMesh:
 
     Attributes
     ----------
-    inputs : Inputs
-        What it was made from.
-    kinematics : RegionKinematics
-        The mesh and its unknowns.
+    inputs, kinematics : Inputs, RegionKinematics
+        What it was made from; the mesh and its unknowns.
     tying : Tying or None
         How near fields' own meshes are tied in it.
-    cameras : (n_cells,) array of int64
-        Camera that measures each cell.
-    costs : (n_cells,) array
-        Work of each cell, pixels.
+    cameras, costs : (n_cells,) array
+        Camera that measures each cell, and the cell's work, pixels.
     measured : list of MeasuredCells
         Cells of each camera.
     controlled : (n_unknowns,) array of bool
@@ -134,35 +126,15 @@ class RegionMesh:
         return ProbeWaves(wavelength, measure_gap_energies(mesh, build_material(section), self.interior, wavelength))
 
     def describe(self, n_subdomains: int) -> Region:
-        """Say what every rank is to know.
-
-        Parameters
-        ----------
-        n_subdomains : int
-            Number of subdomains.
-
-        Returns
-        -------
-        Region
-            Sizes, and |K v|^2 of plane waves.
-        """
+        """Say what every rank is to know: sizes, and |K v|^2 of plane waves."""
         return Region(self.mesh.n_nodes, self.mesh.n_cells, self.kinematics.n_unknowns, n_subdomains, self.probe,
                       self.mesh.mapping)
 
     def cut(self, parts: NDArray[np.int64]) -> tuple[list[Subdomain], NDArray[np.float64]]:
         """Cut the mesh into self-contained subdomains.
 
-        Parameters
-        ----------
-        parts : (n_cells,) array of int64
-            Subdomain of each cell, none with cells of two cameras.
-
-        Returns
-        -------
-        subdomains : list of Subdomain
-            All of them, by number.
-        costs : (n_subdomains,) array
-            Work of each, pixels.
+        ``parts``, (n_cells,), is the subdomain of each cell; none has cells of two cameras. All subdomains are given,
+        by number, with the work of each, (n_subdomains,), pixels.
         """
         # Also where equilibrium is not imposed: a frame may leave these unknowns to it.
         has_row = np.full(self.kinematics.n_unknowns, self.inputs.case.regularization is not None)
@@ -174,22 +146,9 @@ class RegionMesh:
 
 
 def build_region_mesh(inputs: Inputs) -> RegionMesh:
-    """Build the whole mesh and find out which camera measures what; free of communication.
+    """Build the whole mesh, not yet cut, and find out which camera measures what; free of communication.
 
-    Parameters
-    ----------
-    inputs : Inputs
-        What the measurement is made from.
-
-    Returns
-    -------
-    RegionMesh
-        Not yet cut.
-
-    Raises
-    ------
-    InputError
-        Where the mesh, a selection of nodes, or a near field is refused.
+    Raises InputError where the mesh, a selection of nodes, or a near field is refused.
     """
     mesh, tying = inputs.build_mesh()
     labels = assign_cells(inputs.cameras, mesh, tying)
@@ -230,24 +189,10 @@ def _cut(inputs: Inputs, region: CutRegion) -> RegionMesh:
 
 
 def split_region(region_mesh: RegionMesh, n_ranks: int) -> NDArray[np.int64]:
-    """Split the cells as the case says; free of communication.
+    """Split the cells as the case says: the subdomain of each, (n_cells,); free of communication.
 
-    Parameters
-    ----------
-    region_mesh : RegionMesh
-        The whole mesh.
-    n_ranks : int
-        Number of subdomains where the case says none.
-
-    Returns
-    -------
-    (n_cells,) array of int64
-        Subdomain of each cell, none with cells of two cameras.
-
-    Raises
-    ------
-    InputError
-        Where there are not enough cells, cameras or slaves for the subdomains asked for.
+    No subdomain has cells of two cameras; there are ``n_ranks`` of them where the case says no number. Raises
+    InputError where there are not enough cells, cameras or slaves for the subdomains asked for.
     """
     case, mesh, updated = region_mesh.inputs.case, region_mesh.mesh, region_mesh.inputs.updated
     if updated is not None:
@@ -289,26 +234,8 @@ def scatter_region(team: Team, region_mesh: RegionMesh | None,
                    parts: NDArray[np.int64] | None) -> tuple[list[Subdomain], Region]:
     """Cut the mesh that rank 0 holds and give each rank its subdomains; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    region_mesh : RegionMesh or None
-        On rank 0.
-    parts : (n_cells,) array of int64 or None
-        Subdomain of each cell, on rank 0.
-
-    Returns
-    -------
-    subdomains : list of Subdomain
-        Those of this rank.
-    region : Region
-        What every rank knows.
-
-    Raises
-    ------
-    InputError
-        On all ranks, where there are fewer subdomains than ranks.
+    ``parts``, (n_cells,), is the subdomain of each cell, on rank 0. Raises InputError on all ranks, where there are
+    fewer subdomains than ranks.
     """
     subdomains = scatter_subdomains(team, lambda: require_held(region_mesh).cut(require_held(parts)))
     region = team.on_root(lambda: require_held(region_mesh).describe(int(require_held(parts).max()) + 1))
@@ -316,18 +243,7 @@ def scatter_region(team: Team, region_mesh: RegionMesh | None,
 
 
 def build_material(section: RegularizationSection) -> Material:
-    """Give the elastic constants of the regularization.
-
-    Parameters
-    ----------
-    section : RegularizationSection
-        Of the case.
-
-    Returns
-    -------
-    Material
-        With E = 1.
-    """
+    """Give the elastic constants of the regularization, with E = 1."""
     return Material(section.poisson_ratio, section.plane)
 
 

@@ -43,10 +43,8 @@ class RigidMotion:
     ----------
     angle : float
         From x towards y, radians.
-    centre : (2,) array
-        Pixels.
-    translation : (2,) array
-        Of the centre, pixels.
+    centre, translation : (2,) array
+        Centre, and its displacement, pixels.
     """
 
     angle: float
@@ -59,55 +57,18 @@ class RigidMotion:
         return build_rotation(self.angle)
 
     def evaluate(self, points: Array) -> Array:
-        """Evaluate the displacement.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n, 2) array
-            Pixels.
-        """
+        """Evaluate the displacement at points, (n, 2), pixels."""
         arms = points - self.centre
         return np.asarray(arms @ (self.rotation - np.eye(2)).T + self.translation)
 
 
 def measure_turn(other: float, one: float) -> float:
-    """Measure the turn from one angle to another.
-
-    Parameters
-    ----------
-    other, one : float
-        Radians.
-
-    Returns
-    -------
-    float
-        The second less the first, between -pi and pi.
-    """
+    """Measure the turn from one angle to another: the second less the first, between -pi and pi, radians."""
     return float((one - other + np.pi) % (2 * np.pi) - np.pi)
 
 
 def fit_rigid_motion(team: Team, subdomains: Sequence[Subdomain], q: Sequence[Array]) -> RigidMotion:
-    """Fit a rigid motion to the displacement of all nodes, each weighted by the area about it; collective.
-
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    subdomains : sequence of Subdomain
-        Owned ones.
-    q : sequence of (n_unknowns,) array
-        Their unknowns.
-
-    Returns
-    -------
-    RigidMotion
-        The nearest one.
-    """
+    """Fit a rigid motion to the displacement of all nodes, each weighted by the area about it; collective."""
     sums = team.ordered_sum([_sum_moments(subdomain, q_s) for subdomain, q_s in zip(subdomains, q, strict=True)])
     total, first, moved, products = sums[0], sums[1:3], sums[3:5], sums[5:].reshape(2, 2)
     centre, moved_centre = first / total, moved / total
@@ -134,10 +95,8 @@ class HeldRotation:
 
     Attributes
     ----------
-    team : Team
-        All ranks.
-    systems : tuple of LocalSystem
-        Of owned subdomains.
+    team, systems : Team, tuple of LocalSystem
+        All ranks, and the systems of owned subdomains.
     """
 
     team: Team
@@ -146,15 +105,7 @@ class HeldRotation:
     def compute_forces(self, q: Sequence[Array]) -> list[Array]:
         """Compute eta Kbar^T Kbar q_R, which b has to be given for the gap to be that of q - q_R; collective.
 
-        Parameters
-        ----------
-        q : sequence of (n_unknowns,) array
-            Unknowns, of which q_R is the rigid motion.
-
-        Returns
-        -------
-        list of (n_unknowns,) array
-            Of each owned subdomain; they add up over subdomains.
+        q_R is the rigid motion of ``q``. The forces of owned subdomains, (n_unknowns,), add up over subdomains.
         """
         motion = fit_rigid_motion(self.team, [system.subdomain for system in self.systems], q)
         shares = np.array([*motion.translation, np.cos(motion.angle) - 1.0, np.sin(motion.angle)])

@@ -82,15 +82,7 @@ class RenewalRule:
     def bound_changes(self, n_pixels: int) -> float:
         """Give the largest number of pixels that may come or go without a renewal.
 
-        Parameters
-        ----------
-        n_pixels : int
-            Pixels of the subdomain in the reference images.
-
-        Returns
-        -------
-        float
-            Pixels.
+        ``n_pixels`` are those of the subdomain in the reference images.
         """
         share = CHANGED_SHARE * n_pixels
         return min(share, (CHANGED_SIDE * self.wavelength) ** 2) if self.is_regularized else share
@@ -127,18 +119,7 @@ class AssembledFrom:
 
     @classmethod
     def all_of(cls, references: Sequence[ReferenceViews]) -> AssembledFrom:
-        """Count all pixels of the reference images, with their own gradients.
-
-        Parameters
-        ----------
-        references : sequence of ReferenceViews
-            Owned subdomains.
-
-        Returns
-        -------
-        AssembledFrom
-            Of these views.
-        """
+        """Count all pixels of the reference images, with their own gradients."""
         return cls([tuple(view.count_pixels() for view in reference.views) for reference in references],
                    [(None,) * len(reference.views) for reference in references],
                    [np.zeros(reference.subdomain.mesh.n_cells, dtype=bool) for reference in references],
@@ -172,28 +153,14 @@ def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np
                  assembly: Assembly) -> Renewal:
     """Compare what M was assembled from with what a frame shows; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    views : sequence of FrameViews
-        Owned subdomains in the frame.
-    q : sequence of (n_unknowns,) array
-        Where the frame is thought to show them.
-    assembled : tuple of AssembledFrom and sequence of list of csr_matrix
-        What M was made of, and M of each view with all pixels of the reference, on displacements of nodes in its image.
-    rule : RenewalRule
-        When M is renewed.
-    assembly : Assembly
-        The systems of the same subdomains.
+    The frame is thought to show owned subdomains at ``q``. ``assembled`` is what M was made of, and M of each view with
+    all pixels of the reference, on displacements of nodes in its image; ``assembly`` has the systems of the same
+    subdomains.
 
-    Returns
-    -------
-    Renewal
-        New M where more than ``rule.bound_changes`` of a subdomain's pixels have come or gone, or a cell has gained
-        more than ``GAINED_SHARE``, or an unknown whose equilibrium is not controlled has lost more than ``LOST_SHARE``;
-        or where a cell has turned or stretched by more than ``LARGE`` since, in a frame that asks for it; or where
-        other unknowns have no pixels: they are in equilibrium, or, without regularization, their cells are elastic.
+    M is new where more than ``rule.bound_changes`` of a subdomain's pixels have come or gone, or a cell has gained more
+    than ``GAINED_SHARE``, or an unknown whose equilibrium is not controlled has lost more than ``LOST_SHARE``; or where
+    a cell has turned or stretched by more than ``LARGE`` since, in a frame that asks for it; or where other unknowns
+    have no pixels: they are in equilibrium, or, without regularization, their cells are elastic.
     """
     counted, whole = assembled
     shown = team.together(lambda: [tuple(view.without_hidden(q_s) for view in of_subdomain.views)
@@ -370,19 +337,8 @@ def _hold_shared(of_subdomain: FrameViews, hessian: sparse.csr_matrix, whole: Se
 def describe_lost_pixels(team: Team, views: Sequence[FrameViews], counts: Sequence[CellCounts]) -> str:
     """Say how many nodes a frame has taken most pixels from, where operators are singular; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    views : sequence of FrameViews
-        Owned subdomains.
-    counts : sequence of tuple of (n_cells,) array
-        Pixels of their cells that count in the frame, by view.
-
-    Returns
-    -------
-    str
-        A reason with remedies, on all ranks; empty where no node has lost LOST_SHARE of its pixels.
+    ``counts`` are the pixels of cells that count in the frame. The reason, with remedies, is given on all ranks; it is
+    empty where no node has lost LOST_SHARE of its pixels.
     """
     n_lost = np.zeros(2)
     for of_subdomain, now in zip(views, counts, strict=True):
@@ -407,37 +363,14 @@ def describe_lost_pixels(team: Team, views: Sequence[FrameViews], counts: Sequen
 
 
 def find_held(subdomain: Subdomain, counts: CellCounts) -> NDArray[np.bool_]:
-    """Find the unknowns that pixels hold: those that displace a node of a cell with pixels.
-
-    Parameters
-    ----------
-    subdomain : Subdomain
-        Its cells and unknowns.
-    counts : tuple of (n_cells,) array
-        Pixels of each cell, by view.
-
-    Returns
-    -------
-    (n_field,) array of bool
-        Whether pixels hold each unknown of the field.
-    """
+    """Find the unknowns that pixels hold, (n_field,): those that displace a node of a cell with pixels."""
     return sum_pixels(subdomain, counts) > 0
 
 
 def sum_pixels(subdomain: Subdomain, counts: CellCounts) -> NDArray[np.float64]:
-    """Sum the pixels that see each unknown: those of the cells about the nodes that it displaces.
+    """Sum the pixels that see each unknown, (n_field,): those of the cells about the nodes that it displaces.
 
-    Parameters
-    ----------
-    subdomain : Subdomain
-        Its cells and unknowns.
-    counts : tuple of (n_cells,) array
-        Pixels of each cell, by view.
-
-    Returns
-    -------
-    (n_field,) array
-        Pixels, weighted by how far the unknown displaces each node.
+    They are weighted by how far the unknown displaces each node.
     """
     mesh = subdomain.mesh
     n_pixels = np.sum(counts, axis=0)
@@ -455,19 +388,8 @@ def find_displaced_nodes(subdomain: Subdomain, unknowns: NDArray[np.bool_]) -> N
 def find_free_unknowns(team: Team, subdomains: Sequence[Subdomain], unseen: Sequence[NDArray[np.bool_]]) -> set[int]:
     """Find the unknowns that no pixel holds in any subdomain; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    subdomains : sequence of Subdomain
-        Owned ones.
-    unseen : sequence of (n_field,) array of bool
-        Their unknowns without pixels.
-
-    Returns
-    -------
-    set of int
-        Numbers in the whole problem, on all ranks.
+    ``unseen``, (n_field,), are those without pixels in each owned subdomain. They are found on all ranks, by their
+    numbers in the whole problem.
     """
     copies = [copy for s, is_unseen in zip(subdomains, unseen, strict=True)
               for copy in zip(s.kinematics.numbers[is_unseen].tolist(), s.multiplicity[is_unseen].tolist(),

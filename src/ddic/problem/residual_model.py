@@ -65,10 +65,8 @@ class ResidualModel:
 
     Attributes
     ----------
-    team : Team
-        All ranks.
-    views : list of FrameViews
-        Owned subdomains with their pixels.
+    team, views : Team, list of FrameViews
+        All ranks, and owned subdomains with their pixels.
     correction : GreyCorrection
         Of grey levels: "none", "global" or "element".
     n_cameras : int
@@ -76,22 +74,22 @@ class ResidualModel:
     follows : bool
         Whether b takes the gradient of the deformed image where the displacement puts it, F^-T grad f.
     rotation : HeldRotation, optional
-        Lets the region's rotation cost nothing; None, by default, where it has not turned.
+        Lets the region's rotation cost nothing; None where it has not turned.
     filled : FilledCells, optional
-        Cells that neither pixels nor mechanics hold; None, by default, where there are none.
+        Cells that neither pixels nor mechanics hold; None where there are none.
     pulled : list of tuple of PulledView, optional
-        Cells that are pulled to where the frame shows them; None, by default, where there are none.
+        Cells that are pulled to where the frame shows them; None where there are none.
     blurs : tuple of (int, Blur)
-        Cameras whose reference image was blurred as much as the frame is, and how; none by default.
+        Cameras whose reference image was blurred as much as the frame is, and how.
     deviations : list of (n_nodes,) array, optional
-        Standard deviation of each node's displacement, of each owned subdomain, pixels; None, by default, where every
-        node is followed to the last digit.
+        Standard deviation of each node's displacement, of each owned subdomain, pixels; None where every node is
+        followed to the last digit.
     held_grey : tuple of GreyState, optional
         Statistics of the cameras that are not computed anew: this model passes over a few cells only.
     known : tuple of list of (n_unknowns,) array and Evaluation, optional
         Unknowns at which the residual is known already, and the residual.
     keeps_windows : bool
-        Whether the frame's windows that are held stay, since others use them as well; no by default.
+        Whether the frame's windows that are held stay, since others use them as well.
     """
 
     team: Team
@@ -109,38 +107,11 @@ class ResidualModel:
     keeps_windows: bool = False
 
     def with_large_gradients(self, q: Sequence[Array]) -> ResidualModel:
-        """Take the gradient where the displacement puts it, if cells turn or stretch by much; collective.
-
-        Parameters
-        ----------
-        q : sequence of (n_unknowns,) array
-            Unknowns of each owned subdomain.
-
-        Returns
-        -------
-        ResidualModel
-            Of the same pixels.
-        """
+        """Take the gradient where the displacement puts it, if cells turn or stretch by much; collective."""
         return replace(self, follows=is_deformation_large(self.team, self.views, q))
 
     def evaluate(self, q: Sequence[Array]) -> Evaluation:
-        """Pass over all pixels; collective.
-
-        Parameters
-        ----------
-        q : sequence of (n_unknowns,) array
-            Unknowns of each owned subdomain.
-
-        Returns
-        -------
-        Evaluation
-            Residuals and grey-level statistics.
-
-        Raises
-        ------
-        ConvergenceError
-            On all ranks, where no pixel of a camera is left.
-        """
+        """Pass over all pixels; collective. Raises ConvergenceError on all ranks, where a camera has no pixel left."""
         if self.known is not None and self._are_known(q):
             return self.known[1]
         residuals = self.team.together(lambda: self._compute_residuals(q))
@@ -165,17 +136,7 @@ class ResidualModel:
     def assemble_right_hand_sides(self, evaluation: Evaluation, q: Sequence[Array]) -> list[Array]:
         """Assemble b_s of all owned subdomains, Eq. 5 of [BP17]; free of communication.
 
-        Parameters
-        ----------
-        evaluation : Evaluation
-            Of ``evaluate``.
-        q : sequence of (n_unknowns,) array
-            Unknowns that were evaluated.
-
-        Returns
-        -------
-        list of (n_unknowns,) array
-            Grey levels squared per pixel.
+        ``evaluation`` is that of ``q``; b_s, (n_unknowns,), is in grey levels squared per pixel.
         """
         b = []
         for of_subdomain, residuals, q_s in zip(self.views, evaluation.residuals, q, strict=True):
@@ -188,22 +149,7 @@ class ResidualModel:
         return b
 
     def find_correction(self, evaluation: Evaluation, camera: int, residual: Residual) -> tuple[Array, Array]:
-        """Find gain and offset of a view's cells.
-
-        Parameters
-        ----------
-        evaluation : Evaluation
-            Of ``evaluate``.
-        camera : int
-            Number of the view's camera.
-        residual : Residual
-            Of the view.
-
-        Returns
-        -------
-        gain, offset : array
-            One number, or one per cell (n_cells,); no unit, and grey levels.
-        """
+        """Find gain, no unit, and offset, grey levels, of a view's cells: one number, or one per cell, (n_cells,)."""
         if self.correction == "element":
             return residual.cell_sums.fit_gain_and_offset()
         state = evaluation.grey[camera]
@@ -212,17 +158,8 @@ class ResidualModel:
     def linearize(self, q: Sequence[Array]) -> tuple[list[Array], tuple[GreyState, ...]]:
         """Pass over all pixels for Gauss-Newton; collective.
 
-        Parameters
-        ----------
-        q : sequence of (n_unknowns,) array
-            Unknowns of each owned subdomain.
-
-        Returns
-        -------
-        b : list of (n_unknowns,) array
-            b_s of each, grey levels squared per pixel.
-        grey : tuple of GreyState
-            Of each camera.
+        This gives b_s of each owned subdomain, (n_unknowns,), grey levels squared per pixel, and the statistics of each
+        camera.
         """
         evaluation = self.evaluate(q)
         b = self.assemble_right_hand_sides(evaluation, q)
@@ -234,19 +171,9 @@ class ResidualModel:
         return b, evaluation.grey
 
     def measure_correction(self, dq: Sequence[Array], q: Sequence[Array], tolerances: Tolerances) -> CorrectionSize:
-        """Measure a correction on displacements of nodes; collective.
+        """Measure a correction ``dq`` of unknowns ``q`` on displacements of nodes; collective.
 
-        Parameters
-        ----------
-        dq, q : sequence of (n_unknowns,) array
-            Correction, and unknowns before it, of each owned subdomain.
-        tolerances : Tolerances
-            From which on a node is slow.
-
-        Returns
-        -------
-        CorrectionSize
-            No unit, and pixels.
+        ``tolerances`` say from which correction on a node is slow.
         """
         subdomains = [of_subdomain.subdomain for of_subdomain in self.views]
         weights = self.weigh_nodes()
@@ -299,41 +226,13 @@ def _sums_corrected_by_cell(residual: Residual) -> Array:
 
 
 def find_inverse_deformations(of_subdomain: FrameViews, q: Array) -> ByView:
-    """Compute F^-1 of the cells of a subdomain.
-
-    Parameters
-    ----------
-    of_subdomain : FrameViews
-        In a frame.
-    q : (n_unknowns,) array
-        Its unknowns.
-
-    Returns
-    -------
-    tuple of (n_cells, 2, 2) array
-        By camera.
-    """
+    """Compute F^-1 of the cells of a subdomain, (n_cells, 2, 2), by camera."""
     return tuple(compute_inverse_deformations(view.view.correlation.mesh, view.view.kinematics.displacement(q))
                  for view in of_subdomain.views)
 
 
 def is_deformation_large(team: Team, views: Sequence[FrameViews], q: Sequence[Array]) -> bool:
-    """Tell whether more than a few cells of the region turn or stretch by much; collective.
-
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    views : sequence of FrameViews
-        Owned subdomains in a frame.
-    q : sequence of (n_unknowns,) array
-        Their unknowns.
-
-    Returns
-    -------
-    bool
-        The same on all ranks.
-    """
+    """Tell whether more than a few cells of the region turn or stretch by much, the same on all ranks; collective."""
     counts = np.zeros(2)
     for of_subdomain, q_s in zip(views, q, strict=True):
         own = of_subdomain.views[0].view
@@ -351,10 +250,8 @@ class FilledCells:
 
     Attributes
     ----------
-    team : Team
-        All ranks.
-    subdomains : tuple of Subdomain
-        Owned ones.
+    team, subdomains : Team, tuple of Subdomain
+        All ranks, and owned subdomains.
     of_nodes : tuple of (n_dofs, n_dofs) csr_matrix
         Stiffness of the filled cells of each on displacements of nodes, not turned, grey levels squared per pixel
         squared.
@@ -371,35 +268,17 @@ class FilledCells:
     held: float
 
     def assemble_operator(self, number: int) -> sparse.csr_matrix:
-        """Assemble what the operator of an owned subdomain is given.
+        """Assemble what the operator of an owned subdomain is given, (n_unknowns, n_unknowns).
 
-        Parameters
-        ----------
-        number : int
-            Of the subdomain among the owned ones.
-
-        Returns
-        -------
-        (n_unknowns, n_unknowns) csr_matrix
-            Grey levels squared per pixel squared; positive on each unknown of filled cells.
+        It is in grey levels squared per pixel squared, and positive on each unknown of filled cells; ``number`` counts
+        owned subdomains.
         """
         stiffness = self.stiffness[number]
         is_filled = stiffness.diagonal() > 0
         return (stiffness + sparse.diags(self.held * is_filled)).tocsr()
 
     def compute_forces(self, q: Sequence[Array]) -> list[Array]:
-        """Compute the forces that b is given; collective.
-
-        Parameters
-        ----------
-        q : sequence of (n_unknowns,) array
-            Unknowns of each owned subdomain.
-
-        Returns
-        -------
-        list of (n_unknowns,) array
-            Grey levels squared per pixel.
-        """
+        """Compute the forces that b is given, (n_unknowns,) each, grey levels squared per pixel; collective."""
         motion = fit_rigid_motion(self.team, self.subdomains, q)
         forces = []
         for subdomain, of_nodes, q_s in zip(self.subdomains, self.of_nodes, q, strict=True):
@@ -419,23 +298,8 @@ def fill_cells(team: Team, subdomains: Sequence[Subdomain], cells: Sequence[NDAr
                angle: float) -> FilledCells:
     """Give cells without pixels an elastic energy; free of communication.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    subdomains : sequence of Subdomain
-        Owned ones.
-    cells : sequence of (n_cells,) bool array
-        Which of their cells are filled.
-    weight : float
-        Mean diagonal of M, grey levels squared per pixel squared.
-    angle : float
-        By which the region has turned, radians.
-
-    Returns
-    -------
-    FilledCells
-        Of all of them.
+    ``cells``, (n_cells,), say which ones of each owned subdomain; ``weight`` is the mean diagonal of M, grey levels
+    squared per pixel squared, ``angle`` that by which the region has turned, radians.
     """
     of_nodes = [_assemble(subdomain, chosen, STIFFNESS * weight)
                 for subdomain, chosen in zip(subdomains, cells, strict=True)]

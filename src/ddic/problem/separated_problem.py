@@ -45,20 +45,16 @@ class SeparatedProblem:
     ----------
     team : Team
         All ranks.
-    inputs : Inputs
-        Reference image, rectangle and settings.
-    rectangle : Rectangle
-        What is measured.
+    inputs, rectangle : Inputs, Rectangle
+        Reference image and settings, and what is measured.
     reference : ReferencePixels
         Bands of rows of this rank.
     regularization : Regularization or None
         With its weight.
     size : ProblemSize
         Sizes and weights.
-    scheme : Scheme
-        How corrections are found.
-    rules : StoppingRules
-        When they end.
+    scheme, rules : Scheme, StoppingRules
+        How corrections are found, and when they end.
     """
 
     team: Team
@@ -71,42 +67,14 @@ class SeparatedProblem:
     rules: StoppingRules
 
     def open_frame(self, frame: Frame) -> FramePixels:
-        """Put a deformed image beside the reference image.
-
-        Parameters
-        ----------
-        frame : Frame
-            Of one camera.
-
-        Returns
-        -------
-        FramePixels
-            Nothing of it read yet.
-        """
+        """Put a deformed image beside the reference image; nothing of it is read yet."""
         return FramePixels(self.reference, DeformedSubImage(frame[0], self.inputs.case.correlation.spline_degree))
 
 
 def prepare_separated_problem(team: Team, inputs: Inputs, clock: PhaseClock) -> SeparatedProblem:
     """Read the reference image and find the weight of the regularisation; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    inputs : Inputs
-        With a rectangle.
-    clock : PhaseClock
-        Of the phases.
-
-    Returns
-    -------
-    SeparatedProblem
-        Pixels spread over ranks.
-
-    Raises
-    ------
-    InputError
-        On all ranks.
+    Pixels are spread over ranks. Raises InputError on all ranks.
     """
     rectangle, case = require_held(inputs.rectangle), inputs.case
     with clock.phase(Phase.READ):
@@ -119,22 +87,7 @@ def prepare_separated_problem(team: Team, inputs: Inputs, clock: PhaseClock) -> 
 
 
 def choose_own_bands(rectangle: Rectangle, rank: int, n_ranks: int) -> tuple[int, list[range]]:
-    """Choose the bands of rows that a rank reads.
-
-    Parameters
-    ----------
-    rectangle : Rectangle
-        What is measured.
-    rank, n_ranks : int
-        Of the team.
-
-    Returns
-    -------
-    first : int
-        Number of the first band.
-    bands : list of range
-        Rows of bands that follow each other, about as many on each rank.
-    """
+    """Choose the bands of rows that a rank reads, and the first one's number; all ranks have about as many."""
     bands = divide_rows(rectangle.along_y)
     edges = np.linspace(0, len(bands), n_ranks + 1).round().astype(int)
     return int(edges[rank]), bands[edges[rank]:edges[rank + 1]]
@@ -143,24 +96,7 @@ def choose_own_bands(rectangle: Rectangle, rank: int, n_ranks: int) -> tuple[int
 def read_reference_pixels(team: Team, inputs: Inputs, rectangle: Rectangle) -> ReferencePixels:
     """Read the rows of the reference image that this rank owns; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    inputs : Inputs
-        With the reference image.
-    rectangle : Rectangle
-        What is measured.
-
-    Returns
-    -------
-    ReferencePixels
-        Spread over ranks.
-
-    Raises
-    ------
-    InputError
-        On all ranks, where an image cannot be read or no pixel counts.
+    Raises InputError on all ranks, where an image cannot be read or no pixel counts.
     """
     source, degree = inputs.cameras[0].reference, inputs.case.correlation.spline_degree
     first, own = choose_own_bands(rectangle, team.rank, team.size)
@@ -185,22 +121,7 @@ def _refuse_nothing_to_see() -> None:
 
 def build_regularization(section: RegularizationSection | None, reference: ReferencePixels,
                          rectangle: Rectangle) -> Regularization | None:
-    """Build the regularisation and find its weight; collective.
-
-    Parameters
-    ----------
-    section : RegularizationSection or None
-        Of the case.
-    reference : ReferencePixels
-        The reference image.
-    rectangle : Rectangle
-        What is measured.
-
-    Returns
-    -------
-    Regularization or None
-        None where the case asks for none.
-    """
+    """Build the regularisation, None where the case asks for none, and find its weight; collective."""
     if section is None:
         return None
     along_x, along_y = rectangle.along_x, rectangle.along_y
@@ -226,24 +147,7 @@ def build_regularization(section: RegularizationSection | None, reference: Refer
 
 def measure_separated_size(team: Team, inputs: Inputs, reference: ReferencePixels,
                            regularization: Regularization | None) -> ProblemSize:
-    """Count what is about to be measured; collective.
-
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    inputs : Inputs
-        What the measurement is made from.
-    reference : ReferencePixels
-        The reference image.
-    regularization : Regularization or None
-        With its weight.
-
-    Returns
-    -------
-    ProblemSize
-        Unknowns are those of the Q4 elements between the same lines.
-    """
+    """Count what is about to be measured; collective. Unknowns are those of the Q4 elements between the same lines."""
     rectangle = require_held(inputs.rectangle)
     n_x, n_y = rectangle.along_x.n_nodes, rectangle.along_y.n_nodes
     own = [(float(np.nanmin(band.values)), float(np.nanmax(band.values))) for band in reference.bands
@@ -256,35 +160,13 @@ def measure_separated_size(team: Team, inputs: Inputs, reference: ReferencePixel
 
 
 def choose_scheme(case: Case) -> Scheme:
-    """Say how corrections are found.
-
-    Parameters
-    ----------
-    case : Case
-        With [pgd].
-
-    Returns
-    -------
-    Scheme
-        As the case asks for.
-    """
+    """Say how corrections are found, as a case with [pgd] asks for."""
     section = _get_section(case)
     return Scheme(section.max_sweeps, section.stagnation, section.update, case.correlation.correction_of_start)
 
 
 def choose_rules(case: Case) -> StoppingRules:
-    """Say when corrections end.
-
-    Parameters
-    ----------
-    case : Case
-        With [pgd].
-
-    Returns
-    -------
-    StoppingRules
-        As the case asks for.
-    """
+    """Say when corrections end, as a case with [pgd] asks for."""
     section = _get_section(case)
     return StoppingRules(section.tolerance, section.rms_tolerance, section.max_corrections, section.stop_at_noise)
 

@@ -43,32 +43,13 @@ class ReferenceViews:
         return self.views[0]
 
     def weigh(self, weights: Sequence[float]) -> ReferenceViews:
-        """Give each camera its weight in the functional.
-
-        Parameters
-        ----------
-        weights : (n_cameras,) sequence
-            Of squared grey levels, no unit.
-
-        Returns
-        -------
-        ReferenceViews
-            The same pixels.
-        """
+        """Give each camera its weight in the functional, of squared grey levels, no unit."""
         return replace(self, views=tuple(replace(view, weight=weights[view.camera]) for view in self.views))
 
     def project(self, hessians: Sequence[sparse.csr_matrix]) -> sparse.csr_matrix:
-        """Add up the cameras' M in the subdomain's unknowns.
+        """Add up the cameras' M in the subdomain's unknowns: M_s, (n_unknowns, n_unknowns).
 
-        Parameters
-        ----------
-        hessians : sequence of (n_dofs, n_dofs) csr_matrix
-            M of each view, on displacements of nodes in its image.
-
-        Returns
-        -------
-        (n_unknowns, n_unknowns) csr_matrix
-            M_s.
+        ``hessians`` are M of each view, (n_dofs, n_dofs), on displacements of nodes in its image.
         """
         total = self.views[0].project(hessians[0])
         for view, hessian in zip(self.views[1:], hessians[1:], strict=True):
@@ -76,13 +57,7 @@ class ReferenceViews:
         return total.tocsr()
 
     def alone(self) -> ReferenceViews:
-        """Give the same as its own camera alone sees it, in a set-up that does not move.
-
-        Returns
-        -------
-        ReferenceViews
-            With one view, and the field's unknowns only.
-        """
+        """Give the same as its own camera alone sees it, in a set-up that does not move: the field's unknowns only."""
         still = replace(self.own.hold_still(), camera=0)
         return ReferenceViews(replace(self.subdomain, motion=None), (still,))
 
@@ -93,10 +68,8 @@ class FrameViews:
 
     Attributes
     ----------
-    reference : ReferenceViews
-        The same in the reference images.
-    views : tuple of FrameView
-        Of the same cameras.
+    reference, views : ReferenceViews, tuple of FrameView
+        The same in the reference images, and in the frame by the same cameras.
     """
 
     reference: ReferenceViews
@@ -108,13 +81,7 @@ class FrameViews:
         return self.reference.subdomain
 
     def alone(self) -> FrameViews:
-        """Give the same as its own camera alone sees it, in a set-up that does not move.
-
-        Returns
-        -------
-        FrameViews
-            With one view, and the field's unknowns only.
-        """
+        """Give the same as its own camera alone sees it, in a set-up that does not move: the field's unknowns only."""
         reference = self.reference.alone()
         return FrameViews(reference, (FrameView(reference.own, self.views[0].deformed),))
 
@@ -123,24 +90,7 @@ def read_reference_views(case: Case, cameras: Sequence[Camera],
                          subdomains: Sequence[Subdomain]) -> list[ReferenceViews]:
     """Read the windows of the reference images that this rank's subdomains need; free of communication.
 
-    Parameters
-    ----------
-    case : Case
-        Says the degree of the spline and the number of threads.
-    cameras : sequence of Camera
-        All of them.
-    subdomains : sequence of Subdomain
-        Those of this rank.
-
-    Returns
-    -------
-    list of ReferenceViews
-        In the same order, weights 1.
-
-    Raises
-    ------
-    InputError
-        Where pixels of the mesh lie outside an image.
+    All cameras weigh 1. Raises InputError where pixels of the mesh lie outside an image.
     """
     threads = Threads(case.solver.threads)
     views: list[list[View]] = [[] for _ in subdomains]
@@ -183,19 +133,7 @@ def _read_groups(camera: Camera, meshes: Sequence[Mesh], degree: int,
 def open_frame_views(case: Case, frame: Frame, references: Sequence[ReferenceViews]) -> list[FrameViews]:
     """Look at a frame; its windows are read when unknowns say where.
 
-    Parameters
-    ----------
-    case : Case
-        Says the degree of the spline and the number of threads.
-    frame : Frame
-        One deformed image of each camera.
-    references : sequence of ReferenceViews
-        Owned subdomains.
-
-    Returns
-    -------
-    list of FrameViews
-        In the same order; views that share a window of the reference share one of the frame.
+    Views that share a window of the reference share one of the frame.
     """
     threads = Threads(case.solver.threads)
     windows: dict[tuple[int, int], DeformedSubImage] = {}
@@ -209,15 +147,7 @@ def open_frame_views(case: Case, frame: Frame, references: Sequence[ReferenceVie
 
 
 def read_frame_windows(views: Sequence[FrameViews], q: Sequence[NDArray[np.float64]]) -> None:
-    """Read the windows of a frame that unknowns ask for, and no larger ones; free of communication.
-
-    Parameters
-    ----------
-    views : sequence of FrameViews
-        Owned subdomains.
-    q : sequence of (n_unknowns,) array
-        Their unknowns.
-    """
+    """Read the windows of a frame that unknowns ask for, and no larger ones; free of communication."""
     wanted: dict[int, tuple[DeformedSubImage, Window]] = {}
     for of_subdomain, q_s in zip(views, q, strict=True):
         for view in of_subdomain.views:

@@ -48,35 +48,24 @@ class WeightedProblem:
     """Local systems and the linear solver of a reference problem.
 
     One camera weighs 1. Several are weighted by their noise; where the case does not give it, the first frame does, and
-    nothing is factorised before.
+    nothing is factorised before. Raises InputError, SingularSubdomainError or FactorizationError on all ranks.
 
     Parameters
     ----------
-    team : Team
-        All ranks.
-    reference : ReferenceProblem
-        What the reference images give.
-    clock : PhaseClock
-        Of the phases.
+    team, reference, clock : Team, ReferenceProblem, PhaseClock
+        All ranks, what the reference images give, and the clock of the phases.
     factorize_now : bool
         Whether to factorise what is known without a frame; where the first frame is at hand, it may ask for other
         operators. What the reference images alone leave singular waits for a frame all the same.
 
     Attributes
     ----------
-    team : Team
-        All ranks.
-    reference : ReferenceProblem
-        What the reference images give.
+    team, reference : Team, ReferenceProblem
+        As they were given.
     noise : tuple of float
         Of each camera, grey levels; empty with one camera, and before it is known.
     n_assembled : int
         Times that M_s of an owned subdomain was assembled.
-
-    Raises
-    ------
-    InputError, SingularSubdomainError, FactorizationError
-        On all ranks.
     """
 
     def __init__(self, team: Team, reference: ReferenceProblem, clock: PhaseClock, *,
@@ -143,33 +132,11 @@ class WeightedProblem:
                           section.largest_tolerance)
 
     def open_frame(self, frame: Frame) -> list[FrameViews]:
-        """Look at a frame, cameras not yet weighted; its windows are read when unknowns say where.
-
-        Parameters
-        ----------
-        frame : Frame
-            One deformed image of each camera.
-
-        Returns
-        -------
-        list of FrameViews
-            Owned subdomains in the frame.
-        """
+        """Look at a frame, cameras not yet weighted; its windows are read when unknowns say where."""
         return open_frame_views(self.reference.inputs.case, frame, self.reference.references)
 
     def build_residual_model(self, views: Sequence[FrameViews]) -> ResidualModel:
-        """Model the residual of a frame, cameras weighted.
-
-        Parameters
-        ----------
-        views : sequence of FrameViews
-            Owned subdomains in the frame.
-
-        Returns
-        -------
-        ResidualModel
-            What Gauss-Newton asks of the images.
-        """
+        """Model the residual of a frame, cameras weighted: what Gauss-Newton asks of the images."""
         inputs = self.reference.inputs
         asked = inputs.case.correlation.grey_correction
         correction = "none" if asked == "auto" else asked
@@ -181,34 +148,15 @@ class WeightedProblem:
         return [[view.measure_slopes() for view in r.views] for r in self.reference.references]
 
     def set_noise(self, noise: Sequence[float]) -> None:
-        """Weight the cameras by their noise; collective.
+        """Weight the cameras by the standard deviations of their noise, grey levels; collective.
 
-        Parameters
-        ----------
-        noise : sequence of float
-            Standard deviation of each camera's noise, grey levels.
-
-        Raises
-        ------
-        InputError, SingularSubdomainError, FactorizationError
-            On all ranks.
+        Raises InputError, SingularSubdomainError or FactorizationError on all ranks.
         """
         self.noise = tuple(noise)
         self._weigh([(noise[0] / sigma) ** 2 for sigma in noise])
 
     def weigh(self, views: Sequence[FrameViews]) -> list[FrameViews]:
-        """Give the cameras of a frame their weights.
-
-        Parameters
-        ----------
-        views : sequence of FrameViews
-            Owned subdomains in the frame.
-
-        Returns
-        -------
-        list of FrameViews
-            The same pixels.
-        """
+        """Give the cameras of a frame their weights."""
         weighted = []
         for of_subdomain in views:
             reference = of_subdomain.reference.weigh(self._weights)
@@ -219,21 +167,10 @@ class WeightedProblem:
 
     def hold_rotation(self, model: ResidualModel,
                       q: Sequence[NDArray[np.float64]]) -> tuple[ResidualModel, tuple[str, ...]]:
-        """Let a rotation of the region cost nothing; collective.
+        """Let a rotation of the region, told by unknowns ``q``, cost nothing; collective.
 
-        Parameters
-        ----------
-        model : ResidualModel
-            Of the frame.
-        q : sequence of (n_unknowns,) array
-            Unknowns that tell the rotation.
-
-        Returns
-        -------
-        model : ResidualModel
-            The equilibrium gap is that of q less its rigid motion.
-        notes : tuple of str
-            What the log says; nothing where the rotation is as it was.
+        The equilibrium gap of the new model is that of q less its rigid motion. The notes are for the log; there are
+        none where the rotation is as it was.
         """
         if self.reference.inputs.case.regularization is None:
             return model, ()
@@ -270,24 +207,9 @@ class WeightedProblem:
             q: Sequence[NDArray[np.float64]]) -> tuple[ResidualModel, tuple[str, ...]]:
         """Let a rotation of the region cost nothing, and M count what a model shows; collective.
 
-        Parameters
-        ----------
-        model : ResidualModel
-            Of the frame.
-        q : sequence of (n_unknowns,) array
-            Where the frame is thought to show the specimen.
-
-        Returns
-        -------
-        model : ResidualModel
-            With what lets the rotation cost nothing, and the cells that nothing else holds.
-        notes : tuple of str
-            What the log says; nothing where nothing changes.
-
-        Raises
-        ------
-        SingularSubdomainError, FactorizationError
-            On all ranks.
+        The frame is thought to show the specimen at ``q``. The new model has what lets the rotation cost nothing, and
+        the cells that nothing else holds; the notes are for the log, none where nothing changes. Raises
+        SingularSubdomainError or FactorizationError on all ranks.
         """
         turned, of_rotation = self.hold_rotation(model, q)
         fitted, of_pixels = self.renew(turned, q)
@@ -297,24 +219,9 @@ class WeightedProblem:
               q: Sequence[NDArray[np.float64]]) -> tuple[ResidualModel, tuple[str, ...]]:
         """Assemble and factorise again where a frame shows something else than M was made of; collective.
 
-        Parameters
-        ----------
-        model : ResidualModel
-            Of the frame, cameras weighted.
-        q : sequence of (n_unknowns,) array
-            Where the frame is thought to show them.
-
-        Returns
-        -------
-        model : ResidualModel
-            With the cells that neither pixels nor mechanics hold.
-        notes : tuple of str
-            What the log says; nothing where nothing changes.
-
-        Raises
-        ------
-        SingularSubdomainError, FactorizationError
-            On all ranks.
+        Cameras are weighted, and the frame is thought to show the specimen at ``q``. The new model has the cells that
+        neither pixels nor mechanics hold; the notes are for the log, none where nothing changes. Raises
+        SingularSubdomainError or FactorizationError on all ranks.
         """
         rule = RenewalRule(compute_cut_off_wavelength(self.reference.inputs.case), model.follows, model.blurs)
         with self._clock.phase(Phase.ASSEMBLE):
@@ -381,10 +288,8 @@ class ProblemSize:
 
     Attributes
     ----------
-    n_unknowns : int
-        Of the whole field.
-    n_cells : int
-        Cells of the mesh.
+    n_unknowns, n_cells : int
+        Of the whole field, and of the mesh.
     n_pixels : int
         Pixels of the mesh that the reference images do not exclude.
     n_subdomains, n_ranks, n_interface : int
@@ -409,22 +314,7 @@ class ProblemSize:
 
 
 def measure_problem_size(team: Team, reference: ReferenceProblem, solver: LinearSolver) -> ProblemSize:
-    """Count what is about to be solved; collective.
-
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    reference : ReferenceProblem
-        What the reference images give.
-    solver : LinearSolver
-        Set up.
-
-    Returns
-    -------
-    ProblemSize
-        Sizes and weights.
-    """
+    """Count what is about to be solved, once the solver is set up; collective."""
     region = reference.region
     ranges = team.gather_lists([r.own.measure_grey_range() for r in reference.references])
     lowest = min(low for low, _ in ranges)
@@ -435,18 +325,7 @@ def measure_problem_size(team: Team, reference: ReferenceProblem, solver: Linear
 
 
 def describe_cut_off(section: RegularizationSection | None) -> HalfAmplitudes | None:
-    """Say what a cut-off wavelength means.
-
-    Parameters
-    ----------
-    section : RegularizationSection or None
-        Of the case.
-
-    Returns
-    -------
-    HalfAmplitudes or None
-        Pixels; None where no cut-off wavelength is given.
-    """
+    """Say what a cut-off wavelength means, pixels; None where none is given."""
     if section is None or section.cut_off_wavelength is None:
         return None
     if section.operator == "tikhonov":

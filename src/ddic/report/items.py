@@ -1,11 +1,8 @@
 """What good-practices guides for DIC ask to be stated, with its value or that it is not recorded.
 
 The items are those that the International Digital Image Correlation Society's guide (2018) asks of one camera and a
-plane specimen, said for finite elements: an element stands where a subset does. docs/report.md compares them.
-
-How the images were taken, in the words of the case, and what they are like.
-
-Where the residual is worst.
+plane specimen, said for finite elements: an element stands where a subset does. docs/report.md compares them. How the
+images were taken is told in the words of the case, beside what they are like, and where the residual is worst.
 """
 
 from __future__ import annotations
@@ -39,18 +36,7 @@ OF_SETUP = (("Specimen", "specimen"), ("Camera", "camera"), ("Lens", "lens"), ("
 
 
 def list_setup(gathered: Gathered) -> Items:
-    """List what the case says of the set-up, in its own words.
-
-    Parameters
-    ----------
-    gathered : Gathered
-        The result and what belongs to it.
-
-    Returns
-    -------
-    list of (str, str)
-        Where the case says nothing, with the key that would.
-    """
+    """List what the case says of the set-up, in its own words; where it says nothing, the key that would."""
     section, shape = gathered.get_section("images"), _parse_size(gathered)
     items = [(name, _quote(gathered, key)) for name, key in OF_SETUP]
     size, unit = section.get("pixel_size"), section.get("length_unit", "px")
@@ -79,15 +65,7 @@ def _parse_size(gathered: Gathered) -> tuple[int, int] | None:
 def list_images(gathered: Gathered) -> Items:
     """List sizes, grey levels, features and noise of the images, and what was done to them.
 
-    Parameters
-    ----------
-    gathered : Gathered
-        The result and what belongs to it.
-
-    Returns
-    -------
-    list of (str, str)
-        Measured where the images are still there.
+    They are measured where the images are still there.
     """
     section, shape = gathered.get_section("images"), _parse_size(gathered)
     levels = [(f"Grey levels, {name}", _describe_levels(gathered.images.get(name)))
@@ -144,17 +122,9 @@ def _describe_filtering(gathered: Gathered) -> str:
 
 
 def list_statements(gathered: Gathered) -> list[Statement]:
-    """List all that is stated of a measurement.
+    """List all that is stated of a measurement, in the order of the guides.
 
-    Parameters
-    ----------
-    gathered : Gathered
-        The result and what belongs to it.
-
-    Returns
-    -------
-    list of Statement
-        In the order of the guides: how images were taken, what they are like, how they were compared, what it is worth.
+    How images were taken, what they are like, how they were compared, what it is worth.
     """
     return [Statement("Set-up", list_setup(gathered)), Statement("Images and pattern", list_images(gathered)),
             Statement("Mesh and formulation", _list_formulation(gathered)),
@@ -304,15 +274,7 @@ def _describe_source(gathered: Gathered) -> str:
 def find_field_metrology(gathered: Gathered) -> Metrology:
     """Find resolution and noise of the field as it is, read at nodes.
 
-    Parameters
-    ----------
-    gathered : Gathered
-        The result and what belongs to it.
-
-    Returns
-    -------
-    Metrology
-        With the mean element size of the mesh; the noise is that of all nodes.
+    Resolution is that of the mesh's mean element size, noise that of all nodes.
     """
     result = gathered.result
     level = _find_mean_level([result.point_data[name] for name in ("sigma_u", "sigma_v") if name in result.point_data])
@@ -363,18 +325,7 @@ class WorstPlace:
 
 
 def find_worst_places(result: Result) -> list[WorstPlace]:
-    """Find the cells with the largest residual, far from one another.
-
-    Parameters
-    ----------
-    result : Result
-        A measured field.
-
-    Returns
-    -------
-    list of WorstPlace
-        The worst first; at most 5.
-    """
+    """Find the cells with the largest residual, far from one another; the worst first, at most 5."""
     if schema.RESIDUAL_RMS not in result.cell_data:
         return []
     centres, rms = result.mesh.centroids, result.cell_data[schema.RESIDUAL_RMS]

@@ -59,10 +59,8 @@ class EmbeddedFigure:
 
     Attributes
     ----------
-    name : str
-        What it shows, in a word.
-    caption : str
-        Below it.
+    name, caption : str
+        What it shows, in a word, and what stands below it.
     data : str
         Its PNG as a data URI.
     width, height : int
@@ -79,36 +77,16 @@ class EmbeddedFigure:
 def encode_report_figures(gathered: Gathered, places: Sequence[WorstPlace]) -> dict[str, list[EmbeddedFigure]]:
     """Draw all pictures that a result allows, for a page that holds them itself.
 
-    Parameters
-    ----------
-    gathered : Gathered
-        The result and what belongs to it.
-    places : sequence of WorstPlace
-        That are marked in the residual.
-
-    Returns
-    -------
-    dict of list of EmbeddedFigure
-        By section: fields, residual, convergence, histograms.
+    ``places`` are marked in the residual. They come by section: fields, residual, convergence, histograms.
     """
     return {section: [_encode(name, caption, figure) for name, caption, figure in drawn]
             for section, drawn in draw_report_figures(gathered, places).items()}
 
 
 def draw_report_figures(gathered: Gathered, places: Sequence[WorstPlace]) -> dict[str, list[Drawn]]:
-    """Draw the figures of all pictures.
+    """Draw the figures of all pictures: name, caption and page of each, by section.
 
-    Parameters
-    ----------
-    gathered : Gathered
-        The result and what belongs to it.
-    places : sequence of WorstPlace
-        That are marked in the residual.
-
-    Returns
-    -------
-    dict of list of (str, str, Figure)
-        By section: name, caption and page of each.
+    ``places`` are marked in the residual.
     """
     previews = {name: read_preview(image) for name, image in gathered.images.items()}
     drawings: dict[str, list[Drawing]] = {

@@ -43,33 +43,11 @@ class Gathered:
     absent: tuple[str, ...]
 
     def get_section(self, name: str) -> Mapping[str, Any]:
-        """Get a section of the case.
-
-        Parameters
-        ----------
-        name : str
-            Such as ``images``.
-
-        Returns
-        -------
-        dict
-            Empty where the case has none.
-        """
+        """Get a section of the case, such as ``images``; empty where the case has none."""
         return self.case.get(name) or {}
 
     def get_attribute(self, group: str, name: str) -> Any:
-        """Get an attribute of the result file.
-
-        Parameters
-        ----------
-        group, name : str
-            Where it stands.
-
-        Returns
-        -------
-        object
-            None where it is not recorded.
-        """
+        """Get an attribute of the result file; None where it is not recorded."""
         value: Any = self.result.attributes.get(group, {}).get(name)
         return value.item() if hasattr(value, "item") else value
 
@@ -93,24 +71,9 @@ class Gathered:
 
 
 def gather_all(result: Result, image: Path | None = None) -> Gathered:
-    """Gather what a report on a result says.
+    """Gather what a report on a result says, with a sentence for each thing that is no longer there.
 
-    Parameters
-    ----------
-    result : Result
-        What was measured.
-    image : Path, optional
-        Reference image in place of the one that the result names.
-
-    Returns
-    -------
-    Gathered
-        With a sentence for each thing that is no longer there.
-
-    Raises
-    ------
-    InputError
-        Where the image that was given is missing.
+    ``image`` is a reference image in place of the one that the result names; raises InputError where it is missing.
     """
     text = str(result.attributes.get(schema.CASE, {}).get("json", ""))
     absent: list[str] = []

@@ -96,28 +96,9 @@ def estimate_uncertainty(problem: WeightedProblem, model: ResidualModel, evaluat
                          q: Sequence[Array], unmeasured: Sequence[NDArray[np.bool_]]) -> Uncertainty:
     """Estimate what noise and regularization do to a measured field; collective.
 
-    Parameters
-    ----------
-    problem : WeightedProblem
-        With the operators that found it.
-    model : ResidualModel
-        The pixels that count.
-    evaluation : Evaluation
-        At the field.
-    q : sequence of (n_unknowns,) array
-        The field of each owned subdomain.
-    unmeasured : sequence of (n_nodes,) bool array
-        Nodes of each that nothing holds: they have nan.
-
-    Returns
-    -------
-    Uncertainty
-        Of each owned subdomain.
-
-    Raises
-    ------
-    ConvergenceError
-        On all ranks, where a linear step does not converge.
+    ``problem`` has the operators that found the field, ``model`` the pixels that count; ``q`` are unknowns of each
+    owned subdomain, (n_unknowns,). ``unmeasured`` are the nodes of each that nothing holds: they have nan. Raises
+    ConvergenceError on all ranks where a linear step does not converge.
     """
     team, subdomains, step = problem.team, problem.reference.subdomains, problem.solver.step
     case, is_regularized = problem.reference.inputs.case, problem.solver.assembly.eta > 0
@@ -140,18 +121,7 @@ def estimate_uncertainty(problem: WeightedProblem, model: ResidualModel, evaluat
 
 
 def describe_uncertainty(uncertainty: Uncertainty) -> tuple[str, ...]:
-    """Say how large the noise of the images and of the field is.
-
-    Parameters
-    ----------
-    uncertainty : Uncertainty
-        Of the field.
-
-    Returns
-    -------
-    tuple of str
-        A line.
-    """
+    """Say in a line how large the noise of the images and of the field is."""
     noise, of_forces = uncertainty.noise, uncertainty.force_noise
     strength = "" if of_forces is None else f", acting {of_forces.excess:.2f} times as strongly as if it were white"
     return (f"uncertainty: noise of {noise.sigma[0]:.2f} grey levels ({noise.origin}{strength}) leaves a standard "
@@ -159,18 +129,7 @@ def describe_uncertainty(uncertainty: Uncertainty) -> tuple[str, ...]:
 
 
 def list_uncertainty(uncertainty: Uncertainty) -> dict[str, Any]:
-    """List what the standard deviations were found from, and how large they are.
-
-    Parameters
-    ----------
-    uncertainty : Uncertainty
-        Of a field.
-
-    Returns
-    -------
-    dict
-        Attributes of the result file, by name.
-    """
+    """List what the standard deviations were found from, and how large they are: attributes of the result file."""
     noise, of_forces = uncertainty.noise, uncertainty.force_noise
     told = {"noise_grey": noise.sigma[0], "noise_origin": noise.origin, "noise_transfer": uncertainty.transfer,
             "displacement_rms_px": uncertainty.rms, "n_samples": uncertainty.n_samples}
@@ -183,27 +142,9 @@ def estimate_deviations(team: Team, subdomains: Sequence[Subdomain], step: Linea
                         scale: float, unmeasured: Sequence[NDArray[np.bool_]]) -> list[FieldDeviations]:
     """Estimate the square roots of the diagonal of A^-1 cov(b) A^-1, and of strains; collective.
 
-    Each right-hand side takes a linear step, of whatever kind.
-
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    subdomains : sequence of Subdomain
-        Owned ones.
-    step : LinearStep
-        Solves with A.
-    forces : NoiseForces
-        Has b.
-    scale : float
-        By which b is multiplied before they are solved for, no unit.
-    unmeasured : sequence of (n_nodes,) bool array
-        Nodes of each that nothing holds: they have nan, and cells about them are as good as not there.
-
-    Returns
-    -------
-    list of FieldDeviations
-        Of each owned subdomain.
+    Each right-hand side takes a linear step, of whatever kind; ``scale`` is what b is multiplied by before.
+    ``unmeasured`` are the nodes of each subdomain that nothing holds: they have nan, and cells about them are as good
+    as not there.
     """
     squares = [(np.zeros((s.mesh.n_nodes, 2)), np.zeros((s.mesh.n_nodes, 3)), np.zeros((s.mesh.n_cells, 3)))
                for s in subdomains]
@@ -226,24 +167,9 @@ def solve_for_bias(model: ResidualModel, subdomains: Sequence[Subdomain], step: 
     """Estimate what regularization has added to a field; collective.
 
     Of a true field q the images of no noise tell A^-1 M q, which is off by -H q, H = A^-1 eta Kbar^T Kbar. The measured
-    field, less the bias as far as it is known, stands in for the true one: N_TERMS terms of
-    -(H + H^2 + ...) times the measured field.
-
-    Parameters
-    ----------
-    model : ResidualModel
-        Says how far the region has turned.
-    subdomains : sequence of Subdomain
-        Owned ones.
-    step : LinearStep
-        Solves with A.
-    q : sequence of (n_unknowns,) array
-        The measured field.
-
-    Returns
-    -------
-    list of (n_unknowns,) array
-        Estimated field less the true one, of each owned subdomain, pixels.
+    field, less the bias as far as it is known, stands in for the true one: N_TERMS terms of -(H + H^2 + ...) times the
+    measured field. ``model`` says how far the region has turned. Returns the estimated field less the true one,
+    (n_unknowns,) of each owned subdomain, pixels.
     """
     bias = [np.zeros(s.n_unknowns) for s in subdomains]
     for _ in range(N_TERMS):

@@ -1,8 +1,7 @@
 """The mesh and the fields of a measurement, piece by piece, streamed through rank 0.
 
-Strains at the nodes of a measured field, as the result file has them.
-
-The mesh as a result shows it: parts of cut cells as triangles, so that a discontinuity opens.
+The mesh is as a result shows it: parts of cut cells as triangles, so that a discontinuity opens. Strains at the nodes
+are as the result file has them.
 """
 
 from __future__ import annotations
@@ -42,21 +41,10 @@ Array = NDArray[np.float64]
 
 
 def recover_nodal_gradients(team: Team, subdomains: Sequence[Subdomain], displacements: Sequence[Array]) -> list[Array]:
-    """Recover the displacement gradient at the nodes of all subdomains; collective.
+    """Recover the displacement gradient du_c / dx_j at the nodes of all subdomains, (n_nodes, 2, 2); collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    subdomains : sequence of Subdomain
-        This rank's.
-    displacements : sequence of (n_dofs,) array
-        Of their nodes, the same at copies of a node, pixels.
-
-    Returns
-    -------
-    list of (n_nodes, 2, 2) array
-        du_c / dx_j, no unit; one value a node, whatever the partition.
+    Displacements are those of nodes, (n_dofs,), pixels, the same at copies of a node. One value a node, whatever the
+    partition; no unit.
     """
     mesh = join_meshes([subdomain.mesh for subdomain in subdomains])
     ends = np.cumsum([subdomain.mesh.n_nodes for subdomain in subdomains])[:-1]
@@ -69,17 +57,9 @@ def recover_nodal_gradients(team: Team, subdomains: Sequence[Subdomain], displac
 
 
 def describe_nodal_strains(gradients: Array) -> dict[str, NDArray[Any]]:
-    """Compute all strains that the result file has at points.
+    """Compute all strains that the result file has at points, by name, of gradients du_c / dx_j, (n, 2, 2).
 
-    Parameters
-    ----------
-    gradients : (n, 2, 2) array
-        du_c / dx_j, no unit.
-
-    Returns
-    -------
-    dict of (n,) or (n, 6) array
-        By name of the field, no unit.
+    Each is (n,) or (n, 6), no unit.
     """
     large = compute_green_lagrange(gradients)
     hencky = compute_hencky(large)
@@ -95,18 +75,7 @@ def describe_nodal_strains(gradients: Array) -> dict[str, NDArray[Any]]:
 
 
 def convert_to_six_components(tensor: Array) -> Array:
-    """Write tensors in the plane as VTK does.
-
-    Parameters
-    ----------
-    tensor : (n, 3) array
-        xx, yy, xy.
-
-    Returns
-    -------
-    (n, 6) array
-        xx, yy, zz, xy, yz, xz.
-    """
+    """Write tensors in the plane, xx, yy, xy, (n, 3), as VTK does: xx, yy, zz, xy, yz, xz, (n, 6)."""
     zero = np.zeros(len(tensor))
     return np.stack([tensor[:, 0], tensor[:, 1], zero, tensor[:, 2], zero, zero], axis=1)
 
@@ -133,35 +102,14 @@ class DrawnMesh:
     weights: sparse.csr_matrix | None = None
 
     def interpolate(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Interpolate nodal values at the points.
-
-        Parameters
-        ----------
-        values : (n_nodes, k) array
-            At the subdomain's nodes.
-
-        Returns
-        -------
-        (mesh.n_nodes, k) array
-            At the points.
-        """
+        """Interpolate values at the subdomain's nodes, (n_nodes, k), at the points, (mesh.n_nodes, k)."""
         return values if self.weights is None else np.asarray(self.weights @ values)
 
 
 def draw_mesh(subdomain: Subdomain, n_nodes: int) -> DrawnMesh:
-    """Draw a subdomain's mesh.
+    """Draw a subdomain's mesh, perhaps with parts of cut cells: the mesh itself where no cell is cut.
 
-    Parameters
-    ----------
-    subdomain : Subdomain
-        Perhaps with parts of cut cells.
-    n_nodes : int
-        Of the whole region's mesh, after which corners of parts are numbered.
-
-    Returns
-    -------
-    DrawnMesh
-        The mesh itself where no cell is cut.
+    ``n_nodes`` are those of the whole region's mesh, after which corners of parts are numbered.
     """
     mesh, parts = subdomain.mesh, subdomain.mesh.parts
     if parts is None or not parts.n_parts:
@@ -209,15 +157,7 @@ class _Batch:
 
 
 def write_pieces(measurement: Measurement, writer: ResultWriter | None) -> None:
-    """Write the mesh and the fields of all subdomains; collective.
-
-    Parameters
-    ----------
-    measurement : Measurement
-        What was measured.
-    writer : ResultWriter or None
-        On rank 0.
-    """
+    """Write the mesh and the fields of all subdomains; collective, the writer is rank 0's."""
     team, images = measurement.team, measurement.inputs.case.images
     n_nodes = measurement.region.n_nodes
     drawn = [draw_mesh(subdomain, n_nodes) for subdomain in measurement.subdomains]

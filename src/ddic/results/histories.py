@@ -1,4 +1,4 @@
-"""Tables, curves and attributes of a measurement in the result file."""
+"""Tables, curves and attributes of a measurement in the result file, by PGD-DIC too."""
 
 from __future__ import annotations
 
@@ -14,32 +14,13 @@ if TYPE_CHECKING:
 
 
 def write_histories(measurement: Measurement, writer: ResultWriter) -> None:
-    """Write the table of Gauss-Newton's iterations and the Krylov residuals of each; on rank 0.
-
-    Parameters
-    ----------
-    measurement : Measurement
-        What was measured.
-    writer : ResultWriter
-        Open.
-    """
+    """Write the table of Gauss-Newton's iterations and the Krylov residuals of each; on rank 0."""
     writer.write_table(schema.GAUSS_NEWTON, list_iterations(measurement))
     writer.write_curves(schema.KRYLOV, [r.krylov_history for r in measurement.records])
 
 
 def list_iterations(measurement: Measurement) -> dict[str, list[Any]]:
-    """List Gauss-Newton's iterations.
-
-    Parameters
-    ----------
-    measurement : Measurement
-        What was measured.
-
-    Returns
-    -------
-    dict of list
-        Columns of their table, by name; the residual is that before each correction.
-    """
+    """List Gauss-Newton's iterations, columns by name; the residual is that before each correction."""
     records = measurement.records
     columns: dict[str, list[Any]] = {
         "iteration": [r.number for r in records],
@@ -62,15 +43,7 @@ def list_iterations(measurement: Measurement) -> dict[str, list[Any]]:
 
 
 def write_attributes(measurement: Measurement, writer: ResultWriter) -> None:
-    """Write the case, the times and units, and what is known of near-field set-ups; on rank 0.
-
-    Parameters
-    ----------
-    measurement : Measurement
-        What was measured.
-    writer : ResultWriter
-        Open.
-    """
+    """Write the case, the times and units, and what is known of near-field set-ups; on rank 0."""
     inputs = measurement.inputs
     images = inputs.case.images
     writer.write_attributes(schema.CASE, {
@@ -92,15 +65,7 @@ def write_attributes(measurement: Measurement, writer: ResultWriter) -> None:
 
 
 def write_separated_tables(measurement: SeparatedMeasurement, writer: ResultWriter) -> None:
-    """Write the table of corrections, the case, times and units; on rank 0.
-
-    Parameters
-    ----------
-    measurement : SeparatedMeasurement
-        What was measured.
-    writer : ResultWriter
-        Open.
-    """
+    """Write the table of corrections, the case, times and units; on rank 0."""
     writer.write_table(schema.CORRECTIONS, list_corrections(measurement))
     inputs, size = measurement.inputs, measurement.size
     images = inputs.case.images
@@ -116,18 +81,7 @@ def write_separated_tables(measurement: SeparatedMeasurement, writer: ResultWrit
 
 
 def list_corrections(measurement: SeparatedMeasurement) -> dict[str, list[Any]]:
-    """List the corrections of PGD-DIC.
-
-    Parameters
-    ----------
-    measurement : SeparatedMeasurement
-        What was measured.
-
-    Returns
-    -------
-    dict of list
-        Columns of their table, by name; the residual is that before each correction.
-    """
+    """List the corrections of PGD-DIC, columns by name; the residual is that before each correction."""
     records = measurement.solution.records
     return {
         "correction": [r.number for r in records],

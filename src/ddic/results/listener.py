@@ -16,77 +16,31 @@ class Listener(Protocol):
     """Told on every rank; only rank 0's may speak."""
 
     def phase(self, phase: Phase) -> None:
-        """Take note of a phase that begins.
-
-        Parameters
-        ----------
-        phase : Phase
-            Its name.
-        """
+        """Take note of a phase that begins."""
         ...
 
     def progress(self, share: float) -> None:
-        """Take note of how far the phase at hand is.
-
-        Parameters
-        ----------
-        share : float
-            That this rank has done, from 0 to 1.
-        """
+        """Take note of how far the phase at hand is: the share that this rank has done, from 0 to 1."""
         ...
 
     def note(self, line: str) -> None:
-        """Take note of something worth a line.
-
-        Parameters
-        ----------
-        line : str
-            What to tell.
-        """
+        """Take note of something worth a line."""
         ...
 
     def frame(self, number: int, n_frames: int, image: str) -> None:
-        """Take note of a frame of a series that begins.
-
-        Parameters
-        ----------
-        number : int
-            From 1.
-        n_frames : int
-            Of the series.
-        image : str
-            Name of its file.
-        """
+        """Take note of a frame of a series that begins: its number, from 1, and the name of its image's file."""
         ...
 
     def problem_size(self, size: ProblemSize) -> None:
-        """Take note of what is about to be solved.
-
-        Parameters
-        ----------
-        size : ProblemSize
-            Sizes and weights.
-        """
+        """Take note of what is about to be solved."""
         ...
 
     def iteration(self, record: IterationRecord) -> None:
-        """Take note of one Gauss-Newton iteration.
-
-        Parameters
-        ----------
-        record : IterationRecord
-            Of it.
-        """
+        """Take note of one Gauss-Newton iteration."""
         ...
 
     def correction(self, record: CorrectionRecord) -> None:
-        """Take note of one correction of PGD-DIC.
-
-        Parameters
-        ----------
-        record : CorrectionRecord
-            Of it.
-        """
+        """Take note of one correction of PGD-DIC."""
         ...
 
 

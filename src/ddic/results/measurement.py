@@ -1,8 +1,7 @@
 """A measured field, spread over ranks, and how it was measured.
 
-The last field of a measurement that did not converge, kept so that one can look at it.
-
-A measured displacement gathered on rank 0.
+Also the last field of a measurement that did not converge, kept so that one can look at it, and a displacement gathered
+on rank 0.
 """
 
 from __future__ import annotations
@@ -75,8 +74,8 @@ class Measurement:
         The deformed images.
     region : Region
         What is known of the whole mesh.
-    model : ResidualModel
-        Owned subdomains with their pixels.
+    model, whole : ResidualModel
+        Owned subdomains with their pixels; ``whole`` with all that the frame shows, also those that do not count.
     q : list of (n_unknowns,) array
         Unknowns of each since the reference image in use, one value for the copies of an interface unknown (Eq. 41 of
         [BP17]).
@@ -100,12 +99,8 @@ class Measurement:
         Cells and pixels that do not count.
     unmeasured : list of (n_nodes,) bool array
         Nodes of each that nothing holds: their displacement is nan.
-    whole : ResidualModel
-        With all pixels that the frame shows, also those that do not count.
-    stop : str
-        Which tolerances ended Gauss-Newton.
-    failure : str
-        Why it is no result; empty where it converged.
+    stop, failure : str
+        Which tolerances ended Gauss-Newton; why it is no result, empty where it converged.
     method, preconditioner : str
         How the linear steps were solved, as a case calls it.
     shown_share : float
@@ -185,15 +180,8 @@ class Measurement:
     def at(self, points: Array) -> Array:
         """Interpolate the displacement by shape functions, never across a hole; collective.
 
-        Parameters
-        ----------
-        points : (n, 2) array
-            Positions, specimen's frame, pixels; the same on all ranks.
-
-        Returns
-        -------
-        (n, 2) array
-            Displacement, pixels, on all ranks; nan outside the mesh and where nothing was measured.
+        ``points`` are positions in the specimen's frame, (n, 2), pixels, the same on all ranks. The displacement, (n,
+        2), pixels, is on all ranks too; nan outside the mesh and where nothing was measured.
         """
         total, n_found = np.zeros(points.shape), np.zeros(len(points))
         for subdomain, displacement in zip(self.subdomains, self.displacements, strict=True):
@@ -206,13 +194,7 @@ class Measurement:
         return np.where(n_found[:, None] > 0, total / np.maximum(n_found, 1.0)[:, None], np.nan)
 
     def write(self, writer: ResultWriter | None) -> None:
-        """Write fields, histories and residual images; collective.
-
-        Parameters
-        ----------
-        writer : ResultWriter or None
-            Open on rank 0, None elsewhere.
-        """
+        """Write fields, histories and residual images; collective, the writer is rank 0's, None elsewhere."""
         write_pieces(self, writer)
         self.team.build_on_root(lambda: self._write_histories(require_held(writer)))
         if self.inputs.case.output.residual_image:
@@ -224,13 +206,7 @@ class Measurement:
         writer.write_status(self.failure)
 
     def describe_origin(self) -> dict[str, str | int]:
-        """Say what it was measured from.
-
-        Returns
-        -------
-        dict
-            Sizes, and the first camera's images with their checksums.
-        """
+        """Say what it was measured from: sizes, and the first camera's images with their checksums."""
         updated, deformed = self.inputs.updated, self.frame[0].image
         # Mesh and fields are those of the first one.
         reference = self.cameras[0].reference.image if updated is None else updated.first_image
@@ -244,29 +220,9 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str,
                        failure: str = "") -> Measurement:
     """Evaluate the residual at a field and judge its cells; collective.
 
-    Parameters
-    ----------
-    problem : WeightedProblem
-        That was solved.
-    frame : Frame
-        The deformed images.
-    notes : tuple of str
-        What the user should know.
-    solved : SolvedFrame
-        Its field.
-    failure : str, optional
-        Why the field is no result; nothing where it converged.
-
-    Returns
-    -------
-    Measurement
-        Spread over ranks.
-
-    Raises
-    ------
-    ConvergenceError
-        On all ranks, where the field leaves no pixel of a camera; with the measurement, where a field that converged
-        turns cells inside out, or where a blurred frame leaves hardly a cell that noise does not move too far.
+    ``failure`` says why the field is no result, nothing where it converged. Raises ConvergenceError on all ranks where
+    the field leaves no pixel of a camera; with the measurement, where a field that converged turns cells inside out, or
+    where a blurred frame leaves hardly a cell that noise does not move too far.
     """
     team, inputs = problem.team, problem.reference.inputs
     subdomains = problem.reference.subdomains
@@ -384,21 +340,9 @@ def describe_inverted_cells(team: Team, subdomains: Sequence[Subdomain], displac
                             are_used: Sequence[NDArray[np.bool_]]) -> str:
     """Say which cells a field turns inside out, however small the last correction: no matter moves so; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    subdomains : sequence of Subdomain
-        Owned ones.
-    displacements : sequence of (n_dofs,) array
-        Of their nodes, pixels; nan where nothing was measured.
-    are_used : sequence of (n_cells,) bool array
-        Which of their cells are not excluded: what images do not show says nothing against a field.
-
-    Returns
-    -------
-    str
-        Why the field is no result; empty where no cell is inverted.
+    Displacements are those of nodes, (n_dofs,), pixels, nan where nothing was measured. ``are_used`` tells which cells
+    of each subdomain are not excluded, (n_cells,): what images do not show says nothing against a field. The text says
+    why the field is no result, and is empty where no cell is inverted.
     """
     inverted = [np.intersect1d(find_inverted_cells(s.mesh, u), np.flatnonzero(is_used))
                 for s, u, is_used in zip(subdomains, displacements, are_used, strict=True)]
@@ -418,17 +362,8 @@ Finish = Callable[[Any, str], object]
 def last_field_kept(clock: PhaseClock, finish: Finish) -> Iterator[None]:
     """Let a ConvergenceError bring the measurement of its last field in place of the solver's solution; collective.
 
-    Parameters
-    ----------
-    clock : PhaseClock
-        Of the phases.
-    finish : callable
-        Makes the measurement.
-
-    Raises
-    ------
-    ConvergenceError
-        As it was raised inside; without a measurement where its solution shows nothing.
+    ``finish`` makes the measurement. The error is raised as it was, without a measurement where its solution shows
+    nothing.
     """
     try:
         yield
@@ -452,18 +387,7 @@ def _finish(finish: Finish, found: Any, failure: str) -> object:
 
 
 def gather_displacement(measurement: Measurement) -> NDArray[np.float64] | None:
-    """Gather the displacement of all nodes; collective.
-
-    Parameters
-    ----------
-    measurement : Measurement
-        Spread over ranks.
-
-    Returns
-    -------
-    (n_nodes, dim) array or None
-        Pixels, on rank 0.
-    """
+    """Gather the displacement of all nodes on rank 0, (n_nodes, dim), pixels, None elsewhere; collective."""
     values = [(subdomain.node_ids, u.reshape(-1, subdomain.mesh.dim))
               for subdomain, u in zip(measurement.subdomains, measurement.displacements, strict=True)]
     gathered = measurement.team.gather_to(values, 0)
@@ -475,19 +399,10 @@ def gather_displacement(measurement: Measurement) -> NDArray[np.float64] | None:
 
 def place_at_nodes(values: Iterable[tuple[NDArray[np.int64], NDArray[np.float64]]],
                    n_nodes: int) -> NDArray[np.float64]:
-    """Put the values of several parts of a mesh in their places.
+    """Put the values of several parts of a mesh in their places, (n_nodes, dim).
 
-    Parameters
-    ----------
-    values : iterable of (node_ids, (n, dim) array)
-        Of each part: numbers of its nodes in the whole mesh, and a vector of each.
-    n_nodes : int
-        Of the whole mesh.
-
-    Returns
-    -------
-    (n_nodes, dim) array
-        Where parts share a node, of the last; nan at nodes of no part.
+    Each part has the numbers of its nodes in the whole mesh and a vector of each, (n, dim). Where parts share a node,
+    that of the last counts; nan at nodes of no part.
     """
     placed = np.full((n_nodes, 2), np.nan)
     for node_ids, of_part in values:

@@ -1,7 +1,4 @@
-"""What the result file and the summary say of a near-field set-up.
-
-The measured motion of near-field set-ups and its covariance.
-"""
+"""What the result file and the summary say of a near-field set-up; its measured motion and the covariance of it."""
 
 from __future__ import annotations
 
@@ -61,24 +58,9 @@ def estimate_covariances(team: Team, systems: Sequence[LocalSystem], step: Linea
                          noise: float) -> dict[int, Array]:
     """Estimate the covariance of every moving set-up's unknowns from the noise of the images; collective.
 
-    The columns x = A^-1 e of the unknowns give 2 sigma^2 x^T M x: b has the covariance 2 sigma^2 M, since noise is
-    in both pictures and M is weighted by the noise.
-
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    systems : sequence of LocalSystem
-        Of owned subdomains.
-    step : LinearStep
-        Solves with A.
-    noise : float
-        sigma of the first camera, grey levels.
-
-    Returns
-    -------
-    dict
-        (n_motion_unknowns, n_motion_unknowns) array by camera, pixels squared.
+    The columns x = A^-1 e of the unknowns give 2 sigma^2 x^T M x: b has the covariance 2 sigma^2 M, since noise is in
+    both pictures and M is weighted by the noise. ``noise`` is sigma of the first camera, grey levels. Returns, by
+    camera, (n_motion_unknowns, n_motion_unknowns) arrays, pixels squared.
     """
     found = {}
     for camera, scale in sum_motion_scales(team, systems).items():
@@ -108,24 +90,7 @@ def _unit_force(subdomain: Subdomain, camera: int, k: int) -> Array:
 
 def collect_motions(team: Team, cameras: Sequence[Camera], subdomains: Sequence[Subdomain],
                     q: Sequence[Array]) -> list[Array]:
-    """Collect the unknowns of each camera's motion; collective.
-
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    cameras : sequence of Camera
-        All of them.
-    subdomains : sequence of Subdomain
-        Owned ones.
-    q : sequence of (n_unknowns,) array
-        Their unknowns.
-
-    Returns
-    -------
-    list of (n_motion_unknowns,) array
-        By camera, on all ranks.
-    """
+    """Collect the unknowns of each camera's motion, (n_motion_unknowns,), on all ranks; collective."""
     mine = [(s.camera, q_s[s.n_field:]) for s, q_s in zip(subdomains, q, strict=True)]
     found = dict(team.gather_lists(mine))
     return [found.get(camera.number, np.zeros(camera.setup.n_motion_unknowns)) for camera in cameras]
@@ -133,21 +98,9 @@ def collect_motions(team: Team, cameras: Sequence[Camera], subdomains: Sequence[
 
 def describe_motions(cameras: Sequence[Camera], motions: Sequence[Array],
                      covariances: dict[int, Array]) -> tuple[SetupMotion, ...]:
-    """Convert motions to pixels and radians.
+    """Convert motions and their covariances to pixels and radians, of the cameras whose set-up may move.
 
-    Parameters
-    ----------
-    cameras : sequence of Camera
-        All of them.
-    motions : sequence of (n_motion_unknowns,) array
-        Of each camera.
-    covariances : dict
-        Of ``estimate_covariances``.
-
-    Returns
-    -------
-    tuple of SetupMotion
-        Of the cameras whose set-up may move.
+    ``motions`` are unknowns of each camera, (n_motion_unknowns,).
     """
     described = []
     for camera, motion in zip(cameras, motions, strict=True):
@@ -164,20 +117,7 @@ def describe_motions(cameras: Sequence[Camera], motions: Sequence[Array],
 
 
 def describe_near_field(measurement: Measurement, motion: SetupMotion) -> dict[str, Any]:
-    """Describe motion, mapping, noise and images of a near field; lengths are pixels of the far field.
-
-    Parameters
-    ----------
-    measurement : Measurement
-        What was measured.
-    motion : SetupMotion
-        Of the near field.
-
-    Returns
-    -------
-    dict
-        Attributes by name.
-    """
+    """Describe motion, mapping, noise and images of a near field; lengths are pixels of the far field."""
     setup, number = motion.setup, motion.camera
     grey = measurement.evaluation.grey[number]
     reference, deformed = measurement.cameras[number].reference.image, measurement.frame[number].image
@@ -193,20 +133,7 @@ def describe_near_field(measurement: Measurement, motion: SetupMotion) -> dict[s
 
 
 def summarize_near_field(measurement: Measurement, motion: SetupMotion) -> NearSummary:
-    """Say the same to scripts and people, in short.
-
-    Parameters
-    ----------
-    measurement : Measurement
-        What was measured.
-    motion : SetupMotion
-        Of the near field.
-
-    Returns
-    -------
-    NearSummary
-        With standard deviations.
-    """
+    """Say the same to scripts and people, in short, with standard deviations."""
     deviations = np.sqrt(np.diag(motion.covariance))
     return NearSummary(
         alpha_px=(float(motion.alpha[0]), float(motion.alpha[1])),

@@ -1,6 +1,6 @@
-"""The residual image: every rank computes and compresses its chunks, rank 0 only stores them.
+"""The residual image of each camera in the result file.
 
-The residual image of each camera in the result file.
+Every rank computes and compresses its chunks, rank 0 only stores them.
 """
 
 from __future__ import annotations
@@ -83,22 +83,7 @@ class ChunkShares:
 
 
 def share_chunks(team: Team, grid: ChunkGrid, windows: Iterable[Window]) -> ChunkShares:
-    """Agree on the owner of every chunk; collective.
-
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    grid : ChunkGrid
-        The chunks of the image.
-    windows : iterable of Window
-        Of the owned subdomains.
-
-    Returns
-    -------
-    ChunkShares
-        The same on every rank.
-    """
+    """Agree on the owner of every chunk that windows of owned subdomains touch, the same on every rank; collective."""
     area: Counter[int] = Counter()
     for window in windows:
         for number in grid.find_chunks(window):
@@ -124,23 +109,8 @@ def share_chunks(team: Team, grid: ChunkGrid, windows: Iterable[Window]) -> Chun
 def pack_chunks(team: Team, grid: ChunkGrid, windows: list[Window], patches: Iterator[Patch]) -> list[PackedChunk]:
     """Put the chunks of this rank together and compress them; collective.
 
-    A chunk is sent or compressed as soon as no further subdomain of this rank touches it.
-
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    grid : ChunkGrid
-        The chunks of the image.
-    windows : list of Window
-        Of the owned subdomains.
-    patches : iterator of Patch
-        Of the same, in this order, computed one by one.
-
-    Returns
-    -------
-    list of PackedChunk
-        Those that this rank owns; without those that have no correlated pixel.
+    A chunk is sent or compressed as soon as no further subdomain of this rank touches it. ``patches`` are those of the
+    owned subdomains' windows, in this order, computed one by one. Chunks that have no correlated pixel are left out.
     """
     shares = share_chunks(team, grid, windows)
     done: list[PackedChunk] = []
@@ -171,17 +141,7 @@ def _receive_parts(team: Team, shares: ChunkShares, chunks: dict[int, NDArray[np
 
 
 def stream_chunks(team: Team, chunks: list[PackedChunk], write: Callable[[PackedChunk], None]) -> None:
-    """Bring all ranks' chunks to rank 0, a few in each message; collective.
-
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    chunks : list of PackedChunk
-        This rank's.
-    write : callable
-        Called on rank 0 with each.
-    """
+    """Bring all ranks' chunks to rank 0, a few in each message, and write each there; collective."""
     def write_all(batch: list[PackedChunk]) -> None:
         for chunk in batch:
             write(chunk)
@@ -218,15 +178,7 @@ def _pack(number: int, chunk: NDArray[np.float32]) -> list[PackedChunk]:
 
 
 def write_residual_images(measurement: Measurement, writer: ResultWriter | None) -> None:
-    """Write the residual image of each camera; collective: every rank compresses its chunks, rank 0 stores them.
-
-    Parameters
-    ----------
-    measurement : Measurement
-        What was measured.
-    writer : ResultWriter or None
-        On rank 0.
-    """
+    """Write the residual image of each camera; collective: every rank compresses its chunks, rank 0 stores them."""
     for camera in measurement.cameras:
         _write_residual_image(measurement, camera, writer)
 

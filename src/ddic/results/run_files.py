@@ -26,28 +26,10 @@ if TYPE_CHECKING:
 
 def write_run(measurement: Measurement | SeparatedMeasurement, clock: PhaseClock, file: Path,
               noise_floor: float = float("nan")) -> Summary:
-    """Write a result and its summary; collective.
+    """Write a result, converged or not, and its summary, the same on all ranks; collective.
 
-    Parameters
-    ----------
-    measurement : Measurement or SeparatedMeasurement
-        What was measured, converged or not.
-    clock : PhaseClock
-        This rank's.
-    file : Path
-        The result file.
-    noise_floor : float, optional
-        RMS displacement that the images' noise leaves, pixels; nan where it is not known.
-
-    Returns
-    -------
-    Summary
-        The same on all ranks.
-
-    Raises
-    ------
-    OSError, WriteError
-        On all ranks, where one of them cannot be written; neither is then, and an earlier one stays.
+    ``noise_floor`` is the RMS displacement that the images' noise leaves, pixels; nan where it is not known. Raises
+    OSError or WriteError on all ranks where one of them cannot be written; neither is then, and an earlier one stays.
     """
     team, output = measurement.team, measurement.inputs.case.output
     with ExitStack() as stack:
@@ -69,22 +51,7 @@ def write_run(measurement: Measurement | SeparatedMeasurement, clock: PhaseClock
 def claimed_output(team: Team, file: Path) -> Iterator[None]:
     """Keep other runs from a result's name while the block measures and writes it; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    file : Path
-        The result file.
-
-    Yields
-    ------
-    None
-        While this run has it.
-
-    Raises
-    ------
-    InputError
-        On all ranks, where another run has it.
+    Raises InputError on all ranks where another run has it.
     """
     with ExitStack() as stack:
         team.build_on_root(lambda: stack.enter_context(held_output(file)))
@@ -100,14 +67,7 @@ def claimed_output(team: Team, file: Path) -> Iterator[None]:
 def remove_failed_field(team: Team, file: Path, start: Path | None) -> None:
     """Remove the field that an earlier run left when it did not converge; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    file : Path
-        The result file.
-    start : Path or None
-        Earlier result that the case starts from: where it is that field, it stays.
+    It stays where it is ``start``, the earlier result that the case starts from.
     """
     path = not_converged_path(file)
     if start is None or find_real_path(path) != find_real_path(start):
@@ -118,20 +78,8 @@ def keep_failed_run(team: Team, error: DdicError, destination: Destination, star
                     clock: PhaseClock | None = None) -> None:
     """Write what a failed run found, move an earlier result out of its way, and say both in the error; collective.
 
-    Nothing is touched where the inputs were refused, or not all ranks know of the failure.
-
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    error : DdicError
-        As the run ended; its message gains where things are.
-    destination : Destination
-        Of the result, had there been one.
-    start : Path or None
-        Earlier result that the case starts from: it stays where no other field takes its place.
-    clock : PhaseClock, optional
-        This rank's; with one, a summary is written too.
+    Nothing is touched where the inputs were refused, or not all ranks know of the failure. ``start``, the earlier
+    result that the case starts from, stays where no other field takes its place. With a clock a summary is written too.
     """
     file = destination.path
     if file is None or isinstance(error, InputError) or not is_collective(error):

@@ -1,10 +1,7 @@
 """A displacement measured by PGD-DIC, and how it was measured.
 
-Tables and attributes of a PGD-DIC measurement in the result file.
-
-The cells on which a separated displacement is written out, and what the residual says of them.
-
-What follows the last correction of PGD-DIC: the residual image, and what it says.
+Also the cells on which it is written out, and what follows the last correction: the residual image, and what it says of
+these cells.
 """
 
 from __future__ import annotations
@@ -73,51 +70,21 @@ class OutputCells:
     notes: tuple[str, ...]
 
     def build_mesh(self) -> Mesh:
-        """Mesh them.
-
-        Returns
-        -------
-        Mesh
-            Of Q4 cells, row by row.
-        """
+        """Mesh them: Q4 cells, row by row."""
         grid = Grid(self.x, self.y)
         return build_mesh(grid.nodes, {Q4: grid.quads})
 
     def evaluate_displacement(self, field: SeparatedField) -> Array:
-        """Evaluate a displacement at their nodes.
-
-        Parameters
-        ----------
-        field : SeparatedField
-            The displacement.
-
-        Returns
-        -------
-        (n_nodes, 2) array
-            Row by row, pixels.
-        """
+        """Evaluate a displacement at their nodes, (n_nodes, 2), row by row, pixels."""
         return field.evaluate_on_grid(self.x, self.y).reshape(-1, 2)
 
 
 def evaluate_output_cells(team: Team, lines: tuple[Array, Array], reference: ReferencePixels,
                        residual: Sequence[Rows]) -> OutputCells:
-    """Sum the residual over cells; collective.
+    """Sum the residual over cells, the same on all ranks; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    lines : tuple of (n,) array
-        Between the cells, along x and along y, pixels.
-    reference : ReferencePixels
-        The reference image.
-    residual : sequence of (range, (n_rows, width) array)
-        Residual of this rank's bands, grey levels, grey levels corrected.
-
-    Returns
-    -------
-    OutputCells
-        The same on all ranks.
+    ``lines`` are those between the cells, along x and along y, pixels. ``residual`` is that of this rank's bands,
+    (n_rows, width) each, grey levels, grey levels corrected.
     """
     x, y = lines
     sums = team.sum(sum((_sum_band(LineElements(x), LineElements(y), reference, number, rows)
@@ -151,19 +118,7 @@ def _sum_band(along_x: LineElements, along_y: LineElements, reference: Reference
 
 def write_output_cells(writer: ResultWriter, cells: OutputCells, field: SeparatedField,
                        images: ImagesSection) -> None:
-    """Write cells with the displacement at their nodes; on rank 0.
-
-    Parameters
-    ----------
-    writer : ResultWriter
-        Open.
-    cells : OutputCells
-        Whose nodes are nodes of the elements too.
-    field : SeparatedField
-        The displacement.
-    images : ImagesSection
-        Of the case: size of a pixel.
-    """
+    """Write cells with the displacement at their nodes, which are nodes of the elements too; on rank 0."""
     mesh = cells.build_mesh()
     displacement = cells.evaluate_displacement(field)
     length_unit = None if images.pixel_size is None else images.length_unit
@@ -257,27 +212,13 @@ class SeparatedMeasurement:
         return self.solution.field
 
     def at(self, points: Array) -> Array:
-        """Evaluate the displacement.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n, 2) array
-            Pixels; nan outside the rectangle.
-        """
+        """Evaluate the displacement at points, (n, 2), pixels; nan outside the rectangle."""
         return self.solution.field.at(points)
 
     def write(self, writer: ResultWriter | None) -> None:
         """Write the products, the displacement on cells, tables and the residual image; collective.
 
-        Parameters
-        ----------
-        writer : ResultWriter or None
-            Open on rank 0, None elsewhere.
+        The writer is open on rank 0, None elsewhere.
         """
         self.team.build_on_root(lambda: self._write_on_root(require_held(writer)))
         if self.inputs.case.output.residual_image:
@@ -300,13 +241,7 @@ class SeparatedMeasurement:
                                                                                                chunk.data))
 
     def describe_origin(self) -> dict[str, str | int]:
-        """Say what it was measured from.
-
-        Returns
-        -------
-        dict
-            Sizes, and the images with their checksums.
-        """
+        """Say what it was measured from: sizes, and the images with their checksums."""
         return {"n_ranks": self.size.n_ranks, "n_subdomains": self.size.n_subdomains, "method": schema.PGD,
                 **describe_image("reference", self.cameras[0].reference.image),
                 **describe_image("deformed", self.frame[0].image)}
@@ -316,25 +251,7 @@ def finish_separated(problem: SeparatedProblem, frame: Frame, pixels: FramePixel
                      solution: SeparatedSolution, failure: str = "") -> SeparatedMeasurement:
     """Compute the residual image and judge cells; collective.
 
-    Parameters
-    ----------
-    problem : SeparatedProblem
-        What was measured.
-    frame : Frame
-        The deformed image.
-    pixels : FramePixels
-        Of this rank.
-    notes : tuple of str
-        So far.
-    solution : SeparatedSolution
-        The displacement.
-    failure : str, optional
-        Why the displacement is no result; nothing where it converged.
-
-    Returns
-    -------
-    SeparatedMeasurement
-        Spread over ranks.
+    ``failure`` says why the displacement is no result, nothing where it converged.
     """
     residual = pixels.compute_residual_rows(solution.field, solution.grey.gain, solution.grey.offset)
     lines = choose_output_lines(problem.inputs.case, problem.rectangle)

@@ -1,8 +1,7 @@
 """What is told of the frames of a series: each in a line, all in the summary.
 
-What the next frames of a series start from: fields of those before them, on the subdomains in use.
-
-Frames of a series on their way to the disk.
+Also what the next frames start from, fields of those before them on the subdomains in use; and frames on their way to
+the disk.
 """
 
 from __future__ import annotations
@@ -81,42 +80,19 @@ class FrameRecord:
     lines: tuple[Vertices, ...] = ()
 
     def as_json(self) -> str:
-        """Write it as JSON, with null for what is not finite.
-
-        Returns
-        -------
-        str
-            One line.
-        """
+        """Write it as a line of JSON, with null for what is not finite."""
         return json.dumps(convert_to_json(asdict(self)), allow_nan=False)
 
     @classmethod
     def from_json(cls, text: str) -> FrameRecord:
-        """Read it back.
-
-        Parameters
-        ----------
-        text : str
-            Of ``as_json``.
-
-        Returns
-        -------
-        FrameRecord
-            The same.
-        """
+        """Read back what ``as_json`` wrote."""
         values: dict[str, Any] = json.loads(text)
         finite: dict[str, Any] = {name: float("nan") if value is None else value for name, value in values.items()}
         finite["lines"] = tuple(tuple((x, y) for x, y in line) for line in values.get("lines", ()))
         return cls(**finite)
 
     def describe(self) -> str:
-        """Say in a line what became of the frame.
-
-        Returns
-        -------
-        str
-            For the log.
-        """
+        """Say in a line of the log what became of the frame."""
         if not self.converged:
             return f"frame {self.number}: not measured ({self.failure})"
         compared = f", compared with frame {self.reference}" if self.reference else ""
@@ -165,19 +141,7 @@ class SeriesSummary:
 def write_series_summary(path: Path, summary: SeriesSummary, files: NewFiles | None = None) -> None:
     """Write a summary as JSON, under a temporary name that is then changed; numbers that are not finite become null.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    summary : SeriesSummary
-        Its content.
-    files : NewFiles, optional
-        With which it takes its name; by default it does so by itself.
-
-    Raises
-    ------
-    InputError
-        Where the folder cannot be written to.
+    It takes its name with ``files``, by default by itself. Raises InputError where the folder cannot be written to.
     """
     of_run = {name: value for name, value in asdict(summary).items() if name != "frames"}
     write_json(path, {"converged": summary.is_whole and not summary.failures, "whole": summary.is_whole, **of_run,
@@ -212,57 +176,23 @@ class MeasuredState:
     holds_back: bool
 
     def gather(self, team: Team, subdomains: Sequence[Subdomain], n_nodes: int) -> Array:
-        """Gather the displacement of all nodes; collective.
+        """Gather the displacement of all nodes since the first reference image, (n_nodes, 2), pixels; collective.
 
-        Parameters
-        ----------
-        team : Team
-            All ranks.
-        subdomains : sequence of Subdomain
-            Owned ones, whose unknowns are displacements of nodes.
-        n_nodes : int
-            Of the whole mesh.
-
-        Returns
-        -------
-        (n_nodes, 2) array
-            Since the first reference image, pixels, on all ranks.
+        The result is on all ranks. The unknowns of the subdomains are displacements of nodes.
         """
         own = [(subdomain.node_ids, q.reshape(-1, 2)) for subdomain, q in zip(subdomains, self.q, strict=True)]
         return place_at_nodes(team.gather_lists(own), n_nodes)
 
     def restrict(self, displacement: Array, subdomains: Sequence[Subdomain]) -> MeasuredState:
-        """Give the same state on other subdomains.
-
-        Parameters
-        ----------
-        displacement : (n_nodes, 2) array
-            Of ``gather``.
-        subdomains : sequence of Subdomain
-            Owned ones.
-
-        Returns
-        -------
-        MeasuredState
-            Of these.
-        """
+        """Give the same state on other subdomains, from the displacement of ``gather``, (n_nodes, 2), pixels."""
         return replace(self, q=[displacement[subdomain.node_ids].ravel() for subdomain in subdomains])
 
 
 def collect_states(problem: WeightedProblem, states: Sequence[FrameState]) -> list[MeasuredState]:
-    """Take up what an earlier run has measured; collective.
+    """Take up what an earlier run has measured, on owned subdomains; collective.
 
-    Parameters
-    ----------
-    problem : WeightedProblem
-        Whose cameras are weighted as they were.
-    states : sequence of FrameState
-        Of the last frames.
-
-    Returns
-    -------
-    list of MeasuredState
-        Of owned subdomains; none where the subdomains are others: the next frame is searched for then.
+    Cameras of ``problem`` are weighted as they were. The list is empty where the subdomains are others: the next frame
+    is searched for then.
     """
     if states and states[-1].noise and not problem.is_set_up:
         problem.set_noise(states[-1].noise)
@@ -276,19 +206,9 @@ def collect_states(problem: WeightedProblem, states: Sequence[FrameState]) -> li
 
 
 def extrapolate(before: MeasuredState, last: MeasuredState, time: float) -> list[Array]:
-    """Extrapolate the unknowns of two frames to a third; free of communication.
+    """Extrapolate the unknowns of two frames, in order of time, linearly to a third; free of communication.
 
-    Parameters
-    ----------
-    before, last : MeasuredState
-        Of the same subdomains, in order of time.
-    time : float
-        Of the third.
-
-    Returns
-    -------
-    list of (n_unknowns,) array
-        Linear in time.
+    Both states are of the same subdomains.
     """
     share = (time - last.time) / (last.time - before.time)
     return [q + share * (q - q_before) for q, q_before in zip(last.q, before.q, strict=True)]
@@ -298,26 +218,8 @@ def write_frame(measurement: Measurement, record: FrameRecord, folder: SeriesFol
                 writer: BackgroundWriter) -> MeasuredState:
     """Begin to write a frame that was measured; collective, only rank 0 touches the disk.
 
-    Parameters
-    ----------
-    measurement : Measurement
-        Of the frame.
-    record : FrameRecord
-        What is told of it.
-    folder : SeriesFolder
-        Of the series.
-    writer : BackgroundWriter
-        Of rank 0.
-
-    Returns
-    -------
-    MeasuredState
-        What the next frame starts from, as it is written.
-
-    Raises
-    ------
-    OSError
-        On all ranks, where the frame before could not be written.
+    Returns what the next frame starts from, as it is written. Raises OSError on all ranks where the frame before could
+    not be written.
     """
     team = measurement.team
     unknowns = measurement.unknowns
@@ -342,16 +244,7 @@ def write_frame(measurement: Measurement, record: FrameRecord, folder: SeriesFol
 def write_failed_frame(team: Team, error: DdicError, record: FrameRecord, folder: SeriesFolder) -> None:
     """Note that a frame could not be measured, and keep its last field; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    error : DdicError
-        Why; what it brings is written as the result of a pair that did not converge.
-    record : FrameRecord
-        What is told of the frame.
-    folder : SeriesFolder
-        Of the series.
+    What the error brings is written as the result of a pair that did not converge.
     """
     last = error.last if isinstance(error, ConvergenceError) else None
     if isinstance(last, Measurement):

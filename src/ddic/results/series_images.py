@@ -1,8 +1,6 @@
-"""What the frames of a series are opened, told and timed with.
+"""What the frames of a series are opened, told and timed with, and what is left to do of it.
 
-What is left to do of a series.
-
-The end of a series: its frames joined to one result file, and the summary.
+At its end the frames are joined to one result file, and the summary is written.
 """
 
 from __future__ import annotations
@@ -31,13 +29,10 @@ class SeriesImages:
     Attributes
     ----------
     team : Team
-        All ranks.
     opener : FrameOpener
         Of the images.
     listener : Listener
-        Told what happens.
     clock : PhaseClock
-        Of the phases.
     """
 
     team: Team
@@ -49,26 +44,8 @@ class SeriesImages:
 def open_series(team: Team, loaded: LoadedCase, number: int, listener: Listener) -> SeriesImages:
     """Open the reference images of a series, and its first frame; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    loaded : LoadedCase
-        Checked, with several deformed images.
-    number : int
-        Of the first frame that is to be measured, from 1.
-    listener : Listener
-        Told what happens.
-
-    Returns
-    -------
-    SeriesImages
-        With a clock that has begun.
-
-    Raises
-    ------
-    InputError
-        On all ranks, where an image cannot be read.
+    ``number`` is that of the first frame that is to be measured, from 1. The clock has begun. Raises InputError on all
+    ranks where an image cannot be read.
     """
     clock = PhaseClock(entered=listener.phase, advanced=listener.progress, waiting=team.waiting)
     with inputs_kept(team, loaded.stamps), clock.phase(Phase.MESH):
@@ -99,22 +76,7 @@ class FramesToMeasure:
 
 
 def list_frames_to_measure(team: Team, folder: SeriesFolder, finished: Mapping[int, FrameRecord]) -> FramesToMeasure:
-    """List the frames that are not finished, and read what they go on from; collective.
-
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    folder : SeriesFolder
-        Of the frames.
-    finished : mapping of int to FrameRecord
-        Of those that an earlier run has finished.
-
-    Returns
-    -------
-    FramesToMeasure
-        Without frames where all are finished.
-    """
+    """List the frames that no earlier run has finished, perhaps none, and read what they go on from; collective."""
     numbers = [number for number in range(1, folder.n_frames + 1) if number not in finished]
     before = [finished[number] for number in sorted(finished) if numbers and number < numbers[0]]
     measured = [record for record in before if record.converged]
@@ -125,18 +87,7 @@ def list_frames_to_measure(team: Team, folder: SeriesFolder, finished: Mapping[i
 
 
 def describe_origin(loaded: LoadedCase) -> dict[str, object]:
-    """Say what a series is measured from, to tell it from others.
-
-    Parameters
-    ----------
-    loaded : LoadedCase
-        The case.
-
-    Returns
-    -------
-    dict
-        As JSON has it.
-    """
+    """Say what a series is measured from, as JSON has it, to tell it from others."""
     sections = list_cameras(loaded.case)
     return {"case file": loaded.text, "reference images": [str(section.reference) for section in sections],
             "deformed images": [[str(path) for path in list_deformed(section)] for section in sections],
@@ -146,19 +97,9 @@ def describe_origin(loaded: LoadedCase) -> dict[str, object]:
 def finish_series(folder: SeriesFolder, summary: SeriesSummary, origin: Mapping[str, object]) -> None:
     """Join what was measured, and write the summary; the folder of frames goes once every frame was tried.
 
-    Parameters
-    ----------
-    folder : SeriesFolder
-        Of finished frames; it is not there where an earlier run has finished the series.
-    summary : SeriesSummary
-        Of the run.
-    origin : mapping
-        Of ``describe_origin``.
-
-    Raises
-    ------
-    OSError
-        Where one cannot be written; neither is, an earlier result and the frames stay.
+    The folder is not there where an earlier run has finished the series: nothing is left to do then. ``origin`` is that
+    of ``describe_origin``. Raises OSError where one cannot be written; neither is, an earlier result and the frames
+    stay.
     """
     if not folder.path.exists():
         return

@@ -19,20 +19,7 @@ if TYPE_CHECKING:
 
 
 def summarize(measurement: Measurement | SeparatedMeasurement, clock: PhaseClock) -> Summary:
-    """Sum up a measurement in numbers for scripts and people; collective.
-
-    Parameters
-    ----------
-    measurement : Measurement or SeparatedMeasurement
-        What was measured.
-    clock : PhaseClock
-        This rank's.
-
-    Returns
-    -------
-    Summary
-        The same on all ranks.
-    """
+    """Sum up a measurement in numbers for scripts and people, the same on all ranks; collective."""
     shared = _summarize_run(measurement, clock)
     if not isinstance(measurement, Measurement):
         return _summarize_separated(measurement, shared)

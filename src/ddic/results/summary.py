@@ -1,7 +1,4 @@
-"""The JSON summary of a run, for scripts.
-
-Between which values a field lies.
-"""
+"""The JSON summary of a run, for scripts; between which values a field lies."""
 
 from __future__ import annotations
 
@@ -28,18 +25,12 @@ class NearSummary:
 
     Attributes
     ----------
-    alpha_px : (x, y)
-        Translation, far-field pixels.
-    alpha_std_px : (x, y)
-        Its standard deviation, far-field pixels.
-    theta_rad : float
-        Rotation, radians.
-    theta_std_rad : float
-        Its standard deviation, radians.
-    residual_std_grey : float
-        Standard deviation of the near images' residual, grey levels.
-    noise_grey : float
-        Standard deviation of the near images' noise, grey levels.
+    alpha_px, alpha_std_px : (x, y)
+        Translation and its standard deviation, far-field pixels.
+    theta_rad, theta_std_rad : float
+        Rotation and its standard deviation, radians.
+    residual_std_grey, noise_grey : float
+        Standard deviation of the near images' residual and of their noise, grey levels.
     """
 
     alpha_px: tuple[float, float]
@@ -74,24 +65,16 @@ class Summary:
     ----------
     converged : bool
         Whether the measurement did.
-    iterations : int
-        Of Gauss-Newton at full resolution, each a pass over all pixels.
-    residual_std_grey : float
-        Standard deviation of the residual, grey levels; of the first camera's images.
-    residual_percent_of_range : float
-        The same in percent of the dynamic range.
-    n_dofs : int
-        Unknowns of the whole problem.
-    n_subdomains : int
-        Subdomains.
-    n_ranks : int
-        MPI ranks.
+    iterations, local_iterations : int
+        Of Gauss-Newton: at full resolution, each a pass over all pixels; with the pixels about slow nodes alone.
+    residual_std_grey, residual_percent_of_range : float
+        Standard deviation of the residual of the first camera's images, grey levels; in percent of the dynamic range.
+    n_dofs, n_subdomains, n_ranks : int
+        Unknowns of the whole problem, subdomains, MPI ranks.
     krylov_iterations : sequence of int
         Of each iteration of Gauss-Newton.
-    seconds : dict
-        Wall seconds by phase, the slowest rank's.
-    cpu_seconds : dict
-        CPU seconds by phase, all ranks'.
+    seconds, cpu_seconds : dict
+        By phase: wall seconds, the slowest rank's; CPU seconds, all ranks'.
     peak_memory_bytes : sequence of int
         By rank.
     largest_jump_px : float
@@ -99,10 +82,9 @@ class Summary:
     linear_error_px : float
         Estimated RMS error of the displacement that the last linear step left, pixels; 0 for a direct solver, nan if
         unknown.
-    n_pixels : int
-        Correlated pixels.
-    n_pixels_outside : int
-        Pixels left out because they are mapped outside the deformed image or onto its excluded pixels.
+    n_pixels, n_pixels_outside : int
+        Correlated pixels; those left out because they are mapped outside the deformed image or onto its excluded
+        pixels.
     grey_correction : str
         What was corrected of grey levels.
     result_file : str
@@ -118,14 +100,12 @@ class Summary:
         outside PETSc.
     near : sequence of NearSummary
         Near-field set-ups in order.
-    stop : str
-        Which tolerances ended Gauss-Newton.
+    stop, failure : str
+        Which tolerances ended Gauss-Newton; why it did not converge, empty where it did.
     half_amplitudes : HalfAmplitudes or None
         Waves that the cut-off wavelength halves, pixels; None without one.
     n_modes : int or None
         Products that the displacement of PGD-DIC is a sum of; None for other methods. Its iterations are corrections.
-    failure : str
-        Why it did not converge; empty where it did.
     noise_floor_px : float
         RMS displacement error of a component of a node that noise of the residual's size leaves, pixels; nan where it
         is not estimated.
@@ -141,8 +121,6 @@ class Summary:
         Of the interface problem; "none" where there is none.
     case : dict
         The validated case with all defaults, as the result file has it, and the path of its file as ``path``.
-    local_iterations : int
-        Of Gauss-Newton with the pixels about slow nodes alone.
     """
 
     converged: bool
@@ -184,19 +162,7 @@ class Summary:
 def write_summary(path: Path, summary: Summary, files: NewFiles | None = None) -> None:
     """Write a summary as JSON, under a temporary name that is then changed; numbers that are not finite become null.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    summary : Summary
-        Its content.
-    files : NewFiles, optional
-        With which it takes its name; by default it does so by itself.
-
-    Raises
-    ------
-    InputError
-        Where the folder cannot be written to.
+    It takes its name with ``files``, by default by itself. Raises InputError where the folder cannot be written to.
     """
     write_json(path, asdict(summary), files)
 
@@ -205,20 +171,10 @@ Array = NDArray[np.float64]
 
 
 def find_field_ranges(team: Team, fields: Sequence[tuple[Mesh, Array]]) -> FieldRanges:
-    """Find the least and largest displacement of nodes and strain of cells; collective.
+    """Find the least and largest displacement of nodes and strain of cells, the same on all ranks; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    fields : sequence of (Mesh, (n_dofs,) array)
-        Meshes that this rank owns and the displacement of their nodes, node by node, pixels; nan where it was not
-        measured.
-
-    Returns
-    -------
-    FieldRanges
-        Of what was measured, the same on all ranks; nan where nothing was.
+    Fields are meshes that this rank owns and the displacement of their nodes, (n_dofs,), node by node, pixels; nan
+    where it was not measured. Ranges are those of what was measured, nan where nothing was.
     """
     meshes, displacements = zip(*fields, strict=True)
     limits = team.gather_lists([_find_limits(join_meshes(meshes), np.concatenate(displacements))])

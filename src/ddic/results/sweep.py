@@ -1,6 +1,6 @@
 """What a sweep over cut-off wavelengths and element sizes found, and which of them it recommends.
 
-Tables of a sweep: for people, and as comma-separated values.
+Its tables: for people, and as comma-separated values.
 """
 
 from __future__ import annotations
@@ -188,20 +188,7 @@ class Sweep:
 def choose_trial(trials: Sequence[Trial]) -> int:
     """Choose the largest elements, then the longest wavelength, whose error is next to the least.
 
-    Parameters
-    ----------
-    trials : sequence of Trial
-        With errors on virtual images.
-
-    Returns
-    -------
-    int
-        Its number.
-
-    Raises
-    ------
-    ConvergenceError
-        Where no trial has an error.
+    Returns the trial's number. Raises ConvergenceError where no trial has an error on the virtual images.
     """
     errors = np.array([trial.virtual_error for trial in trials])
     if not np.isfinite(errors).any():
@@ -220,18 +207,7 @@ _FIELDS = ("element_size_px", "cut_off_wavelength_px", "residual_grey_levels", "
 
 
 def format_rows(sweep: Sweep) -> list[tuple[str, ...]]:
-    """Format the rows of the table that is printed, by element size and wavelength.
-
-    Parameters
-    ----------
-    sweep : Sweep
-        What was found.
-
-    Returns
-    -------
-    list of tuple of str
-        A text for each of COLUMNS.
-    """
+    """Format the rows of the table that is printed, by element size and wavelength: a text for each of COLUMNS."""
     rows = []
     for trial in _sort(sweep):
         cells = _format_cells(trial)
@@ -244,18 +220,7 @@ def format_rows(sweep: Sweep) -> list[tuple[str, ...]]:
 
 
 def list_failures(sweep: Sweep) -> list[str]:
-    """List why some candidates have no error.
-
-    Parameters
-    ----------
-    sweep : Sweep
-        What was found.
-
-    Returns
-    -------
-    list of str
-        A line for each of them.
-    """
+    """List why some candidates have no error, a line for each of them."""
     return [f"not measured: {trial.candidate.describe()}: {trial.short_failure}"
             for trial in _sort(sweep) if trial.failure]
 
@@ -263,19 +228,8 @@ def list_failures(sweep: Sweep) -> list[str]:
 def write_sweep(sweep: Sweep, path: Path, files: NewFiles | None = None) -> None:
     """Write a row for each trial as comma-separated values.
 
-    Parameters
-    ----------
-    sweep : Sweep
-        What was found.
-    path : Path
-        The file.
-    files : NewFiles, optional
-        With which it takes its name; by default it does so by itself.
-
-    Raises
-    ------
-    OSError
-        Where it cannot be written; no half-written file stays.
+    The file takes its name with ``files``, by default by itself. Raises OSError where it cannot be written; no
+    half-written file stays.
     """
     with begin_files(files) as new, new.begin(path).open("w", newline="", encoding="utf-8") as stream:
         table = csv.writer(stream)
@@ -285,18 +239,7 @@ def write_sweep(sweep: Sweep, path: Path, files: NewFiles | None = None) -> None
 
 
 def collect_by_size(sweep: Sweep) -> list[SweptElements]:
-    """Group trials by element size, as curves are drawn.
-
-    Parameters
-    ----------
-    sweep : Sweep
-        What was found.
-
-    Returns
-    -------
-    list of SweptElements
-        By size.
-    """
+    """Group trials by element size, as curves are drawn."""
     trials = _sort(sweep)
     groups = []
     for size in dict.fromkeys(trial.candidate.element_size for trial in trials):

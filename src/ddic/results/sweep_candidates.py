@@ -1,8 +1,6 @@
-"""What a candidate of a sweep measured of the image pair.
+"""What a candidate of a sweep measured of the image pair, and the trial made of it.
 
-Trials of a sweep, from what each candidate measured.
-
-Errors of measured fields, as the residuals and the degrees of freedom of all of them predict them.
+Errors of measured fields are predicted from the residuals and the degrees of freedom of all of them.
 """
 
 from __future__ import annotations
@@ -54,24 +52,10 @@ class CandidateField:
 
 
 def collect_candidate_field(problem: WeightedProblem, measurement: Measurement) -> CandidateField:
-    """Collect field, residual, degrees of freedom and noise; collective.
+    """Collect field, residual, degrees of freedom and noise, the same on all ranks; collective.
 
-    Parameters
-    ----------
-    problem : WeightedProblem
-        That was solved; of one camera.
-    measurement : Measurement
-        What was measured last.
-
-    Returns
-    -------
-    CandidateField
-        The same on all ranks.
-
-    Raises
-    ------
-    ConvergenceError
-        On all ranks, where a linear step does not converge.
+    The problem is of one camera, the measurement the last one with it. Raises ConvergenceError on all ranks where a
+    linear step does not converge.
     """
     team, state = problem.team, measurement.evaluation.grey[0]
     systems, step = problem.solver.assembly.systems, problem.solver.step
@@ -97,20 +81,7 @@ LEAST_MEASURED = 0.95
 def draw_points(fields: Sequence[CandidateField]) -> Array:
     """Draw places all over the mesh of the first field that was measured, the same at every call.
 
-    Parameters
-    ----------
-    fields : sequence of CandidateField
-        Of all candidates.
-
-    Returns
-    -------
-    (n_points, 2) array
-        Pixels.
-
-    Raises
-    ------
-    ConvergenceError
-        Where no candidate measured anything.
+    Places are (n_points, 2), pixels. Raises ConvergenceError where no candidate measured anything.
     """
     result = next((field.result for field in fields if field.result is not None), None)
     if result is None:
@@ -121,23 +92,9 @@ def draw_points(fields: Sequence[CandidateField]) -> Array:
 
 
 def evaluate_pair(candidate: Candidate, field: CandidateField, points: Array, material: Material) -> Trial:
-    """Judge what a candidate measured of the pair.
+    """Judge what a candidate measured of the pair at points, (n_points, 2), pixels; the trial has no errors yet.
 
-    Parameters
-    ----------
-    candidate : Candidate
-        What was tried.
-    field : CandidateField
-        What was measured.
-    points : (n_points, 2) array
-        Where, pixels.
-    material : Material
-        By which the forces out of equilibrium are computed.
-
-    Returns
-    -------
-    Trial
-        Without errors.
+    By ``material`` the forces out of equilibrium are computed.
     """
     if field.result is None:
         return Trial(candidate, np.full(points.shape, np.nan), failure=field.failure)
@@ -147,23 +104,10 @@ def evaluate_pair(candidate: Candidate, field: CandidateField, points: Array, ma
 
 
 def evaluate_virtual(trial: Trial, result: Result | None, truth: VirtualTruth, points: Array) -> Trial:
-    """Compare what a candidate measured of the virtual images with the truth.
+    """Compare what a candidate measured of the virtual images with the truth at points, (n_points, 2), pixels.
 
-    Parameters
-    ----------
-    trial : Trial
-        Of the candidate.
-    result : Result or None
-        What it measured; None where it could not.
-    truth : VirtualTruth
-        The displacement of the virtual images.
-    points : (n_points, 2) array
-        Where, pixels.
-
-    Returns
-    -------
-    Trial
-        With its RMS error of a component, or why there is none.
+    The trial gains its RMS error of a component, or why there is none; ``result`` is None where it could not be
+    measured.
     """
     if result is None:
         return replace(trial, failure="the virtual images could not be measured")
@@ -204,17 +148,7 @@ class PairNoise:
 def estimate_pair_noise(trials: Sequence[Trial], transfer: float) -> PairNoise:
     """Estimate the noise of a pair: the least residual, each unknown having followed as much as one pixel's.
 
-    Parameters
-    ----------
-    trials : sequence of Trial
-        Of the pair; those that failed do not count.
-    transfer : float
-        What interpolation leaves of the variance of noise.
-
-    Returns
-    -------
-    PairNoise
-        Of both images.
+    Trials that failed do not count. ``transfer`` is what interpolation leaves of the variance of noise.
     """
     variances = [trial.residual**2 * trial.n_pixels / max(trial.n_pixels - trial.degrees_of_freedom, 1.0)
                  for trial in trials if not trial.failure]
@@ -224,24 +158,13 @@ def estimate_pair_noise(trials: Sequence[Trial], transfer: float) -> PairNoise:
 def predict_errors(trials: Sequence[Trial], noise: PairNoise, mean_square_gradient: float) -> list[Trial]:
     """Predict the error of each field by Stein's unbiased estimate: residual and degrees of freedom.
 
-    The residual of a field grows by what it lacks of the displacement and shrinks by the noise that it follows,
-    2 sigma^2 tr(A^-1 M) more than the error does. Relative to the field of most degrees of freedom, whose error is
-    taken to be noise alone, what all residuals have in common falls out (interpolation, rounding).
+    The residual of a field grows by what it lacks of the displacement and shrinks by the noise that it follows, 2
+    sigma^2 tr(A^-1 M) more than the error does. Relative to the field of most degrees of freedom, whose error is taken
+    to be noise alone, what all residuals have in common falls out (interpolation, rounding).
 
-    Parameters
-    ----------
-    trials : sequence of Trial
-        Of the pair.
-    noise : PairNoise
-        Of the images.
-    mean_square_gradient : float
-        Of the reference image, both components together, grey levels squared per square pixel.
-
-    Returns
-    -------
-    list of Trial
-        With predicted errors: RMS of a component, pixels, weighted by the texture. Where noise makes the square
-        negative, so is its root: the order remains.
+    ``mean_square_gradient`` is that of the reference image, both components together, grey levels squared per square
+    pixel. Predicted errors are RMS of a component, pixels, weighted by the texture. Where noise makes the square
+    negative, so is its root: the order remains.
     """
     finest = max((trial for trial in trials if not trial.failure), key=lambda trial: trial.degrees_of_freedom)
     predicted = []
@@ -262,19 +185,8 @@ def correct_predictions(trials: Sequence[Trial], known: int) -> list[Trial]:
     """Shift all squares of predicted errors alike, so that one trial's is its error on the virtual images.
 
     The residual tells apart errors of a few per cent of the noisiest field's; how large all of them are together it
-    tells no better than the texture is even.
-
-    Parameters
-    ----------
-    trials : sequence of Trial
-        With both errors.
-    known : int
-        Number of the trial whose field the virtual images have.
-
-    Returns
-    -------
-    list of Trial
-        With other predicted errors; the same where that trial has no error on the virtual images.
+    tells no better than the texture is even. ``known`` is the number of the trial whose field the virtual images have;
+    nothing is shifted where that trial has no error on them.
     """
     anchor = trials[known]
     if not np.isfinite(anchor.virtual_error):

@@ -1,6 +1,6 @@
 """Virtual images of a sweep: made on rank 0 from the reference image, measured on all ranks.
 
-The truth of virtual experiments: a measured field, roughened.
+Their truth is a measured field, roughened.
 """
 
 from __future__ import annotations
@@ -50,18 +50,7 @@ class VirtualTruth:
     displacement: Array
 
     def at(self, points: Array) -> Array:
-        """Interpolate it.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n, 2) array
-            Pixels; nan where there is none.
-        """
+        """Interpolate it at points, (n, 2), pixels; nan where there is none."""
         found = interpolate(self.mesh, self._columns, points)
         gradient = found[:, 2:].reshape(-1, 2, 2)
         return np.asarray(found[:, :2] + 0.5 * np.einsum("ncj,nj->nc", gradient, points))
@@ -77,38 +66,16 @@ class VirtualTruth:
     def with_lost_detail(self, again: Result) -> VirtualTruth:
         """Add what measuring it once more takes off: 2 u - S u.
 
-        The measurement S leaves a wave a share t of its amplitude; the measured wave, t times the specimen's, becomes
-        t (2 - t) times. What noise has put in is raised by at most as much.
-
-        Parameters
-        ----------
-        again : Result
-            What the same settings measure of an image without noise that has this displacement.
-
-        Returns
-        -------
-        VirtualTruth
-            On the same mesh.
+        The measurement S leaves a wave a share t of its amplitude; the measured wave, t times the specimen's, becomes t
+        (2 - t) times. What noise has put in is raised by at most as much. ``again`` is what the same settings measure
+        of an image without noise that has this displacement.
         """
         rougher = 2.0 * self.displacement - again.displacement
         # Where it was not measured again it stays as it is.
         return VirtualTruth(self.mesh, np.where(np.isfinite(rougher), rougher, self.displacement))
 
     def render(self, grey: Array, noise: float) -> NDArray[np.float32]:
-        """Render the deformed image, with noise.
-
-        Parameters
-        ----------
-        grey : (height, width) array
-            The reference image, grey levels.
-        noise : float
-            Standard deviation, grey levels.
-
-        Returns
-        -------
-        (height, width) array
-            Grey levels.
-        """
+        """Render the deformed image of ``grey``, (height, width), with noise of a standard deviation; grey levels."""
         height, width = grey.shape
         y, x = np.mgrid[0:height, 0:width]
         pixels = np.column_stack([x.ravel(), y.ravel()]).astype(np.float64)
@@ -126,7 +93,6 @@ class VirtualFrames:
     Attributes
     ----------
     team : Team
-        All ranks.
     inputs : Inputs
         Of one camera.
     """
@@ -146,17 +112,9 @@ class VirtualFrames:
         return Material() if section is None else Material(section.poisson_ratio, section.plane)
 
     def find_noise_transfer(self, trials: Sequence[Trial]) -> float:
-        """Find what interpolation leaves of the deformed image's noise where the specimen has moved.
+        """Find what interpolation leaves of the deformed image's noise where the specimen has moved, from 0 to 1.
 
-        Parameters
-        ----------
-        trials : sequence of Trial
-            Of the pair; the first that measured it counts.
-
-        Returns
-        -------
-        float
-            From 0 to 1.
+        Of the trials of the pair the first that measured it counts.
         """
         measured = next(trial for trial in trials if not trial.failure)
         is_known = np.isfinite(measured.displacement).all(axis=1)
@@ -165,17 +123,9 @@ class VirtualFrames:
         return float(table.find(measured.displacement[is_known])[:, 0].mean())
 
     def measure_gradient(self, points: NDArray[np.float64]) -> float:
-        """Measure the mean square of the reference image's gradient; collective.
+        """Measure the mean square of the reference image's gradient at the pixels next to points, (n, 2); collective.
 
-        Parameters
-        ----------
-        points : (n, 2) array
-            At the pixels next to these.
-
-        Returns
-        -------
-        float
-            Both components together, grey levels squared per square pixel.
+        Both components together, grey levels squared per square pixel.
         """
         image, degree = self.reference.image, self.inputs.case.correlation.spline_degree
 
@@ -188,21 +138,9 @@ class VirtualFrames:
         return self.team.on_root(measure)
 
     def render(self, truth: VirtualTruth, noise: float) -> Frame:
-        """Render the deformed image of a displacement; collective.
+        """Render the deformed image of a displacement, with noise of a standard deviation, grey levels; collective.
 
         Every rank holds it whole, 4 bytes a pixel.
-
-        Parameters
-        ----------
-        truth : VirtualTruth
-            The displacement.
-        noise : float
-            Standard deviation, grey levels.
-
-        Returns
-        -------
-        Frame
-            The virtual image.
         """
         image = self.reference.image
         values = self.team.on_root(lambda: truth.render(

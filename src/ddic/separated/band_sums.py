@@ -23,18 +23,7 @@ Place = tuple[int, int]
 
 
 def divide_rows(along_y: LineElements) -> list[range]:
-    """Divide the rows of a rectangle into bands.
-
-    Parameters
-    ----------
-    along_y : LineElements
-        Of the rectangle.
-
-    Returns
-    -------
-    list of range
-        Rows of the image, N_BANDS of them or one a row.
-    """
+    """Divide the rows of a rectangle into N_BANDS bands, or one a row where there are fewer."""
     rows = along_y.pixels
     edges = np.linspace(rows.start, rows.stop, min(N_BANDS, len(rows)) + 1).round().astype(int)
     return [range(int(a), int(b)) for a, b in pairwise(edges)]
@@ -55,15 +44,7 @@ class BandTree:
     groups: dict[Place, Array] = field(default_factory=dict)
 
     def add(self, place: Place, values: Array) -> None:
-        """Add a group's sum.
-
-        Parameters
-        ----------
-        place : (level, number)
-            Of the group.
-        values : array
-            Its sum.
-        """
+        """Add a group's sum."""
         level, number = place
         neighbour = self.groups.pop((level, number ^ 1), None)
         if neighbour is None:
@@ -73,13 +54,7 @@ class BandTree:
         self.add((level + 1, number // 2), first + second)
 
     def finish(self) -> Array:
-        """Sum what is left: one group where the number of bands is a power of 2.
-
-        Returns
-        -------
-        array
-            Of all bands.
-        """
+        """Sum what is left: one group where the number of bands is a power of 2."""
         total, *others = (self.groups[place] for place in sorted(self.groups, key=_first_band))
         for values in others:
             total = total + values
@@ -91,20 +66,7 @@ def _first_band(place: Place) -> int:
 
 
 def build_tree(first: int, of_bands: Iterable[Array]) -> BandTree:
-    """Sum arrays of bands that follow each other, as far as neighbours are there.
-
-    Parameters
-    ----------
-    first : int
-        Number of the first band.
-    of_bands : iterable of array
-        Of one shape.
-
-    Returns
-    -------
-    BandTree
-        Sums of groups.
-    """
+    """Sum arrays of one shape of bands that follow each other from number ``first``, as far as neighbours are there."""
     tree = BandTree()
     for number, values in enumerate(of_bands, start=first):
         tree.add((0, number), values)
@@ -112,18 +74,7 @@ def build_tree(first: int, of_bands: Iterable[Array]) -> BandTree:
 
 
 def join_trees(groups: Iterable[Mapping[Place, Array]]) -> Array:
-    """Sum the groups of all ranks.
-
-    Parameters
-    ----------
-    groups : iterable of mapping
-        Of each rank's tree.
-
-    Returns
-    -------
-    array
-        Of all bands.
-    """
+    """Sum the groups of all ranks."""
     tree = BandTree()
     for of_rank in groups:
         for place, values in of_rank.items():
@@ -135,63 +86,19 @@ class BandSums(Protocol):
     """Brings together what bands of rows give; every rank has the result."""
 
     def add_up(self, of_bands: Iterable[Array]) -> Array:
-        """Sum arrays of one shape.
-
-        Parameters
-        ----------
-        of_bands : iterable of array
-            One of each owned band, in order.
-
-        Returns
-        -------
-        array
-            Sum over the bands of all ranks.
-        """
+        """Sum arrays of one shape, one of each owned band in order, over the bands of all ranks."""
         ...
 
     def join(self, of_bands: Iterable[Array]) -> Array:
-        """Put arrays side by side along their last axis.
-
-        Parameters
-        ----------
-        of_bands : iterable of array
-            One of each owned band, in order.
-
-        Returns
-        -------
-        array
-            Of all rows.
-        """
+        """Put arrays, one of each owned band in order, side by side along their last axis, those of all ranks."""
         ...
 
     def broadcast(self, item: T) -> T:
-        """Give all ranks what the first one has, so that rounding lets none of them decide otherwise.
-
-        Parameters
-        ----------
-        item : object
-            Of this rank.
-
-        Returns
-        -------
-        object
-            Of the first rank.
-        """
+        """Give all ranks what the first one has, so that rounding lets none of them decide otherwise."""
         ...
 
     def together(self, work: Callable[[], T]) -> T:
-        """Run work that may fail on one rank alone.
-
-        Parameters
-        ----------
-        work : callable
-            Free of communication.
-
-        Returns
-        -------
-        object
-            Its result.
-        """
+        """Run work, free of communication, that may fail on one rank alone, and return its result."""
         ...
 
 

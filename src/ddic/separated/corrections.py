@@ -30,21 +30,8 @@ def estimate_noise_gain(along_x: LineElements, along_y: LineElements, density: f
 
     Seen with M^(-1/2), noise is a random matrix of n_x by n_y independent entries for each component, whose largest
     singular value is sqrt(n_x) + sqrt(n_y) of their standard deviation. Regularisation leaves as many functions as
-    waves fit into a side.
-
-    Parameters
-    ----------
-    along_x, along_y : LineElements
-        Of the rectangle.
-    density : float or None
-        Functions per pixel of a side that the regularisation lets through; None without one.
-    residual_rms : float
-        Of the residual, taken for noise, grey levels.
-
-    Returns
-    -------
-    float
-        Grey levels squared; 0.76 to 0.9 of it were measured on noise without regularisation.
+    waves fit into a side: ``density`` of them per pixel, None without regularisation. ``residual_rms`` is taken for
+    noise. Grey levels squared; 0.76 to 0.9 of it were measured on noise without regularisation.
     """
     n_x, n_y = (_count_functions(line, density) for line in (along_x, along_y))
     # Half of the square of the largest singular value, for each of two components.
@@ -201,33 +188,10 @@ def correct_displacement(pixels: FramePixels, start: SeparatedField, regularizat
                          note: Callable[[CorrectionRecord], None]) -> SeparatedSolution:
     """Correct a displacement mode by mode until it converges, or noise is all that is left.
 
-    Parameters
-    ----------
-    pixels : FramePixels
-        Both images.
-    start : SeparatedField
-        Where corrections begin.
-    regularization : Regularization or None
-        What is added to the residual.
-    scheme : Scheme
-        How corrections are found.
-    rules : StoppingRules
-        When they end.
-    note : callable
-        Told every correction; a ConvergenceError that it raises ends the corrections.
-
-    Returns
-    -------
-    SeparatedSolution
-        The displacement.
-
-    Raises
-    ------
-    ConvergenceError
-        Where neither rule is met after ``max_corrections``, noise is all that is left of images that do not match, or
-        ``note`` raises it; with the last SeparatedSolution.
-    SingularSubdomainError
-        Where the images do not determine a correction.
+    ``note`` is told every correction; a ConvergenceError that it raises ends the corrections. Raises ConvergenceError,
+    with the last SeparatedSolution, where neither rule is met after ``max_corrections``, noise is all that is left of
+    images that do not match, or ``note`` raises it; SingularSubdomainError where the images do not determine a
+    correction.
     """
     operator = None if regularization is None else regularization.operator
     density = None if regularization is None else regularization.density

@@ -1,8 +1,8 @@
 """A displacement as a sum of products of functions of x and of y, Eq. (12) of [PP12].
 
-One-dimensional linear elements along a side of a rectangle, and the pixels that lie in them.
-
-Matrices of one-dimensional problems by their diagonals: entry [w + k, i] of (2 w + 1, n) couples i to i + k.
+The functions are those of one-dimensional linear elements along a side of a rectangle, which know the pixels that lie
+in them. Matrices of one-dimensional problems are kept by their diagonals: entry [w + k, i] of (2 w + 1, n) couples i to
+i + k.
 """
 
 from __future__ import annotations
@@ -67,46 +67,16 @@ class LineElements:
         return np.asarray((places - self.nodes[self._elements]) / np.diff(self.nodes)[self._elements])
 
     def count_pixels(self) -> NDArray[np.int64]:
-        """Count the pixels of each element.
-
-        Returns
-        -------
-        (n_nodes - 1,) int64 array
-            Along the line.
-        """
+        """Count the pixels of each element, (n_nodes - 1,)."""
         return np.bincount(self._elements, minlength=self.n_nodes - 1).astype(np.int64)
 
     def evaluate_at_pixels(self, values: Array) -> Array:
-        """Evaluate functions at pixel centres.
-
-        Parameters
-        ----------
-        values : (..., n_nodes) array
-            At the nodes.
-
-        Returns
-        -------
-        (..., n_pixels) array
-            At the pixels.
-        """
+        """Evaluate functions with values (..., n_nodes) at pixel centres, (..., n_pixels)."""
         lower = values[..., self._elements]
         return np.asarray(lower + self._shares * (values[..., self._elements + 1] - lower))
 
     def evaluate(self, values: Array, points: Array) -> Array:
-        """Evaluate functions anywhere.
-
-        Parameters
-        ----------
-        values : (..., n_nodes) array
-            At the nodes.
-        points : (n,) array
-            Pixels; beyond the ends a function keeps the value of the end.
-
-        Returns
-        -------
-        (..., n) array
-            At the points.
-        """
+        """Evaluate functions (..., n_nodes) at points (n,), pixels; beyond the ends they keep the value of the end."""
         places = np.clip(points, self.nodes[0], self.nodes[-1])
         elements = np.clip(np.searchsorted(self.nodes, places, side="right") - 1, 0, self.n_nodes - 2)
         shares = (places - self.nodes[elements]) / np.diff(self.nodes)[elements]
@@ -114,34 +84,12 @@ class LineElements:
         return np.asarray(lower + shares * (values[..., elements + 1] - lower))
 
     def sum_at_nodes(self, of_pixels: Array) -> Array:
-        """Sum per-pixel numbers against the shape functions.
-
-        Parameters
-        ----------
-        of_pixels : (n_pixels,) array
-            Any unit.
-
-        Returns
-        -------
-        (n_nodes,) array
-            N^T of_pixels.
-        """
+        """Sum per-pixel numbers against the shape functions: N^T of_pixels, (n_nodes,)."""
         upper = of_pixels * self._shares
         return self._sum_by_node(of_pixels - upper, 0) + self._sum_by_node(upper, 1)
 
     def assemble(self, weights: Array) -> Array:
-        """Assemble N^T diag(weights) N.
-
-        Parameters
-        ----------
-        weights : (n_pixels,) array
-            Any unit.
-
-        Returns
-        -------
-        (3, n_nodes) array
-            Its diagonals: entry [1 + k, i] couples node i to node i + k.
-        """
+        """Assemble N^T diag(weights) N, weights (n_pixels,), as diagonals (3, n_nodes)."""
         upper, lower = self._shares, 1.0 - self._shares
         bands = np.zeros((3, self.n_nodes))
         bands[1] = self._sum_by_node(weights * lower**2, 0) + self._sum_by_node(weights * upper**2, 1)
@@ -184,20 +132,7 @@ class LineElements:
 
 
 def multiply(bands: Array, vectors: Array) -> Array:
-    """Multiply matrices by vectors.
-
-    Parameters
-    ----------
-    bands : (..., 2 w + 1, n) array
-        Matrices.
-    vectors : (..., n) array
-        Vectors, of leading axes that broadcast with the matrices'.
-
-    Returns
-    -------
-    (..., n) array
-        Products.
-    """
+    """Multiply matrices (..., 2 w + 1, n) by vectors (..., n), whose leading axes broadcast with theirs."""
     width, n = bands.shape[-2] // 2, bands.shape[-1]
     product = bands[..., width, :] * vectors
     for k in range(1, min(width, n - 1) + 1):
@@ -207,18 +142,7 @@ def multiply(bands: Array, vectors: Array) -> Array:
 
 
 def multiply_matrices(left: Array, right: Array) -> Array:
-    """Multiply two matrices.
-
-    Parameters
-    ----------
-    left, right : (2 w + 1, n) array
-        Of one width w or two.
-
-    Returns
-    -------
-    (2 (w + w') + 1, n) array
-        left right.
-    """
+    """Multiply two matrices (2 w + 1, n) and (2 w' + 1, n); the product is (2 (w + w') + 1, n)."""
     of_left, of_right, n = len(left) // 2, len(right) // 2, left.shape[1]
     width = of_left + of_right
     product = np.zeros((2 * width + 1, n))
@@ -230,18 +154,7 @@ def multiply_matrices(left: Array, right: Array) -> Array:
 
 
 def transpose(bands: Array) -> Array:
-    """Transpose a matrix.
-
-    Parameters
-    ----------
-    bands : (2 w + 1, n) array
-        A matrix.
-
-    Returns
-    -------
-    (2 w + 1, n) array
-        Its transpose.
-    """
+    """Transpose a matrix (2 w + 1, n)."""
     width, n = len(bands) // 2, bands.shape[1]
     turned = np.zeros_like(bands)
     for k in range(-width, width + 1):
@@ -251,20 +164,7 @@ def transpose(bands: Array) -> Array:
 
 
 def pad_diagonals(bands: Array, width: int) -> Array:
-    """Add empty diagonals.
-
-    Parameters
-    ----------
-    bands : (..., 2 w + 1, n) array
-        Matrices.
-    width : int
-        At least w.
-
-    Returns
-    -------
-    (..., 2 width + 1, n) array
-        The same matrices.
-    """
+    """Add empty diagonals to matrices (..., 2 w + 1, n) up to ``width``, which is at least w."""
     more = width - bands.shape[-2] // 2
     if not more:
         return bands
@@ -272,26 +172,10 @@ def pad_diagonals(bands: Array, width: int) -> Array:
 
 
 def solve_coupled(blocks: Array, right: Array, what: str) -> Array:
-    """Solve a symmetric positive definite system of several coupled functions along one direction.
+    """Solve a symmetric positive definite system of several coupled functions along one direction, (m, n).
 
-    Parameters
-    ----------
-    blocks : (m, m, 2 w + 1, n) array
-        Of functions c and d, the matrix that couples them.
-    right : (m, n) array
-        Right-hand sides.
-    what : str
-        Names the system in the message.
-
-    Returns
-    -------
-    (m, n) array
-        The functions at the nodes.
-
-    Raises
-    ------
-    SingularSubdomainError
-        Where the matrix is not positive definite.
+    Of functions c and d, ``blocks`` (m, m, 2 w + 1, n) holds the matrix that couples them. Raises
+    SingularSubdomainError, in which ``what`` names the system, where the matrix is not positive definite.
     """
     m, width, n = len(blocks), blocks.shape[2] // 2, blocks.shape[3]
     # Function c of node i has the number m i + c; upper form of LAPACK.
@@ -311,18 +195,7 @@ def solve_coupled(blocks: Array, right: Array, what: str) -> Array:
 
 
 def add_up(bands: Sequence[Array]) -> Array:
-    """Add matrices of different widths.
-
-    Parameters
-    ----------
-    bands : sequence of (..., 2 w + 1, n) array
-        At least one.
-
-    Returns
-    -------
-    (..., 2 w + 1, n) array
-        Their sum, as wide as the widest.
-    """
+    """Add matrices (..., 2 w + 1, n) of different widths, at least one; the sum is as wide as the widest."""
     width = max(matrix.shape[-2] // 2 for matrix in bands)
     total = pad_diagonals(bands[0], width)
     for matrix in bands[1:]:
@@ -367,53 +240,18 @@ class SeparatedField:
         return np.asarray(self.x * self.amplitudes[..., None])
 
     def add(self, other: SeparatedField) -> SeparatedField:
-        """Add the modes of another field on the same elements.
-
-        Parameters
-        ----------
-        other : SeparatedField
-            Its modes come last.
-
-        Returns
-        -------
-        SeparatedField
-            The sum.
-        """
+        """Add the modes of another field on the same elements; they come last."""
         return SeparatedField(self.along_x, self.along_y, np.concatenate([self.amplitudes, other.amplitudes]),
                               np.concatenate([self.x, other.x]), np.concatenate([self.y, other.y]))
 
     def evaluate_on_grid(self, x: Array, y: Array) -> Array:
-        """Evaluate on a grid.
-
-        Parameters
-        ----------
-        x : (n_columns,) array
-            Pixels.
-        y : (n_rows,) array
-            Pixels.
-
-        Returns
-        -------
-        (n_rows, n_columns, 2) array
-            Displacement, pixels.
-        """
+        """Evaluate the displacement on a grid, (n_rows, n_columns, 2), pixels."""
         of_x = self.along_x.evaluate(self.scaled_x, x)
         of_y = self.along_y.evaluate(self.y, y)
         return np.stack([of_y[:, c].T @ of_x[:, c] for c in range(2)], axis=-1)
 
     def at(self, points: Array) -> Array:
-        """Evaluate at points.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n, 2) array
-            Displacement, pixels; nan outside the rectangle.
-        """
+        """Evaluate the displacement at points (n, 2), pixels; nan outside the rectangle."""
         u = np.zeros(points.shape)
         for amplitude, x, y in zip(self.amplitudes, self.x, self.y, strict=True):
             products = self.along_x.evaluate(x, points[:, 0]) * self.along_y.evaluate(y, points[:, 1])
@@ -424,18 +262,7 @@ class SeparatedField:
         return np.where(inside[:, None], u, np.nan)
 
     def measure_rms(self, *, without_mean: bool = False) -> Array:
-        """Measure the root mean square over the rectangle from the functions alone.
-
-        Parameters
-        ----------
-        without_mean : bool
-            Whether each component's mean is taken off first.
-
-        Returns
-        -------
-        (2,) array
-            Of both components, pixels.
-        """
+        """Measure the root mean square over the rectangle from the functions alone, (2,), pixels."""
         of_x, of_y = (_multiply_all(line, functions) for line, functions in ((self.along_x, self.x),
                                                                              (self.along_y, self.y)))
         squares = np.einsum("kc,lc,ckl,ckl->c", self.amplitudes, self.amplitudes, of_x, of_y)
@@ -445,35 +272,16 @@ class SeparatedField:
         return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
 
     def measure_difference(self, other: SeparatedField) -> Array:
-        """Measure the root mean square difference to another field, however small beside both.
-
-        Parameters
-        ----------
-        other : SeparatedField
-            On the same elements.
-
-        Returns
-        -------
-        (2,) array
-            Of both components, pixels.
-        """
+        """Measure the RMS difference to another field on the same elements, however small beside both, (2,), pixels."""
         negative = SeparatedField(other.along_x, other.along_y, -other.amplitudes, other.x, other.y)
         # Sums of squares of the products would cancel: half of the digits would be lost.
         return np.asarray(np.sqrt((self.add(negative).reduce_modes(0.0).amplitudes**2).sum(axis=0)))
 
     def reduce_modes(self, tolerance: float) -> SeparatedField:
-        """Write the same field with orthogonal functions, largest first.
+        """Write the same field with orthogonal functions, as few as ``tolerance`` allows, largest first.
 
-        Parameters
-        ----------
-        tolerance : float
-            RMS displacement that may be lost in each component, pixels.
-
-        Returns
-        -------
-        SeparatedField
-            With as few modes as that allows: a QR factorisation of the functions of each direction, and a singular
-            value decomposition of what couples them.
+        That is the RMS displacement that may be lost in each component, pixels. A QR factorisation of the functions of
+        each direction, and a singular value decomposition of what couples them.
         """
         if not self.n_modes:
             return self
@@ -485,18 +293,7 @@ class SeparatedField:
 
 
 def build_zero_field(along_x: LineElements, along_y: LineElements) -> SeparatedField:
-    """Build a field without modes.
-
-    Parameters
-    ----------
-    along_x, along_y : LineElements
-        Of its functions.
-
-    Returns
-    -------
-    SeparatedField
-        Zero everywhere.
-    """
+    """Build a field without modes, zero everywhere."""
     return SeparatedField(along_x, along_y, np.zeros((0, 2)), np.zeros((0, 2, along_x.n_nodes)),
                           np.zeros((0, 2, along_y.n_nodes)))
 
@@ -504,19 +301,7 @@ def build_zero_field(along_x: LineElements, along_y: LineElements) -> SeparatedF
 def scale_modes(along_x: LineElements, along_y: LineElements, x: Array, y: Array) -> SeparatedField:
     """Give modes functions of mean square 1, and amplitudes.
 
-    Parameters
-    ----------
-    along_x, along_y : LineElements
-        Of the functions.
-    x : (n_modes, 2, n_x) array
-        Functions of x.
-    y : (n_modes, 2, n_y) array
-        Functions of y; their products with those of x are displacements, pixels.
-
-    Returns
-    -------
-    SeparatedField
-        The same displacement.
+    The products of ``x`` (n_modes, 2, n_x) and ``y`` (n_modes, 2, n_y) are displacements, pixels.
     """
     sizes = _measure_functions(along_x, x), _measure_functions(along_y, y)
     safe = [np.where(size > _TINY, size, 1.0)[..., None] for size in sizes]
@@ -526,19 +311,8 @@ def scale_modes(along_x: LineElements, along_y: LineElements, x: Array, y: Array
 def factorize_grid(along_x: LineElements, along_y: LineElements, values: Array, tolerance: float) -> SeparatedField:
     """Separate a displacement that is given on the grid of all nodes or on a coarser one.
 
-    Parameters
-    ----------
-    along_x, along_y : LineElements
-        Of the grid's lines.
-    values : (n_rows, n_columns, 2) array
-        Displacement of its nodes, pixels.
-    tolerance : float
-        RMS displacement of the nodes that may be lost in each component, pixels.
-
-    Returns
-    -------
-    SeparatedField
-        A singular value decomposition of each component.
+    A singular value decomposition of each component of ``values`` (n_rows, n_columns, 2), pixels; ``tolerance`` is the
+    RMS displacement of the nodes that may be lost in each, pixels.
     """
     found = []
     for c in range(2):
@@ -561,21 +335,9 @@ def _recompress_component(field: SeparatedField, c: int, tolerance: float) -> tu
 
 
 def orthonormalize(line: LineElements, functions: Array) -> tuple[Array, Array]:
-    """Find orthogonal functions of mean square 1 that make up others, one after the other.
+    """Find orthogonal functions of mean square 1 that make up others (m, n_nodes), one after the other.
 
-    Parameters
-    ----------
-    line : LineElements
-        On which they live.
-    functions : (m, n_nodes) array
-        At the nodes.
-
-    Returns
-    -------
-    orthonormal : (k, n_nodes) array
-        Q, k the smaller one of m and n_nodes.
-    coefficients : (k, m) array
-        R, upper triangular: functions = R^T Q.
+    Returns Q (k, n_nodes), k the smaller one of m and n_nodes, and R (k, m), upper triangular: functions = R^T Q.
     """
     # With the Cholesky factor L of the mass matrix, L^T f has the function's norm for its length.
     n = line.n_nodes

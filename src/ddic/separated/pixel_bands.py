@@ -71,21 +71,9 @@ class ReferencePixels:
     sums: BandSums
 
     def sum_texture(self, component: int, of_columns: Array, of_rows: Array) -> float:
-        """Sum f_a^2 p(x) q(y) over the pixels of all ranks.
+        """Sum f_a^2 p(x) q(y) over the pixels of all ranks, grey levels squared times the units of p and q.
 
-        Parameters
-        ----------
-        component : int
-            a.
-        of_columns : (width,) array
-            p.
-        of_rows : (height,) array
-            q.
-
-        Returns
-        -------
-        float
-            Grey levels squared, times the units of p and q.
+        ``component`` is a, ``of_columns`` (width,) are p and ``of_rows`` (height,) q.
         """
         first = self.along_y.pixels.start
         found = []
@@ -97,22 +85,7 @@ class ReferencePixels:
 
 
 def cut_bands(reference: GradientImage, along_x: LineElements, rows: Sequence[range]) -> list[ReferenceBand]:
-    """Cut a window of the reference image into bands.
-
-    Parameters
-    ----------
-    reference : GradientImage
-        Of a window that holds them.
-    along_x : LineElements
-        Whose pixels are the columns.
-    rows : sequence of range
-        Of the bands.
-
-    Returns
-    -------
-    list of ReferenceBand
-        In order.
-    """
+    """Cut bands of rows out of a window that holds them; their columns are the pixels of ``along_x``."""
     bands = []
     for of_band in rows:
         window = Window(along_x.pixels.start, of_band.start, along_x.pixels.stop, of_band.stop)
@@ -126,18 +99,7 @@ def cut_bands(reference: GradientImage, along_x: LineElements, rows: Sequence[ra
 
 
 def count_usable(bands: Sequence[ReferenceBand]) -> int:
-    """Count the pixels that are not left out.
-
-    Parameters
-    ----------
-    bands : sequence of ReferenceBand
-        Of one rank.
-
-    Returns
-    -------
-    int
-        Of these bands.
-    """
+    """Count the pixels of one rank's bands that are not left out."""
     return sum(int(np.isfinite(band.values).sum()) for band in bands)
 
 
@@ -189,15 +151,8 @@ class FramePixels:
     def integrate_over_y(self, functions: Array) -> Array:
         """Integrate Eq. (19) of [PP12] over the rows, for both components in one sweep.
 
-        Parameters
-        ----------
-        functions : (2, height) array
-            Y of both components in each row.
-
-        Returns
-        -------
-        (5, width) array
-            Sums of f_x^2 Y1^2, f_x f_y Y1 Y2, f_y^2 Y2^2, r f_x Y1 and r f_y Y2.
+        ``functions`` (2, height) are Y of both components in each row, the sums (5, width) those of f_x^2 Y1^2, f_x f_y
+        Y1 Y2, f_y^2 Y2^2, r f_x Y1 and r f_y Y2.
         """
         first = self.reference.along_y.pixels.start
         found = []
@@ -212,15 +167,8 @@ class FramePixels:
     def integrate_over_x(self, functions: Array) -> Array:
         """Integrate Eq. (22) of [PP12] over the columns, for both components in one sweep.
 
-        Parameters
-        ----------
-        functions : (2, width) array
-            X of both components in each column.
-
-        Returns
-        -------
-        (5, height) array
-            Sums of f_x^2 X1^2, f_x f_y X1 X2, f_y^2 X2^2, r f_x X1 and r f_y X2.
+        ``functions`` (2, width) are X of both components in each column, the sums (5, height) those of f_x^2 X1^2, f_x
+        f_y X1 X2, f_y^2 X2^2, r f_x X1 and r f_y X2.
         """
         functions = np.ascontiguousarray(functions)
         found = []
@@ -233,19 +181,10 @@ class FramePixels:
     def integrate_pairs(self, functions: Array, *, along_y: bool) -> tuple[Array, Array]:
         """Integrate all pairs of several functions against the slopes, and each against the residual.
 
-        Parameters
-        ----------
-        functions : (n_modes, 2, height or width) array
-            Of the direction that is integrated over, at its pixels.
-        along_y : bool
-            Whether what is left is a function of y, and integrals are over x.
-
-        Returns
-        -------
-        pairs : (2 n_modes, 2 n_modes, n) array
-            Sums of f_c f_d v w for v of component c and w of component d; function k of component c is 2 k + c.
-        single : (2 n_modes, n) array
-            Sums of r f_c v.
+        ``functions`` (n_modes, 2, height or width) are those of the direction that is integrated over, at its pixels;
+        with ``along_y`` what is left is a function of y, and integrals are over x. Returns (2 n_modes, 2 n_modes, n)
+        sums of f_c f_d v w for v of component c and w of component d, function k of component c being 2 k + c, and (2
+        n_modes, n) sums of r f_c v.
         """
         sums = self.reference.sums
         of_bands = self._integrate_bands(functions, along_y=along_y)
@@ -274,17 +213,10 @@ class FramePixels:
             yield found
 
     def sum_blocks(self, edges_x: NDArray[np.int64], edges_y: NDArray[np.int64]) -> Array:
-        """Sum the residual against grad f over blocks of pixels.
+        """Sum the residual against grad f over blocks of pixels: r f_x and r f_y, (2, n_y, n_x).
 
-        Parameters
-        ----------
-        edges_x, edges_y : (n + 1,) int64 array
-            Columns and rows where blocks begin, counted from the rectangle's first ones.
-
-        Returns
-        -------
-        (2, n_y, n_x) array
-            Sums of r f_x and r f_y.
+        ``edges_x`` and ``edges_y`` (n + 1,) are columns and rows where blocks begin, counted from the rectangle's first
+        ones.
         """
         first = self.reference.along_y.pixels.start
         found = []
@@ -296,31 +228,12 @@ class FramePixels:
         return self.reference.sums.add_up(found)
 
     def evaluate(self, displacement: SeparatedField) -> GreySums:
-        """Evaluate the residual at a displacement.
-
-        Parameters
-        ----------
-        displacement : SeparatedField
-            u.
-
-        Returns
-        -------
-        GreySums
-            Over the pixels of all ranks that count.
-        """
+        """Evaluate the residual at a displacement, and its sums over the pixels of all ranks that count."""
         sums = self.reference.sums
         return GreySums(sums.add_up(sums.together(lambda: self._fill(displacement))))
 
     def correct_grey_levels(self, gain: float, offset: float) -> None:
-        """Turn the residual f - g(x + u) into f - gain g(x + u) - offset.
-
-        Parameters
-        ----------
-        gain : float
-            No unit.
-        offset : float
-            Grey levels.
-        """
+        """Turn the residual f - g(x + u) into f - gain g(x + u) - offset, the offset in grey levels."""
         for band in self.bands:
             r = band.residual.astype(np.float64)
             corrected = r - (gain - 1.0) * (band.reference.values - r) - offset
@@ -328,22 +241,7 @@ class FramePixels:
 
     def compute_residual_rows(self, displacement: SeparatedField, gain: float,
                               offset: float) -> list[tuple[range, Grey]]:
-        """Compute the residual image.
-
-        Parameters
-        ----------
-        displacement : SeparatedField
-            u.
-        gain : float
-            No unit.
-        offset : float
-            Grey levels.
-
-        Returns
-        -------
-        list of (range, (n_rows, width) array)
-            Rows and f - gain g(x + u) - offset of each owned band; nan where a pixel does not count.
-        """
+        """Compute rows and residual f - gain g(x + u) - offset of each owned band; nan where a pixel does not count."""
         found = []
 
         def keep(band: FrameBand, residual: Grey) -> None:

@@ -67,20 +67,10 @@ class Direction:
     name: str
 
     def solve(self, given: Array) -> tuple[Array, float]:
-        """Find both components' functions, coupled: Eq. (19)-(21) of [PP12].
+        """Find both components' functions (2, n), coupled, for given ones (2, n_other): Eq. (19)-(21) of [PP12].
 
-        Parameters
-        ----------
-        given : (2, n_other) array
-            Functions of the other direction at its nodes.
-
-        Returns
-        -------
-        functions : (2, n) array
-            At the nodes.
-        gain : float
-            By how much the correction lowers half the sum of squared residuals with its regularisation, grey levels
-            squared.
+        Also returns by how much the correction lowers half the sum of squared residuals with its regularisation, grey
+        levels squared.
         """
         sums = self.integrate(self.other.evaluate_at_pixels(given))
         xx, xy, yy = (self.line.assemble(row) for row in sums[:3])
@@ -105,20 +95,7 @@ class Direction:
 
 
 def hold_nodes(line: LineElements, blocks: Array) -> Array:
-    """Give what holds the nodes that no pixel shows.
-
-    Parameters
-    ----------
-    line : LineElements
-        Of the functions sought.
-    blocks : (m, m, 3, n) array
-        What pixels give, by the functions that it couples.
-
-    Returns
-    -------
-    (m, m, 3, n) array
-        Diagonal in the functions.
-    """
+    """Give what holds the nodes that no pixel shows, diagonal in the functions; (m, m, 3, n), as the given blocks."""
     every = np.arange(len(blocks))
     scale = HELD * float(blocks[every, every, 1].mean()) / float(line.stiffness[1].mean())
     held = scale * line.stiffness
@@ -149,21 +126,9 @@ class Mode:
 
 def build_directions(pixels: FramePixels, operator: SeparatedOperator | None,
                      displacement: SeparatedField) -> tuple[Direction, Direction]:
-    """Set up both halves of the fixed point at a displacement.
+    """Set up both halves of the fixed point, for functions of x and of y, at a displacement.
 
-    Parameters
-    ----------
-    pixels : FramePixels
-        With the residual there.
-    operator : SeparatedOperator or None
-        Regularisation, weight included.
-    displacement : SeparatedField
-        u.
-
-    Returns
-    -------
-    along_x, along_y : Direction
-        For functions of x, and of y.
+    ``pixels`` hold the residual there; ``operator`` is the regularisation, weight included.
     """
     x, y = pixels.reference.along_x, pixels.reference.along_y
     none = np.zeros((0, 0, 0))
@@ -177,21 +142,8 @@ def find_rank_one(pixels: FramePixels, directions: tuple[Direction, Direction], 
                   stagnation: float) -> Mode:
     """Find the rank-one correction that fits the residual best.
 
-    Parameters
-    ----------
-    pixels : FramePixels
-        With the residual.
-    directions : tuple of Direction
-        Of x and of y, at the same displacement.
-    max_sweeps : int
-        k_max, of both directions each.
-    stagnation : float
-        e: change of the correction from sweep to sweep, relative to it, at which it is taken.
-
-    Returns
-    -------
-    Mode
-        The correction.
+    It is taken after ``max_sweeps`` (k_max) of both directions each, or where its change from sweep to sweep, relative
+    to it, is ``stagnation`` (e) or less.
     """
     along_x, along_y = directions
     broadcast = pixels.reference.sums.broadcast
@@ -210,18 +162,7 @@ def find_rank_one(pixels: FramePixels, directions: tuple[Direction, Direction], 
 
 
 def estimate_functions(pixels: FramePixels) -> Array:
-    """Guess functions of y from the residual in blocks.
-
-    Parameters
-    ----------
-    pixels : FramePixels
-        With the residual.
-
-    Returns
-    -------
-    (2, n_y) array
-        Of both components: what changes most from block to block, by singular value decompositions.
-    """
+    """Guess functions of y, (2, n_y): what changes most from block to block of the residual, by singular values."""
     along_x, along_y = pixels.reference.along_x, pixels.reference.along_y
     edges_x, edges_y = (_block_edges(line) for line in (along_x, along_y))
     sums = pixels.sum_blocks(edges_x, edges_y)
@@ -273,32 +214,10 @@ def renew_functions(pixels: FramePixels, operator: SeparatedOperator | None, dis
                      mode: SeparatedField, *, along_y: bool, loss: float) -> SeparatedField:
     """Find all functions of one direction anew, those of the other direction and of a new mode kept.
 
-    One banded system couples all modes and both components. The functions kept are made orthogonal first.
-
-    Parameters
-    ----------
-    pixels : FramePixels
-        With the residual at the displacement.
-    operator : SeparatedOperator or None
-        Regularisation, weight included.
-    displacement : SeparatedField
-        u.
-    mode : SeparatedField
-        The correction that brings a new function to keep.
-    along_y : bool
-        Whether functions of y are found anew, not those of x.
-    loss : float
-        RMS displacement that making functions orthogonal may lose, pixels.
-
-    Returns
-    -------
-    SeparatedField
-        u with the correction that is best for these functions.
-
-    Raises
-    ------
-    SingularSubdomainError
-        Where the images do not determine the functions.
+    One banded system couples all modes and both components. The functions kept are made orthogonal first, by which
+    ``loss`` of RMS displacement, pixels, may be lost. Functions of y are found anew if ``along_y``, those of x
+    otherwise; ``operator`` includes its weight. Raises SingularSubdomainError where the images do not determine the
+    functions.
     """
     line, other = (mode.along_y, mode.along_x) if along_y else (mode.along_x, mode.along_y)
     functions = pixels.reference.sums.broadcast(_choose_functions(displacement, mode, along_y=along_y))

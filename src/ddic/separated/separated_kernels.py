@@ -1,7 +1,8 @@
 """Compiled loops over rows of pixels: the integrals of Eq. (19) of [PP12], and the residual f - g(x + u).
 
 Both components' integrals come from one sweep over the image, which then runs at the speed of the memory: a pixel
-brings 12 bytes (f_x, f_y and the residual, float32), everything summed is float64.
+brings 12 bytes (f_x, f_y and the residual, float32), everything summed is float64. Slopes ``by_x`` and ``by_y``, f_x
+and f_y in grey levels per pixel, and the residual r, grey levels, are (height, width) float32 in all of them.
 """
 # mypy: disable-error-code="no-untyped-def, assignment"
 
@@ -25,19 +26,7 @@ N_GREY = 6
 
 @numba.njit(**FLAGS)
 def sum_over_rows(by_x, by_y, residual, functions, sums):
-    """Add integrals over the rows of a band.
-
-    Parameters
-    ----------
-    by_x, by_y : (height, width) float32 array
-        Slopes f_x and f_y, grey levels per pixel.
-    residual : (height, width) float32 array
-        r, grey levels.
-    functions : (2, height) array
-        v and w: Y of both components in each row.
-    sums : (5, width) array
-        Added to.
-    """
+    """Add integrals over a band's rows to ``sums`` (5, width); ``functions`` (2, height) are v and w: Y in each."""
     height, width = residual.shape
     # One array for all five, a constant apart: the compiler then knows that they do not overlap.
     tile = np.empty(N_SUMS * TILE)
@@ -62,19 +51,7 @@ def sum_over_rows(by_x, by_y, residual, functions, sums):
 
 @numba.njit(**FLAGS)
 def sum_over_columns(by_x, by_y, residual, functions, sums):
-    """Compute integrals over the columns of a band.
-
-    Parameters
-    ----------
-    by_x, by_y : (height, width) float32 array
-        Slopes f_x and f_y, grey levels per pixel.
-    residual : (height, width) float32 array
-        r, grey levels.
-    functions : (2, width) array
-        v and w: X of both components in each column.
-    sums : (5, height) array
-        Overwritten.
-    """
+    """Set ``sums`` (5, height) to integrals over a band's columns; ``functions`` (2, width) are v and w: X in each."""
     height, width = residual.shape
     for j in range(height):
         s0, s1, s2, s3, s4 = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -92,20 +69,10 @@ def sum_over_columns(by_x, by_y, residual, functions, sums):
 
 @numba.njit(**FLAGS)
 def sum_blocks(by_x, by_y, residual, first_row, edges_y, edges_x, sums):
-    """Add r f_x and r f_y over blocks of pixels.
+    """Add r f_x and r f_y over blocks of pixels to ``sums`` (2, n_y, n_x).
 
-    Parameters
-    ----------
-    by_x, by_y : (height, width) float32 array
-        Slopes f_x and f_y, grey levels per pixel.
-    residual : (height, width) float32 array
-        r, grey levels.
-    first_row : int
-        Of the band, counted from the rectangle's first row.
-    edges_y, edges_x : (n + 1,) int64 array
-        Rows and columns where blocks begin, counted from the rectangle's first ones.
-    sums : (2, n_y, n_x) array
-        Added to.
+    ``first_row`` of the band, and ``edges_y`` and ``edges_x`` (n + 1,), where blocks begin, are counted from the
+    rectangle's first row and column.
     """
     height = residual.shape[0]
     row = 0
@@ -167,30 +134,14 @@ def _evaluate_spline(spline, left, top, right_by, down_by, degree, wx, wy):
 
 @numba.njit(**FLAGS)
 def fill_residual(values, ux, uy, x0, y0, spline, degree, spline_x0, spline_y0, usable, extent, residual, report):
-    """Compute the residual of a block of pixels.
+    """Compute the residual f - g(x + u) of a block of pixels, grey levels; nan where a pixel does not count.
 
-    Parameters
-    ----------
-    values : (height, width) float32 array
-        f, grey levels; nan where a pixel is left out.
-    ux, uy : (height, width) array
-        Displacement, pixels.
-    x0, y0 : int
-        First column and row of the block.
-    spline : (rows, columns) float32 array
-        Coefficients of g's window, padded.
-    degree : int
-        3 or 5.
-    spline_x0, spline_y0 : int
-        First column and row of that window.
-    usable : (height, width) uint8 array
-        Of the window, as ``SplineImage`` has it; (0, 0) where nothing is excluded.
-    extent : (int, int)
-        Width and height of the image.
-    residual : (height, width) float32 array
-        Overwritten: f - g(x + u), grey levels; nan where a pixel does not count.
-    report : (7,) array
-        Added to: the six sums of ``GreySums``, then the number of pixels displaced beyond the window.
+    ``values`` of f (float32, nan where a pixel is left out), the displacement ``ux`` and ``uy``, pixels, and
+    ``residual``, which is overwritten, are (height, width) of the block, whose first column and row are ``x0`` and
+    ``y0``. ``spline`` holds the padded coefficients, of degree 3 or 5, of a window of g, whose first column and row are
+    ``spline_x0`` and ``spline_y0``, and ``usable`` (uint8) is of that window, as ``SplineImage`` has it; (0, 0) where
+    nothing is excluded. ``extent`` is width and height of the image. To ``report`` (7,) are added the six sums of
+    ``GreySums``, then the number of pixels displaced beyond the window.
     """
     height, width = values.shape
     pad = (degree + 1) // 2

@@ -57,44 +57,16 @@ class SeparatedOperator:
     y: Array
 
     def transpose(self) -> SeparatedOperator:
-        """Exchange the directions.
-
-        Returns
-        -------
-        SeparatedOperator
-            The same operator, x named y.
-        """
+        """Exchange the directions: the same operator, x named y."""
         return SeparatedOperator(self.rows, self.columns, self.y, self.x)
 
     def reduce(self, left: Array, right: Array) -> Array:
-        """Weigh the matrices along x by products of functions of y.
-
-        Parameters
-        ----------
-        left, right : (2, n_y) array
-            Y of both components on either side.
-
-        Returns
-        -------
-        (n_terms,) array
-            Y_c^T Ay_t Y_d of each term.
-        """
+        """Weigh the matrices along x by products of functions of y (2, n_y): Y_c^T Ay_t Y_d by term, (n_terms,)."""
         products = multiply(self.y, right[self.columns])
         return np.asarray(np.einsum("ti,ti->t", left[self.rows], products))
 
     def assemble(self, weights: Array) -> Array:
-        """Sum the matrices along x.
-
-        Parameters
-        ----------
-        weights : (n_terms,) array
-            Of each term.
-
-        Returns
-        -------
-        (2, 2, 2 w + 1, n_x) array
-            By the components that they couple.
-        """
+        """Sum the matrices along x, each with its weight, by the components that they couple, (2, 2, 2 w + 1, n_x)."""
         blocks = np.zeros((2, 2, *self.x.shape[1:]))
         for c in range(2):
             for d in range(2):
@@ -103,40 +75,12 @@ class SeparatedOperator:
         return blocks
 
     def apply(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Multiply by modes, one direction alone.
-
-        Parameters
-        ----------
-        x : (n_modes, 2, n_x) array
-            Functions of x.
-        y : (n_modes, 2, n_y) array
-            Functions of y.
-
-        Returns
-        -------
-        of_x : (n_terms, n_modes, n_x) array
-            Ax_t X_d.
-        of_y : (n_terms, n_modes, n_y) array
-            Ay_t Y_d.
-        """
+        """Multiply by modes (n_modes, 2, n), one direction alone: Ax_t X_d and Ay_t Y_d, (n_terms, n_modes, n)."""
         return (multiply(self.x[:, None], x[:, self.columns].swapaxes(0, 1)),
                 multiply(self.y[:, None], y[:, self.columns].swapaxes(0, 1)))
 
     def measure_energy(self, x: Array, y: Array) -> float:
-        """Measure u^T L u.
-
-        Parameters
-        ----------
-        x : (n_modes, 2, n_x) array
-            Functions of x.
-        y : (n_modes, 2, n_y) array
-            Functions of y.
-
-        Returns
-        -------
-        float
-            Of the sum of the modes.
-        """
+        """Measure u^T L u of the sum of modes (n_modes, 2, n)."""
         of_x, of_y = self.apply(x, y)
         rows = self.rows
         left = np.einsum("kti,tli->tkl", x[:, rows], of_x, optimize=True)
@@ -147,15 +91,7 @@ class SeparatedOperator:
 def build_tikhonov(along_x: LineElements, along_y: LineElements) -> SeparatedOperator:
     """Build the integral of grad u : grad v, whose Euler equation is Laplace's: Eq. (26)-(28) of [PP12].
 
-    Parameters
-    ----------
-    along_x, along_y : LineElements
-        Of the rectangle.
-
-    Returns
-    -------
-    SeparatedOperator
-        Which couples no components, no unit.
+    It couples no components and has no unit.
     """
     terms: list[tuple[int, int, Product]] = []
     for c in range(2):
@@ -166,19 +102,9 @@ def build_tikhonov(along_x: LineElements, along_y: LineElements) -> SeparatedOpe
 
 def factorize_stiffness(along_x: LineElements, along_y: LineElements,
                        material: Material) -> dict[tuple[int, int], list[Product]]:
-    """Separate K of the Q4 elements between the lines of a rectangle.
+    """Separate K of the Q4 elements between the lines of a rectangle, the material being the same everywhere.
 
-    Parameters
-    ----------
-    along_x, along_y : LineElements
-        Of the rectangle.
-    material : Material
-        The same everywhere.
-
-    Returns
-    -------
-    dict of list
-        By components c and d, the products whose sum is K_cd.
+    By components c and d, the products whose sum is K_cd.
     """
     lame, mu = material.lame
     s_x, m_x, c_x = along_x.stiffness, along_x.mass, along_x.mixed
@@ -208,17 +134,9 @@ class ControlledLines:
     y: NDArray[np.bool_]
 
     def factorize_weights(self, of_others: float) -> list[tuple[Array, Array]]:
-        """Factorize the squares of the weights of rows.
+        """Factorize the squares of the weights of rows: products (n_x,), (n_y,) whose sum is that of each node.
 
-        Parameters
-        ----------
-        of_others : float
-            Weight of rows that are not controlled, relative to the others.
-
-        Returns
-        -------
-        list of two (n_x,) and (n_y,) arrays
-            Products whose sum is the square of each node's weight.
+        Controlled rows weigh 1, all others ``of_others``.
         """
         controlled = (self.x.astype(float), self.y.astype(float))
         if of_others == 0 or (self.x.all() and self.y.all()):
@@ -229,23 +147,10 @@ class ControlledLines:
 
 def build_equilibrium_gap(along_x: LineElements, along_y: LineElements, material: Material,
                           controlled: ControlledLines, edge_weight: float = 0.0) -> SeparatedOperator:
-    """Build Kbar^T Kbar, Kbar = P K, of the Q4 elements between the lines of a rectangle.
+    """Build Kbar^T Kbar, Kbar = P K, of the Q4 elements between the lines of a rectangle, square pixels.
 
-    Parameters
-    ----------
-    along_x, along_y : LineElements
-        Of the rectangle.
-    material : Material
-        The same everywhere.
-    controlled : ControlledLines
-        Lines on which P is 1.
-    edge_weight : float, optional
-        P elsewhere, 0 by default.
-
-    Returns
-    -------
-    SeparatedOperator
-        Eight terms for each pair of components, sixteen with a weight of edges; square pixels.
+    P is 1 on controlled lines and ``edge_weight`` elsewhere; the material is the same everywhere. Eight terms for each
+    pair of components, sixteen with a weight of edges.
     """
     stiffness = factorize_stiffness(along_x, along_y, material)
     terms: list[tuple[int, int, Product]] = []
@@ -268,17 +173,7 @@ def _stack(terms: Sequence[tuple[int, int, Product]]) -> SeparatedOperator:
 def build_plane_waves(along_x: LineElements, along_y: LineElements, wavelength: float) -> list[Wave]:
     """Build the waves v = e_a cos(2 pi x_b / l_c + phi) of ``evaluate_plane_waves``, in its order.
 
-    Parameters
-    ----------
-    along_x, along_y : LineElements
-        Of the rectangle.
-    wavelength : float
-        l_c, pixels.
-
-    Returns
-    -------
-    list of Wave
-        For all axes a, b and phases phi, the phase varying fastest, then b.
+    That is all axes a, b and phases phi, the phase varying fastest, then b; ``wavelength`` is l_c, pixels.
     """
     waves = []
     for a in range(2):
@@ -293,22 +188,7 @@ def build_plane_waves(along_x: LineElements, along_y: LineElements, wavelength: 
 
 def measure_wave_gaps(along_x: LineElements, along_y: LineElements, material: Material,
                       waves: Sequence[Wave]) -> Array:
-    """Measure |K v|^2 of waves on the inner nodes' rows.
-
-    Parameters
-    ----------
-    along_x, along_y : LineElements
-        Of the rectangle.
-    material : Material
-        The same everywhere.
-    waves : sequence of Wave
-        v.
-
-    Returns
-    -------
-    (n_waves,) array
-        Square pixels, as ``measure_gap_energies``.
-    """
+    """Measure |K v|^2 of waves on the inner nodes' rows, (n_waves,), square pixels, as ``measure_gap_energies``."""
     stiffness = factorize_stiffness(along_x, along_y, material)
     energies = np.zeros(len(waves))
     for number, wave in enumerate(waves):
@@ -321,20 +201,7 @@ def measure_wave_gaps(along_x: LineElements, along_y: LineElements, material: Ma
 
 
 def measure_wave_gradients(operator: SeparatedOperator, waves: Sequence[Wave]) -> Array:
-    """Measure v^T L v of waves.
-
-    Parameters
-    ----------
-    operator : SeparatedOperator
-        L.
-    waves : sequence of Wave
-        v.
-
-    Returns
-    -------
-    (n_waves,) array
-        In the unit of L times square pixels.
-    """
+    """Measure v^T L v of waves, (n_waves,), in the unit of L times square pixels."""
     energies = []
     for wave in waves:
         x, y = np.zeros((1, 2, len(wave.x))), np.zeros((1, 2, len(wave.y)))
@@ -349,21 +216,9 @@ SumTexture = Callable[[int, Array, Array], float]
 
 def measure_wave_textures(along_x: LineElements, along_y: LineElements, waves: Sequence[Wave],
                           sum_texture: SumTexture) -> Array:
-    """Measure v^T M v of waves on the inner nodes' rows.
+    """Measure v^T M v of waves on the inner nodes' rows, (n_waves,), grey levels squared.
 
-    Parameters
-    ----------
-    along_x, along_y : LineElements
-        Of the rectangle.
-    waves : sequence of Wave
-        v.
-    sum_texture : callable
-        Sums over the pixels of the reference image.
-
-    Returns
-    -------
-    (n_waves,) array
-        Grey levels squared, as ``measure_texture_energies``.
+    As ``measure_texture_energies`` does, with sums over the pixels of the reference image.
     """
     energies = []
     for wave in waves:
@@ -376,17 +231,7 @@ def measure_wave_textures(along_x: LineElements, along_y: LineElements, waves: S
 def find_weight(texture: Array, energies: Array) -> float:
     """Choose the weight at which texture and regularisation count alike at l_c, as ``find_cut_off_weight`` does.
 
-    Parameters
-    ----------
-    texture : (n_waves,) array
-        v^T M v.
-    energies : (n_waves,) array
-        v^T L v, or |K v|^2.
-
-    Returns
-    -------
-    float
-        eta.
+    It is eta; ``texture`` is v^T M v of waves, ``energies`` their v^T L v or |K v|^2, (n_waves,).
     """
     return find_cut_off_weight(texture, energies)
 

@@ -43,18 +43,7 @@ class SomeRows:
     entries: sparse.csr_matrix
 
     def cut(self, start: int, end: int) -> SomeRows:
-        """Cut out the rows from ``start`` to before ``end``.
-
-        Parameters
-        ----------
-        start, end : int
-            Numbers in the whole matrix.
-
-        Returns
-        -------
-        SomeRows
-            Those of these rows that lie between.
-        """
+        """Cut out the rows from ``start`` to before ``end``, numbers in the whole matrix."""
         first, last = np.searchsorted(self.numbers, (start, end))
         return SomeRows(self.numbers[first:last], self.entries[first:last])
 
@@ -91,43 +80,17 @@ class ParallelEntries:
         self._n_waiting = 0
 
     def add(self, rows: NDArray[np.int64], columns: NDArray[np.int64], block: NDArray[np.float64]) -> None:
-        """Add a dense block.
-
-        Parameters
-        ----------
-        rows : (n,) array of int64
-            Its rows in the whole matrix.
-        columns : (k,) array of int64
-            Its columns in the whole matrix.
-        block : (n, k) array
-            Its entries.
-        """
+        """Add a dense block, (n, k), at its rows, (n,), and columns, (k,), of the whole matrix."""
         places = np.repeat(np.arange(len(rows)), len(columns))
         self._keep(_Block(rows, places, np.tile(columns, len(rows)), block.ravel()))
 
     def add_sparse(self, rows: NDArray[np.int64], columns: NDArray[np.int64], matrix: sparse.csr_matrix) -> None:
-        """Add a sparse block.
-
-        Parameters
-        ----------
-        rows : (n,) array of int64
-            Its rows in the whole matrix.
-        columns : (k,) array of int64
-            Its columns in the whole matrix.
-        matrix : (n, k) csr_matrix
-            Its entries.
-        """
+        """Add a sparse block, (n, k), at its rows, (n,), and columns, (k,), of the whole matrix."""
         entries = matrix.tocoo()
         self._keep(_Block(rows, entries.row, columns[entries.col], entries.data))
 
     def sum_owned_rows(self) -> sparse.csr_matrix:
-        """Sum what all ranks added to the rows that this rank owns; collective.
-
-        Returns
-        -------
-        (n_rows, all columns) csr_matrix
-            This rank's rows.
-        """
+        """Sum what all ranks added to the rows that this rank owns, (n_rows, all columns); collective."""
         added = self._add_up(self._blocks)
         self._blocks = []
         ends = np.cumsum(self._local_rows)
@@ -147,17 +110,9 @@ class ParallelEntries:
         return local
 
     def create_matrix(self) -> PETSc.Mat:
-        """Create the matrix over all ranks; collective.
+        """Create the matrix over all ranks, the caller's to destroy; collective.
 
-        Returns
-        -------
-        PETSc.Mat
-            The caller's to destroy.
-
-        Raises
-        ------
-        FactorizationError
-            Where it is too large for PETSc's integers.
+        Raises FactorizationError where it is too large for PETSc's integers.
         """
         local = self.sum_owned_rows()
         rank = self._team.rank
@@ -200,7 +155,8 @@ ZERO_PIVOT = -10
 class AssembledStep:
     """Solves Eq. 11 of [BP17] for all subdomains at once, by a factor of A.
 
-    PETSc options (prefix ``assembled_``): Cholesky by MUMPS.
+    PETSc options (prefix ``assembled_``): Cholesky by MUMPS. Making it raises SingularSubdomainError or
+    FactorizationError on all ranks.
 
     Parameters
     ----------
@@ -210,11 +166,6 @@ class AssembledStep:
         This rank's subdomains.
     smallest_eigenvalue : float
         Below it A counts as singular, grey levels squared per pixel squared.
-
-    Raises
-    ------
-    SingularSubdomainError, FactorizationError
-        On all ranks.
     """
 
     def __init__(self, team: Team, systems: Sequence[LocalSystem], smallest_eigenvalue: float) -> None:
@@ -229,22 +180,7 @@ class AssembledStep:
 
     def solve(self, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]],
               allowed: AllowedError | None = None) -> StepResult:
-        """Solve for dq_s; where copies of an unknown differ in q, q + dq is one field, as of the dual step.
-
-        Parameters
-        ----------
-        q : sequence of (n_unknowns,) arrays
-            q_s of each owned subdomain, pixels.
-        b : sequence of (n_unknowns,) arrays
-            Its b_s, grey levels squared per pixel.
-        allowed : AllowedError, optional
-            Does not matter: the step is direct.
-
-        Returns
-        -------
-        StepResult
-            Without an error.
-        """
+        """Solve for dq_s; where copies of an unknown differ in q, q + dq is one field, as of the dual step."""
         mean = self._whole.average_copies(q)
         self._whole.set_right_hand_side(self._right, q, b, mean)
         self._ksp.solve(self._right, self._left)

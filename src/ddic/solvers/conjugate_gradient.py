@@ -28,7 +28,8 @@ class ConjugateGradientStep:
     """Solves Eq. 11 of [BP17] for all subdomains at once, preconditioned by the diagonal D of A.
 
     Nothing is factorised: two products with Kbar_s and one with M_s an iteration, whose number grows with the cut-off
-    wavelength. PETSc options (prefix ``cg_``): ``-cg_ksp_monitor``, ``-cg_ksp_type``...
+    wavelength. PETSc options (prefix ``cg_``): ``-cg_ksp_monitor``, ``-cg_ksp_type``... Making it raises
+    SingularSubdomainError on all ranks, where an unknown is held by nothing.
 
     Parameters
     ----------
@@ -40,11 +41,6 @@ class ConjugateGradientStep:
         On the relative error, by |e|/|dq| <= cond(D^-1 A) |z|/|z_0| with z = D^-1 times the residual.
     max_iterations : int
         Most iterations of one step.
-
-    Raises
-    ------
-    SingularSubdomainError
-        On all ranks, where an unknown is held by nothing.
     """
 
     def __init__(self, team: Team, systems: Sequence[LocalSystem], tolerance: float, max_iterations: int) -> None:
@@ -68,28 +64,10 @@ class ConjugateGradientStep:
 
     def solve(self, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]],
               allowed: AllowedError | None = None) -> StepResult:
-        """Solve for dq_s; where copies of an unknown differ in q, q + dq is one field.
+        """Solve for dq_s, with an estimate of its error; where copies of an unknown differ in q, q + dq is one field.
 
-        The last solution is taken up again where that helps, as it does when one step is asked for more exactly.
-
-        Parameters
-        ----------
-        q : sequence of (n_unknowns,) arrays
-            q_s of each owned subdomain, pixels.
-        b : sequence of (n_unknowns,) arrays
-            Its b_s, grey levels squared per pixel.
-        allowed : AllowedError, optional
-            Error that may be left; None: what the tolerance allows.
-
-        Returns
-        -------
-        StepResult
-            With an estimate of its error.
-
-        Raises
-        ------
-        ConvergenceError
-            On all ranks, where ``max_iterations`` are not enough.
+        The last solution is taken up again where that helps, as it does when one step is asked for more exactly. Raises
+        ConvergenceError on all ranks, where ``max_iterations`` are not enough.
         """
         mean = self._whole.average_copies(q)
         self._whole.set_right_hand_side(self._right, q, b, mean)

@@ -1,9 +1,8 @@
 """How large a correction is, on displacements of nodes, and when it is small enough to stop.
 
-A node's correction is compared with what the images can tell of it: where its standard deviation is large, following
-it to the last digit would follow noise.
-
-The size of a field: RMS displacement of nodes in pixels, whatever the unknowns mean.
+A node's correction is compared with what the images can tell of it: where its standard deviation is large, following it
+to the last digit would follow noise. The size of a field is the RMS displacement of nodes in pixels, whatever the
+unknowns mean.
 """
 
 from __future__ import annotations
@@ -38,14 +37,12 @@ class Tolerances:
     ----------
     relative : float
         On |dq|/|q|, q without its affine part; no unit.
-    rms : float
-        On the RMS of dq over nodes, pixels.
+    rms, largest : float
+        On the RMS of dq over nodes, and on dq at any node, pixels.
     max_iterations : int
         Iterations after which it gives up.
     inexact : bool
         Whether linear steps are solved only as far as Gauss-Newton's progress asks, the last one to rms / 20.
-    largest : float
-        On dq at any node, pixels.
     """
 
     relative: float = 1e-3
@@ -64,12 +61,10 @@ class CorrectionSize:
     relative : float
         |dq|/|q + dq|, q + dq without its affine part: a field that moves with the specimen, turns and stretches with
         it, is no better known than one at rest. No unit.
-    rms : float
-        RMS over nodes, pixels.
-    largest : float
-        Largest at any node, pixels.
+    rms, largest : float
+        RMS over nodes, and largest at any node, pixels.
     subdomain : int
-        Where it is.
+        Where the largest is.
     known_rms : float
         RMS with each node's correction relative to what it can know (``Tolerances``), pixels.
     n_slow : int
@@ -109,23 +104,9 @@ def measure_correction(team: Team, subdomains: Sequence[Subdomain], dq: Sequence
                        weights: Sequence[Array] | None = None, largest: float = np.inf) -> CorrectionSize:
     """Measure a correction on displacements of nodes in the specimen's frame, every node counted once; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    subdomains : sequence of Subdomain
-        Owned ones.
-    dq, q : sequence of (n_unknowns,) array
-        Correction, and unknowns before it, of each.
-    weights : sequence of (n_nodes,) array, optional
-        Of the nodes' corrections (``weigh_nodes``), no unit; 1 by default.
-    largest : float
-        Weighted correction from which on a node is slow, pixels.
-
-    Returns
-    -------
-    CorrectionSize
-        No unit, and pixels.
+    ``dq`` is the correction and ``q`` the unknowns before it, ``weights`` are those of the nodes' corrections
+    (``weigh_nodes``), (n_nodes,), no unit, 1 by default, all of each owned subdomain; from the weighted correction
+    ``largest``, pixels, on a node is slow.
     """
     if weights is None:
         weights = [np.ones(subdomain.mesh.n_nodes) for subdomain in subdomains]
@@ -200,19 +181,8 @@ def _remove_affine_part(moments: Array) -> float:
 def measure_rms(team: Team, subdomains: Sequence[Subdomain], unknowns: Sequence[NDArray[np.float64]]) -> float:
     """Measure the RMS displacement over nodes, every node counted once; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    subdomains : sequence of Subdomain
-        This rank's.
-    unknowns : sequence of (n_unknowns,) or (n_field,) arrays
-        Of each of them, pixels.
-
-    Returns
-    -------
-    float
-        sqrt(mean of |u|^2 over nodes), pixels, the same on all ranks to the last bit however subdomains are spread.
+    From unknowns of each owned subdomain, (n_unknowns,) or (n_field,), pixels, comes sqrt(mean of |u|^2 over nodes),
+    pixels, the same on all ranks to the last bit however subdomains are spread.
     """
     sums = []
     for subdomain, q_s in zip(subdomains, unknowns, strict=True):
@@ -226,18 +196,8 @@ def measure_rms(team: Team, subdomains: Sequence[Subdomain], unknowns: Sequence[
 def measure_unit_size(team: Team, subdomains: Sequence[Subdomain]) -> float:
     """Measure by how much independent unknowns of size one displace nodes; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    subdomains : sequence of Subdomain
-        This rank's.
-
-    Returns
-    -------
-    float
-        sqrt(mean of |t|^2 over the field's unknowns / number of nodes) with t the columns of the whole tangent: times
-        the norm of a vector of unknowns about its RMS displacement over nodes, pixels; exactly that for nodal unknowns.
+    It is sqrt(mean of |t|^2 over the field's unknowns / number of nodes) with t the columns of the whole tangent: times
+    the norm of a vector of unknowns about its RMS displacement over nodes, pixels; exactly that for nodal unknowns.
     """
     squares, n_nodes, n_unknowns = 0.0, 0.0, 0
     for subdomain in subdomains:

@@ -55,60 +55,24 @@ class Exchange:
         self._objects.close()
 
     def create_vector(self) -> PETSc.Vec:
-        """Create a zero vector of owned numbers over all ranks.
-
-        Returns
-        -------
-        PETSc.Vec
-            The caller's to destroy.
-        """
+        """Create a zero vector of owned numbers over all ranks, the caller's to destroy."""
         vector = self._owned.duplicate()
         vector.set(0.0)
         return vector
 
     def fetch_ghosts(self, owned: PETSc.Vec) -> NDArray[np.float64]:
-        """Fetch the values of all numbers that this rank takes part in; collective.
-
-        Parameters
-        ----------
-        owned : PETSc.Vec
-            Values of all numbers, over all ranks.
-
-        Returns
-        -------
-        (n_ghosts,) array
-            In the order of ``ghosts``.
-        """
+        """Fetch the values of all numbers that this rank takes part in, in the order of ``ghosts``; collective."""
         self._scatter.scatter(owned, self._ghost, addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)
         return np.array(self._ghost.getArray(readonly=1))
 
     def add_to_owners(self, ghosts: NDArray[np.float64], owned: PETSc.Vec) -> None:
-        """Set a vector to the sum of what the ranks contribute; collective.
-
-        Parameters
-        ----------
-        ghosts : (n_ghosts,) array
-            This rank's part, in the order of ``ghosts``.
-        owned : PETSc.Vec
-            Overwritten by the sum over ranks.
-        """
+        """Set a vector to the sum of what the ranks contribute, each in the order of ``ghosts``; collective."""
         self._ghost.setArray(ghosts)
         owned.set(0.0)
         self._scatter.scatter(self._ghost, owned, addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
 
     def sum_over_ranks(self, ghosts: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Sum what the ranks contribute and give each the sums that it takes part in; collective.
-
-        Parameters
-        ----------
-        ghosts : (n_ghosts,) array
-            This rank's part, in the order of ``ghosts``.
-
-        Returns
-        -------
-        (n_ghosts,) array
-            Sums over ranks, in the same order.
-        """
+        """Sum what the ranks contribute, in the order of ``ghosts``, and give each the sums of its own; collective."""
         with PetscStack() as stack:
             owned = stack.keep(self.create_vector())
             self.add_to_owners(ghosts, owned)

@@ -120,35 +120,13 @@ class Model(Protocol):
     def linearize(self, q: Sequence[Array]) -> tuple[list[Array], tuple[GreyState, ...]]:
         """Pass over all pixels; collective.
 
-        Parameters
-        ----------
-        q : sequence of (n_unknowns,) array
-            Unknowns of each owned subdomain.
-
-        Returns
-        -------
-        b : list of (n_unknowns,) array
-            b_s of each, grey levels squared per pixel.
-        grey : tuple of GreyState
-            Statistics of each camera.
+        From the unknowns of each owned subdomain come its b_s, (n_unknowns,), grey levels squared per pixel, and the
+        grey statistics of each camera.
         """
         ...
 
     def measure_correction(self, dq: Sequence[Array], q: Sequence[Array], tolerances: Tolerances) -> CorrectionSize:
-        """Measure a correction on displacements of nodes; collective.
-
-        Parameters
-        ----------
-        dq, q : sequence of (n_unknowns,) array
-            Correction, and unknowns before it, of each owned subdomain.
-        tolerances : Tolerances
-            From which on a node is slow.
-
-        Returns
-        -------
-        CorrectionSize
-            No unit, and pixels.
-        """
+        """Measure a correction dq, of the unknowns q before it, on displacements of nodes; collective."""
         ...
 
 
@@ -158,14 +136,12 @@ class IterationRecord:
 
     Attributes
     ----------
-    number : int
-        From 1.
+    number, krylov_iterations : int
+        Its own, from 1, and iterations of its linear step.
     size : CorrectionSize
         Of the correction.
     cameras : tuple of GreyState
         Statistics before the correction, by camera.
-    krylov_iterations : int
-        Of its linear step.
     krylov_history : (krylov_iterations + 1,) array
         Residuals of its linear step, relative.
     linear_error : float
@@ -262,13 +238,7 @@ class Progress:
 
 
 def stay_silent(record: IterationRecord) -> None:
-    """Report nothing.
-
-    Parameters
-    ----------
-    record : IterationRecord
-        Of one iteration.
-    """
+    """Report nothing."""
 
 
 @dataclass(frozen=True)
@@ -300,30 +270,9 @@ def gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, tolerances:
                  progress: Progress) -> Solution:
     """Iterate q <- q + dq until the correction is small.
 
-    Parameters
-    ----------
-    model : Model
-        Gives b from the images.
-    q : sequence of (n_unknowns,) array
-        Start, of each owned subdomain.
-    step : LinearStep
-        Solves Eq. 11 of [BP17] for dq.
-    tolerances : Tolerances
-        When to stop.
-    progress : Progress
-        Where to write.
-
-    Returns
-    -------
-    Solution
-        Unknowns and the table of iterations.
-
-    Raises
-    ------
-    ConvergenceError
-        On all ranks, where the correction does not become small or is not finite; with the last Solution.
-    StoppedError
-        On all ranks, where a signal asked one of them to stop; with the last Solution.
+    The model gives b from the images, the step solves Eq. 11 of [BP17] for dq, and ``q`` is the start of each owned
+    subdomain. Raises ConvergenceError on all ranks, where the correction does not become small or is not finite, and
+    StoppedError on all ranks, where a signal asked one of them to stop; both with the last Solution.
     """
     solution = run_gauss_newton(model, q, step, tolerances, progress)
     if not solution.converged:
@@ -333,34 +282,11 @@ def gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, tolerances:
 
 def run_gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, tolerances: Tolerances, progress: Progress,
                      course: Course = STRAIGHT_ON) -> Solution:
-    """Iterate q <- q + dq until the correction is small, or does not become smaller.
+    """Iterate q <- q + dq until the correction is small, or does not become smaller, with steps of Eq. 11 of [BP17].
 
-    Parameters
-    ----------
-    model : Model
-        Gives b from the images.
-    q : sequence of (n_unknowns,) array
-        Start, of each owned subdomain.
-    step : LinearStep
-        Solves Eq. 11 of [BP17] for dq.
-    tolerances : Tolerances
-        When to stop.
-    progress : Progress
-        Where to write.
-    course : Course, optional
-        How to go on; straight on by default.
-
-    Returns
-    -------
-    Solution
-        Unknowns and the table of iterations, converged, paused or neither.
-
-    Raises
-    ------
-    ConvergenceError
-        On all ranks, where the correction is not finite or the linear step fails; with the last Solution.
-    StoppedError
-        On all ranks, where a signal asked one of them to stop; with the last Solution.
+    As ``gauss_newton``, but the Solution may be converged, paused or neither; ``course`` says how to go on. Raises
+    ConvergenceError on all ranks, where the correction is not finite or the linear step fails, and StoppedError on all
+    ranks, where a signal asked one of them to stop; both with the last Solution.
     """
     found = Solution([np.array(q_s) for q_s in q], [])
     try:

@@ -1,8 +1,7 @@
 """The local operator A_s = M_s + eta Kbar_s^T Kbar_s, factorised once and solved many times.
 
-Whether a factorised operator is singular, and what to tell of it.
-
-Why PETSc could not factorise a matrix, and what to do about it.
+Also whether a factorised operator is singular and what to tell of it, and why PETSc could not factorise a matrix and
+what to do about it.
 """
 
 from __future__ import annotations
@@ -20,19 +19,10 @@ _PROBES = 3
 
 
 def bound_lowest_eigenvalue(factor: PETSc.Mat, probe: PETSc.Vec) -> float:
-    """Bound the lowest eigenvalue from above by a few inverse iterations.
+    """Bound the lowest eigenvalue of a symmetric positive definite matrix from above by a few inverse iterations.
 
-    Parameters
-    ----------
-    factor : PETSc.Mat
-        Of a symmetric positive definite matrix.
-    probe : PETSc.Vec
-        Random; becomes the last iterate.
-
-    Returns
-    -------
-    float
-        The bound, in the matrix's unit; 0 where the iterations break down.
+    The bound is in the matrix's unit, 0 where the iterations break down. ``probe`` is random and becomes the last
+    iterate.
     """
     with PetscStack() as stack:
         solution = stack.keep(probe.duplicate())
@@ -52,18 +42,7 @@ _SINGULAR = ": the operator is singular"
 
 
 def describe_singular(where: str) -> str:
-    """Write the message that an operator is singular.
-
-    Parameters
-    ----------
-    where : str
-        What it belongs to.
-
-    Returns
-    -------
-    str
-        With causes and remedies.
-    """
+    """Write the message, with causes and remedies, that an operator is singular; ``where`` says what it belongs to."""
     return (f"{where}{_SINGULAR}, which means that the reference image has too little texture "
             "there, or too few pixels that are neither masked nor mapped outside the deformed image; use larger "
             "elements, leave the blank part out of the mesh, or give a longer regularization.cut_off_wavelength")
@@ -85,19 +64,10 @@ ZERO_PIVOT = (71, 81)
 
 
 def describe_failure(error: PETSc.Error, where: str) -> DdicError:
-    """Describe a failure by an error that says what the user can do.
+    """Describe a failure of a factorisation by an error, to be raised, that says what the user can do.
 
-    Parameters
-    ----------
-    error : PETSc.Error
-        Of the factorisation.
-    where : str
-        What the matrix belongs to.
-
-    Returns
-    -------
-    DdicError
-        To be raised: a singular operator, one that is too large, a missing solver package, or what PETSc says.
+    It is a singular operator, one that is too large, a missing solver package, or what PETSc says; ``where`` says what
+    the matrix belongs to.
     """
     if error.ierr in ZERO_PIVOT:
         return SingularSubdomainError(describe_singular(where))
@@ -122,6 +92,9 @@ _BLOCK_BYTES = 2**24
 class LocalOperator:
     """Sparse Cholesky of one symmetric positive definite matrix through PETSc; free of communication.
 
+    Making it raises SingularSubdomainError where the matrix is not positive definite, or singular to the extent of
+    ``smallest_eigenvalue``, and FactorizationError where memory or a solver package is missing.
+
     PETSc options (prefix ``local_``): ``-local_pc_factor_mat_solver_type`` cholmod (default where PETSc has it), mumps,
     petsc.
 
@@ -138,13 +111,6 @@ class LocalOperator:
     ----------
     n : int
         Number of unknowns.
-
-    Raises
-    ------
-    SingularSubdomainError
-        Where the matrix is not positive definite, or singular to that extent.
-    FactorizationError
-        Where memory or a solver package is missing.
     """
 
     def __init__(self, matrix: sparse.csr_matrix, *, smallest_eigenvalue: float, where: str) -> None:
@@ -173,18 +139,7 @@ class LocalOperator:
             self._objects = stack.pop_all()
 
     def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Solve A x = right.
-
-        Parameters
-        ----------
-        right : (n,) array
-            The right-hand side.
-
-        Returns
-        -------
-        (n,) array
-            x.
-        """
+        """Solve A x = right for one right-hand side, (n,)."""
         self._right.setArray(right)
         self._factor.solve(self._right, self._left)
         return np.array(self._left.getArray(readonly=1))
@@ -195,18 +150,7 @@ class LocalOperator:
         return max(1, min(_BLOCK_COLUMNS, _BLOCK_BYTES // (8 * self.n)))
 
     def solve_many(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Solve A X = right, a block of columns at a time.
-
-        Parameters
-        ----------
-        right : (n, k) array
-            Right-hand sides.
-
-        Returns
-        -------
-        (n, k) array
-            X, in Fortran's order.
-        """
+        """Solve A X = right, (n, k), a block of columns at a time; X comes in Fortran's order."""
         solution = np.empty((self.n, right.shape[1]), order="F")
         for begin in range(0, right.shape[1], self.block):
             columns = np.asfortranarray(right[:, begin: begin + self.block])

@@ -1,6 +1,6 @@
 """What one subdomain brings to the linear step.
 
-The linear step on the whole mesh by one sparse Cholesky: the oracle.
+Also the linear step on the whole mesh by one sparse Cholesky: the oracle.
 """
 
 from __future__ import annotations
@@ -98,20 +98,7 @@ class LocalSystem:
         return np.asarray(self.hessian[n:, n:].toarray())
 
     def right_hand_side(self, b: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return b_s - eta Kbar_s^T Kbar_s q_s, Eq. 24a of [BP17].
-
-        Parameters
-        ----------
-        b : (n_unknowns,) array
-            b_s, grey levels squared per pixel.
-        q : (n_unknowns,) array
-            q_s, pixels.
-
-        Returns
-        -------
-        (n_unknowns,) array
-            Grey levels squared per pixel.
-        """
+        """Return b_s - eta Kbar_s^T Kbar_s q_s, grey levels squared per pixel, Eq. 24a of [BP17]."""
         if self.controlled_stiffness is None:
             return b
         return np.asarray(b - self.eta * (self.controlled_stiffness_transposed @ (self.controlled_stiffness @ q)))
@@ -126,11 +113,6 @@ class MonolithicStep:
         Of the only subdomain.
     operator : LocalOperator
         The factor of its A_s, which stays its maker's to destroy.
-
-    Attributes
-    ----------
-    operator : LocalOperator
-        The factor.
     """
 
     def __init__(self, system: LocalSystem, operator: LocalOperator) -> None:
@@ -139,22 +121,7 @@ class MonolithicStep:
 
     def solve(self, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]],
               allowed: AllowedError | None = None) -> StepResult:
-        """Solve for the only subdomain's dq.
-
-        Parameters
-        ----------
-        q : sequence of one (n_unknowns,) array
-            Unknowns, pixels.
-        b : sequence of one (n_unknowns,) array
-            Grey levels squared per pixel.
-        allowed : AllowedError, optional
-            Does not matter: the step is direct.
-
-        Returns
-        -------
-        StepResult
-            Without an error.
-        """
+        """Solve for the only subdomain's dq; the step is direct: without an error, whatever is ``allowed``."""
         dq = self.operator.solve(self._system.right_hand_side(b[0], q[0]))
         return StepResult([dq], 0, np.zeros(0), 0.0)
 

@@ -1,14 +1,11 @@
-"""PETSc option prefixes and their defaults, in one place; the command line overrides them.
+"""What ddic asks of PETSc beyond solving.
 
-Numbers as PETSc's integers, which have 32 bits in most builds.
-
-Memory that is freed goes back to the operating system.
-
-Which packages factorise what, where PETSc was built without CHOLMOD or MUMPS.
-
-PETSc's objects in the making: freed if their maker fails half-way, and all at once at the end.
-
-Options of PETSc that were given and never asked for: mistyped ones, above all.
+- Option prefixes and their defaults, in one place; the command line overrides them.
+- Numbers as PETSc's integers, which have 32 bits in most builds.
+- Memory that is freed goes back to the operating system.
+- Which packages factorise what, where PETSc was built without CHOLMOD or MUMPS.
+- Objects in the making: freed if their maker fails half-way, and all at once at the end.
+- Options that were given and never asked for: mistyped ones, above all.
 """
 
 from __future__ import annotations
@@ -30,44 +27,16 @@ LARGEST = int(np.iinfo(PETSc.IntType).max)
 
 
 def to_petsc_integers(numbers: NDArray[Any], what: str) -> NDArray[Any]:
-    """Convert numbers to PETSc's integers; a plain cast would turn those that are too large into others.
+    """Convert numbers, not negative, to PETSc's integers; a plain cast would turn those that are too large into others.
 
-    Parameters
-    ----------
-    numbers : (n,) array of integers
-        Not negative.
-    what : str
-        What is counted, for the message.
-
-    Returns
-    -------
-    (n,) array of PETSc.IntType
-        The same numbers.
-
-    Raises
-    ------
-    FactorizationError
-        Where one is too large.
+    Raises FactorizationError where one is too large; ``what`` says in the message what is counted.
     """
     check_petsc_size(int(numbers.max(initial=0)), what)
     return numbers.astype(PETSc.IntType)
 
 
 def check_petsc_size(size: int, what: str) -> None:
-    """Check that a size is one of PETSc's integers.
-
-    Parameters
-    ----------
-    size : int
-        Not negative.
-    what : str
-        What is counted, for the message.
-
-    Raises
-    ------
-    FactorizationError
-        Where it is too large.
-    """
+    """Check that a size, of ``what``, is one of PETSc's integers; raises FactorizationError where it is too large."""
     if size > LARGEST:
         raise FactorizationError(
             f"{what}: {size} is more than PETSc's {8 * np.dtype(PETSc.IntType).itemsize}-bit integers hold; start more "
@@ -121,68 +90,26 @@ LOCAL_FACTORS = ("dual", "monolithic")
 
 
 def has_package(name: str) -> bool:
-    """Tell whether PETSc was built with a package.
-
-    Parameters
-    ----------
-    name : str
-        Such as ``"suitesparse"``.
-
-    Returns
-    -------
-    bool
-        Whether it was.
-    """
+    """Tell whether PETSc was built with a package, such as ``"suitesparse"``."""
     return bool(PETSc.Sys.hasExternalPackage(name))
 
 
 def choose_local_package() -> str:
-    """Choose what factorises a matrix on one rank: CHOLMOD, else MUMPS, else PETSc itself.
-
-    Returns
-    -------
-    str
-        For ``pc_factor_mat_solver_type``.
-    """
+    """Choose what factorises on one rank, for ``pc_factor_mat_solver_type``: CHOLMOD, else MUMPS, else PETSc itself."""
     if any(has_package(name) for name in WITH_CHOLMOD):
         return "cholmod"
     return "mumps" if has_package("mumps") else "petsc"
 
 
 def is_mumps_missing(prefix: str) -> bool:
-    """Tell whether MUMPS is meant to factorise something, and PETSc was built without it.
-
-    Parameters
-    ----------
-    prefix : str
-        Of the options of what is factorised.
-
-    Returns
-    -------
-    bool
-        False where the user names a package.
-    """
+    """Tell whether MUMPS is meant to factorise something, and PETSc lacks it; False where the user names a package."""
     return not has_package("mumps") and not PETSc.Options().hasName(prefix + PACKAGE)
 
 
 def require_packages(where: str, method: str, local_inverse: str, n_ranks: int) -> None:
-    """Refuse what PETSc cannot factorise without MUMPS.
+    """Refuse what PETSc cannot factorise without MUMPS: raises InputError where nothing takes its place.
 
-    Parameters
-    ----------
-    where : str
-        The case file.
-    method : str
-        ``solver.method``.
-    local_inverse : str
-        ``solver.local_inverse``.
-    n_ranks : int
-        MPI ranks that were started.
-
-    Raises
-    ------
-    InputError
-        Where nothing takes its place.
+    ``where`` is the case file, ``method`` and ``local_inverse`` are those of its ``solver``.
     """
     if method == "assembled" and n_ranks > 1 and is_mumps_missing("assembled_"):
         raise InputError(f'{where}: solver.method = "assembled" on {n_ranks} MPI ranks needs MUMPS, and PETSc was '
@@ -195,18 +122,7 @@ def require_packages(where: str, method: str, local_inverse: str, n_ranks: int) 
 
 
 def describe_missing_packages(method: str) -> tuple[str, ...]:
-    """Say what is factorised by another package than the one that was meant.
-
-    Parameters
-    ----------
-    method : str
-        ``solver.method``.
-
-    Returns
-    -------
-    tuple of str
-        A line for each package that PETSc was built without and the method would use.
-    """
+    """Say, a line for each package that PETSc lacks and ``solver.method`` would use, what takes its place."""
     lines = []
     chosen = choose_local_package()
     if (method in LOCAL_FACTORS and chosen != "cholmod"
@@ -279,19 +195,8 @@ DEFAULTS: dict[str, dict[str, str]] = {
 def create_ksp(comm: PETSc.Comm, prefix: str) -> PETSc.KSP:
     """Create a Krylov solver or factor with an option prefix and its defaults, where the user says nothing else.
 
-    The caller sets operators and tolerances, then calls ``setFromOptions`` last.
-
-    Parameters
-    ----------
-    comm : PETSc.Comm
-        Its ranks.
-    prefix : str
-        A key of ``DEFAULTS``.
-
-    Returns
-    -------
-    PETSc.KSP
-        The caller's to destroy.
+    ``prefix`` is a key of ``DEFAULTS``. The caller sets operators and tolerances, then calls ``setFromOptions`` last,
+    and destroys it in the end.
     """
     options = PETSc.Options()
     for name, value in _choose_defaults(prefix).items():
@@ -333,18 +238,7 @@ class PetscStack(ExitStack):
     """
 
     def keep(self, thing: T) -> T:
-        """Keep a thing.
-
-        Parameters
-        ----------
-        thing : Destroyable
-            Destroyed with the stack.
-
-        Returns
-        -------
-        Destroyable
-            The same.
-        """
+        """Keep a thing, destroyed with the stack, and return it."""
         self.callback(thing.destroy)
         return thing
 
@@ -354,20 +248,7 @@ ASKED_AT_THE_END = ("options_left", "options_view")
 
 
 def list_unused_options(team: Team, words: Sequence[str]) -> list[str]:
-    """List the options that no rank has asked for so far; collective.
-
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    words : sequence of str
-        Options and their values as they were given on the command line.
-
-    Returns
-    -------
-    list of str
-        With their dash, in order.
-    """
+    """List the options, with their dash, of the command line's words that no rank has asked for so far; collective."""
     names = [name for name in PETSc.Options().getAll() if f"-{name}" in words and name not in ASKED_AT_THE_END]
     used = set(team.gather_lists([name for name in names if _is_used(name)]))
     return [f"-{name}" for name in names if name not in used]

@@ -1,10 +1,8 @@
-"""Displacement noise that camera noise leaves: covariance 2 sigma^2 A^-1 M A^-1.
+"""What images determine of a field: displacement noise of camera noise, and degrees of freedom, by random signs.
 
-Degrees of freedom that a regularized field takes from the images: tr(A^-1 M).
-
-Random bits by number: no rank needs those of the others.
-
-Right-hand sides as noise makes them, whose mean products are their covariance, without chance between neighbours.
+The noise that camera noise leaves has the covariance 2 sigma^2 A^-1 M A^-1; the degrees of freedom that a regularized
+field takes from the images are tr(A^-1 M). Random bits go by number: no rank needs those of the others. Right-hand
+sides are made as noise makes them: their mean products are their covariance, without chance between neighbours.
 """
 
 from __future__ import annotations
@@ -31,29 +29,11 @@ _ENOUGH_FOR_TRACE = AllowedError(0.0, 0.01)
 
 
 def estimate_degrees_of_freedom(team: Team, systems: Sequence[LocalSystem], step: LinearStep) -> float:
-    """Estimate tr(A^-1 M) by Hutchinson's random signs; collective.
+    """Estimate tr(A^-1 M), no unit, by Hutchinson's random signs; collective.
 
     By so much do small changes of the images' grey levels appear in the field: the number of unknowns without
-    regularization, fewer where mechanics rule some of them.
-
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    systems : sequence of LocalSystem
-        Of owned subdomains.
-    step : LinearStep
-        Solves with A.
-
-    Returns
-    -------
-    float
-        No unit.
-
-    Raises
-    ------
-    ConvergenceError
-        On all ranks, where a linear step does not converge.
+    regularization, fewer where mechanics rule some of them. Raises ConvergenceError on all ranks, where a linear step
+    with A does not converge.
     """
     at_rest = [np.zeros(system.subdomain.n_unknowns) for system in systems]
     # Solutions of about a pixel, by which steps judge how exact they are.
@@ -77,19 +57,9 @@ def _draw_signs(n: int, probe: int) -> NDArray[np.float64]:
 
 
 def generate_bits(numbers: NDArray[np.int64], stream: int) -> NDArray[np.float64]:
-    """Generate a random bit for each number, by the mixing of splitmix64.
+    """Generate a random bit, 0 or 1, for each number, by the mixing of splitmix64.
 
-    Parameters
-    ----------
-    numbers : (...) array of int64
-        Of whatever has a bit, the same on all ranks.
-    stream : int
-        Of independent bits.
-
-    Returns
-    -------
-    (...) array
-        0 or 1.
+    ``numbers``, of any shape, say what has a bit, the same on all ranks; each ``stream`` has independent bits.
     """
     x = numbers.astype(np.uint64) + np.uint64((stream + 1) * 0x9E3779B97F4A7C15 % 2**64)
     for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
@@ -117,21 +87,9 @@ def estimate_noise_rms(system: LocalSystem, operator: LocalOperator, sigma: floa
                        components: NDArray[np.bool_]) -> float:
     """Estimate the displacement noise of white camera noise, by the trace of T A^-1 M A^-1 T^T with random signs.
 
-    Parameters
-    ----------
-    system : LocalSystem
-        Of the whole region as one domain.
-    operator : LocalOperator
-        The factor of its A.
-    sigma : float
-        Standard deviation of the camera noise of both images, grey levels.
-    components : (mesh.n_dofs,) array of bool
-        Which components of the nodes' displacements count, node by node.
-
-    Returns
-    -------
-    float
-        RMS over these components, pixels.
+    The RMS, pixels, is over the ``components`` of the nodes' displacements, (mesh.n_dofs,), node by node, that count;
+    ``sigma`` is the standard deviation of the camera noise of both images, grey levels. ``system`` is that of the whole
+    region as one domain.
     """
     signs = np.random.default_rng(0).choice([-1.0, 1.0], size=(len(components), _PROBES)) * components[:, None]
     tangent = system.subdomain.kinematics.tangent
@@ -160,26 +118,9 @@ def estimate_response(team: Team, systems: Sequence[LocalSystem], step: LinearSt
                       counted: Sequence[NDArray[np.bool_]] | None = None) -> NoiseResponse:
     """Estimate the same over all nodes of a problem in subdomains, by linear steps of any kind; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    systems : sequence of LocalSystem
-        Of owned subdomains.
-    step : LinearStep
-        Solves with A.
-    counted : sequence of (n_nodes,) bool array, optional
-        Which nodes of each subdomain count; all of them by default.
-
-    Returns
-    -------
-    NoiseResponse
-        Every node counted once; with several cameras of noise of the first one.
-
-    Raises
-    ------
-    ConvergenceError
-        On all ranks, where a linear step does not converge.
+    ``counted`` says which nodes of each owned subdomain, (n_nodes,), count; all of them by default. Every node is
+    counted once; with several cameras the noise is that of the first one. Raises ConvergenceError on all ranks, where a
+    linear step with A does not converge.
     """
     at_rest = [np.zeros(system.subdomain.n_unknowns) for system in systems]
     chosen = [np.ones(system.subdomain.mesh.n_nodes) for system in systems]
@@ -253,17 +194,9 @@ class SampledCells:
     signs: Array
 
     def generate_forces(self, sample: int) -> Array:
-        """Generate the forces on the nodes of each cell.
+        """Generate the forces on the nodes of each cell, (n_cells, n), node-major, grey levels squared per pixel.
 
-        Parameters
-        ----------
-        sample : int
-            From 0; over all of them the mean of products is the covariance.
-
-        Returns
-        -------
-        (n_cells, n) array
-            Node-major, grey levels squared per pixel.
+        Samples count from 0; over all of them the mean of products is the covariance.
         """
         signs = self.signs * _SEQUENCES[sample][self.rows]
         return np.asarray(np.einsum("eij,ej->ei", self.factors, signs))
@@ -271,30 +204,16 @@ class SampledCells:
 
 def prepare_samples(covariances: Array, cell_ids: NDArray[np.int64], places: NDArray[np.int64],
                     camera: int, n_samples: int) -> SampledCells:
-    """Prepare forces with a covariance that is independent from cell to cell.
+    """Prepare forces with a covariance that is independent from cell to cell, the same whatever the partition.
 
     Each column of a cell's factor takes a sequence of +1 and -1 over the samples. Sequences of Walsh are orthogonal, so
     that the mean of products over all samples is exact for cells that have different ones: near cells have. Those that
     have the same, far apart, are multiplied by signs by chance, which leaves an error of the kind that independent
     samples have.
 
-    Parameters
-    ----------
-    covariances : (n_cells, n, n) array
-        Of the forces of each cell, n at most LARGEST_FORCES.
-    cell_ids : (n_cells,) array of int64
-        Numbers of the cells in the whole mesh.
-    places : (n_cells, 2) array of int64
-        Column and row of each cell, counted in cells.
-    camera : int
-        Number of the camera: the noise of each is its own.
-    n_samples : int
-        MOST_SAMPLES or FEWEST_SAMPLES.
-
-    Returns
-    -------
-    SampledCells
-        The same whatever the partition.
+    ``covariances`` are (n_cells, n, n) with n at most LARGEST_FORCES, ``cell_ids`` the cells' numbers in the whole
+    mesh, ``places`` their columns and rows, counted in cells, (n_cells, 2), ``camera`` its number, for the noise of
+    each is its own, ``n_samples`` MOST_SAMPLES or FEWEST_SAMPLES.
     """
     values, vectors = np.linalg.eigh(covariances)
     # Rounding may leave eigenvalues of nothing below zero.

@@ -1,6 +1,6 @@
 """What the ways to solve a linear step take: seconds and memory, predicted from sizes alone.
 
-Constants of the cost model of ``solver.method = "auto"``; ``make bench-interface`` measures them anew.
+The constants are those of the cost model of ``solver.method = "auto"``; ``make bench-interface`` measures them anew.
 """
 
 from __future__ import annotations
@@ -22,43 +22,19 @@ class Growth:
 
     Attributes
     ----------
-    constant : float
-        Seconds or bytes.
-    growing : float
-        The same, by the root of the number of unknowns, or by its logarithm to base 2.
+    constant, growing : float
+        Seconds or bytes; the growing part by the root of the number of unknowns, or by its logarithm to base 2.
     """
 
     constant: float
     growing: float
 
     def evaluate_by_root(self, n: float) -> float:
-        """Evaluate it for operations of a factor by nested dissection, n^1.5.
-
-        Parameters
-        ----------
-        n : float
-            Unknowns of the problem.
-
-        Returns
-        -------
-        float
-            Of an unknown.
-        """
+        """Evaluate it, an unknown, for operations of a factor by nested dissection, n^1.5 for a problem of n."""
         return self.constant + self.growing * float(np.sqrt(n))
 
     def evaluate_by_log(self, n: float) -> float:
-        """Evaluate it for entries of a factor by nested dissection, n log n.
-
-        Parameters
-        ----------
-        n : float
-            Unknowns of the problem.
-
-        Returns
-        -------
-        float
-            Of an unknown.
-        """
+        """Evaluate it, an unknown, for entries of a factor by nested dissection, n log n for a problem of n."""
         return self.constant + self.growing * float(np.log2(max(n, 2.0)))
 
 
@@ -68,10 +44,8 @@ class Factor:
 
     Attributes
     ----------
-    seconds : Growth
-        CPU seconds, with the root.
-    memory : Growth
-        Bytes, with the logarithm.
+    seconds, memory : Growth
+        CPU seconds, with the root, and bytes, with the logarithm.
     """
 
     seconds: Growth
@@ -86,22 +60,16 @@ class CostConstants:
     ----------
     system_memory : float
         Bytes of M and Kbar.
-    whole : pair of Factor
-        Of A by MUMPS on one rank, forming it included.
-    whole_solve : float
-        Seconds of a solve with it, by the logarithm to base 2 of the unknowns.
+    whole, local : pair of Factor
+        Of A by MUMPS on one rank, forming it included, and of A_s by the package for subdomains.
+    whole_solve, local_solve : float
+        Seconds of a solve with each, by the logarithm to base 2 of its unknowns.
     parallel_factor : pair of float
         Power of the number of ranks by which the seconds of a rank fall.
     parallel_memory : float
         The same of bytes.
-    local : pair of Factor
-        Of A_s by the package for subdomains.
-    local_solve : float
-        Seconds of a solve with it, by the logarithm to base 2 of its unknowns.
-    interface : pair of Factor
-        Of S_s and its inverse as arrays, where other subdomains lie all round.
-    sparse_interface : pair of Factor
-        The same by a sparse factor, as large subdomains have it.
+    interface, sparse_interface : pair of Factor
+        Of S_s and its inverse, other subdomains all round: as arrays, and by a sparse factor, as large ones have it.
     coarse_set_up : Growth
         Seconds of modes and coarse matrix of two levels, with the root of a subdomain's unknowns.
     dual_product : float
@@ -191,16 +159,12 @@ class StepTask:
 
     Attributes
     ----------
-    n_unknowns : int
-        Of the whole problem.
-    n_cells : int
-        Of the mesh.
+    n_unknowns, n_cells : int
+        Of the whole problem, and of the mesh.
     wavelength : float
         Cut-off wavelength over the side of a cell; 0 without regularization, infinite where it is not known.
-    n_ranks : int
-        Ranks that make them together.
-    n_steps : int
-        How many there are with the same operator.
+    n_ranks, n_steps : int
+        Ranks that make the steps together, and how many steps there are with the same operator.
     n_started : int
         Pixels of the region, over all frames, that the dual method's subdomains are first measured on by themselves; 0
         where they are not, or whatever the method.
@@ -243,13 +207,7 @@ class Candidate:
     preconditioner: Literal["none", "paper", "scaled", "two_level"] = "scaled"
 
     def describe(self) -> str:
-        """Describe it for the log.
-
-        Returns
-        -------
-        str
-            The method; with "dual" subdomains and preconditioner.
-        """
+        """Describe it for the log: the method, with "dual" subdomains and preconditioner."""
         if self.method != "dual":
             return self.method
         return f"dual ({self.preconditioner}, subdomains: {self.n_subdomains})"
@@ -263,10 +221,8 @@ class StepCosts:
     ----------
     candidate : Candidate
         The way.
-    set_up : float
-        Seconds of a rank before the first step.
-    step : float
-        Seconds of a rank for a step.
+    set_up, step : float
+        Seconds of a rank before the first step, and for a step.
     n_steps : int
         Steps.
     n_iterations : float
@@ -288,33 +244,12 @@ class StepCosts:
         return self.set_up + self.n_steps * self.step
 
     def describe(self) -> str:
-        """Describe them for the log.
-
-        Returns
-        -------
-        str
-            The candidate, seconds and memory.
-        """
+        """Describe them for the log: the candidate, seconds and memory."""
         return f"{self.candidate.describe()} {self.seconds:.2g} s, {self.memory / 2**30:.2g} GiB"
 
 
 def predict_costs(task: StepTask, candidate: Candidate, constants: CostConstants = MEASURED) -> StepCosts:
-    """Predict what a candidate takes.
-
-    Parameters
-    ----------
-    task : StepTask
-        The steps.
-    candidate : Candidate
-        The way.
-    constants : CostConstants
-        Of the machine.
-
-    Returns
-    -------
-    StepCosts
-        Seconds and bytes.
-    """
+    """Predict what a candidate takes, seconds and bytes."""
     of_method: dict[StepMethod, Callable[[StepTask, Candidate, CostConstants], StepCosts]] = {
         "dual": _predict_dual,
         "assembled": _predict_assembled,
@@ -325,18 +260,7 @@ def predict_costs(task: StepTask, candidate: Candidate, constants: CostConstants
 
 
 def find_shared_boundary(n_subdomains: int) -> float:
-    """Find which share of the subdomains' boundaries lies between two of them.
-
-    Parameters
-    ----------
-    n_subdomains : int
-        Into which a square is split.
-
-    Returns
-    -------
-    float
-        0 for one, near 1 for many.
-    """
+    """Find which share of the boundaries of a square's subdomains lies between two: 0 for one, near 1 for many."""
     return 1.0 - 1.0 / float(np.sqrt(n_subdomains))
 
 

@@ -58,81 +58,26 @@ class WholeSystem:
             self._objects = stack.pop_all()
 
     def average_copies(self, values: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Average what subdomains say of each unknown; collective.
-
-        Parameters
-        ----------
-        values : sequence of (n_unknowns,) arrays
-            Of each owned subdomain.
-
-        Returns
-        -------
-        (n_here,) array
-            Means, here.
-        """
+        """Average what subdomains say of each unknown: means here, (n_here,); collective."""
         return np.asarray(self.sum_over_subdomains(values) / self._multiplicity)
 
     def restrict(self, here: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """Give each owned subdomain the values of its unknowns.
-
-        Parameters
-        ----------
-        here : (n_here,) array
-            Values here.
-
-        Returns
-        -------
-        list of (n_unknowns,) arrays
-            Of each owned subdomain.
-        """
+        """Give each owned subdomain the values of its unknowns, (n_unknowns,), from those here."""
         return [here[places] for places in self._places]
 
     def add_up(self, values: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Add up over this rank's subdomains.
-
-        Parameters
-        ----------
-        values : sequence of (n_unknowns,) arrays
-            Of each owned subdomain.
-
-        Returns
-        -------
-        (n_here,) array
-            Sums over this rank's subdomains, here.
-        """
+        """Add up values of each owned subdomain, (n_unknowns,), over this rank's subdomains: sums here, (n_here,)."""
         total = np.zeros(len(self.exchange.ghosts))
         for places, values_s in zip(self._places, values, strict=True):
             total[places] += values_s
         return total
 
     def sum_over_subdomains(self, values: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Add up over the subdomains of all ranks; collective.
-
-        Parameters
-        ----------
-        values : sequence of (n_unknowns,) arrays
-            Of each owned subdomain.
-
-        Returns
-        -------
-        (n_here,) array
-            Sums over all subdomains, here.
-        """
+        """Add up values of each owned subdomain over the subdomains of all ranks: sums here, (n_here,); collective."""
         return self.exchange.sum_over_ranks(self.add_up(values))
 
     def apply(self, here: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Apply this rank's part of A; collective.
-
-        Parameters
-        ----------
-        here : (n_here,) array
-            x.
-
-        Returns
-        -------
-        (n_here,) array
-            This rank's part of A x, to be added up by the owners.
-        """
+        """Apply this rank's part of A to x, here, (n_here,), to be added up by the owners; collective."""
         x = self.restrict(here)
         gap = self._find_gap(x)
         products = [system.hessian @ x_s + system.eta * rows.multiply_transposed(gap_s)
@@ -143,16 +88,7 @@ class WholeSystem:
                             mean: NDArray[np.float64]) -> None:
         """Set a vector to sum_s R_s^T (b_s + M_s (q_s - qbar_s)) - eta Kbar^T Kbar qbar; collective.
 
-        Parameters
-        ----------
-        right : PETSc.Vec
-            Overwritten.
-        q : sequence of (n_unknowns,) arrays
-            q_s of each owned subdomain.
-        b : sequence of (n_unknowns,) arrays
-            b_s of each owned subdomain.
-        mean : (n_here,) array
-            qbar, the one field that takes the place of copies that differ, here.
+        ``mean`` is qbar here, (n_here,), the one field that takes the place of copies that differ.
         """
         q_mean = self.restrict(mean)
         gap = self._find_gap(q_mean)
@@ -165,35 +101,15 @@ class WholeSystem:
                          mean: NDArray[np.float64]) -> list[NDArray[np.float64]]:
         """Find dq_s by which q_s + dq_s is the mean plus the solution everywhere; collective.
 
-        Parameters
-        ----------
-        solution : PETSc.Vec
-            Of the whole system.
-        q : sequence of (n_unknowns,) arrays
-            q_s of each owned subdomain.
-        mean : (n_here,) array
-            qbar of ``set_right_hand_side``, here.
-
-        Returns
-        -------
-        list of (n_unknowns,) arrays
-            dq_s of each owned subdomain.
+        ``mean`` is qbar of ``set_right_hand_side``, here; dq_s is (n_unknowns,) of each owned subdomain.
         """
         found = self.restrict(mean + self.exchange.fetch_ghosts(solution))
         return [found_s - q_s for found_s, q_s in zip(found, q, strict=True)]
 
     def check_diagonal(self, operator: PETSc.Mat) -> None:
-        """Check that something holds every unknown: that the diagonal of A is positive; collective.
+        """Check that the diagonal of A, or of what gives it, is positive: something holds every unknown; collective.
 
-        Parameters
-        ----------
-        operator : PETSc.Mat
-            A, or what gives its diagonal.
-
-        Raises
-        ------
-        SingularSubdomainError
-            On all ranks, where the diagonal is not positive.
+        Raises SingularSubdomainError on all ranks.
         """
         with PetscStack() as stack:
             diagonal = stack.keep(self.create_vector())
@@ -205,15 +121,7 @@ class WholeSystem:
     def describe_singular(self, number: int) -> SingularSubdomainError:
         """Describe that nothing holds an unknown, by the node that it displaces most; collective.
 
-        Parameters
-        ----------
-        number : int
-            Of the unknown, rank by rank.
-
-        Returns
-        -------
-        SingularSubdomainError
-            To be raised on all ranks.
+        ``number`` is that of the unknown, rank by rank; SingularSubdomainError is to be raised on all ranks.
         """
         nodes = [_find_node(system.subdomain, int(unknown))
                  for system, numbers in zip(self.systems, self.numbers, strict=True)
@@ -223,13 +131,7 @@ class WholeSystem:
         return as_collective(SingularSubdomainError(describe_singular(place)))
 
     def create_vector(self) -> PETSc.Vec:
-        """Create a zero vector of owned unknowns over all ranks.
-
-        Returns
-        -------
-        PETSc.Vec
-            The caller's to destroy.
-        """
+        """Create a zero vector of owned unknowns over all ranks, the caller's to destroy."""
         return self.exchange.create_vector()
 
     def destroy(self) -> None:
@@ -295,18 +197,7 @@ class EquilibriumRows:
 
     @classmethod
     def of(cls, system: LocalSystem) -> EquilibriumRows:
-        """Take those of a system; without regularization, all are empty.
-
-        Parameters
-        ----------
-        system : LocalSystem
-            With Kbar_s.
-
-        Returns
-        -------
-        EquilibriumRows
-            Of its field's unknowns.
-        """
+        """Take those of a system, whose field has Kbar_s; without regularization, all are empty."""
         subdomain = system.subdomain
         factors = 1.0 / np.sqrt(subdomain.multiplicity)
         if system.projection is not None:
@@ -316,55 +207,21 @@ class EquilibriumRows:
         return cls(system.stiffness, factors)
 
     def multiply(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Compute Kbar_s x.
-
-        Parameters
-        ----------
-        x : (n_unknowns,) array
-            Pixels.
-
-        Returns
-        -------
-        (n_unknowns,) array
-            0 for a camera's motion: it displaces no matter, hence is in no equilibrium.
-        """
+        """Compute Kbar_s x, x in pixels; 0 for a camera's motion: it displaces no matter, so is in no equilibrium."""
         product = np.zeros(len(x))
         np.multiply(self.factors, self.stiffness @ x, out=product[:len(self.factors)])
         return product
 
     def multiply_transposed(self, gap: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Compute Kbar_s^T times a value of each unknown, those of a camera's motion left out.
-
-        Parameters
-        ----------
-        gap : (n_unknowns,) array
-            Forces.
-
-        Returns
-        -------
-        (n_unknowns,) array
-            The product.
-        """
+        """Compute Kbar_s^T times a value of each unknown, forces, (n_unknowns,), without those of a camera's motion."""
         return np.asarray(self._transposed @ (self.factors * gap[:len(self.factors)]))
 
     def sum_squares(self) -> NDArray[np.float64]:
-        """Sum the squares of each unknown's column: the diagonal of Kbar_s^T Kbar_s.
-
-        Returns
-        -------
-        (n_unknowns,) array
-            Sums.
-        """
+        """Sum the squares of each unknown's column: the diagonal of Kbar_s^T Kbar_s, (n_unknowns,)."""
         return np.asarray(self.stiffness.power(2).T @ self.factors**2)
 
     def assemble(self) -> sparse.csr_matrix:
-        """Form the matrix, for who needs more than its products.
-
-        Returns
-        -------
-        (n_unknowns, n_unknowns) csr_matrix
-            Rows of a camera's motion are zero.
-        """
+        """Form the square matrix, for who needs more than its products; rows of a camera's motion are zero."""
         n_field, n_unknowns = self.stiffness.shape
         no_equilibrium = sparse.csr_matrix((n_unknowns - n_field, n_unknowns))
         return sparse.vstack([scale_rows(self.stiffness, self.factors), no_equilibrium]).tocsr()

@@ -60,10 +60,8 @@ class BinnedPair:
 
     Attributes
     ----------
-    reference : MaskedSource
-        The reference image, a pixel a block.
-    deformed : MaskedSource
-        The deformed image, a pixel a block.
+    reference, deformed : MaskedSource
+        The images, a pixel a block.
     factor : int
         Side of a block, pixels.
     pixels : PixelPair, optional
@@ -87,20 +85,7 @@ class BinnedPair:
 
 
 def scale_mesh(mesh: Mesh, factor: int) -> Mesh:
-    """Scale a mesh from pixels to blocks.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Pixels.
-    factor : int
-        Side of a block, pixels.
-
-    Returns
-    -------
-    Mesh
-        The same cells, blocks.
-    """
+    """Scale a mesh from pixels to blocks of ``factor`` pixels."""
     nodes = (mesh.nodes - locate_block_centre(factor)) / factor
     return Mesh(nodes, mesh.connectivity, mesh.offsets, mesh.types)
 
@@ -108,17 +93,7 @@ def scale_mesh(mesh: Mesh, factor: int) -> Mesh:
 def find_active_blocks(coarse: MaskedSource, raster: Raster) -> NDArray[np.uint8]:
     """Mark the blocks whose centre lies in the mesh and that are not masked.
 
-    Parameters
-    ----------
-    coarse : MaskedSource
-        A binned image.
-    raster : Raster
-        Of the mesh in blocks.
-
-    Returns
-    -------
-    (rows, columns) array of uint8
-        1 on active blocks, 0 elsewhere.
+    Returns 1 on active blocks, 0 elsewhere, (rows, columns); ``raster`` is of the mesh in blocks.
     """
     covered = raster.find_covered(coarse.image.width, coarse.image.height)
     usable = coarse.find_usable(coarse.extent)
@@ -137,10 +112,8 @@ class Grid:
         Numbers of its nodes in the full grid, row after row.
     shape : (rows, columns)
         Nodes of the full grid.
-    origin : (2,) array
-        Its first node, blocks.
-    spacing : (2,) array
-        Between its nodes, blocks.
+    origin, spacing : (2,) array
+        The full grid's first node, and what is between its nodes, blocks.
     """
 
     mesh: Mesh
@@ -150,19 +123,9 @@ class Grid:
     spacing: NDArray[np.float64]
 
     def make_field(self, displacement: NDArray[np.float64], factor: int) -> GridField:
-        """Make a field of displacements of the cells' nodes.
+        """Make a field on the full grid, pixels, of displacements of the cells' nodes, (mesh.n_dofs,), blocks.
 
-        Parameters
-        ----------
-        displacement : (mesh.n_dofs,) array
-            Of the nodes, blocks.
-        factor : int
-            Side of a block, pixels.
-
-        Returns
-        -------
-        GridField
-            On the full grid, pixels; nodes without a cell have the nearest node's value.
+        Nodes without a cell have the nearest node's value.
         """
         values = np.full((*self.shape, 2), np.nan)
         values.reshape(-1, 2)[self.numbers] = displacement.reshape(-1, 2) * factor
@@ -172,35 +135,14 @@ class Grid:
 
 
 def locate_block_centre(factor: int) -> float:
-    """Find the position of the first block's centre.
-
-    Parameters
-    ----------
-    factor : int
-        Side of a block, pixels.
-
-    Returns
-    -------
-    float
-        Along either axis, pixels.
-    """
+    """Find the position of the first block's centre along either axis, pixels; a block has ``factor`` pixels a side."""
     return (factor - 1) / 2
 
 
 def build_grid(region: Mesh, active: NDArray[np.uint8]) -> Grid:
-    """Build a grid over a region, without the cells that have no active block.
+    """Build a grid over a region in blocks, without the cells that have no active block.
 
-    Parameters
-    ----------
-    region : Mesh
-        What is measured, blocks.
-    active : (rows, columns) array of uint8
-        1 on the blocks that count.
-
-    Returns
-    -------
-    Grid
-        Of cells with a side of about ``CELL`` blocks.
+    Its cells have a side of about ``CELL`` blocks; ``active``, (rows, columns), is 1 on the blocks that count.
     """
     # Pixels that fill no block may lie beyond the last one's edge.
     n_rows_of_blocks, n_columns_of_blocks = active.shape
@@ -230,34 +172,12 @@ def _connect(n_rows: int, n_columns: int) -> NDArray[np.int64]:
 
 
 def choose_finest_block(n_pixels: int) -> int:
-    """Find the side of the smallest blocks that the start looks at.
-
-    Parameters
-    ----------
-    n_pixels : int
-        Of an image.
-
-    Returns
-    -------
-    int
-        Pixels.
-    """
+    """Find the side of the smallest blocks that the start looks at, pixels, in an image of ``n_pixels``."""
     return 1 if n_pixels <= LARGEST_FFT_IMAGE else find_finest_level(n_pixels)
 
 
 def find_finest_level(n_pixels: int) -> int:
-    """Find the side of the smallest blocks of the pyramid.
-
-    Parameters
-    ----------
-    n_pixels : int
-        Of an image.
-
-    Returns
-    -------
-    int
-        Pixels.
-    """
+    """Find the side of the smallest blocks of the pyramid, pixels, in an image of ``n_pixels``."""
     finest = 2
     while n_pixels / finest**2 > LARGEST_COARSE_IMAGE:
         finest *= 2
@@ -265,19 +185,9 @@ def find_finest_level(n_pixels: int) -> int:
 
 
 def choose_block_sizes(n_pixels: int, mesh: Mesh) -> list[int]:
-    """Choose the block sizes of the pyramid's levels.
+    """Choose the block sizes of the pyramid's levels, pixels, coarsest first, in an image of ``n_pixels``.
 
-    Parameters
-    ----------
-    n_pixels : int
-        Of an image.
-    mesh : Mesh
-        The whole mesh, pixels.
-
-    Returns
-    -------
-    list of int
-        Pixels, coarsest first; none where the region is smaller than a cell of each.
+    There are none where the region of the whole mesh, pixels, is smaller than a cell of each.
     """
     side = float(np.ptp(mesh.nodes, axis=0).min())
     sizes = [find_finest_level(n_pixels)]
@@ -287,20 +197,7 @@ def choose_block_sizes(n_pixels: int, mesh: Mesh) -> list[int]:
 
 
 def choose_rigid_block(n_pixels: int, mesh: Mesh) -> int:
-    """Choose the side of the blocks in which a rigid translation is sought.
-
-    Parameters
-    ----------
-    n_pixels : int
-        Of an image.
-    mesh : Mesh
-        The whole mesh, pixels.
-
-    Returns
-    -------
-    int
-        Pixels.
-    """
+    """Choose the side of the blocks, pixels, in which a rigid translation of the whole mesh is sought."""
     region = float(np.prod(np.ptp(mesh.nodes, axis=0)))
     size = 1
     while True:

@@ -32,10 +32,8 @@ class LevelMesh:
         The cells and what they are parts of, blocks.
     kinematics : RegionKinematics
         Their mesh, cut or not, and the unknowns, blocks.
-    on_edge : (n_nodes,) array of bool
-        Nodes of the edge.
-    interior : (n_nodes,) array of bool
-        Nodes at which texture is weighed against mechanics.
+    on_edge, interior : (n_nodes,) array of bool
+        Nodes of the edge, and those at which texture is weighed against mechanics.
     """
 
     cut: CutMesh
@@ -50,23 +48,10 @@ class LevelMesh:
 
 
 def cut_level(mesh: Mesh, discontinuities: Discontinuities, active: NDArray[np.uint8], degree: int) -> LevelMesh:
-    """Cut cells by discontinuities.
+    """Cut cells by discontinuities, both in blocks, with unknowns on both sides of the lines.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Blocks.
-    discontinuities : Discontinuities
-        Blocks; none of them need cross the mesh.
-    active : (rows, columns) array of uint8
-        1 on the blocks that count.
-    degree : int
-        Of the spline between blocks.
-
-    Returns
-    -------
-    LevelMesh
-        With unknowns on both sides of the lines.
+    None of the lines need cross the mesh. ``active``, (rows, columns), is 1 on the blocks that count; ``degree`` is
+    that of the spline between blocks.
     """
     cut = cut_mesh(mesh, discontinuities.lines)
     on_edge = np.zeros(cut.mesh.n_nodes, dtype=bool)
@@ -81,38 +66,12 @@ def cut_level(mesh: Mesh, discontinuities: Discontinuities, active: NDArray[np.u
 
 
 def scale_to_pixels(mesh: Mesh, factor: int) -> Mesh:
-    """Give a mesh in blocks, perhaps cut, in pixels.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Blocks.
-    factor : int
-        Side of a block, pixels.
-
-    Returns
-    -------
-    Mesh
-        The same cells, pixels.
-    """
+    """Give a mesh in blocks of ``factor`` pixels, perhaps cut, in pixels."""
     return _map_mesh(mesh, factor, locate_block_centre(factor))
 
 
 def move_mesh(mesh: Mesh, vector: NDArray[np.float64]) -> Mesh:
-    """Give a mesh, perhaps cut, at another place.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Pixels.
-    vector : (2,) array
-        By which it is moved, pixels.
-
-    Returns
-    -------
-    Mesh
-        The same cells, pixels.
-    """
+    """Give a mesh, perhaps cut, at another place: moved by ``vector``, (2,), pixels."""
     return _map_mesh(mesh, 1, vector)
 
 
@@ -142,18 +101,10 @@ class CutField:
     displacement: NDArray[np.float64]
 
     def interpolate_at_nodes(self, mesh: Mesh) -> NDArray[np.float64]:
-        """Prolong the displacement to the nodes of another mesh, each on its own side of all lines.
+        """Prolong the displacement to nodes of another mesh, (n_nodes, 2), pixels, each on its own side of all lines.
 
-        Parameters
-        ----------
-        mesh : Mesh
-            Perhaps with cut cells, pixels.
-
-        Returns
-        -------
-        (n_nodes, 2) array
-            Displacement, pixels: that of the cell that holds a point on the node's side, extrapolated to the node;
-            outside the mesh that of the nearest node.
+        It is that of the cell that holds a point on the node's side, extrapolated to the node; outside the mesh that of
+        the nearest node.
         """
         on_own_side = find_points_on_own_side(mesh)
         cells = locate(self.mesh, on_own_side).cells
@@ -164,18 +115,7 @@ class CutField:
         return values
 
     def at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Interpolate the displacement.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n, 2) array
-            Displacement, pixels; outside the mesh that of the nearest node.
-        """
+        """Interpolate the displacement at points, (n, 2), pixels; outside the mesh it is that of the nearest node."""
         located = locate(self.mesh, points)
         values = interpolate_located(self.mesh, self.displacement, located)
         outside = located.cells < 0
@@ -197,10 +137,8 @@ class MovedField:
     ----------
     field : CutField or MatchedField
         Pixels of these parts.
-    origin : (2,) array
-        Where the reference image's part begins, pixels.
-    translation : (2,) array
-        Where the deformed image's part begins, from there, pixels.
+    origin, translation : (2,) array
+        Where the reference image's part begins, and where the deformed image's part begins from there, pixels.
     """
 
     field: CutField | MatchedField
@@ -208,33 +146,11 @@ class MovedField:
     translation: NDArray[np.float64]
 
     def at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Evaluate the displacement.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n, 2) array
-            Displacement, pixels.
-        """
+        """Evaluate the displacement at points, (n, 2), pixels."""
         return np.asarray(self.field.at(points - self.origin) + self.translation)
 
     def interpolate_at_nodes(self, mesh: Mesh) -> NDArray[np.float64]:
-        """Evaluate the displacement at the nodes of a mesh.
-
-        Parameters
-        ----------
-        mesh : Mesh
-            Perhaps with cut cells, pixels.
-
-        Returns
-        -------
-        (n_nodes, 2) array
-            Displacement, pixels.
-        """
+        """Evaluate the displacement at the nodes of a mesh, perhaps with cut cells, (n_nodes, 2), pixels."""
         return self.field.interpolate_at_nodes(move_mesh(mesh, -self.origin)) + self.translation
 
 
@@ -258,24 +174,8 @@ def move_field(field: CoarseField | KeptResult, origin: NDArray[np.float64],
                translation: NDArray[np.float64]) -> CoarseField:
     """Give what was found in parts of both images in pixels of the images.
 
-    Parameters
-    ----------
-    field : GridField, CutField or MatchedField
-        Pixels of these parts.
-    origin : (2,) array
-        Where the reference image's part begins, pixels.
-    translation : (2,) array
-        Where the deformed image's part begins, from there, pixels.
-
-    Returns
-    -------
-    GridField or MovedField
-        Pixels.
-
-    Raises
-    ------
-    TypeError
-        Where the field is not one that was found in a part.
+    The reference image's part begins at ``origin``, the deformed image's part from there at ``translation``, (2,),
+    pixels. Raises TypeError where the field is not one that was found in a part.
     """
     if isinstance(field, GridField):
         x, y = np.asarray(field.origin) + origin
@@ -286,18 +186,5 @@ def move_field(field: CoarseField | KeptResult, origin: NDArray[np.float64],
 
 
 def evaluate_at_nodes(field: CoarseField, mesh: Mesh) -> NDArray[np.float64]:
-    """Evaluate a coarse field at the nodes of a mesh.
-
-    Parameters
-    ----------
-    field : GridField, CutField, MatchedField or MovedField
-        Pixels.
-    mesh : Mesh
-        Perhaps with cut cells, pixels.
-
-    Returns
-    -------
-    (n_nodes, 2) array
-        Displacement, pixels.
-    """
+    """Evaluate a coarse field at the nodes of a mesh, perhaps with cut cells, (n_nodes, 2), pixels."""
     return field.at(mesh.nodes) if isinstance(field, GridField) else field.interpolate_at_nodes(mesh)

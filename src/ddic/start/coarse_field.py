@@ -91,32 +91,14 @@ class CoarseSearch:
     given: GivenStart | None = None
 
     def start_from(self, given: GivenStart) -> CoarseSearch:
-        """Give a search that starts from something else than the case says.
-
-        Parameters
-        ----------
-        given : EarlierResult or StartPoints
-            The same on all ranks.
-
-        Returns
-        -------
-        CoarseSearch
-            For any number of frames.
-        """
+        """Give a search that starts from something else than the case says; ``given`` is the same on all ranks."""
         return replace(self, given=given)
 
     def prepare(self, frame: Frame | None) -> Callable[[], list[MultilevelStart] | None]:
         """Bin the images on all ranks; collective.
 
-        Parameters
-        ----------
-        frame : Frame or None
-            One deformed image of each camera; None where there is nothing to search for yet.
-
-        Returns
-        -------
-        callable
-            What this rank has to do next, free of communication: the search itself on the last rank.
+        Returns what this rank has to do next, free of communication: the search itself on the last rank. The frame is
+        None where there is nothing to search for yet.
         """
         if frame is None:
             return lambda: None
@@ -127,18 +109,7 @@ class CoarseSearch:
         return partial(self._search, pairs)
 
     def share(self, found: list[MultilevelStart] | None) -> list[MultilevelStart] | None:
-        """Give all ranks what the last one found; collective.
-
-        Parameters
-        ----------
-        found : list of MultilevelStart or None
-            By camera, on the last rank.
-
-        Returns
-        -------
-        list of MultilevelStart or None
-            By camera; None where nothing was sought.
-        """
+        """Give all ranks what the last one found, by camera; None where nothing was sought; collective."""
         # Not held by the last rank either where there was nothing to search for.
         shared: list[MultilevelStart] | None = self.team.broadcast(found, root=self.team.size - 1)
         return shared
@@ -183,19 +154,7 @@ class CoarseSearch:
 def prepare_search(team: Team, inputs: Inputs, measured: Sequence[MeasuredCells] | None) -> CoarseSearch:
     """Give the last rank the cells that rank 0 holds, so that rank 0 may split them meanwhile; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    inputs : Inputs
-        Reference images and settings.
-    measured : sequence of MeasuredCells or None
-        By camera, on rank 0.
-
-    Returns
-    -------
-    CoarseSearch
-        For any number of frames.
+    ``measured`` is by camera, on rank 0. The search serves any number of frames.
     """
     case, last = inputs.case, team.size - 1
     loaded = team.build_on_root(lambda: [load_given_start(case.start)])
@@ -217,22 +176,7 @@ def _see_region(case: Case, camera: Camera, cells: MeasuredCells) -> SeenRegion:
 
 def fit_coarse_fields(cameras: Sequence[Camera], references: Sequence[ReferenceViews],
                       found: Sequence[MultilevelStart]) -> StartField:
-    """Start each subdomain from its camera's coarse field; free of communication.
-
-    Parameters
-    ----------
-    cameras : sequence of Camera
-        All of them.
-    references : sequence of ReferenceViews
-        Owned subdomains.
-    found : sequence of MultilevelStart
-        By camera.
-
-    Returns
-    -------
-    StartField
-        Unknowns and notes.
-    """
+    """Start each owned subdomain from its camera's coarse field, found by camera; free of communication."""
     q = [_fit_coarse_field(reference, found[reference.subdomain.camera].field) for reference in references]
     return StartField(q, describe_starts(cameras, found))
 
@@ -245,20 +189,7 @@ def _fit_coarse_field(reference: ReferenceViews, field: CoarseField | KeptResult
 
 
 def describe_starts(cameras: Sequence[Camera], found: Sequence[MultilevelStart]) -> tuple[str, ...]:
-    """Say how the coarse fields of all cameras were found.
-
-    Parameters
-    ----------
-    cameras : sequence of Camera
-        All of them.
-    found : sequence of MultilevelStart
-        By camera.
-
-    Returns
-    -------
-    tuple of str
-        For the log.
-    """
+    """Say for the log how the coarse fields of all cameras were found."""
     notes: list[str] = []
     for camera, start in zip(cameras, found, strict=True):
         prefix = "" if len(cameras) == 1 else f"{camera.label}, "
@@ -267,18 +198,7 @@ def describe_starts(cameras: Sequence[Camera], found: Sequence[MultilevelStart])
 
 
 def describe_start(start: MultilevelStart) -> list[str]:
-    """Say how a coarse field was found.
-
-    Parameters
-    ----------
-    start : MultilevelStart
-        The coarse field.
-
-    Returns
-    -------
-    list of str
-        For the log.
-    """
+    """Say for the log how a coarse field was found."""
     lines = list(start.warnings)
     shifts = [f"({found.shift[0]:.2f}, {found.shift[1]:.2f}) px, correlation coefficient {found.coefficient:.3f}"
               for found in start.rigid]
@@ -310,24 +230,8 @@ def fit_found_fields(search: CoarseSearch, references: Sequence[ReferenceViews],
                      found: Sequence[MultilevelStart]) -> StartField:
     """Start each subdomain from what was found for its camera, or from the earlier result that is kept; collective.
 
-    Parameters
-    ----------
-    search : CoarseSearch
-        With the earlier result, on rank 0.
-    references : sequence of ReferenceViews
-        Owned subdomains.
-    found : sequence of MultilevelStart
-        By camera.
-
-    Returns
-    -------
-    StartField
-        The result's displacement, moved as the set-ups did, so that no set-up has moved.
-
-    Raises
-    ------
-    InputError
-        On all ranks, where the earlier result holds no motion of a near field.
+    That result, which the search holds on rank 0, gives its displacement, moved as the set-ups did, so that no set-up
+    has moved. Raises InputError on all ranks where it holds no motion of a near field.
     """
     team, cameras = search.team, search.cameras
     if not any(isinstance(start.field, KeptResult) for start in found):

@@ -76,10 +76,8 @@ class FeatureMatches:
 
     Attributes
     ----------
-    points : (n, 2) array
-        Pixels of the reference image.
-    displacement : (n, 2) array
-        Pixels.
+    points, displacement : (n, 2) array
+        Places in the reference image, and how they are displaced, pixels.
     pieces : (n,) array of int64
         Piece of the region that each lies in.
     n_found : int
@@ -99,21 +97,10 @@ class FeatureMatches:
 
 
 def match_features(pair: BinnedPair, mesh: Mesh, piece_of_cell: NDArray[np.int64]) -> FeatureMatches:
-    """Match features of a region with those of the deformed image.
+    """Match features of a region with those of the deformed image, and keep those that agree with their neighbours.
 
-    Parameters
-    ----------
-    pair : BinnedPair
-        The images.
-    mesh : Mesh
-        The region, perhaps cut by lines, pixels.
-    piece_of_cell : (n_cells,) array of int64
-        Piece of the region that each cell is of: what displacements of one piece say nothing of those of another.
-
-    Returns
-    -------
-    FeatureMatches
-        Those that agree with their neighbours.
+    ``piece_of_cell``, (n_cells,), says which piece of the region, perhaps cut by lines, each cell is of: displacements
+    of one piece say nothing of those of another.
     """
     active = find_active_blocks(pair.reference, rasterize(scale_mesh(mesh, pair.factor)))
     extent = pair.deformed.extent
@@ -185,6 +172,8 @@ def _find_consistent(points: Array, displacement: Array, pieces: NDArray[np.int6
 class MatchedField:
     """Displacement by affine maps of the nearest matches, each piece of the region for itself.
 
+    Beyond the region it is that of the piece of the nearest match.
+
     Attributes
     ----------
     matches : FeatureMatches
@@ -200,33 +189,11 @@ class MatchedField:
     piece_of_cell: NDArray[np.int64]
 
     def interpolate_at_nodes(self, mesh: Mesh) -> Array:
-        """Interpolate the displacement at the nodes of a mesh, each in the piece that it belongs to.
-
-        Parameters
-        ----------
-        mesh : Mesh
-            Perhaps with cut cells, pixels.
-
-        Returns
-        -------
-        (n_nodes, 2) array
-            Displacement, pixels; beyond the region that of the piece of the nearest match.
-        """
+        """Interpolate the displacement at nodes, each in the piece that it belongs to, (n_nodes, 2), pixels."""
         return self._interpolate(mesh.nodes, find_points_on_own_side(mesh))
 
     def at(self, points: Array) -> Array:
-        """Interpolate the displacement.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n, 2) array
-            Displacement, pixels; beyond the region that of the piece of the nearest match.
-        """
+        """Interpolate the displacement at points, (n, 2), pixels."""
         return self._interpolate(points, points)
 
     def _interpolate(self, points: Array, on_own_side: Array) -> Array:
@@ -264,24 +231,10 @@ class PairField:
 
 
 def interpolate_pairs(points: Array, displacement: Array, mesh: Mesh) -> PairField:
-    """Interpolate displacements at points, each piece of the mesh for itself.
+    """Interpolate displacements, (n, 2), at points, (n, 2), pixels, to a mesh, each piece of it for itself.
 
     One point says a translation, two a rotation with a scale, three an affine map; what this leaves of more points is
-    interpolated by affine maps of the nearest ones, of which some may be wrong.
-
-    Parameters
-    ----------
-    points : (n, 2) array
-        At least one, pixels.
-    displacement : (n, 2) array
-        Pixels.
-    mesh : Mesh
-        Perhaps cut by lines, pixels.
-
-    Returns
-    -------
-    PairField
-        At all nodes.
+    interpolated by affine maps of the nearest ones, of which some may be wrong. At least one point is needed.
     """
     piece_of_node = find_piece_of_nodes(mesh)
     cells = locate(mesh, points).cells
@@ -314,18 +267,7 @@ def _interpolate_rest(points: Array, displacement: Array, of_all: AffineMap, pla
 
 
 def find_pieces(mesh: Mesh) -> NDArray[np.int64]:
-    """Find the pieces of a mesh: cells that hang together by nodes are of one.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Perhaps cut by lines.
-
-    Returns
-    -------
-    (n_cells,) array of int64
-        Piece of each cell, from 0.
-    """
+    """Find each cell's piece of a mesh, perhaps cut by lines, from 0: cells that hang together by nodes are of one."""
     cell_of_corner = np.repeat(np.arange(mesh.n_cells), np.diff(mesh.offsets))
     ones = np.ones(len(cell_of_corner))
     has_node = sparse.csr_matrix((ones, (cell_of_corner, mesh.connectivity)), (mesh.n_cells, mesh.n_nodes))
@@ -334,17 +276,9 @@ def find_pieces(mesh: Mesh) -> NDArray[np.int64]:
 
 
 def find_piece_of_nodes(mesh: Mesh) -> NDArray[np.int64]:
-    """Find the piece of a mesh that each node is of.
+    """Find the piece of a mesh that each node is of, as ``find_pieces`` numbers them.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Perhaps cut by lines; every node is a corner of a cell.
-
-    Returns
-    -------
-    (n_nodes,) array of int64
-        Piece, from 0, as ``find_pieces`` numbers them.
+    Every node must be a corner of a cell.
     """
     pieces = np.zeros(mesh.n_nodes, dtype=np.int64)
     pieces[mesh.connectivity] = np.repeat(find_pieces(mesh), np.diff(mesh.offsets))
@@ -357,10 +291,8 @@ class AffineMap:
 
     Attributes
     ----------
-    centre : (2,) array
-        Pixels.
-    translation : (2,) array
-        Displacement of the centre, pixels.
+    centre, translation : (2,) array
+        A position, and its displacement, pixels.
     gradient : (2, 2) array
         du_i/dx_j.
     """
@@ -370,35 +302,14 @@ class AffineMap:
     gradient: Array
 
     def at(self, points: Array) -> Array:
-        """Evaluate the displacement.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n, 2) array
-            Pixels.
-        """
+        """Evaluate the displacement at points, (n, 2), pixels."""
         return np.asarray(self.translation + (points - self.centre) @ self.gradient.T)
 
 
 def fit_affine_map(points: Array, displacement: Array) -> AffineMap:
-    """Fit the map of least squares that the points tell.
+    """Fit the map of least squares that the points tell, at least one, (n, 2), pixels.
 
-    Parameters
-    ----------
-    points : (n, 2) array
-        At least one, pixels.
-    displacement : (n, 2) array
-        Pixels.
-
-    Returns
-    -------
-    AffineMap
-        A translation of one point, a rotation with a scale of two or of several on a line, affine of others.
+    It is a translation of one point, a rotation with a scale of two or of several on a line, affine of others.
     """
     centre, translation = points.mean(axis=0), displacement.mean(axis=0)
     offsets, rest = points - centre, displacement - translation
@@ -416,21 +327,9 @@ def fit_affine_map(points: Array, displacement: Array) -> AffineMap:
 
 
 def fit_without_itself(points: Array, displacement: Array, neighbours: NDArray[np.int64]) -> Array:
-    """Predict the displacement of each point from its neighbours'.
+    """Predict the displacement of each point from its neighbours', (n, 2), pixels.
 
-    Parameters
-    ----------
-    points : (n, 2) array
-        Pixels.
-    displacement : (n, 2) array
-        Pixels.
-    neighbours : (n, k + 1) array of int64
-        Points nearest to each, itself first.
-
-    Returns
-    -------
-    (n, 2) array
-        Pixels.
+    ``neighbours``, (n, k + 1), are the points nearest to each, itself first.
     """
     others = neighbours[:, 1:]
     return fit_robustly(points[others] - points[:, None], displacement[others])
@@ -439,17 +338,7 @@ def fit_without_itself(points: Array, displacement: Array, neighbours: NDArray[n
 def fit_robustly(offsets: Array, displacement: Array) -> Array:
     """Fit an affine map to the displacements of some neighbours, of which some may be wrong.
 
-    Parameters
-    ----------
-    offsets : (n, k, 2) array
-        Where the neighbours are, from the place that is asked for, pixels.
-    displacement : (n, k, 2) array
-        Pixels.
-
-    Returns
-    -------
-    (n, 2) array
-        The map's value at each place, pixels.
+    Returns the map's value at each place, (n, 2), pixels, from which the neighbours are at ``offsets``, (n, k, 2).
     """
     spread = np.sqrt((offsets**2).mean(axis=(1, 2), keepdims=True))
     terms = np.concatenate([np.ones((*offsets.shape[:2], 1)), offsets / np.maximum(spread, 1e-12)], axis=2)

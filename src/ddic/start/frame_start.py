@@ -85,29 +85,9 @@ def find_start(by: FrameStart, frame: Frame, views: Sequence[FrameViews], found:
                begin: KnownStart | None) -> StartedFrame:
     """Find where Gauss-Newton starts; collective.
 
-    Parameters
-    ----------
-    by : FrameStart
-        What it is found with.
-    frame : Frame
-        One deformed image of each camera.
-    views : sequence of FrameViews
-        Owned subdomains in the frame.
-    found : list of MultilevelStart or None
-        Coarse fields that were found already, by camera.
-    begin : sequence of (n_unknowns,) array, EarlierResult, StartPoints or None
-        Unknowns of an earlier frame, which replace all stages; or a displacement from which they go on, in place of
-        what the case gives.
-
-    Returns
-    -------
-    StartedFrame
-        Unknowns and notes.
-
-    Raises
-    ------
-    InputError, ConvergenceError
-        On all ranks.
+    ``found`` are coarse fields that were found already, by camera. ``begin`` are unknowns of an earlier frame, which
+    replace all stages; or a displacement from which they go on, in place of what the case gives. Raises InputError and
+    ConvergenceError on all ranks.
     """
     if isinstance(begin, EarlierResult | StartPoints):
         by, found = replace(by, search=by.search.start_from(begin)), None
@@ -178,9 +158,7 @@ class _InterfaceField:
     ----------
     camera : int
         Number of the camera.
-    numbers : (n,) array of int64
-        Of the unknowns.
-    values : (n,) array
+    numbers, values : (n,) array
         Of the unknowns.
     columns : (n, n_motion_unknowns) array
         What the camera's motion does to them.
@@ -196,26 +174,8 @@ def start_motions(team: Team, cameras: Sequence[Camera], subdomains: Sequence[Su
                   fields: Sequence[Array]) -> list[Array]:
     """Find the motion of each camera that leaves the least jumps between independent fields, Eq. 22 of [BP17].
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    cameras : sequence of Camera
-        All of them.
-    subdomains : sequence of Subdomain
-        Owned ones.
-    fields : sequence of (n_field,) array
-        Field of each, as if no set-up had moved.
-
-    Returns
-    -------
-    list of (n_motion_unknowns,) array
-        Of each camera, on all ranks.
-
-    Raises
-    ------
-    InputError
-        On all ranks, where a camera shares too few unknowns with others.
+    ``fields`` are those of the owned subdomains, as if no set-up had moved; the motions, (n_motion_unknowns,), are on
+    all ranks. Raises InputError on all ranks where a camera shares too few unknowns with others.
     """
     owned = team.together(lambda: [_interface_field(cameras[subdomain.camera], subdomain, field)
                                    for subdomain, field in zip(subdomains, fields, strict=True)])
@@ -276,25 +236,8 @@ def estimate_noise(team: Team, cameras: Sequence[Camera], views: Sequence[FrameV
                    fields: Sequence[NDArray[np.float64]], correction: GreyCorrection) -> list[float]:
     """Find the noise of each camera: given, or its residual's standard deviation over sqrt(2); collective.
 
-    Of a camera's subdomains the one in the middle counts: some may not have been measured well by themselves.
-
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    cameras : sequence of Camera
-        All of them.
-    views : sequence of FrameViews
-        Owned subdomains in the frame.
-    fields : sequence of (n_field,) array
-        Field of each, as its own camera alone sees it.
-    correction : GreyCorrection
-        Of grey levels.
-
-    Returns
-    -------
-    list of float
-        Standard deviation of each camera's noise, grey levels.
+    The noise is a standard deviation, grey levels; each field is as its own camera alone sees it. Of a camera's
+    subdomains the one in the middle counts: some may not have been measured well by themselves.
     """
     alone = [_by_own_camera(of_subdomain) for of_subdomain in views]
     model = ResidualModel(team, alone, correction, len(cameras))
@@ -321,20 +264,7 @@ def _rounding(camera: Camera) -> float:
 
 
 def describe_noise(cameras: Sequence[Camera], noise: Sequence[float]) -> tuple[str, ...]:
-    """Say what noise each camera has.
-
-    Parameters
-    ----------
-    cameras : sequence of Camera
-        All of them.
-    noise : sequence of float
-        Of each, grey levels.
-
-    Returns
-    -------
-    tuple of str
-        A line for each.
-    """
+    """Say what noise each camera has, grey levels, a line for each."""
     lines = []
     for camera, sigma in zip(cameras, noise, strict=True):
         origin = "estimated from the residual" if camera.noise is None else "given"

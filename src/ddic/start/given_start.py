@@ -56,31 +56,14 @@ class EarlierResult:
     name: str
 
     def describe(self) -> str:
-        """Say what it is.
-
-        Returns
-        -------
-        str
-            For the log.
-        """
+        """Say for the log what it is."""
         return f"displacement of {self.name}"
 
     def evaluate(self, on_own_side: Array, nodes: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Evaluate the displacement at nodes, as far as the result says something of them.
+        """Evaluate the displacement at nodes, (n, 2), and tell which are known, (n,); pixels of the specimen's frame.
 
-        Parameters
-        ----------
-        on_own_side : (n, 2) array
-            A point for each node on its side of all discontinuities, pixels of the specimen's frame.
-        nodes : (n, 2) array
-            Pixels of the specimen's frame.
-
-        Returns
-        -------
-        values : (n, 2) array
-            Pixels; 0 where nothing is known.
-        known : (n,) array of bool
-            Whether each node's point lies in the earlier mesh, where that was measured.
+        ``on_own_side`` holds a point for each node on its side of all discontinuities. A node is known where its point
+        lies in the earlier mesh, where that was measured; the displacement of others is 0.
         """
         known = self._find_measured(on_own_side)
         values = np.zeros_like(nodes)
@@ -99,39 +82,18 @@ class EarlierResult:
         return measured
 
     def find_outside(self, points: Array) -> NDArray[np.bool_]:
-        """Find the points outside the earlier mesh among those of which nothing is known.
+        """Find the points outside the earlier mesh among those, (n, 2), pixels, of which ``evaluate`` knows nothing.
 
-        Parameters
-        ----------
-        points : (n, 2) array
-            Of which ``evaluate`` knows nothing, pixels of the specimen's frame.
-
-        Returns
-        -------
-        (n,) array of bool
-            The others lie where nothing was measured.
+        The others lie where nothing was measured.
         """
         if self.result.separated is not None:
             return np.ones(len(points), dtype=bool)
         return np.asarray(locate(self.result.mesh, points).cells < 0)
 
     def get_motion(self, camera: Camera) -> Array:
-        """Get how a set-up moved.
+        """Get how a set-up moved, (n_motion_unknowns,), pixels; none of the far camera.
 
-        Parameters
-        ----------
-        camera : Camera
-            Whose set-up it is.
-
-        Returns
-        -------
-        (n_motion_unknowns,) array
-            Pixels; none of the far camera.
-
-        Raises
-        ------
-        InputError
-            Where the result holds no motion of this near field.
+        Raises InputError where the result holds no motion of this near field.
         """
         if camera.number == 0:
             return np.zeros(0)
@@ -170,22 +132,9 @@ class PlacedStart:
 
 
 def load_given_start(section: StartSection) -> GivenStart | None:
-    """Load what a case gives to start from.
+    """Load what a case gives to start from; None where it gives nothing.
 
-    Parameters
-    ----------
-    section : StartSection
-        Of the case.
-
-    Returns
-    -------
-    EarlierResult, StartPoints or None
-        None where the case gives nothing.
-
-    Raises
-    ------
-    InputError
-        Where a file is missing or holds something else.
+    Raises InputError where a file is missing or holds something else.
     """
     if section.from_result is not None:
         result, name = read_frame_or_last(section.from_result, section.frame, "start.frame =")
@@ -195,46 +144,15 @@ def load_given_start(section: StartSection) -> GivenStart | None:
 
 
 def keep_displacement(result: Result, name: str) -> EarlierResult:
-    """Keep of a result what another run starts from.
-
-    Parameters
-    ----------
-    result : Result
-        The earlier one.
-    name : str
-        What to call it.
-
-    Returns
-    -------
-    EarlierResult
-        Small enough to be sent to another rank.
-    """
+    """Keep of a result what another run starts from: small enough to be sent to another rank."""
     return EarlierResult(replace(result, point_data={}, cell_data={}, gauss_newton={}, krylov=(), corrections={}), name)
 
 
 def place_start(given: GivenStart, region: Mesh, discontinuities: Discontinuities, camera: Camera) -> PlacedStart:
-    """Bring what the user gives to the nodes of a camera's region.
+    """Bring what the user gives, in the specimen's frame, to the nodes of a camera's region, cut by the lines.
 
-    Parameters
-    ----------
-    given : EarlierResult or StartPoints
-        Specimen's frame.
-    region : Mesh
-        The cells that the camera measures, its pixels.
-    discontinuities : Discontinuities
-        Its pixels.
-    camera : Camera
-        That sees them.
-
-    Returns
-    -------
-    PlacedStart
-        On the mesh, cut by the lines.
-
-    Raises
-    ------
-    InputError
-        Where it says nothing of the region.
+    The region and its discontinuities are in the camera's pixels. Raises InputError where what is given says nothing of
+    the region.
     """
     mesh = cut_mesh(region, discontinuities.lines).mesh
     if isinstance(given, StartPoints):
@@ -325,24 +243,11 @@ class Extrapolated:
 
 
 def extrapolate(mesh: Mesh, displacement: Array, known: NDArray[np.bool_]) -> Extrapolated:
-    """Extrapolate a displacement from the nodes at which it is known.
+    """Extrapolate a displacement, (n_nodes, 2), pixels, from the nodes at which it is known, at least one.
 
     In each piece the affine map nearest to what is known goes on, and what this leaves is in equilibrium, with free
-    edges: rotations and homogeneous strains are extrapolated exactly.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Perhaps cut by lines, pixels.
-    displacement : (n_nodes, 2) array
-        Pixels; looked at where it is known.
-    known : (n_nodes,) array of bool
-        At least one.
-
-    Returns
-    -------
-    Extrapolated
-        As given where it is known.
+    edges: rotations and homogeneous strains are extrapolated exactly. Where it is known it stays as given; elsewhere it
+    is not looked at. The mesh is perhaps cut by lines.
     """
     values = np.where(known[:, None], displacement, 0.0)
     pieces = find_piece_of_nodes(mesh)

@@ -70,27 +70,8 @@ def measure_independently(team: Team, views: Sequence[FrameViews], hessians: Seq
                           clock: PhaseClock) -> IndependentFields:
     """Run FE-DIC on every owned subdomain by itself, by its own camera; collective.
 
-    A subdomain whose M_s is singular or that does not converge keeps its q.
-
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    views : sequence of FrameViews
-        Owned subdomains in the frame.
-    hessians : sequence of list of (n_dofs, n_dofs) csr_matrix
-        M of each view, on displacements of nodes in its image.
-    q : sequence of (n_field,) array
-        Start of each, the set-up of its camera still.
-    correction : GreyCorrection
-        Of grey levels.
-    clock : PhaseClock
-        Told how far it is.
-
-    Returns
-    -------
-    IndependentFields
-        Fields, and who kept what it had.
+    A subdomain whose M_s is singular or that does not converge keeps its q, with which it starts, the set-up of its
+    camera still. ``hessians`` are M of each view, on displacements of nodes in its image.
     """
     alone = [of_subdomain.alone() for of_subdomain in views]
     follows = is_deformation_large(team, alone, q)
@@ -162,34 +143,11 @@ class Images:
 
 def correlate_alone(images: Images, cells: LevelMesh, cut_off: float, tolerances: Tolerances,
                     starts: Sequence[NDArray[np.float64]], where: str) -> NDArray[np.float64]:
-    """Correlate some cells from the best of some starts, with a cut-off wavelength.
+    """Correlate some cells from the best of some starts, with a cut-off wavelength; pixels of the images.
 
-    Parameters
-    ----------
-    images : Images
-        The pair.
-    cells : LevelMesh
-        What is measured, pixels of the images.
-    cut_off : float
-        Cut-off wavelength of the equilibrium gap, pixels.
-    tolerances : Tolerances
-        Of Gauss-Newton.
-    starts : sequence of (n_dofs,) array
-        At least one displacement of the nodes, pixels; that of least residual is taken.
-    where : str
-        What is measured, for messages.
-
-    Returns
-    -------
-    (n_dofs,) array
-        Displacement of the nodes, pixels.
-
-    Raises
-    ------
-    ConvergenceError
-        Where Gauss-Newton does not converge.
-    SingularSubdomainError
-        Where the pixels do not determine the displacement.
+    Of ``starts``, at least one displacement of the nodes, (n_dofs,), that of least residual is taken. ``where`` says
+    what is measured, for messages. Raises ConvergenceError where Gauss-Newton does not converge, SingularSubdomainError
+    where the pixels do not determine the displacement.
     """
     problem = _read(images, cells)
     kinematics = problem.subdomain.kinematics

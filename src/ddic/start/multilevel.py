@@ -1,9 +1,8 @@
 """Start of the displacement: rigid FFT correlation, matched features, a coarse-graining pyramid [BP17, Fig. 5].
 
 Runs on one rank, on images binned so far that they are small whatever the camera; every other rank receives the coarse
-field. What surrounds a small region is looked at in smaller blocks.
-
-One level of the coarse-graining pyramid: R-DIC on a square grid over binned images.
+field. What surrounds a small region is looked at in smaller blocks. A level of the pyramid is R-DIC on a square grid
+over binned images.
 """
 
 from __future__ import annotations
@@ -65,32 +64,11 @@ TOLERANCES = Tolerances(relative=1e-12, rms=0.01, max_iterations=30, largest=np.
 
 def correlate_level(pair: BinnedPair, mesh: Mesh, starts: Sequence[CoarseField], correction: GreyCorrection,
                     discontinuities: Discontinuities) -> CoarseField:
-    """Correlate one level from the best of some starts.
+    """Correlate one level from the best of some starts; displacements, the whole mesh and the lines are in pixels.
 
-    Parameters
-    ----------
-    pair : BinnedPair
-        The images.
-    mesh : Mesh
-        The whole mesh, pixels.
-    starts : sequence of GridField or CutField
-        At least one, pixels; that of least residual is taken.
-    correction : GreyCorrection
-        Of grey levels.
-    discontinuities : Discontinuities
-        Lines that cut the level's grid, pixels.
-
-    Returns
-    -------
-    GridField or CutField
-        The displacement, pixels.
-
-    Raises
-    ------
-    ConvergenceError
-        Where Gauss-Newton does not converge.
-    SingularSubdomainError
-        Where the blocks do not determine the displacement.
+    Of ``starts``, at least one, that of least residual is taken; ``discontinuities`` cut the level's grid. Raises
+    ConvergenceError where Gauss-Newton does not converge, SingularSubdomainError where the blocks do not determine the
+    displacement.
     """
     region = scale_mesh(mesh, pair.factor)
     active = find_active_blocks(pair.reference, rasterize(region))
@@ -146,18 +124,7 @@ class LinesOnLevels:
     largest_block: float
 
     def choose_lines(self, size: int) -> Discontinuities:
-        """Give the lines of a level.
-
-        Parameters
-        ----------
-        size : int
-            Side of its blocks, pixels.
-
-        Returns
-        -------
-        Discontinuities
-            All lines, or none.
-        """
+        """Give the lines of a level with blocks of ``size`` pixels: all, or none."""
         return self.discontinuities if size <= self.largest_block else Discontinuities()
 
 
@@ -170,12 +137,9 @@ class Stages:
 
     Attributes
     ----------
-    rigid : bool
-        Whether a rigid translation is sought first.
-    features : bool
-        Whether features are matched where that translation does not explain the region.
-    pyramid : bool
-        Whether the coarse-graining pyramid follows.
+    rigid, features, pyramid : bool
+        Whether a rigid translation is sought first, features are matched where that does not explain the
+        region, and the coarse-graining pyramid follows.
     """
 
     rigid: bool = True
@@ -280,25 +244,14 @@ class Pyramid:
     def find_rigid(self) -> RigidStart:
         """Find the translation of the region, and of each piece that lines cut it into.
 
-        Returns
-        -------
-        RigidStart
-            At rest, with a warning, where nothing stands out.
+        It is at rest, with a warning, where nothing stands out.
         """
         return find_rigid_start(self.pairs[self.rigid_size], self.mesh, self.lines.discontinuities)
 
     def choose_levels_after(self, translation: CoarseField) -> list[int]:
         """Choose the levels that refine a translation, where it explains the whole region on the coarsest of them.
 
-        Parameters
-        ----------
-        translation : GridField or CutField
-            Of the region, or of its pieces; pixels.
-
-        Returns
-        -------
-        list of int
-            Block sizes, pixels, coarsest first; none where parts of the region are out of reach.
+        Returns their block sizes, pixels, coarsest first; none where parts of the region are out of reach.
         """
         for size in self.sizes:
             if self.finest_size < size <= LARGEST_FOLLOWED * self.finest_size:
@@ -318,22 +271,11 @@ class Pyramid:
 
     def correlate(self, sizes: Sequence[int], starts: Sequence[CoarseField], beside: Sequence[CoarseField],
                   ) -> Correlated:
-        """Correlate some levels, each from what the one before found.
+        """Correlate levels of some block sizes, coarsest first, each from what the one before found.
 
-        Parameters
-        ----------
-        sizes : sequence of int
-            Their block sizes, coarsest first.
-        starts : sequence of GridField, CutField or MatchedField
-            At least one, pixels; the best of them starts the first level.
-        beside : sequence of GridField, CutField or MatchedField
-            What a level may start from beside what the one before found, pixels: a coarse level of a ragged region may
-            have gone astray, and the residual of the next one tells.
-
-        Returns
-        -------
-        Correlated
-            The field of the finest level that worked.
+        The best of ``starts``, at least one, starts the first level. ``beside`` is what a level may start from beside
+        what the one before found: a coarse level of a ragged region may have gone astray, and the residual of the next
+        one tells.
         """
         done, warnings = [], []
         for size in sizes:
@@ -350,25 +292,9 @@ class Pyramid:
 
 def find_multilevel_start(pair: BinnedPair, mesh: Mesh, stages: Stages, correction: GreyCorrection,
                           lines: LinesOnLevels = NO_LINES) -> MultilevelStart:
-    """Find a coarse field on the region of a mesh.
+    """Find a coarse field on the region of the whole mesh: that of the finest level that worked.
 
-    Parameters
-    ----------
-    pair : BinnedPair
-        The images, binned at most as far as ``choose_finest_block`` says.
-    mesh : Mesh
-        The whole mesh, pixels.
-    stages : Stages
-        Which stages are taken.
-    correction : GreyCorrection
-        Of grey levels.
-    lines : LinesOnLevels
-        Discontinuities of the displacement.
-
-    Returns
-    -------
-    MultilevelStart
-        The field of the finest level that worked.
+    The images are binned at most as far as ``choose_finest_block`` says.
     """
     pyramid = Pyramid(pair, mesh, correction, lines)
     sizes = pyramid.sizes if stages.pyramid else []
@@ -435,10 +361,8 @@ class Surroundings:
     ----------
     pair : BinnedPair
         The parts, positions counted from where each begins.
-    origin : (2,) array
-        Where the reference image's part begins, pixels.
-    translation : (2,) array
-        Where the deformed image's part begins, from there, pixels.
+    origin, translation : (2,) array
+        Where the reference image's part begins, and where the deformed image's part begins from there, pixels.
     """
 
     pair: BinnedPair
@@ -446,13 +370,7 @@ class Surroundings:
     translation: Array
 
     def describe(self) -> str:
-        """Say what is looked at.
-
-        Returns
-        -------
-        str
-            For the log.
-        """
+        """Say for the log what is looked at."""
         x, y = self.origin
         width, height = (n * self.pair.factor for n in (self.pair.reference.image.width,
                                                         self.pair.reference.image.height))
@@ -461,40 +379,15 @@ class Surroundings:
 
 
 def can_bin_finer(pixels: PixelPair, mesh: Mesh) -> bool:
-    """Tell whether what surrounds a region is so small that the pyramid has finer levels there than on whole images.
-
-    Parameters
-    ----------
-    pixels : PixelPair
-        The images.
-    mesh : Mesh
-        The region, pixels.
-
-    Returns
-    -------
-    bool
-        Whether it has.
-    """
+    """Tell whether what surrounds a region is so small that the pyramid has finer levels there than on whole images."""
     size = _find_size(pixels)
     return find_finest_level(int(_find_extent(size, mesh).prod())) < find_finest_level(int(size.prod()))
 
 
 def bin_surroundings(pixels: PixelPair, mesh: Mesh, translation: Array) -> Surroundings:
-    """Bin what surrounds a region.
+    """Bin what surrounds a region, in blocks as small as those of an image of that size.
 
-    Parameters
-    ----------
-    pixels : PixelPair
-        The images.
-    mesh : Mesh
-        The region, pixels.
-    translation : (2,) array
-        Of the region, about, pixels.
-
-    Returns
-    -------
-    Surroundings
-        In blocks as small as those of an image of that size.
+    ``translation``, (2,), pixels, is about that of the region.
     """
     size = _find_size(pixels)
     extent = _find_extent(size, mesh)

@@ -54,17 +54,9 @@ class PredictedError:
         return float(np.average(self.correlation, weights=self.n_blocks)) if self.n_blocks.size else 1.0
 
     def measure_share_beyond(self, limit: float) -> float:
-        """Measure the part of the region whose error is larger than a limit.
+        """Measure the part of the region, between 0 and 1, whose error is larger than a limit, pixels.
 
-        Parameters
-        ----------
-        limit : float
-            Pixels; inf for the part whose error cannot be told.
-
-        Returns
-        -------
-        float
-            Between 0 and 1; 0 where no square says anything.
+        A limit of inf asks for the part whose error cannot be told; it is 0 where no square says anything.
         """
         if not self.n_blocks.size:
             return 0.0
@@ -75,21 +67,9 @@ class PredictedError:
 def predict_error(pair: BinnedPair, mesh: Mesh, displace: Callable[[Array], Array]) -> PredictedError:
     """Predict the error of a displacement: one step of optical flow in each square of ``CELL`` blocks.
 
-    Each square's gain and offset of grey levels are its own.
-
-    Parameters
-    ----------
-    pair : BinnedPair
-        The images.
-    mesh : Mesh
-        The region, pixels.
-    displace : callable
-        The displacement (n, 2) of points (n, 2), pixels.
-
-    Returns
-    -------
-    PredictedError
-        Of the squares that have texture. Errors hold up to a part of a speckle, or of a block where that is larger.
+    ``displace`` gives the displacement, (n, 2), of points, (n, 2), pixels. Each square's gain and offset of grey levels
+    are its own; squares without texture are left out. Errors hold up to a part of a speckle, or of a block where that
+    is larger.
     """
     active = find_active_blocks(pair.reference, rasterize(scale_mesh(mesh, pair.factor)))
     rows, columns = np.nonzero(active)

@@ -56,24 +56,8 @@ class RigidStart:
 def find_rigid_start(pair: BinnedPair, mesh: Mesh, discontinuities: Discontinuities) -> RigidStart:
     """Find the translation of a region, and of each piece that lines cut it into.
 
-    Parameters
-    ----------
-    pair : BinnedPair
-        The images.
-    mesh : Mesh
-        The region, pixels.
-    discontinuities : Discontinuities
-        The lines, pixels.
-
-    Returns
-    -------
-    RigidStart
-        At rest, with a warning, where nothing stands out.
-
-    Raises
-    ------
-    ConvergenceError
-        Where the texture repeats itself, so that nobody knows which translation is right.
+    It is at rest, with a warning, where nothing stands out. Raises ConvergenceError where the texture repeats itself,
+    so that nobody knows which translation is right.
     """
     region = scale_mesh(mesh, pair.factor)
     shift = _find_shift(pair, region, FEWEST_BLOCKS)

@@ -34,28 +34,10 @@ looked up."""
 
 
 def factorize_coarse_field(found: MultilevelStart, rectangle: Rectangle) -> tuple[SeparatedField, tuple[str, ...]]:
-    """Write a coarse field as products.
+    """Write a coarse field as products on the rectangle's elements, with notes how it was found.
 
-    Interpolation between the nodes of its grid is a product itself, so that nothing is lost but small modes.
-
-    Parameters
-    ----------
-    found : MultilevelStart
-        The coarse field.
-    rectangle : Rectangle
-        What is measured.
-
-    Returns
-    -------
-    field : SeparatedField
-        On the rectangle's elements.
-    notes : tuple of str
-        How it was found.
-
-    Raises
-    ------
-    TypeError
-        Where the field is an earlier result's.
+    Interpolation between the nodes of its grid is a product itself, so that nothing is lost but small modes. Raises
+    TypeError where the field is an earlier result's.
     """
     grid = found.field
     if isinstance(grid, KeptResult):
@@ -101,18 +83,7 @@ def _at_least_two(values: Array) -> Array:
 
 
 def prepare_separated_search(problem: SeparatedProblem) -> CoarseSearch:
-    """Prepare the search for a coarse field; collective.
-
-    Parameters
-    ----------
-    problem : SeparatedProblem
-        What is measured.
-
-    Returns
-    -------
-    CoarseSearch
-        For any number of frames.
-    """
+    """Prepare the search for a coarse field, for any number of frames; collective."""
     measured = None
     if problem.team.is_root:
         mesh = problem.rectangle.build_coarse_mesh()
@@ -122,30 +93,11 @@ def prepare_separated_search(problem: SeparatedProblem) -> CoarseSearch:
 
 def find_separated_start(problem: SeparatedProblem, search: CoarseSearch, frame: Frame,
                          begin: KnownSeparatedStart | None) -> tuple[SeparatedField, tuple[str, ...]]:
-    """Find where corrections begin; collective.
+    """Find where corrections begin, on the rectangle's elements, with notes where it comes from; collective.
 
-    Parameters
-    ----------
-    problem : SeparatedProblem
-        What is measured.
-    search : CoarseSearch
-        For a coarse field.
-    frame : Frame
-        The deformed image.
-    begin : SeparatedField, EarlierResult, StartPoints or None
-        Displacement of an earlier frame, which is taken as it is; or one to go on from, in place of the case's.
-
-    Returns
-    -------
-    field : SeparatedField
-        On the rectangle's elements; a coarse field, or an earlier result as the case says.
-    notes : tuple of str
-        Where it comes from.
-
-    Raises
-    ------
-    InputError
-        On all ranks, where an earlier result is none.
+    That is a coarse field, or an earlier result as the case says. ``begin`` is the displacement of an earlier frame,
+    which is taken as it is; or one to go on from, in place of the case's. Raises InputError on all ranks where an
+    earlier result is none.
     """
     if isinstance(begin, SeparatedField):
         return begin, ("start: an earlier frame",)

@@ -72,26 +72,12 @@ class _Choice:
 
 
 def find_start_from_given(given: CutField, pyramid: Pyramid, stages: Stages) -> MultilevelStart:
-    """Find a coarse field from a given displacement.
+    """Find a coarse field from a displacement that is given on the mesh of the region.
 
     Where the images bear it out, nothing is searched; where it is in reach of the finest level, that one follows. Else
     it is moved on by a translation; where neither explains the images, nor a translation from rest, features are
     matched; then come the levels of the pyramid in whose reach the best of them is. A displacement that explains the
-    images worse than a start from nothing does is not used.
-
-    Parameters
-    ----------
-    given : CutField
-        On the mesh of the region, pixels.
-    pyramid : Pyramid
-        The images and the region.
-    stages : Stages
-        Which stages are taken.
-
-    Returns
-    -------
-    MultilevelStart
-        The field is ``given`` itself where it is kept.
+    images worse than a start from nothing does is not used. The field is ``given`` itself where it is kept.
     """
     predicted = _predict(pyramid, pyramid.finest_size, given)
     share = predicted.measure_share_beyond(RIGHT_PX)
@@ -200,18 +186,8 @@ class _Brought:
 def move_on(given: CutField, pair: BinnedPair) -> list[MovedOn]:
     """Find the translations between a reference image displaced as given and the deformed one.
 
-    Parameters
-    ----------
-    given : CutField
-        On the mesh of the region, pixels.
-    pair : BinnedPair
-        The images.
-
-    Returns
-    -------
-    list of MovedOn
-        Each piece by its own translation, where there are several pieces and one finds its own; the region by one; none
-        where nothing stands out.
+    Returns each piece moved by its own translation, where there are several pieces and one finds its own, then the
+    region by one; none where nothing stands out.
     """
     brought = _bring(given, pair)
     deformed = pair.deformed.read_whole()

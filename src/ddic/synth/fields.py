@@ -1,8 +1,7 @@
 """Analytic displacement fields, each with its exact gradient.
 
-The plate with a circular hole in uniaxial tension (Kirsch).
-
-A hole cut out of the speckled plate, as it looks in a picture.
+One of them is that of the plate with a circular hole in uniaxial tension (Kirsch). A hole cut out of the speckled
+plate, as it looks in a picture, belongs to it.
 """
 
 from __future__ import annotations
@@ -23,71 +22,23 @@ class DisplacementField(Protocol):
     """A displacement known at every point of the plane, in the reference configuration."""
 
     def displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Evaluate the displacement u.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n, 2) array
-            Pixels.
-        """
+        """Evaluate the displacement u, (n, 2), at points (n, 2), both in pixels."""
         ...
 
     def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Evaluate the gradient du_i/dx_j.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n, 2, 2) array
-            No unit.
-        """
+        """Evaluate the gradient du_i/dx_j, (n, 2, 2), no unit, at points (n, 2), pixels."""
         ...
 
 
 def require_finite(field: str, **values: float | tuple[float, ...]) -> None:
-    """Check that parameters are finite numbers.
-
-    Parameters
-    ----------
-    field : str
-        Name of what has the parameters, for the error.
-    **values : float or tuple of float
-        The parameters by name.
-
-    Raises
-    ------
-    InputError
-        Where one is not finite; it names field and parameter.
-    """
+    """Check that parameters are finite numbers; raises InputError, naming field and parameter, where one is not."""
     for key, value in values.items():
         if not np.isfinite(value).all():
             raise InputError(f"{field}: {key} = {value}: must be finite")
 
 
 def require_poisson_ratio(field: str, value: float) -> None:
-    """Check that a Poisson ratio lies in -1 < nu <= 0.5.
-
-    Parameters
-    ----------
-    field : str
-        Name of what has it, for the error.
-    value : float
-        The ratio.
-
-    Raises
-    ------
-    InputError
-        Where it does not.
-    """
+    """Check that a Poisson ratio lies in -1 < nu <= 0.5; raises InputError, naming its owner, where it does not."""
     if not -1.0 < value <= 0.5:
         raise InputError(f"{field}: poisson_ratio = {value}: must be above -1 and at most 0.5")
 
@@ -108,33 +59,11 @@ class Translation:
         require_finite("translation", vector=self.vector)
 
     def displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Evaluate the displacement u.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n, 2) array
-            Pixels.
-        """
+        """Evaluate the displacement u."""
         return np.broadcast_to(np.array(self.vector, dtype=np.float64), points.shape).copy()
 
     def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Evaluate the gradient du_i/dx_j.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n, 2, 2) array
-            No unit.
-        """
+        """Evaluate the gradient du_i/dx_j."""
         return np.zeros((len(points), 2, 2))
 
 
@@ -161,33 +90,11 @@ class Affine:
                        center=self.center)
 
     def displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Evaluate the displacement u.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n, 2) array
-            Pixels.
-        """
+        """Evaluate the displacement u."""
         return np.asarray((points - np.array(self.center)) @ np.array(self.matrix).T + np.array(self.vector))
 
     def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Evaluate the gradient du_i/dx_j.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n, 2, 2) array
-            No unit.
-        """
+        """Evaluate the gradient du_i/dx_j."""
         return np.broadcast_to(np.array(self.matrix, dtype=np.float64), (len(points), 2, 2)).copy()
 
 
@@ -225,18 +132,7 @@ class Sinusoidal:
                 raise InputError(f"sinusoidal: {key} = {getattr(self, key)}: must be positive")
 
     def displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Evaluate the displacement u.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n, 2) array
-            Pixels.
-        """
+        """Evaluate the displacement u."""
         u = np.empty_like(points)
         angle_x, angle_y = _angles(points, self.wavelength_x, self.phase_x)
         u[:, 0] = self.offset[0] + self.amplitude[0] * np.sin(angle_x) * np.cos(angle_y)
@@ -245,18 +141,7 @@ class Sinusoidal:
         return u
 
     def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Evaluate the gradient du_i/dx_j.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n, 2, 2) array
-            No unit.
-        """
+        """Evaluate the gradient du_i/dx_j."""
         grad = np.empty((len(points), 2, 2))
         a, b = _angles(points, self.wavelength_x, self.phase_x)
         factor = 2 * np.pi * self.amplitude[0] / np.array(self.wavelength_x)
@@ -304,34 +189,12 @@ class Bending:
         require_poisson_ratio("bending", self.poisson_ratio)
 
     def displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Evaluate the displacement u.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n, 2) array
-            Pixels.
-        """
+        """Evaluate the displacement u."""
         x, y = (points - np.array(self.center)).T
         return self.curvature * np.column_stack([-x * y, 0.5 * (x**2 + self.poisson_ratio * y**2)])
 
     def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Evaluate the gradient du_i/dx_j.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n, 2, 2) array
-            No unit.
-        """
+        """Evaluate the gradient du_i/dx_j."""
         x, y = (points - np.array(self.center)).T
         # Entries (i, j) of du_i/dx_j over the curvature, points last.
         rows = np.array([[-y, -x], [x, self.poisson_ratio * y]])
@@ -355,33 +218,11 @@ class Sum:
             raise InputError("sum: terms: give at least one displacement field")
 
     def displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Evaluate the displacement u.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n, 2) array
-            Pixels.
-        """
+        """Evaluate the displacement u."""
         return np.asarray(sum(term.displacement(points) for term in self.terms))
 
     def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Evaluate the gradient du_i/dx_j.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n, 2, 2) array
-            No unit.
-        """
+        """Evaluate the gradient du_i/dx_j."""
         return np.asarray(sum(term.gradient(points) for term in self.terms))
 
 
@@ -425,18 +266,7 @@ class Kirsch:
             raise InputError(f"kirsch: radius = {self.radius}: must be positive")
 
     def displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Evaluate the displacement u.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n, 2) array
-            Pixels.
-        """
+        """Evaluate the displacement u."""
         across, along = (points - np.array(self.center)).T / self.radius
         h, _, w, _ = _decaying_terms(across**2 + along**2)
         kappa, scale = self._constants()
@@ -447,18 +277,7 @@ class Kirsch:
         return np.asarray(scale * np.column_stack([u_across, u_along]) + np.array(self.translation))
 
     def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Evaluate the gradient du_i/dx_j.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n, 2, 2) array
-            No unit.
-        """
+        """Evaluate the gradient du_i/dx_j."""
         across, along = (points - np.array(self.center)).T / self.radius
         h, dh, w, dw = _decaying_terms(across**2 + along**2)
         kappa, scale = self._constants()
@@ -515,6 +334,8 @@ def _decaying_terms(s: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
 class Hole:
     """A flat dark disc with a smooth edge, in reference coordinates.
 
+    Raises InputError for a radius or edge that is not positive, or a level outside 0..1.
+
     Attributes
     ----------
     center : (float, float)
@@ -525,11 +346,6 @@ class Hole:
         Grey level inside, as a fraction of full scale.
     edge : float
         Half-width of the edge (1 + tanh(distance / edge)) / 2, pixels.
-
-    Raises
-    ------
-    InputError
-        For a radius or edge that is not positive, or a level outside 0..1.
     """
 
     center: tuple[float, float]
@@ -547,20 +363,7 @@ class Hole:
             raise InputError(f"hole: level = {self.level}: must lie between 0 and 1")
 
     def cut(self, grey: NDArray[np.float64], x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
-        """Cut the hole out of grey levels.
-
-        Parameters
-        ----------
-        grey : array
-            Of any shape, fractions of full scale.
-        x, y : array_like
-            Reference points where they were taken, pixels.
-
-        Returns
-        -------
-        array
-            Of the shape of ``grey``, fractions of full scale.
-        """
+        """Cut the hole out of grey levels, fractions of full scale, taken at reference points x, y, pixels."""
         distance = np.hypot(np.asarray(x) - self.center[0], np.asarray(y) - self.center[1]) - self.radius
         matter = 0.5 * (1 + np.tanh(distance / self.edge))
         return np.asarray(self.level + matter * (grey - self.level))

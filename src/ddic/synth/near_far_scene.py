@@ -29,6 +29,8 @@ _NEAR_STREAM = 2
 class SetUpMotion:
     """Rigid motion T(Y) = centre + R(rotation) (Y - centre) + alpha of the near set-up between its two pictures.
 
+    Raises InputError where a number is not finite.
+
     Attributes
     ----------
     alpha : (float, float)
@@ -37,11 +39,6 @@ class SetUpMotion:
         From x towards y.
     centre : (float, float)
         X0, pixels of the specimen's frame.
-
-    Raises
-    ------
-    InputError
-        Where a number is not finite.
     """
 
     alpha: Pair = (0.0, 0.0)
@@ -52,34 +49,12 @@ class SetUpMotion:
         require_finite("near set-up", alpha=self.alpha, rotation_degrees=self.rotation_degrees, centre=self.centre)
 
     def move(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Evaluate T.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Y, pixels of the specimen's frame.
-
-        Returns
-        -------
-        (n, 2) array
-            T(Y), pixels of that frame.
-        """
+        """Evaluate T at points Y, (n, 2), pixels of the specimen's frame."""
         turned = (points - self.centre) @ self._rotation().T
         return np.asarray(turned + self.centre + self.alpha)
 
     def move_back(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Evaluate the inverse of T.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            T(Y), pixels of the specimen's frame.
-
-        Returns
-        -------
-        (n, 2) array
-            Y, pixels of that frame.
-        """
+        """Evaluate the inverse of T at points T(Y), (n, 2), pixels of the specimen's frame."""
         turned = points - self.centre - np.array(self.alpha)
         return np.asarray(turned @ self._rotation() + self.centre)
 
@@ -123,49 +98,16 @@ class NearScene:
     camera: NearCamera
 
     def reference_grey(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Evaluate the grey level f_n before the motion.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Near pixels.
-
-        Returns
-        -------
-        (n,) array
-            Fractions of full scale.
-        """
+        """Evaluate the grey level f_n before the motion, (n,) fractions of full scale, at near pixels (n, 2)."""
         return self.surface.reference_grey(self.camera.mapping.to_specimen(points))
 
     def deformed_grey(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Evaluate the grey level g_n after the motion: f_n(phi(X)) = g_n(phi(T(X + u(X)))).
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Near pixels.
-
-        Returns
-        -------
-        (n,) array
-            Fractions of full scale.
-        """
+        """Evaluate the grey level g_n after the motion at near pixels: f_n(phi(X)) = g_n(phi(T(X + u(X))))."""
         moved = self.camera.mapping.to_specimen(points)
         return self.surface.deformed_grey(self.camera.motion.move_back(moved))
 
     def displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Evaluate phi(T(X + u(X))) - phi(X).
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            phi(X), pixels of the near reference image.
-
-        Returns
-        -------
-        (n, 2) array
-            Near pixels.
-        """
+        """Evaluate phi(T(X + u(X))) - phi(X), near pixels, at points phi(X), (n, 2), of the near reference image."""
         specimen = self.camera.mapping.to_specimen(points)
         moved = self.camera.motion.move(specimen + self.surface.field.displacement(specimen))
         return np.asarray(self.camera.mapping.to_image(moved) - points)
@@ -175,6 +117,8 @@ class NearScene:
 class NearFarScene:
     """One specimen and the two cameras that look at it; the far camera's pixels are the specimen's frame.
 
+    Raises InputError where the near camera looks beyond the far picture.
+
     Attributes
     ----------
     far : Scene
@@ -183,11 +127,6 @@ class NearFarScene:
         Size, bit depth and noise of its pictures.
     near : NearScene
         What the near camera sees.
-
-    Raises
-    ------
-    InputError
-        Where the near camera looks beyond the far picture.
     """
 
     far: Scene
@@ -212,29 +151,11 @@ def build_near_mapping(ratio: float, centre: Pair, picture: Picture, angle_degre
                        tilt: Pair = (0.0, 0.0)) -> CameraMapping:
     """Build the near camera's phi: ``centre`` in the middle of its picture, magnified ``ratio`` times there.
 
-    Parameters
-    ----------
-    ratio : float
-        Near pixels per far pixel, above 1.
-    centre : (float, float)
-        X0, pixels of the specimen's frame.
-    picture : Picture
-        Of the near camera.
-    angle_degrees : float, optional
-        Of the picture, from x towards y.
-    tilt : (float, float), optional
-        How much farther, as a fraction, the specimen is at the middle of the right and of the lower edge of an
-        upright near field than at its centre.
-
-    Returns
-    -------
-    CameraMapping
-        From the specimen's frame to near pixels.
-
-    Raises
-    ------
-    InputError
-        For a ratio of 1 or less, a number that is not finite, or a horizon within the far image.
+    It leads from the specimen's frame to near pixels. ``centre`` is X0, pixels of the specimen's frame; ``ratio`` is
+    near pixels per far pixel, above 1; ``angle_degrees`` is that of the picture, from x towards y. ``tilt`` is how much
+    farther, as a fraction, the specimen is at the middle of the right and of the lower edge of an upright near field
+    than at its centre. Raises InputError for a ratio of 1 or less, a number that is not finite, or a horizon within the
+    far image.
     """
     require_finite("near camera", centre=centre, angle_degrees=angle_degrees, tilt=tilt)
     _require_ratio(ratio)
@@ -251,26 +172,8 @@ def build_near_mapping(ratio: float, centre: Pair, picture: Picture, angle_degre
 def place_beside_hole(center: Pair, radius: float, ratio: float, near: Picture) -> Pair:
     """Place a near field so that the hole's right edge is a quarter of its width from its left side.
 
-    Parameters
-    ----------
-    center : (float, float)
-        Of the hole, far pixels.
-    radius : float
-        Of the hole, far pixels.
-    ratio : float
-        Near pixels per far pixel.
-    near : Picture
-        Of the near camera.
-
-    Returns
-    -------
-    (float, float)
-        Centre of the near field, far pixels.
-
-    Raises
-    ------
-    InputError
-        For a ratio of 1 or less.
+    Hole and centre of the near field are in far pixels, ``ratio`` is near pixels per far pixel. Raises InputError for a
+    ratio of 1 or less.
     """
     _require_ratio(ratio)
     return center[0] + radius + near.width / (4 * ratio), center[1]
@@ -280,31 +183,9 @@ def build_near_far_scene(texture: TwoScaleTexture, field: DisplacementField, hol
                          near: NearCamera) -> NearFarScene:
     """Show a specimen to both cameras: the far one sees the coarse speckles alone, at full contrast.
 
-    The hole's edge is given for the far picture; in the near one it is sharper, as the fine speckles are smaller than
-    the coarse ones.
-
-    Parameters
-    ----------
-    texture : TwoScaleTexture
-        Paint, in the specimen's frame.
-    field : DisplacementField
-        u, in the specimen's frame.
-    hole : Hole
-        In the specimen's frame.
-    far_picture : Picture
-        Of the far camera, whose pixels are the specimen's frame.
-    near : NearCamera
-        The near camera.
-
-    Returns
-    -------
-    NearFarScene
-        What both cameras see.
-
-    Raises
-    ------
-    InputError
-        Where the near camera looks beyond the far picture.
+    Texture, displacement and hole are in the specimen's frame, which is the far camera's pixels. The hole's edge is
+    given for the far picture; in the near one it is sharper, as the fine speckles are smaller than the coarse ones.
+    Raises InputError where the near camera looks beyond the far picture.
     """
     near_edge = hole.edge * texture.fine.size_factor / texture.coarse.size_factor
     near_hole = dataclasses.replace(hole, edge=near_edge)
@@ -316,30 +197,11 @@ def build_near_far_scene(texture: TwoScaleTexture, field: DisplacementField, hol
 
 
 def write_near_far(folder: Path, scene: NearFarScene, files: NewFiles | None = None) -> tuple[Path, ...]:
-    """Write the four images, uncompressed TIFF, to a folder.
+    """Write the four images, uncompressed TIFF, to a folder: far before near, reference before deformed.
 
-    f_f(X) = g_f(X + u(X)) and f_n(phi(X)) = g_n(phi(T(X + u(X)))) hold without any interpolation.
-
-    Parameters
-    ----------
-    folder : Path
-        Must exist.
-    scene : NearFarScene
-        What both cameras see.
-    files : NewFiles, optional
-        With which they take their names; by default they do so by themselves.
-
-    Returns
-    -------
-    tuple of Path
-        The files, far before near, reference before deformed.
-
-    Raises
-    ------
-    InputError
-        For a field that folds the plane, or a folder that cannot be written to.
-    OSError
-        Where the disk does not take them.
+    f_f(X) = g_f(X + u(X)) and f_n(phi(X)) = g_n(phi(T(X + u(X)))) hold without any interpolation. The folder must
+    exist. The images take their names with ``files``; by default they do so by themselves. Raises InputError for a
+    field that folds the plane or a folder that cannot be written to, OSError where the disk does not take them.
     """
     far = folder / FAR_FILES[0], folder / FAR_FILES[1]
     near = folder / NEAR_FILES[0], folder / NEAR_FILES[1]

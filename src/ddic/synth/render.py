@@ -1,10 +1,7 @@
 """Rendering a pair of images whose displacement is known exactly.
 
-Inverting the motion: which reference point lands on a given point of the deformed image.
-
-From exact grey levels to the values that an image stores: noise, clipping and rounding.
-
-A camera's picture: its size, and how grey levels become stored values.
+The motion is inverted: which reference point lands on a given point of the deformed image. A camera's picture has a
+size, and turns exact grey levels into the values that an image stores: noise, clipping and rounding.
 """
 
 from __future__ import annotations
@@ -34,29 +31,11 @@ _FAST = 0.01
 
 
 def find_reference_points(field: DisplacementField, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Solve x + u(x) = y for x at deformed points y.
+    """Solve x + u(x) = y for x (n, 2) at deformed points y (n, 2), pixels.
 
-    Newton's method on the displacement v = y - x, stopped when |u(y - v) - v| <= 1e-12 px (or four roundings
-    of the largest displacement, where that is more) at all points.
-
-    Parameters
-    ----------
-    field : DisplacementField
-        u.
-    points : (n, 2) array
-        The y, pixels.
-
-    Returns
-    -------
-    (n, 2) array
-        The x, pixels.
-
-    Raises
-    ------
-    InputError
-        Where the field folds the plane (det(I + grad u) <= 0).
-    ConvergenceError
-        If 50 iterations are not enough.
+    Newton's method on the displacement v = y - x, stopped when |u(y - v) - v| <= 1e-12 px (or four roundings of the
+    largest displacement, where that is more) at all points. Raises InputError where the field folds the plane (det(I +
+    grad u) <= 0), ConvergenceError if 50 iterations are not enough.
     """
     v = field.displacement(points)
     inverse = None
@@ -104,6 +83,8 @@ _DTYPES: dict[int, np.dtype[Any]] = {
 class Digitiser:
     """Camera model: full scale, additive Gaussian noise, rounding.
 
+    Raises InputError for another bit depth, a negative noise or a negative seed.
+
     Attributes
     ----------
     bit_depth : int
@@ -112,11 +93,6 @@ class Digitiser:
         Standard deviation in grey levels of an 8-bit image, whatever the bit depth.
     seed : int
         Of the noise, at least 0.
-
-    Raises
-    ------
-    InputError
-        For another bit depth, a negative noise or a negative seed.
     """
 
     bit_depth: int = 8
@@ -137,19 +113,9 @@ class Digitiser:
         return _DTYPES[self.bit_depth]
 
     def store(self, grey: NDArray[np.float64], stream: tuple[int, ...]) -> Stored:
-        """Turn grey levels into stored values.
+        """Turn grey levels of any shape, fractions of full scale, into stored values of type ``dtype``.
 
-        Parameters
-        ----------
-        grey : array
-            Of any shape, fractions of full scale.
-        stream : tuple of int
-            Numbers that, with the seed, fix the noise; different streams are independent.
-
-        Returns
-        -------
-        array
-            Of the same shape and of type ``dtype``.
+        The seed and the numbers of ``stream`` fix the noise; different streams are independent.
         """
         full_scale = _FULL_SCALE[self.bit_depth]
         levels = grey * full_scale
@@ -166,17 +132,14 @@ class Digitiser:
 class Picture:
     """Size of a camera's pictures and how they are digitised.
 
+    Raises InputError where there is no pixel.
+
     Attributes
     ----------
     width, height : int
         Pixels, at least 1.
     digitiser : Digitiser
         From grey levels to stored values; 8 bit without noise where it is left out.
-
-    Raises
-    ------
-    InputError
-        Where there is no pixel.
     """
 
     width: int
@@ -223,33 +186,11 @@ class Pictured(Protocol):
     """What a camera sees before and after the motion, at any point of its picture."""
 
     def reference_grey(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Evaluate the grey level f before the motion.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n,) array
-            Fractions of full scale.
-        """
+        """Evaluate the grey level f before the motion, (n,) fractions of full scale, at points (n, 2), pixels."""
         ...
 
     def deformed_grey(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Evaluate the grey level g after the motion.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n,) array
-            Fractions of full scale.
-        """
+        """Evaluate the grey level g after the motion, (n,) fractions of full scale, at points (n, 2), pixels."""
         ...
 
 
@@ -272,61 +213,22 @@ class Scene:
     hole: Hole | None = None
 
     def reference_grey(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Evaluate the grey level f before the motion.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Pixels.
-
-        Returns
-        -------
-        (n,) array
-            Fractions of full scale.
-        """
+        """Evaluate the grey level f before the motion, (n,) fractions of full scale, at points (n, 2), pixels."""
         x, y = points.T
         grey = self.texture.grey(x, y)
         return grey if self.hole is None else self.hole.cut(grey, x, y)
 
     def deformed_grey(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Evaluate the grey level g after the motion: f at the solution x of x + u(x) = y.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            The y, pixels.
-
-        Returns
-        -------
-        (n,) array
-            Fractions of full scale.
-        """
+        """Evaluate the grey level g after the motion at points y: f at the solution x of x + u(x) = y."""
         return self.reference_grey(find_reference_points(self.field, points))
 
 
 def render_pair(scene: Pictured, picture: Picture, stream: int = 0) -> ImagePair:
     """Render f and g in memory so that f(x) = g(x + u(x)) holds without any interpolation.
 
-    Parameters
-    ----------
-    scene : Pictured
-        What the camera sees.
-    picture : Picture
-        Size, bit depth and noise of both images; the noise is independent in the two.
-    stream : int, optional
-        Of the reference image's noise; the deformed image's is the next.
-
-    Returns
-    -------
-    ImagePair
-        The images.
-
-    Raises
-    ------
-    InputError
-        For a field that folds the plane.
-    ConvergenceError
-        Where the motion cannot be inverted to 1e-12 px.
+    The noise is independent in the two: ``stream`` is that of the reference image, the next one that of the deformed
+    image. Raises InputError for a field that folds the plane, ConvergenceError where the motion cannot be inverted to
+    1e-12 px.
     """
     bands = list(_bands(scene, picture, stream))
     reference = np.concatenate([band.reference for band in bands])
@@ -336,29 +238,11 @@ def render_pair(scene: Pictured, picture: Picture, stream: int = 0) -> ImagePair
 
 def write_pair(paths: tuple[Path, Path], scene: Pictured, picture: Picture, stream: int = 0,
                files: NewFiles | None = None) -> None:
-    """Write the images of ``render_pair`` to two uncompressed TIFF files, holding one band in memory.
+    """Write the images of ``render_pair``, reference first, to two uncompressed TIFF files, one band in memory.
 
-    Parameters
-    ----------
-    paths : (Path, Path)
-        Of the reference and of the deformed image.
-    scene : Pictured
-        What the camera sees.
-    picture : Picture
-        Size, bit depth and noise of both images.
-    stream : int, optional
-        Of the reference image's noise; the deformed image's is the next.
-    files : NewFiles, optional
-        With which they take their names; by default the two do so by themselves.
-
-    Raises
-    ------
-    InputError
-        For a field that folds the plane, or a folder that cannot be written to; no half-written file stays.
-    OSError
-        Where the disk does not take them.
-    ConvergenceError
-        Where the motion cannot be inverted to 1e-12 px.
+    They take their names with ``files``; by default the two do so by themselves. Raises InputError for a field that
+    folds the plane or a folder that cannot be written to, no half-written file staying; OSError where the disk does not
+    take them; ConvergenceError where the motion cannot be inverted to 1e-12 px.
     """
     with begin_files(files) as new:
         reference, deformed = (_create_tiff(new.begin(path), picture) for path in paths)

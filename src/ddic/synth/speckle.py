@@ -40,17 +40,14 @@ _TILE = 512.0
 class SpeckleTexture:
     """Speckles at random over the whole plane; a picture of any size is a window of the same texture.
 
+    Raises InputError for a seed out of range or a factor that is not positive.
+
     Attributes
     ----------
     seed : int
         Fixes every speckle, 0 <= seed < 2^64.
     size_factor : float
         Magnification; 1 has 0.08 speckles per px^2 with standard deviations of 1.3 to 1.6 px.
-
-    Raises
-    ------
-    InputError
-        For a seed out of range or a factor that is not positive.
     """
 
     seed: int = 0
@@ -63,24 +60,10 @@ class SpeckleTexture:
             raise InputError(f"texture: size_factor = {self.size_factor}: must be positive")
 
     def evaluate(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
-        """Evaluate the texture s, of mean 0 and standard deviation 0.6.
+        """Evaluate the texture s, of mean 0 and standard deviation 0.6, at points of any common shape, pixels.
 
-        The speckles' tails that are cut sum to less than 1e-7.
-
-        Parameters
-        ----------
-        x, y : array_like
-            Points, of any common shape, pixels.
-
-        Returns
-        -------
-        array
-            Of that shape, no unit.
-
-        Raises
-        ------
-        InputError
-            If a coordinate is not finite, or too far away.
+        The speckles' tails that are cut sum to less than 1e-7. Raises InputError if a coordinate is not finite, or too
+        far away.
         """
         x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
         flat_x, flat_y = x.ravel() / self.size_factor, y.ravel() / self.size_factor
@@ -96,18 +79,7 @@ class SpeckleTexture:
         return scaled.reshape(x.shape)
 
     def grey(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
-        """Evaluate the grey level 0.5 - 0.45 tanh s.
-
-        Parameters
-        ----------
-        x, y : array_like
-            Points, of any common shape, pixels.
-
-        Returns
-        -------
-        array
-            Of that shape, fractions of full scale.
-        """
+        """Evaluate the grey level 0.5 - 0.45 tanh s, a fraction of full scale, at points of any shape, pixels."""
         return np.asarray(0.5 - 0.45 * np.tanh(self.evaluate(x, y)))
 
     def _sum_of_speckles(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -148,6 +120,7 @@ class TwoScaleTexture:
     """Coarse and fine speckles side by side in one paint.
 
     Averaged over spots of the fine speckles the grey level is that of ``coarse`` with 1 - fine_share of its contrast.
+    Raises InputError for a share that is not between 0 and 1.
 
     Attributes
     ----------
@@ -155,11 +128,6 @@ class TwoScaleTexture:
         Speckles, both in the specimen's frame.
     fine_share : float
         Of the fine speckles in the contrast, between 0 and 1.
-
-    Raises
-    ------
-    InputError
-        For a share that is not between 0 and 1.
     """
 
     coarse: SpeckleTexture
@@ -171,18 +139,7 @@ class TwoScaleTexture:
             raise InputError(f"texture: fine_share = {self.fine_share}: must lie between 0 and 1")
 
     def grey(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
-        """Evaluate the grey level.
-
-        Parameters
-        ----------
-        x, y : array_like
-            Points, pixels of the specimen's frame.
-
-        Returns
-        -------
-        array
-            Fractions of full scale, of the shape of x and y.
-        """
+        """Evaluate the grey level, a fraction of full scale, at points in pixels of the specimen's frame."""
         coarse = np.tanh(self.coarse.evaluate(x, y))
         fine = np.tanh(self.fine.evaluate(x, y))
         return np.asarray(0.5 - 0.45 * ((1 - self.fine_share) * coarse + self.fine_share * fine))
@@ -190,28 +147,10 @@ class TwoScaleTexture:
 
 def two_scale_texture(ratio: float, seed: int = 0, speckle_size: float = 1.0,
                       fine_share: float = 0.4) -> TwoScaleTexture:
-    """Paint coarse spots of about 5 far pixels and fine ones of about 5 near pixels.
+    """Paint coarse spots of about 5 far pixels and fine ones of about 5 near pixels, in the specimen's frame.
 
-    Parameters
-    ----------
-    ratio : float
-        Near pixels per far pixel.
-    seed : int, optional
-        Of the speckles.
-    speckle_size : float, optional
-        Magnification of both kinds of spots.
-    fine_share : float, optional
-        Of the fine spots in the contrast.
-
-    Returns
-    -------
-    TwoScaleTexture
-        In the specimen's frame.
-
-    Raises
-    ------
-    InputError
-        For a value out of range.
+    ``ratio`` is near pixels per far pixel, ``speckle_size`` a magnification of both kinds of spots, ``fine_share`` the
+    share of the fine spots in the contrast. Raises InputError for a value out of range.
     """
     # Far from the small seeds that make other specimens.
     fine_seed = (seed + 2**63) % 2**64

@@ -1,6 +1,6 @@
 """The truth file: everything needed to rebuild a generated pair's exact displacement field.
 
-The truth file of a near-field and far-field pair: exact displacements in both cameras' pixels.
+That of a near-field and far-field pair gives exact displacements in both cameras' pixels.
 """
 
 from __future__ import annotations
@@ -33,42 +33,15 @@ _NAMES = {kind: name for name, kind in _FIELDS.items()}
 def save_truth(path: Path, scene: Scene, picture: Picture) -> None:
     """Write field, texture, hole and camera of a generated pair as JSON.
 
-    Parameters
-    ----------
-    path : Path
-        The truth file.
-    scene : Scene
-        What was rendered.
-    picture : Picture
-        Size, bit depth and noise of the images.
-
-    Raises
-    ------
-    InputError
-        If the field is not one of this package's, or the folder cannot be written to.
+    Raises InputError if the field is not one of this package's, or the folder cannot be written to.
     """
     write_json(path, describe_pair(scene, picture))
 
 
 def describe_pair(scene: Scene, picture: Picture) -> dict[str, Any]:
-    """Describe everything that made a pair, as values that JSON holds.
+    """Describe everything that made a pair, as values that JSON holds: a truth file's record.
 
-    Parameters
-    ----------
-    scene : Scene
-        What was rendered.
-    picture : Picture
-        Size, bit depth and noise of the images.
-
-    Returns
-    -------
-    dict
-        A truth file's record.
-
-    Raises
-    ------
-    InputError
-        If the field is not one of this package's.
+    Raises InputError if the field is not one of this package's.
     """
     size = {"width": picture.width, "height": picture.height}
     return {
@@ -82,44 +55,15 @@ def describe_pair(scene: Scene, picture: Picture) -> dict[str, Any]:
 
 
 def load_truth(path: Path) -> DisplacementField:
-    """Rebuild the displacement field that a truth file describes.
+    """Rebuild exactly the displacement field that a truth file describes.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    DisplacementField
-        Exactly the one that made the images.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, foreign, or has an impossible value; it names file and key.
+    Raises InputError, naming file and key, if the file is missing, foreign, or has an impossible value.
     """
     return _rebuild(path, read_record(path).get("field"))
 
 
 def read_record(path: Path) -> dict[str, Any]:
-    """Read the values of a truth file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    dict
-        As it was written.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or foreign.
-    """
+    """Read the values of a truth file; raises InputError if it is missing or foreign."""
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
@@ -165,18 +109,7 @@ def _rebuild(path: Path, description: object) -> DisplacementField:
 
 
 def as_tuples(value: Any) -> Any:
-    """Turn lists into tuples, which JSON does not have.
-
-    Parameters
-    ----------
-    value : object
-        As JSON gives it.
-
-    Returns
-    -------
-    object
-        The same with tuples in place of lists, at any depth.
-    """
+    """Turn lists into tuples, which JSON does not have, at any depth."""
     return tuple(as_tuples(item) for item in value) if isinstance(value, list) else value
 
 
@@ -206,64 +139,20 @@ class NearFarTruth:
     near_size: tuple[int, int]
 
     def displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Evaluate the displacement u.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            X, pixels of the specimen's frame.
-
-        Returns
-        -------
-        (n, 2) array
-            Far pixels.
-        """
+        """Evaluate the displacement u, far pixels, at points X, (n, 2), pixels of the specimen's frame."""
         return self.field.displacement(points)
 
     def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Evaluate the gradient du_i/dX_j.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            X, pixels of the specimen's frame.
-
-        Returns
-        -------
-        (n, 2, 2) array
-            No unit.
-        """
+        """Evaluate the gradient du_i/dX_j, (n, 2, 2), no unit, at points X, pixels of the specimen's frame."""
         return self.field.gradient(points)
 
     def near_displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Evaluate phi(T(X + u(X))) - phi(X).
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            X, pixels of the specimen's frame.
-
-        Returns
-        -------
-        (n, 2) array
-            Near pixels.
-        """
+        """Evaluate phi(T(X + u(X))) - phi(X), near pixels, at points X, (n, 2), pixels of the specimen's frame."""
         moved = self.motion.move(points + self.field.displacement(points))
         return np.asarray(self.mapping.to_image(moved) - self.mapping.to_image(points))
 
     def is_in_near_field(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Find which points the near reference image shows.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            X, pixels of the specimen's frame.
-
-        Returns
-        -------
-        (n,) array of bool
-            True where it does.
-        """
+        """Find which points X, (n, 2), pixels of the specimen's frame, the near reference image shows, (n,)."""
         seen = self.mapping.to_image(points)
         largest = np.array(self.near_size) - 1
         return np.asarray(((seen >= 0) & (seen <= largest)).all(axis=1))
@@ -272,17 +161,7 @@ class NearFarTruth:
 def save_near_far_truth(path: Path, scene: NearFarScene) -> None:
     """Write a truth file.
 
-    Parameters
-    ----------
-    path : Path
-        The truth file.
-    scene : NearFarScene
-        What was rendered.
-
-    Raises
-    ------
-    InputError
-        If the field is not one of this package's, or the folder cannot be written to.
+    Raises InputError if the field is not one of this package's, or the folder cannot be written to.
     """
     write_json(path, describe_near_far(scene))
 
@@ -291,22 +170,8 @@ def describe_near_far(scene: NearFarScene) -> dict[str, Any]:
     """Describe fields, textures, holes, cameras and the set-up's motion, as values that JSON holds.
 
     The far pair is described as ``save_truth`` describes a pair, the near pair likewise under ``near``, where
-    ``mapping`` is phi and ``motion`` is T; the displacement of both is the one of the specimen's frame.
-
-    Parameters
-    ----------
-    scene : NearFarScene
-        What was rendered.
-
-    Returns
-    -------
-    dict
-        A truth file's record.
-
-    Raises
-    ------
-    InputError
-        If the field is not one of this package's.
+    ``mapping`` is phi and ``motion`` is T; the displacement of both is the one of the specimen's frame. Raises
+    InputError if the field is not one of this package's.
     """
     camera = scene.near.camera
     record = describe_pair(scene.far, scene.far_picture)
@@ -332,20 +197,7 @@ def _describe_mapping(mapping: CameraMapping) -> dict[str, Any]:
 def load_near_far_truth(path: Path) -> NearFarTruth:
     """Rebuild the exact fields that a truth file of ``ddic synth near-far`` describes.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    NearFarTruth
-        Exactly what made the images.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, foreign, or has an impossible value; it names file and key.
+    Raises InputError, naming file and key, if the file is missing, foreign, or has an impossible value.
     """
     field = load_truth(path)
     near = read_record(path).get("near")

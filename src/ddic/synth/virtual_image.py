@@ -22,18 +22,7 @@ _ROWS = 256
 
 
 def fill_displacement(displacement: Array) -> Array:
-    """Continue a displacement to pixels where there is none, by that of the nearest pixel.
-
-    Parameters
-    ----------
-    displacement : (height, width, 2) array
-        Pixels; nan where there is none, finite somewhere.
-
-    Returns
-    -------
-    (height, width, 2) array
-        Pixels, finite everywhere.
-    """
+    """Continue a displacement (height, width, 2), finite somewhere, to pixels where it is nan: the nearest one's."""
     is_missing = np.isnan(displacement).any(axis=2)
     if not is_missing.any():
         return displacement
@@ -44,19 +33,8 @@ def fill_displacement(displacement: Array) -> Array:
 def render_virtual_image(grey: Array, displacement: Array) -> NDArray[np.float32]:
     """Render g(y) = f(x) with x + u(x) = y, f interpolated by a quintic spline.
 
-    Noise of f moves with the specimen and is texture here; interpolation smooths it.
-
-    Parameters
-    ----------
-    grey : (height, width) array
-        The reference image f, grey levels.
-    displacement : (height, width, 2) array
-        u at pixel centres, pixels, finite.
-
-    Returns
-    -------
-    (height, width) array
-        g, grey levels; what f does not show is its mirror image.
+    ``displacement`` is u at pixel centres, (height, width, 2), pixels, finite. Noise of f moves with the specimen and
+    is texture here; interpolation smooths it. What f does not show is its mirror image.
     """
     coefficients = ndimage.spline_filter(grey, DEGREE, mode="mirror")
     affine = _fit_affine(displacement)

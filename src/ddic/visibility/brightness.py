@@ -59,22 +59,7 @@ ORDER: tuple[GreyCorrection, ...] = ("none", "global", "element")
 
 def match_brightness(whole: ResidualModel, seen: Sequence[Sequence[SeenCells]],
                      typical: Mapping[int, TypicalCell]) -> ResidualModel:
-    """Give the reference images the slopes of the light in a frame; collective.
-
-    Parameters
-    ----------
-    whole : ResidualModel
-        Of all pixels that the frame shows.
-    seen : sequence of sequence of SeenCells
-        Cells of each owned subdomain and view.
-    typical : mapping of int to TypicalCell
-        What most cells are like, by camera.
-
-    Returns
-    -------
-    ResidualModel
-        With other grey levels of the reference images.
-    """
+    """Give the reference images the slopes of the light in a frame, of which ``whole`` has all pixels; collective."""
     subdomains = [of_subdomain.subdomain for of_subdomain in whole.views]
     by_camera = [{view.camera: cells for view, cells in zip(of_subdomain.views, of_views, strict=True)}
                  for of_subdomain, of_views in zip(whole.views, seen, strict=True)]
@@ -132,24 +117,11 @@ def _even_out(view: FrameView, sums: Array, typical: TypicalCell) -> FrameView:
 
 def choose_correction(cells: Mapping[int, SeenCells], typical: Mapping[int, TypicalCell],
                       least: GreyCorrection = "none", most: GreyCorrection = "element") -> GreyCorrection:
-    """Choose the simplest correction of grey levels that leaves no more than noise.
+    """Choose the simplest correction of grey levels, one for all cameras, that leaves no more than noise.
 
     Means and standard deviations are compared, which a displacement that is still wrong hardly changes, and medians
-    over cells, which a hidden part does not change.
-
-    Parameters
-    ----------
-    cells : mapping of int to SeenCells
-        By camera.
-    typical : mapping of int to TypicalCell
-        What most of them are like.
-    least, most : GreyCorrection
-        What was chosen before, never less than which is, and the most that can be.
-
-    Returns
-    -------
-    GreyCorrection
-        One for all cameras.
+    over cells, which a hidden part does not change. ``least`` was chosen before, never less than which is chosen;
+    ``most`` is the most that can be.
     """
     wanted = [_choose(of_camera, typical[camera]) for camera, of_camera in cells.items() if len(of_camera.n_pixels)]
     chosen = max([least, *wanted], key=ORDER.index)

@@ -81,19 +81,7 @@ class CellResiduals:
 def measure_cell_residuals(view: View, hessian: sparse.csr_matrix, residual: Residual) -> CellResiduals:
     """Measure what the cells of a subdomain leave unexplained, whatever their brightness; free of communication.
 
-    Parameters
-    ----------
-    view : View
-        Of the camera that measures the subdomain.
-    hessian : (n_dofs, n_dofs) csr_matrix
-        Its M, grey levels squared per pixel squared.
-    residual : Residual
-        At the measured displacement.
-
-    Returns
-    -------
-    CellResiduals
-        Of all cells.
+    ``view`` is of the camera that measures the subdomain; ``hessian`` is its M, grey levels squared per pixel squared.
     """
     sums = residual.cell_sums
     _, squares = sums.sum_residual(*sums.fit_gain_and_offset())
@@ -128,18 +116,6 @@ def find_cell_errors(team: Team, residuals: Sequence[CellResiduals]) -> list[Cel
 
     An error e of unknown direction leaves a residual grad f . e, of mean square |grad f|^2 e^2 / 2. Most pixels are
     taken to be right: the median of each camera's variances, cells weighted by their pixels, is that of the noise.
-
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    residuals : sequence of CellResiduals
-        Of owned subdomains.
-
-    Returns
-    -------
-    list of CellErrors
-        Of each.
     """
     everything = team.gather_lists([(of_cells.camera, of_cells.variance, of_cells.n_pixels) for of_cells in residuals])
     noise = {}
@@ -164,17 +140,7 @@ def _find_errors(cells: CellResiduals, noise: float) -> CellErrors:
 def find_noisy_cells(mesh: Mesh, deviations: Array) -> NDArray[np.bool_]:
     """Find the cells with a node that noise moves by more than a cell may be off, as two of its standard deviations.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Of the subdomain.
-    deviations : (n_nodes,) array
-        Standard deviation of each node's displacement, pixels.
-
-    Returns
-    -------
-    (n_cells,) bool array
-        Which.
+    ``deviations``, (n_nodes,), are those of each node's displacement, pixels.
     """
     return np.asarray((2.0 * deviations > DOUBTFUL_PX)[pad_cells(mesh)].any(axis=1))
 
@@ -183,19 +149,8 @@ def describe_lost_field(team: Team, are_noisy: Sequence[NDArray[np.bool_]],
                         are_shown: Sequence[NDArray[np.bool_]]) -> str:
     """Say that noise alone moves nearly all cells too far for a field to be believed; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    are_noisy : sequence of (n_cells,) bool array
-        What ``find_noisy_cells`` finds, of owned subdomains.
-    are_shown : sequence of (n_cells,) bool array
-        Which cells have pixels that count.
-
-    Returns
-    -------
-    str
-        What it is, and what to do; empty where a field can be believed.
+    ``are_noisy`` is what ``find_noisy_cells`` finds, ``are_shown`` which cells have pixels that count, of owned
+    subdomains. The text says what it is and what to do; it is empty where a field can be believed.
     """
     n_noisy = team.sum(sum(int((a & b).sum()) for a, b in zip(are_noisy, are_shown, strict=True)))
     n_shown = team.sum(sum(int(of_subdomain.sum()) for of_subdomain in are_shown))
@@ -207,20 +162,7 @@ def describe_lost_field(team: Team, are_noisy: Sequence[NDArray[np.bool_]],
 
 
 def describe_doubtful_cells(team: Team, errors: Sequence[CellErrors]) -> tuple[str, ...]:
-    """Say how many cells are doubtful; collective.
-
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    errors : sequence of CellErrors
-        Of owned subdomains.
-
-    Returns
-    -------
-    tuple of str
-        A line, or none.
-    """
+    """Say how many cells are doubtful, in a line, or none; collective."""
     n_doubtful = team.sum(sum(int(of_cells.doubtful.sum()) for of_cells in errors))
     if not n_doubtful:
         return ()
@@ -235,20 +177,7 @@ def describe_doubtful_cells(team: Team, errors: Sequence[CellErrors]) -> tuple[s
 
 
 def find_unmeasured_nodes(problem: WeightedProblem, evaluation: Evaluation) -> list[NDArray[np.bool_]]:
-    """Find the nodes that neither pixels nor mechanics hold; collective.
-
-    Parameters
-    ----------
-    problem : WeightedProblem
-        Of the reference.
-    evaluation : Evaluation
-        Of a frame, with the pixels that count.
-
-    Returns
-    -------
-    list of (n_nodes,) bool array
-        Of each owned subdomain.
-    """
+    """Find the nodes of owned subdomains that neither the pixels that count nor mechanics hold; collective."""
     subdomains = problem.reference.subdomains
     if problem.reference.inputs.case.regularization is not None:
         return [np.zeros(subdomain.mesh.n_nodes, dtype=bool) for subdomain in subdomains]
@@ -271,22 +200,7 @@ REASONS = {SPOILT: f"{OTHER_THAN_REFERENCE} and are excluded", BLANK: "have no t
 
 
 def describe_exclusions(team: Team, views: Sequence[FrameViews], excluded: Exclusions) -> tuple[str, ...]:
-    """Say how many cells and pixels are excluded, why and where; collective.
-
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    views : sequence of FrameViews
-        Owned subdomains.
-    excluded : Exclusions
-        Of them.
-
-    Returns
-    -------
-    tuple of str
-        For the log; nothing where nothing is.
-    """
+    """Say for the log how many cells and pixels are excluded, why and where, if any are; collective."""
     n_cells = team.sum(sum(of_subdomain.subdomain.mesh.n_cells for of_subdomain in views))
     lines = []
     for reason, why in REASONS.items():

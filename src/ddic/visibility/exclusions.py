@@ -43,52 +43,19 @@ class Exclusions:
 
     @classmethod
     def nothing(cls, views: Sequence[FrameViews]) -> Exclusions:
-        """Exclude nothing.
-
-        Parameters
-        ----------
-        views : sequence of FrameViews
-            Owned subdomains.
-
-        Returns
-        -------
-        Exclusions
-            Of these.
-        """
+        """Exclude nothing of owned subdomains."""
         cells = [tuple(np.full(view.view.correlation.mesh.n_cells, KEPT, dtype=np.uint8) for view in of_subdomain.views)
                  for of_subdomain in views]
         pixels = [tuple(np.zeros((0, 2), dtype=np.int64) for _ in of_subdomain.views) for of_subdomain in views]
         return cls(cells, pixels, [tuple(HeldCells.none() for _ in of_subdomain.views) for of_subdomain in views])
 
     def is_any(self, team: Team) -> bool:
-        """Tell whether anything is excluded; collective.
-
-        Parameters
-        ----------
-        team : Team
-            All ranks.
-
-        Returns
-        -------
-        bool
-            The same on all ranks.
-        """
+        """Tell all ranks whether anything is excluded; collective."""
         n = sum(int(find_excluded(states).any()) for states in self._states) + sum(len(spots) for spots in self._spots)
         return bool(team.sum(n) > 0)
 
     def join(self, other: Exclusions) -> Exclusions:
-        """Exclude what either does.
-
-        Parameters
-        ----------
-        other : Exclusions
-            Of the same subdomains.
-
-        Returns
-        -------
-        Exclusions
-            Of both.
-        """
+        """Exclude what either does; both are of the same subdomains."""
         cells = [tuple(np.where(find_excluded(a), a, b) for a, b in zip(one, two, strict=True))
                  for one, two in zip(self.cells, other.cells, strict=True)]
         pixels = [tuple(np.unique(np.concatenate([a, b]), axis=0) for a, b in zip(one, two, strict=True))
@@ -127,20 +94,7 @@ class Exclusions:
         return int(model.team.sum(n))
 
     def is_other_than(self, team: Team, other: Exclusions) -> bool:
-        """Tell whether another excludes other cells, or much more or less of the pixels; collective.
-
-        Parameters
-        ----------
-        team : Team
-            All ranks.
-        other : Exclusions
-            Of the same subdomains.
-
-        Returns
-        -------
-        bool
-            The same on all ranks.
-        """
+        """Tell all ranks whether another excludes other cells, or much more or less of the pixels; collective."""
         n_cells = sum(int((find_excluded(a) != find_excluded(b)).sum())
                       for a, b in zip(self._states, other._states, strict=True))
         n_cells += sum(len(np.setxor1d(a.cells, b.cells)) for one, two in zip(self.pulled, other.pulled, strict=True)
@@ -164,36 +118,12 @@ class Exclusions:
 
 
 def find_excluded(states: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Find the cells none of whose pixels counts.
-
-    Parameters
-    ----------
-    states : (n_cells,) uint8 array
-        Of a view.
-
-    Returns
-    -------
-    (n_cells,) bool array
-        Which.
-    """
+    """Find the cells of a view, (n_cells,), none of whose pixels counts."""
     return np.asarray((states != KEPT) & (states != HELD_OFF))
 
 
 def exclude(model: ResidualModel, excluded: Exclusions) -> ResidualModel:
-    """Exclude pixels and cells of a frame from M and b.
-
-    Parameters
-    ----------
-    model : ResidualModel
-        With all pixels that the frame shows.
-    excluded : Exclusions
-        Of its subdomains.
-
-    Returns
-    -------
-    ResidualModel
-        With the others.
-    """
+    """Exclude pixels and cells of a frame from M and b."""
     left = []
     for of_subdomain, cells, pixels in zip(model.views, excluded.cells, excluded.pixels, strict=True):
         views = tuple(_exclude_from_view(*of_view) for of_view in zip(of_subdomain.views, cells, pixels, strict=True))

@@ -85,26 +85,11 @@ def measure_force_noise(model: ResidualModel, evaluation: Evaluation, q: Sequenc
                         is_regularized: bool, bias: Sequence[Array] | None = None) -> ForceNoise:
     """Measure how strongly the residual of the first camera acts on displacements; collective.
 
-    Parameters
-    ----------
-    model : ResidualModel
-        The pixels that count.
-    evaluation : Evaluation
-        At the field.
-    q : sequence of (n_unknowns,) array
-        The field of each owned subdomain.
-    n_determined : float
-        tr(A^-1 M): how many unknowns the images determine, all of them without a regularization.
-    is_regularized : bool
-        Whether mechanics determine the others.
-    bias : sequence of (n_unknowns,) array, optional
-        Field less the true one, as far as regularization makes the difference, pixels: forces that hold it are no
-        noise. Where it is not given, forces that move a cell as a whole are left out, in which most of it is.
-
-    Returns
-    -------
-    ForceNoise
-        The same on all ranks and for any partition.
+    The result is the same on all ranks and for any partition. ``n_determined`` is tr(A^-1 M): how many unknowns the
+    images determine, all of them without a regularization; ``is_regularized`` says whether mechanics determine the
+    others. ``bias`` is the field less the true one, as far as regularization makes the difference, pixels: forces that
+    hold it are no noise. Where it is not given, forces that move a cell as a whole are left out, in which most of it
+    is.
     """
     team, state = model.team, evaluation.grey[0]
     n_cells = team.sum(sum(of_subdomain.subdomain.mesh.n_cells for of_subdomain in model.views))
@@ -166,10 +151,8 @@ class _SampledCells:
     ----------
     numbers : (n,) array
         Of the cells.
-    hessians : (n, 8, 8) array
-        M_e.
-    forces : (n, 8) array
-        b_e.
+    hessians, forces : (n, 8, 8) and (n, 8) array
+        M_e and b_e.
     """
 
     numbers: NDArray[np.int64]

@@ -64,18 +64,7 @@ class NoiseForces:
     transfer: float
 
     def generate(self, sample: int) -> list[Array]:
-        """Generate b_s of all owned subdomains.
-
-        Parameters
-        ----------
-        sample : int
-            From 0 to n_samples - 1.
-
-        Returns
-        -------
-        list of (n_unknowns,) array
-            Grey levels squared per pixel.
-        """
+        """Generate b_s of all owned subdomains, grey levels squared per pixel, from sample 0 to n_samples - 1."""
         return [np.sum([_assemble(view, cells.generate_forces(sample)) for view, cells in of_subdomain], axis=0)
                 for of_subdomain in self.views]
 
@@ -86,25 +75,8 @@ def prepare_noise_forces(model: ResidualModel, evaluation: Evaluation, q: Sequen
 
     Noise of the reference image enters b through f as it is, that of the deformed one through the spline, whose noise
     transfer at the cell's shifts is on C's diagonal. Noise of grad f multiplies that of f - g and is left out, and gain
-    and offset of the grey levels count as known.
-
-    Parameters
-    ----------
-    model : ResidualModel
-        The pixels that count, cameras weighted.
-    evaluation : Evaluation
-        At the field.
-    q : sequence of (n_unknowns,) array
-        The field of each owned subdomain.
-    noise : sequence of float
-        Of each camera's images, grey levels.
-    case : Case
-        Says the degree of the spline, and whether there is a regularization.
-
-    Returns
-    -------
-    NoiseForces
-        Of all of them.
+    and offset of the grey levels count as known. ``model`` holds the pixels that count, cameras weighted; ``noise`` is
+    of each camera's images, grey levels.
     """
     team, tables = model.team, _tabulate_by_camera(model, case.correlation.spline_degree)
     transfers = team.together(lambda: [[find_cell_transfer(tables[view.camera], view.view, q_s)
@@ -127,24 +99,6 @@ def prepare_residual_forces(model: ResidualModel, evaluation: Evaluation, q: Seq
 
     v_e is the variance of the cell's own residual times what its forces have more than those of independent pixels.
     Cells of few pixels, which tell little of their own noise, have that of all of them.
-
-    Parameters
-    ----------
-    model : ResidualModel
-        The pixels that count.
-    evaluation : Evaluation
-        At the field.
-    q : sequence of (n_unknowns,) array
-        The field of each owned subdomain.
-    noise : ForceNoise
-        How strongly the residual acts.
-    case : Case
-        Says whether there is a regularization.
-
-    Returns
-    -------
-    NoiseForces
-        Of all of them.
     """
     factor = noise.excess * noise.amplification**2
 
@@ -172,42 +126,14 @@ def _sample(model: ResidualModel, covariances: Sequence[Sequence[Array]], case: 
 
 
 def find_white_transfer(model: ResidualModel, q: Sequence[Array], degree: int) -> list[list[Array]]:
-    """Find the variance of the deformed image's interpolated noise over that of its pixels, cell by cell.
-
-    Parameters
-    ----------
-    model : ResidualModel
-        The pixels that count.
-    q : sequence of (n_unknowns,) array
-        The field of each owned subdomain.
-    degree : int
-        Of the spline, 3 or 5.
-
-    Returns
-    -------
-    list of list of (n_cells,) array
-        Of each owned subdomain and view, no unit.
-    """
+    """Find the variance of the deformed image's interpolated noise over that of its pixels by cell; degree 3 or 5."""
     table = build_white_transfer(degree)
     return [[find_cell_transfer(table, view.view, q_s)[:, 0] for view in of_subdomain.views]
             for of_subdomain, q_s in zip(model.views, q, strict=True)]
 
 
 def place_cells(team: Team, subdomains: Sequence[Subdomain]) -> list[NDArray[np.int64]]:
-    """Tell in which column and row of cells each cell lies, as in a regular mesh of as many cells; collective.
-
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    subdomains : sequence of Subdomain
-        Owned ones.
-
-    Returns
-    -------
-    list of (n_cells, 2) array of int64
-        Of each owned subdomain.
-    """
+    """Tell each cell's column and row of cells, (n_cells, 2), as in a regular mesh of as many cells; collective."""
     area, n_cells = team.ordered_sum([np.array([measure_covered_areas(s.mesh)[0].sum(), s.mesh.n_cells])
                                       for s in subdomains])
     firsts = team.gather_lists([s.mesh.centroids.min(axis=0) for s in subdomains])
@@ -281,22 +207,8 @@ def find_image_noise(problem: WeightedProblem, model: ResidualModel, evaluation:
                      q: Sequence[Array]) -> ImageNoise:
     """Find the noise of the images; collective.
 
-    Parameters
-    ----------
-    problem : WeightedProblem
-        Of the reference images.
-    model : ResidualModel
-        The pixels that count.
-    evaluation : Evaluation
-        At the field.
-    q : sequence of (n_unknowns,) array
-        The field of each owned subdomain.
-
-    Returns
-    -------
-    ImageNoise
-        Given, else that of the images at rest, else of the residual; of several cameras that by which they are
-        weighted.
+    It is what is given, else that of the images at rest, else of the residual; of several cameras that by which they
+    are weighted.
     """
     inputs = problem.reference.inputs
     given = inputs.cameras[0].noise
@@ -313,24 +225,9 @@ def find_image_noise(problem: WeightedProblem, model: ResidualModel, evaluation:
 def estimate_from_residual(model: ResidualModel, evaluation: Evaluation, q: Sequence[Array], degree: int) -> float:
     """Estimate the noise of one camera's images from what the field leaves of grey-level conservation; collective.
 
-    Of every cell the mean square of f - a g - b is sigma^2 (1 + a^2 c), c the spline's noise transfer; the median over
-    cells passes over those where the field does not follow the specimen.
-
-    Parameters
-    ----------
-    model : ResidualModel
-        The pixels that count.
-    evaluation : Evaluation
-        At the field.
-    q : sequence of (n_unknowns,) array
-        The field of each owned subdomain.
-    degree : int
-        Of the spline, 3 or 5.
-
-    Returns
-    -------
-    float
-        Standard deviation, grey levels; 0 where no pixel counts.
+    Of every cell the mean square of f - a g - b is sigma^2 (1 + a^2 c), c the noise transfer of the spline, whose
+    degree is 3 or 5; the median over cells passes over those where the field does not follow the specimen. It is a
+    standard deviation, grey levels; 0 where no pixel counts.
     """
     found = []
     for residuals, transfers in zip(evaluation.residuals, find_white_transfer(model, q, degree), strict=True):

@@ -69,30 +69,11 @@ def see_frame(case: Case, whole: ResidualModel, q: Sequence[Array], slopes: Sequ
               limits: Limits = AT_END, judged: Exclusions | None = None) -> SeenFrame:
     """See how a frame has to be corrected, and what of it does not show the specimen; collective.
 
-    Parameters
-    ----------
-    case : Case
-        Says whether that is wanted.
-    whole : ResidualModel
-        Of all pixels that the frame shows.
-    q : sequence of (n_unknowns,) array
-        Where it is thought to show them.
-    slopes : sequence of sequence of CellSlopes
-        Of the reference images, by subdomain and view.
-    limits : Limits
-        From which displacement error on a residual is not believed; those of a field by default.
-    judged : Exclusions, optional
-        By an earlier look, from which is taken which cells are blank; by default this one judges.
-
-    Returns
-    -------
-    SeenFrame
-        At q.
-
-    Raises
-    ------
-    ConvergenceError
-        On all ranks, where most of the frame does not show the specimen.
+    The case says whether that is wanted. ``whole`` is of all pixels that the frame shows, ``q`` where it is thought to
+    show them, ``slopes`` are of the reference images by subdomain and view. A residual is not believed from the
+    displacement error of ``limits`` on, by default those of a field. ``judged`` is of an earlier look, from which is
+    taken which cells are blank; by default this one judges. Raises ConvergenceError on all ranks where most of the
+    frame does not show the specimen.
     """
     evaluation = whole.evaluate(q)
     slopes = measure_slopes(whole, slopes)
@@ -121,17 +102,7 @@ def see_frame(case: Case, whole: ResidualModel, q: Sequence[Array], slopes: Sequ
 def measure_slopes(whole: ResidualModel, of_sharp: Sequence[Sequence[CellSlopes]]) -> Sequence[Sequence[CellSlopes]]:
     """Measure the slopes of the reference images that a frame is compared with; free of communication.
 
-    Parameters
-    ----------
-    whole : ResidualModel
-        Of the frame.
-    of_sharp : sequence of sequence of CellSlopes
-        Those of the images as they are, by subdomain and view.
-
-    Returns
-    -------
-    sequence of sequence of CellSlopes
-        The same where no image was blurred: those of a blurred one are weaker.
+    Where no image was blurred they are ``of_sharp``, those of the images as they are; a blurred one has weaker ones.
     """
     if not whole.blurs:
         return of_sharp
@@ -142,30 +113,8 @@ def see_start(case: Case, cameras: Sequence[Camera], whole: ResidualModel, q: Se
               slopes: Sequence[Sequence[CellSlopes]]) -> tuple[SeenFrame, tuple[str, ...]]:
     """See the same at a start, and blur the reference images as much as the frame is; collective.
 
-    Parameters
-    ----------
-    case : Case
-        Says whether either is wanted.
-    cameras : sequence of Camera
-        With their reference images.
-    whole : ResidualModel
-        Of all pixels that the frame shows.
-    q : sequence of (n_unknowns,) array
-        Where it is thought to show them.
-    slopes : sequence of sequence of CellSlopes
-        Of the reference images, by subdomain and view.
-
-    Returns
-    -------
-    seen : SeenFrame
-        At q.
-    notes : tuple of str
-        What the log says.
-
-    Raises
-    ------
-    ConvergenceError
-        On all ranks, where the frame shows no pixel.
+    The case says whether either is wanted. Notes for the log come with what is seen; arguments are those of
+    ``see_frame``. Raises ConvergenceError on all ranks where the frame shows no pixel.
     """
     seen = see_frame(case, whole, q, slopes, AT_START)
     if case.correlation.spoilt_pixels == "keep":

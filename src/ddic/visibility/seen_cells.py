@@ -87,18 +87,7 @@ class SeenCells:
     coefficient: Array
 
     def choose(self, chosen: NDArray[np.bool_]) -> SeenCells:
-        """Choose some of the cells.
-
-        Parameters
-        ----------
-        chosen : (n_cells,) bool array
-            Which.
-
-        Returns
-        -------
-        SeenCells
-            Of these.
-        """
+        """Choose some of the cells."""
         return SeenCells(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
 
@@ -108,10 +97,8 @@ class TypicalCell:
 
     Attributes
     ----------
-    noise : float
-        Median variance of the residual that a translation does not explain, grey levels squared.
-    contrast : float
-        Median variance of f, grey levels squared.
+    noise, contrast : float
+        Median variances of the residual that a translation does not explain, and of f, grey levels squared.
     texture : float
         Mean of |grad f|^2 of textured cells, (grey levels / px)^2.
     gain, offset : float
@@ -132,22 +119,7 @@ class TypicalCell:
 
 def measure_seen_cells(whole: ResidualModel, evaluation: Evaluation,
                        slopes: Sequence[Sequence[CellSlopes]]) -> list[list[SeenCells]]:
-    """Measure the cells of owned subdomains in a frame; free of communication.
-
-    Parameters
-    ----------
-    whole : ResidualModel
-        Of the frame.
-    evaluation : Evaluation
-        Of it.
-    slopes : sequence of sequence of CellSlopes
-        Of the reference images, by subdomain and view.
-
-    Returns
-    -------
-    list of list of SeenCells
-        By subdomain and view.
-    """
+    """Measure the cells of owned subdomains in a frame, by subdomain and view; free of communication."""
     found = [[_measure(residual, of_view, whole.find_correction(evaluation, view.camera, residual))
               for view, residual, of_view in zip(of_subdomain.views, residuals, of_views, strict=True)]
              for of_subdomain, residuals, of_views in zip(whole.views, evaluation.residuals, slopes, strict=True)]
@@ -186,19 +158,9 @@ def _explain(residual: Residual, slopes: CellSlopes, correction: tuple[Array, Ar
 
 
 def collect_cells(whole: ResidualModel, seen: Sequence[Sequence[SeenCells]]) -> dict[int, SeenCells]:
-    """Gather cells with pixels from all ranks, not more than medians need; collective.
+    """Gather cells with pixels from all ranks, by camera, not more than medians need; collective.
 
-    Parameters
-    ----------
-    whole : ResidualModel
-        Of the frame.
-    seen : sequence of sequence of SeenCells
-        Of owned subdomains, by view.
-
-    Returns
-    -------
-    dict of int to SeenCells
-        By camera, on all ranks; the same on any number of ranks but for the order.
+    They are the same on all ranks, and on any number of ranks but for the order.
     """
     team = whole.team
     n_cells = team.sum(sum(of_subdomain.subdomain.mesh.n_cells for of_subdomain in whole.views))
@@ -219,18 +181,7 @@ def _join(parts: Sequence[SeenCells]) -> SeenCells:
 
 
 def find_typical_cell(cells: SeenCells) -> TypicalCell:
-    """Find what most of some cells are like.
-
-    Parameters
-    ----------
-    cells : SeenCells
-        With pixels.
-
-    Returns
-    -------
-    TypicalCell
-        Medians; zeros, and no correction, where there are no cells.
-    """
+    """Find what most of some cells with pixels are like; zeros, and no correction, where there are no cells."""
     n = cells.n_pixels
     if not len(n):
         return TypicalCell(0.0, 0.0, 0.0, 1.0, 0.0)
@@ -243,21 +194,9 @@ def find_typical_cell(cells: SeenCells) -> TypicalCell:
 
 
 def find_standing_out(seen: SeenCells, typical: TypicalCell, limit: float) -> NDArray[np.bool_]:
-    """Find the cells that stand out.
+    """Find the cells of a view that show pixels and stand out, (n_cells,).
 
-    Parameters
-    ----------
-    seen : SeenCells
-        Of a view.
-    typical : TypicalCell
-        Of its camera.
-    limit : float
-        Error of the displacement whose residual is believed, pixels; inf where any residual is.
-
-    Returns
-    -------
-    (n_cells,) array of bool
-        Those that show pixels and stand out.
+    ``limit`` is the error of the displacement whose residual is believed, pixels; inf where any residual is.
     """
     is_off = _find_off(seen, typical, limit)
     if np.isfinite(limit):

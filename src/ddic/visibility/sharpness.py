@@ -43,25 +43,10 @@ SAMPLE = 512
 
 def match_sharpness(whole: ResidualModel, cameras: Sequence[Camera], q: Sequence[Array],
                     typical: Mapping[int, TypicalCell]) -> tuple[ResidualModel, tuple[str, ...]]:
-    """Blur the reference images as much as the frame is; collective.
+    """Blur the reference images as much as the frame is, with notes for the log; collective.
 
-    Parameters
-    ----------
-    whole : ResidualModel
-        Of all pixels that the frame shows.
-    cameras : sequence of Camera
-        With their reference images.
-    q : sequence of (n_unknowns,) array
-        Where the frame is thought to show them.
-    typical : mapping of int to TypicalCell
-        What most cells are like at q, by camera.
-
-    Returns
-    -------
-    whole : ResidualModel
-        The same where the frame is sharp.
-    notes : tuple of str
-        What the log says.
+    ``whole`` is of all pixels that the frame shows, ``q`` where it is thought to show them, ``typical`` at q. A sharp
+    frame leaves the model as it is.
     """
     blurs: dict[int, Blur] = {}
     for camera in cameras:

@@ -143,26 +143,13 @@ def _confine(of_subdomain: FrameViews, cells: Flags) -> FrameViews:
 
 def estimate_node_deviations(model: ResidualModel, systems: Sequence[LocalSystem], noise: float, *,
                              by_pixels_alone: bool = False) -> list[Array]:
-    """Estimate the standard deviation of each node's displacement; collective.
+    """Estimate the standard deviation of each node's displacement, (n_nodes,), pixels; collective.
 
-    From diagonals: sqrt(noise M_ii) / A_ii is what noise leaves if all other unknowns hold still, less than if they do
-    not. Of M, what the noise of f gives to |grad f|^2 is no texture: the mean force does not change with it.
-
-    Parameters
-    ----------
-    model : ResidualModel
-        Of the frame.
-    systems : sequence of LocalSystem
-        Of owned subdomains.
-    noise : float
-        Variance of the residual that the noise of both images makes, grey levels squared.
-    by_pixels_alone : bool
-        Whether mechanics hold nothing: they may hold a field of weak texture in a wrong place.
-
-    Returns
-    -------
-    list of (n_nodes,) array
-        Larger one of its components, of each owned subdomain, pixels.
+    It is that of the larger component, from diagonals: sqrt(noise M_ii) / A_ii is what noise leaves if all other
+    unknowns hold still, less than if they do not. Of M, what the noise of f gives to |grad f|^2 is no texture: the mean
+    force does not change with it. ``noise`` is the variance of the residual that the noise of both images makes, grey
+    levels squared. With ``by_pixels_alone`` mechanics hold nothing: they may hold a field of weak texture in a wrong
+    place.
     """
     sums = []
     for system, of_subdomain in zip(systems, model.views, strict=True):

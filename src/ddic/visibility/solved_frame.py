@@ -101,28 +101,9 @@ def solve_further(problem: WeightedProblem, solved: SolvedFrame, progress: Progr
                   roughly: bool) -> SolvedFrame:
     """Go on with Gauss-Newton, with the same operators; collective.
 
-    Where all but a few nodes are found, these are iterated alone, and a pass over all pixels checks the others.
-
-    Parameters
-    ----------
-    problem : WeightedProblem
-        The linear step.
-    solved : SolvedFrame
-        Where to go on from.
-    progress : Progress
-        Where to write.
-    roughly : bool
-        Whether to pause as soon as few nodes move by more than ROUGHLY.
-
-    Returns
-    -------
-    SolvedFrame
-        Converged or not, with all iterations.
-
-    Raises
-    ------
-    ConvergenceError
-        On all ranks, where an iteration fails; with the last SolvedFrame.
+    Where all but a few nodes are found, these are iterated alone, and a pass over all pixels checks the others. It
+    converges or not, and holds all iterations; ``roughly`` says whether to pause as soon as few nodes move by more than
+    ROUGHLY. Raises ConvergenceError on all ranks where an iteration fails, with the last SolvedFrame.
     """
     systems, tolerances, used = problem.solver.assembly.systems, problem.tolerances, solved.used
     roughly &= tolerances.rms < ROUGHLY
@@ -216,25 +197,9 @@ def _prepare_mixing(problem: WeightedProblem) -> AndersonMixing:
 def see_solved_frame(problem: WeightedProblem, solved: SolvedFrame, as_read: ResidualModel | None = None) -> SeenFrame:
     """See the frame at a field; collective.
 
-    Parameters
-    ----------
-    problem : WeightedProblem
-        Of the frame.
-    solved : SolvedFrame
-        The field.
-    as_read : ResidualModel, optional
-        The same pixels, of which nothing has been said of brightness: a start that was off may have called for more
-        correction than the field does. By default what was chosen is never taken back.
-
-    Returns
-    -------
-    SeenFrame
-        At the field.
-
-    Raises
-    ------
-    ConvergenceError
-        On all ranks, where the frame does not show the specimen there; with the SolvedFrame.
+    ``as_read`` is the same pixels, of which nothing has been said of brightness: a start that was off may have called
+    for more correction than the field does. By default what was chosen is never taken back. Raises ConvergenceError on
+    all ranks, with the SolvedFrame, where the frame does not show the specimen there.
     """
     case, before, q = problem.reference.inputs.case, solved.seen.whole, solved.field.q
     # Fields that are roughly found judge what is blank.
@@ -253,21 +218,8 @@ def see_solved_frame(problem: WeightedProblem, solved: SolvedFrame, as_read: Res
 def accept_noise(problem: WeightedProblem, used: ResidualModel, solution: Solution) -> Solution:
     """Accept a field whose corrections do not become smaller, if they are far below its noise; collective.
 
-    Images of much noise, whose gradients are half noise too, never come to rest.
-
-    Parameters
-    ----------
-    problem : WeightedProblem
-        The linear step.
-    used : ResidualModel
-        The pixels that count.
-    solution : Solution
-        That did not converge.
-
-    Returns
-    -------
-    Solution
-        With the reason; the same where corrections are more than noise.
+    Images of much noise, whose gradients are half noise too, never come to rest. The solution, which did not converge,
+    comes back with the reason; the same where corrections are more than noise.
     """
     if problem.tolerances.max_iterations <= PATIENCE:
         # Fewer were asked for: nobody knows yet.

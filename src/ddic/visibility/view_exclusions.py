@@ -97,10 +97,8 @@ class Rules:
     ----------
     limits : Limits
         From which error on a residual is not believed.
-    own_brightness : bool
-        Whether each cell has a gain and an offset of its own.
-    is_regularized : bool
-        Whether mechanics hold what pixels do not.
+    own_brightness, is_regularized : bool
+        Whether each cell has a gain and an offset of its own; whether mechanics hold what pixels do not.
     uncertainty : tuple of float
         How far each discontinuity may be from where it is thought to be, pixels.
     """
@@ -112,23 +110,10 @@ class Rules:
 
 
 def find_view_exclusions(seen: SeenView, rules: Rules) -> tuple[NDArray[np.uint8], NDArray[np.int64], HeldCells]:
-    """Find what a view does not show.
+    """Find what a view does not show: states of its cells, spoilt pixels, cells that are pulled.
 
-    Parameters
-    ----------
-    seen : SeenView
-        Of a frame.
-    rules : Rules
-        Which hold for all views.
-
-    Returns
-    -------
-    states : (n_cells,) uint8 array
-        KEPT or why not.
-    pixels : (n, 2) int64 array
-        Column and row of spoilt pixels in cells that are kept.
-    pulled : HeldCells
-        Cells that are seen so far away that their grey levels say nothing of the way.
+    States, (n_cells,), are KEPT or why not; pixels, (n, 2), are column and row of spoilt ones in cells that are kept;
+    pulled are cells that are seen so far away that their grey levels say nothing of the way.
     """
     states = _judge_by_pixels(seen, rules)
     stands_out = find_standing_out(seen.cells, seen.typical, rules.limits.cell)
@@ -231,20 +216,7 @@ def _find_uncertain_pixels(seen: SeenView, rules: Rules, box: Window) -> NDArray
 
 
 def exclude_weak_cells(whole: ResidualModel, excluded: Exclusions) -> Exclusions:
-    """Exclude also the cells beside that hold one of their nodes by a few pixels only; collective.
-
-    Parameters
-    ----------
-    whole : ResidualModel
-        With all pixels that the frame shows.
-    excluded : Exclusions
-        Of its subdomains.
-
-    Returns
-    -------
-    Exclusions
-        With at most one row of cells more.
-    """
+    """Exclude also the cells beside, one row at most, that hold one of their nodes by a few pixels only; collective."""
     team, subdomains = whole.team, [of_subdomain.subdomain for of_subdomain in whole.views]
     used = exclude(whole, excluded).views
     diagonals = team.together(lambda: [_sum_diagonals(of_subdomain, states)
@@ -285,32 +257,11 @@ def _sum_diagonals(of_subdomain: FrameViews, states: Sequence[NDArray[np.uint8]]
 
 def find_exclusions(whole: ResidualModel, q: Sequence[Array], seen: Sequence[Sequence[SeenCells]],
                     typical: Mapping[int, TypicalCell], rules: Rules, judged: Exclusions | None) -> Exclusions:
-    """Find what of a frame does not show the specimen; collective.
+    """Find what of a frame does not show the specimen, of owned subdomains; collective.
 
-    Parameters
-    ----------
-    whole : ResidualModel
-        With all pixels that the frame shows.
-    q : sequence of (n_unknowns,) array
-        Unknowns of each owned subdomain.
-    seen : sequence of sequence of SeenCells
-        Cells of each subdomain and view.
-    typical : mapping of int to TypicalCell
-        By camera.
-    rules : Rules
-        By which they are judged.
-    judged : Exclusions or None
-        By an earlier look, from which is taken which cells are blank; None where this one judges.
-
-    Returns
-    -------
-    Exclusions
-        Of owned subdomains.
-
-    Raises
-    ------
-    ConvergenceError
-        On all ranks, where most of the frame shows something else.
+    ``whole`` holds all pixels that the frame shows. ``judged`` is of an earlier look, from which is taken which cells
+    are blank; None where this one judges. Raises ConvergenceError on all ranks where most of the frame shows something
+    else.
     """
     states_before = [(None,) * len(of_views) for of_views in seen] if judged is None else judged.cells
     views = [[SeenView(view, q_s, cells, typical[view.camera], states)

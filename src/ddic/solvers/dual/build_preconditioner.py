@@ -54,30 +54,9 @@ class BuiltPreconditioner:
 
 def build_preconditioner(stack: PetscStack, problem: DualProblem, kind: Preconditioner,
                          local_inverse: LocalInverseKind, clock: PhaseClock | None = None) -> BuiltPreconditioner:
-    """Build a preconditioner of the interface problem; collective.
+    """Build a preconditioner of the interface problem, rows of cameras' motions eliminated; collective.
 
-    Parameters
-    ----------
-    stack : PetscStack
-        Keeps what must be destroyed.
-    problem : DualProblem
-        The interface problem.
-    kind : Preconditioner
-        None, the paper's, the paper's with scaled assembly, or that with a coarse space.
-    local_inverse : LocalInverseKind
-        S_s^-1 as an array, by a sparse factor, or as its size asks.
-    clock : PhaseClock, optional
-        Told how far it is.
-
-    Returns
-    -------
-    BuiltPreconditioner
-        With rows of cameras' motions eliminated, where there are any.
-
-    Raises
-    ------
-    SingularSubdomainError
-        On all ranks.
+    ``stack`` keeps what must be destroyed. Raises SingularSubdomainError on all ranks.
     """
     if kind == "none":
         return BuiltPreconditioner(None, None)

@@ -1,6 +1,6 @@
 """The coarse space of the interface problem: low-energy modes of the subdomains, seen by the interface.
 
-Low-energy modes of a subdomain: the lowest eigenvectors of A_s with softened interface rows.
+These modes of a subdomain are the lowest eigenvectors of A_s with softened interface rows.
 """
 
 from __future__ import annotations
@@ -86,20 +86,7 @@ class CoarsePart:
 
 
 def build_coarse_columns(modes: NDArray[np.float64], local: LocalDual) -> CoarseColumns:
-    """Build a subdomain's coarse vectors: traces and reactions of its modes make separate ones.
-
-    Parameters
-    ----------
-    modes : (n_field, k) array
-        Of ``find_low_energy_modes``.
-    local : LocalDual
-        Its interface operators.
-
-    Returns
-    -------
-    CoarseColumns
-        At most 2 k of them.
-    """
+    """Build a subdomain's coarse vectors, at most 2 k of k modes: their traces and reactions make separate ones."""
     traces = local.trace @ modes
     of_jumps = _find_basis(traces[:local.n_jumps])
     of_reactions = _find_basis(traces[local.n_jumps:])
@@ -148,15 +135,7 @@ class CoarseSpace:
         return int(self._z.getSize()[1])
 
     def correct(self, residual: PETSc.Vec, result: PETSc.Vec) -> None:
-        """Add Z (Z^T S_tot Z)^-1 Z^T r; collective.
-
-        Parameters
-        ----------
-        residual : PETSc.Vec
-            r, of interface rows.
-        result : PETSc.Vec
-            What it is added to, of interface rows.
-        """
+        """Add Z (Z^T S_tot Z)^-1 Z^T r to a result, both of interface rows; collective."""
         self._z.multTranspose(residual, self._right)
         self._ksp.solve(self._right, self._left)
         self._z.multAdd(self._left, result, result)
@@ -242,20 +221,8 @@ _EXTRA = 8
 def find_low_energy_modes(system: LocalSystem, operator: LocalOperator) -> NDArray[np.float64]:
     """Find the lowest eigenvectors of A_s with softened interface rows, by block inverse iteration from polynomials.
 
-    A few sweeps are enough: smooth fields are nearly the modes sought, and a coarse space needs their span, not each
-    of them.
-
-    Parameters
-    ----------
-    system : LocalSystem
-        The subdomain, without the motion of its camera.
-    operator : LocalOperator
-        Its A_s factorised.
-
-    Returns
-    -------
-    (n_field, FEW or MANY, or fewer) array
-        Modes, orthonormal.
+    A few sweeps are enough: smooth fields are nearly the modes sought, and a coarse space needs their span, not each of
+    them. The modes, (n_field, FEW or MANY, or fewer), are orthonormal; ``system`` is without the motion of its camera.
     """
     kinematics = system.subdomain.kinematics
     # More modes than half the interface unknowns would make the coarse problem the interface problem.

@@ -34,19 +34,8 @@ def average_copies(team: Team, subdomains: Sequence[Subdomain],
                    q: Sequence[NDArray[np.float64]]) -> ContinuousField:
     """Average the copies of every interface unknown, Eq. 41 of [BP17]; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    subdomains : sequence of Subdomain
-        This rank's.
-    q : sequence of (n_unknowns,) arrays
-        Of each of them, pixels; left as they are.
-
-    Returns
-    -------
-    ContinuousField
-        Equal on all subdomains that share an unknown, to the last bit.
+    ``q``, (n_unknowns,) of each owned subdomain, pixels, are left as they are. The averages are equal, to the last bit,
+    on all subdomains that share an unknown.
     """
     interfaces = [s.jumps for s in subdomains]
     with PetscStack() as stack:

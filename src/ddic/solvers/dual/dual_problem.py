@@ -1,10 +1,7 @@
 """The interface problem S_tot v = t_tot of all subdomains, Eq. 25-31 of [BP17].
 
-What PETSc asks of the shell operators of the interface problem.
-
-The dual Schur complement S_tot as a PETSc shell operator, Eq. 25-31 of [BP17].
-
-The motion of near-field set-ups in the interface problem: eliminated exactly by the preconditioner.
+Its dual Schur complement S_tot is a PETSc shell operator; what PETSc asks of such operators stands here too. The motion
+of near-field set-ups in the interface problem is eliminated exactly by the preconditioner.
 """
 
 from __future__ import annotations
@@ -31,17 +28,7 @@ class Preconditioning(Protocol):
     """Context of a shell preconditioner."""
 
     def apply(self, pc: PETSc.PC | None, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Apply y = P x: PETSc's callback.
-
-        Parameters
-        ----------
-        pc : PETSc.PC or None
-            The preconditioner whose context this is.
-        x : PETSc.Vec
-            Residuals.
-        y : PETSc.Vec
-            Overwritten by P x.
-        """
+        """Apply y = P x to residuals x: PETSc's callback."""
         ...
 
 
@@ -49,17 +36,7 @@ class Multiplying(Protocol):
     """Context of a shell matrix."""
 
     def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Multiply y = S x: PETSc's callback.
-
-        Parameters
-        ----------
-        matrix : PETSc.Mat
-            The matrix whose context this is.
-        x : PETSc.Vec
-            Multipliers.
-        y : PETSc.Vec
-            Overwritten by S x.
-        """
+        """Multiply y = S x, x multipliers: PETSc's callback."""
         ...
 
 
@@ -91,45 +68,18 @@ class DualSchurOperator:
         return self._exchange.team
 
     def mult(self, _: PETSc.Mat | None, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Multiply by S_tot: PETSc's callback.
-
-        Parameters
-        ----------
-        _ : PETSc.Mat or None
-            Does not matter.
-        x : PETSc.Vec
-            Multipliers v.
-        y : PETSc.Vec
-            Overwritten by S_tot v.
-        """
+        """Multiply y = S_tot x, x multipliers: PETSc's callback."""
         v = self._exchange.fetch_ghosts(x)
         self._exchange.add_to_owners(self.of_rank.apply(v), y)
 
     multTranspose = mult
 
     def create_vector(self) -> PETSc.Vec:
-        """Create a zero vector of interface rows over all ranks.
-
-        Returns
-        -------
-        PETSc.Vec
-            The caller's to destroy.
-        """
+        """Create a zero vector of interface rows over all ranks, the caller's to destroy."""
         return self._exchange.create_vector()
 
     def create_matrix(self, context: Multiplying | None = None) -> PETSc.Mat:
-        """Create a shell matrix with the rows and columns of S_tot over all ranks.
-
-        Parameters
-        ----------
-        context : Multiplying, optional
-            What multiplies; S_tot itself by default.
-
-        Returns
-        -------
-        PETSc.Mat
-            The caller's to destroy.
-        """
+        """Create a shell matrix of S_tot's size over all ranks, of S_tot itself by default; the caller's to destroy."""
         size = (self._exchange.n_owned, self._exchange.n_global)
         matrix = PETSc.Mat().createPython((size, size), context or self, comm=self.team.comm)
         matrix.setUp()
@@ -176,17 +126,7 @@ class MotionPreconditioner:
             self._objects = stack.pop_all()
 
     def apply(self, pc: PETSc.PC | None, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Apply the preconditioner: PETSc's callback.
-
-        Parameters
-        ----------
-        pc : PETSc.PC or None
-            Passed on.
-        x : PETSc.Vec
-            r, r_alpha.
-        y : PETSc.Vec
-            Overwritten by Lambda, alpha.
-        """
+        """Apply the preconditioner to x = (r, r_alpha), which gives y = (Lambda, alpha): PETSc's callback."""
         given = self._take(x)
         x.copy(self._right)
         self._put(self._right, np.zeros(self._n))
@@ -197,13 +137,7 @@ class MotionPreconditioner:
         self._put(y, alpha)
 
     def destroy(self, _: PETSc.PC | None = None) -> None:
-        """Free PETSc's objects; PETSc calls it too, when the preconditioner goes whose context this is.
-
-        Parameters
-        ----------
-        _ : PETSc.PC, optional
-            Does not matter.
-        """
+        """Free PETSc's objects; PETSc calls it too, when the preconditioner goes whose context this is."""
         self._objects.close()
 
     def _take(self, vector: PETSc.Vec) -> NDArray[np.float64]:
@@ -229,17 +163,7 @@ def _find_last_rows(vector: PETSc.Vec, n: int) -> slice | None:
 def sum_motion_scales(team: Team, systems: Sequence[LocalSystem]) -> dict[int, NDArray[np.float64]]:
     """Sum kappa = sum_s diag R_s^T M_s R_s of every camera whose set-up moves; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    systems : sequence of LocalSystem
-        This rank's subdomains.
-
-    Returns
-    -------
-    dict of (n_motion,) array
-        By the camera's number, grey levels squared per pixel squared.
+    The result, (n_motion,) by the camera's number, has grey levels squared per pixel squared.
     """
     mine = [(system.subdomain.camera, system.motion_block.diagonal())
             for system in systems if system.subdomain.motion is not None]
@@ -289,18 +213,9 @@ class DualProblem:
                             q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]]) -> None:
         """Set a vector to t_tot = sum_s G_s (u_s + free_s), Eq. 27 of [BP17]; collective.
 
-        Rows of a camera's motion are (N_s^T free_s - R_s^T b_s) / kappa.
-
-        Parameters
-        ----------
-        right : PETSc.Vec
-            Overwritten.
-        free : sequence of (n_field,) arrays
-            A_s^-1 (b_s - eta Kbar_s^T Kbar_s u_s) of each owned subdomain.
-        q : sequence of (n_unknowns,) arrays
-            u_s, then the camera's motion.
-        b : sequence of (n_unknowns,) arrays
-            b_s.
+        Rows of a camera's motion are (N_s^T free_s - R_s^T b_s) / kappa. Of each owned subdomain, ``free`` is
+        A_s^-1 (b_s - eta Kbar_s^T Kbar_s u_s), (n_field,); ``q`` is u_s, then the camera's motion, and ``b`` is b_s,
+        both (n_unknowns,).
         """
         fields = [q_s[:len(free_s)] + free_s for q_s, free_s in zip(q, free, strict=True)]
         total = self.operator.of_rank.sum_jumps(fields)
@@ -313,35 +228,17 @@ class DualProblem:
     def correct(self, free: Sequence[NDArray[np.float64]], multipliers: PETSc.Vec) -> list[NDArray[np.float64]]:
         """Correct the fields by the multipliers v, Eq. 24a of [BP17]; collective.
 
-        Parameters
-        ----------
-        free : sequence of (n_field,) arrays
-            The parts without multipliers, pixels.
-        multipliers : PETSc.Vec
-            v.
-
-        Returns
-        -------
-        list of (n_field,) arrays
-            du_s = free_s - A_s^-1 G_s^T v of each owned subdomain, pixels.
+        Gives du_s = free_s - A_s^-1 G_s^T v of each owned subdomain, (n_field,), pixels; ``free`` are the parts without
+        multipliers.
         """
         v = self.exchange.fetch_ghosts(multipliers)
         return [free_s - forced_s for free_s, forced_s in zip(free, self.operator.of_rank.solve_forces(v), strict=True)]
 
     def append_motion(self, du: Sequence[NDArray[np.float64]], multipliers: PETSc.Vec) -> list[NDArray[np.float64]]:
-        """Append the corrections of cameras' motions to those of the fields; collective.
+        """Append the corrections of cameras' motions to those of the fields, pixels; collective.
 
-        Parameters
-        ----------
-        du : sequence of (n_field,) arrays
-            Of each owned subdomain, pixels.
-        multipliers : PETSc.Vec
-            v, among which are kappa alpha.
-
-        Returns
-        -------
-        list of (n_unknowns,) arrays
-            dq_s, pixels.
+        The motions are taken from the multipliers v, among which are kappa alpha; the result is dq_s of each owned
+        subdomain, (n_unknowns,).
         """
         v = self.exchange.fetch_ghosts(multipliers)
         return [du_s if local.motion is None else np.concatenate([du_s, v[local.motion.rows] / local.motion.scale])
@@ -354,23 +251,9 @@ class DualProblem:
 
 def build_dual_problem(team: Team, systems: Sequence[LocalSystem], operators: Sequence[LocalOperator],
                        scale: float) -> DualProblem:
-    """Build the interface problem; collective.
+    """Build the interface problem, the caller's to destroy; collective.
 
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    systems : sequence of LocalSystem
-        This rank's subdomains.
-    operators : sequence of LocalOperator
-        Their A_s factorised, motions of cameras held.
-    scale : float
-        c of ``build_local_dual``.
-
-    Returns
-    -------
-    DualProblem
-        The caller's to destroy.
+    ``operators`` are the factors of A_s with motions of cameras held, ``scale`` is c of ``build_local_dual``.
     """
     subdomains = [system.subdomain for system in systems]
     scales = sum_motion_scales(team, systems)

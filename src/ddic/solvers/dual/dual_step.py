@@ -50,7 +50,8 @@ class DualSettings:
 class DualStep:
     """Solves Eq. 24-25 of [BP17] for dq, with two cameras Eq. 23.
 
-    Factors are kept, and the interface problem starts from the previous multipliers.
+    Factors are kept, and the interface problem starts from the previous multipliers. Making it raises
+    SingularSubdomainError on all ranks.
 
     PETSc options (prefix ``dual_``): ``-dual_ksp_monitor``, ``-dual_ksp_type``, ``-dual_ksp_rtol``...
 
@@ -68,11 +69,6 @@ class DualStep:
         How the interface problem is solved.
     clock : PhaseClock, optional
         Told how far the set-up is.
-
-    Raises
-    ------
-    SingularSubdomainError
-        On all ranks.
     """
 
     def __init__(self, team: Team, systems: Sequence[LocalSystem], operators: Sequence[LocalOperator],
@@ -100,27 +96,7 @@ class DualStep:
 
     def solve(self, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]],
               allowed: AllowedError | None = None) -> StepResult:
-        """Solve for dq_s of this rank's subdomains; collective.
-
-        Parameters
-        ----------
-        q : sequence of (n_unknowns,) arrays
-            q_s of each owned subdomain, pixels.
-        b : sequence of (n_unknowns,) arrays
-            Its b_s, grey levels squared per pixel.
-        allowed : AllowedError, optional
-            Error that may be left; None: what the tolerance allows.
-
-        Returns
-        -------
-        StepResult
-            With an estimate of its error.
-
-        Raises
-        ------
-        ConvergenceError
-            On all ranks.
-        """
+        """Solve for dq_s, with an estimate of its error; collective. Raises ConvergenceError on all ranks."""
         problem = self._problem
         free = [self._solve_alone(s, q_s, b_s) for s, (q_s, b_s) in enumerate(zip(q, b, strict=True))]
         if self.n_interface == 0:

@@ -1,6 +1,6 @@
 """The Krylov solution of the interface problem S_tot v = t_tot.
 
-Directions kept from earlier interface problems with the same operator.
+Directions are kept from earlier interface problems with the same operator.
 """
 
 from __future__ import annotations
@@ -56,39 +56,17 @@ class RecycledSpace:
         return self._images.shape[1]
 
     def reduce(self, residual: NDArray[np.float64], solution: NDArray[np.float64]) -> None:
-        """Add U C^T r to a solution and take C C^T r from its residual, in place; collective.
-
-        Parameters
-        ----------
-        residual : (n_owned,) array
-            r, owned rows; overwritten.
-        solution : (n_owned,) array
-            v, owned rows; overwritten.
-        """
+        """Add U C^T r to a solution v and take C C^T r from its residual r, owned rows, in place; collective."""
         coefficients = self._find_coefficients(residual)
         solution += self._directions @ coefficients
         residual -= self._images @ coefficients
 
     def project(self, vector: NDArray[np.float64]) -> None:
-        """Take C C^T x from x, in place; collective.
-
-        Parameters
-        ----------
-        vector : (n_owned,) array
-            x, owned rows; overwritten.
-        """
+        """Take C C^T x from x, owned rows, in place; collective."""
         vector -= self._images @ self._find_coefficients(vector)
 
     def learn(self, directions: NDArray[np.float64], images: NDArray[np.float64]) -> None:
-        """Keep what is new in some pairs; collective.
-
-        Parameters
-        ----------
-        directions : (n_owned, k) array
-            y, owned rows.
-        images : (n_owned, k) array
-            S_tot y, owned rows.
-        """
+        """Keep what is new in some pairs y, S_tot y, (n_owned, k) both; collective."""
         # Twice, for after once the new images are orthogonal to the old ones to a few digits only.
         for _ in range(2):
             coefficients = self._team.sum(self._images.T @ images)
@@ -154,10 +132,8 @@ class InterfaceSolver:
 
     Attributes
     ----------
-    multipliers : PETSc.Vec
-        v, the last solution, from which the next one starts.
-    residual : PETSc.Vec
-        t_tot - S_tot v.
+    multipliers, residual : PETSc.Vec
+        v, the last solution, from which the next one starts, and t_tot - S_tot v.
     ksp : PETSc.KSP
         PETSc's solver.
     tolerance : float
@@ -190,18 +166,7 @@ class InterfaceSolver:
             self._deflated.space.forget()
 
     def start(self, right: PETSc.Vec) -> float:
-        """Bring coarse space and kept directions to bear on the last solution; collective.
-
-        Parameters
-        ----------
-        right : PETSc.Vec
-            t_tot.
-
-        Returns
-        -------
-        float
-            |t_tot - S_tot v|.
-        """
+        """Bring coarse space and kept directions to bear on the last solution, return |t_tot - S_tot v|; collective."""
         self._renew_residual(right)
         norm = float(self.residual.norm())
         if not norm <= right.norm():
@@ -216,26 +181,9 @@ class InterfaceSolver:
         return self._use_kept()
 
     def solve(self, right: PETSc.Vec, stop: float) -> tuple[int, NDArray[np.float64]]:
-        """Iterate from ``start`` until the residual is small; collective.
+        """Iterate on t_tot from ``start`` until the norm of the residual is no larger than ``stop``; collective.
 
-        Parameters
-        ----------
-        right : PETSc.Vec
-            t_tot.
-        stop : float
-            Norm of the residual that is small enough.
-
-        Returns
-        -------
-        n_iterations : int
-            Number of iterations.
-        norms : (n,) array
-            Norms of the residual.
-
-        Raises
-        ------
-        ConvergenceError
-            On all ranks.
+        Returns the number of iterations and the norms of the residual. Raises ConvergenceError on all ranks.
         """
         if not np.isfinite(stop):
             raise as_collective(ConvergenceError(
@@ -265,10 +213,7 @@ class InterfaceSolver:
     def precondition_residual(self) -> PETSc.Vec:
         """Apply P to the residual, which gives about the error that is left in the multipliers; collective.
 
-        Returns
-        -------
-        PETSc.Vec
-            The caller's to destroy.
+        The vector is the caller's to destroy.
         """
         out = self.residual.duplicate()
         self.ksp.getPC().apply(self.residual, out)

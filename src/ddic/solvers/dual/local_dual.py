@@ -1,8 +1,7 @@
-"""One subdomain's part of the dual problem.
+"""One subdomain's part of the dual problem, and that of all subdomains of a rank.
 
-All subdomains of a rank in the dual problem: one product with a sparse matrix for all of them.
-
-A subdomain's matrices are small: to call a product takes longer than to compute it.
+A subdomain's matrices are small: to call a product takes longer than to compute it. So there is one product with a
+sparse matrix for all of them.
 """
 
 from __future__ import annotations
@@ -57,18 +56,7 @@ class LocalDual:
     motion: MotionRows | None = None
 
     def multiply_schur(self, columns: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Multiply by S_s = T_s A_s^-1 T_s^T - D_s, which is not formed.
-
-        Parameters
-        ----------
-        columns : (n interface unknowns, k) array
-            X.
-
-        Returns
-        -------
-        (n interface unknowns, k) array
-            S_s X; a block of columns at a time, so that no array of (n_field, k) is held.
-        """
+        """Multiply by S_s = T_s A_s^-1 T_s^T - D_s, not formed, in blocks: no array of (n_field, k) is held."""
         out = np.empty(columns.shape, order="F")
         step = self.operator.block
         for begin in range(0, columns.shape[1], step):
@@ -108,24 +96,11 @@ class MotionRows:
 
 def build_local_dual(system: LocalSystem, operator: LocalOperator, ghosts: NDArray[np.int64],
                      scale: float) -> LocalDual:
-    """Build a subdomain's interface operators, of the field alone.
+    """Build a subdomain's interface operators, of the field alone: ``system`` is without the motion of its camera.
 
-    Parameters
-    ----------
-    system : LocalSystem
-        The subdomain, without the motion of its camera.
-    operator : LocalOperator
-        Its A_s factorised.
-    ghosts : (n ghost rows,) array of int64
-        Sorted numbers of the rows that this rank takes part in.
-    scale : float
-        c = 1 / sqrt(eta mean diag M), which gives both blocks of unknowns and of residuals one unit and keeps S_tot
-        symmetric.
-
-    Returns
-    -------
-    LocalDual
-        Without rows of a motion.
+    ``ghosts`` are the sorted numbers of the rows that this rank takes part in. ``scale`` is
+    c = 1 / sqrt(eta mean diag M), which gives both blocks of unknowns and of residuals one unit and keeps S_tot
+    symmetric.
     """
     subdomain = system.subdomain
     jumps = subdomain.jumps
@@ -147,21 +122,8 @@ def add_motion_rows(local: LocalDual, system: LocalSystem, ghosts: NDArray[np.in
                     scales: dict[int, NDArray[np.float64]]) -> LocalDual:
     """Add the rows of the motion of the subdomain's camera, where that moves: Eq. 21 of [BP17].
 
-    Parameters
-    ----------
-    local : LocalDual
-        Of the field alone.
-    system : LocalSystem
-        The subdomain with the motion of its camera.
-    ghosts : (n ghost rows,) array of int64
-        Sorted numbers of the rows that this rank takes part in.
-    scales : dict of (n_motion,) array
-        kappa of ``MotionRows`` by camera.
-
-    Returns
-    -------
-    LocalDual
-        With them.
+    ``system`` is with the motion of its camera, ``ghosts`` are as for ``build_local_dual``, ``scales`` is kappa of
+    ``MotionRows``, (n_motion,), by camera.
     """
     unknowns = system.subdomain.motion
     if unknowns is None:
@@ -199,18 +161,7 @@ class RankDual:
         self._compliance = (incidence @ compliance @ incidence.T).tocsr()
 
     def apply(self, v: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Apply the rank's part of S_tot with one local solve of each subdomain.
-
-        Parameters
-        ----------
-        v : (n ghost rows,) array
-            Multipliers.
-
-        Returns
-        -------
-        (n ghost rows,) array
-            Sum of G_s A_s^-1 G_s^T v - H_s v.
-        """
+        """Sum G_s A_s^-1 G_s^T v - H_s v, the rank's part of S_tot v, with one local solve of each subdomain."""
         y = np.concatenate(self.solve_forces(v))
         out = np.asarray(self._jump @ y - self._compliance @ v)
         for local in self._local_duals:
@@ -219,50 +170,17 @@ class RankDual:
         return out
 
     def solve_forces(self, v: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """Find what multipliers do to the fields.
-
-        Parameters
-        ----------
-        v : (n ghost rows,) array
-            Multipliers.
-
-        Returns
-        -------
-        list of (n_field,) arrays
-            A_s^-1 G_s^T v of each subdomain.
-        """
+        """Find what multipliers v, (n ghost rows,), do to the fields: A_s^-1 G_s^T v of each subdomain, (n_field,)."""
         forces = self._jump_transposed @ v
         return [local.operator.solve(forces[place])
                 for local, place in zip(self._local_duals, self._fields, strict=True)]
 
     def sum_jumps(self, fields: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Sum what fields contribute to the rows.
-
-        Parameters
-        ----------
-        fields : sequence of (n_field,) arrays
-            y_s of each subdomain.
-
-        Returns
-        -------
-        (n ghost rows,) array
-            Sum of G_s y_s.
-        """
+        """Sum what fields y_s, (n_field,), contribute to the rows: sum of G_s y_s, (n ghost rows,)."""
         return np.asarray(self._jump @ np.concatenate(fields))
 
 
 def list_places(sizes: Sequence[int]) -> list[slice]:
-    """List where arrays of some sizes lie in all of them, one after the other.
-
-    Parameters
-    ----------
-    sizes : sequence of int
-        Of the arrays.
-
-    Returns
-    -------
-    list of slice
-        The place of each.
-    """
+    """List where arrays of some sizes lie in all of them, one after the other."""
     ends = np.cumsum([0, *sizes]).tolist()
     return [slice(begin, end) for begin, end in pairwise(ends)]

@@ -1,10 +1,7 @@
-"""The block explicit-inverse preconditioner of the interface problem, Eq. 37-40 of [BP17].
+"""The preconditioners of the interface problem: the block explicit inverse, Eq. 37-40 of [BP17], and one of two levels.
 
-S_s^-1 of a large subdomain by one sparse factorisation, S_s never formed.
-
-Whether S_s^-1 of a subdomain is held as an array or as a sparse factor.
-
-Two-level preconditioner: the scaled block inverse and a coarse space, combined as A-DEF2.
+S_s^-1 of a subdomain is held as an array or, where it is large, as one sparse factor, S_s never formed. The two-level
+preconditioner combines the scaled block inverse and a coarse space as A-DEF2.
 """
 
 from __future__ import annotations
@@ -30,9 +27,10 @@ from ddic.solvers.petsc import INVERSE, PetscStack, create_ksp, is_mumps_missing
 class SparseInverse:
     """S_s^-1 through [[A_s, -T_s^T], [-T_s, D_s]] (y, x) = (0, -r), whose x is S_s^-1 r.
 
-    The first row gives y = A_s^-1 T_s^T x, the second then S_s x = r. With A_s eliminated what is left is -S_s, so
-    that by Sylvester's law the matrix has as many negative eigenvalues as -S_s: one for each interface unknown with a
-    jump, none for a reaction. That inertia is checked, as Cholesky checks the blocks of the dense inverse.
+    The first row gives y = A_s^-1 T_s^T x, the second then S_s x = r. With A_s eliminated what is left is -S_s, so that
+    by Sylvester's law the matrix has as many negative eigenvalues as -S_s: one for each interface unknown with a jump,
+    none for a reaction. That inertia is checked, as Cholesky checks the blocks of the dense inverse: raises
+    SingularSubdomainError where S_s is singular.
 
     PETSc options (prefix ``inverse_``): factorised by MUMPS (LDL^T); another package must tell the inertia too.
 
@@ -42,11 +40,6 @@ class SparseInverse:
         A_s, the camera's motion held.
     local : LocalDual
         The subdomain's T_s and D_s.
-
-    Raises
-    ------
-    SingularSubdomainError
-        Where S_s is singular.
     """
 
     def __init__(self, matrix: sparse.csr_matrix, local: LocalDual) -> None:
@@ -71,18 +64,7 @@ class SparseInverse:
             raise SingularSubdomainError(SINGULAR_INTERFACE)
 
     def apply(self, r: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Apply S_s^-1.
-
-        Parameters
-        ----------
-        r : (n interface unknowns,) array
-            r.
-
-        Returns
-        -------
-        (n interface unknowns,) array
-            S_s^-1 r.
-        """
+        """Apply S_s^-1 to r, (n interface unknowns,)."""
         self._right.getArray()[self._n_field:] = -r
         self._factor.solve(self._right, self._left)
         return np.array(self._left.getArray(readonly=1)[self._n_field:])
@@ -114,18 +96,7 @@ of the precision of a number."""
 
 
 def assemble_schur(local: LocalDual) -> NDArray[np.float64]:
-    """Assemble S_s = T_s A_s^-1 T_s^T - D_s of one subdomain, Eq. 36 of [BP17].
-
-    Parameters
-    ----------
-    local : LocalDual
-        Its interface operators.
-
-    Returns
-    -------
-    (n interface unknowns, n interface unknowns) array
-        S_s, symmetric.
-    """
+    """Assemble S_s = T_s A_s^-1 T_s^T - D_s of one subdomain, symmetric, Eq. 36 of [BP17]."""
     schur = local.multiply_schur(np.eye(len(local.compliance)))
     return np.asarray(0.5 * (schur + schur.T))
 
@@ -133,25 +104,9 @@ def assemble_schur(local: LocalDual) -> NDArray[np.float64]:
 def invert_by_blocks(schur: NDArray[np.float64], n_jumps: int) -> NDArray[np.float64]:
     """Invert S_s by blocks, Eq. 37-40 of [BP17] with the misprints of Eq. 38 put right.
 
-    With a = S^ll, b = S^l(lbar), d = S^(lbar)(lbar) - b^T a^-1 b the inverse is
-    [[a^-1 + a^-1 b d^-1 b^T a^-1, -a^-1 b d^-1], [-d^-1 b^T a^-1, d^-1]]; a and -d are positive definite.
-
-    Parameters
-    ----------
-    schur : (n, n) array
-        S_s.
-    n_jumps : int
-        Size of its first block.
-
-    Returns
-    -------
-    (n, n) array
-        S_s^-1, symmetric.
-
-    Raises
-    ------
-    SingularSubdomainError
-        Where a or -d is not positive definite to rounding.
+    With a = S^ll, of size ``n_jumps``, b = S^l(lbar), d = S^(lbar)(lbar) - b^T a^-1 b the inverse is
+    [[a^-1 + a^-1 b d^-1 b^T a^-1, -a^-1 b d^-1], [-d^-1 b^T a^-1, d^-1]]; a and -d are positive definite. Raises
+    SingularSubdomainError where a or -d is not, to rounding.
     """
     n = n_jumps
     a_inverse = _invert_definite(schur[:n, :n])
@@ -188,18 +143,7 @@ class LocalInverse(Protocol):
     """S_s^-1 of one subdomain, dense or factorised."""
 
     def apply(self, r: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Apply S_s^-1.
-
-        Parameters
-        ----------
-        r : (n interface unknowns,) array
-            r.
-
-        Returns
-        -------
-        (n interface unknowns,) array
-            S_s^-1 r.
-        """
+        """Apply S_s^-1 to r, (n interface unknowns,)."""
         ...
 
     def destroy(self) -> None:
@@ -220,18 +164,7 @@ class DenseInverse:
     matrix: NDArray[np.float64]
 
     def apply(self, r: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Apply S_s^-1.
-
-        Parameters
-        ----------
-        r : (n interface unknowns,) array
-            r.
-
-        Returns
-        -------
-        (n interface unknowns,) array
-            S_s^-1 r.
-        """
+        """Apply S_s^-1 to r, (n interface unknowns,)."""
         return np.asarray(self.matrix @ r)
 
     def destroy(self) -> None:
@@ -280,34 +213,13 @@ class DualPreconditioner:
         self._assembly_transposed = self._assembly.T
 
     def apply(self, _: PETSc.PC | None, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Apply P: PETSc's callback.
-
-        Parameters
-        ----------
-        _ : PETSc.PC or None
-            Does not matter.
-        x : PETSc.Vec
-            Residuals r.
-        y : PETSc.Vec
-            Overwritten by P r.
-        """
+        """Apply y = P x to residuals x: PETSc's callback."""
         self._exchange.add_to_owners(self.apply_own(self._exchange.fetch_ghosts(x)), y)
 
     applyTranspose = apply
 
     def apply_own(self, r: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Apply the terms of this rank's subdomains; free of communication.
-
-        Parameters
-        ----------
-        r : (n ghost rows,) array
-            Residuals.
-
-        Returns
-        -------
-        (n ghost rows,) array
-            Sum of B_s S_s^-1 B_s^T r.
-        """
+        """Sum B_s S_s^-1 B_s^T r, (n ghost rows,), over this rank's subdomains; free of communication."""
         on_interfaces = self._assembly_transposed @ r
         solved = [inverse.apply(on_interfaces[place])
                   for inverse, place in zip(self.inverses, self._places, strict=True)]
@@ -342,20 +254,7 @@ class SchurPair:
 
 
 def is_dense(n_interface: int, kind: LocalInverseKind) -> bool:
-    """Tell whether S_s and its inverse are to be arrays.
-
-    Parameters
-    ----------
-    n_interface : int
-        Size of S_s.
-    kind : LocalInverseKind
-        What was asked for.
-
-    Returns
-    -------
-    bool
-        Whether they are: always without MUMPS, which makes the sparse factor.
-    """
+    """Tell whether S_s and its inverse are to be arrays: always without MUMPS, which makes the sparse factor."""
     if kind == "auto":
         if is_mumps_missing(INVERSE):
             return True
@@ -364,26 +263,9 @@ def is_dense(n_interface: int, kind: LocalInverseKind) -> bool:
 
 
 def build_schur_pair(system: LocalSystem, local: LocalDual, kind: LocalInverseKind) -> SchurPair:
-    """Build S_s and its inverse, by arrays or by sparse factors.
+    """Build S_s and its inverse, the caller's to destroy, by arrays or by sparse factors; "auto" asks its size.
 
-    Parameters
-    ----------
-    system : LocalSystem
-        The subdomain, the motion of its camera held.
-    local : LocalDual
-        Its interface operators.
-    kind : LocalInverseKind
-        By which of the two; "auto" asks its size.
-
-    Returns
-    -------
-    SchurPair
-        The inverse is the caller's to destroy.
-
-    Raises
-    ------
-    SingularSubdomainError
-        Where S_s is singular.
+    The motion of the subdomain's camera is held in ``system``. Raises SingularSubdomainError where S_s is singular.
     """
     if is_dense(len(local.compliance), kind):
         schur = assemble_schur(local)
@@ -413,17 +295,7 @@ class TwoLevelPreconditioner:
         self._coarse = coarse
 
     def apply(self, pc: PETSc.PC | None, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Apply y = P x + Q (x - S P x): PETSc's callback.
-
-        Parameters
-        ----------
-        pc : PETSc.PC or None
-            Passed on.
-        x : PETSc.Vec
-            Residuals.
-        y : PETSc.Vec
-            Overwritten.
-        """
+        """Apply y = P x + Q (x - S P x) to residuals x: PETSc's callback."""
         self._one_level.apply(pc, x, y)
         with PetscStack() as stack:
             left = stack.keep(x.duplicate())
