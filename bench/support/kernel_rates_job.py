@@ -6,11 +6,13 @@ Arguments: a mesh (.npz), the degree of the spline. Of one checkout or another: 
 from __future__ import annotations
 
 import hashlib
+import importlib
 import json
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -21,11 +23,16 @@ from ddic.images.spline import read_gradient, read_spline
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.mesh.mesh import Mesh
 
-try:
-    from ddic.functionals import read_correlation as functional
-except ImportError:
-    # Of an older checkout.
-    from ddic.functionals import correlation as functional  # type: ignore[no-redef]
+
+def find_functional() -> ModuleType:
+    """The module that reads correlations: of some older checkouts one of its own."""
+    try:
+        return importlib.import_module("ddic.functionals.read_correlation")
+    except ImportError:
+        return importlib.import_module("ddic.functionals.correlation")
+
+
+functional = find_functional()
 
 LEAST_SECONDS = 0.03
 """CPU time of a measurement: a call is repeated until it takes as long. Longer is quieter."""
