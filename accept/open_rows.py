@@ -6,6 +6,8 @@ Any other row that does fails CI, and so does one of these as soon as all of its
 from __future__ import annotations
 
 OPEN: dict[tuple[str, str], str] = {
+    ("clean", "frame_code"):
+        "uncertainty of forces, lines and tips that are refined and inputs that are refused came since, some 350 lines",
     ("clean", "whole_commands"):
         "three looks at the frame, checks of the mesh, ranges and strains at nodes, which a354d27 does without, take "
         "what is saved elsewhere; that commit leaves a node of the tension pair 0.58 px off, this one none by 0.016 px",
@@ -17,6 +19,9 @@ OPEN: dict[tuple[str, str], str] = {
     ("clean", "tension"):
         "a dark hole: four cells at its edge are excluded otherwise, and 8 of 110,568 nodes beside them differ by up "
         "to 0.006 px, as much as they are off the truth; standard deviations are not estimated there",
+    ("impressions", "followed_pages"):
+        "three lines that README shows of an iteration were older than the code, and are mended since; a command of a "
+        "user without rights ran into its limit while the machine was held up",
     ("near-far", "foam_noise"):
         "one of five noisy draws of the near pair alone, whose pyramid fails, ends up to 10 px off at some nodes",
     ("performance", "speedup"):
@@ -30,6 +35,10 @@ OPEN: dict[tuple[str, str], str] = {
     ("right", "disturbed"):
         "beside dirt, with l_c = 128 px, a node of a cell that is not marked is 0.314 px off, of which 0.25 px are the "
         "regularization's bias: that of the pair without dirt is as large",
+    ("trust", "noise"):
+        "dirt on the camera that stays while the specimen moves by 0.1 px is like a specimen that does not move: 4.7 % of "
+        "the nodes are more than four standard deviations off, 0.16 px at most; deviations from the forces of the cells "
+        "about each node leave 3.3 %",
     ("xdic", "bolted"):
         "iterations are fewer; slow nodes alone made the 24 iterations of continuous elements as cheap as 3, and the "
         "start with enrichment on every level takes 0.5 s",
