@@ -36,9 +36,9 @@ OPEN: dict[tuple[str, str], str] = {
         "beside dirt, with l_c = 128 px, a node of a cell that is not marked is 0.314 px off, of which 0.25 px are the "
         "regularization's bias: that of the pair without dirt is as large",
     ("trust", "noise"):
-        "dirt on the camera that stays while the specimen moves by 0.1 px is like a specimen that does not move: 4.7 % of "
-        "the nodes are more than four standard deviations off, 0.16 px at most; deviations from the forces of the cells "
-        "about each node leave 3.3 %",
+        "dirt on the camera that stays while the specimen moves by 0.1 px is like a specimen that does not move: 4.7 % "
+        "of the nodes are more than four standard deviations off, 0.16 px at most; deviations from the forces of the "
+        "cells about each node would leave 3.3 %",
     ("xdic", "bolted"):
         "iterations are fewer; slow nodes alone made the 24 iterations of continuous elements as cheap as 3, and the "
         "start with enrichment on every level takes 0.5 s",
