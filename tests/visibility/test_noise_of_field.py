@@ -9,6 +9,7 @@ import pytest
 
 from ddic.errors import ConvergenceError
 from ddic.results.measurement import Measurement
+from ddic.visibility.seen_cells import TypicalCell
 from support.spoilt import Spoilt, clean, hide, measure_files
 
 MANY = (60, 60, 170, 130)
@@ -51,3 +52,15 @@ def test_a_correction_that_is_more_than_noise_is_refused(tmp_path: Path, monkeyp
     # After one iteration from 2.8 px off.
     with pytest.raises(ConvergenceError, match="did not converge in 1 iterations"):
         stop_early(tmp_path, clean(), 1, AT_REST)
+
+
+def test_forces_of_a_wrong_place_are_no_noise(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in (("PATIENCE", 0), ("SHARE_OF_NOISE", 1e9), ("LARGEST_OF_NOISE", 1e9)):
+        monkeypatch.setattr(f"ddic.visibility.solved_frame.{name}", value)
+    monkeypatch.setattr(TypicalCell, "is_alike", True)
+    # Far beyond what one iteration finds.
+    wrong = 'points = [[100.0, 100.0, 17.0, -14.0]]\n[correlation]\nspoilt_pixels = "keep"\n'
+    _, residual, noise = stop_early(tmp_path, clean(), 1, AT_REST + wrong)
+    assert residual > 10.0
+    # Noise of one grey level leaves 0.0075 px; forces that move cells say ten times as much.
+    assert noise / residual == pytest.approx(0.0075, rel=0.2)

@@ -31,7 +31,6 @@ from ddic.solvers.gauss_newton import (
 from ddic.solvers.probing import estimate_response
 from ddic.visibility.brightness import ORDER
 from ddic.visibility.cell_errors import find_unmeasured_nodes
-from ddic.visibility.force_noise import measure_force_noise
 from ddic.visibility.see_frame import SeenFrame, see_frame
 from ddic.visibility.slow_nodes import SlowNodes, confine_to_slow_nodes, estimate_node_deviations
 
@@ -230,9 +229,8 @@ def accept_noise(problem: WeightedProblem, used: ResidualModel, solution: Soluti
     # Of a vector, as corrections are; the residual has the noise of both images.
     counted = [~is_unmeasured for is_unmeasured in find_unmeasured_nodes(problem, evaluation)]
     response = estimate_response(problem.team, problem.solver.assembly.systems, problem.solver.step, counted)
-    of_forces = measure_force_noise(used, evaluation, solution.q, response.n_determined,
-                                    is_regularized=problem.solver.assembly.eta > 0)
-    noise = np.sqrt(2.0) * of_forces.sigma * response.rms_per_grey
+    # Were it white: a field in a wrong place leaves forces that are many times stronger, and would be taken for noise.
+    noise = deviation * response.rms_per_grey
     last = solution.records[-1].size
     if not (last.rms <= SHARE_OF_NOISE * noise and last.largest <= LARGEST_OF_NOISE * noise):
         return solution
