@@ -36,7 +36,7 @@ MOST_NAMED = 12
 """Curves that are all named beside the axes; of more, every second or third is."""
 
 LIGHTEST = 0.85
-"""Place in the colours of the last iteration, 0 to 1; a larger value is lighter."""
+"""Place in the colours of the last iteration or mode, 0 to 1; a larger value is lighter."""
 
 
 def draw_krylov(curves: Mapping[str, Sequence[NDArray[np.float64]]]) -> Figure:
@@ -142,9 +142,6 @@ def _positive(values: NDArray[Any]) -> NDArray[np.float64]:
 
 MOST = 5
 """Modes that are drawn, the largest ones; a larger value crowds the axes."""
-
-LIGHTEST = 0.85
-"""Place in the colours of the last mode, 0 to 1; a larger value is lighter."""
 
 
 def draw_modes(field: SeparatedField) -> Figure:

@@ -119,9 +119,6 @@ def _write_number(axes: Axes, middles: NDArray[np.float64], subdomain: int, side
               path_effects=[withStroke(linewidth=2.0, foreground="white")])
 
 
-MARGIN = 0.1
-"""Around the mesh, relative to its longer side."""
-
 MOST_NAMED = 12
 """Node sets that the legend names; a larger value fills the page."""
 

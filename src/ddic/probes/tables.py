@@ -161,9 +161,6 @@ VECTOR_NAMES = ("x", "y")
 TENSOR_NAMES = {"xx": 0, "yy": 1, "xy": 3}
 """Columns of a symmetric tensor in the plane, and their places in the file's XX, YY, ZZ, XY, YZ, XZ."""
 
-N_DIGITS = 9
-"""Of numbers in a table."""
-
 
 def write_field_tables(path: Path | str, result: Result) -> tuple[Path, Path]:
     """Write all fields of a result as CSV, with units in the headers: NAME.nodes.csv and NAME.cells.csv.
