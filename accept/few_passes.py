@@ -24,7 +24,6 @@ from bench.support.before import checkout_before
 from bench.support.paper_case import FULL_WAVELENGTH, HEIGHT, WIDTH, describe_tension, name_images
 from bench.support.rows import Row, append_result
 from bench.support.runs import DATA, ddic_command, ddic_run, mpirun, real_data
-from ddic.images.window import Window
 from ddic.io.image_file import open_image
 from ddic.io.result_reader import Result, read_result
 from ddic.visibility.cell_errors import DOUBTFUL_PX
@@ -106,7 +105,7 @@ def _describe_fracture(number: int, cut_off: float | None, scale: Scale) -> str:
     made.mkdir(parents=True, exist_ok=True)
     deformed = folder / f"img_{number:04d}.png"
     shown, whole = open_image(deformed), open_image(folder / "img_0000.tif")
-    tifffile.imwrite(made / "frame_0.tif", whole.read(Window(0, 0, shown.width, shown.height)))
+    tifffile.imwrite(made / "frame_0.tif", whole.read(shown.extent))
     nodes, cells = make_fracture_mesh()
     points = np.pad(nodes, ((0, 0), (0, 1)))
     meshio.write(made / "specimen.vtk", meshio.Mesh(points, [("quad", cells)]), file_format="vtk")

@@ -16,7 +16,6 @@ from accept.table import Scale
 from bench.support.rows import Row, append_result
 from bench.support.runs import real_data
 from ddic.errors import ConvergenceError
-from ddic.images.window import Window
 from ddic.io.image_file import open_image
 
 Array = NDArray[np.float64]
@@ -126,7 +125,7 @@ def measure_failed_hole(scale: Scale) -> list[Row]:
 
 def _read(path: Path) -> NDArray[Any]:
     image = open_image(path)
-    return image.read(Window(0, 0, image.width, image.height))
+    return image.read(image.extent)
 
 
 def make_fracture_mesh() -> tuple[Array, NDArray[np.int64]]:

@@ -61,7 +61,7 @@ def pixel_calls(folder: Path, size: int, n_threads: int) -> dict[str, Callable[[
         "M, sums of cells": part.compute_cell_hessians,
         "residual": lambda: part.compute_residual(image, q),
         "residual image": lambda: part.compute_residual_image(image, q),
-        "file read alone": lambda: reference.image.read(Window(0, 0, size, size)),
+        "file read alone": lambda: reference.image.read(Window.of_size(size, size)),
     }
 
 

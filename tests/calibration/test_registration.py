@@ -26,14 +26,14 @@ from support.two_cameras import (
     noisy,
 )
 
-PART = Window(0, 0, *NEAR_SIZE)
+PART = Window.of_size(*NEAR_SIZE)
 
 
 def registered(far: np.ndarray, near: np.ndarray, kind: Kind, start: CameraMapping, distorts: bool = False,
                samples: int = SAMPLES) -> Registration:
     middle = start.to_specimen(corners_and_centre()[4:])[0]
     model = CameraModel(kind, 4.0, middle, 35.0, BARREL.centre, BARREL.radius, distorts)
-    far_gradient = read_gradient(in_memory(far), Window(0, 0, *FAR_SIZE), 3)
+    far_gradient = read_gradient(in_memory(far), Window.of_size(*FAR_SIZE), 3)
     return register(far_gradient, read_near_image(in_memory(near), samples), model, model.fit(start), PART)
 
 

@@ -52,7 +52,7 @@ def test_block_counts_where_all_its_pixels_do() -> None:
     assert usable is not None
     assert np.argwhere(usable == 0).tolist() == [[0, 0], [2, 2], [3, 0]]
     assert np.isfinite(whole(found)).all()
-    part = found.find_usable(Window(1, 1, 4, 4))
+    part = found.find_usable(Window((1, 1), (4, 4)))
     assert part is not None
     assert np.argwhere(part == 0).tolist() == [[1, 1]]
 
@@ -72,15 +72,15 @@ def test_bands_change_nothing(monkeypatch: pytest.MonkeyPatch, at_once: str) -> 
 def test_an_image_in_memory_gives_windows_in_its_own_type_that_nobody_writes_to(dtype: type) -> None:
     values = np.arange(30).reshape(5, 6).astype(dtype)
     image = ArraySource(Path("memory"), values)
-    part = image.read(Window(1, 2, 4, 5))
+    part = image.read(Window((1, 2), (4, 5)))
     assert part.dtype == dtype
     np.testing.assert_array_equal(part, [[13, 14, 15], [19, 20, 21], [25, 26, 27]])
     with pytest.raises(ValueError, match="read-only"):
         part[:] = 0
 
 
-@pytest.mark.parametrize("window", [Window(0, 0, 7, 5), Window(0, 0, 6, 6), Window(-1, 0, 6, 5), Window(0, -1, 6, 5),
-                                    Window(3, 2, 3, 4)])
+@pytest.mark.parametrize("window", [Window.of_size(7, 5), Window.of_size(6, 6), Window((-1, 0), (6, 5)),
+                                    Window((0, -1), (6, 5)), Window((3, 2), (3, 4))])
 def test_windows_outside_an_image_in_memory_are_refused(window: Window) -> None:
     with pytest.raises(ValueError, match="empty or leaves the image of 6 x 5 pixels"):
         ArraySource(Path("memory"), np.zeros((5, 6))).read(window)

@@ -52,7 +52,7 @@ def test_it_is_a_gaussian_filter() -> None:
     np.testing.assert_allclose(blur.apply(IMAGE), expected, atol=1e-3)
 
 
-@pytest.mark.parametrize("window", [Window(0, 0, 60, 50), Window(20, 15, 40, 30), Window(0, 40, 10, 50)])
+@pytest.mark.parametrize("window", [Window.of_size(60, 50), Window((20, 15), (40, 30)), Window((0, 40), (10, 50))])
 def test_a_window_is_that_of_the_whole_image(window: Window) -> None:
     blur = Blur(2.5, 1.0, 0.5)
     blurred = BlurredSource(source(IMAGE), blur)
@@ -67,6 +67,6 @@ def test_what_is_masked_reaches_no_pixel_beside_it() -> None:
     mask = np.ones(IMAGE.shape, dtype=bool)
     mask[20:30, 20:35] = False
     other = np.where(mask, IMAGE, 0.0).astype(np.float32)
-    one, two = (BlurredSource(source(image, mask), Blur(2.0, 1.0, 0.2)).read(Window(0, 0, 60, 50))
+    one, two = (BlurredSource(source(image, mask), Blur(2.0, 1.0, 0.2)).read(Window.of_size(60, 50))
                 for image in (IMAGE, other))
     np.testing.assert_array_equal(one, two)

@@ -60,7 +60,7 @@ def test_nothing_under_a_mask_changes_anything(degree: int, garbage: float, seed
     rng = np.random.default_rng(seed)
     image, mask = random_image(rng), random_mask(rng)
     spoilt = np.where(mask, image, garbage)
-    window = Window(20, 30, 120, 140)
+    window = Window((20, 30), (120, 140))
     clean, dirty = source(image, mask), source(spoilt, mask)
     np.testing.assert_array_equal(read_spline(clean.image, window, degree, clean.find_usable).coefficients,
                                   read_spline(dirty.image, window, degree, dirty.find_usable).coefficients)
@@ -76,10 +76,10 @@ def test_pixels_that_count_are_the_same_in_every_window(degree: int, seed: int) 
     image, mask = random_image(rng), random_mask(rng)
     masked = source(image, mask)
     x, y = rng.integers(0, SIDE - 20, 2)
-    window = Window(int(x), int(y), int(rng.integers(x + 17, SIDE + 1)), int(rng.integers(y + 17, SIDE + 1)))
+    window = Window((int(x), int(y)), (int(rng.integers(x + 17, SIDE + 1)), int(rng.integers(y + 17, SIDE + 1))))
     place = np.s_[window.y0: window.y1, window.x0: window.x1]
     whole, part = (read_gradient(masked.image, w, degree, masked.find_usable)
-                   for w in (Window(0, 0, SIDE, SIDE), window))
+                   for w in (Window.of_size(SIDE, SIDE), window))
     assert whole.usable is not None
     np.testing.assert_array_equal(part.usable, whole.usable[place])
     counted = whole.usable[place] > 0

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,8 +15,7 @@ from ddic.io.image_file import open_image
 def test_grey_levels_do_not_depend_on_the_bands(monkeypatch: pytest.MonkeyPatch) -> None:
     pixels = np.random.default_rng(5).integers(0, 256, (37, 20), dtype=np.uint8)
     pixels[4, :5] = 255
-    source = SimpleNamespace(path=Path("memory"), width=20, height=37, saturation=255.0,
-                             read=lambda w: pixels[w.y0:w.y1, w.x0:w.x1])
+    source = ArraySource(Path("memory"), pixels, saturation=255.0)
     whole = measure_grey_levels(source)
     monkeypatch.setattr("ddic.images.grey_levels.BAND_PIXELS", 80)
     banded = measure_grey_levels(source)
@@ -46,8 +44,7 @@ def test_not_finite_pixels_are_counted_and_located_unless_masked(tmp_path: Path)
 def test_not_finite_pixels_are_found_in_later_bands(monkeypatch: pytest.MonkeyPatch) -> None:
     pixels = np.zeros((9, 4))
     pixels[7, 2] = np.nan
-    source = SimpleNamespace(path=Path("memory"), width=4, height=9, saturation=None,
-                             read=lambda w: pixels[w.y0:w.y1, w.x0:w.x1])
+    source = ArraySource(Path("memory"), pixels)
     monkeypatch.setattr("ddic.images.grey_levels.BAND_PIXELS", 8)
     with pytest.raises(InputError, match=r"1 pixel.*\(2, 7\)"):
         check_finite(source)

@@ -24,7 +24,7 @@ def _estimate(second: np.ndarray, width: int = 320) -> float:
     first = _scene(0.0) + SIGMA * random.standard_normal((256, 320))
     noisy = second + SIGMA * random.standard_normal((256, 320))
     sources = [ArraySource(Path("image"), image.astype(np.float32)) for image in (first, noisy)]
-    return estimate_rest_noise(*sources, Window(0, 0, width, 256))
+    return estimate_rest_noise(*sources, Window.of_size(width, 256))
 
 
 @pytest.mark.parametrize("second", [_scene(0.0), 1.03 * _scene(0.0) + 4.0, _scene(0.05)],

@@ -48,7 +48,7 @@ def values_at_displaced_pixels(image: NDArray[np.float64], degree: int, low: int
 def test_coefficients_of_a_window_equal_the_whole_images(degree: int, x0: int, y0: int, width: int,
                                                          height: int) -> None:
     image = noise(200, 210)
-    window = Window(x0, y0, x0 + width, y0 + height).clip(210, 200)
+    window = Window((x0, y0), (x0 + width, y0 + height)).intersection(Window.of_size(210, 200))
     pad = PADDING[degree]
     found = read_spline(source(image).image, window, degree).coefficients
     whole = np.pad(compute_coefficients(image, degree), pad, mode="reflect")
@@ -63,9 +63,9 @@ def test_coefficients_of_a_window_equal_the_whole_images(degree: int, x0: int, y
 def test_gradient_of_a_window_equals_the_whole_images(degree: int, x0: int, y0: int, width: int,
                                                       height: int) -> None:
     image = noise(200, 210)
-    window = Window(x0, y0, x0 + width, y0 + height).clip(210, 200)
+    window = Window((x0, y0), (x0 + width, y0 + height)).intersection(Window.of_size(210, 200))
     found = read_gradient(source(image).image, window, degree)
-    whole = read_gradient(source(image).image, Window(0, 0, 210, 200), degree)
+    whole = read_gradient(source(image).image, Window.of_size(210, 200), degree)
     part = np.s_[window.y0: window.y1, window.x0: window.x1]
     np.testing.assert_array_equal(found.values, image[part])
     np.testing.assert_allclose(found.by_x, whole.by_x[part], rtol=2 * FLOAT32, atol=1e-9)
@@ -76,10 +76,10 @@ def test_gradient_of_a_window_equals_the_whole_images(degree: int, x0: int, y0: 
 def test_bands_of_a_tall_window_fit_together(degree: int) -> None:
     image = noise(1200, 20)
     whole = np.pad(compute_coefficients(image, degree), PADDING[degree], mode="reflect")
-    spline = read_spline(source(image).image, Window(0, 0, 20, 1200), degree)
+    spline = read_spline(source(image).image, Window.of_size(20, 1200), degree)
     np.testing.assert_allclose(spline.coefficients, whole, rtol=2 * FLOAT32, atol=1e-9)
-    gradient = read_gradient(source(image).image, Window(0, 0, 20, 1200), degree)
-    piece = read_gradient(source(image).image, Window(0, 480, 20, 540), degree)
+    gradient = read_gradient(source(image).image, Window.of_size(20, 1200), degree)
+    piece = read_gradient(source(image).image, Window((0, 480), (20, 540)), degree)
     np.testing.assert_allclose(gradient.by_y[480:540], piece.by_y, rtol=2 * FLOAT32, atol=1e-9)
 
 
@@ -126,7 +126,7 @@ def test_polynomials_of_the_splines_degree_are_reproduced(degree: int) -> None:
 @DEGREES
 def test_gradient_equals_differences_of_the_spline(degree: int) -> None:
     image = noise(50, 60)
-    gradient = read_gradient(source(image).image, Window(0, 0, 60, 50), degree)
+    gradient = read_gradient(source(image).image, Window.of_size(60, 50), degree)
     x, y = (a.ravel().astype(float) for a in np.meshgrid(np.arange(1, 59), np.arange(1, 49)))
     h = 1e-4
     for found, shift in ((gradient.by_x, (0.0, h)), (gradient.by_y, (h, 0.0))):
@@ -138,7 +138,7 @@ def test_gradient_equals_differences_of_the_spline(degree: int) -> None:
 
 @DEGREES
 def test_gradient_across_the_images_edge_is_zero(degree: int) -> None:
-    gradient = read_gradient(source(noise(40, 40)).image, Window(0, 0, 40, 40), degree)
+    gradient = read_gradient(source(noise(40, 40)).image, Window.of_size(40, 40), degree)
     # The image continues by reflection about its outermost pixels; sums of taps cancel in float64.
     for edge in (gradient.by_x[:, 0], gradient.by_x[:, -1], gradient.by_y[0], gradient.by_y[-1]):
         np.testing.assert_allclose(edge, 0.0, atol=1e-9)
@@ -150,7 +150,7 @@ def test_what_is_interpolated_from_an_excluded_pixel_is_left_out(degree: int) ->
     mask[25, 27] = False
     masked = source(noise(60, 60), mask)
     # A window that begins beside the pixel sees it all the same.
-    for window in (Window(0, 0, 60, 60), Window(28, 10, 50, 50)):
+    for window in (Window.of_size(60, 60), Window((28, 10), (50, 50))):
         place = np.s_[window.y0: window.y1, window.x0: window.x1]
         # Values between two pixels are those of (degree + 1)^2 coefficients; a slope's lie on a cross.
         between = np.ones((60, 60), dtype=np.uint8)
@@ -182,7 +182,7 @@ def test_bias_at_a_quarter_shift(degree: int, bound: float, axis: int) -> None:
 
 
 def test_what_is_excluded_from_an_image_adds_up() -> None:
-    image = read_gradient(source(np.random.default_rng(4).uniform(size=(40, 50))).image, Window(3, 5, 33, 25), 3)
+    image = read_gradient(source(np.random.default_rng(4).uniform(size=(40, 50))).image, Window((3, 5), (33, 25)), 3)
     first, second = np.zeros((20, 30), dtype=bool), np.zeros((20, 30), dtype=bool)
     first[2, 3] = second[2, 3] = second[7, 8] = True
     once = image.exclude(first)

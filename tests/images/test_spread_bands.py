@@ -13,7 +13,7 @@ from ddic.images.window import Window
 def test_bands_hold_no_more_pixels_than_are_looked_at(most: int, n_bands: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(grey_levels, "BAND_PIXELS", 1000)
     monkeypatch.setattr(grey_levels, "MOST_LOOKED_AT", most)
-    window = Window(5, 7, 105, 107)
+    window = Window((5, 7), (105, 107))
     bands = list(list_spread_bands(window))
     assert len(bands) == n_bands
     assert all(window.contains(band) and band.n_pixels == 1000 for band in bands)

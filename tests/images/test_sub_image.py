@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from ddic.images.source import SizedImage
 from ddic.images.spline import HALO, PADDING, compute_coefficients
 from ddic.images.sub_image import GROWTH, SMALLEST, DeformedSubImage, MaskedSource, read_reference
 from ddic.images.window import Window
@@ -21,7 +22,7 @@ WIDTH, HEIGHT = 300, 200
 
 
 @dataclass(frozen=True)
-class Recorder:
+class Recorder(SizedImage):
     """An image that remembers the windows read from it."""
 
     values: NDArray[np.float64]
@@ -30,16 +31,12 @@ class Recorder:
     saturation: float | None = None
 
     @property
-    def width(self) -> int:
-        return self.values.shape[1]
-
-    @property
-    def height(self) -> int:
-        return self.values.shape[0]
+    def extent(self) -> Window:
+        return Window.of_size(*self.values.shape[::-1])
 
     def read(self, window: Window) -> NDArray[Any]:
         self.reads.append(window)
-        assert Window(0, 0, self.width, self.height).contains(window)
+        assert self.extent.contains(window)
         return self.values[window.y0: window.y1, window.x0: window.x1]
 
 
@@ -50,20 +47,20 @@ def recorder() -> Recorder:
 def test_nothing_is_read_again_until_the_window_is_outgrown() -> None:
     image = recorder()
     deformed = DeformedSubImage(MaskedSource(image), 3)
-    first = deformed.get_spline(Window(100, 80, 140, 120))
-    assert first.window == Window(100 - GROWTH, 80 - GROWTH, 140 + GROWTH, 120 + GROWTH)
-    assert deformed.get_spline(Window(95, 75, 148, 128)) is first
+    first = deformed.get_spline(Window((100, 80), (140, 120)))
+    assert first.window == Window((100 - GROWTH, 80 - GROWTH), (140 + GROWTH, 120 + GROWTH))
+    assert deformed.get_spline(Window((95, 75), (148, 128))) is first
     assert len(image.reads) == 1
-    second = deformed.get_spline(Window(120, 80, 160, 120))
+    second = deformed.get_spline(Window((120, 80), (160, 120)))
     assert second.window.contains(first.window)
-    assert second.window.contains(Window(120, 80, 160, 120))
+    assert second.window.contains(Window((120, 80), (160, 120)))
     assert len(image.reads) == 2
 
 
 def test_a_window_shrinks_again_with_the_displacement() -> None:
     image = recorder()
     deformed = DeformedSubImage(MaskedSource(image), 3)
-    small, large, moved = Window(100, 80, 140, 120), Window(40, 40, 180, 140), Window(104, 80, 150, 120)
+    small, large, moved = Window((100, 80), (140, 120)), Window((40, 40), (180, 140)), Window((104, 80), (150, 120))
     deformed.hold(small)
     deformed.hold(large)
     assert deformed.get_spline(large).window == large.grow(GROWTH)
@@ -80,9 +77,9 @@ def test_a_window_shrinks_again_with_the_displacement() -> None:
 
 def test_only_the_window_and_its_halo_are_read() -> None:
     image = recorder()
-    DeformedSubImage(MaskedSource(image), 3).get_spline(Window(100, 80, 140, 120))
+    DeformedSubImage(MaskedSource(image), 3).get_spline(Window((100, 80), (140, 120)))
     margin = GROWTH + PADDING[3] + HALO[3]
-    assert image.reads == [Window(100, 80, 140, 120).grow(margin)]
+    assert image.reads == [Window((100, 80), (140, 120)).grow(margin)]
 
 
 @settings(max_examples=60)
@@ -93,16 +90,16 @@ def test_every_window_asked_for_is_held_with_the_whole_images_coefficients(data:
     deformed = DeformedSubImage(MaskedSource(image), degree)
     for _ in range(3):
         x0, y0 = data.draw(st.integers(-400, 500)), data.draw(st.integers(-400, 500))
-        wanted = Window(x0, y0, x0 + data.draw(st.integers(1, 120)), y0 + data.draw(st.integers(1, 120)))
+        wanted = Window((x0, y0), (x0 + data.draw(st.integers(1, 120)), y0 + data.draw(st.integers(1, 120))))
         spline = deformed.get_spline(wanted)
         held = spline.window
-        assert held.contains(wanted.clip(WIDTH, HEIGHT))
-        assert Window(0, 0, WIDTH, HEIGHT).contains(held)
+        assert held.contains(wanted.intersection(Window.of_size(WIDTH, HEIGHT)))
+        assert Window.of_size(WIDTH, HEIGHT).contains(held)
         assert min(held.width, held.height) >= SMALLEST
         # Points outside the image are evaluated, and left out, at its nearest pixel: it must be held as well.
         for x, y in ((wanted.x0, wanted.y0), (wanted.x1 - 1, wanted.y1 - 1)):
             px, py = min(max(x, 0), WIDTH - 1), min(max(y, 0), HEIGHT - 1)
-            assert held.contains(Window(px, py, px + 1, py + 1))
+            assert held.contains(Window((px, py), (px + 1, py + 1)))
         pad = 2 * PADDING[degree]
         expected = whole[held.y0: held.y1 + pad, held.x0: held.x1 + pad]
         # float64 to 1e-14, then rounded to float32.
@@ -114,7 +111,7 @@ def test_usable_pixels_are_those_of_mask_and_saturation_together() -> None:
     values[3, 4] = 255.0
     mask = np.ones(values.shape, dtype=bool)
     mask[5, 6] = False
-    window = Window(2, 1, 12, 9)
+    window = Window((2, 1), (12, 9))
     both = source(values, mask, exclude_saturated=True).find_usable(window)
     assert both is not None
     assert both.shape == (8, 10)
@@ -133,7 +130,7 @@ def test_whole_images_are_read_with_what_is_left_out() -> None:
     np.testing.assert_array_equal(whole, pixels)
 
 
-@pytest.mark.parametrize("window", [Window(0, 0, 1, 1), Window(299, 199, 300, 200), Window(100, 0, 101, 200)])
+@pytest.mark.parametrize("window", [Window.of_size(1, 1), Window((299, 199), (300, 200)), Window((100, 0), (101, 200))])
 def test_reference_window_has_room_for_the_prefilter(window: Window) -> None:
     image = recorder()
     found = read_reference(MaskedSource(image), window, 5)
@@ -150,8 +147,8 @@ def test_masked_not_a_number_stays_where_it_is(degree: int) -> None:
     values[51, 60] = np.inf
     mask = np.isfinite(values)
     masked = MaskedSource(Recorder(values), source(mask.astype(float)).image)
-    reference = read_reference(masked, Window(40, 40, 80, 80), degree)
-    spline = DeformedSubImage(masked, degree).get_spline(Window(40, 40, 80, 80))
+    reference = read_reference(masked, Window((40, 40), (80, 80)), degree)
+    spline = DeformedSubImage(masked, degree).get_spline(Window((40, 40), (80, 80)))
     for array in (reference.values, reference.by_x, reference.by_y, spline.coefficients):
         assert np.isfinite(array).all()
     assert reference.usable is not None

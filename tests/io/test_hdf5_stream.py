@@ -78,7 +78,7 @@ def _write_result(path: Path) -> None:
     with ResultWriter(path) as writer:
         grid = ChunkGrid(700, 600)
         writer.create_residual_image(grid)
-        for number in grid.find_chunks(Window(0, 0, 700, 600)):
+        for number in grid.find_chunks(Window.of_size(700, 600)):
             values = np.random.default_rng(number).normal(size=grid.shape).astype(np.float32)
             writer.write_residual_chunk(number, pack_chunk(values))
         writer.write_curves("curves", [np.arange(1000.0)])

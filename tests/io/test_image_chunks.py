@@ -79,10 +79,10 @@ def test_chunks_are_no_larger_than_with_the_filters_themselves(tmp_path: Path, n
 def test_chunks_under_a_window_are_those_that_hold_its_pixels(width: int, height: int, data: st.DataObject) -> None:
     grid = ChunkGrid(width, height)
     x0, y0 = data.draw(st.integers(-50, width)), data.draw(st.integers(-50, height))
-    window = Window(x0, y0, x0 + data.draw(st.integers(0, 600)), y0 + data.draw(st.integers(0, 600)))
+    window = Window((x0, y0), (x0 + data.draw(st.integers(0, 600)), y0 + data.draw(st.integers(0, 600))))
     n_rows = -(-height // grid.shape[0])
     seen = [n for n in range(grid.n_columns * n_rows)
-            if grid.locate_chunk(n).clip(width, height).intersection(window).n_pixels]
+            if grid.locate_chunk(n).intersection(Window.of_size(width, height)).intersection(window).n_pixels]
     assert grid.find_chunks(window) == seen
-    parts = [grid.locate_chunk(n).clip(width, height) for n in range(grid.n_columns * n_rows)]
+    parts = [grid.locate_chunk(n).intersection(Window.of_size(width, height)) for n in range(grid.n_columns * n_rows)]
     assert sum(part.n_pixels for part in parts) == width * height

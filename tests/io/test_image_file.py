@@ -21,7 +21,7 @@ from ddic.io import image_header
 from ddic.io.image_file import compute_sha256, open_image
 
 WIDTH, HEIGHT = 83, 61
-WHOLE = Window(0, 0, WIDTH, HEIGHT)
+WHOLE = Window.of_size(WIDTH, HEIGHT)
 LAYOUTS: dict[str, dict[str, Any]] = {
     "contiguous": {}, "strips": {"rowsperstrip": 7}, "tiles": {"tile": (16, 32)},
     "deflated": {"compression": "zlib"}, "deflated_strips": {"compression": "zlib", "rowsperstrip": 7},
@@ -57,7 +57,7 @@ def tiffs(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Path, NDArray[
 @st.composite
 def windows(draw: st.DrawFn) -> Window:
     x0, y0 = draw(st.integers(0, WIDTH - 1)), draw(st.integers(0, HEIGHT - 1))
-    return Window(x0, y0, draw(st.integers(x0 + 1, WIDTH)), draw(st.integers(y0 + 1, HEIGHT)))
+    return Window((x0, y0), (draw(st.integers(x0 + 1, WIDTH)), draw(st.integers(y0 + 1, HEIGHT))))
 
 
 @given(window=windows())
@@ -86,7 +86,7 @@ def test_only_the_segments_under_the_window_are_read(tmp_path: Path, monkeypatch
         return count
 
     monkeypatch.setattr(tifffile.TiffPage, "decode", property(counting))
-    image.read(Window(17, 17, 40, 30))
+    image.read(Window((17, 17), (40, 30)))
     # 83 px make 6 tiles a row: the window lies in row 1, columns 1 and 2.
     assert decoded == [7, 8]
 
@@ -118,7 +118,7 @@ def test_colour_tiff_turns_grey_with_a_warning_and_keeps_precision(tmp_path: Pat
     with pytest.warns(UserWarning, match="colour|alpha") as caught:
         image = open_image(path)
     assert [word in " ".join(str(w.message) for w in caught) for word in ("colour", "alpha")] == [True, True]
-    read = image.read(Window(3, 4, 50, 60))
+    read = image.read(Window((3, 4), (50, 60)))
     # float32 holds 65535 to 0.004.
     np.testing.assert_allclose(read, colours[4:60, 3:50, :3] @ [0.299, 0.587, 0.114], atol=4e-3)
     assert read.dtype == np.float32
@@ -155,7 +155,7 @@ def test_colour_png_weighs_red_green_and_blue_in_this_order(tmp_path: Path) -> N
     with pytest.warns(UserWarning, match="colour"):
         image = open_image(path)
     # 0.299 * 200 + 0.587 * 20 + 0.114 * 10, to float32's rounding.
-    np.testing.assert_allclose(image.read(Window(0, 0, 5, 4)), 72.68, rtol=1e-6)
+    np.testing.assert_allclose(image.read(Window.of_size(5, 4)), 72.68, rtol=1e-6)
     assert image.saturation == 255
 
 
@@ -179,7 +179,7 @@ def test_white_stored_as_zero_is_inverted(tmp_path: Path) -> None:
 def test_bilevel_tiff_masks_read_as_zero_and_one(tmp_path: Path) -> None:
     mask = pattern("uint8") > 100
     tifffile.imwrite(tmp_path / "m.tif", mask, photometric="minisblack")
-    np.testing.assert_array_equal(open_image(tmp_path / "m.tif").read(Window(3, 4, 50, 60)), mask[4:60, 3:50])
+    np.testing.assert_array_equal(open_image(tmp_path / "m.tif").read(Window((3, 4), (50, 60))), mask[4:60, 3:50])
 
 
 def test_grey_files_raise_no_warning(tmp_path: Path) -> None:
@@ -245,7 +245,7 @@ def test_palette_that_is_a_ramp_of_greys_is_grey(tmp_path: Path, step: int, comp
     tifffile.imwrite(path, 255 - pattern("uint8"), photometric="palette", compression=compression,
                      colormap=np.tile(ramp * step, (3, 1)).astype(np.uint16))
     image = open_image(path)
-    read = image.read(Window(3, 4, 50, 60))
+    read = image.read(Window((3, 4), (50, 60)))
     np.testing.assert_array_equal(read, pattern("uint8")[4:60, 3:50])
     assert (read.dtype, image.dtype, image.saturation) == (np.uint8, np.uint8, 255)
 
@@ -291,7 +291,7 @@ def test_complex_and_printers_colour_tiffs_are_refused(tmp_path: Path) -> None:
             open_image(tmp_path / name)
 
 
-@pytest.mark.parametrize("window", [Window(-1, 0, 5, 5), Window(0, 0, WIDTH + 1, 5), Window(5, 5, 5, 9)])
+@pytest.mark.parametrize("window", [Window((-1, 0), (5, 5)), Window.of_size(WIDTH + 1, 5), Window((5, 5), (5, 9))])
 def test_windows_must_lie_in_the_image(tmp_path: Path, window: Window) -> None:
     tifffile.imwrite(tmp_path / "a.tif", pattern("uint8"))
     with pytest.raises(ValueError, match="leaves the image"):
@@ -309,7 +309,7 @@ def test_packed_16_bit_frame_keeps_its_bits() -> None:
     if not folder:
         pytest.skip("DDIC_REAL_DATA is not set")
     path = Path(folder) / "fracture" / "img_0000.tif"
-    window = Window(100, 33, 700, 1001)
+    window = Window((100, 33), (700, 1001))
     read = open_image(path).read(window)
     np.testing.assert_array_equal(read, cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[33:1001, 100:700])
     # An 8-bit reading would end at 255.

@@ -140,7 +140,7 @@ def test_masks_of_a_partition_add_up_to_the_mask_of_the_whole(mesh: Mesh, kind: 
 def test_half_open_square_takes_its_left_and_top_edges() -> None:
     raster = rasterize(grid_mesh(1, 1, (3.0, 2.0), origin=(5.0, 7.0)))
     assert pixels_of(raster) == [{(x, y) for x in (5, 6, 7) for y in (7, 8)}]
-    assert raster.window == Window(5, 7, 8, 9)
+    assert raster.window == Window((5, 7), (8, 9))
 
 
 @pytest.mark.parametrize("origin", [(10_000.0, 20_000.0), (-30.0, -40.0), (0.25, 1e-12)])

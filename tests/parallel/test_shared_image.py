@@ -45,7 +45,7 @@ def test_one_rank_decodes_once_and_all_read_the_same(shared_path: Path, name: st
     decoded = []
     monkeypatch.setattr(cv2, "imread", lambda *a, read=cv2.imread: decoded.append(team.rank) or read(*a))
     image = open_once_a_node(team, lambda: open_decoded(path))
-    windows = [Window(0, 0, WIDTH, HEIGHT), Window(3, 5, 40, 60)]
+    windows = [Window.of_size(WIDTH, HEIGHT), Window((3, 5), (40, 60))]
     read = [np.array(image.read(w)) for w in windows]
     assert team.gather_lists(decoded) == [0]
     monkeypatch.undo()
@@ -54,7 +54,7 @@ def test_one_rank_decodes_once_and_all_read_the_same(shared_path: Path, name: st
         np.testing.assert_array_equal(values, alone.read(window))
         assert values.dtype == alone.dtype
     with pytest.raises(ValueError, match="leaves the image"):
-        image.read(Window(0, 0, WIDTH + 1, HEIGHT))
+        image.read(Window.of_size(WIDTH + 1, HEIGHT))
 
 
 @pytest.mark.parallel([2, 3, 4])

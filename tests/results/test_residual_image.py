@@ -41,7 +41,7 @@ def patches(numbers: range) -> list[Patch]:
     found = []
     for s in numbers:
         rows, columns = np.nonzero(part == s)
-        window = Window(int(columns.min()), int(rows.min()), int(columns.max()) + 1, int(rows.max()) + 1)
+        window = Window((int(columns.min()), int(rows.min())), (int(columns.max()) + 1, int(rows.max()) + 1))
         place = np.s_[window.y0:window.y1, window.x0:window.x1]
         found.append(Patch(window, np.where(part[place] == s, values[place], np.float32(np.nan))))
     return found
@@ -64,7 +64,7 @@ def test_root_gets_every_pixel_once_compressed(monkeypatch: pytest.MonkeyPatch) 
     image = np.full((HEIGHT, WIDTH), np.nan, np.float32)
     for chunk in everything:
         place = GRID.locate_chunk(chunk.number)
-        clipped = place.clip(WIDTH, HEIGHT)
+        clipped = place.intersection(Window.of_size(WIDTH, HEIGHT))
         target = image[place.y0:place.y1, place.x0:place.x1]
         target[...] = unpacked(chunk)[:clipped.height, :clipped.width]
     numbers = [chunk.number for chunk in everything]

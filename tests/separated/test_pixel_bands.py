@@ -94,9 +94,9 @@ def test_window_grows_where_a_sample_of_the_pixels_does_not_show_it() -> None:
 def test_no_more_of_the_deformed_image_is_read_than_pixels_are_displaced_to() -> None:
     frame = frame_of(Translation((0.0, 0.0)), (100.0, 110.0, 164.0, 160.0), 16.0)
     frame.evaluate(build_zero_field(frame.reference.along_x, frame.reference.along_y))
-    held = frame.deformed.get_spline(Window(110, 120, 120, 130)).window
+    held = frame.deformed.get_spline(Window((110, 120), (120, 130))).window
     # The region, the spline's padding and GROWTH on every side.
-    assert held == Window(100, 110, 164, 160).grow(PADDING[3] + GROWTH).clip(192, 192)
+    assert held == Window((100, 110), (164, 160)).grow(PADDING[3] + GROWTH).intersection(Window.of_size(192, 192))
 
 
 def test_pixels_out_of_the_image_leave_integrals_and_come_back() -> None:

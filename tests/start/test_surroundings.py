@@ -80,8 +80,8 @@ def test_surroundings_are_blocks_of_the_images(translation: tuple[float, float])
                                (seen.pair.deformed, g, seen.origin + seen.translation)):
         height, width = part.image.height * factor, part.image.width * factor
         x, y = begin.astype(int)
-        whole = Window(0, 0, shape[1], shape[0])
-        assert whole.contains(Window(x, y, x + width, y + height))
+        whole = Window.of_size(shape[1], shape[0])
+        assert whole.contains(Window((x, y), (x + width, y + height)))
         blocks = image[y:y + height, x:x + width].reshape(height // factor, factor, width // factor, factor)
         # float32 of grey levels to 255.
         np.testing.assert_allclose(part.image.read(part.extent), blocks.mean(axis=(1, 3)), atol=1e-4)

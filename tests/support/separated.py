@@ -33,7 +33,7 @@ def reference_of(image: Array, region: tuple[float, float, float, float], size: 
     """The reference image in a rectangle."""
     along_x, along_y = lines(region, size)
     read = source(image, mask)
-    window = Window(along_x.pixels.start, along_y.pixels.start, along_x.pixels.stop, along_y.pixels.stop)
+    window = Window((along_x.pixels.start, along_y.pixels.start), (along_x.pixels.stop, along_y.pixels.stop))
     bands = cut_bands(read_reference(read, window, degree), along_x, divide_rows(along_y))
     return ReferencePixels(along_x, along_y, bands, read.extent, SerialSums())
 

@@ -398,11 +398,10 @@ def calibrate(far: ImageSource, near: ImageSource, ratio: float, kind: Kind = "h
         does not lie in the far one.
     """
     _check_sizes(far, near, ratio)
-    whole = Window(0, 0, far.width, far.height)
     pair = _Pair(
         far=_read_grey(far),
         near=_read_grey(near),
-        gradient=read_gradient(far, whole, 3),
+        gradient=read_gradient(far, far.extent, 3),
         spline=read_near_image(near, ratio),
         kind=kind,
         distortion=distortion,
@@ -483,7 +482,7 @@ class _Pair:
 def _part(centre: tuple[float, float], half: float, whole: Window) -> Window:
     """The square about a place, half a side either way, as far as it lies in the image."""
     x, y = centre
-    return Window(int(x - half), int(y - half), int(x + half) + 1, int(y + half) + 1).intersection(whole)
+    return Window((int(x - half), int(y - half)), (int(x + half) + 1, int(y + half) + 1)).intersection(whole)
 
 
 def _middle(part: Window) -> Array:
@@ -499,7 +498,7 @@ def _local_ratio(mapping: CameraMapping, part: Window) -> float:
 
 def _read_grey(source: ImageSource) -> NDArray[np.float32]:
     """All grey levels of an image, which must not be blank."""
-    values = np.asarray(source.read(Window(0, 0, source.width, source.height)), dtype=np.float32)
+    values = np.asarray(source.read(source.extent), dtype=np.float32)
     if values.min() == values.max():
         raise InputError(f"{source.path}: all pixels have the grey level {values.flat[0]:g}; there is no texture to "
                          "find one image in the other by")

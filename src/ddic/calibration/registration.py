@@ -61,7 +61,7 @@ class NearImage:
     @property
     def window(self) -> Window:
         """All its pixels."""
-        return Window(0, 0, self.by_x.shape[1], self.by_x.shape[0])
+        return Window.of_size(self.by_x.shape[1], self.by_x.shape[0])
 
     def average(self, mapping: CameraMapping, points: Array) -> Array:
         """Average grey level and gradient over the unit squares about specimen points.
@@ -162,9 +162,8 @@ def read_near_image(source: ImageSource, ratio: float) -> NearImage:
     NearImage
         Its spline and its gradient.
     """
-    window = Window(0, 0, source.width, source.height)
-    gradient = read_gradient(source, window, _DEGREE)
-    coefficients = read_spline(source, window, _DEGREE).coefficients
+    gradient = read_gradient(source, source.extent, _DEGREE)
+    coefficients = read_spline(source, source.extent, _DEGREE).coefficients
     return NearImage(coefficients, gradient.by_x, gradient.by_y, max(round(ratio), 1))
 
 
@@ -313,7 +312,7 @@ def _find_visible(far: Window, mapping: CameraMapping, part: Window) -> _Patch:
     around = mapping.to_specimen(_corners(part))
     low = np.floor(around.min(axis=0)).astype(int) - 1
     high = np.ceil(around.max(axis=0)).astype(int) + 2
-    box = Window(*low, *high).intersection(far)
+    box = Window.between(low, high).intersection(far)
     if box.width < _LEAST_SIDE or box.height < _LEAST_SIDE:
         raise ValueError(f"the near image covers fewer than {_LEAST_SIDE} far px")
     # Corners of the pixels' squares, and which of them the part shows.

@@ -157,7 +157,7 @@ def check_texture(case: Case, reference: ImageSource, mesh: Mesh) -> None:
 def _find_window(mesh: Mesh, reference: ImageSource) -> Window:
     """Pixels of the mesh's bounding box."""
     low, high = np.ceil(mesh.nodes.min(axis=0)).astype(int), np.floor(mesh.nodes.max(axis=0)).astype(int)
-    return Window(int(low[0]), int(low[1]), int(high[0]) + 1, int(high[1]) + 1).clip(reference.width, reference.height)
+    return Window.between(low, high + 1).intersection(reference.extent)
 
 
 def _find_usable(case: Case, reference: ImageSource, mesh: Mesh, window: Window) -> NDArray[np.bool_]:
@@ -189,6 +189,5 @@ def _refuse_blank(reference: ImageSource, window: Window, usable: NDArray[np.boo
 
 def _shrink(window: Window) -> Window:
     """The middle of a window."""
-    x0 = window.x0 + max(window.width - LARGEST_PROBE, 0) // 2
-    y0 = window.y0 + max(window.height - LARGEST_PROBE, 0) // 2
-    return Window(x0, y0, min(x0 + LARGEST_PROBE, window.x1), min(y0 + LARGEST_PROBE, window.y1))
+    lower = window.lower + np.maximum(np.array(window.sizes) - LARGEST_PROBE, 0) // 2
+    return Window.between(lower, np.minimum(lower + LARGEST_PROBE, window.upper))

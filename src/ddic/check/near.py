@@ -36,7 +36,7 @@ def check_near_mapping(far: Camera, near: Camera) -> None:
     far_path = far.reference.image.path
     place = f"{near.entry}: {near.reference.image.path}"
     low, high = _find_corners(near)
-    seen = Window(int(low[0]), int(low[1]), int(high[0]) + 1, int(high[1]) + 1)
+    seen = Window.between(low, high + 1)
     common = seen.intersection(far.reference.extent)
     if common.width < 2 or common.height < 2:
         raise InputError(f"{place} lies outside the far-field image {far_path} by its mapping (columns {low[0]} "
@@ -86,7 +86,7 @@ def _choose_probe(centre: NDArray[np.float64], magnification: float, common: Win
     half = max(int(LARGEST_PROBE / magnification / 2), LEAST_HALF_PROBE)
     x = int(np.clip(round(centre[0]), common.x0, common.x1 - 1))
     y = int(np.clip(round(centre[1]), common.y0, common.y1 - 1))
-    return Window(x - half, y - half, x + half, y + half).intersection(common)
+    return Window((x - half, y - half), (x + half, y + half)).intersection(common)
 
 
 def _list_pixels(window: Window) -> NDArray[np.float64]:
@@ -102,7 +102,7 @@ def _sample_blurred(image: ImageSource, points: NDArray[np.float64],
     """An image averaged over far pixels, at the pixels nearest to some points, (n,), and whether each lies in it."""
     low = np.floor(points.min(axis=0)).astype(int) - 1
     high = np.ceil(points.max(axis=0)).astype(int) + 2
-    part = Window(int(low[0]), int(low[1]), int(high[0]), int(high[1])).clip(image.width, image.height)
+    part = Window.between(low, high).intersection(image.extent)
     side = max(round(magnification), 1)
     values = cv2.blur(np.asarray(image.read(part), dtype=np.float32), (side, side))
     first_pixel = (part.x0, part.y0)

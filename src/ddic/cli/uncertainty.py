@@ -38,7 +38,6 @@ def uncertainty(case_file: Path, sizes: str, displacements: int, noise: float, o
     from ddic.case.loader import load_case
     from ddic.case.own_outputs import PICTURE, UNCERTAINTY, require_own_output
     from ddic.check.output import list_inputs
-    from ddic.images.window import Window
     from ddic.io.image_file import open_image
     from ddic.io.replace_on_exit import made_folder, replaced_together
     from ddic.plots.canvas import save_figure
@@ -57,7 +56,7 @@ def uncertainty(case_file: Path, sizes: str, displacements: int, noise: float, o
         said = case.model_dump(include={"correlation", "regularization", "gauss_newton"}, mode="json")
         options = {name: values for name, values in said.items() if values}
         section = None if line is None else line.model_dump(mode="json")
-        grey = image.read(Window(0, 0, image.width, image.height))
+        grey = image.read(image.extent)
         found = estimate_uncertainty(grey, sizes=of_elements, n_amplitudes=displacements, noise=noise,
                                      options=options, discontinuity=section)
         with made_folder(folder), replaced_together() as files:

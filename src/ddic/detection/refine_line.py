@@ -99,7 +99,7 @@ def _evaluate_images(reference: MaskedSource, deformed: MaskedSource, pixels: ND
     if not len(pixels):
         return np.zeros(0), np.zeros(0)
     low, high = pixels.min(axis=0), pixels.max(axis=0) + 1
-    window = Window(int(low[0]), int(low[1]), int(high[0]), int(high[1]))
+    window = Window.between(low, high)
     f = reference.image.read(window).astype(np.float64)[pixels[:, 1] - window.y0, pixels[:, 0] - window.x0]
     usable = reference.find_usable(window)
     if usable is not None:
@@ -110,7 +110,7 @@ def _evaluate_images(reference: MaskedSource, deformed: MaskedSource, pixels: ND
     if not is_inside.any():
         return f, np.full(len(pixels), np.nan)
     low, high = np.floor(at[is_inside].min(axis=0)), np.ceil(at[is_inside].max(axis=0)) + 1
-    seen = Window(int(low[0]), int(low[1]), int(high[0]), int(high[1])).grow(HALO).clip(extent.x1, extent.y1)
+    seen = Window.between(low, high).grow(HALO).intersection(extent)
     g_values = deformed.image.read(seen).astype(np.float64)
     g = ndimage.map_coordinates(g_values, (at - (seen.x0, seen.y0))[:, ::-1].T, order=3, mode="mirror")
     usable = deformed.find_usable(seen)

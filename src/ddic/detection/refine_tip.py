@@ -140,7 +140,7 @@ class _Disk:
         axes = np.stack([tip.ahead, [-tip.ahead[1], tip.ahead[0]]])
         low, high = np.floor(tip.position - radius).astype(int), np.ceil(tip.position + radius).astype(int) + 1
         extent = images.reference.extent
-        window = Window(*low.tolist(), *high.tolist()).grow(1).clip(extent.x1, extent.y1)
+        window = Window.between(low, high).grow(1).intersection(extent)
         f = images.reference.image.read(window).astype(np.float64)
         rows, columns = np.indices(f.shape)
         pixels = np.column_stack([columns.ravel() + window.x0, rows.ravel() + window.y0])

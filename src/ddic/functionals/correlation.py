@@ -47,7 +47,7 @@ def convert_reference(f: GradientImage) -> ReferencePixels:
 def convert_deformed(g: SplineImage, extent: Window) -> DeformedPixels:
     """Convert a window of the deformed image, ``extent`` being the whole one; its arrays are not copied."""
     return DeformedPixels(_flatten(g.coefficients), _count_row_length(g.coefficients), g.degree,
-                          g.window.x0, g.window.y0, _or_nothing(g.usable), extent.width, extent.height)
+                          g.window.x0, g.window.y0, _or_nothing(g.usable), *extent.sizes)
 
 
 def _flatten(image: NDArray[Any]) -> NDArray[Any]:
@@ -412,8 +412,8 @@ class Correlation:
         number = first // max(height, int((last - first).max(initial=0)))
         members = [np.flatnonzero(number == k) for k in np.unique(number)]
         window = self.reference.window
-        return [Band(self.order[of_band], Window(window.x0, max(int(first[of_band].min()), window.y0),
-                                                 window.x1, min(int(last[of_band].max()), window.y1)))
+        return [Band(self.order[of_band], window.take_rows(max(int(first[of_band].min()), window.y0),
+                                                           min(int(last[of_band].max()), window.y1)))
                 for of_band in members]
 
     def compute_residual_bands(self, deformed: DeformedSubImage, q: NDArray[np.float64], bands: Iterable[Band],
@@ -444,12 +444,11 @@ class Correlation:
         if len(torn):
             displaced = displaced[np.unique(np.delete(pad_cells(self.mesh), torn, axis=0))]
         if not len(displaced):
-            return Window(0, 0, 1, 1)
+            return Window.of_size(1, 1)
         # One component after the other: numpy is slow where it looks for the least of pairs.
         by_component = np.ascontiguousarray(displaced.T)
-        left, top = np.floor(by_component.min(axis=1)).astype(int)
-        right, bottom = np.ceil(by_component.max(axis=1)).astype(int)
-        return Window(int(left) - 1, int(top) - 1, int(right) + 2, int(bottom) + 2)
+        lower, upper = np.floor(by_component.min(axis=1)), np.ceil(by_component.max(axis=1))
+        return Window.between(lower, upper + 1).grow(1)
 
     def _find_torn_cells(self, q: NDArray[np.float64]) -> NDArray[np.int64]:
         return find_torn_cells(self.mesh, q.reshape(self.mesh.nodes.shape))
@@ -465,7 +464,7 @@ class Correlation:
                        offsets: NDArray[np.float64]) -> NDArray[np.float32]:
         """Residual on a window that holds all pixels of the cells to visit."""
         reference = convert_reference(self.reference.restrict(window))
-        image = np.full((window.height, window.width), np.nan, dtype=np.float32)
+        image = np.full(window.shape, np.nan, dtype=np.float32)
 
         def write(place: slice) -> None:
             cells = self._take_cells(displaced.order[place])
@@ -484,7 +483,7 @@ class Correlation:
             return False
         # All pixels stay within the outermost pixel centres where all nodes do.
         displaced = self._displaced_nodes(q)
-        last = (self.extent.width - 1, self.extent.height - 1)
+        last = np.array(self.extent.sizes) - 1
         return bool((displaced >= 0).all() and (displaced <= last).all()) and not len(self._find_torn_cells(q))
 
     def _count_pixels(self, usable: NDArray[np.uint8]) -> int:

@@ -55,7 +55,7 @@ def correlate_slopes(correlation: Correlation) -> Array:
     sums = np.zeros((2, 2 * REACH + 1, 2 * REACH + 1))
     reference = correlation.reference
     sample = _choose_sample(correlation).intersection(reference.window)
-    if min(sample.width, sample.height) < 1:
+    if not sample.n_pixels:
         return sums
     place = reference.window.locate(sample)
     usable = 1.0 if reference.usable is None else reference.usable[place]
@@ -70,7 +70,7 @@ def _choose_sample(correlation: Correlation) -> Window:
     low, high = np.floor(nodes.min(axis=0)).astype(int), np.ceil(nodes.max(axis=0)).astype(int) + 1
     excess = np.maximum(high - low - LARGEST_SAMPLE, 0)
     low, high = low + excess // 2, high - (excess + 1) // 2
-    return Window(int(low[0]), int(low[1]), int(high[0]), int(high[1]))
+    return Window.between(low, high)
 
 
 def _correlate(values: Array) -> Array:

@@ -148,4 +148,4 @@ def _find_own_pixels(correlation: Correlation, cell: int) -> tuple[Window, NDArr
     y0 = int(raster.first_row[cell] + filled[0])
     columns = np.arange(x0, x1)
     own = (columns >= starts[:, None]) & (columns < stops[:, None])
-    return Window(x0, y0, x1, y0 + len(starts)), own
+    return Window((x0, y0), (x1, y0 + len(starts))), own

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.images.source import fill_excluded
+from ddic.images.source import SizedImage, fill_excluded
 from ddic.images.sub_image import MaskedSource
 from ddic.images.window import Window
 
@@ -27,7 +27,7 @@ fewer cost calls."""
 
 
 @dataclass(frozen=True)
-class ArraySource:
+class ArraySource(SizedImage):
     """An image held in memory; its windows look into it and cannot be written to.
 
     Attributes
@@ -45,23 +45,16 @@ class ArraySource:
     saturation: float | None = None
 
     @property
-    def width(self) -> int:
-        """Number of columns."""
-        return int(self.values.shape[1])
-
-    @property
-    def height(self) -> int:
-        """Number of rows."""
-        return int(self.values.shape[0])
+    def extent(self) -> Window:
+        """The box of all its pixels."""
+        return Window.of_size(*self.values.shape[::-1])
 
     def read(self, window: Window) -> NDArray[Any]:
         """Look into a window; its grey levels cannot be written to.
 
         Raises ValueError where the window leaves the image or is empty.
         """
-        if window.n_pixels == 0 or not Window(0, 0, self.width, self.height).contains(window):
-            raise ValueError(f"{window} is empty or leaves the image of {self.width} x {self.height} pixels")
-        part = self.values[window.y0:window.y1, window.x0:window.x1]
+        part = self.values[self.extent.locate_inside(window)]
         part.flags.writeable = False
         return part
 
@@ -94,7 +87,7 @@ def bin_image(source: MaskedSource, factor: int) -> MaskedSource:
 def bin_rows(source: MaskedSource, factor: int, rows: range) -> Blocks:
     """Average some rows of the blocks of ``bin_image``."""
     width = source.image.width // factor * factor
-    return bin_window(source, factor, Window(0, rows.start * factor, width, rows.stop * factor))
+    return bin_window(source, factor, Window((0, rows.start * factor), (width, rows.stop * factor)))
 
 
 def bin_window(source: MaskedSource, factor: int, window: Window) -> Blocks:
@@ -106,7 +99,7 @@ def bin_window(source: MaskedSource, factor: int, window: Window) -> Blocks:
     at_once = max(_BAND_PIXELS // (factor**2 * max(width, 1)), 1)
     for first in range(0, n_rows if width else 0, at_once):
         band = slice(first, min(first + at_once, n_rows))
-        part = Window(window.x0, window.y0 + band.start * factor, window.x1, window.y0 + band.stop * factor)
+        part = window.take_rows(window.y0 + band.start * factor, window.y0 + band.stop * factor)
         values[band] = _means(source.image.read(part), factor)
         mask = source.find_usable(part)
         if mask is not None:
@@ -196,7 +189,7 @@ SMALLEST = 0.25
 
 
 @dataclass(frozen=True)
-class BlurredSource:
+class BlurredSource(SizedImage):
     """An image, blurred window by window.
 
     Attributes
@@ -216,14 +209,9 @@ class BlurredSource:
         return self.source.image.path
 
     @property
-    def width(self) -> int:
-        """Number of columns."""
-        return self.source.image.width
-
-    @property
-    def height(self) -> int:
-        """Number of rows."""
-        return self.source.image.height
+    def extent(self) -> Window:
+        """The box of all its pixels."""
+        return self.source.extent
 
     @property
     def saturation(self) -> float | None:
@@ -232,6 +220,6 @@ class BlurredSource:
 
     def read(self, window: Window) -> NDArray[np.float32]:
         """Read the blurred grey levels of a window, inside the image."""
-        wide = window.grow(self.blur.reach).clip(self.width, self.height)
+        wide = window.grow(self.blur.reach).intersection(self.extent)
         sharp = fill_excluded(self.source.image.read(wide), self.source.find_usable(wide))
         return self.blur.apply(np.asarray(sharp, dtype=np.float32))[wide.locate(window)]

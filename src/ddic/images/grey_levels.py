@@ -69,7 +69,7 @@ def measure_grey_levels(source: ImageSource) -> GreyLevels:
         # A row more on either side, for the differences.
         top = max(rows.y0 - 1, 0)
         bottom = min(rows.y1 + 1, source.height)
-        band = source.read(Window(0, top, source.width, bottom))
+        band = source.read(source.extent.take_rows(top, bottom))
         own = band[rows.y0 - top:rows.y1 - top]
         finite = own[np.isfinite(own)]
         if finite.size:
@@ -89,7 +89,7 @@ def measure_grey_levels(source: ImageSource) -> GreyLevels:
         mean=total / n_finite if n_finite else np.nan,
         saturation=saturation,
         n_saturated=levels.n_highest if levels.highest == saturation else 0,
-        n_not_finite=source.width * source.height - n_finite,
+        n_not_finite=source.extent.n_pixels - n_finite,
         gradient_energy=energy / n_energy if n_energy else 0.0,
     )
 
@@ -144,7 +144,7 @@ def check_varied(source: ImageSource) -> None:
     not count.
     """
     lowest, highest = _find_range(source)
-    if source.saturation is not None and (highest > lowest or source.width * source.height > MOST_LOOKED_AT):
+    if source.saturation is not None and (highest > lowest or source.extent.n_pixels > MOST_LOOKED_AT):
         # Of a larger image the pixels that were not looked at may differ; those of the mesh are looked at later.
         return
     if not highest > lowest:
@@ -158,8 +158,7 @@ def check_varied(source: ImageSource) -> None:
 def _find_range(source: ImageSource) -> tuple[float, float]:
     """Lowest and highest finite level; of an integer image two of its levels, where it has two."""
     lowest, highest = np.inf, -np.inf
-    whole = Window(0, 0, source.width, source.height)
-    for rows in _bands(source) if source.saturation is None else list_spread_bands(whole):
+    for rows in _bands(source) if source.saturation is None else list_spread_bands(source.extent):
         band = source.read(rows)
         values = band if source.saturation is not None else band[np.isfinite(band)]
         if values.size:
@@ -223,15 +222,12 @@ def list_spread_bands(window: Window) -> Iterator[Window]:
     """
     n_rows = max(1, BAND_PIXELS // window.width)
     step = n_rows * max(1, -(-window.n_pixels // MOST_LOOKED_AT))
-    for y in range(window.y0, window.y1, step):
-        yield Window(window.x0, y, window.x1, min(y + n_rows, window.y1))
+    return window.split_rows(n_rows, step)
 
 
 def _bands(source: ImageSource) -> Iterator[Window]:
     """Windows of whole rows from top to bottom, of about BAND_PIXELS each."""
-    n_rows = max(1, BAND_PIXELS // source.width)
-    for y in range(0, source.height, n_rows):
-        yield Window(0, y, source.width, min(y + n_rows, source.height))
+    return source.extent.split_rows(max(1, BAND_PIXELS // source.width))
 
 
 def _squared_gradient(band: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -272,13 +268,10 @@ def _measure_window(source: ImageSource, x: float, y: float) -> list[float]:
 
 def _place_window(source: ImageSource, x: float, y: float) -> Window:
     """A window about a place, moved into the image."""
-    corners = []
-    for middle, side in ((x, source.width), (y, source.height)):
-        size = min(side, SIDE)
-        begin = int(np.clip(round(middle - 0.5 * size), 0, side - size))
-        corners.append((begin, begin + size))
-    (x0, x1), (y0, y1) = corners
-    return Window(x0, y0, x1, y1)
+    sides = np.array(source.extent.sizes)
+    size = np.minimum(sides, SIDE)
+    begin = np.clip(np.rint([x, y] - 0.5 * size), 0, sides - size)
+    return Window.between(begin, begin + size)
 
 
 def _find_half(line: NDArray[np.float64]) -> float:

@@ -28,7 +28,7 @@ def estimate_rest_noise(first: ImageSource, second: ImageSource, window: Window)
     Of every block an offset, a gain and a shift of the second image are fitted, so that neither light nor a small drift
     counts; the median over blocks passes over what has moved. It is nan where the window is smaller than a block.
     """
-    variances = [_fit_row(first, second, Window(window.x0, y, window.x1, y + BLOCK))
+    variances = [_fit_row(first, second, window.take_rows(y, y + BLOCK))
                  for y in range(window.y0, window.y1 - BLOCK + 1, BLOCK)]
     found = np.concatenate([np.zeros(0), *variances])
     return float(np.sqrt(np.median(found))) if len(found) else float("nan")

@@ -15,8 +15,27 @@ from numpy.typing import NDArray
 from ddic.images.window import Window
 
 
-class ImageSource(Protocol):
-    """A grey-level image that is read window by window.
+class SizedImage(Protocol):
+    """Width and height of an image, which follow from the box of its pixels."""
+
+    @property
+    def extent(self) -> Window:
+        """The box of all its pixels."""
+        ...
+
+    @property
+    def width(self) -> int:
+        """Number of columns."""
+        return self.extent.width
+
+    @property
+    def height(self) -> int:
+        """Number of rows."""
+        return self.extent.height
+
+
+class ImageSource(SizedImage, Protocol):
+    """A grey-level image that is read box by box.
 
     Its path is its name in messages and checksums.
     """
@@ -24,16 +43,6 @@ class ImageSource(Protocol):
     @property
     def path(self) -> Path:
         """Where the image comes from."""
-        ...
-
-    @property
-    def width(self) -> int:
-        """Number of columns."""
-        ...
-
-    @property
-    def height(self) -> int:
-        """Number of rows."""
         ...
 
     @property

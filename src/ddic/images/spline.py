@@ -111,7 +111,7 @@ def read_spline(source: ImageSource, window: Window, degree: int,
     """
     pad = PADDING[degree]
     out = np.empty((window.height + 2 * pad, window.width + 2 * pad), dtype=np.float32)
-    inner = window.grow(pad).clip(source.width, source.height)
+    inner = window.grow(pad).intersection(source.extent)
     held = _hold(source, inner, degree, find_usable)
 
     def fill(bands: Iterator[Window]) -> None:
@@ -121,7 +121,7 @@ def read_spline(source: ImageSource, window: Window, degree: int,
             out[y: y + band.height, x: x + inner.width] = coefficients
 
     # The same bands for any number of threads: the halo's remainder, and with it rounding, depends on them.
-    threads.share(_bands(inner, _BAND_ROWS), fill)
+    threads.share(inner.split_rows(_BAND_ROWS), fill)
     _reflect(out, inner, window.grow(pad))
     reach = degree // 2 if excludes_taps else 0
     usable = None if held.usable is None else without_neighbours(held.usable, reach, reach + 1)
@@ -137,8 +137,7 @@ def read_gradient(source: ImageSource, window: Window, degree: int,
     prefilter along columns. ``find_usable`` is as for ``read_spline``. With ``excludes_taps`` the pixels whose slope is
     taken from an excluded one are left out, otherwise only the excluded ones.
     """
-    shape = (window.height, window.width)
-    values, by_x, by_y = (np.empty(shape, dtype=np.float32) for _ in range(3))
+    values, by_x, by_y = (np.empty(window.shape, dtype=np.float32) for _ in range(3))
     held = _hold(source, window.grow(PADDING[degree]), degree, find_usable)
     wide = held.window
     n_rows, halo = max(_BLOCK // wide.width, TURNED), HALO[degree] + PADDING[degree]
@@ -146,7 +145,7 @@ def read_gradient(source: ImageSource, window: Window, degree: int,
     def along_x(blocks: Iterator[Window]) -> None:
         buffer = held.buffer(n_rows)
         for rows in blocks:
-            block = held.read(Window(wide.x0, rows.y0, wide.x1, rows.y1), buffer)
+            block = held.read(wide.take_rows(rows.y0, rows.y1), buffer)
             write_row_slopes(block, window.x0 - wide.x0, degree, by_x[rows.y0 - window.y0: rows.y1 - window.y0])
 
     def along_y(bands: Iterator[Window]) -> None:
@@ -154,13 +153,13 @@ def read_gradient(source: ImageSource, window: Window, degree: int,
         for band in bands:
             place = slice(band.y0 - window.y0, band.y1 - window.y0)
             tall = band.grow(halo).intersection(wide)
-            block = held.read(Window(window.x0, tall.y0, window.x1, tall.y1), buffer)
+            block = held.read(window.take_rows(tall.y0, tall.y1), buffer)
             prefilter_columns(block, degree)
             write_column_slopes(block, band.y0 - tall.y0, degree, by_y[place])
             values[place] = held.restrict(band)
 
-    threads.share(_bands(window, n_rows), along_x)
-    threads.share(_bands(window, _BAND_ROWS), along_y)
+    threads.share(window.split_rows(n_rows), along_x)
+    threads.share(window.split_rows(_BAND_ROWS), along_y)
     reach = degree // 2 if excludes_taps else 0
     usable = None if held.usable is None else without_cross(held.usable, reach)
     return GradientImage(window, values, by_x, by_y, held.restrict_usable(usable, window))
@@ -183,7 +182,7 @@ class _Held:
 
     def read(self, window: Window, buffer: NDArray[np.float64]) -> NDArray[np.float64]:
         # Memory that is asked for anew for every band costs more than its filtering.
-        block = buffer[:window.n_pixels].reshape(window.height, window.width)
+        block = buffer[:window.n_pixels].reshape(window.shape)
         block[:] = self.restrict(window)
         return block
 
@@ -192,15 +191,10 @@ class _Held:
 
 
 def _hold(source: ImageSource, window: Window, degree: int, find_usable: FindUsable | None) -> _Held:
-    wide = window.grow(HALO[degree]).clip(source.width, source.height)
+    wide = window.grow(HALO[degree]).intersection(source.extent)
     usable = None if find_usable is None else find_usable(wide)
     pixels = fill_excluded(source.read(wide), usable)
-    return _Held(wide, Window(0, 0, source.width, source.height), pixels, usable)
-
-
-def _bands(window: Window, height: int) -> Iterator[Window]:
-    for y0 in range(window.y0, window.y1, height):
-        yield Window(window.x0, y0, window.x1, min(y0 + height, window.y1))
+    return _Held(wide, source.extent, pixels, usable)
 
 
 def _coefficient_bands(held: _Held, bands: Iterable[Window],

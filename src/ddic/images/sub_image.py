@@ -48,7 +48,7 @@ class MaskedSource:
     @property
     def extent(self) -> Window:
         """The whole image."""
-        return Window(0, 0, self.image.width, self.image.height)
+        return self.image.extent
 
     @property
     def may_exclude(self) -> bool:
@@ -63,7 +63,7 @@ class MaskedSource:
         """Find the pixels of a window that count, 1, and those left out, 0; None where nothing can be left out."""
         if not self.may_exclude:
             return None
-        usable = np.ones((window.height, window.width), dtype=np.uint8)
+        usable = np.ones(window.shape, dtype=np.uint8)
         if self.mask is not None:
             usable &= np.asarray(self.mask.read(window) != 0, dtype=np.uint8)
         if self.saturated_from is not None:
@@ -106,7 +106,7 @@ class DeformedSubImage:
 
         It is read where the window held is outgrown, or much too large.
         """
-        needed = window.clip(self.source.image.width, self.source.image.height)
+        needed = window.intersection(self.source.extent)
         wanted = _sizeable(window.grow(GROWTH), self.source.extent)
         held = None if self._spline is None else self._spline.window
         if held is None or not held.contains(needed) or held.n_pixels > SPARE * wanted.n_pixels:
@@ -114,7 +114,7 @@ class DeformedSubImage:
 
     def get_spline(self, window: Window) -> SplineImage:
         """Give the spline of a window that holds another, clipped to the image; it is read again only if outgrown."""
-        needed = window.clip(self.source.image.width, self.source.image.height)
+        needed = window.intersection(self.source.extent)
         if self._spline is None or not self._spline.window.contains(needed):
             grown = window if self._spline is None else window.union(self._spline.window)
             self._spline = self._read(_sizeable(grown.grow(GROWTH), self.source.extent))
@@ -122,7 +122,7 @@ class DeformedSubImage:
 
     def read_aside(self, window: Window) -> SplineImage:
         """Give the spline of a small window, from the one held if that is there: it becomes no larger."""
-        needed = window.clip(self.source.image.width, self.source.image.height)
+        needed = window.intersection(self.source.extent)
         if self._spline is not None and self._spline.window.contains(needed):
             return self._spline
         return self._read(_sizeable(window, self.source.extent))
@@ -133,8 +133,9 @@ class DeformedSubImage:
 
 
 def _sizeable(window: Window, extent: Window) -> Window:
-    clipped = window.clip(extent.x1, extent.y1)
-    x0 = max(min(clipped.x0, extent.x1 - SMALLEST), 0)
-    y0 = max(min(clipped.y0, extent.y1 - SMALLEST), 0)
-    return Window(x0, y0, min(max(clipped.x1, x0 + SMALLEST), extent.x1),
-                  min(max(clipped.y1, y0 + SMALLEST), extent.y1))
+    """A box in an image, as large as a spline needs where the image is."""
+    clipped = window.intersection(extent)
+    lower = [max(min(first, end - SMALLEST), 0) for first, end in zip(clipped.lower, extent.upper, strict=True)]
+    upper = [min(max(last, first + SMALLEST), end)
+             for last, first, end in zip(clipped.upper, lower, extent.upper, strict=True)]
+    return Window.between(lower, upper)

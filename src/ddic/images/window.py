@@ -1,28 +1,73 @@
-"""Rectangular windows of an image."""
+"""Boxes of pixels, and how neighbours among them are joined."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import reduce
+from math import prod
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 
 @dataclass(frozen=True)
 class Window:
-    """Half-open rectangle of pixels: columns x0 <= x < x1, rows y0 <= y < y1.
+    """Half-open box of pixels, lower <= x < upper along every axis: columns and rows of an image, in this order.
+
+    Arrays of its pixels have their axes the other way round, rows before columns.
 
     Attributes
     ----------
-    x0, y0 : int
-        First column and row.
-    x1, y1 : int
-        The column and the row after the last.
+    lower : tuple of int
+        First pixel along each axis.
+    upper : tuple of int
+        The pixel after the last along each axis.
     """
 
-    x0: int
-    y0: int
-    x1: int
-    y1: int
+    lower: tuple[int, ...]
+    upper: tuple[int, ...]
+
+    @classmethod
+    def of_size(cls, *sizes: int) -> Window:
+        """Give the box of a whole image: its width and height, from the first pixel on."""
+        return cls((0,) * len(sizes), sizes)
+
+    @classmethod
+    def between(cls, lower: ArrayLike, upper: ArrayLike) -> Window:
+        """Give the box between two corners, (dim,) each, in any type of number; the upper one is not in it."""
+        first, last = (np.asarray(corner).astype(np.int64).tolist() for corner in (lower, upper))
+        return cls(tuple(first), tuple(last))
+
+    @property
+    def x0(self) -> int:
+        """First column."""
+        return self.lower[0]
+
+    @property
+    def y0(self) -> int:
+        """First row."""
+        return self.lower[1]
+
+    @property
+    def x1(self) -> int:
+        """The column after the last."""
+        return self.upper[0]
+
+    @property
+    def y1(self) -> int:
+        """The row after the last."""
+        return self.upper[1]
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Number of pixels along each axis."""
+        return tuple(last - first for first, last in zip(self.lower, self.upper, strict=True))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of an array of its pixels."""
+        return self.sizes[::-1]
 
     @property
     def width(self) -> int:
@@ -37,34 +82,47 @@ class Window:
     @property
     def n_pixels(self) -> int:
         """Number of pixels."""
-        return max(self.width, 0) * max(self.height, 0)
+        return prod(max(size, 0) for size in self.sizes)
 
     def grow(self, halo: int) -> Window:
         """Extend on every side by ``halo`` pixels; the result may leave the image."""
-        return Window(self.x0 - halo, self.y0 - halo, self.x1 + halo, self.y1 + halo)
-
-    def clip(self, width: int, height: int) -> Window:
-        """Intersect with an image; empty where the window lies outside."""
-        return self.intersection(Window(0, 0, width, height))
+        return Window(tuple(first - halo for first in self.lower), tuple(last + halo for last in self.upper))
 
     def intersection(self, other: Window) -> Window:
-        """Find the common part of two windows, which may be empty, with x1 <= x0 or y1 <= y0."""
-        return Window(max(self.x0, other.x0), max(self.y0, other.y0),
-                      min(self.x1, other.x1), min(self.y1, other.y1))
+        """Find the common part of two boxes, which may be empty, with an upper corner that is not above the lower."""
+        return Window(tuple(map(max, self.lower, other.lower)), tuple(map(min, self.upper, other.upper)))
 
     def union(self, other: Window) -> Window:
-        """Find the smallest window that holds two."""
-        return Window(min(self.x0, other.x0), min(self.y0, other.y0),
-                      max(self.x1, other.x1), max(self.y1, other.y1))
+        """Find the smallest box that holds two."""
+        return Window(tuple(map(min, self.lower, other.lower)), tuple(map(max, self.upper, other.upper)))
 
-    def locate(self, part: Window) -> tuple[slice, slice]:
-        """Find a part of this window in an array of its pixels: slices of rows and columns."""
-        return (slice(part.y0 - self.y0, part.y1 - self.y0), slice(part.x0 - self.x0, part.x1 - self.x0))
+    def locate(self, part: Window) -> tuple[slice, ...]:
+        """Find a part of this box in an array of its pixels: slices of rows and columns."""
+        places = zip(part.lower, part.upper, self.lower, strict=True)
+        return tuple(slice(first - origin, last - origin) for first, last, origin in places)[::-1]
+
+    def locate_inside(self, part: Window) -> tuple[slice, ...]:
+        """Find a part of an image of this extent; raises ValueError where it leaves the image or is empty."""
+        if part.n_pixels == 0 or not self.contains(part):
+            raise ValueError(f"{part} is empty or leaves the image of {' x '.join(map(str, self.sizes))} pixels")
+        return self.locate(part)
 
     def contains(self, other: Window) -> bool:
-        """Tell whether another window lies inside."""
-        return (self.x0 <= other.x0 and self.y0 <= other.y0
-                and self.x1 >= other.x1 and self.y1 >= other.y1)
+        """Tell whether another box lies inside."""
+        return self.union(other) == self
+
+    def take_rows(self, begin: int, end: int) -> Window:
+        """Take the rows from ``begin`` to before ``end``: slabs across the last axis."""
+        return Window((*self.lower[:-1], begin), (*self.upper[:-1], end))
+
+    def split_rows(self, height: int, step: int | None = None) -> Iterator[Window]:
+        """Split into bands of ``height`` rows, the last one maybe lower, from top to bottom.
+
+        Bands begin every ``step`` rows; by default they follow each other without a gap.
+        """
+        end = self.upper[-1]
+        for begin in range(self.lower[-1], end, step or height):
+            yield self.take_rows(begin, min(begin + height, end))
 
 
 def merge_windows(windows: Sequence[Window], halo: int) -> list[tuple[Window, list[int]]]:

@@ -192,12 +192,12 @@ class ChunkGrid:
         """Tell which pixels a chunk has, those beyond the image included."""
         rows, columns = self.shape
         row, column = divmod(number, self.n_columns)
-        return Window(column * columns, row * rows, (column + 1) * columns, (row + 1) * rows)
+        return Window((column * columns, row * rows), ((column + 1) * columns, (row + 1) * rows))
 
     def find_chunks(self, window: Window) -> list[int]:
         """Find the chunks that share pixels with a window, sorted; pixels beyond the image do not count."""
         rows, columns = self.shape
-        part = window.clip(self.width, self.height)
+        part = window.intersection(Window.of_size(self.width, self.height))
         if part.n_pixels == 0:
             return []
         return [row * self.n_columns + column

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.images.binned import ArraySource
-from ddic.images.source import ImageSource
+from ddic.images.source import ImageSource, SizedImage
 from ddic.images.window import Window
 from ddic.io.image_formats import (
     PixelFormat,
@@ -123,7 +123,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class ImageFile:
+class ImageFile(SizedImage):
     """An image on disk, read window by window; nothing stays open or in memory between reads.
 
     Attributes
@@ -141,14 +141,9 @@ class ImageFile:
     windowed: bool
 
     @property
-    def width(self) -> int:
-        """Number of columns."""
-        return self.layout.width
-
-    @property
-    def height(self) -> int:
-        """Number of rows."""
-        return self.layout.height
+    def extent(self) -> Window:
+        """The box of all its pixels."""
+        return Window.of_size(self.layout.width, self.layout.height)
 
     @property
     def saturation(self) -> float | None:
@@ -165,8 +160,7 @@ class ImageFile:
 
         Raises ValueError if the window leaves the image or is empty, InputError if the file cannot be decoded.
         """
-        if window.n_pixels == 0 or not Window(0, 0, self.width, self.height).contains(window):
-            raise ValueError(f"{window} is empty or leaves the image of {self.width} x {self.height} pixels")
+        self.extent.locate_inside(window)
         reader = read_tiff if self.windowed else read_decoded
         return reader(self.path, self.layout, window)
 
@@ -265,4 +259,4 @@ def read_mask(path: Path, width: int, height: int) -> NDArray[np.bool_]:
     if (source.width, source.height) != (width, height):
         raise InputError(f"{path}: the mask is {source.width}x{source.height} px, but its image is "
                          f"{width}x{height} px; give a mask of the image's size")
-    return np.asarray(source.read(Window(0, 0, width, height)) != 0)
+    return np.asarray(source.read(source.extent) != 0)

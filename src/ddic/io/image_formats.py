@@ -179,7 +179,7 @@ def read_tiff(path: Path, layout: PixelFormat, window: Window) -> NDArray[Any]:
         out = np.empty((window.height, window.width), np.float32 if layout.n_colours == 3 else layout.dtype)
         levels = _read_palette(page)
         for block, x, y in _blocks(tiff, page, layout, window):
-            part = window.intersection(Window(x, y, x + block.shape[1], y + block.shape[0]))
+            part = window.intersection(Window((x, y), (x + block.shape[1], y + block.shape[0])))
             pixels = block[part.y0 - y:part.y1 - y, part.x0 - x:part.x1 - x]
             out[window.locate(part)] = to_grey(pixels, layout.n_colours) if levels is None else levels[pixels[..., 0]]
         return np.subtract(2 ** layout.bits - 1, out, dtype=out.dtype) if layout.inverted else out
@@ -291,7 +291,7 @@ def _segments(tiff: Any, page: Any, window: Window,
     for number in numbers:
         row, column = divmod(number - numbers.start, columns)
         x, y = column * width, row * height
-        if window.intersection(Window(x, y, x + width, y + height)).n_pixels == 0:
+        if window.intersection(Window((x, y), (x + width, y + height))).n_pixels == 0:
             continue
         data = None
         if page.databytecounts[number]:

@@ -62,8 +62,7 @@ class Raster:
         if not filled.any():
             raise ValueError("no pixel centre lies inside the mesh")
         rows = self.rows[filled]
-        return Window(int(self.starts[filled].min()), int(rows.min()),
-                      int(self.stops[filled].max()), int(rows.max()) + 1)
+        return Window.between([self.starts[filled].min(), rows.min()], [self.stops[filled].max(), rows.max() + 1])
 
     def find_covered(self, width: int, height: int) -> NDArray[np.uint8]:
         """Draw the pixels that belong to a cell: 1 there, 0 elsewhere, (height, width)."""
@@ -78,7 +77,7 @@ class Raster:
         runs, rows, _ = self.find_runs(cells)
         filled = self.stops[runs] > self.starts[runs]
         runs, rows = runs[filled], rows[filled]
-        drawn = np.zeros((window.height, window.width), dtype=np.uint8)
+        drawn = np.zeros(window.shape, dtype=np.uint8)
         _fill_ones(rows - window.y0, self.starts[runs] - window.x0, self.stops[runs] - window.x0, drawn)
         return drawn
 

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.images.source import ImageSource
-from ddic.images.window import Window
 from ddic.io import result_schema as schema
 from ddic.io.result_reader import Result, displacement_at
 from ddic.kinematics.strain import compute_hencky, compute_von_mises_strain, find_principal_strains
@@ -118,12 +117,9 @@ def read_preview(source: ImageSource) -> Preview:
     """Read an image row by row and keep at most 2000 pixels a side, thinned out evenly."""
     step = -(-max(source.width, source.height) // LARGEST_SIDE)
     if step == 1:
-        pixels = source.read(Window(0, 0, source.width, source.height))
+        pixels = source.read(source.extent)
     else:
-        bands = range(0, source.height, 64 * step)
-        pixels = np.concatenate([
-            source.read(Window(0, y, source.width, min(y + 64 * step, source.height)))[::step, ::step]
-            for y in bands])
+        pixels = np.concatenate([source.read(rows)[::step, ::step] for rows in source.extent.split_rows(64 * step)])
     return Preview(pixels, step, source.width, source.height)
 
 

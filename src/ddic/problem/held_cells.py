@@ -288,8 +288,7 @@ def _is_cell(f: Image, g: Image, is_own: NDArray[np.bool_], noise: float) -> boo
 def _place_square(nodes: Array, extent: Window) -> Window:
     """The box about some nodes, at least SMALLEST wide, within an extent."""
     centre, half = nodes.mean(axis=0), np.maximum(np.ptp(nodes, axis=0), SMALLEST) / 2
-    (x0, y0), (x1, y1) = np.floor(centre - half).astype(int), np.ceil(centre + half).astype(int)
-    return Window(max(int(x0), extent.x0), max(int(y0), extent.y0), min(int(x1), extent.x1), min(int(y1), extent.y1))
+    return Window.between(np.floor(centre - half), np.ceil(centre + half)).intersection(extent)
 
 
 def _is_whole(usable: NDArray[Any] | None) -> bool:
@@ -304,8 +303,8 @@ def _fit_motion(nodes: Array, moved: Array) -> Array:
 def _displace_box(motion: Array, box: Window) -> Window:
     """The box of where a motion takes a box of pixels."""
     corners = np.array([[1.0, x, y] for x in (box.x0, box.x1) for y in (box.y0, box.y1)])
-    (x0, y0), (x1, y1) = np.floor((corners @ motion).min(axis=0)), np.ceil((corners @ motion).max(axis=0))
-    return Window(int(x0), int(y0), int(x1) + 1, int(y1) + 1)
+    moved = corners @ motion
+    return Window.between(np.floor(moved.min(axis=0)), np.ceil(moved.max(axis=0)) + 1)
 
 
 def _displace(g: SplineImage, motion: Array, box: Window) -> Image:

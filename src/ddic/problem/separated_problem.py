@@ -105,7 +105,7 @@ def read_reference_pixels(team: Team, inputs: Inputs, rectangle: Rectangle) -> R
         columns = rectangle.along_x.pixels
         bands = []
         if own:
-            window = Window(columns.start, own[0].start, columns.stop, own[-1].stop)
+            window = Window((columns.start, own[0].start), (columns.stop, own[-1].stop))
             bands = cut_bands(read_reference(source, window, degree), rectangle.along_x, own)
         return ReferencePixels(rectangle.along_x, rectangle.along_y, bands, source.extent, TeamSums(team, first))
 

@@ -26,7 +26,6 @@ import petsc4py.PETSc
 from numpy.typing import NDArray
 
 from ddic.images.source import ImageSource
-from ddic.images.window import Window
 from ddic.io import result_schema as schema
 from ddic.io.image_file import compute_sha256
 from ddic.io.input_file import find_source_commit
@@ -97,7 +96,7 @@ def describe_image(name: str, image: ImageSource) -> dict[str, str | int]:
         status = image.path.stat()
         checksum = _compute_checksum(image.path, status.st_size, status.st_mtime_ns)
     else:
-        pixels = image.read(Window(0, 0, image.width, image.height))
+        pixels = image.read(image.extent)
         checksum = hashlib.sha256(np.ascontiguousarray(pixels).tobytes()).hexdigest()
     return {f"{name}_path": str(image.path), f"{name}_size": f"{image.width}x{image.height}",
             f"{name}_sha256": checksum}

@@ -234,7 +234,7 @@ class SeparatedMeasurement:
         image, columns = self.cameras[0].reference.image, self.problem.rectangle.along_x.pixels
         grid = ChunkGrid(image.width, image.height)
         self.team.build_on_root(lambda: require_held(writer).create_residual_image(grid))
-        patches = [Patch(Window(columns.start, rows.start, columns.stop, rows.stop), values)
+        patches = [Patch(Window((columns.start, rows.start), (columns.stop, rows.stop)), values)
                    for rows, values in self.residual_rows]
         chunks = pack_chunks(self.team, grid, [patch.window for patch in patches], iter(patches))
         stream_chunks(self.team, chunks, lambda chunk: require_held(writer).write_residual_chunk(chunk.number,

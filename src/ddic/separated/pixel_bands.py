@@ -88,7 +88,7 @@ def cut_bands(reference: GradientImage, along_x: LineElements, rows: Sequence[ra
     """Cut bands of rows out of a window that holds them; their columns are the pixels of ``along_x``."""
     bands = []
     for of_band in rows:
-        window = Window(along_x.pixels.start, of_band.start, along_x.pixels.stop, of_band.stop)
+        window = Window((along_x.pixels.start, of_band.start), (along_x.pixels.stop, of_band.stop))
         part = reference.restrict(window)
         values, by_x, by_y = (np.ascontiguousarray(array) for array in (part.values, part.by_x, part.by_y))
         if part.usable is not None:
@@ -288,7 +288,7 @@ class FramePixels:
             ux, uy = (np.ascontiguousarray(y[:, c, part].T) @ x[:, c] for c in range(2))
             kernels.fill_residual(band.reference.values[part], ux, uy, x0, rows.start + begin, spline.coefficients,
                                   spline.degree, spline.window.x0, spline.window.y0, usable,
-                                  (extent.width, extent.height), band.residual[part], report)
+                                  extent.sizes, band.residual[part], report)
         return report
 
     def _leave_out(self, band: FrameBand) -> None:
@@ -316,13 +316,11 @@ class FramePixels:
         ux, uy = (y[:, c].T @ x[:, c] for c in range(2))
         right = self.reference.along_x.pixels.start + columns[None, :] + ux
         down = rows[:, None] + uy
-        pad = PADDING[self.deformed.degree]
-        window = Window(int(np.floor(right.min())) - pad, int(np.floor(down.min())) - pad,
-                        int(np.ceil(right.max())) + pad + 1, int(np.ceil(down.max())) + pad + 1)
-        extent = self.reference.extent
+        lower, upper = np.floor([right.min(), down.min()]), np.ceil([right.max(), down.max()])
+        window = Window.between(lower, upper + 1).grow(PADDING[self.deformed.degree])
+        clipped = window.intersection(self.reference.extent)
         # Where nothing of it is in the image, any window will do: no pixel counts.
-        clipped = window.clip(extent.width, extent.height)
-        return clipped if clipped.width > 0 and clipped.height > 0 else Window(0, 0, 1, 1)
+        return clipped if clipped.n_pixels else Window.of_size(1, 1)
 
 
 def _integrate(image: Array, functions: Array, *, along_y: bool) -> Array:

@@ -396,7 +396,7 @@ def bin_surroundings(pixels: PixelPair, mesh: Mesh, translation: Array) -> Surro
     middle = (mesh.nodes.min(axis=0) + mesh.nodes.max(axis=0)) / 2
     origin, moved = (np.clip(np.rint(place - extent / 2).astype(int), 0, size - extent)
                      for place in (middle, middle + translation))
-    parts = [join_blocks(source, [bin_window(source, factor, Window(*begin, *(begin + extent)))])
+    parts = [join_blocks(source, [bin_window(source, factor, Window.between(begin, begin + extent))])
              for source, begin in ((pixels.reference, origin), (pixels.deformed, moved))]
     return Surroundings(BinnedPair(parts[0], parts[1], factor), origin.astype(float), (moved - origin).astype(float))
 

@@ -281,7 +281,7 @@ def _bands(scene: Pictured, picture: Picture, stream: int) -> Iterator[ImagePair
         y1 = min(y0 + _SQUARE, picture.height)
         squares = []
         for x0 in range(0, picture.width, _SQUARE):
-            window = Window(x0, y0, min(x0 + _SQUARE, picture.width), y1)
+            window = Window((x0, y0), (min(x0 + _SQUARE, picture.width), y1))
             squares.append(_render_square(scene, picture, window, stream))
         reference = np.concatenate([square.reference for square in squares], axis=1)
         deformed = np.concatenate([square.deformed for square in squares], axis=1)

@@ -250,7 +250,7 @@ def _measure_at_rest(problem: WeightedProblem, path: Path) -> float:
                                for s in problem.reference.subdomains])
     low = np.min([box[0] for box in boxes], axis=0).astype(int)
     high = np.max([box[1] for box in boxes], axis=0).astype(int)
-    window = Window(low[0], low[1], high[0], high[1]).clip(reference.width, reference.height)
+    window = Window.between(low, high).intersection(reference.extent)
     noise = team.on_root(lambda: estimate_rest_noise(reference, hold_image(path), window))
     if not np.isfinite(noise):
         raise as_collective(InputError(f"images.at_rest: {path}: the mesh covers fewer than {BLOCK} x {BLOCK} px, from "
