@@ -74,8 +74,8 @@ def right_hand_side(library: ctypes.CDLL, part: Correlation, spline: SplineImage
         assert held
         moments, sums = np.empty((len(geometry), 2, 4)), np.empty((len(geometry), 6))
         library.right_hand_side(
-            ctypes.byref(cells), ctypes.byref(reference), ctypes.c_void_p(f.by_x.ctypes.data),
-            ctypes.c_void_p(f.by_y.ctypes.data), ctypes.byref(taps), ctypes.c_void_p(moments.ctypes.data),
+            ctypes.byref(cells), ctypes.byref(reference), *(ctypes.c_void_p(by.ctypes.data) for by in f.slopes),
+            ctypes.byref(taps), ctypes.c_void_p(moments.ctypes.data),
             ctypes.c_void_p(sums.ctypes.data))
         return moments, sums
 

@@ -81,7 +81,8 @@ def calls_on(mesh: Mesh, degree: int) -> dict[str, Callable[[], Any]]:
 
     def gradient() -> list[NDArray[np.float32]]:
         found = read_gradient(source.image, part.reference.window, degree)
-        return [found.values, found.by_x, found.by_y]
+        slopes = found.slopes if hasattr(found, "slopes") else (found.by_x, found.by_y)
+        return [found.values, *slopes]
 
     return {
         "M_e": lambda: [hessians()],

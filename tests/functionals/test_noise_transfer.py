@@ -36,7 +36,7 @@ def test_it_is_the_variance_of_forces(shift: tuple[float, float]) -> None:
     q = np.tile(shift, view.correlation.mesh.n_nodes)
     found = find_cell_transfer(table, view, q).mean(axis=0)
     reference = view.correlation.reference
-    slopes = np.stack([reference.by_x, reference.by_y]).astype(float)
+    slopes = reference.slopes.astype(float)
     random, forces = np.random.default_rng(0), []
     for _ in range(1500):
         noise = random.standard_normal(reference.values.shape)

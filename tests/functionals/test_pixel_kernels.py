@@ -44,7 +44,7 @@ def assert_same_sums(part: Correlation, deformed: DeformedSubImage, q: NDArray[n
     grey = 255.0 * np.array([[0.0, 1.0, 1.0, 255.0, 255.0, 255.0]]) + 1.0
     units = n[:, None] * grey
     np.testing.assert_allclose(fast.cell_sums.values / units, slow.cell_sums.values / units, atol=10 * SUM_ROUNDING)
-    steepest = max(np.abs(part.reference.by_x).max(), np.abs(part.reference.by_y).max())
+    steepest = np.abs(part.reference.slopes).max()
     scale = 255.0 * steepest * n[:, None, None, None]
     np.testing.assert_allclose(fast.moments / scale, slow.moments / scale, atol=10 * SUM_ROUNDING)
     np.testing.assert_allclose(hessians, expected, atol=SUM_ROUNDING * np.abs(expected).max())

@@ -50,7 +50,7 @@ def everything(n_threads: int, n_parts: int, degree: int, masked: bool) -> dict[
         seen = part.without_hidden(deformed, q)
         assert seen.threads is part.threads is threads
         found |= {f"{name} of part {s}": array for name, array in {
-            "f": reference.values, "f_x": reference.by_x, "f_y": reference.by_y, "g": spline.coefficients,
+            "f": reference.values, "slopes of f": reference.slopes, "g": spline.coefficients,
             "hessian": part.compute_cell_hessians(), "moments": residual.moments, "sums": residual.cell_sums.values,
             "residual image": part.compute_residual_image(deformed, q, gain, offset),
             "hessian of what is seen": seen.compute_cell_hessians()}.items()}

@@ -68,8 +68,8 @@ def test_gradient_of_a_window_equals_the_whole_images(degree: int, x0: int, y0: 
     whole = read_gradient(source(image).image, Window.of_size(210, 200), degree)
     part = np.s_[window.y0: window.y1, window.x0: window.x1]
     np.testing.assert_array_equal(found.values, image[part])
-    np.testing.assert_allclose(found.by_x, whole.by_x[part], rtol=2 * FLOAT32, atol=1e-9)
-    np.testing.assert_allclose(found.by_y, whole.by_y[part], rtol=2 * FLOAT32, atol=1e-9)
+    np.testing.assert_allclose(found.slopes[0], whole.slopes[0][part], rtol=2 * FLOAT32, atol=1e-9)
+    np.testing.assert_allclose(found.slopes[1], whole.slopes[1][part], rtol=2 * FLOAT32, atol=1e-9)
 
 
 @DEGREES
@@ -80,7 +80,7 @@ def test_bands_of_a_tall_window_fit_together(degree: int) -> None:
     np.testing.assert_allclose(spline.coefficients, whole, rtol=2 * FLOAT32, atol=1e-9)
     gradient = read_gradient(source(image).image, Window.of_size(20, 1200), degree)
     piece = read_gradient(source(image).image, Window((0, 480), (20, 540)), degree)
-    np.testing.assert_allclose(gradient.by_y[480:540], piece.by_y, rtol=2 * FLOAT32, atol=1e-9)
+    np.testing.assert_allclose(gradient.slopes[1, 480:540], piece.slopes[1], rtol=2 * FLOAT32, atol=1e-9)
 
 
 @DEGREES
@@ -129,7 +129,7 @@ def test_gradient_equals_differences_of_the_spline(degree: int) -> None:
     gradient = read_gradient(source(image).image, Window.of_size(60, 50), degree)
     x, y = (a.ravel().astype(float) for a in np.meshgrid(np.arange(1, 59), np.arange(1, 49)))
     h = 1e-4
-    for found, shift in ((gradient.by_x, (0.0, h)), (gradient.by_y, (h, 0.0))):
+    for found, shift in zip(gradient.slopes, ((0.0, h), (h, 0.0)), strict=True):
         ahead, behind = (ndimage.map_coordinates(image, (y + s * shift[0], x + s * shift[1]), order=degree,
                                                  mode="mirror") for s in (1, -1))
         # h^2 / 6 times third derivatives of some thousand grey levels; float64 rounding over h: 1e-8.
@@ -140,7 +140,8 @@ def test_gradient_equals_differences_of_the_spline(degree: int) -> None:
 def test_gradient_across_the_images_edge_is_zero(degree: int) -> None:
     gradient = read_gradient(source(noise(40, 40)).image, Window.of_size(40, 40), degree)
     # The image continues by reflection about its outermost pixels; sums of taps cancel in float64.
-    for edge in (gradient.by_x[:, 0], gradient.by_x[:, -1], gradient.by_y[0], gradient.by_y[-1]):
+    by_x, by_y = gradient.slopes
+    for edge in (by_x[:, 0], by_x[:, -1], by_y[0], by_y[-1]):
         np.testing.assert_allclose(edge, 0.0, atol=1e-9)
 
 

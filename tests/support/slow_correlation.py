@@ -73,6 +73,6 @@ def cell_pixels(part: Correlation) -> list[CellPixels]:
         kind = int(mesh.types[e])
         local = local_points(kind, mesh.nodes[nodes], np.column_stack([x, y]).astype(float))
         place = (y - f.window.y0, x - f.window.x0)
-        gradient = np.stack([f.by_x[place], f.by_y[place]], axis=1).astype(float)
+        gradient = np.stack([by[place] for by in f.slopes], axis=1).astype(float)
         out.append(CellPixels(x, y, shape_functions(kind, local), nodes, f.values[place].astype(float), gradient))
     return out

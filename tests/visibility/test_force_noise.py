@@ -75,7 +75,7 @@ def test_noise_that_goes_together_acts_as_its_sums_against_slopes_do() -> None:
         reference = model.views[0].views[0].view.correlation.reference
         found.append(measure(model).excess)
         expected.append(np.mean([(correlate(smooth) * correlate(slopes) * np.outer(along, along)).sum()
-                                 for slopes in (reference.by_x, reference.by_y)]))
+                                 for slopes in reference.slopes]))
     # Guards the test.
     assert np.mean(expected) > 4.0
     # Cells of larger residuals weigh less.

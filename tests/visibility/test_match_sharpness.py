@@ -68,7 +68,7 @@ def test_the_residual_is_gone_and_the_gradient_is_that_of_the_frame(change: obje
     # Grey levels of 255 in float32, and a blur found to some per cent, of speckle of 40 grey levels.
     assert np.abs(before.values - truth).std() > 15
     assert np.abs(after.values - truth).std() < 2.0
-    assert np.abs(after.by_x[3:-3, 3:-3] - np.gradient(truth, axis=1)[3:-3, 3:-3]).std() < 1.0
+    assert np.abs(after.slopes[0, 3:-3, 3:-3] - np.gradient(truth, axis=1)[3:-3, 3:-3]).std() < 1.0
     assert after.usable is before.usable
     assert after.window == before.window
 

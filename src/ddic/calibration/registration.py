@@ -164,7 +164,7 @@ def read_near_image(source: ImageSource, ratio: float) -> NearImage:
     """
     gradient = read_gradient(source, source.extent, _DEGREE)
     coefficients = read_spline(source, source.extent, _DEGREE).coefficients
-    return NearImage(coefficients, gradient.by_x, gradient.by_y, max(round(ratio), 1))
+    return NearImage(coefficients, *gradient.slopes, max(round(ratio), 1))
 
 
 def register(far: GradientImage, near: NearImage, model: CameraModel, start: Array, part: Window,
@@ -288,7 +288,7 @@ def _linearise(far: GradientImage, near: NearImage, model: CameraModel, paramete
     near_grey, near_gradient = averages[:, 0], averages[:, 1:]
     inside = (seen.rows, seen.columns)
     far_grey, by_x, by_y = (values[inside][seen.mask].astype(np.float64)
-                            for values in (far.values, far.by_x, far.by_y))
+                            for values in (far.values, *far.slopes))
     # grad f_far = (d phi / d X)^T grad f_near.
     transposed = mapping.jacobian(seen.points).transpose(0, 2, 1)
     far_gradient = np.linalg.solve(transposed, np.column_stack([by_x, by_y])[:, :, None])[:, :, 0]

@@ -40,7 +40,7 @@ _NOTHING_EXCLUDED = np.zeros((0, 0), dtype=np.uint8)
 
 def convert_reference(f: GradientImage) -> ReferencePixels:
     """Convert a window of the reference image; its arrays are not copied."""
-    return ReferencePixels(_flatten(f.values), _flatten(f.by_x), _flatten(f.by_y), _count_row_length(f.values),
+    return ReferencePixels(_flatten(f.values), *map(_flatten, f.slopes), _count_row_length(f.values),
                            f.window.x0, f.window.y0, _or_nothing(f.usable))
 
 

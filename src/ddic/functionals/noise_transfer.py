@@ -59,7 +59,7 @@ def correlate_slopes(correlation: Correlation) -> Array:
         return sums
     place = reference.window.locate(sample)
     usable = 1.0 if reference.usable is None else reference.usable[place]
-    for axis, slopes in enumerate((reference.by_x, reference.by_y)):
+    for axis, slopes in enumerate(reference.slopes):
         sums[axis] = _correlate(slopes[place].astype(np.float64) * usable)
     return sums
 

@@ -133,7 +133,7 @@ def _cut_patch(correlation: Correlation, place: tuple[Window, NDArray[np.bool_]]
     counts = own & np.isfinite(r)
     gain, offset = correction
     g = np.where(counts, gain * (f - r) + offset, 0.0)
-    return CellPatch(counts, f, g, image.by_x.astype(np.float64)**2 + image.by_y.astype(np.float64)**2)
+    return CellPatch(counts, f, g, (image.slopes.astype(np.float64)**2).sum(axis=0))
 
 
 def _find_own_pixels(correlation: Correlation, cell: int) -> tuple[Window, NDArray[np.bool_]]:

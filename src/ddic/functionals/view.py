@@ -57,7 +57,7 @@ def measure_cell_slopes(raster: Raster, reference: GradientImage, n_pixels: NDAr
     usable = np.ones((0, 0), np.uint8) if reference.usable is None else reference.usable
     sums = np.zeros((len(n_pixels), 3))
     # Windows into larger ones are copied: their layout is another type.
-    by_x, by_y = np.ascontiguousarray(reference.by_x), np.ascontiguousarray(reference.by_y)
+    by_x, by_y = map(np.ascontiguousarray, reference.slopes)
     _add_up_slopes(by_x, by_y, np.ascontiguousarray(usable), reference.window.x0, reference.window.y0, raster.first_row,
                    raster.row_ptr, raster.starts, raster.stops, sums)
     xx, xy, yy = (sums / np.maximum(n_pixels, 1)[:, None]).T

@@ -62,30 +62,29 @@ class GradientImage:
         Its pixels.
     values : (window.height, window.width) array
         Grey levels.
-    by_x, by_y : (window.height, window.width) array
-        Slopes of the spline at pixel centres, grey levels per pixel.
+    slopes : (dim, window.height, window.width) array
+        Of the spline at pixel centres, along x and along y, grey levels per pixel.
     usable : (window.height, window.width) array or None
         0 where the pixel is excluded, or one that its slope is taken from; None where nothing is.
     """
 
     window: Window
     values: NDArray[np.float32]
-    by_x: NDArray[np.float32]
-    by_y: NDArray[np.float32]
+    slopes: NDArray[np.float32]
     usable: NDArray[np.uint8] | None = None
 
     def restrict(self, window: Window) -> GradientImage:
         """Look into a window inside it: the new arrays look into these; only what is excluded is copied."""
         inside = self.window.locate(window)
-        return GradientImage(window, self.values[inside], self.by_x[inside], self.by_y[inside],
+        return GradientImage(window, self.values[inside], self.slopes[:, *inside],
                              None if self.usable is None else self.usable[inside].copy())
 
     def correct_light(self, light: NDArray[np.float32]) -> GradientImage:
         """Subtract grey levels, (window.height, window.width), that vary so slowly that slopes do not know them.
 
-        The result has arrays of its own: kernels step through all three alike.
+        The result has arrays of its own: kernels step through both alike.
         """
-        return GradientImage(self.window, self.values - light, self.by_x.copy(), self.by_y.copy(), self.usable)
+        return GradientImage(self.window, self.values - light, self.slopes.copy(), self.usable)
 
     def exclude(self, excluded: NDArray[np.bool_]) -> GradientImage:
         """Exclude further pixels, in a new array that says what is usable."""
@@ -137,7 +136,7 @@ def read_gradient(source: ImageSource, window: Window, degree: int,
     prefilter along columns. ``find_usable`` is as for ``read_spline``. With ``excludes_taps`` the pixels whose slope is
     taken from an excluded one are left out, otherwise only the excluded ones.
     """
-    values, by_x, by_y = (np.empty(window.shape, dtype=np.float32) for _ in range(3))
+    values, slopes = (np.empty(shape, dtype=np.float32) for shape in (window.shape, (2, *window.shape)))
     held = _hold(source, window.grow(PADDING[degree]), degree, find_usable)
     wide = held.window
     n_rows, halo = max(_BLOCK // wide.width, TURNED), HALO[degree] + PADDING[degree]
@@ -146,23 +145,23 @@ def read_gradient(source: ImageSource, window: Window, degree: int,
         buffer = held.buffer(n_rows)
         for rows in blocks:
             block = held.read(wide.take_rows(rows.y0, rows.y1), buffer)
-            write_row_slopes(block, window.x0 - wide.x0, degree, by_x[rows.y0 - window.y0: rows.y1 - window.y0])
+            write_row_slopes(block, window.x0 - wide.x0, degree, slopes[0][window.locate(rows)])
 
     def along_y(bands: Iterator[Window]) -> None:
         buffer = held.buffer(_BAND_ROWS + 2 * halo)
         for band in bands:
-            place = slice(band.y0 - window.y0, band.y1 - window.y0)
+            place = window.locate(band)
             tall = band.grow(halo).intersection(wide)
             block = held.read(window.take_rows(tall.y0, tall.y1), buffer)
             prefilter_columns(block, degree)
-            write_column_slopes(block, band.y0 - tall.y0, degree, by_y[place])
+            write_column_slopes(block, band.y0 - tall.y0, degree, slopes[1][place])
             values[place] = held.restrict(band)
 
     threads.share(window.split_rows(n_rows), along_x)
     threads.share(window.split_rows(_BAND_ROWS), along_y)
     reach = degree // 2 if excludes_taps else 0
     usable = None if held.usable is None else without_cross(held.usable, reach)
-    return GradientImage(window, values, by_x, by_y, held.restrict_usable(usable, window))
+    return GradientImage(window, values, slopes, held.restrict_usable(usable, window))
 
 
 @dataclass(frozen=True)

@@ -132,7 +132,7 @@ class VirtualFrames:
         def measure() -> float:
             gradient = read_gradient(image, self.reference.extent, degree)
             columns, rows = np.rint(points).astype(np.int64).T
-            squares = gradient.by_x[rows, columns] ** 2 + gradient.by_y[rows, columns] ** 2
+            squares = (gradient.slopes[:, rows, columns] ** 2).sum(axis=0)
             return float(squares.mean(dtype=np.float64))
 
         return self.team.on_root(measure)
