@@ -80,7 +80,7 @@ def calls_on(mesh: Mesh, degree: int) -> dict[str, Callable[[], Any]]:
         return [found.moments, found.cell_sums.values]
 
     def gradient() -> list[NDArray[np.float32]]:
-        found = read_gradient(source.image, part.reference.window, degree)
+        found: Any = read_gradient(source.image, part.reference.window, degree)
         slopes = found.slopes if hasattr(found, "slopes") else (found.by_x, found.by_y)
         return [found.values, *slopes]
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ddic.functionals import pixel_kernels as kernels
-from ddic.functionals.correlation import find_torn_cells, read_correlation
+from ddic.functionals.correlation import PIXEL_KERNELS, find_torn_cells, read_correlation
+from ddic.functionals.pixel_kernels import COMPILED
 from ddic.images.sub_image import DeformedSubImage
 from ddic.mesh.structured import build_structured_mesh
 from ddic.synth.fields import Translation
@@ -60,9 +62,9 @@ def test_displacement_that_tears_every_cell_needs_no_image() -> None:
 
 def test_torn_cells_are_not_visited(monkeypatch: pytest.MonkeyPatch) -> None:
     visited: list[int] = []
-    sums = kernels.residual_sums
-    monkeypatch.setattr(kernels, "residual_sums",
-                        lambda cells, *rest: (visited.extend(cells.order), sums(cells, *rest)))
+    sums = COMPILED.residual_sums
+    noting = replace(COMPILED, residual_sums=lambda cells, *rest: (visited.extend(cells.order), sums(cells, *rest)))
+    monkeypatch.setitem(PIXEL_KERNELS, "bilinear", noting)
     side = 1024
     image = source(np.random.default_rng(0).uniform(0, 255, (side, side)).astype(np.float32))
     mesh = build_structured_mesh((848.0, 848.0, 992.0, 992.0), 16.0)

@@ -10,17 +10,15 @@ from unittest import mock
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.functionals import pixel_kernels, readable_kernels
-from ddic.functionals.correlation import Correlation
+from ddic.functionals.correlation import PIXEL_KERNELS, Correlation
+from ddic.functionals.readable_kernels import READABLE
 from ddic.mesh.cell_type import Q4
-
-KERNELS = ("hessian_cells", "residual_sums", "fill_residual_pixels")
 
 
 @contextmanager
 def readable_kernels_instead() -> Iterator[None]:
     """Within it, correlations call the readable kernels where they call compiled ones."""
-    with mock.patch.multiple(pixel_kernels, **{name: getattr(readable_kernels, name) for name in KERNELS}):
+    with mock.patch.dict(PIXEL_KERNELS, bilinear=READABLE):
         yield
 
 

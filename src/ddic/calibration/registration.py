@@ -164,7 +164,8 @@ def read_near_image(source: ImageSource, ratio: float) -> NearImage:
     """
     gradient = read_gradient(source, source.extent, _DEGREE)
     coefficients = read_spline(source, source.extent, _DEGREE).coefficients
-    return NearImage(coefficients, *gradient.slopes, max(round(ratio), 1))
+    by_x, by_y = gradient.slopes
+    return NearImage(coefficients, by_x, by_y, max(round(ratio), 1))
 
 
 def register(far: GradientImage, near: NearImage, model: CameraModel, start: Array, part: Window,

@@ -79,11 +79,11 @@ def _build_mesh(case: Case, width: int, height: int) -> Mesh:
     from ddic.inputs.rectangle import choose_output_lines, find_rectangle_of_case
     from ddic.mesh.cell_type import Q4
     from ddic.mesh.mesh import build_mesh
-    from ddic.mesh.structured import Grid
+    from ddic.mesh.structured import GridLines
 
     if case.pgd is None:
         return build_meshes(case, width, height)[0]
-    grid = Grid(*choose_output_lines(case, find_rectangle_of_case(case)))
+    grid = GridLines(*choose_output_lines(case, find_rectangle_of_case(case)))
     return build_mesh(grid.nodes, {Q4: grid.quads}, grid.sides)
 
 

@@ -25,7 +25,7 @@ from ddic.errors import InputError
 from ddic.functionals import pixel_kernels as kernels
 from ddic.functionals.grey_statistics import GreySums
 from ddic.functionals.line_band import find_band_pixels
-from ddic.functionals.pixel_kernels import DeformedPixels, ReferencePixels
+from ddic.functionals.pixel_kernels import DeformedPixels, PixelKernels, ReferencePixels
 from ddic.images.spline import HALO, PADDING, GradientImage, SplineImage
 from ddic.images.sub_image import DeformedSubImage, MaskedSource, read_reference
 from ddic.images.threads import ONE_THREAD, Threads
@@ -37,10 +37,14 @@ from ddic.mesh.raster import Raster, rasterize
 
 _NOTHING_EXCLUDED = np.zeros((0, 0), dtype=np.uint8)
 
+PIXEL_KERNELS: dict[str, PixelKernels] = {"bilinear": kernels.COMPILED}
+"""What sums over the pixels of cells, by the family of their types."""
+
 
 def convert_reference(f: GradientImage) -> ReferencePixels:
     """Convert a window of the reference image; its arrays are not copied."""
-    return ReferencePixels(_flatten(f.values), *map(_flatten, f.slopes), _count_row_length(f.values),
+    by_x, by_y = map(_flatten, f.slopes)
+    return ReferencePixels(_flatten(f.values), by_x, by_y, _count_row_length(f.values),
                            f.window.x0, f.window.y0, _or_nothing(f.usable))
 
 
@@ -217,7 +221,7 @@ class _DisplacedPixels:
 
 
 @dataclass(frozen=True)
-class Band:
+class RowBand:
     """Cells whose pixels begin in some rows of the image.
 
     Attributes
@@ -324,7 +328,7 @@ class Correlation:
         hessians = np.zeros((n_cells, 4, 2, 4, 2))
 
         def accumulate(place: slice) -> None:
-            kernels.hessian_cells(self._take_cells(self.order[place]), shapes, reference, hessians)
+            self._kernels.hessian_cells(self._take_cells(self.order[place]), shapes, reference, hessians)
 
         self.threads.run_over(len(self.order), FEWEST, accumulate)
         hessians = hessians.reshape(n_cells, 8, 8)
@@ -355,7 +359,7 @@ class Correlation:
 
         def accumulate(place: slice) -> None:
             cells = self._take_cells(displaced.order[place])
-            kernels.residual_sums(cells, displaced.u, reference, displaced.g, all_kinds, sums)
+            self._kernels.residual_sums(cells, displaced.u, reference, displaced.g, all_kinds, sums)
 
         self.threads.run_over(len(displaced.order), FEWEST, accumulate)
         return Residual(sums.moments, GreySums(sums.grey))
@@ -398,10 +402,10 @@ class Correlation:
 
         On the reference window, (height, width), grey levels; NaN on pixels that do not count.
         """
-        whole = Band(self.order, self.reference.window)
+        whole = RowBand(self.order, self.reference.window)
         return next(self.compute_residual_bands(deformed, q, [whole], gain, offset))
 
-    def split_bands(self, height: int) -> list[Band]:
+    def split_bands(self, height: int) -> list[RowBand]:
         """Split the cells into bands of rows, whose residual images take little memory one by one.
 
         Every cell is in one of them. ``height`` is that of the bands, pixels; at least that of the tallest cell is
@@ -412,11 +416,11 @@ class Correlation:
         number = first // max(height, int((last - first).max(initial=0)))
         members = [np.flatnonzero(number == k) for k in np.unique(number)]
         window = self.reference.window
-        return [Band(self.order[of_band], window.take_rows(max(int(first[of_band].min()), window.y0),
+        return [RowBand(self.order[of_band], window.take_rows(max(int(first[of_band].min()), window.y0),
                                                            min(int(last[of_band].max()), window.y1)))
                 for of_band in members]
 
-    def compute_residual_bands(self, deformed: DeformedSubImage, q: NDArray[np.float64], bands: Iterable[Band],
+    def compute_residual_bands(self, deformed: DeformedSubImage, q: NDArray[np.float64], bands: Iterable[RowBand],
                                gain: NDArray[np.float64] | float = 1.0,
                                offset: NDArray[np.float64] | float = 0.0) -> Iterator[NDArray[np.float32]]:
         """Compute the same as ``compute_residual_image`` band by band, each when it is asked for.
@@ -425,13 +429,13 @@ class Correlation:
         """
         n_cells = self.mesh.n_cells
         displaced = self._displace_pixels(deformed, q)
-        gains = np.array(np.broadcast_to(np.asarray(gain, dtype=float), n_cells))
-        offsets = np.array(np.broadcast_to(np.asarray(offset, dtype=float), n_cells))
+        correction = tuple(np.array(np.broadcast_to(np.asarray(of_cells, dtype=float), n_cells))
+                           for of_cells in (gain, offset))
         is_visited = np.zeros(n_cells, dtype=bool)
         is_visited[displaced.order] = True
         for band in bands:
             visited = replace(displaced, order=band.order[is_visited[band.order]])
-            yield self._draw_residual(visited, band.window, gains, offsets)
+            yield self._draw_residual(visited, band.window, correction)
 
     def find_displaced_window(self, q: NDArray[np.float64]) -> Window:
         """Find the window of the deformed image that holds all displaced pixels and their neighbours.
@@ -460,15 +464,15 @@ class Correlation:
         g = deformed.get_spline(self.find_displaced_window(q))
         return _DisplacedPixels(order, self.interpolation.monomial_coefficients(q), convert_deformed(g, self.extent))
 
-    def _draw_residual(self, displaced: _DisplacedPixels, window: Window, gains: NDArray[np.float64],
-                       offsets: NDArray[np.float64]) -> NDArray[np.float32]:
+    def _draw_residual(self, displaced: _DisplacedPixels, window: Window,
+                       correction: tuple[Array, ...]) -> NDArray[np.float32]:
         """Residual on a window that holds all pixels of the cells to visit."""
         reference = convert_reference(self.reference.restrict(window))
         image = np.full(window.shape, np.nan, dtype=np.float32)
 
         def write(place: slice) -> None:
             cells = self._take_cells(displaced.order[place])
-            kernels.fill_residual_pixels(cells, displaced.u, reference, displaced.g, gains, offsets, image)
+            self._kernels.fill_residual_pixels(cells, displaced.u, reference, displaced.g, correction, image)
 
         self.threads.run_over(len(displaced.order), FEWEST, write)
         return image
@@ -490,6 +494,10 @@ class Correlation:
         """Number of the cells' pixels that are 1 in an image of the reference window's shape."""
         window = self.reference.window
         return int(self.raster.sum_by_cell(usable, window.x0, window.y0).sum())
+
+    @property
+    def _kernels(self) -> PixelKernels:
+        return PIXEL_KERNELS[self.mesh.family]
 
     def _take_cells(self, order: NDArray[np.int64]) -> kernels.Cells:
         """Cells as kernels take them, in the order of visiting."""

@@ -21,6 +21,8 @@ The stages share this file because numba's cache of a kernel does not notice cha
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numba
@@ -822,13 +824,14 @@ def residual_sums(cells, displacement, reference, deformed, all_kinds, sums):
 
 
 @numba.njit(**FLAGS)
-def fill_residual_pixels(cells, displacement, reference, deformed, gain, offset, out):
+def fill_residual_pixels(cells, displacement, reference, deformed, correction, out):
     """Write f - gain g(x + u) - offset of all cells' pixels.
 
-    ``displacement`` and ``deformed`` are those of ``residual_sums``. ``gain`` and ``offset``, grey levels, are those of
-    each cell, (n_cells,). ``out`` has the reference window's shape, float32, grey levels; NaN where a cell's pixel does
-    not count.
+    ``displacement`` and ``deformed`` are those of ``residual_sums``. ``correction`` are gain, and offset in grey
+    levels, of each cell, (n_cells,) each. ``out`` has the reference window's shape, float32, grey levels; NaN where a
+    cell's pixel does not count.
     """
+    gain, offset = correction
     scratch = _new_scratch()
     flat_out = out.reshape(-1)
     # Slopes are not needed: what is read in their place is in the cache.
@@ -1010,3 +1013,22 @@ def hessian_cells(cells, shapes, reference, out):
                 for component in range(3):
                     _add_products(component, batch, scratch, S)
         _combine_products(S, W[shapes.kinds[e]], e, product, out)
+
+
+@dataclass(frozen=True)
+class PixelKernels:
+    """Sums over pixels for the cell types of one family: functions with the arguments of those of this module.
+
+    Attributes
+    ----------
+    hessian_cells, residual_sums, fill_residual_pixels : callable
+        M_e; moments and grey sums of the residual; the residual itself.
+    """
+
+    hessian_cells: Callable[..., None]
+    residual_sums: Callable[..., None]
+    fill_residual_pixels: Callable[..., None]
+
+
+COMPILED = PixelKernels(hessian_cells, residual_sums, fill_residual_pixels)
+"""Of types whose shape functions are polynomials of (1, xi, eta, xi eta)."""

@@ -1,7 +1,7 @@
 """What the pixel kernels compute, in plain loops over cells and their pixels: Eq. 5 of [BP17] as it is written.
 
-The functions take the same arguments as those of ``pixel_kernels`` and leave the same numbers, but for rounding, some
-ten thousand times more slowly. They are its explanation, and the oracle of its tests; no measurement calls them.
+``READABLE`` takes the same arguments as the kernels of ``pixel_kernels`` and leaves the same numbers, but for rounding,
+some ten thousand times more slowly. It is their explanation, and the oracle of their tests; no measurement calls it.
 
 Of every pixel x of a cell: its local coordinates (xi, eta), the monomials phi = (1, xi, eta, xi eta), with which the
 shape functions are N_a = sum_m T_am phi_m and the displacement is u = sum_m D_m phi_m, and g(x + u) by the spline.
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.functionals.pixel_kernels import Cells, CellSums, DeformedPixels, ReferencePixels, Shapes
+from ddic.functionals.pixel_kernels import Cells, CellSums, DeformedPixels, PixelKernels, ReferencePixels, Shapes
 
 NEWTON_STEPS = 30
 """Most steps towards a pixel's local coordinates; a convex cell takes five, one with a corner of nearly 180 degrees
@@ -52,14 +52,14 @@ class Pixel:
     counts: bool
 
 
-def hessian_cells(cells: Cells, shapes: Shapes, reference: ReferencePixels, out: NDArray[np.float64]) -> None:
+def sum_hessians(cells: Cells, shapes: Shapes, reference: ReferencePixels, out: NDArray[np.float64]) -> None:
     """Add M_e = sum_px N^T grad f grad f^T N of every cell, Eq. 5 of [BP17].
 
     ``out`` is (n_cells, 4, 2, 4, 2) by a, component, b, component; grey levels squared per pixel squared.
     """
     for e in cells.order:
         coefficients = shapes.coefficients[shapes.kinds[e]]
-        for pixel in list_pixels(cells, reference, e):
+        for pixel in list_cell_pixels(cells, reference, e):
             if pixel.counts:
                 N = coefficients @ pixel.phi
                 # Entry (a, component) of N^T grad f.
@@ -67,7 +67,7 @@ def hessian_cells(cells: Cells, shapes: Shapes, reference: ReferencePixels, out:
                 out[e] += np.multiply.outer(row, row)
 
 
-def residual_sums(cells: Cells, displacement: NDArray[np.float64], reference: ReferencePixels,
+def sum_residuals(cells: Cells, displacement: NDArray[np.float64], reference: ReferencePixels,
                   deformed: DeformedPixels, all_kinds: bool, sums: CellSums) -> None:
     """Add every cell's moments sum_px r grad f phi of the residual r = f - g(x + u), and its grey sums.
 
@@ -76,7 +76,7 @@ def residual_sums(cells: Cells, displacement: NDArray[np.float64], reference: Re
     moments of g and of 1 are added too, which a grey correction needs.
     """
     for e in cells.order:
-        for pixel in list_pixels(cells, reference, e):
+        for pixel in list_cell_pixels(cells, reference, e):
             g = evaluate_deformed(deformed, pixel, displacement[e])
             if g is None:
                 continue
@@ -87,23 +87,27 @@ def residual_sums(cells: Cells, displacement: NDArray[np.float64], reference: Re
                 sums.moments[e, kind] += value * np.outer(pixel.slope, pixel.phi)
 
 
-def fill_residual_pixels(cells: Cells, displacement: NDArray[np.float64], reference: ReferencePixels,
-                         deformed: DeformedPixels, gain: NDArray[np.float64], offset: NDArray[np.float64],
-                         out: NDArray[np.float32]) -> None:
+def write_residuals(cells: Cells, displacement: NDArray[np.float64], reference: ReferencePixels,
+                    deformed: DeformedPixels, correction: tuple[NDArray[np.float64], ...],
+                    out: NDArray[np.float32]) -> None:
     """Write f - gain g(x + u) - offset of all cells' pixels.
 
-    ``displacement`` and ``deformed`` are those of ``residual_sums``. ``gain`` and ``offset``, grey levels, are those of
-    each cell, (n_cells,). ``out`` has the reference window's shape, grey levels; NaN where a cell's pixel does not
-    count.
+    ``displacement`` and ``deformed`` are those of ``sum_residuals``. ``correction`` are gain, and offset in grey
+    levels, of each cell, (n_cells,) each. ``out`` has the reference window's shape, grey levels; NaN where a cell's
+    pixel does not count.
     """
+    gain, offset = correction
     for e in cells.order:
-        for pixel in list_pixels(cells, reference, e):
+        for pixel in list_cell_pixels(cells, reference, e):
             g = evaluate_deformed(deformed, pixel, displacement[e])
             place = (pixel.y - reference.y0, pixel.x - reference.x0)
             out[place] = np.nan if g is None else pixel.f - gain[e] * g - offset[e]
 
 
-def list_pixels(cells: Cells, reference: ReferencePixels, e: int) -> Iterator[Pixel]:
+READABLE = PixelKernels(sum_hessians, sum_residuals, write_residuals)
+
+
+def list_cell_pixels(cells: Cells, reference: ReferencePixels, e: int) -> Iterator[Pixel]:
     """Go through the pixels of a cell, row by row."""
     y = int(cells.first_row[e])
     for run in range(cells.row_ptr[e], cells.row_ptr[e + 1]):

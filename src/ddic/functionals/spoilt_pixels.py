@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.functionals.correlation import Band, Correlation
+from ddic.functionals.correlation import Correlation, RowBand
 from ddic.functionals.view import FrameView
 from ddic.images.window import Window
 
@@ -118,7 +118,7 @@ def cut_patches(view: FrameView, q: NDArray[np.float64], cells: NDArray[np.int64
     """
     correlation = view.view.correlation
     boxes = [_find_own_pixels(correlation, cell) for cell in cells.tolist()]
-    bands = [Band(cells[k:k + 1], box) for k, (box, _) in enumerate(boxes)]
+    bands = [RowBand(cells[k:k + 1], box) for k, (box, _) in enumerate(boxes)]
     residuals = view.compute_residual_bands(q, bands) if bands else iter(())
     for cell, (box, own), residual in zip(cells.tolist(), boxes, residuals, strict=True):
         yield cell, box, _cut_patch(correlation, (box, own), residual, correction)

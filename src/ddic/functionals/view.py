@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from ddic.functionals.correlation import Band, Correlation, Residual
+from ddic.functionals.correlation import Correlation, Residual, RowBand
 from ddic.images.spline import GradientImage
 from ddic.images.sub_image import DeformedSubImage
 from ddic.images.window import Window
@@ -210,7 +210,7 @@ class FrameView:
         """
         return self.view.correlation.compute_residual_image(self.deformed, self._displacement(q), gain, offset)
 
-    def compute_residual_bands(self, q: NDArray[np.float64], bands: Iterable[Band], gain: Correction = 1.0,
+    def compute_residual_bands(self, q: NDArray[np.float64], bands: Iterable[RowBand], gain: Correction = 1.0,
                                offset: Correction = 0.0) -> Iterator[NDArray[np.float32]]:
         """Compute the same as ``compute_residual_image`` band by band, each when it is asked for.
 

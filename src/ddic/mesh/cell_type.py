@@ -94,6 +94,8 @@ class CellType:
         Nodes of the triangles that together are the cell, for plots.
     cells_around_node : float
         Mean number of cells around an inner node, by which a node's work is shared among its cells.
+    family : str
+        Types whose pixels the same kernels sum, which know their monomials: a key of ``PIXEL_KERNELS``.
     """
 
     name: str
@@ -105,6 +107,7 @@ class CellType:
     facets: tuple[tuple[int, ...], ...]
     triangles: tuple[tuple[int, int, int], ...]
     cells_around_node: float
+    family: str = "bilinear"
 
     @property
     def n_nodes(self) -> int:

@@ -25,7 +25,7 @@ Point = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Polygon:
+class CellPolygon:
     """A convex polygon that is a cell, or a part of one.
 
     Attributes
@@ -43,12 +43,12 @@ class Polygon:
     sides: tuple[int, ...]
 
     @classmethod
-    def of_cell(cls, corners: NDArray[np.float64]) -> Polygon:
+    def of_cell(cls, corners: NDArray[np.float64]) -> CellPolygon:
         """Take a whole cell, whose side k runs from node k to the next one; corners are in positive order, pixels."""
         numbers = tuple(range(len(corners)))
         return cls(corners, numbers, numbers)
 
-    def cut(self, chord: Chord) -> tuple[Polygon, ...]:
+    def cut(self, chord: Chord) -> tuple[CellPolygon, ...]:
         """Cut the polygon straight along a chord of its cell, whatever the chord's bends.
 
         Gives the part to the right and the part to the left of the chord; the polygon itself where the chord misses it.
@@ -63,7 +63,7 @@ class Polygon:
             return (self,)
         return self._keep(-heights), self._keep(heights)
 
-    def _keep(self, heights: NDArray[np.float64]) -> Polygon:
+    def _keep(self, heights: NDArray[np.float64]) -> CellPolygon:
         """The part where heights, of the corners above a line, are positive."""
         corners, nodes, sides = [], [], []
         for k in range(len(heights)):
@@ -81,7 +81,7 @@ class Polygon:
                 nodes.append(INNER)
                 leaves = here > 0
                 sides.append(INNER if leaves else self.sides[k])
-        return Polygon(np.array(corners), tuple(nodes), tuple(sides))
+        return CellPolygon(np.array(corners), tuple(nodes), tuple(sides))
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.mesh.cell_parts import CellParts, Lines
-from ddic.mesh.cut_cells import Polygon, find_chords
+from ddic.mesh.cut_cells import CellPolygon, find_chords
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import measure_distance
 from ddic.mesh.topology import find_facets
@@ -24,7 +24,7 @@ from ddic.mesh.topology import find_facets
 SHORTEST = 1e-9
 """Share of a side by which two parts must touch to hang together."""
 
-Parts = Mapping[int, Sequence[Polygon]]
+Parts = Mapping[int, Sequence[CellPolygon]]
 """Parts of the cut cells, by number of the cell."""
 
 Unit = tuple[int, int]
@@ -238,13 +238,13 @@ def _keep_clear(line: Array, nodes: Array) -> Array:
     return line
 
 
-def _cut_cells(mesh: Mesh, lines: Sequence[Array]) -> tuple[dict[int, list[Polygon]], tuple[Array, ...]]:
+def _cut_cells(mesh: Mesh, lines: Sequence[Array]) -> tuple[dict[int, list[CellPolygon]], tuple[Array, ...]]:
     """Parts of the cells that lines cross from side to side, by number of the cell, and what bends there cut off."""
-    found: dict[int, list[Polygon]] = {}
+    found: dict[int, list[CellPolygon]] = {}
     bends: list[Array] = []
     for cell in _find_touched_cells(mesh, lines):
         corners = mesh.nodes[get_nodes(mesh, int(cell))]
-        parts: list[Polygon] = [Polygon.of_cell(corners)]
+        parts: list[CellPolygon] = [CellPolygon.of_cell(corners)]
         for line in lines:
             for chord in find_chords(corners, line):
                 parts = [piece for part in parts for piece in part.cut(chord)]
@@ -272,7 +272,7 @@ def _find_touched_cells(mesh: Mesh, lines: Sequence[Array]) -> NDArray[np.int64]
     return np.flatnonzero(touched).astype(np.int64)
 
 
-def _replace_cut_cells(mesh: Mesh, parts: Mapping[int, Sequence[Polygon]], lines: Lines) -> CutMesh:
+def _replace_cut_cells(mesh: Mesh, parts: Mapping[int, Sequence[CellPolygon]], lines: Lines) -> CutMesh:
     """Put the first part of each cut cell in its place, and its other parts after all cells."""
     numbers = number_nodes(mesh, parts)
     n_nodes = max(mesh.n_nodes, max(numbers.values()) + 1)

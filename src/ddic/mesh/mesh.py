@@ -54,7 +54,7 @@ class Similarity:
 
 
 @dataclass(frozen=True, eq=False)
-class CellBlock:
+class CellsOfType:
     """The cells of one type in a mesh.
 
     Attributes
@@ -132,14 +132,20 @@ class Mesh:
         return padded
 
     @cached_property
-    def cell_blocks(self) -> tuple[CellBlock, ...]:
+    def cell_blocks(self) -> tuple[CellsOfType, ...]:
         """The cells by type, in order of the types' VTK numbers."""
         blocks = []
         for number in np.unique(self.types):
             kind = CELL_TYPES[int(number)]
             members = np.flatnonzero(self.types == number).astype(np.int64)
-            blocks.append(CellBlock(kind, members, self.cells[members, :kind.n_nodes]))
+            blocks.append(CellsOfType(kind, members, self.cells[members, :kind.n_nodes]))
         return tuple(blocks)
+
+    @cached_property
+    def family(self) -> str:
+        """Family of its cells' types, one for all."""
+        (family,) = {block.type.family for block in self.cell_blocks}
+        return family
 
     @cached_property
     def outlines(self) -> Outlines:
@@ -283,7 +289,7 @@ def compute_geometry(mesh: Mesh) -> NDArray[np.float64]:
     return np.ascontiguousarray(np.einsum("eam,eac->ecm", of_type[mesh.types], coordinates))
 
 
-def compute_shape_gradients(mesh: Mesh, block: CellBlock,
+def compute_shape_gradients(mesh: Mesh, block: CellsOfType,
                     local: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Differentiate the shape functions of cells of one type by x, at points of the reference cell, (n_points, dim).
 

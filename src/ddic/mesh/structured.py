@@ -188,7 +188,7 @@ MOST_CELLS = 1e9
 
 
 @dataclass(frozen=True)
-class Grid:
+class GridLines:
     """Lines of a rectangular grid.
 
     Attributes
@@ -219,7 +219,7 @@ class Grid:
         """Centres of the rectangles, row by row, (n_rows n_columns, 2), pixels."""
         between_x = (self.x[1:] + self.x[:-1]) / 2
         between_y = (self.y[1:] + self.y[:-1]) / 2
-        return Grid(between_x, between_y).nodes
+        return GridLines(between_x, between_y).nodes
 
     @property
     def sides(self) -> dict[str, NDArray[np.int64]]:
@@ -315,14 +315,14 @@ def count_cells(region: Sequence[float], element_size: float) -> tuple[int, int]
     return n_columns, n_rows
 
 
-def _fit_grid(region: Sequence[float], element_size: float) -> Grid:
+def _fit_grid(region: Sequence[float], element_size: float) -> GridLines:
     """Lines that divide the region evenly."""
     x0, y0, x1, y1 = region
     n_columns, n_rows = count_cells(region, element_size)
-    return Grid(np.linspace(x0, x1, n_columns + 1), np.linspace(y0, y1, n_rows + 1))
+    return GridLines(np.linspace(x0, x1, n_columns + 1), np.linspace(y0, y1, n_rows + 1))
 
 
-def _kept_cells(grid: Grid, in_holes: Sequence[NDArray[np.bool_]],
+def _kept_cells(grid: GridLines, in_holes: Sequence[NDArray[np.bool_]],
                 mask: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
     """Cells in no hole and in the mask."""
     kept = np.ones(len(grid.quads), dtype=bool)
@@ -335,7 +335,7 @@ def _kept_cells(grid: Grid, in_holes: Sequence[NDArray[np.bool_]],
     return kept
 
 
-def _cells_in_hole(grid: Grid, hole: Hole, number: int) -> NDArray[np.bool_]:
+def _cells_in_hole(grid: GridLines, hole: Hole, number: int) -> NDArray[np.bool_]:
     """Cells whose centres lie in a hole."""
     inside = hole.measure_distance(grid.centroids) < 0
     # What a mask leaves out may be smaller than a cell; a hole that was asked for may not.
@@ -345,7 +345,7 @@ def _cells_in_hole(grid: Grid, hole: Hole, number: int) -> NDArray[np.bool_]:
     return np.asarray(inside)
 
 
-def _cells_in_mask(grid: Grid, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _cells_in_mask(grid: GridLines, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Cells with at least half of their pixel centres in the mask; outside of it counts as False."""
     width = mask.shape[1]
     # Half-open cells, x <= centre < x', give every pixel centre to exactly one cell.

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ddic.errors import InputError
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
-from ddic.separated.band_sums import BandSums, build_tree, join_trees
+from ddic.separated.band_sums import BandSums, build_band_tree, join_trees
 
 HALVINGS = 60
 """Halvings of the interval that holds the smallest possible largest cost: enough for the last bit of a float, and more
@@ -200,7 +200,7 @@ class TeamSums(BandSums):
 
     def add_up(self, of_bands: Iterable[Array]) -> Array:
         """Sum arrays of one shape; only sums of groups of bands are sent."""
-        tree = build_tree(self.first, of_bands)
+        tree = build_band_tree(self.first, of_bands)
         return tree.finish() if self.team.size == 1 else join_trees(self.team.gather_lists([tree.groups]))
 
     def join(self, of_bands: Iterable[Array]) -> Array:

@@ -21,7 +21,7 @@ from ddic.problem.region_mesh import build_material
 from ddic.problem.weighted_problem import ProblemSize, describe_cut_off
 from ddic.separated.band_sums import divide_rows
 from ddic.separated.corrections import OF_GAP, OF_TIKHONOV, Regularization, Scheme, StoppingRules
-from ddic.separated.pixel_bands import FramePixels, ReferencePixels, count_usable, cut_bands
+from ddic.separated.pixel_bands import FramePixels, ReferenceBands, count_usable, cut_bands
 from ddic.separated.separated_regularization import (
     SeparatedOperator,
     build_equilibrium_gap,
@@ -47,7 +47,7 @@ class SeparatedProblem:
         All ranks.
     inputs, rectangle : Inputs, Rectangle
         Reference image and settings, and what is measured.
-    reference : ReferencePixels
+    reference : ReferenceBands
         Bands of rows of this rank.
     regularization : Regularization or None
         With its weight.
@@ -60,7 +60,7 @@ class SeparatedProblem:
     team: Team
     inputs: Inputs
     rectangle: Rectangle
-    reference: ReferencePixels
+    reference: ReferenceBands
     regularization: Regularization | None
     size: ProblemSize
     scheme: Scheme
@@ -93,7 +93,7 @@ def choose_own_bands(rectangle: Rectangle, rank: int, n_ranks: int) -> tuple[int
     return int(edges[rank]), bands[edges[rank]:edges[rank + 1]]
 
 
-def read_reference_pixels(team: Team, inputs: Inputs, rectangle: Rectangle) -> ReferencePixels:
+def read_reference_pixels(team: Team, inputs: Inputs, rectangle: Rectangle) -> ReferenceBands:
     """Read the rows of the reference image that this rank owns; collective.
 
     Raises InputError on all ranks, where an image cannot be read or no pixel counts.
@@ -101,13 +101,13 @@ def read_reference_pixels(team: Team, inputs: Inputs, rectangle: Rectangle) -> R
     source, degree = inputs.cameras[0].reference, inputs.case.correlation.spline_degree
     first, own = choose_own_bands(rectangle, team.rank, team.size)
 
-    def read() -> ReferencePixels:
+    def read() -> ReferenceBands:
         columns = rectangle.along_x.pixels
         bands = []
         if own:
             window = Window((columns.start, own[0].start), (columns.stop, own[-1].stop))
             bands = cut_bands(read_reference(source, window, degree), rectangle.along_x, own)
-        return ReferencePixels(rectangle.along_x, rectangle.along_y, bands, source.extent, TeamSums(team, first))
+        return ReferenceBands(rectangle.along_x, rectangle.along_y, bands, source.extent, TeamSums(team, first))
 
     reference = team.together(read)
     if not team.sum(count_usable(reference.bands)):
@@ -119,7 +119,7 @@ def _refuse_nothing_to_see() -> None:
     raise InputError("images.reference_mask: it leaves out every pixel of mesh.structured.region; check both")
 
 
-def build_regularization(section: RegularizationSection | None, reference: ReferencePixels,
+def build_regularization(section: RegularizationSection | None, reference: ReferenceBands,
                          rectangle: Rectangle) -> Regularization | None:
     """Build the regularisation, None where the case asks for none, and find its weight; collective."""
     if section is None:
@@ -145,7 +145,7 @@ def build_regularization(section: RegularizationSection | None, reference: Refer
     return Regularization(weighted, weight, per_wave / wavelength)
 
 
-def measure_separated_size(team: Team, inputs: Inputs, reference: ReferencePixels,
+def measure_separated_size(team: Team, inputs: Inputs, reference: ReferenceBands,
                            regularization: Regularization | None) -> ProblemSize:
     """Count what is about to be measured; collective. Unknowns are those of the Q4 elements between the same lines."""
     rectangle = require_held(inputs.rectangle)

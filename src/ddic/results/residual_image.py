@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.functionals.correlation import Band, Residual
+from ddic.functionals.correlation import Residual, RowBand
 from ddic.functionals.view import FrameView
 from ddic.images.window import Window
 from ddic.inputs.cameras import Camera
@@ -200,7 +200,7 @@ class _SeenInBands:
     view: FrameView
     q: NDArray[np.float64]
     residual: Residual
-    bands: list[Band]
+    bands: list[RowBand]
 
 
 def _see_in_bands(measurement: Measurement, camera: int, height: int) -> list[_SeenInBands]:

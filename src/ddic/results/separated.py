@@ -26,7 +26,7 @@ from ddic.kinematics.nodal_gradients import recover_gradients
 from ddic.kinematics.strain import compute_strain
 from ddic.mesh.cell_type import Q4
 from ddic.mesh.mesh import Mesh, build_mesh
-from ddic.mesh.structured import Grid
+from ddic.mesh.structured import GridLines
 from ddic.parallel.team import Team, require_held
 from ddic.problem.separated_problem import SeparatedProblem
 from ddic.problem.weighted_problem import ProblemSize
@@ -36,7 +36,7 @@ from ddic.results.publishing import describe_image
 from ddic.results.residual_image import Patch, pack_chunks, stream_chunks
 from ddic.separated.corrections import SeparatedSolution
 from ddic.separated.field import LineElements, SeparatedField
-from ddic.separated.pixel_bands import FramePixels, ReferencePixels
+from ddic.separated.pixel_bands import FramePixels, ReferenceBands
 from ddic.visibility.cell_errors import CellErrors, CellResiduals, describe_doubtful_cells, find_cell_errors
 from ddic.visibility.exclusions import KEPT, UNSEEN
 
@@ -71,7 +71,7 @@ class OutputCells:
 
     def build_mesh(self) -> Mesh:
         """Mesh them: Q4 cells, row by row."""
-        grid = Grid(self.x, self.y)
+        grid = GridLines(self.x, self.y)
         return build_mesh(grid.nodes, {Q4: grid.quads})
 
     def evaluate_displacement(self, field: SeparatedField) -> Array:
@@ -79,7 +79,7 @@ class OutputCells:
         return field.evaluate_on_grid(self.x, self.y).reshape(-1, 2)
 
 
-def evaluate_output_cells(team: Team, lines: tuple[Array, Array], reference: ReferencePixels,
+def evaluate_output_cells(team: Team, lines: tuple[Array, Array], reference: ReferenceBands,
                        residual: Sequence[Rows]) -> OutputCells:
     """Sum the residual over cells, the same on all ranks; collective.
 
@@ -100,7 +100,7 @@ def evaluate_output_cells(team: Team, lines: tuple[Array, Array], reference: Ref
     return OutputCells(x, y, n, rms, team.broadcast(errors[0] if team.is_root else None), notes)
 
 
-def _sum_band(along_x: LineElements, along_y: LineElements, reference: ReferencePixels, number: int,
+def _sum_band(along_x: LineElements, along_y: LineElements, reference: ReferenceBands, number: int,
               rows: Rows) -> Array:
     """Sums over the pixels of a band of (1, r, r^2, |grad f|^2) in each cell, (4, n_rows, n_columns)."""
     band, r = reference.bands[number], rows[1].astype(np.float64)

@@ -65,7 +65,7 @@ def _first_band(place: Place) -> int:
     return place[1] << place[0]
 
 
-def build_tree(first: int, of_bands: Iterable[Array]) -> BandTree:
+def build_band_tree(first: int, of_bands: Iterable[Array]) -> BandTree:
     """Sum arrays of one shape of bands that follow each other from number ``first``, as far as neighbours are there."""
     tree = BandTree()
     for number, values in enumerate(of_bands, start=first):
@@ -107,7 +107,7 @@ class SerialSums(BandSums):
 
     def add_up(self, of_bands: Iterable[Array]) -> Array:
         """Sum them."""
-        return build_tree(0, of_bands).finish()
+        return build_band_tree(0, of_bands).finish()
 
     def join(self, of_bands: Iterable[Array]) -> Array:
         """Put them side by side."""
